@@ -1,0 +1,72 @@
+# Two commands do all their own set-up on a bare Debian 12: `make measure` and `make test`.
+VENV    := .venv
+PYTHON  ?= python3
+BIN     := $(VENV)/bin
+SUDO    := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
+PYTEST  ?= $(BIN)/python -m pytest
+
+# What Python itself needs; what the tests drive (Aravis, the AVR tool chain, real network clients, a browser).
+RUN_PACKAGES  := python3-venv
+TEST_PACKAGES := $(RUN_PACKAGES) python3-dev gcc make pkg-config libcairo2-dev libgirepository1.0-dev \
+                 gir1.2-aravis-0.8 aravis-tools aravis-tools-cli \
+                 gcc-avr avr-libc simavr libsimavr-dev libsimavrparts1 libelf-dev \
+                 chromium lxi-tools curl mosquitto
+
+# Installs only what is missing, so that neither root nor a network is needed the second time.
+define install_packages
+	@missing=$$(for p in $(1); do dpkg -s $$p 2>/dev/null | grep -q '^Status: install ok' || echo $$p; done); \
+	if [ -n "$$missing" ]; then \
+	  echo "installing system packages:" $$missing; \
+	  $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq --no-install-recommends $$missing >/dev/null; \
+	fi
+endef
+
+.PHONY: help measure test check bench soak firmware calibration clean
+
+help:  ## List the targets
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
+
+measure: $(VENV)/.ready-run  ## Read the radiance of a screen patch on the simulated bench
+	$(BIN)/radiometer measure --budget
+
+test: $(VENV)/.ready-test  ## Run the whole test suite
+	$(PYTEST)
+
+check: $(VENV)/.ready-test  ## Format, lint, types, layers
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(VENV)/.ready-test  ## Run the long benchmarks and rewrite the tables in docs/benchmarks.md
+	$(BIN)/python -m benchmarks
+
+soak: $(VENV)/.ready-test  ## Run the daemon for an hour and watch its memory
+	$(BIN)/python -m benchmarks --soak
+
+calibration: $(VENV)/.ready-run  ## Calibrate the simulated bench anew: response from a chart, scale from a known source
+	rm -rf out/chart out/reference
+	$(BIN)/radiometer bracket out/chart --bench configs/bench-simulated-chart.yaml --stops 1 --from 500us --to 256ms
+	$(BIN)/radiometer response out/chart -o out/response.yaml --plot out/response.png
+	$(BIN)/radiometer bracket out/reference --bench configs/bench-simulated-reference.yaml --patch 708,520,200,200 --repeat 4
+	$(BIN)/radiometer calibrate out/reference --response out/response.yaml --patch 708,520,200,200 --radiance 1.0 \
+	  --u-rel 0.005 --spectrum white_led --validity-days 3650 -o configs/calibrations/simulated.yaml
+
+firmware:  ## Build the light box's firmware and print its size
+	$(call install_packages,gcc-avr avr-libc make)
+	$(MAKE) -C drivers/firmware/light_box
+
+clean:  ## Remove the virtual environment and all caches
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis out
+
+$(VENV)/.ready-run: pyproject.toml constraints.txt
+	$(call install_packages,$(RUN_PACKAGES))
+	[ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e .
+	@touch $@
+
+$(VENV)/.ready-test: pyproject.toml constraints.txt
+	$(call install_packages,$(TEST_PACKAGES))
+	[ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[genicam,photo,fleet,cluster,dev]'
+	@touch $@ $(VENV)/.ready-run
