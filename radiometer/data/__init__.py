@@ -1,0 +1,49 @@
+"""Frozen objects that travel between stages, each with its uncertainty and provenance."""
+
+from radiometer.data.bracket import Bracket
+from radiometer.data.calibration import Calibration
+from radiometer.data.calibration_sections import BlackLevel, FlatField, Scale, SpectralResponse, StatedUncertainties
+from radiometer.data.capture_header import (
+    CameraDescription,
+    LensDescription,
+    PatchDescription,
+    SourceDescription,
+)
+from radiometer.data.capture_set import CaptureHeader, CaptureSet, FrameEntry
+from radiometer.data.capture_writer import CaptureSetWriter
+from radiometer.data.frame import Frame, FrameSettings
+from radiometer.data.provenance import Provenance
+from radiometer.data.radiance_map import PixelMask, RadianceMap
+from radiometer.data.reading import Contribution, Flag, Patch, Quantity, Reading
+from radiometer.data.response_curve import ResponseCurve
+from radiometer.data.sensor_noise import SensorNoise
+
+__all__ = [
+    "BlackLevel",
+    "Bracket",
+    "Calibration",
+    "CameraDescription",
+    "CaptureHeader",
+    "CaptureSet",
+    "CaptureSetWriter",
+    "Contribution",
+    "Flag",
+    "FlatField",
+    "Frame",
+    "FrameEntry",
+    "FrameSettings",
+    "LensDescription",
+    "Patch",
+    "PatchDescription",
+    "PixelMask",
+    "Provenance",
+    "Quantity",
+    "RadianceMap",
+    "Reading",
+    "ResponseCurve",
+    "Scale",
+    "SensorNoise",
+    "SourceDescription",
+    "SpectralResponse",
+    "StatedUncertainties",
+]

@@ -1,0 +1,77 @@
+"""What `capture.yaml` says beside its frames: camera, lens, source and patches, as their datasheets believe."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from radiometer.data.reading import Patch
+from radiometer.data.validation import FileSection
+
+
+class CameraDescription(FileSection):
+    """The camera as its datasheet or calibration believes it to be; all but the bit depth may be unknown."""
+
+    bit_depth: int = Field(ge=1, le=16)
+    vendor: str | None = None
+    model: str | None = None
+    serial: str | None = None
+    pixel_pitch_um: float | None = Field(None, gt=0)
+    pixel_spacing_um: float | None = Field(None, gt=0)
+    conversion_gain_e_per_dn: float | None = Field(None, gt=0)
+    read_noise_e: float | None = Field(None, ge=0)
+    full_well_e: float | None = Field(None, gt=0)
+    dark_current_e_per_s: float | None = Field(None, ge=0)
+    dark_current_reference_C: float | None = None  # noqa: N815 (the file's key)
+    dark_current_doubling_K: float | None = Field(None, gt=0)  # noqa: N815
+    black_level_dn: float | None = None
+    quantum_efficiency: float | None = Field(None, gt=0, le=1)
+
+    @property
+    def full_scale_dn(self) -> int:
+        """Return the highest digital number, 2**bit_depth − 1."""
+        return (1 << self.bit_depth) - 1
+
+
+class LensDescription(FileSection):
+    """The lens: focal length in mm, f-number, transmittance with relative standard uncertainty, vignetting."""
+
+    focal_length_mm: float | None = Field(None, gt=0)
+    f_number: float | None = Field(None, gt=0)
+    transmittance: float | None = Field(None, gt=0, le=1)
+    transmittance_u_rel: float | None = Field(None, ge=0)
+    magnification: float = Field(0.0, ge=0)
+    pupil_magnification: float = Field(1.0, gt=0)
+    principal_point_px: tuple[float, float] | None = None
+    vignetting: Literal["none", "cos4"] = "none"
+
+
+class SourceDescription(FileSection):
+    """The light source: its kind, wavelength in nm and relative reproducibility."""
+
+    kind: Literal["screen", "led", "sphere", "scene"] = "scene"
+    wavelength_nm: float | None = Field(None, gt=0)
+    reproducibility_u_rel: float | None = Field(None, ge=0)
+
+
+class PatchDescription(FileSection):
+    """A region of the scene and what is known of its radiance at source level 1 (None: unknown but constant)."""
+
+    name: str
+    x: int = Field(ge=0)
+    y: int = Field(ge=0)
+    width: int = Field(gt=0)
+    height: int = Field(gt=0)
+    radiance_W_per_sr_m2: float | dict[str, float] | None = None  # noqa: N815 (the file's key)
+    u_rel: float | None = Field(None, ge=0)
+
+    @property
+    def patch(self) -> Patch:
+        """Return the region as a Patch."""
+        return Patch(self.x, self.y, self.width, self.height)
+
+    def radiance(self, pattern: str = "default") -> float | None:
+        """Return the known radiance in W·sr⁻¹·m⁻² under a pattern; None where unknown."""
+        known = self.radiance_W_per_sr_m2
+        return known.get(pattern) if isinstance(known, dict) else known

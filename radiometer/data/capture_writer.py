@@ -1,0 +1,115 @@
+"""Writing a capture set so that it is either finished or recognisably unfinished."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import cv2
+
+from radiometer.data.capture_header import (
+    CameraDescription,
+    LensDescription,
+    PatchDescription,
+    SourceDescription,
+)
+from radiometer.data.capture_set import HEADER_NAME, CaptureHeader, CaptureSet, FrameEntry
+from radiometer.data.frame import Frame
+from radiometer.data.storage import write_bytes_atomic, write_yaml_atomic
+from radiometer.errors import OutputError
+
+
+class CaptureSetWriter:
+    """Writes frames as they arrive and `capture.yaml` last.
+
+    Use as a context manager: leaving it without an error finishes the set; leaving it with one removes
+    what was written, so that no half-written capture set stays behind.
+
+    Args:
+        path: Folder to create; it must not exist, or be empty.
+        camera: The camera as its datasheet believes it to be.
+        lens: The lens.
+        source: The light source.
+        patches: Known regions of the scene.
+        patterns: Names of the displayed patterns.
+        extra: Further top-level keys of `capture.yaml`.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        camera: CameraDescription,
+        lens: LensDescription | None = None,
+        source: SourceDescription | None = None,
+        patches: tuple[PatchDescription, ...] = (),
+        patterns: tuple[str, ...] = ("default",),
+        extra: dict[str, object] | None = None,
+    ) -> None:
+        self.path = path
+        self._camera, self._lens, self._source = (
+            camera,
+            lens or LensDescription(),
+            source or SourceDescription(),
+        )
+        self._patches, self._patterns, self._extra = patches, patterns, extra or {}
+        self._entries: list[FrameEntry] = []
+
+    def __enter__(self) -> Self:
+        if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
+            raise OutputError(f"{self.path} exists already and is not empty; name a new folder")
+        try:
+            (self.path / "frames").mkdir(parents=True)
+        except OSError as error:
+            raise OutputError(f"cannot create {self.path}: {error.strerror or error}") from error
+        return self
+
+    def add(self, frame: Frame) -> None:
+        """Write one frame.
+
+        Raises:
+            OutputError: If the disk refuses it.
+        """
+        name = f"frames/{len(self._entries):04d}.png"
+        done, encoded = cv2.imencode(".png", frame.dn, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        if not done:
+            raise OutputError(f"cannot encode frame {len(self._entries)} as PNG")
+        write_bytes_atomic(self.path / name, encoded.tobytes())
+        self._entries.append(FrameEntry.of(name, frame.settings))
+
+    def finish(self) -> CaptureSet:
+        """Write `capture.yaml` and return the finished set.
+
+        Raises:
+            OutputError: If no frame was added or the disk refuses it.
+        """
+        if not self._entries:
+            raise OutputError(f"{self.path}: no frame was captured, so there is nothing to finish")
+        header = CaptureHeader(
+            camera=self._camera,
+            lens=self._lens,
+            source=self._source,
+            patterns=self._patterns,
+            patches=self._patches,
+            frames=tuple(self._entries),
+            **self._extra,
+        )
+        write_yaml_atomic(self.path / HEADER_NAME, header.to_mapping())
+        return CaptureSet(self.path, header)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            if not (self.path / HEADER_NAME).exists():
+                self.finish()
+            return
+        self._remove()
+
+    def _remove(self) -> None:
+        for file in (self.path / "frames").glob("*"):
+            file.unlink(missing_ok=True)
+        (self.path / HEADER_NAME).unlink(missing_ok=True)
+        for folder in (self.path / "frames", self.path):
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()

@@ -1,0 +1,94 @@
+"""A frame: raw digital numbers with the settings that made them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.errors import InputError
+from radiometer.units import gain_factor
+
+DigitalNumbers = NDArray[np.uint8] | NDArray[np.uint16]
+Shutter = Literal["open", "closed"]
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSettings:
+    """The settings a frame was really taken with, as read back from the device (never as asked for).
+
+    Attributes:
+        exposure_s: Exposure time in s, above 0.
+        gain_db: Analogue gain in dB.
+        f_number: f-number of the lens; None where unknown.
+        black_level_dn: Black level (offset) in DN; None where unknown.
+        temperature_c: Sensor temperature in °C; None where unknown.
+        timestamp_s: Time of the frame in s on any one steady clock; None where unknown.
+        source_level: Relative drive of the source, 0 (off) to 1.
+        pattern: Name of the displayed pattern.
+        shutter: "closed" for a dark frame.
+        iso: ISO speed of a photograph; None for a machine camera.
+    """
+
+    exposure_s: float
+    gain_db: float = 0.0
+    f_number: float | None = None
+    black_level_dn: float | None = None
+    temperature_c: float | None = None
+    timestamp_s: float | None = None
+    source_level: float = 1.0
+    pattern: str = "default"
+    shutter: Shutter = "open"
+    iso: float | None = None
+
+    @property
+    def is_dark(self) -> bool:
+        """Tell whether the frame was taken with the shutter closed."""
+        return self.shutter == "closed"
+
+    @property
+    def effective_exposure_s(self) -> float:
+        """Return exposure time × gain factor in s: what the digital numbers above black are proportional to."""
+        return self.exposure_s * gain_factor(self.gain_db)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One exposure: raw digital numbers, right-aligned, with the settings read back.
+
+    Attributes:
+        dn: Digital numbers, shape (height, width), uint8 or uint16, 0 to 2**bit_depth − 1; made read-only.
+        bit_depth: Bits per pixel, 1 to 16.
+        settings: What the frame was taken with.
+        frame_id: Running number given by the device; None where there is none.
+        extra: Further facts from the device (chunk data, counts of resent packets).
+    """
+
+    dn: DigitalNumbers
+    bit_depth: int
+    settings: FrameSettings
+    frame_id: int | None = None
+    extra: dict[str, float | int | str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.dn.ndim != 2 or self.dn.dtype not in (np.uint8, np.uint16):
+            raise InputError(
+                f"a frame needs a two-dimensional uint8 or uint16 array, not {self.dn.dtype} {self.dn.shape}"
+            )
+        if not 1 <= self.bit_depth <= 8 * self.dn.dtype.itemsize:
+            raise InputError(f"bit depth {self.bit_depth} does not fit {self.dn.dtype} pixels")
+        view = self.dn.view()
+        view.flags.writeable = False
+        object.__setattr__(self, "dn", view)
+
+    @property
+    def full_scale_dn(self) -> int:
+        """Return the highest digital number, 2**bit_depth − 1."""
+        return (1 << self.bit_depth) - 1
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Return (height, width) in pixels."""
+        return (int(self.dn.shape[0]), int(self.dn.shape[1]))

@@ -1,0 +1,59 @@
+"""Where a result comes from."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import radiometer
+
+
+def utc_now() -> str:
+    """Return the present time as ISO 8601 in UTC with microseconds."""
+    return dt.datetime.now(dt.UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """What made a result, from what, and under which assumptions.
+
+    Attributes:
+        method: Name of the method, with author and year where the field names it so.
+        inputs: Names or content hashes of what went in.
+        assumptions: What was assumed rather than measured; shown to the user.
+        parameters: Settings of the method.
+        created: ISO 8601 time in UTC.
+        software: Program and version.
+    """
+
+    method: str
+    inputs: tuple[str, ...] = ()
+    assumptions: tuple[str, ...] = ()
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    created: str = field(default_factory=utc_now)
+    software: str = f"radiometer {radiometer.__version__}"
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the plain mapping that stands in files."""
+        return {
+            "method": self.method,
+            "inputs": list(self.inputs),
+            "assumptions": list(self.assumptions),
+            "parameters": dict(self.parameters),
+            "created": self.created,
+            "software": self.software,
+        }
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any]) -> Provenance:
+        """Return the provenance that a file's mapping describes; unknown keys are ignored."""
+        return cls(
+            method=str(mapping.get("method", "unknown")),
+            inputs=tuple(mapping.get("inputs", ())),
+            assumptions=tuple(mapping.get("assumptions", ())),
+            parameters=dict(mapping.get("parameters", {})),
+            created=str(mapping.get("created", "")),
+            software=str(mapping.get("software", "")),
+        )

@@ -1,0 +1,50 @@
+"""A radiance map: radiance, standard uncertainty and condition of every pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data.provenance import Provenance
+
+
+class PixelMask(IntFlag):
+    """Why a pixel of a radiance map must be taken with care; 0 is a good pixel."""
+
+    GOOD = 0
+    SATURATED = 1  # clipped in every frame: the value is a lower bound
+    BELOW_NOISE = 2  # never above the noise floor
+    EXTRAPOLATED = 4  # uses digital numbers that the response curve had no data for
+    DEFECTIVE = 8  # interpolated from its neighbours
+    INCONSISTENT = 16  # frames disagree beyond their noise (flicker, motion)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadianceMap:
+    """Radiance per pixel.
+
+    Attributes:
+        radiance: Radiance, shape (height, width), float32, in `unit`.
+        u_radiance: Standard uncertainty per pixel (noise only; what is common to all pixels is in `u_rel_common`).
+        mask: PixelMask bits per pixel, uint8.
+        unit: "W sr-1 m-2", or "relative".
+        u_rel_common: Relative standard uncertainty common to all pixels (scale, lens, exposure time).
+        exposures_s: Exposure times merged, in s.
+        provenance: Method, inputs, assumptions.
+    """
+
+    radiance: NDArray[np.float32]
+    u_radiance: NDArray[np.float32]
+    mask: NDArray[np.uint8]
+    unit: str = "relative"
+    u_rel_common: float = 0.0
+    exposures_s: tuple[float, ...] = ()
+    provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Return (height, width) in pixels."""
+        return (int(self.radiance.shape[0]), int(self.radiance.shape[1]))

@@ -1,0 +1,164 @@
+"""A reading: the radiance of one patch with its uncertainty, and the budget behind it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from radiometer.data.provenance import Provenance, utc_now
+
+RADIANCE_UNIT = "W sr-1 m-2"
+LUMINANCE_UNIT = "cd m-2"
+RELATIVE_UNIT = "relative"
+
+
+class Flag(StrEnum):
+    """What a user must know about a reading."""
+
+    SATURATED = "saturated"
+    BELOW_NOISE = "below_noise"
+    EXTRAPOLATED = "extrapolated"
+    FLICKER = "flicker"
+    STALE_CALIBRATION = "stale_calibration"
+    UNCALIBRATED = "uncalibrated"
+    NONUNIFORM = "nonuniform"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Patch:
+    """A rectangle of pixels: left, top, width and height in pixels of the frame."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Return the (row, column) slices of the patch."""
+        return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
+
+    def fits(self, shape: tuple[int, int]) -> bool:
+        """Tell whether the patch lies wholly inside a frame of (height, width)."""
+        return (
+            self.x >= 0
+            and self.y >= 0
+            and self.width > 0
+            and self.height > 0
+            and self.y + self.height <= shape[0]
+            and self.x + self.width <= shape[1]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A value with its standard uncertainty (k = 1) and unit."""
+
+    value: float
+    u: float
+    unit: str
+
+    @property
+    def u_rel(self) -> float:
+        """Return the relative standard uncertainty; infinite at value 0."""
+        return abs(self.u / self.value) if self.value else float("inf")
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return {value, u, unit}."""
+        return {"value": self.value, "u": self.u, "unit": self.unit}
+
+
+@dataclass(frozen=True, slots=True)
+class Contribution:
+    """One line of a GUM uncertainty budget.
+
+    Attributes:
+        name: What the uncertainty comes from.
+        u_rel: Relative standard uncertainty of the reading due to it.
+        kind: "A" (from repeated observation) or "B" (from anything else).
+        degrees_of_freedom: Degrees of freedom of the estimate; infinite where taken as exactly known.
+        correlated: True where two readings made with one calibration share it.
+        note: Where the figure comes from.
+    """
+
+    name: str
+    u_rel: float
+    kind: str = "B"
+    degrees_of_freedom: float = float("inf")
+    correlated: bool = False
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """The radiance of one patch at one moment.
+
+    Attributes:
+        radiance: Radiance in W·sr⁻¹·m⁻² (unit "relative" where uncalibrated).
+        patch: Where it was read.
+        instrument: Serial number of the camera.
+        luminance: Luminance in cd·m⁻²; None where no spectrum is known or assumed.
+        flags: What the user must know, sorted.
+        exposures_s: Exposure times that took part, in s.
+        budget: Contributions to the uncertainty; empty where none was made up.
+        sequence: Running number within the instrument's journal.
+        coverage_factor: k of the expanded uncertainty.
+        time: ISO 8601 in UTC.
+    """
+
+    radiance: Quantity
+    patch: Patch
+    instrument: str
+    luminance: Quantity | None = None
+    flags: tuple[Flag, ...] = ()
+    exposures_s: tuple[float, ...] = ()
+    budget: tuple[Contribution, ...] = ()
+    sequence: int = 0
+    coverage_factor: float = 2.0
+    time: str = field(default_factory=utc_now)
+    provenance: Provenance | None = None
+
+    @property
+    def expanded_u_rel(self) -> float:
+        """Return the expanded relative uncertainty U_rel = k·u/|value|."""
+        return self.coverage_factor * self.radiance.u_rel
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping of the documented JSON form; what is not finite becomes null."""
+        mapping: dict[str, Any] = {
+            "time": self.time,
+            "instrument": self.instrument,
+            "patch": {
+                "x": self.patch.x,
+                "y": self.patch.y,
+                "width": self.patch.width,
+                "height": self.patch.height,
+            },
+            "radiance": self.radiance.to_mapping(),
+            "luminance": self.luminance.to_mapping() if self.luminance else None,
+            "coverage_factor": self.coverage_factor,
+            "U_rel": self.expanded_u_rel,
+            "flags": [str(flag) for flag in self.flags],
+            "exposures_s": list(self.exposures_s),
+            "sequence": self.sequence,
+        }
+        return {key: finite_or_null(value) for key, value in mapping.items()}
+
+    def to_json(self) -> str:
+        """Return the reading as one line of JSON."""
+        return json.dumps(self.to_mapping(), ensure_ascii=False, allow_nan=False)
+
+
+def finite_or_null(value: Any) -> Any:
+    """Return a JSON value with every number that is not finite replaced by None: JSON knows no infinity."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {key: finite_or_null(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [finite_or_null(entry) for entry in value]
+    return value

@@ -1,0 +1,106 @@
+"""Files written whole or not at all, and YAML read with errors that say where."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+import yaml
+
+from radiometer.errors import InputError, OutputError
+
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+@contextmanager
+def atomic_file(path: Path, *, binary: bool = False) -> Iterator[IO[Any]]:
+    """Open a file for writing that appears under its name only when complete and flushed to disk.
+
+    Args:
+        path: Final name. Its folder must exist.
+        binary: Open for bytes rather than UTF-8 text.
+
+    Raises:
+        OutputError: If the file cannot be written; nothing is left behind.
+    """
+    try:
+        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+    try:
+        stream = os.fdopen(handle, "wb") if binary else os.fdopen(handle, "w", encoding="utf-8", newline="")
+        with stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(temporary, 0o666 & ~_umask())  # noqa: PTH101 (mkstemp makes 0600)
+        os.replace(temporary, path)  # noqa: PTH105
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        Path(temporary).unlink(missing_ok=True)
+
+
+def write_bytes_atomic(path: Path, content: bytes) -> None:
+    """Write bytes so that the file is either whole or absent."""
+    with atomic_file(path, binary=True) as stream:
+        stream.write(content)
+
+
+def write_text_atomic(path: Path, text: str) -> None:
+    """Write UTF-8 text so that the file is either whole or absent."""
+    with atomic_file(path) as stream:
+        stream.write(text)
+
+
+def write_yaml_atomic(path: Path, mapping: Mapping[str, Any]) -> None:
+    """Write a mapping as YAML, keys in their given order, whole or not at all."""
+    write_text_atomic(path, dump_yaml(mapping))
+
+
+def dump_yaml(mapping: Mapping[str, Any]) -> str:
+    """Return a mapping as YAML text with keys in their given order."""
+    return str(
+        yaml.dump(
+            dict(mapping),
+            Dumper=_Dumper,
+            sort_keys=False,
+            allow_unicode=True,
+            width=120,
+            default_flow_style=None,
+        )
+    )
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Return the mapping that a YAML file holds.
+
+    Raises:
+        InputError: If the file is missing, unreadable, not YAML, or not a mapping; the message gives the line.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not a text file (byte {error.start} is not UTF-8)") from error
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    try:
+        content = yaml.load(text, Loader=_Loader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        at = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        raise InputError(f"{path}{at}: not valid YAML: {getattr(error, 'problem', None) or error}") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: expected keys and values, found {type(content).__name__}")
+    return content
+
+
+def _umask() -> int:
+    current = os.umask(0)
+    os.umask(current)
+    return current

@@ -1,0 +1,72 @@
+"""Pydantic's findings, said in one plain line that names key, value and what is allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from radiometer.errors import RadiometerError
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+class FileSection(BaseModel):
+    """A section of an exchange file: frozen; keys that other programs added are kept."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
+
+
+class ConfigSection(BaseModel):
+    """A section of a configuration file: frozen; an unknown key is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def validate(model: type[ModelT], mapping: Mapping[str, Any], where: str, error: type[RadiometerError]) -> ModelT:
+    """Return the model of a mapping.
+
+    Args:
+        model: The pydantic model.
+        mapping: What the file holds.
+        where: File name for the message.
+        error: Class of the error to raise.
+
+    Raises:
+        RadiometerError: Of the class `error`, naming key, value and what is allowed.
+    """
+    try:
+        return model.model_validate(mapping)
+    except ValidationError as found:
+        lines = [_line(entry, model) for entry in found.errors(include_url=False)]
+        more = f" (and {len(lines) - 3} more)" if len(lines) > 3 else ""
+        raise error(f"{where}: " + "; ".join(lines[:3]) + more) from found
+
+
+def _line(entry: Mapping[str, Any], model: type[BaseModel]) -> str:
+    key = ".".join(str(part) for part in entry["loc"])
+    if entry["type"] == "missing":
+        return f"key {key!r} is missing"
+    if entry["type"] == "extra_forbidden":
+        allowed = ", ".join(sorted(_keys_at(model, entry["loc"][:-1])))
+        return f"unknown key {key!r}" + (f"; allowed here: {allowed}" if allowed else "")
+    shown = repr(entry.get("input"))
+    shown = shown if len(shown) <= 60 else shown[:57] + "..."
+    return f"{key} = {shown}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
+
+
+def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:
+    for part in path:
+        field = model.model_fields.get(part) if isinstance(part, str) else None
+        if field is None:
+            continue
+        inner = [t for t in (field.annotation, *getattr(field.annotation, "__args__", ())) if _is_model(t)]
+        if not inner:
+            return []
+        model = inner[0]
+    return list(model.model_fields)
+
+
+def _is_model(candidate: Any) -> bool:
+    return isinstance(candidate, type) and issubclass(candidate, BaseModel)

@@ -1,0 +1,102 @@
+"""Errors that a user or a program can act on.
+
+    RadiometerError                  exit code 1 unless said otherwise
+    ├── UsageError                   misused: wrong argument, key or file form      (exit code 2)
+    │   └── ConfigurationError       a configuration file holds something not allowed
+    ├── InputError                   the data handed in cannot be used
+    │   ├── CaptureError             a capture set or photograph folder is unfinished or inconsistent
+    │   └── CalibrationError         a calibration does not fit the camera or the question
+    ├── MeasurementError             the measurement cannot be done with this scene or these frames
+    ├── OutputError                  a result cannot be written
+    └── DeviceError                  something about a camera, light box or display
+        ├── DeviceNotFound           nothing answers to that name
+        ├── DeviceInUse              another program holds it
+        ├── DeviceLost               it stopped answering; reopening may work
+        ├── DeviceTimeout            no answer within the deadline
+        ├── SettingOutOfRange        a value is outside the device's limits
+        ├── UnsafeStimulus           a light level above what eye or box may take
+        └── MissingLibrary           a system library is not installed
+
+Every message says what was wrong, where, and the way out.
+"""
+
+from __future__ import annotations
+
+
+class RadiometerError(Exception):
+    """Root of all errors that are reported to a user as one line."""
+
+    exit_code = 1
+
+
+class UsageError(RadiometerError):
+    """The call itself is wrong."""
+
+    exit_code = 2
+
+
+class ConfigurationError(UsageError):
+    """A configuration file holds a key or value that is not allowed."""
+
+
+class InputError(RadiometerError):
+    """The data handed in cannot be used."""
+
+
+class CaptureError(InputError):
+    """A capture set or photograph folder is unfinished or inconsistent."""
+
+
+class CalibrationError(InputError):
+    """A calibration does not fit the camera or the question asked of it."""
+
+
+class MeasurementError(RadiometerError):
+    """The measurement cannot be done with this scene or these frames."""
+
+
+class OutputError(RadiometerError):
+    """A result cannot be written."""
+
+
+class DeviceError(RadiometerError):
+    """A camera, light box or display cannot do what was asked."""
+
+
+class DeviceNotFound(DeviceError):
+    """No device answers to that name."""
+
+
+class DeviceInUse(DeviceError):
+    """Another program holds the device."""
+
+
+class DeviceLost(DeviceError):
+    """The device stopped answering; reopening it may work."""
+
+
+class DeviceTimeout(DeviceError):
+    """The device did not answer within the deadline."""
+
+
+class SettingOutOfRange(DeviceError, ValueError):
+    """A requested value lies outside the device's limits; nothing was changed."""
+
+    def __init__(self, device: str, name: str, value: float, low: float, high: float, unit: str) -> None:
+        self.device, self.name, self.value, self.low, self.high, self.unit = (
+            device,
+            name,
+            value,
+            low,
+            high,
+            unit,
+        )
+        super().__init__(f"{device}: {name} {value:g} {unit} is out of range; allowed is {low:g} to {high:g} {unit}")
+
+
+class UnsafeStimulus(DeviceError):
+    """A light level is above what the eye or the box may take."""
+
+
+class MissingLibrary(DeviceError):
+    """A system library is not installed; the message names the packages."""
