@@ -1,0 +1,1 @@
+"""Hardware: GenICam cameras, photograph folders, the serial light box."""

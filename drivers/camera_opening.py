@@ -1,0 +1,274 @@
+"""Opening a GenICam camera: control, a clean streaming state, and nothing on that falsifies radiometry."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import structlog
+
+from drivers.camera_quirks import CameraQuirks, quirks_for
+from drivers.feature_access import FeatureAccess, translated
+from drivers.feature_hygiene import HygieneFinding, switch_off_falsifiers
+from drivers.gige_ping import answers
+from drivers.pixel_unpacking import MONO_FORMATS
+from drivers.settings_access import SettingsAccess, bit_depth_of
+from radiometer.data import CameraDescription
+from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings
+from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound
+
+_LOG = structlog.get_logger(__name__)
+
+LOOPBACK_PACKET_BYTES: Final = 60_000  # loopback carries 65,536 at once; fewer packets, fewer losses
+_TEMPERATURE_AGE_S: Final = 1.0  # a sensor's temperature does not change faster than is worth a register read
+_PREFERRED_FORMATS: Final = ("Mono12", "Mono12p", "Mono12Packed", "Mono16", "Mono10", "Mono10p", "Mono8")
+# The converter at its full depth (some models start at 10 bits for speed); exposure by its time, not by a line.
+_PREPARED_FEATURES: Final = (
+    ("AdcBitDepth", "Bit12"),
+    ("ExposureMode", "Timed"),
+    ("GainSelector", "All"),
+    ("BlackLevelSelector", "All"),
+    ("DeviceTemperatureSelector", "Sensor"),
+)
+_CHUNKS: Final = ("ExposureTime", "Gain")
+
+
+@dataclass(slots=True)
+class CameraSession:
+    """A camera under our control, with what was read from it.
+
+    Attributes:
+        camera: The `Aravis.Camera`.
+        features: Its features.
+        access: Its settings.
+        quirks: How its family differs from the standard.
+        identity: Who it is.
+        opened_by: The id it was opened by.
+        preset: What its datasheet says; None where there is none.
+        hygiene: What was found of the falsifying features.
+        chunk_names: Chunk values it sends with every frame.
+        settings: In force, as read back.
+        capabilities: Its limits in the pixel format in force.
+    """
+
+    camera: Any
+    features: FeatureAccess
+    access: SettingsAccess
+    quirks: CameraQuirks
+    identity: CameraIdentity
+    opened_by: str
+    preset: CameraDescription | None
+    hygiene: tuple[HygieneFinding, ...]
+    chunk_names: tuple[str, ...]
+    settings: CameraSettings
+    capabilities: CameraCapabilities
+    _temperature: tuple[float, float | None] = field(default=(float("-inf"), None))
+
+    @property
+    def label(self) -> str:
+        """Return how messages call the camera."""
+        return self.access.name
+
+    @property
+    def description(self) -> CameraDescription:
+        """Return the preset in the digital numbers of the pixel format in force."""
+        bits = bit_depth_of(self.settings.pixel_format, self.quirks)
+        own = {key: getattr(self.identity, key) for key in ("vendor", "model", "serial")}
+        base = self.preset or CameraDescription(bit_depth=bits)
+        gain = base.conversion_gain_e_per_dn
+        scaled = {
+            "bit_depth": bits,
+            "conversion_gain_e_per_dn": None if gain is None else gain * 2.0 ** (base.bit_depth - bits),
+            "black_level_dn": self.settings.black_level_dn,
+        }
+        return base.model_copy(update={**own, **scaled})
+
+    def reread(self) -> None:
+        """Read settings and limits from the camera anew. Raises DeviceError."""
+        self.settings = self.access.read()
+        self.capabilities = self.access.capabilities(self.settings.pixel_format)
+
+    def temperature_c(self) -> float | None:
+        """Return the sensor temperature in °C, at most a second old; None where it reports none."""
+        if not self.capabilities.has_temperature:
+            return None
+        read_at, temperature_c = self._temperature
+        if time.monotonic() - read_at > _TEMPERATURE_AGE_S:
+            temperature_c = float(self.features.read("DeviceTemperature", float))
+            self._temperature = (time.monotonic(), temperature_c)
+        return temperature_c
+
+    def is_lost(self) -> bool:
+        """Tell whether the camera is known to be gone."""
+        return self.features.lost.is_set()
+
+    def require_answer(self) -> None:
+        """Ask the camera whether it is there. Raises DeviceLost if it does not answer."""
+        if not self.answers():
+            raise DeviceLost(f"{self.label} stopped answering; check its cable and power, then open it again")
+
+    def answers(self) -> bool:
+        """Tell whether the camera is there, asking it unless it is known to be gone."""
+        if not self.is_lost() and not self._pinged():
+            self.features.lost.set()
+        return not self.is_lost()
+
+    def _pinged(self) -> bool:
+        if self.camera.is_gv_device():  # a register read would wait behind the library's heartbeat for 10 s
+            return answers(gige_address(self.camera))
+        try:
+            self.features.read("Width", int)
+        except DeviceLost:
+            return False
+        return True
+
+    def release(self) -> None:
+        """Give up control; the camera may be gone already."""
+        device = self.camera.get_device()
+        if self.camera.is_gv_device() and not self.is_lost():
+            self.features.call(device.leave_control)
+
+
+def open_session(
+    aravis: Any, library_error: type[Exception], identity: CameraIdentity, preset: CameraDescription | None
+) -> CameraSession:
+    """Open a camera, reset it and switch off what falsifies radiometry.
+
+    Raises:
+        DeviceNotFound: If nothing answers to its name.
+        DeviceInUse: If another program holds it.
+        DeviceError: If it has no usable pixel format or refuses a write.
+    """
+    camera = _new_camera(aravis, library_error, identity)
+    known = _completed(camera, identity, library_error)
+    name = f"camera {known.vendor} {known.model} {known.serial}"
+    features = FeatureAccess(camera, name, library_error)
+    if camera.is_gv_device() and not camera.get_device().is_controller():
+        raise DeviceInUse(f"{name} is in use by another program; close that program and try again")
+    try:
+        return _controlled_session(aravis, features, camera, known, identity.device_id, preset)
+    except BaseException:
+        if camera.is_gv_device():
+            camera.get_device().leave_control()
+        raise
+
+
+def _controlled_session(
+    aravis: Any,
+    features: FeatureAccess,
+    camera: Any,
+    known: CameraIdentity,
+    opened_by: str,
+    preset: CameraDescription | None,
+) -> CameraSession:
+    name = f"camera {known.vendor} {known.model} {known.serial}"
+    lost = features.lost  # not the session itself: the library would keep it alive
+    camera.get_device().connect("control-lost", lambda *_: lost.set())
+    info = str(features.read_if_there("DeviceManufacturerInfo", str) or "")
+    quirks = quirks_for(known.vendor, known.model, info)
+    access = SettingsAccess(camera, features, quirks, name)
+    hygiene = _prepare(aravis, camera, features, quirks, access)
+    settings = access.read()
+    return CameraSession(
+        camera=camera,
+        features=features,
+        access=access,
+        quirks=quirks,
+        identity=known,
+        opened_by=opened_by,
+        preset=preset or quirks.preset_of(known.model),
+        hygiene=hygiene,
+        chunk_names=_switch_on_chunks(camera, features),
+        settings=settings,
+        capabilities=access.capabilities(settings.pixel_format),
+    )
+
+
+def gige_address(camera: Any) -> str:
+    """Return the IPv4 address of an open GigE Vision camera."""
+    return str(camera.get_device().get_device_address().get_address().to_string())
+
+
+def _new_camera(aravis: Any, library_error: type[Exception], identity: CameraIdentity) -> Any:
+    try:
+        camera = aravis.Camera.new(identity.device_id)
+    except library_error as error:
+        found = translated(error, f"camera {identity.device_id}")
+        if isinstance(found, DeviceInUse):
+            raise found from error
+        raise DeviceNotFound(
+            f"camera {identity.device_id} does not answer ({getattr(error, 'message', error)}); "
+            "check cable, power and address, `radiometer devices` lists those that do"
+        ) from error
+    if camera is None:
+        raise DeviceNotFound(f"camera {identity.device_id} does not answer; `radiometer devices` lists those that do")
+    return camera
+
+
+def _completed(camera: Any, identity: CameraIdentity, library_error: type[Exception]) -> CameraIdentity:
+    features = FeatureAccess(camera, f"camera {identity.device_id}", library_error)
+    firmware = features.read_if_there("DeviceFirmwareVersion", str) or features.read_if_there("DeviceVersion", str)
+    return replace(
+        identity,
+        vendor=features.call(camera.get_vendor_name) or identity.vendor,
+        model=features.call(camera.get_model_name) or identity.model,
+        serial=features.call(camera.get_device_serial_number) or identity.serial,
+        firmware=str(firmware or ""),
+    )
+
+
+def _prepare(
+    aravis: Any, camera: Any, features: FeatureAccess, quirks: CameraQuirks, access: SettingsAccess
+) -> tuple[HygieneFinding, ...]:
+    features.call(camera.stop_acquisition)  # a program that died may have left it streaming
+    if quirks.load_default_user_set and features.has("UserSetLoad"):
+        features.write("UserSetSelector", "Default")
+        features.execute("UserSetLoad")
+    findings = switch_off_falsifiers(features)
+    for feature, value in _PREPARED_FEATURES:
+        _set_if_offered(features, feature, value)
+    if features.has("AcquisitionFrameRateEnable"):  # a set frame rate would cut the longest exposure
+        features.write("AcquisitionFrameRateEnable", False)
+    features.call(camera.set_acquisition_mode, aravis.AcquisitionMode.CONTINUOUS)
+    if camera.is_gv_device():
+        _choose_packet_size(camera, features)
+    _choose_pixel_format(camera, features, access)
+    return findings
+
+
+def _set_if_offered(features: FeatureAccess, feature: str, value: str) -> None:
+    if not features.has(feature) or features.read(feature, str) == value:
+        return
+    try:
+        features.write(feature, value)
+    except (DeviceLost, DeviceInUse):
+        raise
+    except DeviceError as error:  # this model has no such entry; what it has is told by `radiometer doctor`
+        _LOG.info("feature kept", feature=feature, wanted=value, reason=str(error))
+
+
+def _choose_packet_size(camera: Any, features: FeatureAccess) -> None:
+    if gige_address(camera).startswith("127."):
+        features.call(camera.gv_set_packet_size, LOOPBACK_PACKET_BYTES)
+    else:
+        features.call(camera.gv_auto_packet_size)
+
+
+def _choose_pixel_format(camera: Any, features: FeatureAccess, access: SettingsAccess) -> None:
+    if features.call(camera.get_pixel_format_as_string) in MONO_FORMATS:
+        return
+    offered = features.call(camera.dup_available_pixel_formats_as_strings)
+    usable = [name for name in _PREFERRED_FORMATS if name in offered]
+    if not usable:
+        raise DeviceError(f"{access.name}: offers no monochrome pixel format (only {', '.join(offered)})")
+    features.call(camera.set_pixel_format_from_string, usable[0])
+
+
+def _switch_on_chunks(camera: Any, features: FeatureAccess) -> tuple[str, ...]:
+    if not features.call(camera.are_chunks_available):
+        return ()
+    offered = features.call(camera.dup_available_enumerations_as_strings, "ChunkSelector")
+    wanted = tuple(name for name in _CHUNKS if name in offered)
+    features.call(camera.set_chunks, ",".join(wanted))
+    return wanted

@@ -1,0 +1,254 @@
+#include "light.h"
+
+#include <util/atomic.h>
+
+#include "config.h"
+#include "limits.h"
+#include "protocol.h"
+#include "pwm.h"
+
+#define DARKENED_BY_SILENCE 0x80
+
+typedef struct {
+    char mode;
+    uint8_t range;
+    bool bright;
+    uint16_t level;       /* driven now, where bright */
+    uint16_t target;      /* end of a ramp */
+    uint32_t left_ms;     /* to the end of this phase */
+    uint32_t on_ms, off_ms;
+    uint16_t blinks_left; /* 0: for ever */
+    uint16_t ramp_whole;  /* a ramp moves by this much each ms, and by one more in ramp_part of ramp_ms */
+    uint32_t ramp_part, ramp_ms, ramp_carry;
+    uint32_t bucket;
+} channel_t;
+
+static channel_t channels[CHANNELS];
+static uint16_t silent_ms;
+static volatile uint8_t darkened;
+
+void light_init(void)
+{
+    pwm_init();
+    for (uint8_t n = 0; n < CHANNELS; n++) {
+        channels[n].mode = 'O';
+        channels[n].bucket = channel_limits[n].bucket;
+    }
+}
+
+static uint16_t cost_per_ms(uint8_t range, uint16_t level)
+{
+    return range == HIGH_RANGE ? (level >> 8) + 1 : 1;
+}
+
+static void drive(uint8_t n)
+{
+    channel_t *c = &channels[n];
+    pwm_write(n, c->range, c->bright ? pwm_steps(n, c->level) : 0);
+}
+
+static void extinguish(uint8_t n)
+{
+    channels[n].mode = 'O';
+    channels[n].bright = false;
+    channels[n].level = 0;
+    channels[n].range = LOW_RANGE;
+    drive(n);
+}
+
+static uint8_t refuse(const stimulus_t *wanted, uint32_t bright_ms)
+{
+    uint32_t bucket;
+    if (wanted->level > channel_limits[wanted->channel].limit[wanted->range])
+        return ERROR_LEVEL;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { bucket = channels[wanted->channel].bucket; }
+    return bright_ms > bucket / cost_per_ms(wanted->range, wanted->level) ? ERROR_ENERGY : 0;
+}
+
+static void start(const stimulus_t *wanted, char mode)
+{
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        channel_t *c = &channels[wanted->channel];
+        c->mode = wanted->level == 0 ? 'O' : mode;
+        c->range = wanted->range;
+        c->level = wanted->level;
+        c->bright = wanted->level != 0;
+        c->left_ms = c->on_ms = wanted->on_ms;
+        c->off_ms = wanted->off_ms;
+        c->blinks_left = wanted->count;
+        drive(wanted->channel);
+    }
+}
+
+uint8_t light_steady(const stimulus_t *wanted)
+{
+    uint8_t error = refuse(wanted, 1);
+    if (error == 0)
+        start(wanted, 'S');
+    return error;
+}
+
+uint8_t light_pulse(const stimulus_t *wanted)
+{
+    uint8_t error = refuse(wanted, wanted->on_ms);
+    if (error == 0)
+        start(wanted, 'P');
+    return error;
+}
+
+uint8_t light_blink(const stimulus_t *wanted)
+{
+    /* on_ms is at most 60 000 and count 65 535: the product fits 32 bits */
+    uint8_t error = refuse(wanted, wanted->count ? wanted->on_ms * wanted->count : 1);
+    if (error == 0)
+        start(wanted, 'B');
+    return error;
+}
+
+uint8_t light_ramp(const stimulus_t *wanted)
+{
+    uint8_t error = refuse(wanted, 1);
+    channel_state_t before = light_state(wanted->channel);
+    if (error)
+        return error;
+    if (before.mode != 'O' && before.range != wanted->range)
+        return ERROR_RANGE_CHANGE;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        channel_t *c = &channels[wanted->channel];
+        uint16_t distance;
+        c->mode = 'R';
+        c->range = wanted->range;
+        c->level = c->bright ? c->level : 0;
+        c->bright = true;
+        c->target = wanted->level;
+        distance = c->target > c->level ? c->target - c->level : c->level - c->target;
+        c->left_ms = c->ramp_ms = wanted->on_ms;
+        c->ramp_whole = (uint16_t)(distance / wanted->on_ms);
+        c->ramp_part = distance % wanted->on_ms;
+        c->ramp_carry = 0;
+        drive(wanted->channel);
+    }
+    return 0;
+}
+
+void light_off(uint8_t channel)
+{
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { extinguish(channel); }
+}
+
+void light_all_off(void)
+{
+    for (uint8_t n = 0; n < CHANNELS; n++)
+        light_off(n);
+}
+
+channel_state_t light_state(uint8_t channel)
+{
+    channel_state_t state;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        const channel_t *c = &channels[channel];
+        state.mode = c->mode;
+        state.range = c->range;
+        state.level = c->bright ? c->level : 0;
+        state.bucket = c->bucket;
+    }
+    return state;
+}
+
+void light_feed_deadman(void)
+{
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { silent_ms = 0; }
+}
+
+uint8_t light_take_darkened(void)
+{
+    uint8_t taken;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        taken = darkened;
+        darkened = 0;
+    }
+    return taken;
+}
+
+static void advance_ramp(uint8_t n, channel_t *c)
+{
+    uint16_t move = c->ramp_whole;
+    c->ramp_carry += c->ramp_part;
+    if (c->ramp_carry >= c->ramp_ms) {
+        c->ramp_carry -= c->ramp_ms;
+        move++;
+    }
+    c->level = c->target > c->level ? c->level + move : c->level - move;
+    if (--c->left_ms == 0) {
+        c->mode = c->target ? 'S' : 'O';
+        c->level = c->target;
+        c->bright = c->target != 0;
+    }
+    drive(n);
+}
+
+static void advance_blink(uint8_t n, channel_t *c)
+{
+    if (--c->left_ms)
+        return;
+    if (c->bright) {
+        if (c->blinks_left && --c->blinks_left == 0) {
+            extinguish(n);
+            return;
+        }
+        c->left_ms = c->off_ms;
+    } else {
+        c->left_ms = c->on_ms;
+    }
+    c->bright = !c->bright;
+    drive(n);
+}
+
+static void spend(uint8_t n, channel_t *c)
+{
+    uint16_t cost = cost_per_ms(c->range, c->level);
+    if (c->bucket < cost) {
+        extinguish(n);
+        darkened |= (uint8_t)(1 << n);
+    } else {
+        c->bucket -= cost;
+    }
+}
+
+static void refill(uint8_t n, channel_t *c)
+{
+    uint32_t full = channel_limits[n].bucket;
+    c->bucket = full - c->bucket < channel_limits[n].refill ? full : c->bucket + channel_limits[n].refill;
+}
+
+static void advance(uint8_t n, channel_t *c)
+{
+    if (c->bright)
+        spend(n, c);
+    else
+        refill(n, c);
+    switch (c->mode) {
+    case 'R': advance_ramp(n, c); break;
+    case 'B': advance_blink(n, c); break;
+    case 'P':
+        if (--c->left_ms == 0)
+            extinguish(n);
+        break;
+    default: break;
+    }
+}
+
+void light_tick(void)
+{
+    if (silent_ms < DEADMAN_MS && ++silent_ms == DEADMAN_MS) {
+        for (uint8_t n = 0; n < CHANNELS; n++)
+            extinguish(n);
+        darkened |= DARKENED_BY_SILENCE;
+    }
+    for (uint8_t n = 0; n < CHANNELS; n++)
+        advance(n, &channels[n]);
+}

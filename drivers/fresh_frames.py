@@ -1,0 +1,98 @@
+"""Frames exposed under the settings in force: starts and restarts the acquisition, throws stale frames away."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType
+from typing import Final
+
+from drivers.camera_opening import CameraSession
+from drivers.frame_assembly import assemble, holds_other_settings
+from drivers.frame_stream import FrameStream, RawFrame, Tally
+from drivers.settings_access import bit_depth_of
+from radiometer.data import Frame, LensDescription
+from radiometer.errors import DeviceTimeout
+
+MAX_RESTARTS: Final = 2  # of the acquisition, where nothing comes but the camera still answers
+MAX_STALE: Final = 10  # frames under other settings that chunks may announce before something is wrong
+
+
+class FreshFrames:
+    """The acquisition of one open camera.
+
+    Args:
+        aravis: The library's module.
+        session: The open camera.
+        lens: The lens in front of it.
+        tally: Counts to add to.
+        frame_deadline_s: Longest wait for a frame beyond twice its exposure time, in s.
+    """
+
+    def __init__(
+        self, aravis: ModuleType, session: CameraSession, lens: LensDescription, tally: Tally, frame_deadline_s: float
+    ) -> None:
+        self._aravis, self._session, self._lens, self._tally = aravis, session, lens, tally
+        self._frame_deadline_s = frame_deadline_s
+        self._stream: FrameStream | None = None
+        self._stale = session.quirks.discard_after_change
+
+    def next(self) -> Frame:
+        """Return the next frame exposed under the settings in force. Raises DeviceTimeout or DeviceLost."""
+        session = self._session
+        for _ in range(MAX_STALE + session.quirks.discard_after_change + 1):
+            raw = self._raw_frame()
+            if holds_other_settings(raw, session.settings):
+                self._stale = max(self._stale, 1)  # its neighbour may carry the chunk of the frame before
+            elif self._stale:
+                self._stale -= 1
+            else:
+                pixel_bits = bit_depth_of(session.settings.pixel_format, session.quirks)
+                return assemble(raw, session.settings, session.quirks, pixel_bits, self._lens, session.temperature_c())
+            self._tally.extra["stale_discarded"] += 1
+        raise DeviceTimeout(f"{session.label}: keeps sending frames exposed under other settings; close and reopen it")
+
+    def stop(self) -> None:
+        """Stop the acquisition if one runs. Raises DeviceError if the camera refuses."""
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            stream.stop(camera_is_there=self._session.answers())
+
+    def settings_changed(self) -> None:
+        """Remember that the camera's next frames may have been exposed under other settings."""
+        self._stale = self._session.quirks.discard_after_change
+
+    def _raw_frame(self) -> RawFrame:
+        session = self._session
+        deadline_s = 2 * session.settings.exposure_s + self._frame_deadline_s
+        for _ in range(MAX_RESTARTS + 1):
+            raw = self._running().next_frame(deadline_s, self._trigger())
+            if raw is not None:
+                return raw
+            session.require_answer()
+            self.stop()
+            self._tally.extra["restarts"] += 1
+        raise DeviceTimeout(
+            f"{session.label}: no frame within {deadline_s:.1f} s, {MAX_RESTARTS + 1} times over, though it answers; "
+            "see `radiometer doctor`"
+        )
+
+    def _running(self) -> FrameStream:
+        if self._stream is None:
+            session = self._session
+            stream = FrameStream(
+                self._aravis,
+                session.camera,
+                session.features,
+                session.label,
+                self._tally,
+                session.chunk_names,
+                session.is_lost,
+            )
+            stream.start()
+            self._stream = stream
+        return self._stream
+
+    def _trigger(self) -> Callable[[], None] | None:
+        if not self._session.settings.software_trigger:
+            return None
+        return lambda: self._session.features.execute("TriggerSoftware")

@@ -1,0 +1,303 @@
+"""The serial LED/button box: what is asked for is checked, sent, read back and accounted for."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Final, Protocol, Self
+
+from drivers.light_box_answers import RANGE_LETTERS, read_capabilities, read_identity, read_state, read_status
+from drivers.light_box_frames import Event
+from drivers.light_box_link import ATTEMPTS, BoxLink, BoxRefusal
+from radiometer.devices.exposure_ledger import ExposureLedger
+from radiometer.devices.light_box import (
+    FULL_LEVEL,
+    ButtonEvent,
+    ChannelCapabilities,
+    ChannelState,
+    ClockEstimate,
+    CurrentRange,
+    DriveLevel,
+    Level,
+    LightBoxIdentity,
+    LightBoxStatus,
+)
+from radiometer.errors import (
+    CalibrationError,
+    DeviceError,
+    DeviceLost,
+    DeviceNotFound,
+    DeviceTimeout,
+    RadiometerError,
+    SettingOutOfRange,
+    UsageError,
+)
+
+TEND_INTERVAL_S: Final = 0.25  # a quarter of the box's dead-man time
+START_UP_S: Final = 4.0  # opening the port resets an Arduino, whose boot loader waits 1 to 2 s
+LISTEN_S: Final = 0.02
+
+
+class RadianceTable(Protocol):
+    """Level and radiance of calibrated channels, as `radiometer.data` stores them."""
+
+    def drive_for(self, channel: str, radiance_w_sr_m2: float) -> tuple[int, bool]:
+        """Return the level nearest to a radiance and whether it is on the high range; raises SettingOutOfRange."""
+        ...
+
+    def highest_radiance(self, channel: str, level: int, high: bool) -> float | None:
+        """Return a radiance in W·sr⁻¹·m⁻² that the level stays below (k = 2); None where it is not calibrated."""
+        ...
+
+
+@dataclass(slots=True)
+class SerialLightBox:
+    """A light box behind a line.
+
+    Attributes:
+        link: Exchanges with the box.
+        ledger: Account of the retinal exposure; refuses what is too much.
+        calibration: Level ↔ radiance; None where levels can only be raw.
+        keep_alive: Tend the box from a thread of its own; without it the caller calls `tend` often enough.
+    """
+
+    link: BoxLink
+    ledger: ExposureLedger
+    calibration: RadianceTable | None = None
+    keep_alive: bool = True
+    _identity: LightBoxIdentity | None = None
+    _channels: dict[str, ChannelCapabilities] = field(default_factory=dict)
+    _buckets: dict[str, int] = field(default_factory=dict)
+    _tended_s: float = -math.inf
+    _lock: threading.RLock = field(default_factory=threading.RLock)
+    _closing: threading.Event = field(default_factory=threading.Event)
+    _keeper: threading.Thread | None = None
+
+    @property
+    def identity(self) -> LightBoxIdentity:
+        """Return who the box is. Raises DeviceError unless open."""
+        if self._identity is None:
+            raise DeviceError(f"light box on {self.link.line.name} is not open; call open() first")
+        return self._identity
+
+    @property
+    def channels(self) -> Mapping[str, ChannelCapabilities]:
+        """Return the channels by name. Raises DeviceError unless open."""
+        self.identity  # noqa: B018 (raises)
+        return dict(self._channels)
+
+    def open(self) -> None:
+        """Open the port, say who we are, learn what the box can do; every channel is dark then.
+
+        Raises:
+            DeviceNotFound: If nothing on the port answers as a light box.
+            DeviceInUse: If another program holds the port.
+        """
+        if self._identity is not None:
+            return
+        self.link.line.open()
+        try:
+            self._greet()
+            self.tend()
+        except RadiometerError:
+            self.link.line.close()
+            self._identity = None
+            raise
+        if self.keep_alive:
+            self._closing.clear()
+            self._keeper = threading.Thread(target=self._keep, name="light box", daemon=True)
+            self._keeper.start()
+
+    def close(self) -> None:
+        """Darken and release the box; closing twice does nothing."""
+        self._closing.set()
+        if self._keeper is not None:
+            self._keeper.join()
+            self._keeper = None
+        if self._identity is not None:
+            self.safe()
+            self._identity = None
+        self.link.line.close()
+
+    def set_level(self, channel: str, level: Level) -> ChannelState:
+        """Light a channel steadily and return its state as read back; raises as LightBox.set_level."""
+        return self._shine("SL", channel, level, math.inf, ())
+
+    def ramp(self, channel: str, level: Level, duration_s: float) -> ChannelState:
+        """Move a channel's level linearly to another within `duration_s`, and stay there."""
+        return self._shine("RA", channel, level, math.inf, (self._milliseconds("duration", duration_s, 600.0),))
+
+    def pulse(self, channel: str, level: Level, duration_s: float) -> ChannelState:
+        """Light a channel for `duration_s`, timed by the box."""
+        return self._shine("PU", channel, level, duration_s, (self._milliseconds("duration", duration_s, 600.0),))
+
+    def blink(self, channel: str, level: Level, on_s: float, off_s: float, count: int = 0) -> ChannelState:
+        """Blink a channel `count` times (0: until told otherwise), timed by the box.
+
+        Raises:
+            SettingOutOfRange: If count, times or level are outside the box's limits.
+        """
+        if not 0 <= count <= 65535:
+            raise SettingOutOfRange(self._name, "number of blinks", count, 0, 65535, "")
+        times = (self._milliseconds("bright time", on_s, 60.0), self._milliseconds("dark time", off_s, 60.0))
+        return self._shine("BL", channel, level, on_s * count if count else math.inf, (*times, count))
+
+    def off(self, channel: str) -> None:
+        """Darken one channel."""
+        with self._lock:
+            self.link.request(f"OF {self._index(channel)}")
+            self.ledger.darken(channel)
+
+    def safe(self) -> None:
+        """Darken every channel; never raises, for the box darkens itself where it cannot be reached."""
+        with self._lock:
+            try:
+                self.link.request("OF *", attempts=ATTEMPTS // 2)
+            except DeviceError:
+                pass  # silent or gone: its dead-man timer ends the light within 1 s
+            finally:
+                for channel in self._channels:
+                    self.ledger.darken(channel)
+
+    def read_channel(self, channel: str) -> ChannelState:
+        """Return what a channel is doing."""
+        with self._lock:
+            fields = self.link.request(f"RB {self._index(channel)}")
+            return read_state(self._name, channel, self._buckets[channel], fields)
+
+    def status(self) -> LightBoxStatus:
+        """Return supply, temperature and error counts."""
+        with self._lock:
+            return read_status(self._name, self.link.request("ST"))
+
+    def synchronise(self) -> ClockEstimate:
+        """Compare the clocks once more and return the estimate."""
+        with self._lock:
+            self.link.compare_clocks()
+            self._tended_s = self.link.line.now()
+            return self.link.clock.estimate()
+
+    def buttons(self, timeout_s: float) -> Iterator[ButtonEvent]:
+        """Yield presses and releases as they come for `timeout_s`."""
+        deadline_s = self.link.line.now() + timeout_s
+        while (left_s := deadline_s - self.link.line.now()) > 0:
+            with self._lock:
+                self.link.listen(min(left_s, LISTEN_S))
+                self.tend_if_due()
+                found = self.link.take_events()
+                if found:
+                    self.tend()  # a comparison close to the press: no extrapolation
+                events = [self._stamped(event) for event in found]
+            yield from events
+
+    def tend(self) -> None:
+        """Let the box know that the host is there, compare the clocks, fetch lost events. Raises DeviceLost."""
+        self.synchronise()
+
+    def tend_if_due(self) -> None:
+        """Tend the box if a quarter of its dead-man time has passed since it was tended last."""
+        if self.link.line.now() - self._tended_s >= TEND_INTERVAL_S:
+            self.tend()
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def _name(self) -> str:
+        return f"light box on {self.link.line.name}"
+
+    def _greet(self) -> None:
+        deadline_s = self.link.line.now() + START_UP_S
+        while True:
+            self.link.reset()
+            try:
+                fields = self.link.request("HI 1", attempts=2)
+                break
+            except (DeviceTimeout, DeviceLost) as silent:
+                if isinstance(silent, DeviceLost) or self.link.line.now() > deadline_s:
+                    raise DeviceNotFound(f"nothing on {self.link.line.name} answers as a light box") from silent
+            except BoxRefusal as refusal:
+                raise DeviceNotFound(str(refusal)) from refusal
+        self._identity, count = read_identity(self.link.line.name, fields)
+        self._channels, self._buckets = {}, {}
+        for index in range(count):
+            channel, bucket = read_capabilities(self._name, self.link.request(f"CH {index}"))
+            self._channels[channel.name], self._buckets[channel.name] = channel, bucket
+            self.ledger.darken(channel.name)  # a session starts dark, however the one before has ended
+
+    def _keep(self) -> None:
+        while not self._closing.wait(TEND_INTERVAL_S / 5):
+            with self._lock:
+                try:
+                    self.tend_if_due()
+                except DeviceError:
+                    return  # the link keeps the reason and gives it to the next caller
+
+    def _shine(self, verb: str, channel: str, level: Level, bright_s: float, times: tuple[int, ...]) -> ChannelState:
+        with self._lock:
+            index = self._index(channel)
+            drive = self._drive(channel, level)
+            radiance = self._highest_radiance(channel, drive)
+            self.ledger.refuse_unsafe(channel, radiance, bright_s)
+            words = [verb, index, RANGE_LETTERS[drive.current_range], drive.level, *times]
+            self.link.request(" ".join(str(word) for word in words))
+            self.ledger.shine(channel, radiance, bright_s)
+            state = self.read_channel(channel)
+            self._refuse_other_than(drive, state, steady=verb == "SL")
+            return state
+
+    def _refuse_other_than(self, drive: DriveLevel, state: ChannelState, *, steady: bool) -> None:
+        if steady and drive.level and state.drive != drive:
+            self.safe()
+            raise DeviceError(f"{self._name}: asked for {drive}, read back {state.drive}; every channel was darkened")
+
+    def _drive(self, channel: str, level: Level) -> DriveLevel:
+        if not isinstance(level, DriveLevel):
+            if self.calibration is None:
+                raise CalibrationError(
+                    f"{self._name} has no calibration, so {channel} takes raw levels only; "
+                    "run `radiometer light calibrate` first"
+                )
+            raw, high = self.calibration.drive_for(channel, level.radiance_w_sr_m2)
+            level = DriveLevel(raw, CurrentRange.HIGH if high else CurrentRange.LOW)
+        limit = self._channels[channel].level_limit[level.current_range]
+        if not 0 <= level.level <= limit:
+            raise SettingOutOfRange(
+                self._name, f"{level.current_range}-current level of {channel}", level.level, 0, limit, "of 65535"
+            )
+        return level
+
+    def _highest_radiance(self, channel: str, drive: DriveLevel) -> float:
+        high = drive.current_range is CurrentRange.HIGH
+        known = self.calibration.highest_radiance(channel, drive.level, high) if self.calibration else None
+        if known is not None:
+            return known
+        optics = self.ledger.optics[channel]
+        return (
+            optics.radiance_bound_w_sr_m2 * (1.0 if high else optics.low_range_ratio_bound) * drive.level / FULL_LEVEL
+        )
+
+    def _index(self, channel: str) -> int:
+        self.identity  # noqa: B018 (raises unless open)
+        names = list(self._channels)
+        if channel not in names:
+            raise UsageError(f"{self._name} has no channel {channel!r}; it has {', '.join(names)}")
+        return names.index(channel)
+
+    def _milliseconds(self, name: str, time_s: float, longest_s: float) -> int:
+        if not (math.isfinite(time_s) and 0.001 <= time_s <= longest_s):
+            raise SettingOutOfRange(self._name, name, time_s, 0.001, longest_s, "s")
+        return round(time_s * 1000)
+
+    def _stamped(self, event: Event) -> ButtonEvent:
+        time_s, u_time_s = self.link.clock.host_time_s(event.box_time_s)
+        return ButtonEvent(event.argument == "D", time_s, u_time_s, event.box_time_s, event.number)

@@ -1,0 +1,186 @@
+"""A folder of photographs as brackets of frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from drivers.photograph_pixels import CHANNELS, IMAGE_SUFFIXES, RAW_SUFFIXES, Photograph, read_photograph
+from drivers.photograph_times import LIST_NAMES, PhotographSettings, find_list, read_exif, read_list
+from radiometer.data import Bracket, Frame, FrameSettings
+from radiometer.errors import CaptureError, UsageError
+
+CHANNEL_CHOICES: Final = (*CHANNELS, "luminance", "each")
+
+
+@dataclass(frozen=True, slots=True)
+class PhotographFolder:
+    """Photographs of one scene in a folder, with their settings.
+
+    Attributes:
+        path: The folder.
+        settings: Settings by file name, in the order of the names.
+    """
+
+    path: Path
+    settings: dict[str, PhotographSettings]
+
+    @classmethod
+    def open(cls, path: Path) -> PhotographFolder:
+        """Return the folder after checking that it holds photographs and that each has an exposure time.
+
+        Times come from a list (exposures.txt, exposures.csv or image_list.txt) where there is one, else from EXIF.
+        Where a list is present only the files that it names are used.
+
+        Raises:
+            CaptureError: If the folder is missing or empty, a time is missing, or the f-number changes.
+        """
+        if not path.is_dir():
+            raise CaptureError(f"{path} is not a folder; give a folder of photographs or a capture set")
+        listed = find_list(path)
+        settings = _from_list(path, listed) if listed else _from_exif(path)
+        _refuse_changing_aperture(path, settings)
+        return cls(path, settings)
+
+    def brackets(self, channel: str = "luminance", report: Callable[[int, int], None] | None = None) -> list[Bracket]:
+        """Return one bracket of the wanted channel, or three (red, green, blue) for "each".
+
+        Grey photographs give one bracket whatever the channel. A colour photograph's luminance is the luma
+        0.299 R + 0.587 G + 0.114 B of its stored values (ITU-R BT.601), clipped where any channel is.
+
+        Raises:
+            CaptureError: If a file is unreadable, or sizes, bit depths or colour differ.
+            UsageError: If there is no such channel.
+        """
+        if channel not in CHANNEL_CHOICES:
+            raise UsageError(f"there is no channel {channel!r}; choose one of {', '.join(CHANNEL_CHOICES)}")
+        frames: dict[str, list[Frame]] = {}
+        for done, (name, photograph) in enumerate(self._photographs(), start=1):
+            if report is not None:
+                report(done, len(self.settings))
+            for wanted in _wanted(photograph, channel):
+                frames.setdefault(wanted, []).append(self._frame(name, photograph, wanted))
+        return [Bracket.from_frames(several, origin=str(self.path)) for several in frames.values()]
+
+    def _photographs(self) -> Iterator[tuple[str, Photograph]]:
+        first: tuple[str, Photograph] | None = None
+        for name in self.settings:
+            photograph = read_photograph(self.path / name)
+            if first is None:
+                first = (name, photograph)
+            _refuse_mixture(self.path, first, (name, photograph))
+            yield name, photograph
+
+    def _frame(self, name: str, photograph: Photograph, channel: str) -> Frame:
+        known = self.settings[name]
+        speeds = [s.iso for s in self.settings.values() if s.iso]
+        gain_db = 20.0 * math.log10(known.iso / min(speeds)) if known.iso else 0.0
+        settings = FrameSettings(
+            exposure_s=known.exposure_s,
+            gain_db=gain_db + known.gain_db,
+            f_number=known.f_number,
+            black_level_dn=photograph.black_level_dn,
+            iso=known.iso,
+        )
+        extra: dict[str, float | int | str] = {
+            "file": name,
+            "channel": channel,
+            "nominal_exposure_s": known.nominal_exposure_s,
+        }
+        return Frame(photograph.plane(channel), photograph.bit_depth, settings, extra=extra)
+
+
+def read_photographs(
+    path: Path, channel: str = "luminance", *, report: Callable[[int, int], None] | None = None
+) -> list[Bracket]:
+    """Return the brackets of a folder of photographs.
+
+    Args:
+        path: Folder of JPEG, PNG, TIFF or camera raw files.
+        channel: "luminance", "red", "green", "blue", or "each" for the three of them.
+        report: Called with (files read, files in all) as the work goes on.
+
+    Raises:
+        CaptureError: If the folder or a file in it cannot be used; the message names it.
+        UsageError: If there is no such channel.
+    """
+    return PhotographFolder.open(path).brackets(channel, report)
+
+
+def image_files(path: Path) -> list[str]:
+    """Return the names of the photographs in a folder; camera raw files only where there is nothing else."""
+    names = sorted(entry.name for entry in path.iterdir() if entry.is_file() and not entry.name.startswith("."))
+    developed = [name for name in names if Path(name).suffix.lower() in IMAGE_SUFFIXES]
+    return developed or [name for name in names if Path(name).suffix.lower() in RAW_SUFFIXES]
+
+
+def _from_list(folder: Path, listed: Path) -> dict[str, PhotographSettings]:
+    settings = read_list(listed)
+    absent = [name for name in settings if not (folder / name).is_file()]
+    if absent:
+        raise CaptureError(f"{listed}: names {absent[0]!r}, which is not in the folder")
+    outside = [name for name in settings if Path(name).name != name]
+    if outside:
+        raise CaptureError(f"{listed}: {outside[0]!r} lies outside the folder")
+    return {name: _with_exif_aperture(folder / name, known) for name, known in sorted(settings.items())}
+
+
+def _with_exif_aperture(path: Path, known: PhotographSettings) -> PhotographSettings:
+    exif = read_exif(path)
+    return known if exif is None else replace(known, f_number=exif.f_number, iso=exif.iso)
+
+
+def _from_exif(folder: Path) -> dict[str, PhotographSettings]:
+    names = image_files(folder)
+    if not names:
+        raise CaptureError(
+            f"{folder} holds no photograph (looked for {', '.join(sorted(IMAGE_SUFFIXES))} and raw files)"
+        )
+    settings = {}
+    for name in names:
+        known = read_exif(folder / name)
+        if known is None:
+            read_photograph(folder / name)  # a damaged file has no EXIF either: say that first
+            raise CaptureError(
+                f"{folder / name}: has no exposure time (no EXIF); write a file {LIST_NAMES[0]} beside the "
+                "photographs with one line per file: `name seconds`"
+            )
+        settings[name] = known
+    return settings
+
+
+def _refuse_changing_aperture(folder: Path, settings: dict[str, PhotographSettings]) -> None:
+    apertures = sorted({known.f_number for known in settings.values() if known.f_number})
+    if apertures and apertures[-1] > apertures[0] * 1.01:
+        raise CaptureError(
+            f"{folder}: the f-number changes between photographs (f/{apertures[0]:.3g} to f/{apertures[-1]:.3g}); "
+            "a bracket needs one aperture: change the exposure time alone"
+        )
+
+
+def _refuse_mixture(folder: Path, first: tuple[str, Photograph], other: tuple[str, Photograph]) -> None:
+    (name, a), (second, b) = first, other
+    if a.shape != b.shape:
+        raise CaptureError(
+            f"{folder}: {second} is {b.shape[1]} × {b.shape[0]} pixels, {name} {a.shape[1]} × {a.shape[0]}; "
+            "all photographs of a bracket need one size"
+        )
+    if a.bit_depth != b.bit_depth:
+        raise CaptureError(
+            f"{folder}: {second} has {b.bit_depth} bits per value, {name} {a.bit_depth}; "
+            "all photographs of a bracket need one bit depth"
+        )
+    if a.is_grey != b.is_grey:
+        raise CaptureError(f"{folder}: {name} and {second} are not both grey or both in colour; use one kind")
+
+
+def _wanted(photograph: Photograph, channel: str) -> tuple[str, ...]:
+    if photograph.is_grey:
+        return ("mono",)
+    return CHANNELS if channel == "each" else (channel,)
+
+
+__all__ = ["CHANNEL_CHOICES", "PhotographFolder", "image_files", "read_photographs"]

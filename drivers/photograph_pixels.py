@@ -1,0 +1,132 @@
+"""The stored values of one photograph: JPEG, PNG, TIFF, or the sensor's own values of a camera raw file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from radiometer.data.frame import DigitalNumbers
+from radiometer.errors import CaptureError, MissingLibrary
+
+CHANNELS: Final = ("red", "green", "blue")
+IMAGE_SUFFIXES: Final = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
+RAW_SUFFIXES: Final = frozenset({".cr2", ".cr3", ".nef", ".arw", ".dng", ".orf", ".raf", ".rw2", ".pef"})
+_JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photograph:
+    """The stored values of one photograph.
+
+    Attributes:
+        values: Shape (height, width) where grey, else (height, width, 3) in the order red, green, blue.
+        bit_depth: Bits per value.
+        black_level_dn: Value of black where the file states it.
+    """
+
+    values: DigitalNumbers
+    bit_depth: int
+    black_level_dn: float | None = None
+
+    @property
+    def is_grey(self) -> bool:
+        """Tell whether there is one channel only."""
+        return self.values.ndim == 2
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Return (height, width) in pixels."""
+        return (int(self.values.shape[0]), int(self.values.shape[1]))
+
+    def plane(self, channel: str) -> DigitalNumbers:
+        """Return the values of one channel: "red", "green", "blue", "luminance", or "mono" where grey."""
+        if self.is_grey:
+            return self.values
+        values: Any = self.values
+        if channel in CHANNELS:
+            return _plane(values[..., CHANNELS.index(channel)])
+        full_scale = (1 << self.bit_depth) - 1
+        luma: DigitalNumbers = cv2.cvtColor(values, cv2.COLOR_RGB2GRAY)
+        # A sum is known only where all its parts are; a black part adds next to nothing.
+        luma[values.max(axis=2) == full_scale] = full_scale
+        return luma
+
+
+def _plane(values: Any) -> DigitalNumbers:
+    plane: DigitalNumbers = np.ascontiguousarray(values)
+    return plane
+
+
+def read_photograph(path: Path) -> Photograph:
+    """Return the stored values of a photograph.
+
+    Raises:
+        CaptureError: If the file is missing, truncated, or of another form.
+        MissingLibrary: If it is a camera raw file and rawpy is not installed.
+    """
+    suffix = path.suffix.lower()
+    if suffix in RAW_SUFFIXES:
+        return _read_raw(path)
+    values = _decode_jpeg(path) if suffix in _JPEG_SUFFIXES else _decode_lossless(path)
+    if values.dtype not in (np.uint8, np.uint16):
+        raise CaptureError(f"{path}: holds {values.dtype} values; expected 8 or 16 bits per channel")
+    if values.ndim == 3:
+        values = values[..., :3] if values.shape[2] >= 3 else values[..., 0]
+    return Photograph(values, 8 * values.dtype.itemsize)
+
+
+def _decode_jpeg(path: Path) -> Any:
+    try:
+        with Image.open(path) as image:
+            return np.asarray(image if image.mode == "L" else image.convert("RGB"))
+    except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
+        raise CaptureError(f"{path}: not a readable JPEG (damaged or truncated): {error}") from error
+
+
+def _decode_lossless(path: Path) -> Any:
+    try:
+        content = np.fromfile(path, np.uint8)
+    except OSError as error:
+        raise CaptureError(f"cannot read {path}: {error.strerror or error}") from error
+    # Decoders fill the missing rows of a truncated PNG with zeros and say nothing.
+    if content[:4].tobytes() == b"\x89PNG" and b"IEND" not in content[-16:].tobytes():
+        raise CaptureError(f"{path}: the PNG is truncated (no closing chunk); copy it again")
+    image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+    if image is None:
+        raise CaptureError(f"{path}: not a readable PNG or TIFF (damaged or truncated); copy it again")
+    return cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2RGB) if image.ndim == 3 and image.shape[2] >= 3 else image
+
+
+def _read_raw(path: Path) -> Photograph:
+    """Return the three colours of a mosaic at half size, straight from the sensor: linear, black level not removed."""
+    try:
+        import rawpy
+    except ImportError as error:
+        raise MissingLibrary(
+            f"{path}: camera raw files need rawpy; install it with `pip install 'radiometer[photo]'`"
+        ) from error
+    try:
+        with rawpy.imread(str(path)) as raw:
+            mosaic, pattern = raw.raw_image_visible.copy(), raw.raw_pattern
+            white, black = int(raw.white_level), raw.black_level_per_channel
+            names = raw.color_desc.decode("ascii", "replace")
+    except (rawpy.LibRawError, OSError) as error:
+        raise CaptureError(f"{path}: not a readable camera raw file: {error}") from error
+    if pattern is None or pattern.shape != (2, 2):
+        raise CaptureError(f"{path}: its colour mosaic is not the 2 × 2 Bayer pattern; develop it to linear TIFF")
+    planes = [_bayer_plane(mosaic, pattern, names, letter) for letter in "RGB"]
+    bit_depth = max(9, min(16, int(np.ceil(np.log2(white + 1)))))
+    values = np.minimum(np.stack(planes, axis=2), (1 << bit_depth) - 1).astype(np.uint16)
+    values[values >= white] = (1 << bit_depth) - 1
+    return Photograph(values, bit_depth, float(np.mean(black)))
+
+
+def _bayer_plane(mosaic: Any, pattern: Any, names: str, letter: str) -> Any:
+    row, column = next((r, c) for r in (0, 1) for c in (0, 1) if names[pattern[r, c]] == letter)
+    height, width = (size // 2 * 2 for size in mosaic.shape)
+    return mosaic[row:height:2, column:width:2]

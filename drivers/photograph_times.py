@@ -1,0 +1,138 @@
+"""Exposure times of photographs: EXIF, or a list beside them."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Final
+
+from PIL import Image, UnidentifiedImageError
+
+from radiometer.errors import CaptureError
+from radiometer.units import exact_exposure_s, exact_f_number
+
+LIST_NAMES: Final = ("exposures.txt", "exposures.csv", "image_list.txt")
+
+# Exif 2.32, section 4.6.3 and 4.6.5.
+_EXIF_IFD, _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x8769, 33434, 33437, 34855
+
+# What third-stop shutter dials print, as times or as the denominators of 1/x.
+_DIAL_DENOMINATORS: Final = (
+    1, 1.3, 1.6, 2, 2.5, 3, 3.2, 4, 5, 6, 8, 10, 13, 15, 20, 25, 30, 40, 50, 60, 80, 100, 125, 160, 200, 250, 320,
+    400, 500, 640, 800, 1000, 1250, 1600, 2000, 2500, 3200, 4000, 5000, 6400, 8000, 10000, 12800, 16000, 32000,
+)  # fmt: skip
+_DIAL_TIMES: Final = (0.3, 0.4, 0.5, 0.6, 0.8, 1, 1.3, 1.6, 2, 2.5, 3, 3.2, 4, 5, 6, 8, 10, 13, 15, 20, 25, 30, 60)
+
+
+@dataclass(frozen=True, slots=True)
+class PhotographSettings:
+    """What is known of one photograph.
+
+    Attributes:
+        exposure_s: Exposure time in s, exact where a printed dial value was given.
+        nominal_exposure_s: The time as printed.
+        f_number: Exact f-number; None where unknown.
+        iso: ISO speed as stated; None where unknown.
+        gain_db: Gain beside the ISO speed in dB of amplitude.
+    """
+
+    exposure_s: float
+    nominal_exposure_s: float
+    f_number: float | None = None
+    iso: float | None = None
+    gain_db: float = 0.0
+
+
+def is_dial_time(seconds: float) -> bool:
+    """Tell whether a time in s is one that a camera's third-stop dial prints."""
+    close = (abs(seconds * d - 1.0) < 0.005 for d in _DIAL_DENOMINATORS)
+    return any(close) or any(abs(seconds / t - 1.0) < 0.005 for t in _DIAL_TIMES)
+
+
+def read_exif(path: Path) -> PhotographSettings | None:
+    """Return the settings in a photograph's EXIF data; None where it holds no exposure time.
+
+    A dial value (1/60 s) is turned into the exact stop behind it (2⁻⁶ s); any other time is taken as it stands.
+    """
+    try:
+        with Image.open(path) as image:
+            exif = image.getexif()
+            tags = {**exif, **exif.get_ifd(_EXIF_IFD)}
+    except (OSError, UnidentifiedImageError, SyntaxError, ValueError):
+        return None  # unreadable here means unreadable as a picture: reported when its pixels are read
+    nominal = _positive(tags.get(_EXPOSURE_TIME))
+    if nominal is None:
+        return None
+    f_number, iso = _positive(tags.get(_F_NUMBER)), tags.get(_ISO)
+    return PhotographSettings(
+        exposure_s=exact_exposure_s(nominal) if is_dial_time(nominal) else nominal,
+        nominal_exposure_s=nominal,
+        f_number=None if f_number is None else exact_f_number(f_number),
+        iso=_positive(iso[0] if isinstance(iso, tuple) else iso),
+    )
+
+
+def find_list(folder: Path) -> Path | None:
+    """Return the list of exposure times in a folder; None where there is none."""
+    return next((folder / name for name in LIST_NAMES if (folder / name).is_file()), None)
+
+
+def read_list(path: Path) -> dict[str, PhotographSettings]:
+    """Return the settings of every file that a list names.
+
+    One file per line: `name seconds`, separated by blanks or a comma; a fraction such as 1/125 is allowed and taken
+    as it stands. Lines that begin with # are comments; where such a line names the columns and the second one is the
+    shutter speed 1/t (Debevec's image lists exist in both forms), its reciprocal is taken.
+
+    Raises:
+        CaptureError: If the list is unreadable, empty, or a line is not of that form; names file and line.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise CaptureError(f"cannot read {path}: {error}") from error
+    reciprocal, found = False, {}
+    for number, line in enumerate(lines, start=1):
+        words = re.split(r"[,;\s]+", line.strip().strip("#").strip())
+        if not words[0]:
+            continue
+        if line.lstrip().startswith("#") or (number == 1 and _is_heading(words)):
+            reciprocal |= len(words) > 1 and words[1].lower().startswith(("1/", "shutter_speed"))
+            continue
+        found[words[0]] = _settings_of_line(words, reciprocal, f"{path}, line {number}")
+    if not found:
+        raise CaptureError(f"{path}: names no photograph; write one line per file: `name seconds`")
+    return found
+
+
+def _is_heading(words: list[str]) -> bool:
+    return len(words) > 1 and _number(words[1]) is None and words[0].lower() in ("file", "name", "filename", "image")
+
+
+def _settings_of_line(words: list[str], reciprocal: bool, where: str) -> PhotographSettings:
+    seconds = _number(words[1]) if len(words) > 1 else None
+    if seconds is None or not (math.isfinite(seconds) and seconds > 0):
+        shown = words[1] if len(words) > 1 else "nothing"
+        raise CaptureError(
+            f"{where}: {shown!r} after {words[0]!r} is no exposure time; expected seconds above 0, such as 0.5 or 1/125"
+        )
+    seconds = 1.0 / seconds if reciprocal else seconds
+    return PhotographSettings(exposure_s=seconds, nominal_exposure_s=seconds)
+
+
+def _number(word: str) -> float | None:
+    try:
+        return float(Fraction(word.removesuffix("s").rstrip()))
+    except (ValueError, ZeroDivisionError):
+        return None
+
+
+def _positive(value: object) -> float | None:
+    try:
+        number = float(value)  # type: ignore[arg-type]  # EXIF rationals convert; anything else is refused here
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) and number > 0 else None
