@@ -1,0 +1,1 @@
+"""Choosing exposures and taking brackets."""

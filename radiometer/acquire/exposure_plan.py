@@ -1,0 +1,239 @@
+"""Which exposures cover a scene: the fewest and shortest that expose every pixel well at least twice."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data import CameraDescription, SensorNoise
+from radiometer.errors import SettingOutOfRange, UsageError
+from radiometer.units import gain_factor
+
+# A pixel counts as well exposed from this signal-to-noise ratio on …
+MINIMUM_SNR = 10.0
+# … up to this part of the clipping level, so that noise and a slightly wrong rate do not clip it.
+HEADROOM = 0.88
+# A plan aims this far above the lowest signal: three times the noise there, so that noise does not undo it.
+_PLANNING_MARGIN = 1.0 + 3.0 / MINIMUM_SNR
+# Exposures nearer to each other than this teach the response nothing new.
+DISTINCT_RATIO = 2.0**0.5
+# Rates are gathered in bins this wide (natural logarithm): 1 %.
+_BIN_WIDTH = 0.01
+_MAXIMUM_FRAMES = 64
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureWindow:
+    """The signals above black, in DN, between which a pixel counts as well exposed."""
+
+    lowest_dn: float
+    highest_dn: float
+    clipping_dn: float
+
+    @classmethod
+    def of(cls, camera: CameraDescription, gain_db: float, black_level_dn: float) -> ExposureWindow:
+        """Return the window of a camera at a gain.
+
+        The lowest signal is where signal over noise reaches MINIMUM_SNR; the highest is HEADROOM of the
+        clipping level, which is the converter's or the full well's, whichever comes first.
+        """
+        noise = SensorNoise.of(camera)
+        gain = noise.gain_dn_per_e(gain_db)
+        clipping = min(camera.full_scale_dn - black_level_dn, noise.full_well_e * gain)
+        floor_e2 = noise.read_noise_e**2 + 1.0 / (12.0 * gain**2)
+        snr2 = MINIMUM_SNR**2
+        lowest_e = (snr2 + math.sqrt(snr2**2 + 4.0 * snr2 * floor_e2)) / 2.0
+        lowest = min(lowest_e * gain, HEADROOM * clipping / 2.0)
+        return cls(lowest_dn=lowest, highest_dn=HEADROOM * clipping, clipping_dn=clipping)
+
+
+@dataclass(frozen=True, slots=True)
+class ExposurePlan:
+    """Exposure times to take, and what they cannot reach.
+
+    Attributes:
+        exposures_s: Exposure times in s, ascending; a time stands as often as it is to be taken.
+        too_bright: Number of pixels that clip even at the shortest exposure.
+        too_dark: Number of pixels that stay under the noise floor even at the longest permitted exposure.
+        total_s: Sum of the exposure times in s.
+        cut_short: Whether the time limit kept frames out that were wanted.
+    """
+
+    exposures_s: tuple[float, ...]
+    too_bright: int = 0
+    too_dark: int = 0
+    cut_short: bool = False
+
+    @property
+    def total_s(self) -> float:
+        """Return the sum of the exposure times in s."""
+        return float(sum(self.exposures_s))
+
+
+def exposure_ladder(
+    shortest_s: float, longest_s: float, stops: float, limits_s: tuple[float, float], repeats: int = 1
+) -> ExposurePlan:
+    """Return a fixed ladder of exposures from `shortest_s` to `longest_s`, both included, `stops` apart.
+
+    Args:
+        shortest_s: First exposure time in s.
+        longest_s: Last exposure time in s, not below the first.
+        stops: Distance in stops, above 0; the last step may be smaller.
+        limits_s: What the camera can do, in s.
+        repeats: How often each exposure is taken.
+
+    Raises:
+        UsageError: If the ladder makes no sense or holds more than 64 distinct exposures.
+        SettingOutOfRange: If it leaves the camera's limits.
+    """
+    if not (stops > 0 and 0 < shortest_s <= longest_s and repeats >= 1):
+        raise UsageError("a ladder needs 0 < shortest <= longest exposure, stops above 0 and at least one repeat")
+    for value in (shortest_s, longest_s):
+        if not limits_s[0] * (1 - 1e-9) <= value <= limits_s[1] * (1 + 1e-9):
+            raise SettingOutOfRange("camera", "exposure time", value, *limits_s, "s")
+    count = math.floor(math.log2(longest_s / shortest_s) / stops + 1e-9) + 1
+    if count > _MAXIMUM_FRAMES:
+        raise UsageError(f"a ladder of {count} exposures is too long; at most {_MAXIMUM_FRAMES}, so take larger steps")
+    times = [shortest_s * 2.0 ** (stops * k) for k in range(count)]
+    if times[-1] < longest_s * (1 - 1e-6):
+        times.append(longest_s)
+    return ExposurePlan(tuple(t for t in times for _ in range(repeats)))
+
+
+def plan_exposures(
+    rates_dn_per_s: NDArray[np.float64],
+    window: ExposureWindow,
+    gain_db: float,
+    limits_s: tuple[float, float],
+    *,
+    minimum_cover: int = 2,
+    time_limit_s: float = math.inf,
+) -> ExposurePlan:
+    """Return the fewest and shortest exposures that expose every pixel well at least `minimum_cover` times.
+
+    The pixel that still lacks cover and is brightest sets the next exposure: the longest at which it does not
+    clip, which reaches furthest down. Exposures are kept apart by DISTINCT_RATIO so that a response can be
+    recovered from them. This greedy choice is optimal for intervals on a line.
+
+    Args:
+        rates_dn_per_s: Signal above black in DN per s of exposure at gain 0 dB, any shape; not above 0 counts as
+            too dark, infinite as too bright.
+        window: What counts as well exposed at the gain used.
+        gain_db: Analogue gain in dB.
+        limits_s: Shortest and longest permitted exposure time in s.
+        minimum_cover: How often every pixel is to be well exposed.
+        time_limit_s: Bound on the sum of the exposure times in s; the longest exposures are given up first.
+    """
+    bins = _occupied_bins(rates_dn_per_s * gain_factor(gain_db))
+    counts = bins.pixels
+    blinding = int(np.count_nonzero(np.isposinf(rates_dn_per_s)))
+    too_dark = int(rates_dn_per_s.size - counts.sum()) - blinding
+    reachable_top = bins.highest * limits_s[0] <= window.clipping_dn
+    reachable_bottom = bins.lowest * limits_s[1] >= window.lowest_dn
+    too_bright = int(counts[~reachable_top].sum()) + blinding
+    too_dark += int(counts[~reachable_bottom].sum())
+    times = _greedy_cover(bins.only(reachable_top & reachable_bottom), window, limits_s, minimum_cover)
+    if not times:
+        times = [limits_s[0] if too_bright >= too_dark else min(limits_s[1], time_limit_s)]
+    kept = _within_time(times, time_limit_s)
+    return ExposurePlan(tuple(kept), too_bright, too_dark, cut_short=len(kept) < len(times))
+
+
+def repeats_for(
+    plan: ExposurePlan,
+    rates_dn_per_s: NDArray[np.float64],
+    camera: CameraDescription,
+    gain_db: float,
+    target_u_rel: float,
+) -> int:
+    """Return how often a plan must be taken so that the mean of a region reaches a relative uncertainty.
+
+    Args:
+        plan: Exposures taken once.
+        rates_dn_per_s: Rates of the region's pixels in DN per s at gain 0 dB.
+        camera: The camera, for its noise.
+        gain_db: Analogue gain in dB.
+        target_u_rel: Wanted relative standard uncertainty (k = 1) of the region's mean from noise, above 0.
+
+    Raises:
+        UsageError: If the target is not above 0.
+    """
+    if not target_u_rel > 0:
+        raise UsageError(f"a relative uncertainty of {target_u_rel:g} cannot be reached; ask for more than 0")
+    noise = SensorNoise.of(camera)
+    rate = float(np.mean(np.maximum(rates_dn_per_s, 0.0))) * gain_factor(gain_db)
+    if rate <= 0:
+        return 1
+    window = ExposureWindow.of(camera, gain_db, camera.black_level_dn or 0.0)
+    information = sum(
+        (rate * t) ** 2 / float(noise.variance_dn2(rate * t, gain_db))
+        for t in plan.exposures_s
+        if rate * t <= window.highest_dn
+    )
+    if information == 0:
+        return 1
+    per_pass = 1.0 / math.sqrt(information * max(1, rates_dn_per_s.size))
+    return max(1, math.ceil((per_pass / target_u_rel) ** 2 - 1e-9))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bins:
+    """Rates gathered in bins, ascending: the lowest and highest rate in each, and its number of pixels."""
+
+    lowest: NDArray[np.float64]
+    highest: NDArray[np.float64]
+    pixels: NDArray[np.int64]
+
+    def only(self, chosen: NDArray[np.bool_]) -> _Bins:
+        return _Bins(self.lowest[chosen], self.highest[chosen], self.pixels[chosen])
+
+
+def _occupied_bins(rates: NDArray[np.float64]) -> _Bins:
+    positive = np.sort(rates[np.isfinite(rates) & (rates > 0)], axis=None)
+    if positive.size == 0:
+        return _Bins(np.empty(0), np.empty(0), np.empty(0, np.int64))
+    bins = np.floor(np.log(positive) / _BIN_WIDTH).astype(np.int64)
+    _, first, pixels = np.unique(bins, return_index=True, return_counts=True)
+    return _Bins(positive[first], positive[first + pixels - 1], pixels.astype(np.int64))
+
+
+def _greedy_cover(
+    bins: _Bins, window: ExposureWindow, limits_s: tuple[float, float], minimum_cover: int
+) -> list[float]:
+    cover = np.zeros(bins.pixels.size, np.int64)
+    times: list[float] = []
+    while bins.pixels.size and len(times) < _MAXIMUM_FRAMES:
+        lacking = np.flatnonzero(cover < minimum_cover)
+        if lacking.size == 0:
+            break
+        longest = min(window.highest_dn / bins.highest[lacking[-1]], limits_s[1])
+        exposure = _distinct(max(longest, limits_s[0]), times, limits_s[0])
+        times.append(exposure)
+        above = bins.lowest * exposure >= window.lowest_dn * _PLANNING_MARGIN
+        gained = above & (bins.highest * exposure <= window.highest_dn * (1 + 1e-9))
+        # What the camera's limits keep from being covered as often as wanted must not hold the others up.
+        gained[lacking[-1]] = True
+        cover += gained
+    return sorted(map(float, times))
+
+
+def _distinct(exposure_s: float, taken: Sequence[float], shortest_s: float) -> float:
+    """Return the longest exposure not above the given one that is apart from those taken."""
+    candidate = exposure_s
+    for other in sorted(taken, reverse=True):
+        if other / DISTINCT_RATIO < candidate * (1 + 1e-9) and candidate < other * DISTINCT_RATIO * (1 - 1e-9):
+            candidate = other / DISTINCT_RATIO
+    return candidate if candidate >= shortest_s else exposure_s
+
+
+def _within_time(times: list[float], time_limit_s: float) -> list[float]:
+    kept: list[float] = []
+    for exposure in sorted(times):
+        if sum(kept) + exposure > time_limit_s and kept:
+            break
+        kept.append(exposure)
+    return kept

@@ -1,0 +1,1 @@
+"""Composition root: from a configuration to real or simulated devices; the only place that imports drivers."""

@@ -1,0 +1,102 @@
+"""Opens what a command needs from a bench file, and closes it again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from radiometer.bench.cameras import open_camera
+from radiometer.bench.config import BenchConfig, read_bench
+from radiometer.bench.instrument import Instrument, central_patch
+from radiometer.data import Calibration, Patch, PatchDescription
+from radiometer.data.config_files import shipped_config
+from radiometer.devices import Camera
+from radiometer.errors import ConfigurationError
+
+
+@contextmanager
+def open_bench_camera(bench: Path | None, name: str | None) -> Iterator[tuple[BenchConfig, Camera]]:
+    """Open the camera of a bench file for the block.
+
+    Args:
+        bench: Bench file; the simulated bench where None.
+        name: "sim", or a GenICam id, serial number or address; the bench's own camera where None.
+
+    Raises:
+        ConfigurationError: If the bench file is wrong.
+        DeviceError: If the camera cannot be opened.
+    """
+    config, where = read_bench(bench)
+    camera = open_camera(config, where, name)
+    try:
+        yield config, camera
+    finally:
+        camera.close()
+
+
+@contextmanager
+def open_instrument(
+    bench: Path | None = None,
+    name: str | None = None,
+    patch: Patch | None = None,
+    calibration: Path | None = None,
+    *,
+    uncalibrated: bool = False,
+    spectrum: str | None = None,
+) -> Iterator[Instrument]:
+    """Open camera and calibration of a bench file for the block.
+
+    Args:
+        bench: Bench file; the simulated bench where None.
+        name: "sim", or a GenICam id, serial number or address; the bench's own camera where None.
+        patch: Where to read; the bench's, else the middle of the frame, where None.
+        calibration: Calibration file; the bench's own where None.
+        uncalibrated: Use no calibration at all.
+        spectrum: Spectrum assumed for the luminance; the bench's, else the calibration's, where None.
+
+    Raises:
+        RadiometerError: If anything named cannot be used.
+    """
+    with open_bench_camera(bench, name) as (config, camera):
+        chosen = None if uncalibrated else calibration or calibration_path(config, bench)
+        where = patch or (config.patch.patch if config.patch else central_patch(camera))
+        yield Instrument(
+            camera,
+            where,
+            calibration=_calibration(chosen, spectrum or config.spectrum) if chosen else None,
+            time_limit_s=config.time_limit_s,
+        )
+
+
+def _calibration(path: Path, spectrum: str | None) -> Calibration:
+    calibration = Calibration.read(path)
+    return replace(calibration, spectrum=spectrum) if spectrum else calibration
+
+
+def calibration_path(config: BenchConfig, bench: Path | None) -> Path | None:
+    """Return the calibration file that a bench names: relative to the bench file, else one that is shipped.
+
+    Raises:
+        ConfigurationError: If it names one that does not exist.
+    """
+    if config.calibration is None:
+        return None
+    beside = (bench.parent if bench else Path()) / config.calibration
+    if bench and beside.is_file():
+        return beside
+    try:
+        return shipped_config(config.calibration)
+    except ConfigurationError as error:
+        raise ConfigurationError(
+            f"{bench or 'the simulated bench'}: calibration {config.calibration!r}: {error}"
+        ) from error
+
+
+def known_patches(config: BenchConfig) -> tuple[PatchDescription, ...]:
+    """Return the regions that a bench knows of; their radiance is what is to be measured, so it is left open."""
+    if config.patch is None:
+        return ()
+    patch = config.patch
+    return (PatchDescription(name="patch", x=patch.x, y=patch.y, width=patch.width, height=patch.height),)

@@ -1,0 +1,209 @@
+"""Light boxes: found by identity, opened by serial number or port, simulated as "sim"."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from pydantic import Field
+
+from drivers.light_box import SerialLightBox
+from drivers.light_box_link import BoxLink
+from drivers.serial_line import SerialLine, list_serial_ports
+from radiometer.data.config_files import shipped_config
+from radiometer.data.light_calibration import LightCalibration
+from radiometer.data.storage import read_yaml
+from radiometer.data.validation import ConfigSection, validate
+from radiometer.devices.exposure_ledger import ExposureLedger
+from radiometer.devices.light_box import LightBoxIdentity
+from radiometer.devices.retinal_safety import DEFAULT_FRACTION, ChannelOptics
+from radiometer.errors import CalibrationError, ConfigurationError, DeviceInUse, DeviceNotFound, InputError
+from simulators.light_box import LightBoxTwin, TwinSettings
+from simulators.virtual_line import VirtualLine
+
+SIMULATED: Final = "sim"
+SIMULATED_SERIAL: Final = "SIM00001"
+DEFAULT_PRESET: Final = "light_boxes/reference.yaml"
+PORT_VARIABLE: Final = "RADIOMETER_LIGHT_BOX_PORTS"
+TEND_SLICE_S: Final = 0.2
+
+
+class ChannelConfig(ConfigSection):
+    """What the eye meets when a channel is on; see ChannelOptics."""
+
+    peak_nm: float | None = Field(None, gt=300, lt=1100)
+    fwhm_nm: float = Field(20.0, ge=0)
+    subtense_deg: float = Field(gt=0, le=180)
+    radiance_bound_W_per_sr_m2: float = Field(gt=0)  # noqa: N815 (the file's key)
+    low_range_ratio_bound: float = Field(0.01, gt=0, le=1)
+
+    @property
+    def optics(self) -> ChannelOptics:
+        """Return the optics for the safety account."""
+        bound, ratio = self.radiance_bound_W_per_sr_m2, self.low_range_ratio_bound
+        return ChannelOptics(self.peak_nm, self.fwhm_nm, self.subtense_deg, bound, ratio)
+
+
+class LightBoxConfig(ConfigSection):
+    """A light-box preset file."""
+
+    format: Literal["radiometer-light-box/1"] = "radiometer-light-box/1"
+    name: str = "light box"
+    allowed_fraction: float = Field(DEFAULT_FRACTION, gt=0, le=1)
+    channels: dict[str, ChannelConfig]
+
+    @property
+    def optics(self) -> dict[str, ChannelOptics]:
+        """Return the optics of each channel."""
+        return {name: channel.optics for name, channel in self.channels.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedBox:
+    """An open light box with what belongs to it.
+
+    Attributes:
+        box: The box.
+        config: Its preset.
+        calibration: Its calibration; None where there is none.
+        wait: Lets a time in s pass while the box is kept lit.
+        twin: The simulated box behind it; None for a real one.
+    """
+
+    box: SerialLightBox
+    config: LightBoxConfig
+    calibration: LightCalibration | None
+    wait: Callable[[float], None]
+    twin: LightBoxTwin | None = None
+
+
+def read_preset(path: Path | None = None) -> LightBoxConfig:
+    """Return a light-box preset; the reference box's where none is named. Raises ConfigurationError."""
+    file = path or shipped_config(DEFAULT_PRESET)
+    try:
+        mapping = read_yaml(file)
+    except InputError as error:
+        raise ConfigurationError(str(error)) from error
+    return validate(LightBoxConfig, mapping, str(file), ConfigurationError)
+
+
+def candidate_ports() -> list[str]:
+    """Return the ports on which a light box may answer: serial ports, simulated boxes, and those the user names."""
+    named = [port for port in os.environ.get(PORT_VARIABLE, "").split(os.pathsep) if port]
+    simulated = sorted(str(link) for link in simulated_port_folder().glob("*") if link.exists())
+    return list(dict.fromkeys([*named, *simulated, *list_serial_ports()]))
+
+
+def simulated_port_folder() -> Path:
+    """Return the folder in which `radiometer simulate box` keeps links to its ports."""
+    base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
+    return Path(base) / f"radiometer-light-boxes-{os.getuid()}"
+
+
+def find_boxes(ports: list[str] | None = None) -> tuple[list[LightBoxIdentity], list[str]]:
+    """Return the light boxes that answer, and ports that another program holds.
+
+    Args:
+        ports: Ports to try; all candidates where None. Opening a port resets an Arduino on it.
+    """
+    found, held = [], []
+    for port in candidate_ports() if ports is None else ports:
+        box = _serial_box(port, read_preset(), None)
+        box.keep_alive = False
+        try:
+            with box:
+                found.append(box.identity)
+        except DeviceInUse:
+            held.append(port)
+        except DeviceNotFound:
+            continue
+    return found, held
+
+
+def calibration_file(serial: str) -> Path:
+    """Return where the calibration of a box is kept: the user's data folder."""
+    base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
+    return Path(base) / "radiometer" / "light_boxes" / f"{serial}.yaml"
+
+
+@contextmanager
+def open_light_box(
+    name: str | None = None, *, calibration: Path | None = None, preset: Path | None = None
+) -> Iterator[OpenedBox]:
+    """Open a light box for the block; it is dark afterwards.
+
+    Args:
+        name: "sim", a serial number or a port; None for the only one that answers.
+        calibration: Calibration file; the one kept for its serial number where None.
+        preset: Light-box preset; the reference box's where None.
+
+    Raises:
+        DeviceNotFound: If it does not answer, or several do and none is named.
+        DeviceInUse: If another program holds it.
+        CalibrationError: If the calibration is of another box.
+    """
+    config = read_preset(preset)
+    opened = _simulated(config) if name == SIMULATED else _real(name, config)
+    with opened.box as box:
+        file = calibration or calibration_file(box.identity.serial)
+        known = read_box_calibration(file, box.identity.serial) if calibration or file.is_file() else None
+        box.calibration = known
+        yield OpenedBox(box, config, known, opened.wait, opened.twin)
+
+
+def read_box_calibration(path: Path, serial: str) -> LightCalibration:
+    """Return the calibration of a box. Raises CalibrationError if it is of another one, InputError if it is damaged."""
+    calibration = LightCalibration.read(path)
+    if calibration.box_serial != serial:
+        raise CalibrationError(
+            f"{path} is the calibration of light box {calibration.box_serial}, this is {serial}; "
+            "give its own, or make one with `radiometer light calibrate`"
+        )
+    return calibration
+
+
+def _serial_box(port: str, config: LightBoxConfig, calibration: LightCalibration | None) -> SerialLightBox:
+    line = SerialLine(port)
+    return SerialLightBox(
+        BoxLink(line), ExposureLedger(config.optics, line.now, config.allowed_fraction), calibration=calibration
+    )
+
+
+def _real(name: str | None, config: LightBoxConfig) -> OpenedBox:
+    port = name if name is not None and ("/" in name or Path(name).exists()) else _port_of(name)
+    return OpenedBox(_serial_box(port, config, None), config, None, time.sleep)
+
+
+def _port_of(serial: str | None) -> str:
+    boxes, held = find_boxes()
+    fitting = [box for box in boxes if serial is None or box.serial == serial]
+    if len(fitting) == 1:
+        return fitting[0].port
+    if len(fitting) > 1:
+        raise DeviceNotFound(
+            "several light boxes answer; name one with --box: " + ", ".join(box.serial for box in fitting)
+        )
+    wanted = "no light box answers" if serial is None else f"no light box {serial} answers"
+    busy = f" (held by another program: {', '.join(held)})" if held else ""
+    raise DeviceNotFound(f"{wanted}{busy}; plug it in, name its port with --box, or use --box {SIMULATED}")
+
+
+def _simulated(config: LightBoxConfig) -> OpenedBox:
+    twin = LightBoxTwin(TwinSettings(serial=SIMULATED_SERIAL))
+    line = VirtualLine(twin, latency_s=0.0003)
+    ledger = ExposureLedger(config.optics, line.now, config.allowed_fraction)
+    box = SerialLightBox(BoxLink(line), ledger, keep_alive=False)
+
+    def wait(duration_s: float) -> None:
+        end_s = line.now() + duration_s
+        while (left_s := end_s - line.now()) > 0:
+            line.wait(min(left_s, TEND_SLICE_S))
+            box.tend_if_due()
+
+    return OpenedBox(box, config, None, wait, twin)

@@ -1,0 +1,114 @@
+"""Cameras by name: "sim" for the simulated one of a bench file, else a GenICam id, serial number or address."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from radiometer.bench.config import BenchConfig, CameraConfig, GenicamCameraConfig, SimulatedCameraConfig
+from radiometer.data.config_files import shipped_config
+from radiometer.devices import Camera, CameraCapabilities, CameraIdentity, CameraPreset, CameraSettings
+from radiometer.errors import ConfigurationError, MissingLibrary
+
+SIMULATED = "sim"
+_NEAREST_FORMATS = ("Mono12", "Mono12p", "Mono12Packed", "Mono16", "Mono10", "Mono10p", "Mono8")
+
+
+def open_camera(config: BenchConfig, where: Path, name: str | None = None) -> Camera:
+    """Return an opened camera with gain, black level and pixel format set as the bench file wants them.
+
+    Args:
+        config: The bench.
+        where: The bench file, for messages and relative paths.
+        name: "sim", or a GenICam id, serial number or address; None for the bench's own camera.
+
+    Raises:
+        ConfigurationError: If the bench has no such camera.
+        DeviceError: If it cannot be opened or set.
+    """
+    camera = make_camera(config, where, name)
+    camera.open()
+    wanted = config.camera
+    try:
+        camera.configure(_first_settings(wanted, camera.capabilities))
+    except BaseException:
+        camera.close()
+        raise
+    return camera
+
+
+def make_camera(config: BenchConfig, where: Path, name: str | None = None) -> Camera:
+    """Return the camera of a name without opening it.
+
+    Raises:
+        ConfigurationError: If "sim" is asked of a bench without a simulated camera.
+    """
+    wanted = config.camera
+    if name == SIMULATED or (name is None and isinstance(wanted, SimulatedCameraConfig)):
+        if not isinstance(wanted, SimulatedCameraConfig):
+            raise ConfigurationError(f"{where}: its camera is {wanted.kind}, so there is no 'sim'")
+        return _simulated(config, wanted, where)
+    return _genicam(config, name)
+
+
+def list_cameras(config: BenchConfig, where: Path) -> tuple[list[CameraIdentity], str | None]:
+    """Return the cameras that can be opened, and why GenICam cameras could not be looked for (None if they could)."""
+    found: list[CameraIdentity] = []
+    if isinstance(config.camera, SimulatedCameraConfig):
+        found.append(make_camera(config, where).identity)
+    try:
+        from drivers.aravis_camera import discover
+
+        return found + discover(), None
+    except MissingLibrary as error:
+        return found, str(error)
+
+
+def _genicam(config: BenchConfig, name: str | None) -> Camera:
+    from drivers.aravis_camera import open_camera as find
+
+    own = config.camera if isinstance(config.camera, GenicamCameraConfig) else None
+    wanted = name or (own.id if own else None)
+    return find(wanted, preset=own.preset if own else None, lens=config.lens.description)
+
+
+def _first_settings(wanted: CameraConfig, limits: CameraCapabilities) -> CameraSettings:
+    """Return what a bench wants of a camera, in the nearest pixel format that it offers."""
+    low, high = limits.black_level_dn
+    order = (wanted.pixel_format, *_NEAREST_FORMATS)
+    return CameraSettings(
+        exposure_s=max(0.01, limits.exposure_s[0]),
+        gain_db=wanted.gain_db,
+        black_level_dn=low if low == high else wanted.black_level_dn,  # no black level to set on such a camera
+        pixel_format=next((name for name in order if name in limits.pixel_formats), wanted.pixel_format),
+    )
+
+
+def _simulated(config: BenchConfig, wanted: SimulatedCameraConfig, where: Path) -> Camera:
+    from simulators.camera_model import CameraModel
+    from simulators.scenes import scene_from_mapping
+    from simulators.simulated_camera import SimulatedCamera
+
+    if config.scene is None:
+        raise ConfigurationError(f"{where}: key 'scene' is missing; a simulated camera needs something to look at")
+    file = preset_path(wanted.preset, where)
+    preset = CameraPreset.read(file)
+    limits = preset.require_limits(str(file)).capabilities(has_shutter=True)
+    limits = replace(limits, width=wanted.width or limits.width, height=wanted.height or limits.height)
+    lens = config.lens.description
+    model = CameraModel.read(where.parent / wanted.model) if wanted.model else CameraModel.ideal(preset.camera, lens)
+    return SimulatedCamera(
+        model,
+        scene_from_mapping(config.scene, f"{where}: scene", where.parent),
+        seed=wanted.seed,
+        serial=wanted.serial,
+        device_id=SIMULATED,
+        limits=limits,
+        temperature_c=wanted.temperature_C,
+    )
+
+
+def preset_path(name: str, where: Path) -> Path:
+    """Return the file of a camera preset: beside the bench file, or one that comes with the product."""
+    beside = where.parent / "cameras" / f"{name}.yaml"
+    return beside if beside.is_file() else shipped_config(f"cameras/{name}.yaml")

@@ -1,0 +1,107 @@
+"""What a bench file says: which camera, lens, scene, calibration, and where the patch lies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from radiometer.data import LensDescription, Patch, SourceDescription
+from radiometer.data.config_files import shipped_config
+from radiometer.data.storage import read_yaml
+from radiometer.data.validation import ConfigSection, validate
+from radiometer.errors import ConfigurationError, InputError
+
+DEFAULT_BENCH = "bench-simulated.yaml"
+
+
+class SimulatedCameraConfig(ConfigSection):
+    """A simulated camera: datasheet preset, serial number, random seed, temperature and settings at power-on."""
+
+    kind: Literal["simulated"]
+    preset: str
+    serial: str = "22500001"
+    seed: int = Field(1, ge=0)
+    temperature_C: float = Field(40.0, ge=-40, le=120)  # noqa: N815 (the file's key)
+    black_level_dn: float = Field(64.0, ge=0)
+    gain_db: float = Field(0.0, ge=0)
+    pixel_format: str = "Mono12"
+    width: int | None = Field(None, gt=0)
+    height: int | None = Field(None, gt=0)
+    model: str | None = None
+
+
+class GenicamCameraConfig(ConfigSection):
+    """A GenICam camera: id, serial number or address; preset where the model's own is not to be used."""
+
+    kind: Literal["genicam"]
+    id: str | None = None
+    preset: str | None = None
+    black_level_dn: float = Field(64.0, ge=0)
+    gain_db: float = Field(0.0, ge=0)
+    pixel_format: str = "Mono12"
+
+
+CameraConfig = Annotated[SimulatedCameraConfig | GenicamCameraConfig, Field(discriminator="kind")]
+
+
+class LensConfig(ConfigSection):
+    """The lens in front of the camera."""
+
+    focal_length_mm: float = Field(gt=0)
+    f_number: float = Field(gt=0)
+    transmittance: float = Field(1.0, gt=0, le=1)
+    transmittance_u_rel: float = Field(0.0, ge=0)
+    magnification: float = Field(0.0, ge=0)
+    pupil_magnification: float = Field(1.0, gt=0)
+    principal_point_px: tuple[float, float] | None = None
+    vignetting: Literal["none", "cos4"] = "none"
+
+    @property
+    def description(self) -> LensDescription:
+        """Return the lens as it stands in capture sets."""
+        return LensDescription.model_validate(self.model_dump())
+
+
+class PatchConfig(ConfigSection):
+    """A region of the frame in pixels."""
+
+    x: int = Field(ge=0)
+    y: int = Field(ge=0)
+    width: int = Field(gt=0)
+    height: int = Field(gt=0)
+
+    @property
+    def patch(self) -> Patch:
+        """Return the region as a Patch."""
+        return Patch(self.x, self.y, self.width, self.height)
+
+
+class BenchConfig(ConfigSection):
+    """The whole of a bench file."""
+
+    format: Literal["radiometer-bench/1"] = "radiometer-bench/1"
+    name: str = "bench"
+    camera: CameraConfig
+    lens: LensConfig
+    scene: dict[str, Any] | None = None
+    source: SourceDescription = SourceDescription()
+    calibration: str | None = None
+    spectrum: str | None = None
+    patch: PatchConfig | None = None
+    time_limit_s: float = Field(60.0, gt=0)
+
+
+def read_bench(path: Path | None = None) -> tuple[BenchConfig, Path]:
+    """Return a validated bench file and where it lies; the simulated bench where none is named.
+
+    Raises:
+        ConfigurationError: If the file is missing or holds something not allowed.
+    """
+    file = path or shipped_config(DEFAULT_BENCH)
+    try:
+        mapping = read_yaml(file)
+    except InputError as error:
+        raise ConfigurationError(str(error)) from error
+    return validate(BenchConfig, mapping, str(file), ConfigurationError), file

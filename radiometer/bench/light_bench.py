@@ -1,0 +1,160 @@
+"""A light box and a camera that looks at it, for `radiometer light calibrate`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from radiometer.acquire.light_levels import LevelSurvey, Progress, SpectralCorrection
+from radiometer.analysis.spectral_correction import FLAT_QUANTUM_EFFICIENCY_U_REL, spectral_factor
+from radiometer.bench.assembly import calibration_path, open_instrument
+from radiometer.bench.boxes import OpenedBox
+from radiometer.bench.cameras import SIMULATED as SIMULATED_CAMERA
+from radiometer.bench.config import SimulatedCameraConfig, read_bench
+from radiometer.bench.instrument import Instrument
+from radiometer.data import Calibration, Patch, Provenance
+from radiometer.data.config_files import shipped_config
+from radiometer.data.light_calibration import ChannelCalibration, LightCalibration
+from radiometer.devices import CameraPreset
+from radiometer.errors import CalibrationError, UsageError
+from simulators.camera_model import CameraModel
+from simulators.light_box_camera import BoxView, HookedClock, LightBoxCamera
+
+BENCH: Final = "bench-light-box.yaml"
+# The simulated sensor's quantum efficiency is flat by construction; what is left is the channels' line shape.
+SIMULATED_SPECTRAL_U_REL: Final = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyRequest:
+    """What to calibrate and how.
+
+    Attributes:
+        channels: Names of the channels.
+        points_per_decade: Density of the levels.
+        seed: Makes the random order; None for another one each time.
+        responsivity: CSV of the camera's relative responsivity per watt; None takes its quantum efficiency as flat.
+        spectral_u_rel: Relative standard uncertainty of the spectral correction; None for the default.
+        target_u_rel: Relative standard uncertainty wanted of a reading's noise.
+    """
+
+    channels: tuple[str, ...]
+    points_per_decade: float = 4.0
+    seed: int | None = None
+    responsivity: Path | None = None
+    spectral_u_rel: float | None = None
+    target_u_rel: float = 0.003
+
+
+@contextmanager
+def open_light_camera(
+    opened: OpenedBox, name: str | None, bench: Path | None, patch: Patch | None, calibration: Path | None
+) -> Iterator[Instrument]:
+    """Open the camera that looks at a box for the block; a simulated box is looked at by a simulated camera.
+
+    Raises:
+        UsageError: If a simulated box is to be looked at by a real camera.
+        CalibrationError: If the camera has no absolute calibration.
+    """
+    if opened.twin is None:
+        with open_instrument(bench, name, patch, calibration) as instrument:
+            yield _absolute(instrument)
+        return
+    if name not in (None, SIMULATED_CAMERA):
+        raise UsageError(f"the simulated box can only be looked at by the simulated camera, not by {name}")
+    yield _absolute(_simulated_instrument(opened, bench, patch, calibration))
+
+
+def survey_box(
+    opened: OpenedBox, instrument: Instrument, request: SurveyRequest, progress: Progress | None = None
+) -> LightCalibration:
+    """Measure channels of a box and return its calibration; channels calibrated before are kept.
+
+    Raises:
+        MeasurementError: If a channel does not stand out of the noise.
+        DeviceError: If box or camera fails.
+    """
+    survey = LevelSurvey(
+        opened.box,
+        lambda: instrument.measure(target_u_rel=request.target_u_rel),
+        opened.wait,
+        np.random.default_rng(request.seed),
+        request.points_per_decade,
+        progress,
+    )
+    found: dict[str, ChannelCalibration] = dict(opened.calibration.channels) if opened.calibration else {}
+    corrections = {name: _correction(opened, instrument, request, name) for name in request.channels}
+    for name in request.channels:
+        found[name] = survey.survey(name, corrections[name])
+    return LightCalibration(opened.box.identity.serial, found, provenance=_provenance(instrument, request, corrections))
+
+
+def _correction(opened: OpenedBox, instrument: Instrument, request: SurveyRequest, channel: str) -> SpectralCorrection:
+    optics, calibration = opened.config.optics[channel], instrument.calibration
+    assert calibration is not None
+    default = SIMULATED_SPECTRAL_U_REL if opened.twin is not None else FLAT_QUANTUM_EFFICIENCY_U_REL
+    u_rel = default if request.spectral_u_rel is None else request.spectral_u_rel
+    factor = spectral_factor(calibration.spectrum, optics.peak_nm, optics.fwhm_nm, request.responsivity)
+    return SpectralCorrection(factor, u_rel)
+
+
+def _provenance(
+    instrument: Instrument, request: SurveyRequest, corrections: dict[str, SpectralCorrection]
+) -> Provenance:
+    calibration = instrument.calibration
+    assert calibration is not None
+    sensitivity = str(request.responsivity) if request.responsivity else "flat quantum efficiency"
+    return Provenance(
+        "camera readings over level, random order, drift reference, dark subtracted",
+        inputs=(f"camera {instrument.camera.identity.serial}", f"camera calibration of {calibration.created}"),
+        assumptions=(
+            f"camera calibrated with {calibration.spectrum} light; spectral correction by {sensitivity}",
+            "the radiance is that of the settled LED, averaged over its PWM",
+        ),
+        parameters={
+            "spectral_factor": {name: correction.factor for name, correction in corrections.items()},
+            "spectral_u_rel": {name: correction.u_rel for name, correction in corrections.items()},
+            "seed": request.seed,
+        },
+    )
+
+
+def _absolute(instrument: Instrument) -> Instrument:
+    if instrument.calibration is None or not instrument.calibration.absolute:
+        raise CalibrationError(
+            "the camera has no absolute calibration, so it cannot tell a radiance; "
+            "make one with `radiometer calibrate` and give it with --calibration"
+        )
+    return instrument
+
+
+def _simulated_instrument(
+    opened: OpenedBox, bench: Path | None, patch: Patch | None, calibration: Path | None
+) -> Instrument:
+    file = bench or shipped_config(BENCH)
+    config, where = read_bench(file)
+    wanted, twin = config.camera, opened.twin
+    if not isinstance(wanted, SimulatedCameraConfig) or twin is None:
+        raise UsageError(f"{where}: its camera is not simulated, the light box is; use a bench with a simulated camera")
+    preset = CameraPreset.shipped(wanted.preset)
+    limits = preset.require_limits(wanted.preset).capabilities(has_shutter=True)
+    limits = replace(limits, width=wanted.width or limits.width, height=wanted.height or limits.height)
+    clock = HookedClock(opened.box.link.line.now, opened.wait)
+    model = CameraModel.ideal(preset.camera, config.lens.description)
+    camera = LightBoxCamera(model, BoxView(twin), limits=limits, clock=clock, seed=wanted.seed, serial=wanted.serial)
+    camera.open()
+    camera.configure(replace(camera.settings, black_level_dn=wanted.black_level_dn, gain_db=wanted.gain_db))
+    known = calibration or calibration_path(config, bench)
+    area = patch or (config.patch.patch if config.patch else Patch(0, 0, limits.width, limits.height))
+    return Instrument(
+        camera,
+        area,
+        calibration=Calibration.read(known) if known else None,
+        time_limit_s=config.time_limit_s,
+        clock=clock.now_s,
+    )

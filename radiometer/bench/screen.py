@@ -1,0 +1,188 @@
+"""Screens and what measures them: a browser page or a simulated display before a camera."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from radiometer.analysis.photometry import luminous_efficacy_lm_per_w
+from radiometer.analysis.spectra import spectrum
+from radiometer.bench.assembly import calibration_path, open_bench_camera
+from radiometer.bench.cameras import SIMULATED, preset_path
+from radiometer.bench.config import BenchConfig, SimulatedCameraConfig, read_bench
+from radiometer.bench.instrument import Instrument, central_patch
+from radiometer.data import Calibration, Patch, Reading
+from radiometer.devices import Camera, CameraPreset, CameraSettings, Display
+from radiometer.errors import ConfigurationError, UsageError
+from radiometer.screen.checks import Flicker, Uniformity, judge_flicker
+from radiometer.screen.meter import ScreenReading
+from radiometer.screen.run import Light
+
+SIMULATED_DISPLAYS: Final = ("lcd", "pwm_lcd", "oled")
+BROWSER: Final = "browser"
+# The camera sees only the middle of a simulated screen; a small sensor shows as much and is quick.
+_SIMULATED_SIZE: Final = (96, 64)
+_FLICKER_FRAMES: Final = 16
+_SPECTRA: Final = {"red": "display_red", "green": "display_green", "blue": "display_blue"}
+
+
+@dataclass(frozen=True)
+class ScreenBench:
+    """An open display, and the instrument that looks at it.
+
+    Attributes:
+        display: The display.
+        instrument: The instrument.
+        sleep: Waits for a number of seconds on the clock of both.
+        clock: That clock in s.
+    """
+
+    display: Display
+    instrument: Instrument
+    sleep: Callable[[float], None]
+    clock: Callable[[], float]
+
+    def read(self) -> ScreenReading:
+        """Return one reading of the patch (a Meter). Raises DeviceError, MeasurementError."""
+        return screen_reading(self.instrument.measure(), self.clock())
+
+    def check_flicker(self, exposure_s: float = 1e-3) -> Flicker:
+        """Return whether the display's light changes from one short frame to the next. Raises DeviceError."""
+        camera, patch = self.instrument.camera, self.instrument.patch
+        low, high = camera.capabilities.exposure_s
+        settings = camera.configure(replace(camera.settings, exposure_s=float(np.clip(exposure_s, low, high))))
+        frames = camera.capture(_FLICKER_FRAMES)
+        black = camera.description.black_level_dn or 0.0
+        pixels = np.array([frame.dn[patch.slices] for frame in frames], dtype=np.float64) - black
+        # What all pixels of a frame share is the flicker; what is left is noise.
+        own = pixels - pixels.mean(axis=(1, 2), keepdims=True)
+        noise_dn = float(np.sqrt(own.var(axis=0, ddof=1).mean() / own[0].size))
+        means = pixels.mean(axis=(1, 2))
+        return judge_flicker(means.tolist(), noise_dn / float(means.mean()), settings.exposure_s)
+
+    def check_uniformity(self, rows: int = 3, columns: int = 3) -> Uniformity:
+        """Return white over a grid of places in the camera's picture. Raises DeviceError, MeasurementError."""
+        limits, patch = self.instrument.camera.capabilities, self.instrument.patch
+        xs = np.linspace(0, limits.width - patch.width, columns).astype(int)
+        ys = np.linspace(0, limits.height - patch.height, rows).astype(int)
+        places = [[Patch(int(x), int(y), patch.width, patch.height) for x in xs] for y in ys]
+        return Uniformity.of([[self.instrument.at(place).measure().radiance.value for place in row] for row in places])
+
+
+def screen_reading(reading: Reading, time_s: float) -> ScreenReading:
+    """Return a reading with its uncertainty split into what is its own and what all share."""
+    value = reading.radiance.value
+    common2 = sum(c.u_rel**2 for c in reading.budget if c.correlated)
+    own2 = sum(c.u_rel**2 for c in reading.budget if not c.correlated)
+    if not reading.budget or not np.isfinite(common2 + own2):
+        common2, own2 = 0.0, (reading.radiance.u / value) ** 2 if value else float("inf")
+    own = float(np.sqrt(own2)) * abs(value) if np.isfinite(own2) else reading.radiance.u
+    return ScreenReading(value, own, float(np.sqrt(common2)), time_s, tuple(str(flag) for flag in reading.flags))
+
+
+def lights(white: str = "white_led") -> dict[str, Light]:
+    """Return the light of every channel by the spectra assumed. Raises InputError for an unknown spectrum."""
+    return {name: _light(kind) for name, kind in {"grey": white, **_SPECTRA}.items()}
+
+
+def _light(name: str) -> Light:
+    source = spectrum(name)
+    return Light(luminous_efficacy_lm_per_w(source, "photopic"), luminous_efficacy_lm_per_w(source, "scotopic"), name)
+
+
+@contextmanager
+def open_screen_bench(
+    display: str,
+    *,
+    bench: Path | None = None,
+    camera: str | None = None,
+    calibration: Path | None = None,
+    patch: Patch | None = None,
+    port: int = 0,
+    announce: Callable[[str], None] = lambda url: None,
+    seed: int = 1,
+) -> Iterator[ScreenBench]:
+    """Open a display and the camera before it for the block.
+
+    Args:
+        display: "browser", or "lcd", "pwm_lcd", "oled" for a simulated one (with the simulated camera).
+        bench: Bench file; the simulated bench where None.
+        camera: Camera before a browser, by name.
+        calibration: Calibration file; the bench's own where None.
+        patch: Where the camera sees the middle of the screen; the middle of its frame where None.
+        port: Port for the page.
+        announce: Called with the page's address.
+        seed: Seed of the simulated camera.
+
+    Raises:
+        UsageError: If the display is unknown.
+        RadiometerError: If anything named cannot be used.
+    """
+    if display == BROWSER:
+        with _browser_bench(bench, camera, calibration, patch, port, announce) as opened:
+            yield opened
+    elif display in SIMULATED_DISPLAYS:
+        with _simulated_bench(display, bench, calibration, seed) as opened:
+            yield opened
+    else:
+        raise UsageError(f"display {display!r} is unknown; choose {BROWSER}, {', '.join(SIMULATED_DISPLAYS)}")
+
+
+@contextmanager
+def _browser_bench(
+    bench: Path | None,
+    name: str | None,
+    calibration: Path | None,
+    patch: Patch | None,
+    port: int,
+    announce: Callable[[str], None],
+) -> Iterator[ScreenBench]:
+    from radiometer.screen.browser_display import BrowserDisplay
+
+    with open_bench_camera(bench, name) as (config, camera):
+        where = patch or (config.patch.patch if config.patch else central_patch(camera))
+        instrument = _instrument(camera, where, calibration or calibration_path(config, bench), config)
+        with BrowserDisplay(port, announce=announce) as display:
+            yield ScreenBench(display, instrument, time.sleep, time.monotonic)
+
+
+@contextmanager
+def _simulated_bench(name: str, bench: Path | None, calibration: Path | None, seed: int) -> Iterator[ScreenBench]:
+    from simulators.camera_model import CameraModel
+    from simulators.displays import DISPLAYS, SimulatedDisplay, WatchingCamera
+
+    config, where = read_bench(bench)
+    wanted = config.camera
+    if not isinstance(wanted, SimulatedCameraConfig):
+        raise ConfigurationError(f"{where}: its camera is {wanted.kind}; a simulated display needs a simulated camera")
+    file = preset_path(wanted.preset, where)
+    preset = CameraPreset.read(file)
+    limits = preset.require_limits(str(file)).capabilities(has_shutter=True)
+    width, height = _SIMULATED_SIZE
+    display = SimulatedDisplay(DISPLAYS[name])
+    camera = WatchingCamera(
+        CameraModel.ideal(preset.camera, config.lens.description),
+        display,
+        seed=seed,
+        serial=wanted.serial,
+        device_id=SIMULATED,
+        limits=replace(limits, width=width, height=height),
+        temperature_c=wanted.temperature_C,
+    )
+    with camera, display:
+        camera.configure(CameraSettings(exposure_s=0.01, gain_db=wanted.gain_db, black_level_dn=wanted.black_level_dn))
+        patch = Patch(width // 2 - 12, height // 2 - 12, 24, 24)
+        instrument = _instrument(camera, patch, calibration or calibration_path(config, bench), config)
+        clock = display.clock
+        yield ScreenBench(display, replace(instrument, clock=clock.now_s), clock.sleep, clock.now_s)
+
+
+def _instrument(camera: Camera, patch: Patch, calibration: Path | None, config: BenchConfig) -> Instrument:
+    known = Calibration.read(calibration) if calibration else None
+    return Instrument(camera, patch, calibration=known, time_limit_s=config.time_limit_s)

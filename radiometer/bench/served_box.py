@@ -1,0 +1,84 @@
+"""Puts a simulated light box, or its firmware in simavr, behind a pseudo-terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from radiometer.bench.boxes import simulated_port_folder
+from radiometer.errors import OutputError
+from simulators.avr_box import AvrBox
+from simulators.light_box import LightBoxTwin, TwinSettings
+from simulators.line_faults import LineFaults
+from simulators.pty_line import PtyServer, WiredTwin
+
+
+@dataclass(frozen=True, slots=True)
+class ServedBox:
+    """A light box on a pseudo-terminal.
+
+    Attributes:
+        server: Serves it once started.
+        press: Presses (True) or releases (False) the button now.
+        reset: Restarts the box now.
+    """
+
+    server: PtyServer
+    press: Callable[[bool], None]
+    reset: Callable[[], None]
+
+
+def served_box(
+    serial: str,
+    link: Path | None,
+    *,
+    firmware: Path | None = None,
+    clock_ppm: float = 0.0,
+    corrupt: float = 0.0,
+    drop: float = 0.0,
+    seed: int = 0,
+) -> ServedBox:
+    """Return a simulated light box ready to be served.
+
+    Args:
+        serial: Eight letters or digits.
+        link: Name of its port; in the folder where boxes are looked for where None.
+        firmware: Run this firmware (Intel HEX) in simavr instead of the twin.
+        clock_ppm: Rate of its clock above true time.
+        corrupt: Probability that a byte on the line becomes another one.
+        drop: Probability that a byte is lost.
+        seed: Makes the faults.
+
+    Raises:
+        OutputError: If the link cannot be made.
+        MissingLibrary: If simavr is asked for and not installed.
+    """
+    place = link or simulated_port_folder() / serial
+    try:
+        place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot make {place.parent}: {error.strerror or error}") from error
+    faults_in, faults_out = (LineFaults(corrupt, drop, rng=np.random.default_rng((seed, way))) for way in (0, 1))
+    if firmware is not None:
+        avr = AvrBox(firmware, serial)
+        server = PtyServer(avr, place, faults_in, faults_out)
+        return ServedBox(server, _locked(server, lambda pressed: avr.press(pressed=pressed)), lambda: None)
+    twin = LightBoxTwin(TwinSettings(serial=serial, clock_ppm=clock_ppm))
+    server = PtyServer(WiredTwin(twin), place, faults_in, faults_out)
+
+    def reset() -> None:
+        with server.lock:
+            twin.reset("E")
+
+    return ServedBox(server, _locked(server, lambda pressed: twin.press(server.time_s(), pressed=pressed)), reset)
+
+
+def _locked(server: PtyServer, act: Callable[[bool], None]) -> Callable[[bool], None]:
+    def press(pressed: bool) -> None:
+        with server.lock:
+            act(pressed)
+
+    return press

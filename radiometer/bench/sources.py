@@ -1,0 +1,72 @@
+"""Brackets from what a user has on disk: capture sets and folders of photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from drivers.photograph_folder import image_files, read_photographs
+from drivers.photograph_times import find_list
+from radiometer.data import Bracket, CaptureSet, Frame
+from radiometer.data.capture_set import HEADER_NAME
+from radiometer.errors import CaptureError
+
+
+def open_brackets(
+    path: Path, channel: str = "luminance", *, report: Callable[[int, int], None] | None = None
+) -> list[Bracket]:
+    """Return the brackets in a capture set or a folder of photographs.
+
+    Every frame carries its file's name in `extra["file"]`. A capture set gives one bracket per displayed pattern; a
+    folder of colour photographs one of the wanted channel, or three for "each".
+
+    Args:
+        path: Folder with `capture.yaml`, or with photographs whose times are in EXIF or in a list beside them.
+        channel: "luminance", "red", "green", "blue" or "each"; grey frames have one channel whatever is asked.
+        report: Called with (files read, files in all) as the work goes on.
+
+    Raises:
+        CaptureError: If the folder is missing, empty, unfinished or inconsistent.
+        UsageError: If there is no such channel.
+    """
+    if not path.exists():
+        raise CaptureError(f"{path} does not exist; give a capture set or a folder of photographs")
+    if not path.is_dir():
+        raise CaptureError(f"{path} is not a folder; give a capture set or a folder of photographs")
+    if (path / HEADER_NAME).exists():
+        return _capture_brackets(CaptureSet.read(path), report)
+    if (path / "frames").is_dir() and not image_files(path):
+        CaptureSet.read(path)  # raises: the capture was not finished
+    if not any(path.iterdir()):
+        raise CaptureError(f"{path} is empty; give a capture set or a folder of photographs")
+    if not image_files(path) and find_list(path) is None:
+        raise CaptureError(f"{path} holds neither {HEADER_NAME} nor photographs; give a capture set or photographs")
+    return read_photographs(path, channel, report=report)
+
+
+def _capture_brackets(capture: CaptureSet, report: Callable[[int, int], None] | None) -> list[Bracket]:
+    frames = []
+    for frame, entry in zip(capture.frames(), capture.header.frames, strict=True):
+        frames.append(_named(frame, entry.file))
+        if report is not None:
+            report(len(frames), len(capture))
+    dark = [frame for frame in frames if frame.settings.is_dark]
+    light = [frame for frame in frames if not frame.settings.is_dark and frame.settings.source_level > 0]
+    groups: dict[tuple[str, float], list[Frame]] = {}
+    for frame in light:
+        groups.setdefault((frame.settings.pattern, frame.settings.source_level), []).append(frame)
+    if not groups:
+        raise CaptureError(f"{capture.path}: holds no frame with the shutter open and the source on")
+    return [
+        Bracket.from_frames([*several, *dark], origin=_origin(capture, pattern, level, len(groups)))
+        for (pattern, level), several in groups.items()
+    ]
+
+
+def _origin(capture: CaptureSet, pattern: str, level: float, count: int) -> str:
+    return str(capture.path) if count == 1 else f"{capture.path} (pattern {pattern}, source level {level:g})"
+
+
+def _named(frame: Frame, file: str) -> Frame:
+    return replace(frame, extra={**frame.extra, "file": file})
