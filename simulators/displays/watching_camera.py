@@ -1,0 +1,91 @@
+"""A simulated camera that looks at a simulated display: each frame sees what is on it during its exposure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from radiometer.data import Frame, PatchDescription, SourceDescription
+from simulators.camera_model import CameraModel
+from simulators.displays.base import SimulatedDisplay
+from simulators.scenes.base import SceneImage
+from simulators.simulated_camera import SimulatedCamera
+
+# Brighter than any dimming cycle's mean: the source level of a frame is relative to it.
+_HEADROOM = 4.0
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """What is on the display at one moment, as a scene: the patch in the middle, filling its share."""
+
+    display: SimulatedDisplay
+    wavelength_nm: float
+    rgb: tuple[float, float, float]
+    surround: tuple[float, float, float]
+    size: tuple[float, float]
+
+    @property
+    def source(self) -> SourceDescription:
+        """Return a screen."""
+        return SourceDescription(kind="screen", wavelength_nm=self.wavelength_nm)
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """Return the one pattern."""
+        return ("default",)
+
+    def render(self, width: int, height: int, pattern: str = "default") -> SceneImage:
+        """Return the radiance at the backlight's highest output."""
+        y, x = np.mgrid[:height, :width]
+        u, v = 2 * (x + 0.5) / width - 1, 2 * (y + 0.5) / height - 1
+        inside = (np.abs(u) <= self.size[0]) & (np.abs(v) <= self.size[1])
+        level = np.where(inside, self.display.radiance(self.rgb), self.display.radiance(self.surround))
+        fall = 1.0 - self.display.model.edge_falloff * (u**2 + v**2) / 2
+        return SceneImage((_HEADROOM * level * fall).astype(np.float32), peak_radiance=_HEADROOM)
+
+    def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
+        """Return nothing: what is shown changes."""
+        return ()
+
+
+class WatchingCamera(SimulatedCamera):
+    """A SimulatedCamera in front of a SimulatedDisplay, on the display's clock.
+
+    Args:
+        model: The camera, its lens and their effects.
+        display: What it looks at.
+        wavelength_nm: Wavelength that stands for the display's light in nm.
+        options: As of SimulatedCamera.
+    """
+
+    def __init__(
+        self, model: CameraModel, display: SimulatedDisplay, *, wavelength_nm: float = 550.0, **options: Any
+    ) -> None:
+        self._display, self._wavelength_nm = display, wavelength_nm
+        super().__init__(model, self._look(), clock=display.clock, **options)
+
+    def capture(self, count: int = 1) -> list[Frame]:
+        """Return `count` frames of what is on the display while each is exposed."""
+        return [self._frame() for _ in range(count)]
+
+    def stream(self) -> Iterator[Frame]:
+        """Yield frames until the iterator is closed."""
+        while True:
+            yield self._frame()
+
+    def _frame(self) -> Frame:
+        scene = self._look()
+        if scene != self.scene:
+            self.set_scene(scene)
+        self.set_source(self._display.backlight(self.clock.now_s(), self.settings.exposure_s) / _HEADROOM)
+        frame = super().capture(1)[0]
+        return replace(frame, settings=replace(frame.settings, source_level=1.0))
+
+    def _look(self) -> _Shown:
+        patch = self._display.shown
+        size = (patch.width_fraction, patch.height_fraction)
+        return _Shown(self._display, self._wavelength_nm, patch.rgb, patch.surround_rgb, size)

@@ -1,0 +1,1 @@
+"""Physical effects of the forward model, one per file."""

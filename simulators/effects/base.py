@@ -1,0 +1,208 @@
+"""What an effect of the forward model is: a pure function with a name, a stage, units and bounded parameters.
+
+A new effect is one file with a frozen dataclass derived from `Effect` and one line in `registry.py`:
+
+    @dataclass(frozen=True)
+    class ExposureTimeOffset(Effect):
+        '''Adds a constant to the exposure time: H' = H·(t + Δt)/t.'''
+
+        name = "exposure_time_offset"
+        stage = Stage.SHUTTER
+        unit_in = unit_out = EXPOSURE
+        offset_s: float = parameter(0.0, "s", -1e-3, 1e-3, source="...")
+
+        def mean(self, signal, context):
+            t = context.settings.exposure_s
+            return signal * ((t + self.offset_s) / t)
+
+Only `mean` must be given. `sample` defaults to the mean (an effect without randomness), `variance` to zero and
+`slope` to a finite difference; an effect that mixes pixels or clips overrides `moments`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import MISSING, dataclass, field, fields, replace
+from enum import IntEnum
+from typing import Any, ClassVar, Final, Self
+
+import numpy as np
+
+from radiometer.errors import ConfigurationError
+from simulators.effects.context import ExposureContext, Signal
+
+RADIANCE: Final = "W sr-1 m-2"
+IRRADIANCE: Final = "W m-2"
+EXPOSURE: Final = "J m-2"
+PHOTONS: Final = "photon"
+ELECTRONS: Final = "e-"
+DIGITAL_NUMBER: Final = "DN"
+
+_RELATIVE_STEP: Final = 1e-4
+
+
+class Stage(IntEnum):
+    """Stages of the chain in the order that the light passes them."""
+
+    SOURCE = 0
+    SCENE = 1
+    OPTICS = 2
+    SHUTTER = 3
+    PHOTONS = 4
+    ELECTRONS = 5
+    WELL = 6
+    READOUT = 7
+    DIGITAL = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """What is known of one parameter of an effect.
+
+    Attributes:
+        name: Its name, with the unit as suffix.
+        unit: Its unit; "1" for a pure number.
+        low: Lowest allowed value.
+        high: Highest allowed value.
+        source: Where its default and bounds come from.
+        default: Its default.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    source: str
+    default: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Moments:
+    """Expected value and variances of a signal, all of one shape.
+
+    Attributes:
+        mean: Expected value.
+        variance: Temporal variance of one pixel about it.
+        spatial_variance: Variance from pixel to pixel that stays from frame to frame (fixed pattern).
+        common_variance: Temporal variance that all pixels of one frame share (flicker).
+    """
+
+    mean: Signal
+    variance: Signal
+    spatial_variance: Signal
+    common_variance: Signal
+
+    @classmethod
+    def exactly(cls, mean: Signal) -> Moments:
+        """Return the moments of a signal that is known exactly."""
+        nothing = np.zeros_like(mean)
+        return cls(mean, nothing, nothing, nothing)
+
+
+def parameter(default: Any, unit: str, low: float, high: float, *, source: str) -> Any:
+    """Declare a parameter of an effect (a dataclass field).
+
+    Args:
+        default: Default: a float, or a tuple of floats for a table (bounds then hold for each entry).
+        unit: Its unit; "1" for a pure number.
+        low: Lowest allowed value.
+        high: Highest allowed value.
+        source: Where default and bounds come from.
+    """
+    return field(default=default, metadata={"unit": unit, "low": low, "high": high, "source": source})
+
+
+@dataclass(frozen=True)
+class Effect(ABC):
+    """One entry of the forward model.
+
+    Class attributes:
+        name: Canonical snake_case name.
+        stage: Where in the chain it acts.
+        unit_in: Unit of the signal it takes.
+        unit_out: Unit of the signal it gives.
+        before: Name of an effect of the same stage that it is put in front of when added to a model; by default it
+            is put as late in its stage as its unit fits.
+    """
+
+    name: ClassVar[str]
+    stage: ClassVar[Stage]
+    unit_in: ClassVar[str]
+    unit_out: ClassVar[str]
+    before: ClassVar[str | None] = None
+
+    def __post_init__(self) -> None:
+        for known in self.parameters():
+            _refuse_out_of_bounds(self.name, known, getattr(self, known.name))
+
+    @classmethod
+    def parameters(cls) -> tuple[Parameter, ...]:
+        """Return name, unit, bounds, source and default of all parameters. Raises TypeError for an undeclared field."""
+        declared = []
+        for entry in fields(cls):
+            if "unit" not in entry.metadata:
+                raise TypeError(f"effect {cls.name}: field {entry.name!r} must be declared with parameter(...)")
+            default = None if entry.default is MISSING else entry.default
+            declared.append(Parameter(name=entry.name, default=default, **entry.metadata))
+        return tuple(declared)
+
+    def values(self) -> dict[str, Any]:
+        """Return the value of every parameter by name."""
+        return {entry.name: getattr(self, entry.name) for entry in fields(self)}
+
+    def with_parameters(self, **values: Any) -> Self:
+        """Return the effect with some parameters changed. Raises ConfigurationError outside their bounds."""
+        return replace(self, **values)
+
+    @abstractmethod
+    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
+        """Return the expected signal in `unit_out` for a signal in `unit_in`; a new array, same shape."""
+
+    def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
+        """Return one random outcome in `unit_out`. `rng` belongs to this effect and this frame alone.
+
+        What stays from frame to frame (fixed pattern) is drawn from `context.fixed_rng(self.name)` instead.
+        """
+        return self.mean(signal, context)
+
+    def variance(self, signal: Signal, context: ExposureContext) -> Signal | float:
+        """Return the temporal variance that this effect adds to a pixel, in unit_out²."""
+        return 0.0
+
+    def spatial_variance(self, signal: Signal, context: ExposureContext) -> Signal | float:
+        """Return the fixed-pattern variance that this effect adds, in unit_out²."""
+        return 0.0
+
+    def common_variance(self, signal: Signal, context: ExposureContext) -> Signal | float:
+        """Return the variance common to all pixels of a frame that this effect adds, in unit_out²."""
+        return 0.0
+
+    def slope(self, signal: Signal, context: ExposureContext) -> Signal | float:
+        """Return d(mean)/d(signal) pixel by pixel; by central difference unless an effect knows better."""
+        step = _RELATIVE_STEP * float(np.max(np.abs(signal), initial=0.0)) or _RELATIVE_STEP
+        rise = np.asarray(self.mean(signal + step, context)) - np.asarray(self.mean(signal - step, context))
+        return np.asarray(rise / (2.0 * step))
+
+    def moments(self, before: Moments, context: ExposureContext) -> Moments:
+        """Return the moments after the effect, by linear propagation; clipping and mixing effects override it."""
+        slope2 = np.square(self.slope(before.mean, context))
+        return Moments(
+            self.mean(before.mean, context),
+            before.variance * slope2 + self.variance(before.mean, context),
+            before.spatial_variance * slope2 + self.spatial_variance(before.mean, context),
+            before.common_variance * slope2 + self.common_variance(before.mean, context),
+        )
+
+
+def _refuse_out_of_bounds(effect: str, known: Parameter, value: Any) -> None:
+    try:
+        numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(f"effect {effect}: {known.name} = {value!r} is not a number") from error
+    allowed = np.isfinite(numbers) & (numbers >= known.low) & (numbers <= known.high)
+    if not bool(np.all(allowed)):
+        shown = value if np.ndim(value) else f"{value:g}"
+        raise ConfigurationError(
+            f"effect {effect}: {known.name} = {shown} {known.unit} is out of range; "
+            f"allowed is {known.low:g} to {known.high:g} {known.unit}"
+        )

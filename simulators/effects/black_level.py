@@ -1,0 +1,28 @@
+"""The offset that keeps dark noise above zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from simulators.effects.base import DIGITAL_NUMBER, Effect, Stage, parameter
+from simulators.effects.context import ExposureContext, Signal
+
+
+@dataclass(frozen=True)
+class BlackLevel(Effect):
+    """Adds the black level of the frame's settings, in native DN; its own value where the settings give none."""
+
+    name = "black_level"
+    stage = Stage.READOUT
+    unit_in = DIGITAL_NUMBER
+    unit_out = DIGITAL_NUMBER
+    black_level_dn: float = parameter(0.0, "DN", 0.0, 65535.0, source="datasheet; used where the frame gives none")
+
+    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
+        """Return DN with black level."""
+        level = context.settings.black_level_dn
+        return signal + (self.black_level_dn if level is None else level)
+
+    def slope(self, signal: Signal, context: ExposureContext) -> float:
+        """Return 1."""
+        return 1.0

@@ -1,0 +1,47 @@
+"""A black level that follows the temperature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
+from simulators.effects.catalogue import Offset, temperature_varies, warmer_k
+from simulators.effects.context import ExposureContext
+
+
+@dataclass(frozen=True)
+class BlackLevelDrift(Offset):
+    """Adds an offset in proportion to the temperature: y' = y + c·(T − T₀).
+
+    Source: typical 0.01 to 0.3 DN/K where no optical black is subtracted.
+    """
+
+    name = "black_level_drift"
+    stage = Stage.READOUT
+    unit_in = DIGITAL_NUMBER
+    unit_out = DIGITAL_NUMBER
+    where = "temperature_C"
+    block = "mean"
+    trials = (
+        {"drift_dn_per_K": 0.1, "reference_C": 25.0},
+        {"drift_dn_per_K": -0.1, "reference_C": 25.0},
+        {"drift_dn_per_K": 0.1, "reference_C": 35.0},
+        {"drift_dn_per_K": -0.1, "reference_C": 35.0},
+    )
+    fitted = (
+        "drift_dn_per_K",
+        "reference_C",
+    )
+    settles = "dark frames at the shortest exposure at three temperatures"
+    drift_dn_per_K: float = parameter(0.0, "DN/K", -50.0, 50.0, source="engineering prior; refined on a real rig")  # noqa: N815
+    reference_C: float = parameter(25.0, "°C", -60.0, 120.0, source="temperature at which the stated black level holds")  # noqa: N815
+
+    def offset(self, context: ExposureContext) -> Any:
+        """Return the offset in DN."""
+        return self.drift_dn_per_K * warmer_k(context, self.reference_C)
+
+    @classmethod
+    def usable(cls, context: ExposureContext) -> bool:
+        """Tell whether temperatures are known and differ by more than 2 K."""
+        return temperature_varies(context)

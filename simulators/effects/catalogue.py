@@ -1,0 +1,154 @@
+"""What an effect must tell so that `radiometer reconcile` can look for it: where it shows and how large it may be.
+
+All methods of a catalogue effect take settings and signals that broadcast (scalars for one frame, arrays of
+captures × tiles × points for a fit), so none of them may branch on a value: use `numpy.where`.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self, cast
+
+import numpy as np
+
+from simulators.effects.base import Effect, Moments
+from simulators.effects.context import ExposureContext, Signal
+from simulators.effects.tile_moments import TileMoments
+
+
+@dataclass(frozen=True)
+class CatalogueEffect(Effect):
+    """An effect that reconcile tries.
+
+    Class attributes:
+        where: Covariate along which it shows, by its name in result files.
+        block: Statistic that must improve when the effect is there: mean, slope, variance, spatial, neighbour,
+            first, common, row_temporal, columns, rows, edge, outliers or comb.
+        trials: Sets of parameters from which the search starts, the likeliest first.
+        fitted: Parameters that are fitted; the others keep their trial's value.
+        settles: The capture that separates the effect from its likenesses, as advice to the user.
+    """
+
+    where: ClassVar[str]
+    block: ClassVar[str] = "mean"
+    trials: ClassVar[tuple[Mapping[str, float], ...]]
+    fitted: ClassVar[tuple[str, ...]]
+    settles: ClassVar[str] = ""
+    profiled: ClassVar[str] = ""  # a parameter that is searched on a dense grid, for the fit is not smooth in it
+    proportional: ClassVar[bool] = False  # whether a fixed pattern grows with the light
+
+    @classmethod
+    def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the effects from which a search begins; by default those of `trials`."""
+        return tuple(cls(**trial) for trial in cls.trials)
+
+    @classmethod
+    def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return flexible forms of the effect that cover other equations of it; none by default."""
+        return ()
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit; `name[2]` is the third entry of a table."""
+        return self.fitted
+
+    def moments(self, before: Moments, context: ExposureContext) -> Moments:
+        """Return the moments after the effect by linear propagation; statistics of tiles by `tile`."""
+        after = super().moments(before, context)
+        if not isinstance(before, TileMoments):
+            return after
+        slope = np.asarray(self.slope(before.mean, context))
+        slope2 = np.square(slope)
+        carried = replace(
+            before,
+            mean=after.mean,
+            variance=after.variance,
+            spatial_variance=after.spatial_variance,
+            common_variance=after.common_variance,
+            row_variance=before.row_variance * slope2,
+            fixed_column_variance=before.fixed_column_variance * slope2,
+            fixed_row_variance=before.fixed_row_variance * slope2,
+            neighbour_x=before.neighbour_x * slope2,
+            neighbour_y=before.neighbour_y * slope2,
+            first_excess=before.first_excess * slope,
+        )
+        return self.tile(carried, before, context)
+
+    def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
+        """Return the moments with what the effect does to the other statistics of a tile; nothing by default."""
+        return after
+
+    @classmethod
+    def usable(cls, context: ExposureContext) -> bool:
+        """Tell whether the data hold what the effect needs at all (a temperature, an f-number …)."""
+        return True
+
+
+class Scaling(CatalogueEffect):
+    """An effect that multiplies the signal by a factor that does not depend on it."""
+
+    @abstractmethod
+    def factor(self, context: ExposureContext) -> Signal | float:
+        """Return the factor."""
+
+    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
+        """Return the signal times the factor."""
+        return cast(Signal, (signal * self.factor(context)).astype(signal.dtype))
+
+    def slope(self, signal: Signal, context: ExposureContext) -> Signal | float:
+        """Return the factor."""
+        return self.factor(context)
+
+
+class Offset(CatalogueEffect):
+    """An effect that adds something that does not depend on the signal."""
+
+    @abstractmethod
+    def offset(self, context: ExposureContext) -> Signal | float:
+        """Return what is added, in `unit_out`."""
+
+    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
+        """Return the signal plus the offset."""
+        return cast(Signal, (signal + self.offset(context)).astype(signal.dtype))
+
+    def slope(self, signal: Signal, context: ExposureContext) -> float:
+        """Return 1."""
+        return 1.0
+
+
+def warmer_k(context: ExposureContext, reference_c: float) -> Any:
+    """Return how much warmer the sensor is than a reference, in K; 0 where its temperature is unknown."""
+    temperature: Any = context.settings.temperature_c
+    if temperature is None:
+        return 0.0
+    return np.where(np.isnan(temperature), 0.0, np.asarray(temperature) - reference_c)
+
+
+def elapsed_s(context: ExposureContext) -> Any:
+    """Return the time of the frame in s from the first; 0 where unknown."""
+    stamp: Any = context.settings.timestamp_s
+    return 0.0 if stamp is None else np.asarray(stamp)
+
+
+def temperature_varies(context: ExposureContext) -> bool:
+    """Tell whether temperatures are known and differ by more than 2 K."""
+    known: Any = context.settings.temperature_c
+    if known is None:
+        return False
+    return bool(np.isfinite(known).all() and np.ptp(np.asarray(known)) > 2.0)
+
+
+def f_number_varies(context: ExposureContext) -> bool:
+    """Tell whether the f-number is known and varies."""
+    return context.f_number is not None and bool(np.ptp(np.asarray(context.f_number)) > 0)
+
+
+def gain_of(context: ExposureContext) -> Any:
+    """Return the amplitude factor of the frame's gain."""
+    return 10.0 ** (np.asarray(context.settings.gain_db) / 20.0)
+
+
+def well_e(context: ExposureContext) -> float:
+    """Return the full well that a camera's description states, or a typical one, in electrons."""
+    return context.camera.full_well_e or 10_000.0

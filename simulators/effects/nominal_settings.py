@@ -1,0 +1,52 @@
+"""Rounded stops taken at their printed value."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from radiometer.units import exact_exposure_s, exact_f_number
+from simulators.effects.base import EXPOSURE, Stage
+from simulators.effects.catalogue import Scaling
+from simulators.effects.context import ExposureContext
+
+
+def _each(exact: Callable[[float], float], printed: Any) -> Any:
+    """Return exact over printed value of every entry."""
+    values = np.asarray(printed, dtype=np.float64)
+    return np.array([exact(float(value)) / float(value) for value in values.ravel()]).reshape(values.shape)
+
+
+@dataclass(frozen=True)
+class NominalSettings(Scaling):
+    """Exposes for the exact stop behind a printed one: 1/60 s is 1/64 s, f/5.6 is f/5.657.
+
+    Source: ISO 2720 and camera practice: times and f-numbers run in thirds or halves of a stop.
+    """
+
+    name = "nominal_settings"
+    stage = Stage.SHUTTER
+    unit_in = EXPOSURE
+    unit_out = EXPOSURE
+    where = "exposure_s"
+    block = "mean"
+    trials = ({},)
+    fitted = ()
+    settles = "nothing further: the exact stops are known"
+
+    def factor(self, context: ExposureContext) -> Any:
+        """Return exact over printed exposure, f-number included."""
+        time = _each(exact_exposure_s, context.settings.exposure_s)
+        stop = np.ones(1) if context.f_number is None else _each(exact_f_number, context.f_number)
+        return time / stop**2
+
+    @classmethod
+    def usable(cls, context: ExposureContext) -> bool:
+        """Tell whether the exposures look like printed stops: all within 6 % of one, not all exact."""
+        ratio = np.asarray(_each(exact_exposure_s, context.settings.exposure_s))
+        return bool(
+            np.all(np.abs(ratio - 1.0) < 0.06) and np.any(np.abs(ratio - 1.0) > 1e-3) and np.unique(ratio).size > 2
+        )

@@ -1,0 +1,206 @@
+"""The table of effects: a new effect is one file and one line here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from pydantic import Field
+
+from radiometer.data.validation import ConfigSection, validate
+from radiometer.errors import ConfigurationError
+from simulators.effects.adc_saturation import AdcSaturation
+from simulators.effects.ambient_light_leak import AmbientLightLeak
+from simulators.effects.angle_dependence import AngleDependence
+from simulators.effects.base import Effect
+from simulators.effects.black_level import BlackLevel
+from simulators.effects.black_level_drift import BlackLevelDrift
+from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
+from simulators.effects.black_level_offset import BlackLevelOffset
+from simulators.effects.brighter_fatter import BrighterFatter
+from simulators.effects.column_pattern import ColumnPattern
+from simulators.effects.conversion_gain import ConversionGain
+from simulators.effects.conversion_gain_error import ConversionGainError
+from simulators.effects.crosstalk import Crosstalk
+from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.dark_current_clamped import DarkCurrentClamped
+from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
+from simulators.effects.defocus import Defocus
+from simulators.effects.display_black_leak import DisplayBlackLeak
+from simulators.effects.display_gamma_error import DisplayGammaError
+from simulators.effects.display_nonuniformity import DisplayNonuniformity
+from simulators.effects.dsnu import Dsnu
+from simulators.effects.excess_read_noise import ExcessReadNoise
+from simulators.effects.exposure_label_error import ExposureLabelError
+from simulators.effects.exposure_quantisation import ExposureQuantisation
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.fnumber_tstop_error import FnumberTstopError
+from simulators.effects.full_well_saturation import FullWellSaturation
+from simulators.effects.gain_step_error import GainStepError
+from simulators.effects.gamma_enabled import GammaEnabled
+from simulators.effects.ghost import Ghost
+from simulators.effects.hot_pixels import HotPixels
+from simulators.effects.image_lag import ImageLag
+from simulators.effects.led_thermal_droop import LedThermalDroop
+from simulators.effects.lens import Lens
+from simulators.effects.mains_ripple import MainsRipple
+from simulators.effects.mechanical_vignetting import MechanicalVignetting
+from simulators.effects.missing_codes import MissingCodes
+from simulators.effects.natural_vignetting import NaturalVignetting
+from simulators.effects.nominal_settings import NominalSettings
+from simulators.effects.parasitic_light_sensitivity import ParasiticLightSensitivity
+from simulators.effects.photon_conversion import PhotonConversion
+from simulators.effects.polarisation import Polarisation
+from simulators.effects.prnu import Prnu
+from simulators.effects.psf_blur import PsfBlur
+from simulators.effects.pwm_flicker import PwmFlicker
+from simulators.effects.quantisation import Quantisation
+from simulators.effects.quantum_efficiency import QuantumEfficiency
+from simulators.effects.quantum_efficiency_temperature import QuantumEfficiencyTemperature
+from simulators.effects.read_noise import ReadNoise
+from simulators.effects.reciprocity_failure import ReciprocityFailure
+from simulators.effects.response_nonlinearity import ResponseNonlinearity
+from simulators.effects.rolling_shutter_banding import RollingShutterBanding
+from simulators.effects.row_pattern import RowPattern
+from simulators.effects.row_temporal_noise import RowTemporalNoise
+from simulators.effects.shot_noise import ShotNoise
+from simulators.effects.shutter import Shutter
+from simulators.effects.shutter_dead_time import ShutterDeadTime
+from simulators.effects.soft_saturation import SoftSaturation
+from simulators.effects.source_level import SourceLevel
+from simulators.effects.source_not_proportional_to_exposure import SourceNotProportionalToExposure
+from simulators.effects.source_warmup_drift import SourceWarmupDrift
+from simulators.effects.spectral_mismatch import SpectralMismatch
+from simulators.effects.stray_light_kernel import StrayLightKernel
+from simulators.effects.veiling_glare import VeilingGlare
+
+EFFECTS: Final[dict[str, type[Effect]]] = {
+    "adc_saturation": AdcSaturation,
+    "ambient_light_leak": AmbientLightLeak,
+    "angle_dependence": AngleDependence,
+    "black_level": BlackLevel,
+    "black_level_drift": BlackLevelDrift,
+    "black_level_gain_slope": BlackLevelGainSlope,
+    "black_level_offset": BlackLevelOffset,
+    "brighter_fatter": BrighterFatter,
+    "column_pattern": ColumnPattern,
+    "conversion_gain": ConversionGain,
+    "conversion_gain_error": ConversionGainError,
+    "crosstalk": Crosstalk,
+    "dark_current": DarkCurrent,
+    "dark_current_clamped": DarkCurrentClamped,
+    "dark_current_nonuniformity": DarkCurrentNonuniformity,
+    "defocus": Defocus,
+    "display_black_leak": DisplayBlackLeak,
+    "display_gamma_error": DisplayGammaError,
+    "display_nonuniformity": DisplayNonuniformity,
+    "dsnu": Dsnu,
+    "excess_read_noise": ExcessReadNoise,
+    "exposure_label_error": ExposureLabelError,
+    "exposure_quantisation": ExposureQuantisation,
+    "exposure_time_offset": ExposureTimeOffset,
+    "fnumber_tstop_error": FnumberTstopError,
+    "full_well_saturation": FullWellSaturation,
+    "gain_step_error": GainStepError,
+    "gamma_enabled": GammaEnabled,
+    "ghost": Ghost,
+    "hot_pixels": HotPixels,
+    "image_lag": ImageLag,
+    "led_thermal_droop": LedThermalDroop,
+    "lens": Lens,
+    "mains_ripple": MainsRipple,
+    "mechanical_vignetting": MechanicalVignetting,
+    "missing_codes": MissingCodes,
+    "natural_vignetting": NaturalVignetting,
+    "nominal_settings": NominalSettings,
+    "parasitic_light_sensitivity": ParasiticLightSensitivity,
+    "photon_conversion": PhotonConversion,
+    "polarisation": Polarisation,
+    "prnu": Prnu,
+    "psf_blur": PsfBlur,
+    "pwm_flicker": PwmFlicker,
+    "quantisation": Quantisation,
+    "quantum_efficiency": QuantumEfficiency,
+    "quantum_efficiency_temperature": QuantumEfficiencyTemperature,
+    "read_noise": ReadNoise,
+    "reciprocity_failure": ReciprocityFailure,
+    "response_nonlinearity": ResponseNonlinearity,
+    "rolling_shutter_banding": RollingShutterBanding,
+    "row_pattern": RowPattern,
+    "row_temporal_noise": RowTemporalNoise,
+    "shot_noise": ShotNoise,
+    "shutter": Shutter,
+    "shutter_dead_time": ShutterDeadTime,
+    "soft_saturation": SoftSaturation,
+    "source_level": SourceLevel,
+    "source_not_proportional_to_exposure": SourceNotProportionalToExposure,
+    "source_warmup_drift": SourceWarmupDrift,
+    "spectral_mismatch": SpectralMismatch,
+    "stray_light_kernel": StrayLightKernel,
+    "veiling_glare": VeilingGlare,
+}
+
+
+class _EntryFile(ConfigSection):
+    name: str
+    enabled: bool = True
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    notes: dict[str, Any] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class EffectEntry:
+    """An effect as it stands in a camera model: with a switch, and notes on where it comes from.
+
+    Attributes:
+        effect: The effect with its parameters.
+        enabled: False takes it out of the chain but keeps it in the file.
+        notes: Anything worth keeping with it (covariance, evidence, capture hashes).
+    """
+
+    effect: Effect
+    enabled: bool = True
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return {name, enabled, parameters[, notes]}, plain enough for YAML."""
+        values = {k: list(v) if isinstance(v, tuple) else v for k, v in self.effect.values().items()}
+        mapping: dict[str, Any] = {"name": self.effect.name, "enabled": self.enabled, "parameters": values}
+        return mapping | ({"notes": dict(self.notes)} if self.notes else {})
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> EffectEntry:
+        """Return the entry that a mapping describes.
+
+        Args:
+            mapping: {name, enabled, parameters, notes}; all but the name may be missing.
+            where: File and position, for messages.
+
+        Raises:
+            ConfigurationError: If the effect or a parameter is unknown, or a value is out of its bounds.
+        """
+        entry = validate(_EntryFile, mapping, where, ConfigurationError)
+        return cls(make_effect(entry.name, entry.parameters, where), entry.enabled, entry.notes)
+
+
+def make_effect(name: str, parameters: Mapping[str, Any] | None = None, where: str = "camera model") -> Effect:
+    """Return an effect by its canonical name; parameters not given take their defaults.
+
+    Raises:
+        ConfigurationError: If the effect or a parameter is unknown, or a value is out of its bounds.
+    """
+    kind = EFFECTS.get(name)
+    if kind is None:
+        raise ConfigurationError(f"{where}: there is no effect {name!r}; known are {', '.join(sorted(EFFECTS))}")
+    given = {k: tuple(v) if isinstance(v, list) else v for k, v in (parameters or {}).items()}
+    allowed = [known.name for known in kind.parameters()]
+    for key in given:
+        if key not in allowed:
+            raise ConfigurationError(
+                f"{where}: effect {name!r} has no parameter {key!r}; it has {', '.join(allowed) or 'none'}"
+            )
+    try:
+        return kind(**given)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{where}: {error}") from error

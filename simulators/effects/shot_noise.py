@@ -1,0 +1,39 @@
+"""The grain of light and of dark current."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from simulators.effects.base import ELECTRONS, Effect, Stage
+from simulators.effects.context import ExposureContext, Signal
+
+
+@dataclass(frozen=True)
+class ShotNoise(Effect):
+    """Draws the number of electrons from a Poisson distribution of the expected number; exact, not approximated.
+
+    Source: EMVA Standard 1288, release 4.0, equation (9).
+    """
+
+    name = "shot_noise"
+    stage = Stage.ELECTRONS
+    unit_in = ELECTRONS
+    unit_out = ELECTRONS
+
+    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
+        """Return the expected number unchanged."""
+        return signal
+
+    def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
+        """Return Poisson counts."""
+        return rng.poisson(signal).astype(signal.dtype)
+
+    def variance(self, signal: Signal, context: ExposureContext) -> Signal:
+        """Return the expected number: a Poisson count's variance is its mean."""
+        return signal
+
+    def slope(self, signal: Signal, context: ExposureContext) -> float:
+        """Return 1."""
+        return 1.0

@@ -1,0 +1,61 @@
+"""A full well that is reached softly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from simulators.effects.base import ELECTRONS, Stage, parameter
+from simulators.effects.catalogue import CatalogueEffect, well_e
+from simulators.effects.context import ExposureContext, Signal
+
+
+@dataclass(frozen=True)
+class SoftSaturation(CatalogueEffect):
+    """Compresses above a knee: y = (z − z_k)/w, z' = z_k + w·y/(1 + y^p)^(1/p), w = z_c − z_k, z = S/S_FW.
+
+    Source: anti-blooming drains begin to take charge before the well is full.
+    """
+
+    name = "soft_saturation"
+    stage = Stage.WELL
+    unit_in = ELECTRONS
+    unit_out = ELECTRONS
+    where = "signal"
+    block = "mean"
+    trials = (
+        {"knee": 0.8, "ceiling": 1.0, "hardness": 1.0},
+        {"knee": 0.8, "ceiling": 1.0, "hardness": 2.0},
+        {"knee": 0.7, "ceiling": 1.0, "hardness": 1.0},
+        {"knee": 0.7, "ceiling": 1.0, "hardness": 2.0},
+        {"knee": 0.6, "ceiling": 1.0, "hardness": 1.0},
+        {"knee": 0.6, "ceiling": 1.0, "hardness": 2.0},
+        {"knee": 0.6, "ceiling": 0.8, "hardness": 1.0},
+        {"knee": 0.6, "ceiling": 0.8, "hardness": 2.0},
+        {"knee": 0.85, "ceiling": 1.05, "hardness": 1.0},
+        {"knee": 0.85, "ceiling": 1.05, "hardness": 2.0},
+    )
+    fitted = (
+        "knee",
+        "ceiling",
+    )
+    settles = "a ladder of exposures to 120 % of the full well"
+    knee: float = parameter(0.8, "1", 0.05, 1.5, source="share of the full well at which it begins")
+    ceiling: float = parameter(1.0, "1", 0.1, 3.0, source="share of the full well that is never passed")
+    hardness: float = parameter(2.0, "1", 0.5, 10.0, source="1 is very soft, 10 almost a clip")
+
+    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
+        """Return the electrons that stay."""
+        z = signal / well_e(context)
+        width = max(self.ceiling - self.knee, 1e-3)
+        y = np.maximum(z - self.knee, 0.0) / width
+        soft = self.knee + width * y / (1.0 + y**self.hardness) ** (1.0 / self.hardness)
+        return cast(Signal, (np.where(z > self.knee, soft, z) * well_e(context)).astype(signal.dtype))
+
+    def slope(self, signal: Signal, context: ExposureContext) -> Any:
+        """Return d(mean)/d(signal), 1 below the knee."""
+        width = max(self.ceiling - self.knee, 1e-3)
+        y = np.maximum(signal / well_e(context) - self.knee, 0.0) / width
+        return (1.0 + y**self.hardness) ** (-1.0 / self.hardness - 1.0)

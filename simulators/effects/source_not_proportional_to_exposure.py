@@ -1,0 +1,47 @@
+"""A source that turns on or droops within the exposure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from simulators.effects.base import EXPOSURE, Stage, parameter
+from simulators.effects.catalogue import Scaling
+from simulators.effects.context import ExposureContext
+
+
+@dataclass(frozen=True)
+class SourceNotProportionalToExposure(Scaling):
+    """Weakens light that lasts longer: H' = H·(1 − a·(1 − (τ/t)·(1 − e^(−t/τ)))); a below 0 is a slow turn-on.
+
+    Source: a LED flashed for the exposure; Printalyzer issue 14 saw a log-like decay.
+    """
+
+    name = "source_not_proportional_to_exposure"
+    stage = Stage.SHUTTER
+    unit_in = EXPOSURE
+    unit_out = EXPOSURE
+    where = "exposure_s"
+    block = "mean"
+    trials = (
+        {"droop_rel": 0.02, "tau_s": 0.001},
+        {"droop_rel": 0.02, "tau_s": 0.01},
+        {"droop_rel": 0.02, "tau_s": 0.1},
+        {"droop_rel": -0.02, "tau_s": 0.001},
+        {"droop_rel": -0.02, "tau_s": 0.01},
+        {"droop_rel": -0.02, "tau_s": 0.1},
+    )
+    fitted = (
+        "droop_rel",
+        "tau_s",
+    )
+    settles = "one exposure at several source levels, or a photodiode on the source"
+    droop_rel: float = parameter(0.0, "1", -5.0, 0.95, source="engineering prior; refined on a real rig")
+    tau_s: float = parameter(0.01, "s", 1e-06, 100.0, source="time constant of the droop")
+
+    def factor(self, context: ExposureContext) -> Any:
+        """Return mean light over the exposure against light at its start."""
+        x = np.asarray(context.settings.exposure_s) / self.tau_s
+        return 1.0 - self.droop_rel * (1.0 + np.expm1(-x) / x)

@@ -1,0 +1,46 @@
+"""Light that the lens scatters around each point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+from simulators.effects.base import IRRADIANCE, Stage, parameter
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.context import ExposureContext, Signal
+from simulators.effects.surroundings import surroundings_of
+
+
+@dataclass(frozen=True)
+class StrayLightKernel(CatalogueEffect):
+    """Spreads a share of the light over a wide Gaussian: E' = (1 − v)·E + v·(E ∗ G_σ).
+
+    Source: the wide wing of a point-spread function; σ a tenth of the picture and more.
+    """
+
+    name = "stray_light_kernel"
+    stage = Stage.OPTICS
+    unit_in = IRRADIANCE
+    unit_out = IRRADIANCE
+    where = "image_x"
+    block = "mean"
+    trials = (
+        {"share": 0.01, "radius": 0.05},
+        {"share": 0.01, "radius": 0.08},
+        {"share": 0.01, "radius": 0.12},
+        {"share": 0.01, "radius": 0.2},
+        {"share": 0.01, "radius": 0.3},
+    )
+    fitted = ("share",)
+    settles = "one bright patch with several sizes of surround"
+    share: float = parameter(0.0, "1", -0.05, 0.5, source="engineering prior; refined on a real rig")
+    radius: float = parameter(0.1, "1", 0.01, 1.0, source="sigma as a fraction of the longer side")
+
+    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
+        """Return irradiance with the scattered light."""
+        wide = surroundings_of(context).spread(signal, self.radius)
+        return cast(Signal, (signal * (1.0 - self.share) + self.share * wide).astype(signal.dtype))
+
+    def slope(self, signal: Signal, context: ExposureContext) -> float:
+        """Return 1 − v."""
+        return 1.0 - self.share

@@ -1,0 +1,62 @@
+"""What light from elsewhere in the picture does to a pixel: for images by computing it, for tiles by looking it up."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, cast
+
+import cv2
+import numpy as np
+
+from simulators.effects.context import ExposureContext, Signal
+
+
+class Surroundings(Protocol):
+    """The picture around each entry of a signal."""
+
+    def frame_mean(self, signal: Signal) -> Signal | float:
+        """Return the mean over the whole frame."""
+        ...
+
+    def spread(self, signal: Signal, radius_fraction: float) -> Signal:
+        """Return the signal spread by a Gaussian whose sigma is a fraction of the frame's longer side."""
+        ...
+
+    def reflected(self, signal: Signal) -> Signal:
+        """Return the signal at the point reflected about the optical axis."""
+        ...
+
+
+class ImageSurroundings:
+    """Computes them from the pixels of an image."""
+
+    def __init__(self, context: ExposureContext) -> None:
+        self._context = context
+
+    def frame_mean(self, signal: Signal) -> float:
+        """Return the mean over the whole frame."""
+        return self._context.frame_mean(signal)
+
+    def spread(self, signal: Signal, radius_fraction: float) -> Signal:
+        """Return the signal spread by a Gaussian; beyond the border the picture goes on as at the border."""
+        sigma = radius_fraction * max(signal.shape)
+        step = max(1, int(sigma / 4.0))  # a wide Gaussian needs no fine picture
+        height, width = signal.shape
+        small = cv2.resize(signal, (max(1, width // step), max(1, height // step)), interpolation=cv2.INTER_AREA)
+        soft = cv2.GaussianBlur(small, (0, 0), sigma * small.shape[1] / width, borderType=cv2.BORDER_REPLICATE)
+        return cast(Signal, cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR))
+
+    def reflected(self, signal: Signal) -> Signal:
+        """Return the signal at the point reflected about the optical axis; 0 where that lies outside."""
+        geometry = self._context.geometry
+        x, y = geometry.centre_px
+        columns = np.rint((2 * x - geometry.x_px[0] - geometry.x_px[0, 0]) / geometry.binning).astype(int)
+        rows = np.rint((2 * y - geometry.y_px[:, 0] - geometry.y_px[0, 0]) / geometry.binning).astype(int)
+        inside = np.outer((rows >= 0) & (rows < signal.shape[0]), (columns >= 0) & (columns < signal.shape[1]))
+        picked = signal[np.clip(rows, 0, signal.shape[0] - 1)][:, np.clip(columns, 0, signal.shape[1] - 1)]
+        return cast(Signal, np.where(inside, picked, 0.0).astype(signal.dtype))
+
+
+def surroundings_of(context: ExposureContext) -> Surroundings:
+    """Return the surroundings that a context knows of (tiles), or those computed from its image."""
+    known: Any = getattr(context, "surroundings", None)
+    return cast(Surroundings, known) if known is not None else ImageSurroundings(context)

@@ -1,0 +1,155 @@
+"""What a bleach does to the receptors of a simulated eye, and how they recover.
+
+Independent of the code that fits adaptation curves.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+# Rushton and Henry 1968 (Vision Res 8:617) for cones, Rushton 1965 (J Physiol 181:645) for rods: exposure in td·s that
+# bleaches 1 − 1/e of the pigment, and time constant of its regeneration in s.
+CONE_EXPOSURE_TD_S: Final = 2.4e6
+CONE_REGENERATION_S: Final = 120.0
+ROD_EXPOSURE_TD_S: Final = 1.6e7
+ROD_REGENERATION_S: Final = 400.0
+# Rate-limited regeneration (Mahroo and Lamb 2004, J Physiol 554:417; Lamb and Pugh 2004): dB/dt = −ν·B/(K + B).
+SEMI_SATURATION: Final = 0.2
+FULL_CONE_AMPLITUDE: Final = 3.0  # log10 units above the plateau just after all cone pigment is bleached
+FULL_BLIND_MIN: Final = 5.0  # rods in saturation after a full bleach (Lamb 1981, figure 1: no rod thresholds before)
+UNSEEN_FRACTION: Final = 1.6e-4  # bleached rod pigment that no longer raises the threshold: full bleach, 25 min
+S3_ONSET_LOG10: Final = 1.0  # S3 takes over where the rods are so far above their final threshold (Lamb 1981)
+
+
+@dataclass(frozen=True, slots=True)
+class Eye:
+    """The threshold of one eye over time after a bleach.
+
+    Attributes:
+        cone_plateau_log10: log10 of the cones' settled threshold in photopic cd·m⁻².
+        cone_amplitude: What the cones start above it, log10 units.
+        cone_tau_min: Time constant of the cones in min.
+        rod_final_log10: log10 of the rods' final threshold in scotopic cd·m⁻².
+        s2_slope_per_min: Slope of S2 in log10 units per min, below 0.
+        s2_zero_min: When the S2 line reaches the final threshold, in min after the bleach.
+        s3_slope_per_min: Slope of S3, between that of S2 and 0.
+        rods_blind_min: How long the rods are saturated after the bleach, in min.
+        pupil_mm: Diameter of the pupil in mm.
+    """
+
+    cone_plateau_log10: float = -2.45
+    cone_amplitude: float = 2.5
+    cone_tau_min: float = 1.6
+    rod_final_log10: float = -3.9
+    s2_slope_per_min: float = -0.24
+    s2_zero_min: float = 23.0
+    s3_slope_per_min: float = -0.06
+    rods_blind_min: float = 4.0
+    pupil_mm: float = 6.0
+
+    def cone_log10(self, time_min: float, wavelength_nm: float) -> float:
+        """Return the cones' threshold for a spot of one wavelength, log10 of scotopic cd·m⁻²."""
+        photopic = self.cone_plateau_log10 + self.cone_amplitude * math.exp(-time_min / self.cone_tau_min)
+        return photopic + math.log10(scotopic_per_photopic(wavelength_nm))
+
+    def rod_log10(self, time_min: float) -> float:
+        """Return the rods' threshold, log10 of scotopic cd·m⁻²: the slowest of S2, S3 and the final threshold."""
+        if time_min < self.rods_blind_min:
+            return math.inf
+        s2 = self.s2_slope_per_min * (time_min - self.s2_zero_min)
+        s3 = S3_ONSET_LOG10 + self.s3_slope_per_min * (time_min - self.rod_rod_break_min)
+        slowest = max(s2, s3) if time_min > self.rod_rod_break_min else s2
+        return self.rod_final_log10 + max(slowest, 0.0)
+
+    def threshold_log10(self, time_min: float, wavelength_nm: float) -> float:
+        """Return the threshold, log10 of scotopic cd·m⁻²: the more sensitive receptors decide."""
+        return min(self.cone_log10(time_min, wavelength_nm), self.rod_log10(time_min))
+
+    @property
+    def rod_rod_break_min(self) -> float:
+        """Return when S3 takes over, in min."""
+        return self.s2_zero_min + S3_ONSET_LOG10 / self.s2_slope_per_min
+
+    def break_min(self, wavelength_nm: float) -> float | None:
+        """Return when the rods become the more sensitive ones; None where they are within half a minute, or never."""
+        times = np.arange(0.5, 60.0, 0.001)
+        rods_lead = np.array([self.rod_log10(t) < self.cone_log10(t, wavelength_nm) for t in times[::50]])
+        if rods_lead[0] or not rods_lead.any():
+            return None
+        near = max(int(np.argmax(rods_lead)) * 50, 50)
+        fine = [t for t in times[near - 50 : near + 1] if self.rod_log10(t) < self.cone_log10(t, wavelength_nm)]
+        return float(fine[0])
+
+
+def eye_after_bleach(eye: Eye, luminance_cd_m2: float, duration_s: float, scotopic_ratio: float = 2.0) -> Eye:
+    """Return an eye as a bleach leaves it.
+
+    Args:
+        eye: The eye; its pupil decides what reaches the retina.
+        luminance_cd_m2: Photopic luminance of the bleach.
+        duration_s: Its duration in s.
+        scotopic_ratio: Scotopic over photopic luminance of its light; about 2 for a white LED.
+    """
+    photopic_td = luminance_cd_m2 * math.pi * (eye.pupil_mm / 2) ** 2
+    cones = bleached(photopic_td, duration_s, CONE_EXPOSURE_TD_S, CONE_REGENERATION_S)
+    rods = bleached(scotopic_ratio * photopic_td, duration_s, ROD_EXPOSURE_TD_S, ROD_REGENERATION_S)
+    zero_min = recovery_min(rods, -eye.s2_slope_per_min)
+    blind_min = FULL_BLIND_MIN * rods
+    return replace(eye, cone_amplitude=FULL_CONE_AMPLITUDE * cones, s2_zero_min=zero_min, rods_blind_min=blind_min)
+
+
+def bleached(illuminance_td: float, duration_s: float, exposure_td_s: float, regeneration_s: float) -> float:
+    """Return the bleached fraction of a pigment after a steady light: dp/dt = (1 − p)/t₀ − I·p/Q (Rushton)."""
+    bleaching = illuminance_td / exposure_td_s
+    rate = bleaching + 1 / regeneration_s
+    return bleaching / rate * (1 - math.exp(-rate * duration_s))
+
+
+def recovery_min(fraction: float, s2_per_min: float) -> float:
+    """Return how long rate-limited regeneration takes from a bleached fraction to one that is not seen, in min.
+
+    ∫dB·(K + B)/(ν·B) = ((B₀ − B) + K·ln(B₀/B))/ν; ν is scaled so that the final decline has the slope asked for.
+    """
+    if fraction <= UNSEEN_FRACTION:
+        return 0.0
+    rate = s2_per_min * math.log(10) * SEMI_SATURATION
+    return (fraction - UNSEEN_FRACTION + SEMI_SATURATION * math.log(fraction / UNSEEN_FRACTION)) / rate
+
+
+def scotopic_per_photopic(wavelength_nm: float) -> float:
+    """Return scotopic over photopic luminance of monochromatic light.
+
+    V and V′ as Gaussians (V: 1.019·exp(−285.4(λ − 0.559)²), V′: 0.992·exp(−321.0(λ − 0.503)²), λ in µm), 683 and
+    1700 lm·W⁻¹.
+    """
+    x = wavelength_nm / 1000.0
+    photopic = 683.0 * 1.019 * math.exp(-285.4 * (x - 0.559) ** 2)
+    scotopic = 1700.0 * 0.992 * math.exp(-321.0 * (x - 0.503) ** 2)
+    return scotopic / photopic
+
+
+def scotopic_lm_per_w(wavelength_nm: float) -> float:
+    """Return the scotopic luminous efficacy of monochromatic light in lm·W⁻¹."""
+    return 1700.0 * 0.992 * math.exp(-321.0 * (wavelength_nm / 1000.0 - 0.503) ** 2)
+
+
+def drawn_eye(rng: np.random.Generator, break_range_min: tuple[float, float] = (6.0, 12.0)) -> Eye:
+    """Return an eye drawn around published figures: S2 −0.24 ± 0.02 log10 per min, break 6 to 12 min at 453 nm.
+
+    Source: Lamb and Pugh 2004; Jackson, Owsley and McGwin 1999 (Vision Res 39:3975).
+    """
+    eye = Eye(
+        cone_plateau_log10=float(rng.normal(-2.3, 0.15)),
+        cone_amplitude=float(rng.normal(2.2, 0.2)),
+        cone_tau_min=float(rng.uniform(1.2, 1.9)),
+        rod_final_log10=float(rng.normal(-4.3, 0.15)),
+        s2_slope_per_min=float(rng.normal(-0.24, 0.02)),
+        s3_slope_per_min=float(rng.uniform(-0.05, -0.03)),
+    )
+    wanted_min = float(rng.uniform(*break_range_min))
+    elevation = eye.cone_log10(wanted_min, 453.0) - eye.rod_final_log10
+    return replace(eye, s2_zero_min=wanted_min - elevation / eye.s2_slope_per_min)

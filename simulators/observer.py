@@ -1,0 +1,108 @@
+"""A simulated subject: sees what its eye can, presses after its reaction time, and errs as people do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from simulators.eye_kinetics import Eye, scotopic_lm_per_w
+from simulators.light_box import LightBoxTwin
+
+HOLD_S: Final = 0.15  # how long the button is held
+
+
+@dataclass(frozen=True, slots=True)
+class Habits:
+    """How a subject answers.
+
+    Attributes:
+        slope: Exponent β of the Weibull psychometric function 1 − exp(−(L/α)^β), L the luminance; 3.5 is usual for
+            detection (Watson and Pelli 1983).
+        lapses: Probability of not answering what was seen.
+        false_alarms: Probability of answering what was not seen.
+        reaction_s: Median reaction time in s.
+        reaction_spread: Standard deviation of its natural logarithm.
+    """
+
+    slope: float = 3.5
+    lapses: float = 0.01
+    false_alarms: float = 0.01
+    reaction_s: float = 0.35
+    reaction_spread: float = 0.2
+
+
+@dataclass(slots=True)
+class Observer:
+    """A subject in the dark since `dark_since_s`.
+
+    Attributes:
+        eye: Its eye, as the bleach left it.
+        habits: How it answers.
+        rng: Source of chance.
+        dark_since_s: When the bleach ended, in s.
+    """
+
+    eye: Eye
+    habits: Habits = field(default_factory=Habits)
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    dark_since_s: float = 0.0
+
+    def seen_probability(self, log10_level: float, time_s: float, wavelength_nm: float) -> float:
+        """Return the probability of an answer to a blink of log10 scotopic cd·m⁻² at a time in s."""
+        threshold = self.eye.threshold_log10((time_s - self.dark_since_s) / 60.0, wavelength_nm)
+        # α is where the function reaches 1 − 1/e; a ratio that would overflow is seen for certain.
+        ratio = 10.0 ** min(self.habits.slope * (log10_level - threshold), 6.0)
+        seen = 1.0 - math.exp(-ratio)
+        return self.habits.false_alarms + (1.0 - self.habits.false_alarms - self.habits.lapses) * seen
+
+    def answer(self, log10_level: float | None, time_s: float, wavelength_nm: float) -> float | None:
+        """Return the reaction time in s to a blink (None: a catch without light), or None for no press."""
+        if log10_level is None:
+            probability = self.habits.false_alarms
+        else:
+            probability = self.seen_probability(log10_level, time_s, wavelength_nm)
+        if self.rng.random() >= probability:
+            return None
+        return float(self.habits.reaction_s * math.exp(self.rng.normal(0.0, self.habits.reaction_spread)))
+
+
+@dataclass(slots=True)
+class ObserverAtBox:
+    """A subject in front of the simulated light box, with its hand on the button.
+
+    Attributes:
+        observer: The subject.
+        twin: The box.
+        channel: The channel that it watches for.
+        answered: How often it has pressed.
+    """
+
+    observer: Observer
+    twin: LightBoxTwin
+    channel: str = "spot"
+    answered: int = 0
+    _was_lit: bool = False
+
+    def sit_down(self) -> None:
+        """Begin to watch the box."""
+        self.twin.watch = self._look
+
+    def _look(self) -> None:
+        """See whether the spot has come on; press if it was noticed."""
+        position = [limits.name for limits in self.twin.settings.channels].index(self.channel)
+        led, lit = self.twin.leds[position], self.twin.duty(self.channel) > 0
+        came_on, self._was_lit = lit and not self._was_lit, lit
+        if not came_on:
+            return
+        time_s = self.twin.time_s
+        emission = led.emission(time_s)
+        wavelength_nm = emission.peak_nm or 555.0
+        luminance = emission.radiance_w_sr_m2 * scotopic_lm_per_w(wavelength_nm)
+        reaction_s = self.observer.answer(math.log10(max(luminance, 1e-12)), time_s, wavelength_nm)
+        if reaction_s is not None:
+            self.answered += 1
+            self.twin.press(time_s + reaction_s)
+            self.twin.press(time_s + reaction_s + HOLD_S, pressed=False)

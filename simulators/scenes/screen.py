@@ -1,0 +1,114 @@
+"""A display that shows patches on a uniform surround."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from radiometer.data import Patch, PatchDescription, SourceDescription
+from radiometer.data.validation import ConfigSection
+from simulators.scenes.base import SceneImage
+from simulators.scenes.layout import per_pattern, refuse_outside, refuse_unknown_pattern
+
+
+class ScreenPatch(ConfigSection):
+    """A patch of the screen: where it appears on the sensor in pixels, and its drive or radiance.
+
+    `drive` (0 to 1) may differ between patterns; `radiance_W_per_sr_m2` states the radiance outright instead.
+    """
+
+    name: str
+    x: int = Field(ge=0)
+    y: int = Field(ge=0)
+    width: int = Field(gt=0)
+    height: int = Field(gt=0)
+    drive: float | dict[str, float] | None = None
+    radiance_W_per_sr_m2: float | None = Field(None, ge=0)  # noqa: N815 (the file's key)
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        if (self.drive is None) == (self.radiance_W_per_sr_m2 is None):
+            raise ValueError(f"patch {self.name!r} needs either drive or radiance_W_per_sr_m2")
+        drives = self.drive.values() if isinstance(self.drive, dict) else [self.drive or 0.0]
+        if any(not 0.0 <= drive <= 1.0 for drive in drives):
+            raise ValueError(f"patch {self.name!r}: a drive lies between 0 and 1")
+        return self
+
+    @property
+    def patch(self) -> Patch:
+        """Return the region."""
+        return Patch(self.x, self.y, self.width, self.height)
+
+
+class ScreenScene(ConfigSection):
+    """A display with L(d) = L_peak·d^γ: patches on a uniform surround.
+
+    `background` is the surround's drive, one number or one per pattern; pattern names come from the patches and
+    the background together.
+    """
+
+    kind: Literal["screen"] = "screen"
+    peak_radiance_W_per_sr_m2: float = Field(0.5, gt=0)  # noqa: N815 (the file's key)
+    gamma: float = Field(2.2, gt=0, le=5)
+    background: float | dict[str, float] = 0.0
+    patches_px: tuple[ScreenPatch, ...] = Field((), alias="patches")
+    wavelength_nm: float = Field(550.0, gt=0)
+
+    @property
+    def source(self) -> SourceDescription:
+        """Return a screen."""
+        return SourceDescription(kind="screen", wavelength_nm=self.wavelength_nm)
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """Return all pattern names that occur, or "default"."""
+        tables = [t for t in (self.background, *(p.drive for p in self.patches_px)) if isinstance(t, dict)]
+        return tuple(dict.fromkeys(name for table in tables for name in table)) or ("default",)
+
+    @model_validator(mode="after")
+    def _patterns_complete(self) -> Self:
+        for name, table in (("background", self.background), *((p.name, p.drive) for p in self.patches_px)):
+            missing = set(self.patterns) - set(table) if isinstance(table, dict) else None
+            if missing:
+                raise ValueError(f"{name}: states no drive for pattern {', '.join(sorted(missing))}")
+        return self
+
+    def render(self, width: int, height: int, pattern: str = "default") -> SceneImage:
+        """Return radiance and drive at every pixel. Raises ConfigurationError where a patch is off the sensor."""
+        refuse_unknown_pattern(pattern, self.patterns)
+        code = np.full((height, width), _drive(self.background, pattern), np.float32)
+        for patch in self.patches_px:
+            refuse_outside(patch.name, patch.patch, width, height)
+            code[patch.patch.slices] = self._drive_of(patch, pattern)
+        radiance = np.float32(self.peak_radiance_W_per_sr_m2) * code ** np.float32(self.gamma)
+        return SceneImage(radiance, code, self.peak_radiance_W_per_sr_m2)
+
+    def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
+        """Return the patches with the radiance of each pattern."""
+        return tuple(self._described(patch) for patch in self.patches_px)
+
+    def _described(self, patch: ScreenPatch) -> PatchDescription:
+        radiance = {
+            pattern: self.peak_radiance_W_per_sr_m2 * self._drive_of(patch, pattern) ** self.gamma
+            for pattern in self.patterns
+        }
+        return PatchDescription(
+            name=patch.name,
+            x=patch.x,
+            y=patch.y,
+            width=patch.width,
+            height=patch.height,
+            radiance_W_per_sr_m2=per_pattern(radiance),
+            u_rel=0.0,
+        )
+
+    def _drive_of(self, patch: ScreenPatch, pattern: str) -> float:
+        if patch.radiance_W_per_sr_m2 is not None:
+            return float((patch.radiance_W_per_sr_m2 / self.peak_radiance_W_per_sr_m2) ** (1.0 / self.gamma))
+        return _drive(patch.drive or 0.0, pattern)
+
+
+def _drive(table: float | dict[str, float], pattern: str) -> float:
+    return table[pattern] if isinstance(table, dict) else table

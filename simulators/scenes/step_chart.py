@@ -1,0 +1,115 @@
+"""A chart of patches whose radiances are stated, such as twenty steps over five decades."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from radiometer.data import Patch, PatchDescription, SourceDescription
+from radiometer.data.validation import ConfigSection
+from radiometer.errors import ConfigurationError
+from simulators.scenes.base import SceneImage
+from simulators.scenes.layout import per_pattern, refuse_unknown_pattern
+
+
+class Steps(ConfigSection):
+    """Equal steps of log radiance: how many, from where to where in W·sr⁻¹·m⁻²."""
+
+    count: int = Field(gt=0, le=4096)
+    lowest: float = Field(gt=0)
+    highest: float = Field(gt=0)
+
+
+class StepChartScene(ConfigSection):
+    """Patches in a grid on a surround, from the darkest to the lightest row by row, or scrambled.
+
+    Give `radiances_W_per_sr_m2` or `steps`. `margin` is the share of each cell's side that stays surround;
+    `scramble_seed` shuffles the patches; `inverted: true` adds a pattern in which they stand in reverse order,
+    so that every patch is seen at two radiances.
+    """
+
+    kind: Literal["step_chart"] = "step_chart"
+    radiances_W_per_sr_m2: tuple[float, ...] | None = None  # noqa: N815 (the file's key)
+    steps: Steps | None = None
+    background_W_per_sr_m2: float = Field(0.0, ge=0)  # noqa: N815
+    columns: int | None = Field(None, gt=0)
+    margin: float = Field(0.3, ge=0, lt=1)
+    scramble_seed: int | None = None
+    inverted: bool = False
+    wavelength_nm: float = Field(550.0, gt=0)
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        if (self.radiances_W_per_sr_m2 is None) == (self.steps is None):
+            raise ValueError("give either radiances_W_per_sr_m2 or steps")
+        if self.radiances_W_per_sr_m2 is not None and (
+            not self.radiances_W_per_sr_m2 or min(self.radiances_W_per_sr_m2) < 0
+        ):
+            raise ValueError("radiances_W_per_sr_m2 needs at least one value, each 0 or more")
+        return self
+
+    @property
+    def source(self) -> SourceDescription:
+        """Return a scene of stated radiances."""
+        return SourceDescription(kind="scene", wavelength_nm=self.wavelength_nm)
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """Return "default", with "inverted" where asked for."""
+        return ("default", "inverted") if self.inverted else ("default",)
+
+    def radiances(self, pattern: str = "default") -> NDArray[np.float64]:
+        """Return the radiance of each patch in W·sr⁻¹·m⁻² in the order of `patches`."""
+        if self.steps is not None:
+            values = np.geomspace(self.steps.lowest, self.steps.highest, self.steps.count)
+        else:
+            values = np.array(self.radiances_W_per_sr_m2)
+        if self.scramble_seed is not None:
+            values = np.random.default_rng(self.scramble_seed).permutation(values)
+        return values[::-1] if pattern == "inverted" else values
+
+    def render(self, width: int, height: int, pattern: str = "default") -> SceneImage:
+        """Return the chart. Raises ConfigurationError where the sensor is too small for it."""
+        refuse_unknown_pattern(pattern, self.patterns)
+        radiance = np.full((height, width), self.background_W_per_sr_m2, np.float32)
+        values = self.radiances(pattern)
+        for patch, value in zip(self._layout(width, height), values, strict=True):
+            radiance[patch.slices] = value
+        return SceneImage(radiance, peak_radiance=float(values.max()))
+
+    def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
+        """Return the patches p00, p01, … with the radiance of each pattern."""
+        by_pattern = {pattern: self.radiances(pattern) for pattern in self.patterns}
+        return tuple(
+            PatchDescription(
+                name=f"p{index:02d}",
+                x=patch.x,
+                y=patch.y,
+                width=patch.width,
+                height=patch.height,
+                radiance_W_per_sr_m2=per_pattern({name: float(table[index]) for name, table in by_pattern.items()}),
+                u_rel=0.0,
+            )
+            for index, patch in enumerate(self._layout(width, height))
+        )
+
+    def _layout(self, width: int, height: int) -> tuple[Patch, ...]:
+        count = len(self.radiances())
+        columns = self.columns or max(1, round(math.sqrt(count * width / height)))
+        rows = math.ceil(count / columns)
+        cell_width, cell_height = width // columns, height // rows
+        patch_width = round(cell_width * (1 - self.margin))
+        patch_height = round(cell_height * (1 - self.margin))
+        if min(patch_width, patch_height) < 1:
+            raise ConfigurationError(
+                f"scene: {count} patches in {columns} columns do not fit on a sensor of {width} × {height} px"
+            )
+        left, top = (cell_width - patch_width) // 2, (cell_height - patch_height) // 2
+        return tuple(
+            Patch(i % columns * cell_width + left, i // columns * cell_height + top, patch_width, patch_height)
+            for i in range(count)
+        )

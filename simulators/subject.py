@@ -1,0 +1,83 @@
+"""A subject who presses a button: branches of threshold over time, a psychometric function, lapses, reaction time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class SubjectCurve:
+    """Threshold after a bleach, log10 scotopic cd·m⁻² over minutes in the dark: cones, then rods along S2 and S3.
+
+    Attributes:
+        cone_plateau: Final threshold of the cones.
+        cone_rise: How far above it the cones begin.
+        cone_tau_min: Time constant of the cones in min.
+        break_min: Time of the rod–cone break in min.
+        s2_per_min: Slope of the rods' second component in log10 units per min, below 0.
+        s3_from: Level below the cone plateau at which the third component takes over, log10 units.
+        s3_per_min: Its slope.
+        final: Final threshold.
+    """
+
+    cone_plateau: float = -1.0
+    cone_rise: float = 2.0
+    cone_tau_min: float = 1.6
+    break_min: float = 9.0
+    s2_per_min: float = -0.24
+    s3_from: float = 2.0
+    s3_per_min: float = -0.05
+    final: float = -4.2
+
+    def threshold(self, minutes: float) -> float:
+        """Return the threshold at a time in the dark: the lower of the two branches."""
+        cones = self.cone_plateau + self.cone_rise * math.exp(-minutes / self.cone_tau_min)
+        fallen = -self.s2_per_min * (minutes - self.break_min)
+        if fallen > self.s3_from:
+            fallen = self.s3_from + -self.s3_per_min * (fallen - self.s3_from) / -self.s2_per_min
+        return max(min(cones, self.cone_plateau - fallen), self.final)
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedSubject:
+    """Presses when the spot is seen.
+
+    Attributes:
+        curve: Threshold over time: the level seen in half of the blinks.
+        spread_log10: Standard deviation of the psychometric function, log10 units.
+        lapse: Share of blinks missed whatever their level.
+        false_alarm: Chance of a press in a blink without a spot.
+        reaction_s: Median reaction time in s; single ones scatter by a fifth.
+        seed: Makes the answers; they follow from seed, trial and blink alone.
+        leaves_after_min: Time after which the button is not pressed any more.
+    """
+
+    curve: SubjectCurve = SubjectCurve()
+    spread_log10: float = 0.08
+    lapse: float = 0.02
+    false_alarm: float = 0.01
+    reaction_s: float = 0.35
+    seed: int = 0
+    leaves_after_min: float = math.inf
+
+    def presses(self, log10_level: float | None, minutes: float, trial: int, blink: int) -> list[float]:
+        """Return the presses during a blink in s from its onset.
+
+        Args:
+            log10_level: Level of the spot; None for no spot.
+            minutes: Time in the dark in min.
+            trial: Number of the trial.
+            blink: Number of the blink in it.
+        """
+        rng = np.random.default_rng([self.seed, trial, blink])
+        chance = self.false_alarm
+        if log10_level is not None:
+            above = (log10_level - self.curve.threshold(minutes)) / (self.spread_log10 * math.sqrt(2.0))
+            seen = 0.5 * (1.0 + math.erf(above))
+            chance += (1.0 - self.false_alarm - self.lapse) * seen
+        if minutes > self.leaves_after_min or rng.random() >= chance:
+            return []
+        return [float(self.reaction_s * math.exp(0.2 * rng.standard_normal()))]
