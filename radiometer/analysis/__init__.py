@@ -1,0 +1,1 @@
+"""Frames to response, radiance and uncertainty; import the module of the method that you want."""

@@ -1,0 +1,210 @@
+"""A camera's EMVA 1288 figures from its bright and dark frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from radiometer.analysis.characterise.dark_signal import DarkSignal, by_temperature, dark_signal, doubling_temperature
+from radiometer.analysis.characterise.group_statistics import GroupStatistics
+from radiometer.analysis.characterise.linearity import linearity
+from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, prnu
+from radiometer.analysis.characterise.photon_transfer import SMALLEST_VARIANCE_DN2, PhotonTransfer, photon_transfer
+from radiometer.analysis.characterise.result import Characterisation
+from radiometer.analysis.characterise.saturation import Saturation, find_saturation
+from radiometer.analysis.characterise.sensitivity import propagated, responsivity, sensitivity_figures
+from radiometer.analysis.characterise.steps import Step, make_steps
+from radiometer.analysis.characterise.subject import Subject
+from radiometer.data import Provenance, Quantity
+from radiometer.errors import MeasurementError
+
+_PLAUSIBLE_ETA_PERCENT = (5.0, 100.0)
+
+
+def characterise(subject: Subject) -> Characterisation:
+    """Return the figures of a camera with their standard uncertainties.
+
+    Where frames of several gains are given, the figures hold at the gain nearest to 0 dB that has at least three
+    bright steps, and K is given for every gain. Where several patches are given, the photon transfer takes all of
+    them and the rest the largest one.
+
+    Raises:
+        MeasurementError: If there are no dark frames, too few levels of light, or single frames only.
+        CaptureError: If a frame is unreadable.
+
+    Source: EMVA Standard 1288, release 4.0 (linear).
+    """
+    statistics = subject.statistics()
+    bright = [s for s in statistics if not s.settings.is_dark and s.settings.source_level > 0]
+    dark = [s for s in statistics if s.settings.is_dark]
+    if not dark:
+        raise MeasurementError(
+            f"{subject.origin}: holds no dark frames; capture them with the shutter closed or the lens covered "
+            "(radiometer bracket --darks 2)"
+        )
+    gains = _characterised_gains(bright, dark)
+    return _Work(subject, gains[0], {g.gain_db: g.transfer.K for g in sorted(gains, key=lambda g: g.gain_db)}).result()
+
+
+@dataclass(frozen=True, slots=True)
+class _AtGain:
+    """The steps and the photon transfer of one gain; steps and saturation are those of the main region."""
+
+    gain_db: float
+    steps: tuple[Step, ...]
+    saturation: Saturation
+    transfer: PhotonTransfer
+    bright: tuple[GroupStatistics, ...]
+    dark: tuple[GroupStatistics, ...]
+
+
+def _characterised_gains(bright: Sequence[GroupStatistics], dark: Sequence[GroupStatistics]) -> list[_AtGain]:
+    """Return every gain that can be characterised, the one nearest to 0 dB first."""
+    found, refused = list[_AtGain](), list[MeasurementError]()
+    for gain in sorted({s.settings.gain_db for s in bright}, key=abs):
+        try:
+            found.append(
+                _at_gain(
+                    gain,
+                    [s for s in bright if s.settings.gain_db == gain],
+                    [s for s in dark if s.settings.gain_db == gain],
+                )
+            )
+        except MeasurementError as error:
+            refused.append(error)
+    if not found:
+        raise refused[0] if refused else MeasurementError("there are no bright frames; open the shutter")
+    return found
+
+
+def _at_gain(gain_db: float, bright: list[GroupStatistics], dark: list[GroupStatistics]) -> _AtGain:
+    steps = make_steps(bright, dark)
+    main = max({s.region: s for s in bright}.values(), key=lambda s: (s.pixels, s.mean_dn)).region
+    own = tuple(s for s in steps if s.bright.region == main)
+    saturation = find_saturation(own)
+    return _AtGain(
+        gain_db,
+        own,
+        saturation,
+        photon_transfer(steps, saturation.signal_dn),
+        tuple(s for s in bright if s.region == main),
+        tuple(s for s in dark if s.region == main),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Work:
+    """Makes the result of one gain."""
+
+    subject: Subject
+    at: _AtGain
+    gains: dict[float, Quantity]
+
+    def result(self) -> Characterisation:
+        plateaus = [(group, dark_signal(group)) for group in by_temperature(self.at.dark)]
+        # Bright frames are compared with darkness at their own temperature.
+        own = min(plateaus, key=lambda p: abs((p[1].temperature_c or 0.0) - (self._bright_temperature() or 0.0)))
+        notes = list(self.subject.notes)
+        figures = {"K": self.at.transfer.K, "mu_y_dark": own[1].mean_dn}
+        figures |= self._sensitivity(own[1], notes)
+        figures |= self._dark_current(own[1], [p[1] for p in plateaus], notes)
+        figures |= self._nonuniformity(own[0])
+        line = linearity(self.at.steps, self.at.saturation.signal_dn)
+        if line is not None:
+            figures |= {"LE_min": line.LE_min, "LE_max": line.LE_max}
+        self._warn(notes)
+        return Characterisation(
+            believed=self.subject.camera,
+            gain_db=self.at.gain_db,
+            figures=figures,
+            gains=self.gains,
+            transfer=self.at.transfer,
+            steps=self.at.steps,
+            dark_points=tuple(
+                (d.settings.exposure_s, d.mean_dn, d.variance_dn2, d.settings.temperature_c) for d in self.at.dark
+            ),
+            linearity=line,
+            notes=tuple(notes),
+            provenance=Provenance("EMVA 1288 release 4.0, linear", (self.subject.origin,), tuple(notes)),
+            reference_temperature_c=own[1].temperature_c,
+            limited_by=self.at.saturation.limited_by,
+        )
+
+    def _bright_temperature(self) -> float | None:
+        return self.at.bright[0].settings.temperature_c
+
+    def _sensitivity(self, dark: DarkSignal, notes: list[str]) -> dict[str, Quantity]:
+        figures: dict[str, Quantity] = {}
+        eta = None
+        K = self.at.transfer.K
+        if self.at.bright[0].photons is not None:
+            R = responsivity(self.at.steps, self.at.saturation, self.subject.photons_u_rel)
+            eta = propagated(lambda r, k: 100 * r / k, "%", R, K)
+            figures |= {"R": R, "eta": eta}
+            low, high = _PLAUSIBLE_ETA_PERCENT
+            if not low <= eta.value <= high:
+                notes.append(
+                    f"the quantum efficiency of {eta.value:.3g} % is not plausible: check radiance, f-number, "
+                    "transmittance, wavelength and pixel pitch"
+                )
+        saturation = self.at.saturation
+        if saturation.plateau_dn is not None:
+            # A full pixel holds dark electrons too, so only the black level is taken off.
+            figures["mu_e_plateau"] = propagated(
+                lambda top, black, k: (top - black) / k, "e-", saturation.plateau_dn, dark.mean_dn, K
+            )
+        sat_dn = Quantity(saturation.linear_signal_dn, saturation.u_linear_signal_dn, "DN")
+        found = sensitivity_figures(K, dark.variance_dn2, sat_dn, eta)
+        if dark.quantisation_limited:
+            # All that is known is that the noise lies between 0 and this bound: a rectangular distribution.
+            bound = found["sigma_d"].value
+            found["sigma_d"] = Quantity(bound / 2, bound / math.sqrt(12), "e-")
+            notes.append(
+                f"the dark noise is below {SMALLEST_VARIANCE_DN2} DN², where rounding hides it: sigma_d lies somewhere "
+                f"between 0 and {bound:.3g} e-; raise the gain to measure it"
+            )
+        if not saturation.reached:
+            notes.append(
+                "saturation was not reached: saturation capacity, SNR_max, DR and linearity are left out or hold up to "
+                f"{saturation.signal_dn:.0f} DN only; take longer exposures"
+            )
+            keep = {"sigma_y_dark", "sigma_d", "mu_e_min", "mu_p_min"}
+            found = {name: q for name, q in found.items() if name in keep}
+        return figures | found
+
+    def _dark_current(self, own: DarkSignal, plateaus: list[DarkSignal], notes: list[str]) -> dict[str, Quantity]:
+        K, figures = self.at.transfer.K, dict[str, Quantity]()
+        if own.mean_line is None or own.variance_line is None:
+            notes.append("dark current needs dark frames at three exposures or more")
+            return figures
+        slope = Quantity(own.mean_line.slope, own.mean_line.u_slope, "DN/s")
+        figures["mu_I_mean"] = propagated(lambda s, k: s / k, "e-/s", slope, K)
+        slope = Quantity(own.variance_line.slope, own.variance_line.u_slope, "DN^2/s")
+        figures["mu_I_var"] = propagated(lambda s, k: s / k**2, "e-/s", slope, K)
+        rates = [
+            (p.temperature_c, Quantity(p.mean_line.slope / K.value, p.mean_line.u_slope / K.value, "e-/s"))
+            for p in plateaus
+            if p.mean_line is not None and p.temperature_c is not None
+        ]
+        doubling = doubling_temperature(rates)
+        return figures | ({"T_d": doubling} if doubling else {})
+
+    def _nonuniformity(self, dark: Sequence[GroupStatistics]) -> dict[str, Quantity]:
+        saturation = self.at.saturation.signal_dn
+        chosen = [s for s in self.at.bright if s.clipped_share == 0] or list(self.at.bright)
+        bright = best_stack(chosen, saturation, dark[0].mean_dn)
+        beside = min(dark, key=lambda d: (abs(d.settings.exposure_s - bright.settings.exposure_s) > 1e-6, -d.frames))
+        return {
+            "DSNU_1288": dsnu(beside, self.at.transfer.K),
+            "PRNU_1288": prnu(bright, beside),
+        }
+
+    def _warn(self, notes: list[str]) -> None:
+        if self.at.gain_db != 0:
+            notes.append(f"measured at {self.at.gain_db:g} dB; the conversion gain at 0 dB follows from nominal steps")
+        if self.at.transfer.line.birge_ratio > 1.5:
+            notes.append(
+                f"the photon transfer scatters {self.at.transfer.line.birge_ratio:.1f} times more than noise alone "
+                "(unsteady light or a sensor that is not linear); the uncertainty of K is widened by that"
+            )

@@ -1,0 +1,60 @@
+"""How far the signal is from proportional to light."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from radiometer.analysis.characterise.steps import Step
+from radiometer.data import Quantity
+
+_LOWEST_SHARE, _HIGHEST_SHARE = 0.05, 0.95
+_FEWEST_STEPS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Linearity:
+    """Deviations from the line that fits best in relative terms.
+
+    Attributes:
+        LE_min: Most negative deviation in %.
+        LE_max: Most positive deviation in %.
+        deviations: (light, relative deviation in %, its standard uncertainty in %) of every step in the range.
+
+    The uncertainty of LE_min and LE_max is the largest deviation that noise alone is expected to show among as many
+    steps, √(2·ln n)·u: a camera without any non-linearity shows values of that size.
+    """
+
+    LE_min: Quantity
+    LE_max: Quantity
+    deviations: tuple[tuple[float, float, float], ...]
+
+
+def linearity(steps: Sequence[Step], saturation_dn: float) -> Linearity | None:
+    """Return the linearity error between 5 % and 95 % of saturation; None with fewer than four steps there.
+
+    The line a·x + b minimises the relative deviations, as the standard has it.
+
+    Args:
+        steps: Steps of one region.
+        saturation_dn: Signal at saturation in DN.
+
+    Source: EMVA Standard 1288, release 4.0, section 6.8, equations (21) to (24).
+    """
+    used = [s for s in steps if _LOWEST_SHARE * saturation_dn <= s.signal_dn <= _HIGHEST_SHARE * saturation_dn]
+    if len(used) < _FEWEST_STEPS or len({s.light for s in used}) < 2:
+        return None
+    x, y = np.array([(s.light, s.signal_dn) for s in used]).T
+    slope, offset = np.polyfit(x, y, 1, w=1.0 / y)
+    fitted = slope * x + offset
+    deviations = 100.0 * (y - fitted) / fitted
+    u = 100.0 * np.array([s.u_signal_dn for s in used]) / fitted
+    u_extreme = float(u.max()) * math.sqrt(2.0 * math.log(len(used)))
+    return Linearity(
+        Quantity(float(deviations.min()), u_extreme, "%"),
+        Quantity(float(deviations.max()), u_extreme, "%"),
+        tuple((float(a), float(b), float(c)) for a, b, c in zip(x, deviations, u, strict=True)),
+    )

@@ -1,0 +1,137 @@
+"""The outcome of a characterisation, and the camera file that it becomes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from radiometer.analysis.characterise.linearity import Linearity
+from radiometer.analysis.characterise.photon_transfer import PhotonTransfer
+from radiometer.analysis.characterise.steps import Step
+from radiometer.data import CameraDescription, Provenance, Quantity
+from radiometer.units import gain_factor
+
+FORMAT: Final = "radiometer-camera/1"
+
+
+@dataclass(frozen=True, slots=True)
+class Characterisation:
+    """What frames say about a camera, in EMVA 1288 symbols.
+
+    Attributes:
+        believed: The camera as it was described beforehand.
+        gain_db: Gain that the figures hold at.
+        figures: Quantities by EMVA 1288 symbol.
+        gains: Overall system gain by gain in dB.
+        transfer: Photon transfer at `gain_db`.
+        steps: Bright steps of the main region.
+        dark_points: (exposure in s, mean in DN, variance in DN², temperature in °C) of the dark groups.
+        linearity: Linearity; None where too few steps lie in its range.
+        notes: What a user must know.
+        provenance: What it was made from.
+    """
+
+    believed: CameraDescription
+    gain_db: float
+    figures: Mapping[str, Quantity]
+    gains: Mapping[float, Quantity]
+    transfer: PhotonTransfer
+    steps: tuple[Step, ...]
+    dark_points: tuple[tuple[float, float, float, float | None], ...]
+    linearity: Linearity | None
+    notes: tuple[str, ...]
+    provenance: Provenance
+    reference_temperature_c: float | None = None
+    limited_by: str = "converter"
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    def description(self) -> CameraDescription:
+        """Return the camera's description with what was measured put in place of what was believed."""
+        figures, update = self.figures, dict[str, Any]()
+        update["conversion_gain_e_per_dn"] = gain_factor(self.gain_db) / figures["K"].value
+        update["read_noise_e"] = figures["sigma_d"].value
+        update["black_level_dn"] = figures["mu_y_dark"].value
+        # Where all pixels are full or at full scale is where samples end; the standard's saturation lies below it.
+        full = figures.get("mu_e_plateau", figures.get("mu_e_sat"))
+        if full is not None:
+            update["full_well_e"] = full.value
+        if "eta" in figures and 0 < figures["eta"].value <= 100:
+            update["quantum_efficiency"] = figures["eta"].value / 100
+        if "mu_I_mean" in figures:
+            update["dark_current_e_per_s"] = max(figures["mu_I_mean"].value, 0.0)
+            update["dark_current_reference_C"] = self.reference_temperature_c
+        if "T_d" in figures:
+            update["dark_current_doubling_K"] = figures["T_d"].value
+        return self.believed.model_copy(update=update)
+
+    def to_mapping(self, limits: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return the camera file (`configs/cameras/` form) with the EMVA 1288 figures beside it.
+
+        Args:
+            limits: Limits of the camera, where one was at hand.
+        """
+        camera = self.description().model_dump(mode="json", exclude_none=True)
+        mapping: dict[str, Any] = {"format": FORMAT, "camera": camera}
+        if limits:
+            mapping["limits"] = dict(limits)
+        return mapping | {
+            "sources": self._sources(camera, limits or {}),
+            "emva1288": {
+                "standard": "4.0 (linear)",
+                "gain_db": self.gain_db,
+                "figures": {name: _finite(q) for name, q in self.figures.items()},
+                "K_by_gain": [{"gain_db": g, "K": _finite(q)} for g, q in self.gains.items()],
+                "saturation_limited_by": self.limited_by,
+                "notes": list(self.notes),
+                "steps": [_step(step, self.figures["K"].value) for step in self.steps],
+            },
+            "provenance": self.provenance.to_mapping(),
+        }
+
+    def _sources(self, camera: Mapping[str, Any], limits: Mapping[str, Any]) -> dict[str, str]:
+        measured = {
+            "conversion_gain_e_per_dn": "K",
+            "read_noise_e": "sigma_d",
+            "full_well_e": "mu_e_plateau" if "mu_e_plateau" in self.figures else "mu_e_sat",
+            "dark_current_e_per_s": "mu_I_mean",
+            "dark_current_doubling_K": "T_d",
+            "black_level_dn": "mu_y_dark",
+            "quantum_efficiency": "eta",
+        }
+        sources = dict.fromkeys(camera, "as described before the characterisation")
+        for key, symbol in measured.items():
+            if symbol in self.figures and key in camera:
+                sources[key] = f"measured: {symbol}, relative standard uncertainty {_percent(self.figures[symbol])}"
+        if "mu_I_mean" in self.figures and "dark_current_reference_C" in camera:
+            sources["dark_current_reference_C"] = "mean sensor temperature of the dark frames"
+        return sources | {key: "as the camera states" for key in limits if key not in sources}
+
+
+def _finite(quantity: Quantity) -> dict[str, Any]:
+    return {
+        "value": quantity.value if math.isfinite(quantity.value) else None,
+        "u": quantity.u if math.isfinite(quantity.u) else None,
+        "unit": quantity.unit,
+    }
+
+
+def _step(step: Step, K: float) -> dict[str, float | None]:
+    """Return one bright step: settings, signal, variance and signal-to-noise ratio."""
+    variance = step.bright.variance_dn2
+    return {
+        "exposure_s": step.bright.settings.exposure_s,
+        "source_level": step.bright.settings.source_level,
+        "photons": step.bright.photons,
+        "mu_y_dn": step.bright.mean_dn,
+        "mu_y_dark_dn": step.dark_mean_dn,
+        "sigma2_y_dn2": variance,
+        "sigma2_y_dark_dn2": step.dark_variance_dn2,
+        "signal_e": step.signal_dn / K,
+        "SNR": step.signal_dn / math.sqrt(variance) if variance > 0 else None,
+    }
+
+
+def _percent(quantity: Quantity) -> str:
+    return f"{100 * quantity.u_rel:.2g} %" if math.isfinite(quantity.u_rel) else "unbounded"

@@ -1,0 +1,87 @@
+"""Figures that follow from gain, darkness and saturation: responsivity, efficiency, thresholds, dynamic range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from radiometer.analysis.characterise.line_fit import fit_line
+from radiometer.analysis.characterise.saturation import Saturation
+from radiometer.analysis.characterise.steps import Step
+from radiometer.data import Quantity
+
+
+def responsivity(steps: Sequence[Step], saturation: Saturation, photons_u_rel: float) -> Quantity:
+    """Return R, the slope of signal over photons up to 70 % of saturation, in DN per photon.
+
+    Args:
+        steps: Steps of one region whose light is photons per pixel.
+        saturation: Its saturation point.
+        photons_u_rel: Relative standard uncertainty of the photon numbers.
+
+    Source: EMVA Standard 1288, release 4.0, section 6.6, equation (13).
+    """
+    used = [s for s in steps if 0 < s.signal_dn <= 0.7 * saturation.signal_dn]
+    line = fit_line(
+        [s.light for s in used], [s.signal_dn for s in used], [s.u_signal_dn for s in used], through_origin=True
+    )
+    return Quantity(line.slope, math.hypot(line.u_slope, line.slope * photons_u_rel), "DN/photon")
+
+
+def propagated(function: Callable[..., float], unit: str, *inputs: Quantity) -> Quantity:
+    """Return a function of independent quantities with its standard uncertainty by linear propagation.
+
+    Source: JCGM 100:2008, equation (10), with differences over one standard uncertainty.
+    """
+    values = [q.value for q in inputs]
+    centre = function(*values)
+    total = 0.0
+    for index, entry in enumerate(inputs):
+        above, below = list(values), list(values)
+        above[index], below[index] = entry.value + entry.u, entry.value - entry.u
+        total += ((function(*above) - function(*below)) / 2) ** 2
+    return Quantity(centre, math.sqrt(total), unit)
+
+
+def sensitivity_figures(
+    K: Quantity, dark_variance: Quantity, saturation_dn: Quantity, eta_percent: Quantity | None
+) -> dict[str, Quantity]:
+    """Return σ_y.dark, σ_d, thresholds, saturation capacities, SNR_max and dynamic range.
+
+    Args:
+        K: Overall system gain in DN/e-.
+        dark_variance: σ_y.dark² at exposure 0 in DN².
+        saturation_dn: Signal at saturation in DN.
+        eta_percent: Quantum efficiency in %; None where unknown.
+
+    Source: EMVA Standard 1288, release 4.0, sections 6.6 and 6.7.
+    """
+    figures = {
+        "sigma_y_dark": propagated(math.sqrt, "DN", dark_variance),
+        "sigma_d": propagated(_sigma_d, "e-", dark_variance, K),
+        "mu_e_min": propagated(_threshold_e, "e-", dark_variance, K),
+        "mu_e_sat": propagated(lambda sat, k: sat / k, "e-", saturation_dn, K),
+        "SNR_max": propagated(lambda sat, k: math.sqrt(sat / k), "1", saturation_dn, K),
+        "SNR_max_dB": propagated(lambda sat, k: 10 * math.log10(sat / k), "dB", saturation_dn, K),
+        "DR": propagated(_dynamic_range, "1", saturation_dn, dark_variance, K),
+        "DR_dB": propagated(
+            lambda sat, var, k: 20 * math.log10(_dynamic_range(sat, var, k)), "dB", saturation_dn, dark_variance, K
+        ),
+    }
+    if eta_percent is not None:
+        for name in ("min", "sat"):
+            electrons = figures[f"mu_e_{name}"]
+            figures[f"mu_p_{name}"] = propagated(lambda e, eta: 100 * e / eta, "photon", electrons, eta_percent)
+    return figures
+
+
+def _sigma_d(dark_variance: float, K: float) -> float:
+    return math.sqrt(max(dark_variance - 1 / 12, 0.0)) / K
+
+
+def _threshold_e(dark_variance: float, K: float) -> float:
+    return math.sqrt(max(dark_variance, 0.0)) / K + 0.5
+
+
+def _dynamic_range(saturation_dn: float, dark_variance: float, K: float) -> float:
+    return saturation_dn / K / _threshold_e(dark_variance, K)

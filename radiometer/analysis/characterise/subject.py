@@ -1,0 +1,164 @@
+"""What is to be characterised: frames by setting, what is believed of the camera, and the light that is known."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from radiometer.analysis.characterise.emva_descriptor import DESCRIPTOR_NAME, EmvaDescriptor
+from radiometer.analysis.characterise.frame_groups import FrameGroup, groups_of_capture
+from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
+from radiometer.analysis.characterise.photon_flux import PhotonFlux, photon_flux
+from radiometer.data import CameraDescription, CaptureSet, LensDescription, Patch, PatchDescription
+from radiometer.errors import CaptureError, MeasurementError
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """Frames to characterise a camera by.
+
+    Attributes:
+        origin: Folder or file, for messages and provenance.
+        camera: What is believed of the camera.
+        lens: The lens.
+        groups: Frames of each setting.
+        regions: Where to look; (None,) for the whole frame.
+        fluxes: Photon flux of each region; None where unknown.
+        notes: What the user must know of how they were chosen.
+    """
+
+    origin: str
+    camera: CameraDescription
+    lens: LensDescription
+    groups: tuple[FrameGroup, ...]
+    regions: tuple[Patch | None, ...]
+    fluxes: tuple[PhotonFlux | None, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def photons_u_rel(self) -> float:
+        """Return the relative standard uncertainty of the photon numbers (the largest of the regions)."""
+        return max((flux.u_rel for flux in self.fluxes if flux is not None), default=0.0)
+
+    def statistics(self) -> list[GroupStatistics]:
+        """Return the statistics of every group in every region.
+
+        Raises:
+            MeasurementError: If a setting has one frame only.
+            CaptureError: If a frame is unreadable.
+        """
+        found: list[GroupStatistics] = []
+        for group in self.groups:
+            frames = group.read(self.camera.full_scale_dn)
+            for one in statistics_of_group(
+                frames, group.settings, self.regions, self.camera.full_scale_dn, group.photons
+            ):
+                found.append(self._with_photons(one))
+        return found
+
+    def _with_photons(self, one: GroupStatistics) -> GroupStatistics:
+        flux = self.fluxes[one.region]
+        if one.photons is not None or flux is None:
+            return one
+        return replace(one, photons=flux.photons(one.settings))
+
+
+def read_subject(path: Path, region: Patch | None = None) -> Subject:
+    """Return what a capture set or an EMVA 1288 descriptor file holds.
+
+    Args:
+        path: A capture set, a descriptor file, or a folder with `EMVA1288_Data.txt`.
+        region: Where to look; the patches of the capture set, else the whole frame, where None.
+
+    Raises:
+        InputError: If it is neither, or unfinished or inconsistent.
+    """
+    if path.is_file():
+        return _of_descriptor(path, region)
+    if not (path / "capture.yaml").exists() and (path / DESCRIPTOR_NAME).is_file():
+        return _of_descriptor(path / DESCRIPTOR_NAME, region)
+    return subject_of_capture(CaptureSet.read(path), region)
+
+
+def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subject:
+    """Return the frames of a capture set, in its patches or in one region.
+
+    Light must be proportional to exposure × source level: of several f-numbers or patterns the one with most frames
+    is taken, and a note says so. Without dark frames those with the source off stand in for them.
+
+    Raises:
+        CaptureError: If no frame shows light, or a frame is unreadable.
+    """
+    header = capture.header
+    groups = groups_of_capture(capture)
+    light = [g for g in groups if not g.settings.is_dark]
+    if not light:
+        raise CaptureError(f"{capture.path}: all frames are dark; a characterisation needs bright ones too")
+    (f_number, pattern), notes = _most_frequent(light)
+    kept = [g for g in groups if g.settings.is_dark or (g.settings.f_number, g.settings.pattern) == (f_number, pattern)]
+    kept, more = _with_dark(kept)
+    patches = _chosen_patches(header.patches, region)
+    shape = capture.read_frame(0).shape
+    fluxes = [photon_flux(p, pattern, header.camera, header.lens, header.source, f_number, shape) for p in patches]
+    if not patches:
+        notes.append("the whole frame was used: no patch is named, so unevenness of the scene counts")
+    return Subject(
+        str(capture.path),
+        header.camera,
+        header.lens,
+        tuple(kept),
+        tuple(p.patch for p in patches) or (None,),
+        tuple(fluxes) or (None,),
+        (*notes, *more),
+    )
+
+
+def _most_frequent(light: list[FrameGroup]) -> tuple[tuple[float | None, str], list[str]]:
+    counts = Counter[tuple[float | None, str]]()
+    for group in light:
+        counts[group.settings.f_number, group.settings.pattern] += len(group.files)
+    chosen = counts.most_common(1)[0][0]
+    left_out = sum(counts.values()) - counts[chosen]
+    if not left_out:
+        return chosen, []
+    stop = "unknown" if chosen[0] is None else f"{chosen[0]:g}"
+    return chosen, [f"only frames at f-number {stop} and pattern {chosen[1]!r} were used; {left_out} others were not"]
+
+
+def _with_dark(groups: list[FrameGroup]) -> tuple[list[FrameGroup], list[str]]:
+    """Return the groups; where none is dark, those with the source off count as dark."""
+    if any(g.settings.is_dark for g in groups) or all(g.settings.source_level > 0 for g in groups):
+        return groups, []
+    darkened = [
+        replace(g, settings=replace(g.settings, shutter="closed")) if g.settings.source_level == 0 else g
+        for g in groups
+    ]
+    return darkened, ["frames with the source off were taken for dark ones: light of the room counts as dark signal"]
+
+
+def _chosen_patches(patches: tuple[PatchDescription, ...], region: Patch | None) -> tuple[PatchDescription, ...]:
+    """Return all patches that the capture names, or the one region, with its radiance where it lies in a patch."""
+    if region is None:
+        return patches
+    around = next((p for p in patches if _inside(region, p.patch)), None)
+    placed = {"name": "region", "x": region.x, "y": region.y, "width": region.width, "height": region.height}
+    known = {"radiance_W_per_sr_m2": around.radiance_W_per_sr_m2, "u_rel": around.u_rel} if around else {}
+    return (PatchDescription.model_validate(placed | known),)
+
+
+def _inside(inner: Patch, outer: Patch) -> bool:
+    return (
+        outer.x <= inner.x
+        and outer.y <= inner.y
+        and inner.x + inner.width <= outer.x + outer.width
+        and inner.y + inner.height <= outer.y + outer.height
+    )
+
+
+def _of_descriptor(path: Path, region: Patch | None) -> Subject:
+    descriptor = EmvaDescriptor.read(path)
+    if not 1 <= descriptor.bit_depth <= 16:
+        raise MeasurementError(f"{path}: {descriptor.bit_depth} bits per pixel; 1 to 16 can be read")
+    camera = CameraDescription(bit_depth=descriptor.bit_depth)
+    return Subject(str(path), camera, LensDescription(), descriptor.groups, (region,), (None,))

@@ -1,0 +1,38 @@
+"""The EMVA 1288 symbols of the figures: how they are written and what they mean."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+
+class Symbol(NamedTuple):
+    """One figure: its sign in print and its meaning."""
+
+    sign: str
+    meaning: str
+
+
+SYMBOLS: Final[dict[str, Symbol]] = {
+    "eta": Symbol("η", "quantum efficiency"),
+    "K": Symbol("K", "overall system gain"),
+    "R": Symbol("R", "responsivity"),
+    "sigma_d": Symbol("σ_d", "temporal dark noise, rounding taken out"),
+    "sigma_y_dark": Symbol("σ_y.dark", "temporal dark noise, rounding included"),
+    "mu_y_dark": Symbol("μ_y.dark", "dark signal at exposure zero (black level)"),
+    "mu_I_mean": Symbol("μ_I.mean", "dark current from the mean"),
+    "mu_I_var": Symbol("μ_I.var", "dark current from the variance"),
+    "T_d": Symbol("T_d", "temperature step that doubles the dark current"),
+    "mu_e_min": Symbol("μ_e.min", "absolute sensitivity threshold"),
+    "mu_p_min": Symbol("μ_p.min", "absolute sensitivity threshold"),
+    "mu_e_sat": Symbol("μ_e.sat", "saturation capacity"),
+    "mu_p_sat": Symbol("μ_p.sat", "saturation capacity"),
+    "mu_e_plateau": Symbol("μ_e.plateau", "electrons where every pixel is saturated"),
+    "SNR_max": Symbol("SNR_max", "highest signal-to-noise ratio"),
+    "SNR_max_dB": Symbol("SNR_max", "highest signal-to-noise ratio"),
+    "DR": Symbol("DR", "dynamic range"),
+    "DR_dB": Symbol("DR", "dynamic range"),
+    "LE_min": Symbol("LE_min", "linearity error, most negative"),
+    "LE_max": Symbol("LE_max", "linearity error, most positive"),
+    "DSNU_1288": Symbol("DSNU_1288", "dark signal non-uniformity"),
+    "PRNU_1288": Symbol("PRNU_1288", "photo response non-uniformity"),
+}

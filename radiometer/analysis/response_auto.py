@@ -1,0 +1,251 @@
+"""The best estimate of a response: penalised maximum likelihood under a noise model taken from the stack itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.response_basis import ValueBasis, hat_weight
+from radiometer.analysis.response_curves import finished_curve, rising, supported_range
+from radiometer.analysis.response_debevec1997 import curve_debevec1997
+from radiometer.analysis.response_estimate import ResponseEstimate, compare_thirds
+from radiometer.analysis.response_fit import ResponseFit, fit_response, time_error_modes
+from radiometer.analysis.response_noise import LogNoise, fit_log_noise
+from radiometer.analysis.response_noise_shift import ASSUMPTION, mean_exposure_dn
+from radiometer.analysis.response_samples import ResponseSamples, gather_samples
+from radiometer.analysis.response_threads import on_one_blas_thread
+from radiometer.data.bracket import Bracket
+from radiometer.data.response_curve import ResponseCurve
+
+Array = NDArray[np.float64]
+
+# Hat weight from which a row counts in full: 5 % of the range away from black and from saturation.
+_FULLY_TRUSTED_HAT = 0.1
+# What the spline itself can be off by in ln H.
+_LEAST_U_LOG = 1e-4
+
+METHOD = "auto"
+# Below this the rounding to whole numbers is a large part of the exposure; the cut is made on the value that the
+# other frames predict, because a cut on the noisy value itself would keep the brighter half.
+_LEAST_PREDICTED_DN = 6.0
+
+
+def recover_response_auto(brackets: Bracket | Sequence[Bracket]) -> ResponseEstimate:
+    """Recover g(M) = ln f⁻¹(M) as the penalised maximum-likelihood curve of all unclipped pixels.
+
+    Maximises Σ over groups and frames of the Gaussian likelihood of ln H, with ln E of every group eliminated, minus
+    λ times the bend of g. Its variances are those of shot noise, read noise and rounding, with amplitudes fitted to
+    the stack's own residuals; λ, and errors of the exposure times where these raise the likelihood clearly, come from
+    the restricted likelihood. Starts from Debevec and Malik's curve.
+
+    The bend is the third difference over the basis variable. Frames at whole stops leave a wave in ln H with a
+    period of one stop undetermined, whatever the method: there the curve is as smooth as the data allow. Other
+    ratios (say 1.6) determine it. The stated uncertainty is that of the data under the smoothness so chosen.
+
+    Args:
+        brackets: One bracket or several taken with the same response, 8 to 16 bits; fitted jointly.
+
+    Returns:
+        The curve, relative, with g(M_mid) = 0, and its diagnostics.
+
+    Raises:
+        InputError: If the brackets do not fit together or hold one exposure only.
+        MeasurementError: If everything is clipped or the exposures do not overlap.
+
+    Source: restricted likelihood of smoothing, Wood 2011, J. R. Stat. Soc. B 73, 3–36; noise after EMVA 1288.
+    """
+    return solve_auto(gather_samples(brackets))
+
+
+@on_one_blas_thread
+def solve_auto(samples: ResponseSamples) -> ResponseEstimate:
+    """Recover the response from gathered samples; see `recover_response_auto`."""
+    start = curve_debevec1997(samples).log_exposure
+    result = _fit(samples, start)
+    thirds = []
+    if samples.group_count >= 60:
+        parts = [samples.third(k) for k in range(3)]
+        thirds = [_fit(p, result.log_exposure, result.noise, result.fit.time_spread).curve(p) for p in parts]
+    fit, times = result.fit, samples.frame_log_time
+    ratios, u_ratios = _exposure_ratios(fit, times)
+    return ResponseEstimate(
+        curve=result.curve(samples),
+        method=METHOD,
+        pixel_count=samples.pixel_count,
+        group_count=result.samples.group_count,
+        sample_count=int(result.samples.pixels.sum()),
+        residual_rms_log=result.residual_rms_log,
+        smoothing=fit.smoothing,
+        stability=compare_thirds(thirds) if thirds else None,
+        exposure_ratios=ratios,
+        u_exposure_ratios=u_ratios,
+        gauge=_gauge(fit),
+        notes=_notes(fit, samples),
+        details={
+            "noise": result.noise.to_mapping(),
+            "reduced_chi2": fit.reduced_chi2,
+            "time_spread": fit.time_spread,
+            "log_time_errors": [float(error) for error in _log_time_errors(fit, times)],
+        },
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Result:
+    samples: ResponseSamples
+    fit: ResponseFit
+    noise: LogNoise
+    log_exposure: Array
+    u_log_exposure: Array
+
+    @property
+    def residual_rms_log(self) -> float:
+        normal = self.fit.normal
+        residual = normal.residuals(self.fit.solution)
+        return float(np.sqrt(normal.weight @ residual**2 / normal.weight.sum()))
+
+    def curve(self, samples: ResponseSamples) -> ResponseCurve:
+        times = "exposure times as stated" if not self.fit.time_spread else "exposure times right on average"
+        return finished_curve(
+            self.log_exposure,
+            self.u_log_exposure,
+            supported_range(self.samples),
+            method=METHOD,
+            channel=samples.channel,
+            black_dn=samples.limits.black_dn,
+            parameters={"smoothing": self.fit.smoothing, "time_spread": self.fit.time_spread},
+            assumptions=(ASSUMPTION, times),
+        )
+
+
+def _fit(
+    samples: ResponseSamples, start: Array, noise: LogNoise | None = None, time_spread: float | None = None
+) -> _Result:
+    samples = _above_black(samples, start)
+    limits = samples.limits
+    shifted = mean_exposure_dn(samples.dn, samples.variance, start, limits)
+    dn = np.clip(shifted, limits.black_dn, limits.saturated_dn)
+    found = noise or _noise_of(samples, dn, start)
+    fit = fit_response(samples, dn, _variance(samples, dn, start, found), time_spread=time_spread)
+    if noise is None and fit.time_spread:
+        # Wrong times looked like noise before: take the noise from what is left, and fit once more.
+        g = _values(samples, fit.coefficients)
+        left = fit.normal.residuals(fit.solution)
+        found = fit_log_noise(left, fit.leverage(), _at(g, dn), slope_at(g, dn, samples), samples.pixels)
+        fit = fit_response(samples, dn, _variance(samples, dn, g, found), time_spread=fit.time_spread)
+    basis = ValueBasis(samples.bit_depth, limits)
+    every = np.asarray(basis.all_values().toarray())
+    from_middle = every - every[every.shape[0] // 2]
+    covariance = fit.covariance()[: basis.size, : basis.size]
+    u = np.sqrt(np.maximum(np.einsum("ij,ij->i", from_middle @ covariance, from_middle), 0.0))
+    g = _values(samples, fit.coefficients)
+    # Wrong times leave the exponent of the curve as uncertain as the mean of so many of them.
+    u_exponent = fit.time_spread / float(np.linalg.norm(samples.frame_log_time - samples.frame_log_time.mean()))
+    return _Result(samples, fit, found, g, np.hypot(u, (g - g[g.size // 2]) * u_exponent))
+
+
+def _values(samples: ResponseSamples, coefficients: Array) -> Array:
+    g = np.asarray(ValueBasis(samples.bit_depth, samples.limits).all_values() @ coefficients)
+    return rising(g, np.ones_like(g), supported_range(samples), samples.limits.black_dn)
+
+
+def _noise_of(samples: ResponseSamples, dn: Array, log_exposure: Array) -> LogNoise:
+    """Return the noise behind the residuals of a first curve, every group's ln E at its hat-weighted mean."""
+    weight = (hat_weight(dn, samples.limits) ** 2 + 1e-6) * samples.pixels
+    residual, own = _group_residual(samples, _at(log_exposure, dn), weight)
+    return fit_log_noise(
+        residual, np.clip(own, 0.0, 0.9), _at(log_exposure, dn), slope_at(log_exposure, dn, samples), samples.pixels
+    )
+
+
+def _group_residual(samples: ResponseSamples, log_exposure: Array, weight: Array) -> tuple[Array, Array]:
+    """Return ln H − ln t − ln E of every row, and the row's share in its group's ln E."""
+    starts = np.flatnonzero(np.diff(samples.group, prepend=-1))
+    total = np.add.reduceat(weight, starts)
+    log_radiance = log_exposure - samples.log_time
+    mean = np.add.reduceat(weight * log_radiance, starts) / total
+    return log_radiance - mean[samples.group], weight / total[samples.group]
+
+
+def _above_black(samples: ResponseSamples, log_exposure: Array) -> ResponseSamples:
+    """Return the rows whose predicted value is clear of black, groups with one such row left out."""
+    weight = (hat_weight(samples.dn, samples.limits) ** 2 + 1e-6) * samples.pixels
+    log_h = _at(log_exposure, samples.dn)
+    predicted_log_h = log_h - _group_residual(samples, log_h, weight)[0]
+    predicted_dn = np.interp(predicted_log_h, log_exposure, np.arange(log_exposure.size))
+    keep = predicted_dn > samples.limits.black_dn + _LEAST_PREDICTED_DN
+    return samples.kept(keep)
+
+
+def _variance(samples: ResponseSamples, dn: Array, log_exposure: Array, noise: LogNoise) -> Array:
+    """Return the variance of ln H of every row, with what the model of noise and curve leaves out.
+
+    Close to black and saturation the clipped side of the noise is missing from the means, which no variance
+    describes: rows fade out there. Nowhere is a mean trusted beyond the truth of the spline itself.
+    """
+    expected = noise.variance(_at(log_exposure, dn), slope_at(log_exposure, dn, samples), samples.pixels)
+    fade = np.clip(hat_weight(dn, samples.limits) / _FULLY_TRUSTED_HAT, 1e-3, 1.0) ** 2
+    return np.asarray((expected + _LEAST_U_LOG**2) / fade)
+
+
+def slope_at(log_exposure: Array, dn: Array, samples: ResponseSamples) -> Array:
+    """Return g' in 1/DN at digital numbers, over a step that grows with the distance from black and saturation."""
+    limits = samples.limits
+    step = np.maximum(1.0, 0.03 * np.minimum(dn - limits.black_dn, limits.saturated_dn - dn))
+    rise = _at(log_exposure, dn + step) - _at(log_exposure, dn - step)
+    return np.asarray(np.maximum(rise / (2.0 * step), 1e-9))
+
+
+def _at(log_exposure: Array, dn: Array) -> Array:
+    return np.asarray(np.interp(dn, np.arange(log_exposure.size), log_exposure))
+
+
+def _log_time_errors(fit: ResponseFit, log_time: Array) -> Array:
+    """Return ln of true over stated exposure time of every frame."""
+    return time_error_modes(log_time) @ fit.time_modes if fit.time_spread else np.zeros(log_time.size)
+
+
+def _exposure_ratios(fit: ResponseFit, log_time: Array) -> tuple[Array, Array]:
+    ratios = np.exp(np.diff(log_time + _log_time_errors(fit, log_time)))
+    if not fit.time_spread:
+        return ratios, np.zeros(log_time.size - 1)
+    errors = fit.covariance()[fit.basis_size :, fit.basis_size :]
+    step = np.diff(time_error_modes(log_time), axis=0)
+    return ratios, np.asarray(ratios * np.sqrt(np.maximum(np.einsum("ij,ij->i", step @ errors, step), 0.0)))
+
+
+def _gauge(fit: ResponseFit) -> str:
+    if not fit.time_spread:
+        return "g(M_mid) = 0; exposure ratios as given"
+    return "g(M_mid) = 0; exposure times fitted, right on average (this fixes the exponent)"
+
+
+def _notes(fit: ResponseFit, samples: ResponseSamples) -> tuple[str, ...]:
+    notes = []
+    if fit.time_spread:
+        errors = _log_time_errors(fit, samples.frame_log_time)
+        worst = int(np.argmax(np.abs(errors)))
+        notes.append(
+            f"the exposure times differ from their labels by some {100 * fit.time_spread:.2g} %; most for "
+            f"{np.exp(samples.frame_log_time[worst]):.4g} s, which is "
+            f"{np.exp(samples.frame_log_time[worst] + errors[worst]):.4g} s"
+        )
+    if _at_whole_stops(samples):
+        notes.append(
+            "all exposures are whole stops apart: a wave of one stop's period in ln H cannot be seen in these data and "
+            "is kept as small as the curve's smoothness allows; one frame a third of a stop off would show it"
+        )
+    if fit.reduced_chi2 > 2.0:
+        notes.append(
+            f"the frames disagree by {np.sqrt(fit.reduced_chi2):.1f} times their noise: movement, changing light or "
+            "processing that depends on the picture; the uncertainty holds this as far as it is random"
+        )
+    return tuple(notes)
+
+
+def _at_whole_stops(samples: ResponseSamples) -> bool:
+    stops = np.diff(np.sort(samples.frame_log_time)) / np.log(2.0)
+    return bool(np.all(np.abs(stops - np.round(stops)) < 0.02))

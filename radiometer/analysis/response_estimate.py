@@ -1,0 +1,125 @@
+"""What a response method hands back: the curve and what must be known to trust it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data.response_curve import ResponseCurve
+
+
+@dataclass(frozen=True, slots=True)
+class Stability:
+    """How far curves from disjoint thirds of the pixels lie from one another.
+
+    Attributes:
+        rms_log: Root mean square difference of ln H over 5–95 % of the valid digital numbers.
+        largest_log: Largest difference there.
+        reduced_chi2: Mean squared difference in units of the stated uncertainties; about 1 where these are honest.
+    """
+
+    rms_log: float
+    largest_log: float
+    reduced_chi2: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResponseEstimate:
+    """A recovered response with its diagnostics.
+
+    Attributes:
+        curve: The curve, gauge g(M_mid) = 0.
+        method: Name in the registry.
+        pixel_count: Pixels that were used.
+        group_count: Sets of equally bright pixels that they were gathered into.
+        sample_count: Unclipped values (pixels × frames) behind the curve.
+        residual_rms_log: Root mean square of ln H residuals, weighted as the method weights them.
+        smoothing: The λ (or order) that was chosen; its meaning is the method's own.
+        stability: Agreement of disjoint thirds of the pixels; None where there were too few.
+        exposure_ratios: Exposure of every frame relative to the one before, as recovered.
+        u_exposure_ratios: Standard uncertainty of these ratios; 0 where they were taken as given.
+        gauge: What the data could not fix and how it was fixed.
+        notes: Things a user must know, in plain sentences.
+        details: Further figures of the method.
+    """
+
+    curve: ResponseCurve
+    method: str
+    pixel_count: int
+    group_count: int
+    sample_count: int
+    residual_rms_log: float
+    smoothing: float
+    stability: Stability | None
+    exposure_ratios: NDArray[np.float64]
+    u_exposure_ratios: NDArray[np.float64]
+    gauge: str = "g(M_mid) = 0; exposure ratios as given"
+    notes: tuple[str, ...] = ()
+    details: dict[str, Any] = field(default_factory=dict)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the diagnostics (not the curve's values) as plain values for JSON."""
+        stability = self.stability
+        return {
+            "method": self.method,
+            "channel": self.curve.channel,
+            "bit_depth": self.curve.bit_depth,
+            "valid_dn": list(self.curve.valid_dn) if self.curve.valid_dn else None,
+            "pixels": self.pixel_count,
+            "groups": self.group_count,
+            "samples": self.sample_count,
+            "residual_rms_log": self.residual_rms_log,
+            "smoothing": self.smoothing,
+            "median_u_log_exposure": median_uncertainty(self.curve),
+            "stability": None
+            if stability is None
+            else {
+                "rms_log": stability.rms_log,
+                "largest_log": stability.largest_log,
+                "reduced_chi2": stability.reduced_chi2,
+            },
+            "exposure_ratios": [float(r) for r in self.exposure_ratios],
+            "u_exposure_ratios": [float(u) for u in self.u_exposure_ratios],
+            "gauge": self.gauge,
+            "notes": list(self.notes),
+            "details": self.details,
+        }
+
+
+def inner_range(valid_dn: tuple[int, int]) -> slice:
+    """Return the digital numbers between 5 and 95 % of a valid range."""
+    low, high = valid_dn
+    return slice(int(np.ceil(low + 0.05 * (high - low))), int(np.floor(low + 0.95 * (high - low))) + 1)
+
+
+def median_uncertainty(curve: ResponseCurve) -> float:
+    """Return the median standard uncertainty of ln H over 5–95 % of the valid digital numbers."""
+    valid = curve.valid_dn or (0, curve.log_exposure.size - 1)
+    return float(np.median(curve.u_log_exposure[inner_range(valid)]))
+
+
+def compare_thirds(curves: list[ResponseCurve]) -> Stability | None:
+    """Return how far curves from disjoint pixels differ where all of them are valid.
+
+    Args:
+        curves: Curves from disjoint pixels, at least two.
+    """
+    ranges = [curve.valid_dn for curve in curves if curve.valid_dn]
+    if len(ranges) < 2:
+        return None
+    low, high = max(r[0] for r in ranges), min(r[1] for r in ranges)
+    if high - low < 4:
+        return None
+    inner = inner_range((low, high))
+    values = np.array([c.log_exposure[inner] for c in curves])
+    u = np.array([c.u_log_exposure[inner] for c in curves])
+    pairs = [(a, b) for a in range(len(curves)) for b in range(a + 1, len(curves))]
+    gaps = np.array([values[a] - values[b] for a, b in pairs])
+    # Both curves are pinned to 0 at the gauge point, where difference and uncertainty vanish together.
+    expected = np.array([u[a] ** 2 + u[b] ** 2 for a, b in pairs])
+    free = expected > 1e-6 * float(expected.max(initial=0.0))
+    chi2 = float(np.mean(gaps[free] ** 2 / expected[free])) if np.any(free) else float("nan")
+    return Stability(float(np.sqrt(np.mean(gaps**2))), float(np.abs(gaps).max()), chi2)

@@ -1,0 +1,93 @@
+"""Exposure labels held against brightness: a frame whose time contradicts its picture is named."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data.bracket import Bracket
+from radiometer.errors import CaptureError
+
+# Less than this part of full scale is drift, fog or noise, not a wrong label.
+_TOLERATED_DROP = 0.004
+_COMPARED_PIXELS = 60_000
+_LEAST_COMMON_PIXELS = 50
+
+
+def refuse_lying_labels(bracket: Bracket) -> None:
+    """Refuse a bracket in which a longer exposure gave a darker picture.
+
+    Args:
+        bracket: Frames sorted by their stated exposure.
+
+    Raises:
+        CaptureError: If brightness does not rise with the stated exposure; names the frames whose label is wrong.
+    """
+    rise = _pairwise_rise(bracket)
+    honest = _longest_rise(rise)
+    liars = [index for index in range(len(bracket)) if index not in honest]
+    if not liars:
+        return
+    where = bracket.origin or "bracket"
+    if len(honest) <= max(1, len(bracket) // 3):
+        raise CaptureError(
+            f"{where}: the pictures get darker as the stated exposure grows; the times are wrong throughout "
+            "(a list of 1/t instead of t looks like this)"
+        )
+    named = "; ".join(_accusation(bracket, index, rise, honest) for index in liars[:3])
+    raise CaptureError(
+        f"{where}: brightness does not rise with the stated exposure: {named}; "
+        "correct that exposure time or leave the frame out"
+    )
+
+
+def frame_name(bracket: Bracket, index: int) -> str:
+    """Return what a user knows a frame by: its file, or its place in the bracket."""
+    frame = bracket.frames[index]
+    if "file" in frame.extra:
+        return str(frame.extra["file"])
+    return f"frame {index if frame.frame_id is None else frame.frame_id}"
+
+
+def _pairwise_rise(bracket: Bracket) -> NDArray[np.float64]:
+    """Return the mean rise in DN from frame i to frame j over the pixels that clip in neither, shape (n, n).
+
+    Where two frames have hardly such a pixel in common, the rise of the whole picture stands in.
+    """
+    step = max(1, int(np.sqrt(np.prod(bracket.shape) / _COMPARED_PIXELS)))
+    full_scale = bracket.frames[0].full_scale_dn
+    pixels = np.array([frame.dn[::step, ::step].ravel().astype(np.float32) for frame in bracket])
+    inside = (pixels > 0) & (pixels < full_scale)
+    count = len(bracket)
+    rise = np.zeros((count, count))
+    for i in range(count):
+        for j in range(i + 1, count):
+            both = inside[i] & inside[j]
+            chosen = both if int(both.sum()) >= _LEAST_COMMON_PIXELS else np.ones_like(both)
+            rise[i, j] = float(np.mean(pixels[j][chosen] - pixels[i][chosen]))
+    return np.asarray(rise / full_scale)
+
+
+def _longest_rise(rise: NDArray[np.float64]) -> frozenset[int]:
+    """Return the longest chain of frames along which brightness does not fall by more than the tolerance."""
+    count = len(rise)
+    length, before = [1] * count, [-1] * count
+    for j in range(count):
+        for i in range(j):
+            if rise[i, j] >= -_TOLERATED_DROP and length[i] + 1 > length[j]:
+                length[j], before[j] = length[i] + 1, i
+    at = int(np.argmax(length))
+    chain = []
+    while at >= 0:
+        chain.append(at)
+        at = before[at]
+    return frozenset(chain)
+
+
+def _accusation(bracket: Bracket, index: int, rise: NDArray[np.float64], honest: frozenset[int]) -> str:
+    darker = any(rise[i, index] < -_TOLERATED_DROP for i in honest if i < index)
+    shorter_or_longer = "a shorter" if darker else "a longer"
+    return (
+        f"{frame_name(bracket, index)} says {bracket.frames[index].settings.effective_exposure_s:.4g} s "
+        f"but looks like {shorter_or_longer} exposure"
+    )

@@ -1,0 +1,154 @@
+"""Response recovery after Robertson, Borman and Stevenson 1999: radiance and response in turns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.response_curves import finished_curve, supported_range
+from radiometer.analysis.response_estimate import ResponseEstimate, compare_thirds
+from radiometer.analysis.response_jackknife import jackknife
+from radiometer.analysis.response_samples import ResponseSamples, gather_samples
+from radiometer.analysis.response_threads import on_one_blas_thread
+from radiometer.data.bracket import Bracket
+from radiometer.data.response_curve import ResponseCurve
+
+Array = NDArray[np.float64]
+
+METHOD = "robertson1999"
+# Nodes of I(M): one per digital number at 8 bits, then straight lines in between.
+_NODES = 256
+_ITERATIONS = 250
+_STILL = 2e-6
+
+
+def recover_response_robertson1999(brackets: Bracket | Sequence[Bracket]) -> ResponseEstimate:
+    """Recover I(M), the exposure behind every digital number, from all pixels by Robertson's iteration.
+
+    In turns: x_p = Σ_i w t_i I(M_pi) / Σ_i w t_i² and I(m) = mean of t_i x_p over all samples of value m, I(M_mid) = 1,
+    with the Gaussian weight w(m) = exp(−4 (m − m_mid)²/m_mid²). Changed from the paper: a pixel is the mean of
+    equally bright ones and counts once for each of them; above 8 bits I has 256 nodes with straight lines between; the
+    first guess is the best power law instead of a straight line.
+    There is no smoothing. The uncertainty is a grouped jackknife's.
+
+    Args:
+        brackets: One bracket or several taken with the same response.
+
+    Raises:
+        InputError: If the brackets do not fit together or hold one exposure only.
+        MeasurementError: If everything is clipped or the exposures do not overlap.
+
+    Source: M. Robertson, S. Borman, R. Stevenson, ICIP 1999, section 3, and J. Electron. Imaging 12 (2003) 219.
+    """
+    return solve_robertson1999(gather_samples(brackets))
+
+
+@on_one_blas_thread
+def solve_robertson1999(samples: ResponseSamples) -> ResponseEstimate:
+    """Recover the response from gathered samples; see `recover_response_robertson1999`."""
+    exposure, residual = _iterate(samples, _first_guess(samples))
+
+    def values(part: ResponseSamples) -> Array:
+        return _log_curve(samples, _iterate(part, exposure)[0])
+
+    u = jackknife(samples, values)
+    thirds = [_curve(part, _log_curve(samples, _iterate(part, exposure)[0]), u * 3**0.5) for part in _thirds(samples)]
+    times = samples.frame_log_time
+    return ResponseEstimate(
+        curve=_curve(samples, _log_curve(samples, exposure), u),
+        method=METHOD,
+        pixel_count=samples.pixel_count,
+        group_count=samples.group_count,
+        sample_count=int(samples.pixels.sum()),
+        residual_rms_log=residual,
+        smoothing=0.0,
+        stability=compare_thirds(thirds),
+        exposure_ratios=np.exp(np.diff(times)),
+        u_exposure_ratios=np.zeros(times.size - 1),
+    )
+
+
+def _thirds(samples: ResponseSamples) -> list[ResponseSamples]:
+    return [samples.third(k) for k in range(3)]
+
+
+def _nodes(samples: ResponseSamples) -> Array:
+    return np.linspace(0.0, (1 << samples.bit_depth) - 1.0, min(_NODES, 1 << samples.bit_depth))
+
+
+def _first_guess(samples: ResponseSamples) -> Array:
+    """Return I = M^γ with the γ that makes the frames agree best; the iteration keeps what it cannot see of it."""
+    starts = np.flatnonzero(np.diff(samples.group, prepend=-1))
+    weight = _weight(samples)
+    total = np.add.reduceat(weight, starts)
+    log_dn = np.log(samples.dn - samples.limits.black_dn)
+
+    def away_from_mean(values: Array) -> Array:
+        return np.asarray(values - (np.add.reduceat(weight * values, starts) / total)[samples.group])
+
+    # Within a group γ·ln M − ln t is constant: γ is a regression through the origin.
+    rise, stop = away_from_mean(log_dn), away_from_mean(samples.log_time)
+    gamma = float(np.sum(weight * rise * stop) / np.sum(weight * rise**2))
+    nodes = np.maximum(_nodes(samples) - samples.limits.black_dn, 0.25 * _nodes(samples)[1])
+    return np.asarray((nodes / nodes[nodes.size // 2]) ** gamma)
+
+
+def _weight(samples: ResponseSamples) -> Array:
+    middle = 0.5 * (samples.limits.black_dn + samples.limits.saturated_dn)
+    half = 0.5 * (samples.limits.saturated_dn - samples.limits.black_dn)
+    return np.asarray(np.exp(-4.0 * ((samples.dn - middle) / half) ** 2) * samples.pixels)
+
+
+def _iterate(samples: ResponseSamples, exposure: Array) -> tuple[Array, float]:
+    """Return I at the nodes when it has come to rest, and the weighted rms residual in ln H."""
+    nodes = _nodes(samples)
+    position = samples.dn / nodes[1]
+    floor = np.minimum(position.astype(np.intp), nodes.size - 2)
+    part = position - floor
+    time = np.exp(samples.log_time - samples.log_time.mean())
+    weight = _weight(samples)
+    starts = np.flatnonzero(np.diff(samples.group, prepend=-1))
+    squared_time = np.add.reduceat(weight * time**2, starts)
+    below, above = samples.pixels * (1.0 - part), samples.pixels * part
+    count = np.bincount(floor, below, nodes.size) + np.bincount(floor + 1, above, nodes.size)
+    seen = count > 0
+    current = np.array(exposure)
+    predicted = np.empty_like(time)
+    for _ in range(_ITERATIONS):
+        found = (1.0 - part) * current[floor] + part * current[floor + 1]
+        radiance = np.add.reduceat(weight * time * found, starts) / squared_time
+        predicted = time * radiance[samples.group]
+        # A sample between two nodes moves both by its ratio, in proportion to its nearness.
+        ratio = predicted / np.maximum(found, 1e-12)
+        moved = np.bincount(floor, below * ratio, nodes.size) + np.bincount(floor + 1, above * ratio, nodes.size)
+        step = np.where(seen, moved / np.maximum(count, 1e-12), 1.0)
+        updated = current * step
+        updated = updated / np.interp(0.5 * (nodes[-1] + 1.0), nodes, updated)
+        still = float(np.max(np.abs(np.log(updated[seen] / current[seen])))) < _STILL
+        current = updated
+        if still:
+            break
+    found = (1.0 - part) * current[floor] + part * current[floor + 1]
+    residual = np.log(np.maximum(found, 1e-12) / np.maximum(predicted, 1e-12))
+    residual = residual - np.average(residual, weights=weight)
+    return current, float(np.sqrt(np.average(residual**2, weights=weight)))
+
+
+def _log_curve(samples: ResponseSamples, exposure: Array) -> Array:
+    dn = np.arange(1 << samples.bit_depth, dtype=np.float64)
+    g = np.interp(dn, _nodes(samples), np.log(np.maximum(exposure, 1e-12)))
+    return np.asarray(g - g[dn.size // 2])
+
+
+def _curve(samples: ResponseSamples, g: Array, u: Array) -> ResponseCurve:
+    return finished_curve(
+        g,
+        u,
+        supported_range(samples),
+        method=METHOD,
+        channel=samples.channel,
+        assumptions=("noise equal for all digital numbers of one exposure time",),
+        black_dn=samples.limits.black_dn,
+    )
