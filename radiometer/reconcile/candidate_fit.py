@@ -1,0 +1,182 @@
+"""Fits one further effect, the nuisances following linearly, and judges it by what it predicts of held-out settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from radiometer.reconcile.comparison import FAMILY
+from radiometer.reconcile.design import Array
+from radiometer.reconcile.linear import LinearFit, leave_one_group_out
+from radiometer.reconcile.parameters import EffectParameters
+from radiometer.reconcile.screening import Candidate
+from radiometer.reconcile.state import FitState
+from simulators.effects.catalogue import CatalogueEffect
+
+_ITERATIONS: Final = 14
+_CONVERGED: Final = 0.02
+_PROFILE_POINTS: Final = 61
+_PROFILE_SPANS: Final = (0.002, 0.0002)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedCandidate:
+    """An effect at its best parameters.
+
+    Attributes:
+        effect: The effect.
+        gain: χ² that it explains.
+        evidence: χ² that it explains in the statistic that must show it.
+        parameters: Number of fitted parameters.
+        flexible: Whether it is a flexible form.
+        residual: Whitened residual with the effect, nuisances where they were; prior rows included.
+        columns: −d(residual)/d(scaled parameter of the effect), prior rows included.
+    """
+
+    effect: CatalogueEffect
+    gain: float
+    evidence: float
+    parameters: int
+    flexible: bool
+    residual: Array
+    columns: Array
+
+    @property
+    def name(self) -> str:
+        """Return the effect's name."""
+        return self.effect.name
+
+
+def fit_candidate(state: FitState, candidate: Candidate) -> FittedCandidate:
+    """Return the effect at the least χ², all nuisances and earlier effects following linearly."""
+    effect = candidate.effect
+    if effect.profiled:
+        effect = _profiled(state, effect)
+    best = _Trial.of(state, effect)
+    damping = 1e-3
+    for _ in range(_ITERATIONS if effect.free() else 0):
+        columns = best.columns(state)
+        better = None
+        for _ in range(5):
+            trial = best.stepped(state, columns, damping)
+            if trial is not None and trial.cost < best.cost:
+                better, damping = trial, damping * 0.3
+                break
+            damping = max(damping * 10.0, 1e-3)
+        if better is None:
+            break
+        gained, best = best.cost - better.cost, better
+        if gained < _CONVERGED:
+            break
+    return _judged(state, best, candidate)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    effect: CatalogueEffect
+    residual: Array
+    cost: float
+
+    @classmethod
+    def of(cls, state: FitState, effect: CatalogueEffect) -> _Trial:
+        """Return the trial of an effect: its residual, and its χ² after the nuisances followed."""
+        model = state.model.with_effects((*state.effects, effect))
+        data = state.comparison.residual(model.predict(state.nuisance)) - state.term_columns @ state.weights
+        residual = np.concatenate([data, state.residual[data.size :]])
+        fit = state.fit
+        pulled = fit.half(fit.jacobian.T @ residual)
+        return cls(effect, residual, float(residual @ residual - pulled @ pulled))
+
+    def columns(self, state: FitState) -> Array:
+        """Return −d(residual)/d(scaled parameter), prior rows included."""
+        own = _own_parameters(self.effect)
+        values, found = own.values, []
+        for index in range(own.size):
+            step = 1e-3 if values[index] + 1e-3 * own.scale[index] <= own.high[index] else -1e-3
+            moved = values.copy()
+            moved[index] += step * own.scale[index]
+            other = _Trial.of(state, own.replaced(moved)[0])
+            found.append((self.residual - other.residual) / step)
+        return np.stack(found, axis=1) if found else np.zeros((self.residual.size, 0))
+
+    def stepped(self, state: FitState, columns: Array, damping: float) -> _Trial | None:
+        """Return the trial after one damped Gauss–Newton step; None where the step is no number."""
+        own = _own_parameters(self.effect)
+        fit = state.fit
+        part = fit.half(fit.jacobian.T @ columns)
+        pulled = fit.half(fit.jacobian.T @ self.residual)
+        normal = columns.T @ columns - part.T @ part
+        right = columns.T @ self.residual - part.T @ pulled
+        lifted = normal + np.diag(damping * np.diag(normal) + 1e-9 * max(float(np.trace(normal)), 1e-12))
+        step = np.linalg.solve(lifted, right)
+        if not np.isfinite(step).all():
+            return None
+        (effect,), _ = own.moved(np.clip(step, -30.0, 30.0))
+        return _Trial.of(state, effect)
+
+
+def _own_parameters(effect: CatalogueEffect) -> EffectParameters:
+    return EffectParameters.of((effect,))
+
+
+def _profiled(state: FitState, effect: CatalogueEffect) -> CatalogueEffect:
+    """Search the parameter in which the prediction jumps on ever denser grids about its start."""
+    name = effect.profiled
+    for span in _PROFILE_SPANS:
+        middle = float(getattr(effect, name))
+        grid = middle * np.linspace(1.0 - span, 1.0 + span, _PROFILE_POINTS)
+        trials = [_Trial.of(state, effect.with_parameters(**{name: float(value)})) for value in grid]
+        effect = min(trials, key=lambda trial: trial.cost).effect
+    return effect
+
+
+def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandidate:
+    columns = _off_bounds(best.effect, best.columns(state))
+    fit = LinearFit(best.residual, np.hstack([state.fit.jacobian, columns]))
+    before = family_chi2(state, state.fit.projected)
+    after = family_chi2(state, fit.projected)
+    block = best.effect.block
+    gain = sum(before.values()) - sum(after.values())
+    gain += float(np.sum(state.fit.projected[state.comparison.size :] ** 2))
+    gain -= float(np.sum(fit.projected[state.comparison.size :] ** 2))
+    evidence = before.get(block, 0.0) - after.get(block, 0.0)
+    return FittedCandidate(
+        best.effect, gain, evidence, candidate.parameters, candidate.flexible, best.residual, columns
+    )
+
+
+def _off_bounds(effect: CatalogueEffect, columns: Array) -> Array:
+    """Return the columns of parameters that are free to move; those on a bound are frozen."""
+    own = _own_parameters(effect)
+    span = 1e-6 * own.scale
+    free = (own.values - own.low > span) & (own.high - own.values > span)
+    return columns[:, free]
+
+
+def family_chi2(state: FitState, residual: Array) -> dict[str, float]:
+    """Return χ² by statistic, directions of one statistic together."""
+    found: dict[str, float] = {}
+    for name, cut in state.comparison.cuts.items():
+        family = FAMILY.get(name, name)
+        found[family] = found.get(family, 0.0) + float(np.sum(residual[cut] ** 2))
+    return found
+
+
+def held_out_gain(state: FitState, residual: Array, columns: Array) -> float:
+    """Return by how many nats further columns improve the prediction of held-out settings.
+
+    Args:
+        state: The model without them.
+        residual: Whitened residual with the addition, prior rows included.
+        columns: Its columns.
+    """
+    fit = LinearFit(residual, np.hstack([state.fit.jacobian, columns]))
+    with_it = leave_one_group_out(fit, *state.groups)
+    return float(np.sum(with_it.log_density - state.held_out.log_density))
+
+
+def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
+    """Return the state with the effect in the model, not refitted yet."""
+    return replace(state, model=state.model.with_effects((*state.effects, effect)), frozen=frozenset())

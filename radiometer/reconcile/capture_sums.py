@@ -1,0 +1,251 @@
+"""Running sums over the frames of one capture, and the statistics that follow from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data import Frame
+from radiometer.reconcile.design import Array
+from radiometer.reconcile.profiles import fixed_profile, row_temporal_profile
+from radiometer.reconcile.tile_layout import LINES, PatchSides, TileGroup
+
+COMB_PERIODS: Final = (2, 3, 4, 5)  # a coarser step shows at one of its divisors
+OUTLIER_SIGMAS: Final = 6.0  # one false alarm in 5·10⁸ pixels of Gaussian pattern
+_COMB_VARIANCE_DN2: Final = 15.0  # above it an honest histogram shows no comb of period 5: exp(−2π²·15/25) = 7e-6
+_NEARLY_FULL: Final = 0.98  # counts as clipped: the highest code in use may lie a little below full scale
+_MAD_TO_SIGMA: Final = 1.4826
+_TREND_TERMS: Final = 6
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameSums:
+    """One frame reduced to its tiles.
+
+    Attributes:
+        tile_mean: (tiles,) mean of each tile in DN.
+        deviation: Per group of tiles, pixels minus the mean of their tile's good pixels.
+        low: (tiles,) share of samples at 0 DN.
+        high: (tiles,) share at full scale.
+        side_lines: (sides, lines) means of the lines across each patch's side.
+        histogram: Counts of digital numbers over the tiles whose histogram must be smooth.
+    """
+
+    tile_mean: Array
+    deviation: tuple[Array, ...]
+    low: Array
+    high: Array
+    side_lines: Array
+    histogram: Array
+
+    @classmethod
+    def of(cls, frame: Frame, groups: Sequence[TileGroup], sides: PatchSides, defects: Mask) -> FrameSums:
+        """Return the sums of a frame."""
+        count = sum(len(group.tiles) for group in groups)
+        mean, low, high = np.empty(count), np.empty(count), np.empty(count)
+        deviations, smooth = [], []
+        for group in groups:
+            pixels, good = group.cut(frame.dn), group.cut(~defects)
+            mean[group.index] = np.sum(pixels * good, axis=(1, 2)) / np.sum(good, axis=(1, 2))
+            low[group.index] = np.mean(pixels <= 0, axis=(1, 2))
+            high[group.index] = np.mean(pixels >= _NEARLY_FULL * frame.full_scale_dn, axis=(1, 2))
+            deviation = pixels - mean[group.index, None, None]
+            deviations.append(deviation)
+            typical = _MAD_TO_SIGMA * np.median(np.abs(deviation), axis=(1, 2))  # not the work of one hot pixel
+            wide = (typical**2 > _COMB_VARIANCE_DN2) & (high[group.index] == 0)
+            smooth.append(pixels[wide & (low[group.index] == 0)].ravel())
+        numbers = np.concatenate(smooth).astype(np.intp)
+        return cls(
+            mean,
+            tuple(deviations),
+            low,
+            high,
+            sides.means(frame.dn),
+            np.bincount(numbers, minlength=frame.full_scale_dn + 1).astype(np.float64),
+        )
+
+
+@dataclass(slots=True, eq=False)
+class CaptureSums:
+    """Running sums over the frames of one capture."""
+
+    groups: Sequence[TileGroup]
+    sides: PatchSides
+    defects: Mask
+    frame_means: list[Array]
+    total: list[Array]
+    square: list[Array]
+    pair_x: Array
+    pair_y: Array
+    row_sums: list[list[Array]]
+    low: Array
+    high: Array
+    side_lines: Array
+    histogram: Array | float
+
+    @classmethod
+    def start(cls, groups: Sequence[TileGroup], sides: PatchSides, tiles: int, defects: Mask) -> CaptureSums:
+        """Return sums without any frame."""
+        zeros = [np.zeros((len(g.tiles), g.height, g.width)) for g in groups]
+        return cls(
+            groups,
+            sides,
+            defects,
+            [],
+            zeros,
+            [np.zeros_like(z) for z in zeros],
+            np.zeros(tiles),
+            np.zeros(tiles),
+            [[] for _ in groups],
+            np.zeros(tiles),
+            np.zeros(tiles),
+            np.zeros((sides.tile.size, LINES)),
+            0.0,
+        )
+
+    def add(self, frame: FrameSums) -> None:
+        """Add a frame."""
+        self.frame_means.append(frame.tile_mean)
+        for number, (group, deviation) in enumerate(zip(self.groups, frame.deviation, strict=True)):
+            self.total[number] += deviation
+            self.square[number] += deviation**2
+            self.pair_x[group.index] += np.einsum("kij,kij->k", deviation[:, :, 1:], deviation[:, :, :-1])
+            self.pair_y[group.index] += np.einsum("kij,kij->k", deviation[:, 1:], deviation[:, :-1])
+            self.row_sums[number].append(deviation.sum(axis=2))
+        self.low += frame.low
+        self.high += frame.high
+        self.side_lines += frame.side_lines
+        self.histogram = self.histogram + frame.histogram
+
+    def finish(self, black_dn: float) -> tuple[dict[str, Array | float], Mask]:
+        """Return the statistics of the capture by name, and the map of its outlying pixels.
+
+        Args:
+            black_dn: Stated black level in DN; NaN where unknown.
+        """
+        n, tiles = len(self.frame_means), self.pair_x.size
+        out = {name: np.full(tiles, np.nan) for name in _PER_TILE}
+        outlying = np.zeros(self.defects.shape, dtype=np.bool_)
+        means = np.array(self.frame_means)
+        residuals = []
+        for number, group in enumerate(self.groups):
+            residuals.append(self._finish_group(number, group, means, out, outlying))
+        out["low"], out["high"] = self.low / n, self.high / n
+        out["first"] = means[0] - means[1:].mean(axis=0) if n > 1 else np.full(tiles, np.nan)
+        result: dict[str, Array | float] = dict(out)
+        result["outliers"] = float(outlying.sum())
+        free = (out["low"] == 0) & (out["high"] == 0)  # a clipped tile has hardly any noise and would outweigh all
+        result |= row_temporal_profile(self.groups, self.row_sums, np.where(free, out["variance"], np.nan))
+        result |= fixed_profile(self.groups, residuals, np.where(free, out["spatial"], np.nan))
+        result |= _common_fluctuation(means, out, black_dn)
+        result["side_lines"] = self.side_lines / n
+        result |= _comb(self.histogram)
+        return result, outlying
+
+    def _finish_group(
+        self, number: int, group: TileGroup, means: Array, out: dict[str, Array], outlying: Mask
+    ) -> Array:
+        n = means.shape[0]
+        good = group.cut(~self.defects)
+        picture = self.total[number] / n
+        outside = _outlying(picture, group)
+        for tile, spots in zip(group.tiles, outside, strict=True):
+            outlying[tile.slices] |= spots
+        good = good * ~outside  # known defects and what stands out here
+        pixels = good.sum(axis=(1, 2))
+        shift = (picture * good).sum(axis=(1, 2)) / pixels
+        flat = (picture - shift[:, None, None]) * good
+        coefficients = flat.reshape(len(group.tiles), -1) @ group.trend
+        residual = (flat.reshape(len(group.tiles), -1) - coefficients @ group.trend.T).reshape(flat.shape) * good
+        index = group.index
+        out["mean"][index] = means[:, index].mean(axis=0) + shift
+        out["pixels"][index] = pixels
+        out["spatial_dof"][index] = pixels - _TREND_TERMS
+        out["spatial"][index] = np.sum(residual**2, axis=(1, 2)) / (pixels - _TREND_TERMS)
+        out["slope_x"][index] = coefficients[:, 1] / group.slope_norm[0]
+        out["slope_y"][index] = coefficients[:, 2] / group.slope_norm[1]
+        out["variance_dof"][index] = (n - 1) * (pixels - 1)
+        if n > 1:
+            self._temporal(number, group, good, out, n)
+        return np.asarray(residual)
+
+    def _temporal(self, number: int, group: TileGroup, good: Array, out: dict[str, Array], n: int) -> None:
+        total, index = self.total[number], group.index
+        scatter = (self.square[number] - total**2 / n) * good
+        variance = scatter.sum(axis=(1, 2)) / out["variance_dof"][index]
+        out["variance"][index] = variance
+        safe = np.where(variance > 0, variance, np.nan)
+        for axis, pairs in (("neighbour_x", self.pair_x), ("neighbour_y", self.pair_y)):
+            a, b = (total[:, :, 1:], total[:, :, :-1]) if axis == "neighbour_x" else (total[:, 1:], total[:, :-1])
+            covariance = pairs[index] - np.einsum("kij,kij->k", a, b) / n
+            count = a.shape[1] * a.shape[2]
+            out[axis][index] = covariance / ((n - 1) * count * safe) + 1.0 / out["pixels"][index]
+
+
+_PER_TILE: Final = (
+    "mean",
+    "variance",
+    "variance_dof",
+    "spatial",
+    "spatial_dof",
+    "slope_x",
+    "slope_y",
+    "neighbour_x",
+    "neighbour_y",
+    "first",
+    "pixels",
+    "low",
+    "high",
+)
+
+
+def _outlying(picture: Array, group: TileGroup) -> Mask:
+    """Tell which pixels lie far off the quadratic surface through their tile, by a robust sigma.
+
+    A hot pixel bends the surface: after a first look those that stand out are put at the middle and the surface is
+    laid anew.
+    """
+    flat = picture.reshape(len(group.tiles), -1)
+    middle = np.median(flat, axis=1, keepdims=True)
+    far = _far(flat - middle)
+    for _ in range(2):
+        calm = np.where(far, 0.0, flat - middle)
+        far = _far(flat - middle - (calm @ group.trend) @ group.trend.T)
+    return far.reshape(picture.shape)
+
+
+def _far(residual: Array) -> Mask:
+    centre = np.median(residual, axis=1, keepdims=True)
+    sigma = _MAD_TO_SIGMA * np.median(np.abs(residual - centre), axis=1, keepdims=True)
+    return np.asarray(np.abs(residual - centre) > OUTLIER_SIGMAS * np.where(sigma > 0, sigma, np.inf))
+
+
+def _common_fluctuation(means: Array, out: dict[str, Array], black_dn: float) -> dict[str, float]:
+    """Return the variance of the relative fluctuation that all tiles share, over what pixel noise alone gives."""
+    # The first frame may differ for a reason of its own (lag, dead time) and has a statistic of its own.
+    means = means[1:] if means.shape[0] > 2 else means
+    n = means.shape[0]
+    signal = out["mean"] - (black_dn if np.isfinite(black_dn) else float(np.min(out["mean"])))
+    usable = (out["high"] == 0) & (out["low"] == 0) & (out["variance"] > 0) & (signal > 0)
+    weight = np.where(usable, signal * out["pixels"] / np.where(usable, out["variance"], 1.0), 0.0)
+    information = float(np.sum(weight * signal))
+    if n < 2 or information <= 0:
+        return {"common": np.nan, "common_unit": np.nan}
+    amplitude = (means - means.mean(axis=0)) @ weight / information
+    return {"common": float(np.sum(amplitude**2) / (n - 1) * information), "common_unit": 1.0 / information}
+
+
+def _comb(histogram: Array | float) -> dict[str, Array | float]:
+    counts = np.atleast_1d(np.asarray(histogram, dtype=np.float64))
+    total = float(counts.sum())
+    if total <= 0:
+        return {"comb": np.zeros(len(COMB_PERIODS)), "comb_count": 0.0}
+    numbers = np.arange(counts.size)
+    terms = [float(np.sum(counts * np.cos(2 * np.pi * numbers / period))) / total for period in COMB_PERIODS]
+    return {"comb": np.array(terms), "comb_count": total}

@@ -1,0 +1,354 @@
+"""Puts measured and predicted statistics on one scale: standardised residuals, whitened, in one vector.
+
+Means of one capture share its repeatability (a common relative error) and are whitened together; variances are
+compared as logarithms; the rest stands in units of its own standard uncertainty. The weights never come from the
+prediction under test, so that two models compared on one `Comparison` differ in log-likelihood by Δχ²/2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import digamma, polygamma
+
+from radiometer.reconcile.capture_sums import COMB_PERIODS
+from radiometer.reconcile.design import Array, Design
+from radiometer.reconcile.statistics import CaptureStatistics
+from radiometer.reconcile.tile_layout import tile_groups
+from radiometer.reconcile.tile_model import Prediction
+
+Mask = NDArray[np.bool_]
+
+TILE_BLOCKS: Final = ("mean", "slope_x", "slope_y", "variance", "spatial", "neighbour_x", "neighbour_y", "first")
+CAPTURE_BLOCKS: Final = ("common", "row_temporal", "columns", "rows", "edge", "outliers")
+FAMILY: Final[dict[str, str]] = {
+    "slope_x": "slope",
+    "slope_y": "slope",
+    "neighbour_x": "neighbour",
+    "neighbour_y": "neighbour",
+}
+_CLIP_SIGMAS: Final = 5.0
+_LIGHT_U_REL: Final = 3e-3  # how well the light of one tile is taken to be known where its variance hangs on it
+_FEW: Final = 1e-3  # share of clipped samples that does not count as clipping
+_SMALLEST_SIGMA_DN: Final = 0.4  # below it σ² + 1/12 no longer holds for rounded values
+_LARGEST_COMB_COUNT: Final = 1e5  # beyond it the honest shape of a histogram itself would show
+_FALSE_OUTLIERS: Final = 0.02  # expected in a capture without hot pixels; keeps the square root finite
+
+
+@dataclass(frozen=True, slots=True)
+class Repeatability:
+    """How far the light differs from one capture to the next, and from one frame to the next.
+
+    Attributes:
+        tau: Relative standard deviation from capture to capture.
+        flicker2: (captures,) relative variance from frame to frame that an accepted effect predicts.
+        row_variance: (captures,) row noise that an accepted effect predicts, in DN².
+    """
+
+    tau: float
+    flicker2: Array
+    row_variance: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Measured statistics with their fixed weights.
+
+    Attributes:
+        design: Captures and tiles.
+        seen: What was measured.
+        usable: Which entries of each block count.
+        deviation: Standard uncertainty of each entry (of its logarithm for variances).
+        whitener: (captures, tiles, tiles) inverse Cholesky factor of the means' covariance.
+        cuts: Where each block lies in the vector.
+    """
+
+    design: Design
+    seen: CaptureStatistics
+    usable: Mapping[str, Mask]
+    deviation: Mapping[str, Array]
+    whitener: Array
+    cuts: Mapping[str, slice]
+
+    @property
+    def size(self) -> int:
+        """Return the length of the vector, masked entries included."""
+        return int(max(cut.stop for cut in self.cuts.values()))
+
+    def residual(self, prediction: Prediction) -> Array:
+        """Return measured minus predicted, whitened; 0 where an entry does not count."""
+        pieces = [self._whitened_mean(self.seen.mean - prediction.mean)]
+        pieces += [self._tile_block(name, prediction) for name in TILE_BLOCKS[1:]]
+        pieces += [self._capture_block(name, prediction) for name in CAPTURE_BLOCKS]
+        pieces.append(self._comb(prediction))
+        return np.concatenate([piece.ravel() for piece in pieces])
+
+    def whiten(self, block: str, values: Array) -> Array:
+        """Return raw changes of a block (axes as the block, more may follow) in whitened units."""
+        if block == "mean":
+            return self._whitened_mean(values)
+        mask, sigma = self.usable[block], self.deviation[block]
+        extra = (None,) * (values.ndim - mask.ndim)
+        return np.where(mask[(..., *extra)], values / sigma[(..., *extra)], 0.0)
+
+    def degrees(self, block: str) -> int:
+        """Return how many entries of a block count."""
+        return int(self.usable[block].sum())
+
+    def capture_of_rows(self) -> NDArray[np.intp]:
+        """Return for each entry of the vector the capture that it belongs to."""
+        captures = np.arange(len(self.design.captures))
+        tiles = len(self.design.tiles)
+        per_tile = [np.repeat(captures, tiles)] * len(TILE_BLOCKS)
+        per_capture = [captures] * len(CAPTURE_BLOCKS)
+        return np.concatenate([*per_tile, *per_capture, np.repeat(captures, len(COMB_PERIODS))])
+
+    def counts(self) -> Mask:
+        """Tell for each entry of the vector whether it counts."""
+        return np.concatenate([self.usable[name].ravel() for name in self.cuts])
+
+    def _whitened_mean(self, values: Array) -> Array:
+        mask = self.usable["mean"]
+        extra = (None,) * (values.ndim - 2)
+        return np.asarray(np.einsum("cij,cj...->ci...", self.whitener, np.where(mask[(..., *extra)], values, 0.0)))
+
+    def _tile_block(self, name: str, prediction: Prediction) -> Array:
+        seen, expected = getattr(self.seen, name), getattr(prediction, name)
+        mask, sigma = self.usable[name], self.deviation[name]
+        if name in ("variance", "spatial"):
+            dof = np.where(mask, getattr(self.seen, f"{name}_dof"), 10.0)
+            ratio = np.where(mask, seen, 1.0) / np.where(mask, np.maximum(expected, 1e-12), 1.0)
+            difference = np.log(ratio) - _log_bias(dof)
+        else:
+            difference = np.where(mask, seen, 0.0) - expected
+        return np.where(mask, difference / sigma, 0.0)
+
+    def _capture_block(self, name: str, prediction: Prediction) -> Array:
+        mask, sigma, seen = self.usable[name], self.deviation[name], getattr(self.seen, name)
+        if name == "edge":
+            return np.where(mask, (seen - prediction.edge) / sigma, 0.0)
+        if name == "outliers":
+            expected = _FALSE_OUTLIERS + np.maximum(prediction.outliers, 0.0)
+            return np.where(mask, 2.0 * (np.sqrt(seen + 0.375) - np.sqrt(expected + 0.375)) / sigma, 0.0)
+        ratio = np.where(mask, seen, 1.0) / self._excess(name, prediction)
+        if name == "common":
+            frames = self.design.frame_count
+            freedom = np.maximum(np.where(frames > 2, frames - 2.0, frames - 1.0), 1.0)
+            return np.where(mask, _normal_score(ratio, freedom), 0.0)
+        dof = np.where(mask, getattr(self.seen, f"{name}_dof"), 10.0)
+        return np.where(mask, (np.log(np.maximum(ratio, 1e-12)) - _log_bias(dof)) / sigma, 0.0)
+
+    def _excess(self, name: str, prediction: Prediction) -> Array:
+        """Return what a variance ratio is expected to be: 1 without any common part."""
+        if name == "common":
+            unit = np.where(np.isfinite(self.seen.common_unit), self.seen.common_unit, 1.0)
+            return 1.0 + relative_flicker(prediction) / unit
+        # Row noise averages down over the frames of a capture but stays in their mean.
+        shared = {
+            "row_temporal": prediction.row_variance,
+            "columns": prediction.fixed_column_variance,
+            "rows": prediction.fixed_row_variance + prediction.row_variance / self.design.frame_count,
+        }
+        return np.asarray(1.0 + shared[name] * getattr(self.seen, f"{name}_weight"))
+
+    def _comb(self, prediction: Prediction) -> Array:
+        step = prediction.comb_step
+        expected = np.array([1.0 if step > 1 and round(step) % period == 0 else 0.0 for period in COMB_PERIODS])
+        return np.where(self.usable["comb"], (self.seen.comb - expected) / self.deviation["comb"], 0.0)
+
+
+def relative_flicker(prediction: Prediction) -> Array:
+    """Return the relative variance that all light of a frame shares, (captures,), from the brightest tile."""
+    gain = prediction.gain[:, None]
+    bright = np.maximum(prediction.signal * gain, 1e-12)
+    brightest = np.argmax(bright, axis=1)
+    rows = np.arange(bright.shape[0])
+    return np.asarray(prediction.common_variance[rows, brightest] / bright[rows, brightest] ** 2)
+
+
+def compare(
+    design: Design,
+    seen: CaptureStatistics,
+    base: Prediction,
+    sensitivity: Array,
+    repeatability: Repeatability,
+    variance_response: Array | None = None,
+    floors: Mapping[str, Array] | None = None,
+    usable: Mapping[str, Mask] | None = None,
+) -> Comparison:
+    """Return the measured statistics with weights.
+
+    Args:
+        design: Captures and tiles.
+        seen: What was measured.
+        base: Prediction that tells which entries are free of clipping and how far means respond to light.
+        sensitivity: (captures, tiles) d(mean)/d(log light) in DN, model-predicted.
+        repeatability: Capture-to-capture and frame-to-frame scatter.
+        variance_response: (captures, tiles) d(ln variance)/d(log light); large where a well fills up.
+        floors: Standard uncertainty of the accepted effects' own form, by block.
+        usable: Entries that count; found anew from `base` where missing.
+    """
+    mask = dict(usable or usable_entries(design, seen, base))
+    deviation = _deviations(design, seen, base, mask, sensitivity, repeatability)
+    if variance_response is not None:
+        for name in ("variance", "spatial"):
+            light_u_rel = max(repeatability.tau, _LIGHT_U_REL)
+            deviation[name] = np.hypot(deviation[name], light_u_rel * variance_response)
+    floors = floors or {}
+    for name in deviation:
+        if name in floors:
+            deviation[name] = np.hypot(deviation[name], floors[name])
+    whitener = _mean_whitener(design, deviation["mean"], mask["mean"], sensitivity, repeatability)
+    return Comparison(design, seen, mask, deviation, whitener, _cuts(design))
+
+
+def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) -> dict[str, Mask]:
+    """Return which entries of each block count: not clipped as measured or predicted, and with freedom left."""
+    full_scale = design.header.camera.full_scale_dn
+    inside = np.ones(seen.mean.shape, dtype=np.bool_)
+    noise = np.where(np.isfinite(seen.variance), seen.variance, base.variance) + np.nan_to_num(base.fixed)
+    sigma = _CLIP_SIGMAS * np.sqrt(noise)
+    # What is predicted to clip but was not seen to clip stays in: it is what a lower full well looks like.
+    inside &= (seen.mean - sigma > 0) & (seen.mean + sigma < full_scale) & (seen.high < _FEW) & (seen.low < _FEW)
+    inside &= base.mean - _CLIP_SIGMAS * np.sqrt(base.variance + base.fixed) > 0
+    free = inside & ~_at_the_knee(design, base)
+    many = np.broadcast_to((design.frame_count > 1)[:, None], inside.shape)
+    noisy = free & many & (np.nan_to_num(seen.variance) > 0) & (base.variance > _SMALLEST_SIGMA_DN**2)
+    spread = free & (seen.spatial_dof > 4) & (seen.spatial > 0)
+    any_tile = inside.any(axis=1)
+    whole = many[:, 0]
+    return {
+        "mean": inside,
+        "slope_x": inside,
+        "slope_y": inside,
+        "variance": noisy,
+        "spatial": spread,
+        "neighbour_x": noisy & np.isfinite(seen.neighbour_x),
+        "neighbour_y": noisy & np.isfinite(seen.neighbour_y),
+        "first": inside & many,
+        "common": whole & np.isfinite(seen.common) & (base.signal.max(axis=1) > 0),
+        "row_temporal": whole & (seen.row_temporal_dof > 4) & (np.nan_to_num(seen.row_temporal) > 0),
+        "columns": (seen.columns_dof > 4) & (np.nan_to_num(seen.columns) > 0) & any_tile & design.uniform,
+        "rows": (seen.rows_dof > 4) & (np.nan_to_num(seen.rows) > 0) & any_tile & design.uniform,
+        "edge": np.isfinite(seen.edge_u) & any_tile,
+        "outliers": any_tile & design.uniform,
+        "comb": np.repeat((seen.comb_count > 500)[:, None], len(COMB_PERIODS), axis=1),
+    }
+
+
+def _at_the_knee(design: Design, base: Prediction) -> Mask:
+    """Tell where the declared full well just begins to bite: there the variance hangs on the light level."""
+    well = design.header.camera.full_well_e
+    if well is None:
+        return np.zeros(base.signal.shape, dtype=np.bool_)
+    sigma = np.sqrt(np.maximum(base.signal, 1.0))
+    return np.asarray(np.abs(base.signal - well) < _CLIP_SIGMAS * sigma)
+
+
+def _deviations(
+    design: Design,
+    seen: CaptureStatistics,
+    base: Prediction,
+    usable: Mapping[str, Mask],
+    sensitivity: Array,
+    repeatability: Repeatability,
+) -> dict[str, Array]:
+    n = design.frame_count[:, None]
+    noise = np.where(usable["variance"], seen.variance, base.variance)
+    pixels = np.maximum(seen.pixels, 1.0)
+    # A tile's time mean scatters from pixel to pixel by `spatial`; its slope's error follows from that.
+    lengths = _slope_lengths(design)
+    kurtosis = np.clip(
+        base.gain[:, None] ** 4 * np.maximum(base.signal, 0.0) / np.maximum(base.variance, 1e-12) ** 2, 0, 1
+    )
+    # Flicker moves all tiles together; its diagonal times the number of tiles bounds that from above.
+    flicker = repeatability.flicker2[:, None] * sensitivity**2 * sensitivity.shape[1]
+    # Neighbours that move together average out less: a tile's mean scatters more than its pixels' variance tells.
+    white_x = base.neighbour_x - base.row_variance[:, None] / np.maximum(base.variance, 1e-30)
+    together = np.maximum(1.0 + 2.0 * (white_x + base.neighbour_y), 0.5)
+    per_frame = noise * together / pixels + flicker
+    first_share = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)
+    pairs = pixels * np.maximum(n - 1.0, 1.0)
+    counts = np.minimum(np.maximum(seen.comb_count, 1.0), _LARGEST_COMB_COUNT)[:, None]
+    return {
+        "mean": np.sqrt(noise * together / (pixels * n)),
+        "slope_x": np.sqrt(noise * together / n) / lengths[0],
+        "slope_y": np.sqrt(noise * together / n) / lengths[1],
+        "variance": np.sqrt(_log_variance(seen.variance_dof) + kurtosis / (pixels * n)),
+        "spatial": np.sqrt(_log_variance(seen.spatial_dof)),
+        "neighbour_x": 1.0 / np.sqrt(pairs),
+        "neighbour_y": 1.0 / np.sqrt(pairs),
+        "first": np.sqrt(per_frame * first_share),
+        "common": np.ones(len(design.captures)),
+        "row_temporal": np.sqrt(_log_variance(seen.row_temporal_dof)),
+        "columns": np.sqrt(_log_variance(seen.columns_dof)),
+        "rows": np.sqrt(_log_variance(seen.rows_dof)),
+        "edge": np.where(np.isfinite(seen.edge_u), seen.edge_u, 1.0),
+        "outliers": np.ones(len(design.captures)),
+        "comb": np.repeat(np.sqrt(0.5 / counts), len(COMB_PERIODS), axis=1),
+    }
+
+
+def _mean_whitener(
+    design: Design, deviation: Array, usable: Mask, sensitivity: Array, repeatability: Repeatability
+) -> Array:
+    common2 = repeatability.tau**2 + repeatability.flicker2 / design.frame_count
+    light = np.where(usable, sensitivity, 0.0)
+    covariance = common2[:, None, None] * light[:, :, None] * light[:, None, :]
+    if repeatability.row_variance.any():
+        shared = repeatability.row_variance / design.frame_count
+        both = usable[:, :, None] & usable[:, None, :]
+        covariance = covariance + np.where(both, shared[:, None, None] * _row_overlap(design), 0.0)
+    index = np.arange(usable.shape[1])
+    covariance[:, index, index] += np.where(usable, deviation**2, 1.0)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def _row_overlap(design: Design) -> Array:
+    """Return how much of the row noise two tiles share: 1/height on the diagonal."""
+    top = np.array([tile.y for tile in design.tiles])
+    height = np.array([tile.height for tile in design.tiles])
+    bottom = top + height
+    common = np.minimum(bottom[:, None], bottom) - np.maximum(top[:, None], top)
+    return np.asarray(np.maximum(common, 0) / (height[:, None] * height))
+
+
+def _slope_lengths(design: Design) -> tuple[Array, Array]:
+    x, y = np.empty(len(design.tiles)), np.empty(len(design.tiles))
+    for group in tile_groups(design):
+        x[group.index], y[group.index] = group.slope_norm
+    return x, y
+
+
+def _cuts(design: Design) -> dict[str, slice]:
+    captures, tiles = len(design.captures), len(design.tiles)
+    sizes = dict.fromkeys(TILE_BLOCKS, captures * tiles) | dict.fromkeys(CAPTURE_BLOCKS, captures)
+    sizes["comb"] = captures * len(COMB_PERIODS)
+    cuts, start = {}, 0
+    for name, size in sizes.items():
+        cuts[name] = slice(start, start + size)
+        start += size
+    return cuts
+
+
+def _log_bias(dof: Array) -> Array:
+    """Return E[ln(s²/σ²)] for a variance estimated with so many degrees of freedom."""
+    return np.asarray(digamma(dof / 2.0) - np.log(dof / 2.0))
+
+
+def _log_variance(dof: Array) -> Array:
+    """Return Var[ln s²] for a variance estimated with so many degrees of freedom."""
+    return np.asarray(polygamma(1, np.maximum(dof, 1.0) / 2.0))
+
+
+def _normal_score(ratio: Array, dof: Array) -> Array:
+    """Return the standard normal score of χ²/dof, exact in distribution to 0.01 from one degree of freedom on.
+
+    Source: Wilson & Hilferty (1931), the cube root of a chi-square variable is nearly normal.
+    """
+    spread = 2.0 / (9.0 * dof)
+    return np.asarray((np.cbrt(np.maximum(ratio, 0.0)) - 1.0 + spread) / np.sqrt(spread))

@@ -1,0 +1,283 @@
+"""Orders the frames of a capture set into captures (frames of one setting) and cuts the picture into tiles."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data import CaptureHeader, FrameSettings
+from radiometer.errors import CaptureError
+
+Array = NDArray[np.float64]
+
+GRID_COLUMNS: Final = 6
+GRID_ROWS: Final = 4
+SMALLEST_TILE_PX: Final = 6
+_MARGIN_FRACTION: Final = 0.125  # keeps a tile's interior more than four blur sigmas from the patch's edge
+_TEMPERATURE_STEP_K: Final = 0.75  # a larger change starts a new capture
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """A rectangle of pixels that is treated as one sample of the scene, with what is known of its radiance.
+
+    Attributes:
+        name: Name of the patch, or of the grid cell.
+        x: Left edge of the interior in pixels.
+        y: Top edge of the interior.
+        width: Width of the interior.
+        height: Height of the interior.
+        margin: Pixels between the interior and the patch's edge; 0 for a grid cell.
+        radiance: Known radiance in W·sr⁻¹·m⁻² by pattern; None where unknown.
+        u_rel: Relative standard uncertainty of the known radiance.
+    """
+
+    name: str
+    x: int
+    y: int
+    width: int
+    height: int
+    margin: int
+    radiance: tuple[float | None, ...]
+    u_rel: float | None = None
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Return the (row, column) slices of the interior."""
+        return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
+
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """Frames taken one after the other under one setting.
+
+    Attributes:
+        frames: Their positions in the header, in order.
+        settings: The common setting; time and temperature are means.
+    """
+
+    frames: tuple[int, ...]
+    settings: FrameSettings
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """What was captured: settings per capture and the tiles, without any pixel.
+
+    Attributes:
+        header: What `capture.yaml` says.
+        shape: (height, width) of the frames in pixels.
+        captures: Captures in the order taken.
+        tiles: Tiles of the picture.
+        uniform: Whether the tiles are known patches (uniform by design) rather than cells of an unknown scene.
+    """
+
+    header: CaptureHeader
+    shape: tuple[int, int]
+    captures: tuple[Capture, ...]
+    tiles: tuple[Tile, ...]
+    uniform: bool
+
+    @classmethod
+    def of(cls, header: CaptureHeader, shape: tuple[int, int]) -> Design:
+        """Return the design of a capture set whose frames have the given (height, width).
+
+        Raises:
+            CaptureError: If a patch lies outside the frames or is too small to be judged.
+        """
+        tiles = _patch_tiles(header, shape) or _grid_tiles(len(_patterns(header)), shape)
+        return cls(header, shape, group_captures(header), tiles, bool(header.patches))
+
+    @cached_property
+    def patterns(self) -> tuple[str, ...]:
+        """Return the names of the patterns, also those that only frames mention."""
+        return _patterns(self.header)
+
+    def _column(self, name: str, missing: float = np.nan) -> Array:
+        values = [getattr(capture.settings, name) for capture in self.captures]
+        return np.array([missing if v is None else float(v) for v in values])
+
+    @cached_property
+    def exposure_s(self) -> Array:
+        """Return the exposure time of each capture in s."""
+        return self._column("exposure_s")
+
+    @cached_property
+    def gain_db(self) -> Array:
+        """Return the gain of each capture in dB."""
+        return self._column("gain_db")
+
+    @cached_property
+    def f_number(self) -> Array:
+        """Return the f-number of each capture; the lens's where a frame states none, 1 where nobody does."""
+        return self._column("f_number", self.header.lens.f_number or 1.0)
+
+    @cached_property
+    def temperature_c(self) -> Array:
+        """Return the sensor temperature of each capture in °C; NaN where unknown."""
+        return self._column("temperature_c")
+
+    @cached_property
+    def timestamp_s(self) -> Array:
+        """Return the time of each capture in s from the first; the running number where none is stated."""
+        stamps = self._column("timestamp_s")
+        if np.isnan(stamps).any():
+            return np.arange(len(self.captures), dtype=np.float64)
+        return np.asarray(stamps - stamps.min())
+
+    @cached_property
+    def has_timestamps(self) -> bool:
+        """Tell whether every capture states its time."""
+        return not bool(np.isnan(self._column("timestamp_s")).any())
+
+    @cached_property
+    def source_level(self) -> Array:
+        """Return the relative drive of the source of each capture; 0 where the shutter is closed."""
+        return np.where(self.closed, 0.0, self._column("source_level"))
+
+    @cached_property
+    def closed(self) -> NDArray[np.bool_]:
+        """Tell for each capture whether the shutter was closed."""
+        return np.array([capture.settings.is_dark for capture in self.captures])
+
+    @cached_property
+    def frame_count(self) -> Array:
+        """Return the number of frames of each capture."""
+        return np.array([len(capture.frames) for capture in self.captures], dtype=np.float64)
+
+    @cached_property
+    def pattern_index(self) -> NDArray[np.intp]:
+        """Return the position of each capture's pattern in `patterns`."""
+        position = {name: i for i, name in enumerate(self.patterns)}
+        return np.array([position[capture.settings.pattern] for capture in self.captures], dtype=np.intp)
+
+    @cached_property
+    def black_level_dn(self) -> Array:
+        """Return the stated black level of each capture in DN; NaN where nobody states one."""
+        default = self.header.camera.black_level_dn
+        return self._column("black_level_dn", np.nan if default is None else default)
+
+    @cached_property
+    def setting_id(self) -> NDArray[np.intp]:
+        """Return a number for each capture that repeats of one setting share."""
+        keys = [_setting_key(capture.settings, with_temperature=True) for capture in self.captures]
+        order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+        return np.array([order[key] for key in keys], dtype=np.intp)
+
+
+def group_captures(header: CaptureHeader) -> tuple[Capture, ...]:
+    """Return the frames of a header as captures.
+
+    A capture is a run of frames of one setting. A run that is a whole multiple of the usual length is several
+    captures in a row; where no two neighbouring frames share a setting, the repeats are gathered wherever they lie.
+    """
+    runs = _runs(header)
+    lengths = Counter(map(len, runs))
+    usual = max(lengths, key=lambda n: (lengths[n], -n))
+    if usual == 1 and len({_key(header, run[0]) for run in runs}) < len(runs):
+        return _gathered(header)
+    pieces: list[list[int]] = []
+    for run in runs:
+        whole = usual > 1 and len(run) > usual and len(run) % usual == 0
+        step = usual if whole else len(run)
+        pieces += [run[i : i + step] for i in range(0, len(run), step)]
+    return tuple(_capture(header, piece) for piece in pieces)
+
+
+def _runs(header: CaptureHeader) -> list[list[int]]:
+    runs: list[list[int]] = []
+    for index in range(len(header.frames)):
+        if runs and _same_capture(header, runs[-1][0], index):
+            runs[-1].append(index)
+        else:
+            runs.append([index])
+    return runs
+
+
+def _gathered(header: CaptureHeader) -> tuple[Capture, ...]:
+    groups: dict[Any, list[int]] = {}
+    for index in range(len(header.frames)):
+        settings = header.frames[index].settings
+        groups.setdefault(_setting_key(settings, with_temperature=True), []).append(index)
+    return tuple(_capture(header, group) for group in groups.values())
+
+
+def _same_capture(header: CaptureHeader, first: int, other: int) -> bool:
+    if _key(header, first) != _key(header, other):
+        return False
+    cold, warm = header.frames[first].temperature_C, header.frames[other].temperature_C
+    return cold is None or warm is None or abs(cold - warm) < _TEMPERATURE_STEP_K
+
+
+def _key(header: CaptureHeader, index: int) -> Any:
+    return _setting_key(header.frames[index].settings, with_temperature=False)
+
+
+def _setting_key(settings: FrameSettings, *, with_temperature: bool) -> Any:
+    warm = settings.temperature_c
+    rounded = None if warm is None or not with_temperature else round(warm / 2.0)
+    level = 0.0 if settings.is_dark else settings.source_level
+    return (
+        settings.exposure_s,
+        settings.gain_db,
+        settings.f_number,
+        settings.black_level_dn,
+        level,
+        "" if settings.is_dark else settings.pattern,
+        settings.shutter,
+        rounded,
+    )
+
+
+def _capture(header: CaptureHeader, frames: Sequence[int]) -> Capture:
+    settings = [header.frames[i].settings for i in frames]
+    stamps = [s.timestamp_s for s in settings if s.timestamp_s is not None]
+    warm = [s.temperature_c for s in settings if s.temperature_c is not None]
+    common = replace(
+        settings[0],
+        timestamp_s=float(np.mean(stamps)) if len(stamps) == len(settings) else None,
+        temperature_c=float(np.mean(warm)) if len(warm) == len(settings) else None,
+    )
+    return Capture(tuple(frames), common)
+
+
+def _patterns(header: CaptureHeader) -> tuple[str, ...]:
+    return tuple(dict.fromkeys((*header.patterns, *(frame.pattern for frame in header.frames))))
+
+
+def _patch_tiles(header: CaptureHeader, shape: tuple[int, int]) -> tuple[Tile, ...]:
+    tiles = []
+    for patch in header.patches:
+        if not patch.patch.fits(shape):
+            raise CaptureError(
+                f"patch {patch.name!r} ({patch.x}, {patch.y}, {patch.width} × {patch.height}) lies outside the "
+                f"{shape[1]} × {shape[0]} frames; correct it in capture.yaml"
+            )
+        smaller = min(patch.width, patch.height)
+        margin = max(1, round(_MARGIN_FRACTION * smaller)) if smaller >= SMALLEST_TILE_PX + 2 else 0
+        if smaller - 2 * margin < 3:
+            raise CaptureError(f"patch {patch.name!r} is only {smaller} pixels wide; reconcile needs at least 3")
+        known = tuple(patch.radiance(name) for name in _patterns(header))
+        inner = (patch.x + margin, patch.y + margin, patch.width - 2 * margin, patch.height - 2 * margin)
+        tiles.append(Tile(patch.name, *inner, margin, known, patch.u_rel))
+    return tuple(tiles)
+
+
+def _grid_tiles(patterns: int, shape: tuple[int, int]) -> tuple[Tile, ...]:
+    rows = max(1, min(GRID_ROWS, shape[0] // SMALLEST_TILE_PX))
+    columns = max(1, min(GRID_COLUMNS, shape[1] // SMALLEST_TILE_PX))
+    height, width = shape[0] // rows, shape[1] // columns
+    if min(height, width) < 3:
+        raise CaptureError(f"frames of {shape[1]} × {shape[0]} pixels are too small to be judged; use larger ones")
+    unknown: tuple[float | None, ...] = (None,) * patterns
+    return tuple(
+        Tile(f"r{row}c{column}", column * width, row * height, width, height, 0, unknown)
+        for row in range(rows)
+        for column in range(columns)
+    )

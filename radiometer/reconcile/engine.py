@@ -1,0 +1,308 @@
+"""Reconciles a capture set with the forward model: from frames to a verdict."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from radiometer.data import CaptureHeader, CaptureSet, Frame
+from radiometer.errors import CaptureError
+from radiometer.reconcile.design import Design
+from radiometer.reconcile.limits import limits
+from radiometer.reconcile.localise import Disagreement
+from radiometer.reconcile.next_capture import propose
+from radiometer.reconcile.parameters import fitted_parameters
+from radiometer.reconcile.result import CovariateGap, FittedParameter, FoundEffect, Place, ReconcileResult, Verdict
+from radiometer.reconcile.search import Search, Step, search
+from radiometer.reconcile.starting_model import adopted
+from radiometer.reconcile.state import FitState, first_state
+from radiometer.reconcile.statistics import FrameReader, frame_reader, reduce_frames
+from simulators.camera_model import CameraModel
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.registry import EFFECTS
+
+CATALOGUE: Final[dict[str, type[CatalogueEffect]]] = {
+    name: kind for name, kind in EFFECTS.items() if issubclass(kind, CatalogueEffect)
+}
+
+_PLACES: Final = 10
+_CALL: Final = 0.01
+_MOST_LISTED: Final = 4  # unnamed covariates in a result; the whole list stands under localisation
+
+Say = Callable[[str], None]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Reconciled:
+    """A result with what it was drawn from, for the model file and the report.
+
+    Attributes:
+        result: The result.
+        outcome: The search behind it.
+    """
+
+    result: ReconcileResult
+    outcome: Search
+
+
+def reconcile(
+    header: CaptureHeader,
+    frames: Iterable[Frame],
+    model: CameraModel | None = None,
+    *,
+    catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
+    without: Sequence[str] = (),
+    with_limits: bool = True,
+    say: Say = lambda line: None,
+) -> ReconcileResult:
+    """Return where measured and simulated disagree, and which effects are missing.
+
+    Args:
+        header: What `capture.yaml` says.
+        frames: The frames it lists, in its order.
+        model: The camera as it is believed to be; by default the ideal EMVA 1288 camera of the header.
+        catalogue: Effects to try, by name; by default all.
+        without: Names of effects to leave out.
+        with_limits: Whether to work out what the data would have shown at 5 sigma.
+        say: Told what happens, line by line.
+
+    Raises:
+        CaptureError: If frames are missing or differ in size, or a patch does not fit.
+    """
+    held = frames if isinstance(frames, Sequence) else list(frames)
+    if len(held) != len(header.frames):
+        raise CaptureError(f"the header lists {len(header.frames)} frames, but {len(held)} were given")
+    entries = {n: kind for n, kind in (CATALOGUE if catalogue is None else catalogue).items() if n not in without}
+    return examine(
+        header, frame_reader(held), held[0].shape, model, catalogue=entries, with_limits=with_limits, say=say
+    ).result
+
+
+def gap_of(found: ReconcileResult | CameraModel | None, header: CaptureHeader, frames: Iterable[Frame]) -> float:
+    """Return the reduced χ² of held-out settings of a capture set under a model that is not changed.
+
+    Only the nuisances (responsivity, patch radiances) are fitted.
+
+    Args:
+        found: A result whose effects are taken, a camera model, or None for the ideal camera of the header.
+        header: What `capture.yaml` of the (fresh) capture set says.
+        frames: Its frames.
+    """
+    held = frames if isinstance(frames, Sequence) else list(frames)
+    header, given = adopted(header, found if isinstance(found, CameraModel) else None)
+    if isinstance(found, ReconcileResult):
+        given = found.added
+    design = Design.of(header, held[0].shape)
+    seen, images = reduce_frames(design, frame_reader(held))
+    return first_state(design, seen, images, given).gap
+
+
+def reconcile_capture(
+    path: Path,
+    model: CameraModel | None = None,
+    *,
+    catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
+    progress: Progress | None = None,
+    say: Say = lambda line: None,
+) -> Reconciled:
+    """Return the same for a capture set on disk; one frame is in memory at a time.
+
+    Args:
+        path: The capture set's folder.
+        model: The camera as it is believed to be.
+        catalogue: Effects to try.
+        progress: Called with frames done and frames in all.
+        say: Told what happens.
+
+    Raises:
+        CaptureError: If the capture set is unfinished or inconsistent.
+    """
+    captured = CaptureSet.read(path)
+    shape = captured.read_frame(0).shape
+    return examine(captured.header, captured.read_frame, shape, model, catalogue=catalogue, progress=progress, say=say)
+
+
+def examine(
+    header: CaptureHeader,
+    read: FrameReader,
+    shape: tuple[int, int],
+    model: CameraModel | None = None,
+    *,
+    catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
+    progress: Progress | None = None,
+    with_limits: bool = True,
+    say: Say = lambda line: None,
+) -> Reconciled:
+    """Return the result for frames that a reader gives by their position in the header.
+
+    Raises:
+        CaptureError: If no part of any frame is free of clipping, or frames differ in size.
+    """
+    begun = time.monotonic()
+    header, given = adopted(header, model)
+    design = Design.of(header, shape)
+    total = len(header.frames)
+    seen, images = reduce_frames(design, read, (lambda done: progress(done, total)) if progress else None)
+    start = first_state(design, seen, images, given)
+    if not start.comparison.usable["mean"].any():
+        raise CaptureError(
+            "no part of any frame is free of clipping: capture with shorter exposures and a black level above zero"
+        )
+    entries = CATALOGUE if catalogue is None else catalogue
+    outcome = search(start, entries, say)
+    return Reconciled(_result(outcome, entries, total, begun, with_limits=with_limits), outcome)
+
+
+def _result(
+    outcome: Search,
+    entries: Mapping[str, type[CatalogueEffect]],
+    frames: int,
+    begun: float,
+    *,
+    with_limits: bool,
+) -> ReconcileResult:
+    effects = _found(outcome)
+    state = outcome.state
+    return ReconcileResult(
+        verdict=_verdict(outcome),
+        effects=effects,
+        gap_before=outcome.start.gap,
+        gap_after=state.gap,
+        limits=limits(state, entries) if with_limits else {},
+        covariates=_by_covariate(outcome.first_tests, outcome.tests),
+        tests=(len(outcome.tests), len(outcome.left)),
+        repeatability=state.tau,
+        assumptions=_assumptions(state),
+        localisation=tuple(_place(test) for test in outcome.first_tests if test.where != "constant")[:_PLACES],
+        calls=(sum(test.p_value < _CALL for test in outcome.first_tests), len(outcome.first_tests)),
+        added=(*state.model.given, *state.effects),
+        captures=len(state.design.captures),
+        frames=frames,
+        seconds=time.monotonic() - begun,
+    )
+
+
+def _verdict(outcome: Search) -> Verdict:
+    named = bool(outcome.state.effects)
+    unnamed = bool(outcome.left) or any(step.name == "unnamed" for step in outcome.steps)
+    if named:
+        return Verdict.INCOMPLETE if unnamed else Verdict.EFFECTS_FOUND
+    return Verdict.UNNAMED if unnamed else Verdict.AGREES
+
+
+def _found(outcome: Search) -> tuple[FoundEffect, ...]:
+    state = outcome.state
+    provisional = _verdict(outcome) is Verdict.INCOMPLETE
+    parameters = fitted_parameters(state)
+    present = {effect.name: effect for effect in state.effects}
+    found = []
+    for step in outcome.steps:
+        if step.name == "unnamed":
+            found.append(_unnamed(step))
+        elif step.name in present:
+            advice = propose(state, present[step.name], step.rivals)
+            found.append(_effect(step, present[step.name], parameters[step.name], advice, provisional=provisional))
+    listed = {entry.where for entry in found if entry.name == "unnamed"}
+    for test in outcome.left:
+        if test.where not in listed and len(listed) < _MOST_LISTED:
+            listed.add(test.where)
+            gap = state.gap
+            found.append(FoundEffect("unnamed", {}, _axis(test.where, test.block), gap, gap, block=test.family))
+    return tuple(found)
+
+
+def _effect(
+    step: Step,
+    effect: CatalogueEffect,
+    parameters: Mapping[str, FittedParameter],
+    advice: Mapping[str, Any] | None,
+    *,
+    provisional: bool,
+) -> FoundEffect:
+    return FoundEffect(
+        step.name,
+        parameters,
+        step.where,
+        step.gap_before,
+        step.gap_after,
+        tuple(rival.name for rival in step.rivals),
+        advice,
+        step.gain_nats,
+        effect.block,
+        provisional,
+    )
+
+
+def _unnamed(step: Step) -> FoundEffect:
+    return FoundEffect(
+        "unnamed",
+        {},
+        _axis(step.where, step.block),
+        step.gap_before,
+        step.gap_after,
+        gain_nats=step.gain_nats,
+        block=step.block,
+        closest=step.closest,
+    )
+
+
+def _place(test: Disagreement) -> Place:
+    return Place(test.family, _axis(test.where, test.block), test.form, test.chi2, test.p_value)
+
+
+# A disagreement that is the same everywhere has no covariate of its own; this is where its statistic lies.
+_AXIS_OF_CONSTANT: Final = {
+    "mean": "signal",
+    "slope_x": "image_x",
+    "slope_y": "image_y",
+    "first": "previous_frame",
+    "common": "exposure_s",
+    "row_temporal": "image_y",
+    "columns": "image_x",
+    "rows": "image_y",
+    "edge": "image_x",
+    "outliers": "exposure_s",
+}
+
+
+def _axis(where: str, block: str) -> str:
+    return where if where != "constant" else _AXIS_OF_CONSTANT.get(block, "signal")
+
+
+def _by_covariate(before: Sequence[Disagreement], after: Sequence[Disagreement]) -> dict[str, CovariateGap]:
+    first, last = _largest(before), _largest(after)
+    return {name: CovariateGap(first[name], last.get(name, 1.0)) for name in first}
+
+
+def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for test in tests:
+        name = _axis(test.where, test.block)
+        found[name] = max(found.get(name, 0.0), test.chi2 / test.rank)
+    return found
+
+
+def _assumptions(state: FitState) -> tuple[str, ...]:
+    camera = state.design.header.camera
+    said = []
+    for key, text in (
+        ("conversion_gain_e_per_dn", "the conversion gain is not declared: it was fitted from the noise"),
+        ("read_noise_e", "the read noise is not declared: it was fitted"),
+        ("dark_current_e_per_s", "the dark current is not declared: it was fitted"),
+        ("full_well_e", "the full well is not declared: clipping alone limits the data"),
+    ):
+        if getattr(camera, key) is None:
+            said.append(text)
+    if np.isnan(state.design.black_level_dn).any():
+        said.append("the black level is not declared: it was fitted")
+    if not state.design.uniform:
+        said.append("no patches are given: the scene is unknown but constant, cut into a grid of tiles")
+    if not state.design.has_timestamps:
+        said.append("times are missing: captures count in the order listed")
+    return tuple(said)

@@ -1,0 +1,209 @@
+"""The parameters that are always fitted and never named: responsivity, patch radiances, what nobody declared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.reconcile.comparison import Comparison
+from radiometer.reconcile.design import Array, Design
+from radiometer.reconcile.tile_model import Nuisance, Prediction, TileModel
+
+_FREE_LOG: Final = 5.0  # prior standard deviation of the logarithm of what is unknown: e^±5
+_DEFAULT_U_REL: Final = 0.02  # of a radiance that is stated without an uncertainty
+_STEP: Final = 1e-4
+_BRIGHT_SHARE: Final = 0.05  # of the brightest tile: enough to tell the responsivity roughly
+_FREE_RESPONSIVITY: Final = 50.0  # where no radiance is known its unit is arbitrary too
+_SCALARS: Final = ("log_responsivity", "log_gain", "log_read", "black_dn", "dark_e_per_s")
+_SCALAR_STEP: Final = {"black_dn": 1e-2, "dark_e_per_s": 1e-2}
+_SCALAR_PRIOR: Final = {"log_responsivity": _FREE_RESPONSIVITY, "black_dn": 1e4, "dark_e_per_s": 1e3}
+_FREE_SLOPE: Final = 3.0
+_FREE_TEXTURE: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NuisanceLayout:
+    """Which nuisances are fitted, in which order, and with which prior.
+
+    Attributes:
+        scalars: Names of scalar nuisances.
+        patterns: Patterns that were seen in light.
+        tiles: Number of tiles.
+        free_scene: Whether slope and texture of every tile are fitted too.
+        prior: Prior standard deviation of each parameter.
+    """
+
+    scalars: tuple[str, ...]
+    patterns: tuple[int, ...]
+    tiles: int
+    free_scene: bool
+    prior: Array
+
+    @classmethod
+    def of(cls, design: Design) -> NuisanceLayout:
+        """Return what must be fitted for a design."""
+        camera = design.header.camera
+        scalars = ["log_responsivity"]
+        if camera.conversion_gain_e_per_dn is None:
+            scalars.append("log_gain")
+        if camera.read_noise_e is None:
+            scalars.append("log_read")
+        if np.isnan(design.black_level_dn).any():
+            scalars.append("black_dn")
+        if camera.dark_current_e_per_s is None and np.ptp(np.log(design.exposure_s)) > 0:
+            scalars.append("dark_e_per_s")
+        lit = ~design.closed & (design.source_level > 0)
+        patterns = tuple(sorted(set(design.pattern_index[lit].tolist())))
+        free_scene = not design.uniform
+        prior = [_SCALAR_PRIOR.get(name, _FREE_LOG) for name in scalars]
+        own = [_radiance_prior(design, p, k) for p in patterns for k in range(len(design.tiles))]
+        # A patch's calibration error may be one and the same under all patterns, or not: each has its own part and
+        # all have one in common.
+        prior += [*own, *own[: len(design.tiles)]]
+        if free_scene:
+            count = len(patterns) * len(design.tiles)
+            prior += [_FREE_SLOPE] * (2 * count) + [_FREE_TEXTURE] * len(design.tiles)
+        return cls(tuple(scalars), patterns, len(design.tiles), free_scene, np.array(prior))
+
+    @property
+    def size(self) -> int:
+        """Return the number of parameters."""
+        return self.prior.size
+
+    @property
+    def _radiances(self) -> slice:
+        return slice(len(self.scalars), len(self.scalars) + len(self.patterns) * self.tiles)
+
+    @property
+    def _common(self) -> slice:
+        count = self.tiles if self.patterns else 0
+        return slice(self._radiances.stop, self._radiances.stop + count)
+
+    def unpack(self, design: Design, values: Array) -> Nuisance:
+        """Return the nuisances that a parameter vector stands for."""
+        start = Nuisance.start(design)
+        radiance, slope, texture = start.log_radiance, start.slope, start.texture
+        index = list(self.patterns)
+        radiance[index] = values[self._radiances].reshape(len(index), self.tiles)
+        if index:
+            radiance[index] += values[self._common]
+        if self.free_scene:
+            at = self._common.stop
+            count = 2 * len(index) * self.tiles
+            slope[index] = values[at : at + count].reshape(len(index), 2, self.tiles)
+            texture = values[at + count : at + count + self.tiles]
+        known = dict(zip(self.scalars, values[: len(self.scalars)].tolist(), strict=True))
+        # The means fix responsivity times gain: what K gains the responsivity loses.
+        known["log_responsivity"] -= known.get("log_gain", 0.0)
+        return replace(start, log_radiance=radiance, slope=slope, texture=texture, **known)
+
+    def jacobian(self, model: TileModel, comparison: Comparison, values: Array, base: Prediction) -> Array:
+        """Return −d(residual)/d(parameter), shape (entries, parameters)."""
+        design = model.design
+        at = comparison.residual(base)
+        nuisance = self.unpack(design, values)
+        matrix = np.zeros((comparison.size, self.size))
+        for column, name in enumerate(self.scalars):
+            step = _SCALAR_STEP.get(name, _STEP)
+            shifted = {name: getattr(nuisance, name) + step}
+            if name == "log_gain":
+                shifted["log_responsivity"] = nuisance.log_responsivity - step
+            moved = replace(nuisance, **shifted)
+            matrix[:, column] = (at - comparison.residual(model.predict(moved))) / step
+            if name == "log_responsivity":
+                _only_means(matrix, comparison, column)
+        moved = replace(nuisance, log_radiance=nuisance.log_radiance + _STEP)
+        first = self._radiances.start
+        self._spread(matrix, comparison, base, model.predict(moved), _STEP, first, _TILE_ROWS)
+        if self.patterns:
+            own = matrix[:, self._radiances].reshape(comparison.size, len(self.patterns), self.tiles)
+            matrix[:, self._common] = own.sum(axis=1)
+        if self.free_scene:
+            self._scene_columns(matrix, model, comparison, nuisance, base)
+        return matrix
+
+    def _scene_columns(
+        self, matrix: Array, model: TileModel, comparison: Comparison, nuisance: Nuisance, base: Prediction
+    ) -> None:
+        start = self._common.stop
+        for axis, name in enumerate(("slope_x", "slope_y")):
+            slope = nuisance.slope.copy()
+            slope[:, axis] += 1e-3
+            moved = model.predict(replace(nuisance, slope=slope))
+            for number, pattern in enumerate(self.patterns):
+                first = start + (2 * number + axis) * self.tiles
+                self._spread(matrix, comparison, base, moved, 1e-3, first, (name,), only=pattern)
+        first = start + 2 * len(self.patterns) * self.tiles
+        step = 1e-6
+        moved = model.predict(replace(nuisance, texture=nuisance.texture + step))
+        for pattern in self.patterns:
+            self._spread(matrix, comparison, base, moved, step, first, ("spatial",), only=pattern)
+
+    def _spread(
+        self,
+        matrix: Array,
+        comparison: Comparison,
+        base: Prediction,
+        moved: Prediction,
+        step: float,
+        first: int,
+        blocks: tuple[str, ...],
+        only: int | None = None,
+    ) -> None:
+        """Write the change of each tile into the column of that tile (and pattern)."""
+        position = {pattern: number for number, pattern in enumerate(self.patterns)}
+        before, after = comparison.residual(base), comparison.residual(moved)
+        pattern_of = comparison.design.pattern_index
+        chosen = [
+            c for c in range(pattern_of.size) if pattern_of[c] in position and (only is None or pattern_of[c] == only)
+        ]
+        captures = np.array(chosen, dtype=np.intp)
+        tiles = np.arange(self.tiles)
+        offset = np.array([0 if only is not None else position[pattern_of[c]] * self.tiles for c in chosen], np.intp)
+        own = first + offset[:, None] + tiles
+        for block in blocks:
+            cut = comparison.cuts[block]
+            if block == "mean":
+                change = np.where(comparison.usable["mean"], (moved.mean - base.mean) / step, 0.0)
+                values = comparison.whitener[captures] * change[captures][:, None, :]
+                rows = cut.start + captures[:, None] * self.tiles + tiles
+                matrix[rows[:, :, None], own[:, None, :]] += values
+                continue
+            change = ((before[cut] - after[cut]) / step).reshape(-1, self.tiles)
+            rows = cut.start + captures[:, None] * self.tiles + tiles
+            matrix[rows, own] += change[captures]
+
+
+_TILE_ROWS: Final = ("mean", "slope_x", "slope_y")
+
+
+def _only_means(matrix: Array, comparison: Comparison, column: int) -> None:
+    """Let the means alone say how much light there is.
+
+    They tell it a hundred times better than the noise does; a wrong noise figure (crosstalk, a wrong conversion
+    gain) would otherwise pull at the responsivity and show as a disagreement of all means.
+    """
+    for block, cut in comparison.cuts.items():
+        if block not in _TILE_ROWS:
+            matrix[cut, column] = 0.0
+
+
+def _radiance_prior(design: Design, pattern: int, tile: int) -> float:
+    known = design.tiles[tile].radiance[pattern]
+    if known is None or known <= 0:
+        return _FREE_LOG
+    stated = design.tiles[tile].u_rel
+    return max(stated, 1e-6) if stated is not None else _DEFAULT_U_REL
+
+
+def rough_log_responsivity(design: Design, seen_mean: Array, base: Prediction, usable: NDArray[np.bool_]) -> float:
+    """Return a robust first guess of the logarithm of the responsivity over the declared one."""
+    black = np.where(np.isnan(design.black_level_dn), np.nanmin(seen_mean), design.black_level_dn)[:, None]
+    seen, expected = seen_mean - black, base.signal * base.gain[:, None]
+    bright = usable & (expected > 0) & (seen > _BRIGHT_SHARE * float(np.max(seen, where=usable, initial=0.0)))
+    if not bright.any():
+        return 0.0
+    return float(np.median(np.log(seen[bright] / expected[bright])))

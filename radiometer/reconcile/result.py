@@ -1,0 +1,217 @@
+"""What reconcile found, in the form of the documented JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any, Final
+
+from radiometer.data.reading import finite_or_null
+from simulators.effects.catalogue import CatalogueEffect
+
+GAP_UNIT: Final = "reduced chi-square on held-out frames"
+
+
+class Verdict(StrEnum):
+    """The outcome in one word."""
+
+    AGREES = "agrees"
+    EFFECTS_FOUND = "effects_found"
+    UNNAMED = "unnamed_effect"
+    INCOMPLETE = "incomplete"
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """The smallest amplitude that would have stood out.
+
+    Attributes:
+        amplitude: In the parameter's unit; None where the data cannot see the effect.
+        parameter: Name of the parameter.
+        unit: Its unit.
+    """
+
+    amplitude: float | None
+    parameter: str
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class FittedParameter:
+    """A parameter of a found effect: value, standard uncertainty (None where it was not fitted) and unit."""
+
+    value: float
+    u: float | None
+    unit: str
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return {value, u, unit}."""
+        return {"value": self.value, "u": self.u, "unit": self.unit}
+
+
+@dataclass(frozen=True, slots=True)
+class FoundEffect:
+    """One effect (or unnamed disagreement) that was found.
+
+    Attributes:
+        name: Catalogue name, or `unnamed`.
+        parameters: Its parameters by name.
+        where: Covariate along which it lies.
+        gap_before: Held-out gap before it was added.
+        gap_after: The same after.
+        alternatives: Catalogue names that these data cannot tell from it.
+        next_capture: The capture that would tell them apart; None where nothing rivals it.
+        gain_nats: Improvement of the held-out log density.
+        block: Statistic that shows it.
+        provisional: Whether structure stays, so that the name may still change.
+        closest: For an unnamed one, the closest entry and the share that it explains.
+    """
+
+    name: str
+    parameters: Mapping[str, FittedParameter]
+    where: str
+    gap_before: float
+    gap_after: float
+    alternatives: tuple[str, ...] = ()
+    next_capture: Mapping[str, Any] | None = None
+    gain_nats: float = 0.0
+    block: str = ""
+    provisional: bool = False
+    closest: tuple[str, float] | None = None
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping of the documented JSON form."""
+        closest = {"name": self.closest[0], "share": self.closest[1]} if self.closest else None
+        return {
+            "name": self.name,
+            "parameters": {name: entry.to_mapping() for name, entry in self.parameters.items()},
+            "where": self.where,
+            "gap_before": self.gap_before,
+            "gap_after": self.gap_after,
+            "alternatives": list(self.alternatives),
+            "next_capture": dict(self.next_capture) if self.next_capture else None,
+            "statistic": self.block,
+            "gain_nats": self.gain_nats,
+            "strength": "weak" if self.gain_nats < 10.0 else "clear",
+            "provisional": self.provisional,
+        } | ({"closest": closest} if self.name == "unnamed" else {})
+
+
+@dataclass(frozen=True, slots=True)
+class CovariateGap:
+    """Disagreement along one covariate: the largest trend's χ² per degree of freedom, 1 by chance alone."""
+
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the starting model disagrees, found without the catalogue: one test.
+
+    Attributes:
+        block: Statistic.
+        covariate: Axis.
+        form: In proportion to the light, as a constant in DN, or as a constant in electrons.
+        score: χ² of the trend.
+        p_value: Chance of that much without a disagreement.
+    """
+
+    block: str
+    covariate: str
+    form: str
+    score: float
+    p_value: float
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping that stands in JSON."""
+        return {
+            "block": self.block,
+            "covariate": self.covariate,
+            "form": self.form,
+            "score": self.score,
+            "p_value": self.p_value,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class ReconcileResult:
+    """The outcome of one capture set.
+
+    Attributes:
+        verdict: In one word.
+        effects: What was found, in the order of finding.
+        gap_before: Held-out gap of the starting model.
+        gap_after: Held-out gap of the final model.
+        limits: Per catalogue entry the amplitude that would have shown at 5 sigma.
+        covariates: Gap along each covariate.
+        tests: Number of tests, and how many are significant in the end.
+        repeatability: Capture-to-capture repeatability, relative.
+        assumptions: What was assumed.
+        captures: Number of captures.
+        frames: Number of frames.
+        model: Name of the model file written; None where none was asked for.
+        report: Name of the report written.
+        seconds: Time that it took.
+        gap_unit: Unit of the gaps.
+        localisation: Where the starting model disagrees, the most significant first.
+        calls: Tests of the starting model with p < 0.01, and tests in all.
+        added: The effects of the final model beside the ideal chain.
+        extra: Further entries of the JSON object.
+    """
+
+    verdict: Verdict
+    effects: tuple[FoundEffect, ...]
+    gap_before: float
+    gap_after: float
+    limits: Mapping[str, Limit] = field(default_factory=dict)
+    covariates: Mapping[str, CovariateGap] = field(default_factory=dict)
+    tests: tuple[int, int] = (0, 0)
+    repeatability: float | None = None
+    assumptions: tuple[str, ...] = ()
+    captures: int = 0
+    frames: int = 0
+    model: str | None = None
+    report: str | None = None
+    seconds: float = 0.0
+    gap_unit: str = GAP_UNIT
+    localisation: tuple[Place, ...] = ()
+    calls: tuple[int, int] = (0, 0)
+    added: tuple[CatalogueEffect, ...] = ()
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    def written(self, model: str | None, report: str | None) -> ReconcileResult:
+        """Return the result with the names of the files that were written."""
+        return replace(self, model=model, report=report)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping of the documented JSON form; what is not finite becomes null."""
+        mapping = {
+            "verdict": str(self.verdict),
+            "effects": [effect.to_mapping() for effect in self.effects],
+            "gap": {
+                "before": self.gap_before,
+                "after": self.gap_after,
+                "unit": self.gap_unit,
+                "by_covariate": {n: {"before": g.before, "after": g.after} for n, g in self.covariates.items()},
+            },
+            "limits": {name: limit.amplitude for name, limit in self.limits.items()},
+            "limit_parameters": {n: {"parameter": v.parameter, "unit": v.unit} for n, v in self.limits.items()},
+            "tests": {"number": self.tests[0], "significant": self.tests[1]},
+            "localisation": [place.to_mapping() for place in self.localisation],
+            "null_tests": list(self.calls),
+            "repeatability_rel": self.repeatability,
+            "captures": self.captures,
+            "frames": self.frames,
+            "assumptions": list(self.assumptions),
+            "model": self.model,
+            "report": self.report,
+            "seconds": round(self.seconds, 3),
+        } | dict(self.extra)
+        return {key: finite_or_null(value) for key, value in mapping.items()}
+
+    def to_json(self) -> str:
+        """Return the result as one line of JSON."""
+        return json.dumps(self.to_mapping(), ensure_ascii=False, allow_nan=False)

@@ -1,0 +1,277 @@
+"""Names missing effects one after the other until nothing structured is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from scipy.stats import chi2
+
+from radiometer.reconcile.candidate_fit import FittedCandidate, accepted, fit_candidate, held_out_gain
+from radiometer.reconcile.localise import Disagreement, localise, significant, smooth_term
+from radiometer.reconcile.screening import Candidate, screen
+from radiometer.reconcile.state import FitState, refit, reweighted, with_effects, with_terms
+from radiometer.reconcile.terms import LinearTerm
+from simulators.effects.catalogue import CatalogueEffect
+
+MOST_STEPS: Final = 9
+_FITTED: Final = 7  # candidates that are fitted in each step
+_JUDGED: Final = 4  # of them, those that are judged on held-out settings
+_NEEDED_NATS: Final = 8.0
+_KEPT_NATS: Final = 4.0  # an earlier name that brings less than this after a new one is dropped
+_EVIDENCE: Final = 8.0  # χ² that the statistic which must show the effect has to lose
+_RIVAL_NATS: Final = 5.0
+_FLEXIBLE_NATS: Final = 5.0  # a flexible form must beat the rigid one by so much
+_PARAMETER_NATS: Final = 3.0
+_NEEDED_SMOOTH_NATS: Final = 3.0
+_SMOOTHS_TRIED: Final = 4
+_HUGE_NATS: Final = 2000.0
+_NEAR_SHARE: Final = 0.05
+_SMOOTH_SHARE: Final = 0.8
+_SMOOTH_NATS: Final = 8.0
+# Entries that physics does not expect, or that can imitate others by their freedom, must be that much better.
+_UNLIKELY_NATS: Final[Mapping[str, float]] = {
+    "reciprocity_failure": 3.0,
+    "source_not_proportional_to_exposure": 3.0,
+    "exposure_label_error": 6.0,
+    "shutter_dead_time": 2.0,
+    "rolling_shutter_banding": 3.0,
+    "angle_dependence": 2.0,
+    "dark_current_clamped": 1.0,
+    "soft_saturation": 3.0,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One effect (or unnamed term) as it was added.
+
+    Attributes:
+        name: Name of the effect, or `unnamed`.
+        where: Covariate along which the disagreement lay.
+        gain_nats: Improvement of the held-out log density.
+        gap_before: Reduced χ² of held-out settings before.
+        gap_after: The same after.
+        rivals: Effects within 5 nats.
+        closest: For an unnamed term, the closest entry and the share of it that it explains.
+        block: For an unnamed term, the statistic that shows it.
+    """
+
+    name: str
+    where: str
+    gain_nats: float
+    gap_before: float
+    gap_after: float
+    rivals: tuple[CatalogueEffect, ...] = ()
+    closest: tuple[str, float] | None = None
+    block: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """The outcome.
+
+    Attributes:
+        state: The fitted model.
+        start: The ideal camera fitted.
+        steps: What was added and stayed, in order.
+        left: Disagreements that stay significant.
+        tests: All tests of the final model.
+        first_tests: All tests of the ideal camera.
+    """
+
+    state: FitState
+    start: FitState
+    steps: tuple[Step, ...]
+    left: tuple[Disagreement, ...]
+    tests: tuple[Disagreement, ...]
+    first_tests: tuple[Disagreement, ...]
+
+
+@dataclass(slots=True)
+class _Run:
+    catalogue: Mapping[str, type[CatalogueEffect]]
+    say: Callable[[str], None]
+    steps: list[Step] = field(default_factory=list)
+    refused: set[str] = field(default_factory=set)
+
+
+def search(
+    start: FitState, catalogue: Mapping[str, type[CatalogueEffect]], say: Callable[[str], None] = lambda line: None
+) -> Search:
+    """Return the model with every missing effect that the data can name.
+
+    Args:
+        start: The ideal camera fitted.
+        catalogue: Entries to try, by name.
+        say: Told what happens, line by line.
+    """
+    run = _Run(catalogue, say)
+    state, first = start, localise(start)
+    tests = first
+    for _ in range(MOST_STEPS):
+        following = _one_step(state, tests, run)
+        if following is None:
+            break
+        state = _pruned(following, run)
+        tests = localise(state)
+    return Search(state, start, tuple(run.steps), significant(tests), tests, first)
+
+
+def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
+    loud = significant(tests)
+    promising = _promising(screen(state, run.catalogue), loud)
+    if not loud and not promising:
+        return None
+    fitted = sorted((fit_candidate(state, c) for c in promising[:_FITTED]), key=lambda f: -_penalised_chi2(f))
+    judged = [(f, held_out_gain(state, f.residual, f.columns)) for f in fitted[:_JUDGED]]
+    chosen = _choose(_contenders(state, judged))
+    if chosen is not None and _convinces(state, chosen, loud):
+        return _named(state, chosen, judged, loud, run)
+    return _unnamed(state, loud, judged, run) if loud else None
+
+
+def _promising(candidates: list[Candidate], loud: tuple[Disagreement, ...]) -> list[Candidate]:
+    """Return candidates whose gain is significant among all that were tried."""
+    limit = np.log(0.01 / max(len(candidates), 1))
+    slack = 0.5 if loud else 1.0  # a start far from the best parameters shows only part of its gain
+    return [c for c in candidates if chi2.logsf(max(c.gain, 1e-9), c.parameters) < slack * limit]
+
+
+def _penalised_chi2(fitted: FittedCandidate) -> float:
+    return fitted.gain - 2.0 * (_penalty(fitted))
+
+
+def _penalty(fitted: FittedCandidate) -> float:
+    return _PARAMETER_NATS * fitted.parameters + _UNLIKELY_NATS.get(fitted.name, 0.0)
+
+
+def _score(entry: tuple[FittedCandidate, float]) -> float:
+    fitted, nats = entry
+    return nats - _penalty(fitted) - (_FLEXIBLE_NATS if fitted.flexible else 0.0)
+
+
+def _contenders(state: FitState, judged: list[tuple[FittedCandidate, float]]) -> list[tuple[FittedCandidate, float]]:
+    """Return the candidates, those of a very large and nearly equal gain judged anew after a full fit of each.
+
+    Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges.
+    """
+    best = max((nats for _, nats in judged), default=0.0)
+    near = [entry for entry in judged if entry[1] > best - _NEAR_SHARE * best]
+    if best < _HUGE_NATS or len(near) < 2:
+        return judged
+    base = state.evidence
+    return [(f, refit(reweighted(refit(accepted(state, f.effect)))).evidence - base) for f, _ in near]
+
+
+def _choose(judged: list[tuple[FittedCandidate, float]]) -> tuple[FittedCandidate, float] | None:
+    return max(judged, key=_score) if judged else None
+
+
+def _convinces(state: FitState, chosen: tuple[FittedCandidate, float], loud: tuple[Disagreement, ...]) -> bool:
+    fitted, nats = chosen
+    if nats < _NEEDED_NATS + _UNLIKELY_NATS.get(fitted.name, 0.0) or fitted.evidence < _EVIDENCE:
+        return False
+    same = [test for test in loud if test.family == fitted.effect.block]
+    if not same:
+        return True
+    smooth = _smooth_gain(state, same[0])
+    return nats >= _SMOOTH_SHARE * smooth or nats >= smooth - _SMOOTH_NATS
+
+
+def _smooth_gain(state: FitState, test: Disagreement) -> float:
+    term = smooth_term(state, test)
+    columns = state.pad(term.build(state.comparison, state.prediction, state.sensitivity))
+    return held_out_gain(state, state.residual, columns)
+
+
+def _named(
+    state: FitState,
+    chosen: tuple[FittedCandidate, float],
+    judged: list[tuple[FittedCandidate, float]],
+    loud: tuple[Disagreement, ...],
+    run: _Run,
+) -> FitState:
+    fitted, nats = chosen
+    following = refit(reweighted(refit(accepted(state, fitted.effect))))
+    rivals = tuple({f.name: f.effect for f, n in judged if _is_rival(f, n, chosen)}.values())
+    gap_before = state.gap
+    run.steps.append(Step(fitted.name, fitted.effect.where, nats, gap_before, following.gap, rivals))
+    run.say(f"{fitted.name}: {nats:.1f} nats, gap {gap_before:.3f} → {following.gap:.3f}")
+    return following
+
+
+def _is_rival(other: FittedCandidate, nats: float, chosen: tuple[FittedCandidate, float]) -> bool:
+    """Tell whether the data cannot tell another entry from the chosen one; more freedom earns it nothing."""
+    if other.name == chosen[0].name:
+        return False
+    richer = other.parameters > chosen[0].parameters
+    return nats > chosen[1] - _RIVAL_NATS and (not richer or nats > chosen[1] + _PARAMETER_NATS)
+
+
+def _unnamed(
+    state: FitState,
+    loud: tuple[Disagreement, ...],
+    judged: list[tuple[FittedCandidate, float]],
+    run: _Run,
+) -> FitState | None:
+    tried = {old.name for old in state.terms} | run.refused
+    fresh = [t for t in loud if smooth_term(state, t).name not in tried]
+    rated = ((test, _smooth_gain(state, test)) for test in fresh[:_SMOOTHS_TRIED])
+    found = next(((test, nats) for test, nats in rated if nats > _NEEDED_SMOOTH_NATS), None)
+    if found is None:
+        return None
+    (test, nats), term = found, smooth_term(state, found[0])
+    old = tuple(t for t in state.terms if t.is_smooth)
+    following = refit(reweighted(refit(with_terms(state, (*old, term)))))
+    best = max(judged, key=lambda entry: entry[1], default=None)
+    closest = (best[0].name, float(np.clip(best[1] / max(nats, 1e-9), 0.0, 1.0))) if best else None
+    run.steps.append(Step("unnamed", test.where, nats, state.gap, following.gap, closest=closest, block=test.family))
+    run.say(f"unnamed {term.name}: {nats:.1f} nats, gap {state.gap:.3f} → {following.gap:.3f}")
+    return following
+
+
+def _pruned(state: FitState, run: _Run) -> FitState:
+    """Drop earlier effects and unnamed terms that bring nothing beside the newest."""
+    changed = True
+    while changed:
+        changed = False
+        for name, smaller in _without_one(state):
+            lost = _log_density(state) - _log_density(refit(smaller, iterations=6))
+            if lost < _KEPT_NATS:
+                run.say(f"{name} dropped again: it brings {lost:.1f} nats")
+                state, changed = refit(reweighted(refit(smaller))), True
+                _forget(run, name)
+                break
+    return state
+
+
+def _without_one(state: FitState) -> list[tuple[str, FitState]]:
+    """Return the models with one earlier addition less (the newest effect is not questioned)."""
+    smooth = tuple(term for term in state.terms if term.is_smooth)
+    found: list[tuple[str, FitState]] = []
+    for index, effect in enumerate(state.effects[:-1] if not smooth else state.effects):
+        rest = [e for i, e in enumerate(state.effects) if i != index]
+        found.append((effect.name, with_effects(state, rest)))
+    if state.effects:
+        found += [(term.name, _without_term(state, smooth, term)) for term in smooth]
+    return found
+
+
+def _without_term(state: FitState, smooth: tuple[LinearTerm, ...], term: LinearTerm) -> FitState:
+    return with_terms(state, [other for other in smooth if other is not term])
+
+
+def _log_density(state: FitState) -> float:
+    return float(np.sum(state.held_out.log_density))
+
+
+def _forget(run: _Run, name: str) -> None:
+    where = name.split(" | ")
+    run.refused.add(name)
+    for step in list(run.steps):
+        if step.name == name or (step.name == "unnamed" and len(where) > 1 and step.where == where[1]):
+            run.steps.remove(step)
+            break

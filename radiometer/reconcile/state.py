@@ -1,0 +1,343 @@
+"""The model as fitted so far: effects, nuisances and unnamed terms, with the residual that is left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.reconcile.comparison import Comparison, Repeatability, compare, relative_flicker, usable_entries
+from radiometer.reconcile.design import Array, Design
+from radiometer.reconcile.linear import HeldOut, LinearFit, leave_one_group_out
+from radiometer.reconcile.nuisances import NuisanceLayout, rough_log_responsivity
+from radiometer.reconcile.parameters import EffectParameters
+from radiometer.reconcile.pattern_images import PatternImages
+from radiometer.reconcile.realisations import realisation_terms
+from radiometer.reconcile.repeatability import capture_scale, estimate_tau
+from radiometer.reconcile.statistics import CaptureStatistics
+from radiometer.reconcile.terms import LinearTerm, prior_rows
+from radiometer.reconcile.tile_model import Nuisance, Prediction, TileModel
+from simulators.effects.catalogue import CatalogueEffect
+
+_ITERATIONS: Final = 25
+_CONVERGED: Final = 1e-3  # change of χ² below which an iteration ends the fit
+_FORM_FLOOR: Final = 0.005  # share of an accepted effect's own correction that its form is not trusted with
+_SENSITIVITY_STEP: Final = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class FitState:
+    """One fitted model of one capture set.
+
+    Attributes:
+        seen: Measured statistics.
+        model: The camera with its effects.
+        layout: Which nuisances are fitted.
+        values: Nuisance parameters.
+        terms: Smooth unnamed terms that were added.
+        weights: Their coefficients and those of the realisations, in order.
+        comparison: Measured against predicted, with weights.
+        tau: Capture-to-capture repeatability.
+    """
+
+    seen: CaptureStatistics
+    model: TileModel
+    layout: NuisanceLayout
+    values: Array
+    terms: tuple[LinearTerm, ...]
+    weights: Array
+    comparison: Comparison
+    tau: float
+    frozen: frozenset[int] = field(default_factory=frozenset)
+
+    @property
+    def design(self) -> Design:
+        """Return captures and tiles."""
+        return self.model.design
+
+    @property
+    def effects(self) -> tuple[CatalogueEffect, ...]:
+        """Return the effects that were added."""
+        return self.model.effects
+
+    @cached_property
+    def nuisance(self) -> Nuisance:
+        """Return the nuisances."""
+        return self.layout.unpack(self.design, self.values)
+
+    @cached_property
+    def prediction(self) -> Prediction:
+        """Return the expected statistics, unnamed terms left out."""
+        return self.model.predict(self.nuisance)
+
+    @cached_property
+    def sensitivity(self) -> Array:
+        """Return d(mean)/d(log light) in DN, (captures, tiles)."""
+        return light_sensitivity(self.model, self.nuisance, self.prediction)
+
+    @cached_property
+    def term_columns(self) -> Array:
+        """Return the whitened columns of all linear terms."""
+        pieces = [term.build(self.comparison, self.prediction, self.sensitivity) for term in self.terms]
+        return np.hstack(pieces) if pieces else np.zeros((self.comparison.size, 0))
+
+    @cached_property
+    def parameters(self) -> EffectParameters:
+        """Return the fitted parameters of the effects."""
+        return EffectParameters.of(self.effects)
+
+    @cached_property
+    def plain_residual(self) -> Array:
+        """Return the whitened residual of the data without the linear terms."""
+        return self.comparison.residual(self.prediction)
+
+    @cached_property
+    def data_residual(self) -> Array:
+        """Return the whitened residual of the data, without prior rows."""
+        return self.plain_residual - self.term_columns @ self.weights
+
+    @cached_property
+    def residual(self) -> Array:
+        """Return the whitened residual with the prior rows of nuisances and terms behind it."""
+        nuisance_rows, _ = prior_rows(self.layout.prior, self.values)
+        term_rows, _ = prior_rows(self._term_prior, self.weights)
+        return np.concatenate([self.data_residual, nuisance_rows, term_rows])
+
+    @property
+    def cost(self) -> float:
+        """Return χ², priors included."""
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def nuisance_jacobian(self) -> Array:
+        """Return −d(residual)/d(nuisances and term weights), prior rows included."""
+        data = self.layout.jacobian(self.model, self.comparison, self.values, self.prediction)
+        _, nuisance_rows = prior_rows(self.layout.prior, self.values)
+        _, term_rows = prior_rows(self._term_prior, self.weights)
+        m, k = self.layout.size, self._term_prior.size
+        return np.block(
+            [
+                [data, self.term_columns],
+                [nuisance_rows, np.zeros((m, k))],
+                [np.zeros((k, m)), term_rows],
+            ]
+        )
+
+    @cached_property
+    def effect_jacobian(self) -> Array:
+        """Return −d(residual)/d(scaled effect parameter), prior rows (zero) included."""
+        return self.pad(self.parameters.jacobian(self))
+
+    @cached_property
+    def fit(self) -> LinearFit:
+        """Return the linearised fit in nuisances, term weights and effect parameters."""
+        effects = self.effect_jacobian
+        if self.frozen:
+            effects = np.delete(effects, sorted(self.frozen), axis=1)
+        return LinearFit(self.residual, np.hstack([self.nuisance_jacobian, effects]))
+
+    @cached_property
+    def _term_prior(self) -> Array:
+        return np.concatenate([term.prior for term in self.terms]) if self.terms else np.zeros(0)
+
+    def pad(self, columns: Array) -> Array:
+        """Return data columns with zero prior rows behind them."""
+        below = np.zeros((self.residual.size - columns.shape[0], columns.shape[1]))
+        return np.vstack([columns, below])
+
+    @cached_property
+    def groups(self) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Return (group, counts) of each row: settings first, then each prior row as a group of its own."""
+        setting = self.design.setting_id[self.comparison.capture_of_rows()]
+        priors = self.residual.size - setting.size
+        behind = setting.max() + 1 + np.arange(priors)
+        informative = np.concatenate([self.layout.prior < 1.0, np.zeros(self._term_prior.size, np.bool_)])
+        counts = np.concatenate([self.comparison.counts(), informative])
+        return np.concatenate([setting, behind]), counts
+
+    @cached_property
+    def held_out(self) -> HeldOut:
+        """Return how well each setting is predicted by the others."""
+        return leave_one_group_out(self.fit, *self.groups)
+
+    @property
+    def evidence(self) -> float:
+        """Return the held-out log density with the weights' determinants: comparable between different weights."""
+        comparison = self.comparison
+        mean = float(np.sum(np.log(np.diagonal(comparison.whitener, axis1=1, axis2=2))))
+        others = [n for n in comparison.cuts if n != "mean"]
+        spread = sum(float(np.sum(np.log(comparison.deviation[n][comparison.usable[n]]))) for n in others)
+        return float(np.sum(self.held_out.log_density)) + mean - spread
+
+    @property
+    def gap(self) -> float:
+        """Return the reduced χ² of held-out settings; prior rows left out."""
+        settings = int(self.design.setting_id.max()) + 1
+        return float(self.held_out.chi2[:settings].sum() / max(self.held_out.count[:settings].sum(), 1.0))
+
+
+def light_sensitivity(model: TileModel, nuisance: Nuisance, base: Prediction) -> Array:
+    """Return d(mean)/d(log light) in DN by a finite difference."""
+    return light_response(model, nuisance, base)[0]
+
+
+def light_response(model: TileModel, nuisance: Nuisance, base: Prediction) -> tuple[Array, Array]:
+    """Return d(mean)/d(log light) in DN and |d(ln variance)/d(log light)| by a finite difference."""
+    moved = model.predict(replace(nuisance, log_responsivity=nuisance.log_responsivity + _SENSITIVITY_STEP))
+    mean = (moved.mean - base.mean) / _SENSITIVITY_STEP
+    variance = np.abs(np.log(moved.variance / base.variance)) / _SENSITIVITY_STEP
+    return np.asarray(mean), np.asarray(variance)
+
+
+def first_state(
+    design: Design, seen: CaptureStatistics, images: PatternImages, given: tuple[CatalogueEffect, ...] = ()
+) -> FitState:
+    """Return the starting camera fitted to the statistics: nuisances only.
+
+    Args:
+        design: Captures and tiles.
+        seen: Measured statistics.
+        images: Mean picture of each pattern.
+        given: Effects that the starting model holds beside the ideal chain; they are not fitted.
+    """
+    model = replace(TileModel.of(design, images), given=given)
+    layout = NuisanceLayout.of(design)
+    values = np.zeros(layout.size)
+    rough = model.predict(layout.unpack(design, values))
+    unclipped = (seen.high < 1e-3) & (seen.low < 1e-3)
+    values[0] = rough_log_responsivity(design, seen.mean, rough, unclipped)
+    state = _weighted(seen, model, layout, values, (), tau=1e-3, floors={}, usable=None)
+    state = refit(state)
+    return refit(reweighted(state))
+
+
+def reweighted(state: FitState) -> FitState:
+    """Return the state with repeatability, weights and realisations brought up to date; parameters as they are."""
+    tau = _estimate_tau(state)
+    smooth = tuple(term for term in state.terms if term.is_smooth)
+    kept = _kept_weights(state, smooth)
+    terms = (
+        *smooth,
+        *realisation_terms((*state.model.given, *state.effects), state.prediction, state.seen, state.design),
+    )
+    floors = form_floors(state)
+    mask = state.comparison.usable
+    again = _weighted(state.seen, state.model, state.layout, state.values, terms, tau, floors, mask)
+    return replace(again, weights=np.concatenate([kept, np.zeros(sum(t.size for t in terms) - kept.size)]))
+
+
+def with_terms(state: FitState, terms: Sequence[LinearTerm]) -> FitState:
+    """Return the state with exactly these smooth terms (realisations kept), not refitted."""
+    realised = tuple(term for term in state.terms if not term.is_smooth)
+    everything = (*terms, *realised)
+    return replace(state, terms=everything, weights=np.zeros(sum(term.size for term in everything)))
+
+
+def with_effects(state: FitState, effects: Sequence[CatalogueEffect]) -> FitState:
+    """Return the state with exactly these effects, not refitted."""
+    return replace(state, model=state.model.with_effects(effects), frozen=frozenset())
+
+
+def refit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
+    """Return the state at the least χ² over nuisances, term weights and effect parameters (damped Gauss–Newton)."""
+    for _ in range(iterations):
+        following = _improved(state)
+        if following is None:
+            return state
+        gained = state.cost - following.cost
+        state = following
+        if gained < _CONVERGED:
+            break
+    return state
+
+
+def _improved(state: FitState) -> FitState | None:
+    step = state.fit.step
+    damping = 1.0
+    for _ in range(6):
+        trial = _moved(state, damping * step)
+        if trial.cost < state.cost:
+            return trial
+        damping *= 0.3
+    return None
+
+
+def _moved(state: FitState, step: Array) -> FitState:
+    m, k = state.layout.size, state.weights.size
+    scaled = np.zeros(state.parameters.size)
+    free = [i for i in range(scaled.size) if i not in state.frozen]
+    scaled[free] = step[m + k :]
+    effects, at_bound = state.parameters.moved(scaled)
+    return replace(
+        state,
+        values=state.values + step[:m],
+        weights=state.weights + step[m : m + k],
+        model=state.model.with_effects(effects),
+        frozen=frozenset(at_bound),
+    )
+
+
+def _weighted(
+    seen: CaptureStatistics,
+    model: TileModel,
+    layout: NuisanceLayout,
+    values: Array,
+    terms: tuple[LinearTerm, ...],
+    tau: float,
+    floors: dict[str, Array],
+    usable: object,
+) -> FitState:
+    design = model.design
+    nuisance = layout.unpack(design, values)
+    prediction = model.predict(nuisance)
+    sensitivity, response = light_response(model, nuisance, prediction)
+    flicker = relative_flicker(prediction) * (prediction.common_variance.max(axis=1) > 0)
+    repeatability = Repeatability(tau, flicker, prediction.row_variance)
+    mask = usable if isinstance(usable, dict) else usable_entries(design, seen, prediction)
+    comparison = compare(design, seen, prediction, sensitivity, repeatability, response, floors, mask)
+    weights = np.zeros(sum(term.size for term in terms))
+    return FitState(seen, model, layout, values, terms, weights, comparison, tau)
+
+
+def _estimate_tau(state: FitState) -> float:
+    comparison = state.comparison
+    scale, variance = capture_scale(
+        state.seen.mean - state.prediction.mean,
+        state.sensitivity,
+        comparison.deviation["mean"],
+        comparison.usable["mean"],
+    )
+    return estimate_tau(state.design, scale, variance)
+
+
+def _kept_weights(state: FitState, smooth: tuple[LinearTerm, ...]) -> Array:
+    kept, at = [], 0
+    for term in state.terms:
+        if term in smooth:
+            kept.append(state.weights[at : at + term.size])
+        at += term.size
+    return np.concatenate(kept) if kept else np.zeros(0)
+
+
+def form_floors(state: FitState) -> dict[str, Array]:
+    """Return per block the uncertainty of the accepted effects' form: a share of each one's own correction."""
+    floors: dict[str, Array] = {}
+    everything = (*state.model.given, *state.effects)
+    for index in range(len(everything)):
+        without = tuple(effect for i, effect in enumerate(everything) if i != index)
+        other = replace(state.model, given=(), effects=without).predict(state.nuisance)
+        for name, change in _corrections(state.prediction, other).items():
+            floors[name] = np.hypot(floors.get(name, 0.0), _FORM_FLOOR * change)
+    return floors
+
+
+def _corrections(with_it: Prediction, without: Prediction) -> dict[str, Array]:
+    plain = ("mean", "slope_x", "slope_y", "neighbour_x", "neighbour_y", "first", "edge")
+    found = {name: np.abs(getattr(with_it, name) - getattr(without, name)) for name in plain}
+    for name in ("variance", "spatial"):
+        found[name] = np.abs(np.log(getattr(with_it, name) / getattr(without, name)))
+    return found

@@ -1,0 +1,153 @@
+"""Reduces frames to the statistics that are compared: one pass, one frame in memory at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data import Frame
+from radiometer.errors import CaptureError
+from radiometer.reconcile.capture_sums import CaptureSums, FrameSums
+from radiometer.reconcile.design import Array, Design
+from radiometer.reconcile.edges import edge_shares
+from radiometer.reconcile.pattern_images import PatternImages
+from radiometer.reconcile.tile_layout import patch_sides, tile_groups
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CaptureStatistics:
+    """What was seen, per capture and tile: arrays (captures, tiles) in DN, and (captures,) where said so.
+
+    Attributes:
+        mean: Mean of all frames.
+        variance: Temporal variance of a pixel, each frame's tile mean removed.
+        variance_dof: Degrees of freedom of `variance`.
+        spatial: Variance of the time mean from pixel to pixel about a quadratic surface.
+        spatial_dof: Degrees of freedom of `spatial`.
+        slope_x: Rise of the time mean from the tile's centre to its right edge.
+        slope_y: Rise from the centre to the bottom edge.
+        neighbour_x: Correlation of the temporal fluctuation of horizontal neighbours.
+        neighbour_y: The same of vertical neighbours.
+        first: First frame minus the mean of the others.
+        pixels: Pixels of the tile that count (defects taken out).
+        low: Share of samples at 0 DN.
+        high: Share of samples at full scale.
+        common: (captures,) variance of the frame-common relative fluctuation over what pixel noise alone gives.
+        common_unit: (captures,) relative variance that pixel noise alone gives it.
+        row_temporal: (captures,) variance of row means from frame to frame over what pixel noise alone gives.
+        row_temporal_weight: (captures,) its sensitivity: mean over rows of Σ 1/variance, in DN⁻².
+        row_temporal_dof: (captures,) its degrees of freedom.
+        columns: (captures,) variance of fixed column means over what the fixed pixel pattern alone gives.
+        columns_weight: (captures,) its sensitivity in DN⁻².
+        columns_dof: (captures,) its degrees of freedom.
+        rows: (captures,) the same of rows.
+        rows_weight: (captures,) in DN⁻².
+        rows_dof: (captures,) degrees of freedom.
+        edge: (captures,) share of a step at a patch's edge that lies in the last line inside it.
+        edge_u: (captures,) its standard uncertainty; infinite where no edge is seen.
+        outliers: (captures,) pixels that stand out of their tile by more than 6 robust sigmas.
+        comb: (captures, periods) amplitude of a regular comb in the histogram, real part of its Fourier term.
+        comb_count: (captures,) samples in that histogram.
+    """
+
+    mean: Array
+    variance: Array
+    variance_dof: Array
+    spatial: Array
+    spatial_dof: Array
+    slope_x: Array
+    slope_y: Array
+    neighbour_x: Array
+    neighbour_y: Array
+    first: Array
+    pixels: Array
+    low: Array
+    high: Array
+    common: Array
+    common_unit: Array
+    row_temporal: Array
+    row_temporal_weight: Array
+    row_temporal_dof: Array
+    columns: Array
+    columns_weight: Array
+    columns_dof: Array
+    rows: Array
+    rows_weight: Array
+    rows_dof: Array
+    edge: Array
+    edge_u: Array
+    outliers: Array
+    comb: Array
+    comb_count: Array
+
+
+FrameReader = Callable[[int], Frame]
+Progress = Callable[[int], None]
+
+
+def reduce_frames(
+    design: Design, read: FrameReader, progress: Progress | None = None
+) -> tuple[CaptureStatistics, PatternImages]:
+    """Return the statistics of all captures and the mean image of each pattern.
+
+    Dark captures come first, so that their outlying pixels (defects) are left out everywhere.
+
+    Args:
+        design: Captures and tiles.
+        read: Gives the frame at a position of the header.
+        progress: Called with the number of frames done.
+
+    Raises:
+        CaptureError: If a frame's size differs from the design's.
+    """
+    groups, sides = tile_groups(design), patch_sides(design)
+    images = PatternImages.empty(design)
+    defects: NDArray[np.bool_] = np.zeros(design.shape, dtype=np.bool_)
+    collected: dict[int, dict[str, NDArray[np.float64] | float]] = {}
+    done = 0
+    for number in _darks_first(design):
+        capture = design.captures[number]
+        sums = CaptureSums.start(groups, sides, len(design.tiles), defects)
+        for frame in _frames(design, capture.frames, read):
+            sums.add(FrameSums.of(frame, groups, sides, defects))
+            images.add(frame, number)
+            done += 1
+            if progress is not None:
+                progress(done)
+        collected[number], outlying = sums.finish(design.black_level_dn[number])
+        if design.closed[number]:
+            defects = defects | outlying
+    names = [entry.name for entry in fields(CaptureStatistics)]
+    rows = [collected[number] for number in range(len(design.captures))]
+    lines = np.array([row["side_lines"] for row in rows])
+    gathered = {name: np.array([row[name] for row in rows]) for name in names if name not in ("edge", "edge_u")}
+    gathered["edge"], gathered["edge_u"] = edge_shares(
+        sides, lines, gathered["mean"], gathered["spatial"], gathered["high"], design.pattern_index
+    )
+    return CaptureStatistics(**gathered), images
+
+
+def frame_reader(frames: Sequence[Frame]) -> FrameReader:
+    """Return a reader of frames that are in memory already."""
+    return frames.__getitem__
+
+
+def _darks_first(design: Design) -> list[int]:
+    """Return the captures' numbers, darks first and the longest of them foremost: it shows the most defects."""
+    return sorted(
+        range(len(design.captures)), key=lambda n: (not design.closed[n], -design.exposure_s[n] * design.closed[n], n)
+    )
+
+
+def _frames(design: Design, indices: Sequence[int], read: FrameReader) -> Iterator[Frame]:
+    for index in indices:
+        frame = read(index)
+        if frame.shape != design.shape:
+            raise CaptureError(
+                f"frame {index} is {frame.shape[1]} × {frame.shape[0]} pixels, the first one {design.shape[1]} × "
+                f"{design.shape[0]}; all frames of a capture set need one size"
+            )
+        yield frame
