@@ -1,0 +1,1 @@
+"""The daemon: readings over sockets, for weeks."""

@@ -1,0 +1,177 @@
+"""Measures continuously and on demand, one measurement at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import structlog
+
+from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.instrument import Instrument, Measurement, MeasurementSettings
+from radiometer.daemon.journal_writer import JournalWriter
+from radiometer.daemon.keeper import DeviceKeeper
+from radiometer.data import Reading
+from radiometer.errors import DeviceError, RadiometerError
+
+_log = structlog.get_logger(__name__)
+ALARM: Final = "measurement"
+_PAUSE_AFTER_ERROR_S: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class _Request:
+    settings: MeasurementSettings
+    done: asyncio.Future[Reading]
+
+
+class Acquisition:
+    """Runs the measurements.
+
+    Requests that wait for the same settings share one measurement, so the queue stays as short as the number of
+    different settings asked for.
+
+    Args:
+        instrument: The camera with its calibration.
+        keeper: Keeps that camera open.
+        writer: Commits the readings.
+        alarms: Where failures of continuous measurement are reported.
+        on_measured: Called with every measurement and its duration in s, before it is committed.
+    """
+
+    def __init__(
+        self,
+        instrument: Instrument,
+        keeper: DeviceKeeper,
+        writer: JournalWriter,
+        alarms: Alarms,
+        on_measured: Callable[[Measurement, float], None],
+    ) -> None:
+        self._instrument, self._keeper, self._writer, self._alarms = instrument, keeper, writer, alarms
+        self._on_measured = on_measured
+        self._requests: dict[MeasurementSettings, _Request] = {}
+        self._wake = asyncio.Event()
+        self._due_at = 0.0
+        self._every_s: float | None = None
+        self.settings = MeasurementSettings()
+        self.failures = 0
+        self.busy = False
+
+    @property
+    def queue_depth(self) -> int:
+        """Return how many different measurements are asked for and not yet begun."""
+        return len(self._requests)
+
+    @property
+    def every_s(self) -> float | None:
+        """Return the period of continuous measurement in s; 0 for as fast as possible, None for on demand only."""
+        return self._every_s
+
+    def set_every(self, every_s: float | None) -> None:
+        """Set the period of continuous measurement in s; None stops it."""
+        self._every_s = every_s
+        self._due_at = time.monotonic()
+        self._wake.set()
+
+    async def measure(self, settings: MeasurementSettings, deadline_s: float) -> Reading:
+        """Return a reading that was begun after this call, committed to the journal.
+
+        Args:
+            settings: What to measure with.
+            deadline_s: Longest wait in s.
+
+        Raises:
+            DeviceError: If the camera is not there.
+            RadiometerError: If the measurement fails.
+            TimeoutError: If the deadline passes first.
+        """
+        if not self._keeper.is_ready:
+            raise DeviceError(self._keeper.loss_message())
+        request = self._requests.get(settings)
+        if request is None:
+            future: asyncio.Future[Reading] = asyncio.get_running_loop().create_future()
+            future.add_done_callback(_retrieve)
+            request = self._requests[settings] = _Request(settings, future)
+            self._wake.set()
+        return await asyncio.wait_for(asyncio.shield(request.done), deadline_s)
+
+    async def run(self) -> None:
+        """Measure what is asked for and what is due, for ever."""
+        while True:
+            await self._writer.wait_for_room()
+            await self._wait_until_needed()
+            if self._requests:
+                request = self._requests.pop(next(iter(self._requests)))
+                await self._serve(request)
+            elif self._is_due():
+                await self._measure_continuously()
+
+    async def _serve(self, request: _Request) -> None:
+        try:
+            committed = await self._measure(request.settings)
+        except RadiometerError as error:
+            request.done.set_exception(error)
+            return
+        committed.add_done_callback(lambda future: _pass_on(future, request.done))
+
+    async def _measure_continuously(self) -> None:
+        assert self._every_s is not None
+        self._due_at = max(self._due_at + self._every_s, time.monotonic())
+        try:
+            await self._measure(self.settings)
+            self._alarms.clear(ALARM)
+        except DeviceError:
+            self._due_at = time.monotonic() + _PAUSE_AFTER_ERROR_S  # the keeper has its alarm up already
+        except RadiometerError as error:
+            self._alarms.put_up(ALARM, f"measuring failed: {error}")
+            self._due_at = time.monotonic() + max(self._every_s, _PAUSE_AFTER_ERROR_S)
+
+    async def _measure(self, settings: MeasurementSettings) -> asyncio.Future[Reading]:
+        started = time.perf_counter()
+        self.busy = True
+        try:
+            measurement = await self._keeper.use(self._instrument.measure, settings)
+        except RadiometerError:
+            self.failures += 1
+            raise
+        finally:
+            self.busy = False
+        self._on_measured(measurement, time.perf_counter() - started)
+        return self._writer.submit(measurement.reading)
+
+    def _is_due(self) -> bool:
+        return self._every_s is not None and self._keeper.is_ready and time.monotonic() >= self._due_at
+
+    async def _wait_until_needed(self) -> None:
+        while not (self._requests or self._is_due()):
+            self._wake.clear()
+            try:
+                async with asyncio.timeout(self._pause_s()):
+                    await self._wake.wait()
+            except TimeoutError:
+                continue
+
+    def _pause_s(self) -> float | None:
+        if self._every_s is None:
+            return None
+        if not self._keeper.is_ready:
+            return 0.1
+        return max(0.0, self._due_at - time.monotonic())
+
+
+def _retrieve(future: asyncio.Future[Reading]) -> None:
+    """Look at the error so that asyncio does not complain where every client has gone."""
+    if not future.cancelled():
+        future.exception()
+
+
+def _pass_on(committed: asyncio.Future[Reading], done: asyncio.Future[Reading]) -> None:
+    if done.done():
+        return
+    if committed.cancelled():
+        done.cancel()
+    else:
+        done.set_result(committed.result())

@@ -1,0 +1,100 @@
+"""A light box of the bench as the daemon's light source: opens, reopens, sets levels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from pathlib import Path
+
+from radiometer.bench.boxes import open_light_box
+from radiometer.daemon.instrument import DeviceReport
+from radiometer.devices.light_box import FULL_LEVEL, CurrentRange, DriveLevel, LightBox
+from radiometer.errors import DeviceError
+
+
+class BenchLight:
+    """The light box that `open_box` gives.
+
+    Levels go from 0 to 1 of the high-current range; what a channel's own limit or the retinal-exposure account does
+    not allow is refused by the box's driver.
+
+    Args:
+        open_box: Returns a block in which the box is open; called again after each loss.
+        name: Name for messages.
+    """
+
+    def __init__(self, open_box: Callable[[], AbstractContextManager[LightBox]], name: str = "light box") -> None:
+        self._open_box, self._name = open_box, name
+        self._box: LightBox | None = None
+        self._held = ExitStack()
+        self._channels: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Return the name for messages."""
+        return self._name
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Return the names of the channels; empty before the box was first open."""
+        return self._channels
+
+    @property
+    def late_at(self) -> float | None:
+        """Return None: every exchange with the box has a short deadline of its own."""
+        return None
+
+    def open(self) -> None:
+        """Open the box, all channels dark. Raises DeviceError."""
+        self.close()
+        with ExitStack() as opening:
+            box = opening.enter_context(self._open_box())
+            self._channels = tuple(box.channels)
+            self._held = opening.pop_all()
+        self._box = box
+
+    def close(self) -> None:
+        """Switch every channel off and release the box."""
+        self._box = None
+        self._held.close()
+
+    def check(self) -> DeviceReport:
+        """Ask the box for its temperature and counts, as a sign of life. Raises DeviceError."""
+        status = self._opened().status()
+        counts = {
+            "damaged_lines": status.damaged_lines,
+            "lost_bytes": status.lost_bytes,
+            "darkened": status.darkened,
+        }
+        return DeviceReport(status.temperature_celsius, counts)
+
+    def set_level(self, channel: str, level: float) -> float:
+        """Set a channel's level, 0 to 1, and return it as read back. Raises DeviceError."""
+        box = self._opened()
+        if level == 0.0:
+            box.off(channel)
+            return 0.0
+        state = box.set_level(channel, DriveLevel(max(1, round(level * FULL_LEVEL)), CurrentRange.HIGH))
+        return state.drive.level / FULL_LEVEL
+
+    def _opened(self) -> LightBox:
+        if self._box is None:
+            raise DeviceError(f"the {self._name} is not open")
+        return self._box
+
+
+def bench_light(name: str, calibration: Path | None = None, preset: Path | None = None) -> BenchLight:
+    """Return the light box of a name as the daemon's light source, not yet open.
+
+    Args:
+        name: "sim", a serial number or a port.
+        calibration: Calibration file; the one kept for its serial number where None.
+        preset: Light-box preset; the reference box's where None.
+    """
+
+    @contextmanager
+    def open_box() -> Iterator[LightBox]:
+        with open_light_box(name, calibration=calibration, preset=preset) as opened:
+            yield opened.box
+
+    return BenchLight(open_box)

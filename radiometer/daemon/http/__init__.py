@@ -1,0 +1,1 @@
+"""HTTP: history, streams, pictures, figures, and a web page."""

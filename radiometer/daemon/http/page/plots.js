@@ -1,0 +1,123 @@
+// Plots on a canvas: the trend with its uncertainty band, and the response curve.
+
+const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+export function prepared(canvas) {
+  const ratio = window.devicePixelRatio || 1, box = canvas.getBoundingClientRect();
+  const width = Math.max(60, box.width), height = Math.max(40, box.height);
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+  }
+  const pen = canvas.getContext("2d");
+  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+  pen.clearRect(0, 0, width, height);
+  pen.font = "11.5px system-ui, sans-serif";
+  return { pen, width, height };
+}
+
+function niceTicks(low, high, count) {
+  const raw = (high - low) / Math.max(1, count), power = 10 ** Math.floor(Math.log10(raw || 1));
+  const step = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= raw) || 10 * power;
+  const ticks = [];
+  for (let t = Math.ceil(low / step) * step; t <= high + step * 1e-9; t += step) ticks.push(Math.abs(t) < step * 1e-9 ? 0 : t);
+  return { ticks, step };
+}
+
+const label = (value, step) => {
+  if (value !== 0 && (Math.abs(value) < 1e-3 || Math.abs(value) >= 1e5)) return value.toExponential(1);
+  return value.toFixed(Math.min(8, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))));
+};
+
+function axes(pen, box, yLow, yHigh, xTicks) {
+  const { ticks, step } = niceTicks(yLow, yHigh, Math.max(2, Math.round(box.h / 42)));
+  pen.strokeStyle = css("--line");
+  pen.fillStyle = css("--quiet");
+  pen.lineWidth = 1;
+  pen.textAlign = "right";
+  pen.textBaseline = "middle";
+  for (const t of ticks) {
+    const y = Math.round(box.y + box.h * (1 - (t - yLow) / (yHigh - yLow))) + 0.5;
+    pen.beginPath(); pen.moveTo(box.x, y); pen.lineTo(box.x + box.w, y); pen.stroke();
+    pen.fillText(label(t, step), box.x - 7, y);
+  }
+  pen.textBaseline = "top";
+  for (const [x, text, align] of xTicks) {
+    pen.textAlign = align || "center";
+    pen.fillText(text, x, box.y + box.h + 7);
+  }
+}
+
+export function drawTrend(canvas, readings, spanS, pointer) {
+  const { pen, width, height } = prepared(canvas);
+  const box = { x: 58, y: 8, w: width - 66, h: height - 34 };
+  const now = readings.length ? Math.max(readings[readings.length - 1].at, Date.now() - 2000) : Date.now();
+  const shown = readings.filter((r) => r.at >= now - spanS * 1000 && r.value !== null);
+  const first = shown.length ? Math.min(shown[0].at, now - 1000) : now - spanS * 1000;
+  const start = Math.max(now - spanS * 1000, first), x = (at) => box.x + (box.w * (at - start)) / Math.max(1, now - start);
+  if (!shown.length) {
+    pen.fillStyle = css("--quiet"); pen.textAlign = "center"; pen.fillText("no readings in this time", width / 2, height / 2);
+    return null;
+  }
+  let low = Math.min(...shown.map((r) => r.value - r.U)), high = Math.max(...shown.map((r) => r.value + r.U));
+  const pad = Math.max((high - low) * 0.12, Math.abs(high) * 1e-4, 1e-12);
+  low -= pad; high += pad;
+  const y = (v) => box.y + box.h * (1 - (v - low) / (high - low));
+  const clock = (at) => new Date(at).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit", second: spanS < 3600 ? "2-digit" : undefined, hour12: false });
+  const middle = (start + now) / 2;
+  axes(pen, box, low, high, [[box.x, clock(start), "left"], [x(middle), clock(middle)], [box.x + box.w, clock(now), "right"]]);
+  pen.fillStyle = css("--band");
+  pen.beginPath();
+  shown.forEach((r, i) => pen[i ? "lineTo" : "moveTo"](x(r.at), y(r.value + r.U)));
+  [...shown].reverse().forEach((r) => pen.lineTo(x(r.at), y(r.value - r.U)));
+  pen.fill();
+  pen.strokeStyle = css("--accent"); pen.lineWidth = 1.8; pen.lineJoin = "round";
+  pen.beginPath();
+  shown.forEach((r, i) => pen[i ? "lineTo" : "moveTo"](x(r.at), y(r.value)));
+  pen.stroke();
+  const last = shown[shown.length - 1];
+  pen.fillStyle = css("--accent"); pen.beginPath(); pen.arc(x(last.at), y(last.value), 3.4, 0, 7); pen.fill();
+  if (pointer === null) return null;
+  const near = shown.reduce((a, b) => (Math.abs(x(b.at) - pointer) < Math.abs(x(a.at) - pointer) ? b : a));
+  pen.strokeStyle = css("--quiet"); pen.lineWidth = 1;
+  pen.beginPath(); pen.moveTo(x(near.at), box.y); pen.lineTo(x(near.at), box.y + box.h); pen.stroke();
+  const text = `${clock(near.at)}   ${near.text}`, wide = pen.measureText(text).width + 16;
+  const left = Math.min(Math.max(x(near.at) - wide / 2, box.x), box.x + box.w - wide);
+  pen.fillStyle = css("--ink"); pen.beginPath(); pen.roundRect(left, box.y, wide, 22, 6); pen.fill();
+  pen.fillStyle = css("--card"); pen.textAlign = "left"; pen.textBaseline = "middle"; pen.fillText(text, left + 8, box.y + 11.5);
+  return near;
+}
+
+export function drawResponse(canvas, curve) {
+  const { pen, width, height } = prepared(canvas);
+  const box = { x: 46, y: 8, w: width - 56, h: height - 36 };
+  if (!curve) {
+    pen.fillStyle = css("--quiet"); pen.textAlign = "center";
+    pen.fillText("taken as linear: no curve in use", width / 2, height / 2);
+    return;
+  }
+  const g = curve.log_exposure, low = g[0], high = g[g.length - 1], top = curve.dn[curve.dn.length - 1];
+  const x = (v) => box.x + (box.w * (v - low)) / (high - low || 1), y = (dn) => box.y + box.h * (1 - dn / top);
+  const { ticks, step } = niceTicks(low, high, Math.max(2, Math.round(box.w / 70)));
+  axes(pen, box, 0, top, ticks.map((t) => [x(t), label(t, step)]));
+  pen.fillStyle = css("--band");
+  pen.beginPath();
+  g.forEach((v, i) => pen[i ? "lineTo" : "moveTo"](x(Math.max(low, v - 2 * curve.u_log_exposure[i])), y(curve.dn[i])));
+  for (let i = g.length - 1; i >= 0; i--) pen.lineTo(x(Math.min(high, g[i] + 2 * curve.u_log_exposure[i])), y(curve.dn[i]));
+  pen.fill();
+  pen.strokeStyle = css("--accent"); pen.lineWidth = 1.8;
+  pen.beginPath();
+  g.forEach((v, i) => pen[i ? "lineTo" : "moveTo"](x(v), y(curve.dn[i])));
+  pen.stroke();
+  pen.fillStyle = css("--quiet"); pen.textAlign = "left"; pen.textBaseline = "top";
+  pen.fillText(curve.linear ? "DN over ln(exposure), taken as linear" : curve.absolute ? "DN over ln(H / J m⁻²)" : "DN over ln(relative exposure)", box.x + 8, box.y + 4);
+}
+
+const STOPS = { inferno: ["#000004", "#1b0c41", "#4a0c6b", "#781c6d", "#a52c60", "#cf4446", "#ed6925", "#fb9b06", "#f7d13d", "#fcffa4"], red: ["#000000", "#ff0000"] };
+
+export function drawRamp(canvas, map) {
+  const { pen, width, height } = prepared(canvas), ramp = pen.createLinearGradient(0, 0, width, 0), stops = STOPS[map];
+  stops.forEach((colour, i) => ramp.addColorStop(i / (stops.length - 1), colour));
+  pen.fillStyle = ramp;
+  pen.fillRect(0, 0, width, height);
+}

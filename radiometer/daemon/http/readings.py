@@ -1,0 +1,181 @@
+"""GET /readings and GET /readings/stream."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from typing import Any, Final
+
+from aiohttp import web
+
+from radiometer.daemon.http.requests import read_query
+from radiometer.daemon.http.route import LIMITS, QUERIES, STATION, QueryParameter, Route
+from radiometer.daemon.hub import Event, Subscription
+from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
+from radiometer.daemon.station import Station
+from radiometer.daemon.timestamps import parse_moment
+from radiometer.errors import UsageError
+
+DEFAULT_ROWS: Final = 1000
+_QUERY_DEADLINE_S: Final = 10.0
+_HEARTBEAT_S: Final = 15.0
+_WRITE_DEADLINE_S: Final = 10.0
+_REPLAY_ROWS: Final = 1000
+_FORMATS: Final = {"json": "application/json", "jsonl": "application/x-ndjson", "csv": "text/csv"}
+
+_LIST_QUERY: Final = (
+    QueryParameter("since", "string", "Not before this time: ISO 8601, or an age such as 15min, 2h, 7d."),
+    QueryParameter("until", "string", "Before this time."),
+    QueryParameter("after", "integer", "Sequence number above this; gives the oldest of these first."),
+    QueryParameter("flag", "string", "Only readings with this flag."),
+    QueryParameter("clean", "boolean", "Only readings without any flag."),
+    QueryParameter(
+        "limit", "integer", f"At most this many; {DEFAULT_ROWS} unless told otherwise. The newest are kept."
+    ),
+    QueryParameter("format", "string", "json (an array), jsonl (a line each) or csv; else the Accept header decides."),
+)
+_STREAM_QUERY: Final = (
+    QueryParameter("after", "integer", "First replay the readings above this number, as Last-Event-ID does."),
+    QueryParameter("format", "string", "sse (server-sent events) or jsonl; else the Accept header decides."),
+)
+
+
+async def list_readings(request: web.Request) -> web.Response:
+    """Serve history, oldest first."""
+    query = read_query(request, _LIST_QUERY)
+    form = _form(request, query.get("format"))
+    wanted = _filter(query, request.app[LIMITS].rows)
+    reader = JournalReader(request.app[STATION].journal_path, deadline_s=_QUERY_DEADLINE_S)
+    async with request.app[QUERIES]:
+        body = await asyncio.to_thread(_render, reader, wanted, form)
+    return web.Response(body=body, content_type=_FORMATS[form], charset="utf-8")
+
+
+async def stream_readings(request: web.Request) -> web.StreamResponse:
+    """Serve readings as they are committed, as server-sent events or JSON lines.
+
+    Raises:
+        UsageError: If a parameter is wrong.
+        HTTPServiceUnavailable: If there are too many listeners.
+    """
+    query = read_query(request, _STREAM_QUERY)
+    form = query.get("format") or ("jsonl" if "ndjson" in request.headers.get("Accept", "") else "sse")
+    if form not in ("sse", "jsonl"):
+        raise UsageError(f"format must be sse or jsonl, not {form[:20]!r}")
+    station = request.app[STATION]
+    if len(station.hub) >= request.app[LIMITS].listeners:
+        raise web.HTTPServiceUnavailable(text="too many listeners")
+    response = web.StreamResponse(headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"})
+    response.content_type = "text/event-stream" if form == "sse" else "application/x-ndjson"
+    response.charset = "utf-8"
+    after = query.get("after", _last_event_id(request))
+    subscription = station.hub.subscribe()
+    try:
+        await response.prepare(request)
+        last = await _replay(response, station, after, form) if after is not None else 0
+        await _follow(response, subscription, form, last)
+    except (TimeoutError, ConnectionError):
+        station.metrics.refused.labels(
+            "http", "dropped"
+        ).inc()  # gone, or too slow: a reconnect replays what is missing
+        if request.transport is not None:
+            request.transport.abort()
+    finally:
+        station.hub.unsubscribe(subscription)
+    return response
+
+
+async def _follow(response: web.StreamResponse, subscription: Subscription, form: str, last: int) -> None:
+    while True:
+        try:
+            async with asyncio.timeout(_HEARTBEAT_S):
+                event = await subscription.next()
+        except TimeoutError:
+            await _write(response, ": still here\n\n" if form == "sse" else "\n")
+            continue
+        if event is None:
+            return
+        if event.sequence is None or event.sequence > last:
+            await _write(response, _encoded(event, form))
+
+
+async def _replay(response: web.StreamResponse, station: Station, after: int, form: str) -> int:
+    """Send what the journal holds above a number and return the last number sent."""
+    reader, last = JournalReader(station.journal_path, deadline_s=_QUERY_DEADLINE_S), after
+    while lines := await asyncio.to_thread(reader.lines, ReadingFilter(after=last, limit=_REPLAY_ROWS)):
+        for line in lines:
+            last = int(json.loads(line)["sequence"])
+            await _write(response, _encoded(Event("reading", line, last), form))
+    return last
+
+
+async def _write(response: web.StreamResponse, text: str) -> None:
+    async with asyncio.timeout(_WRITE_DEADLINE_S):
+        await response.write(text.encode())
+
+
+def _encoded(event: Event, form: str) -> str:
+    if form == "jsonl":
+        return event.line + "\n" if event.kind == "reading" else ""
+    if event.kind == "reading":
+        return f"id: {event.sequence}\ndata: {event.line}\n\n"
+    return f"event: {event.kind}\ndata: {event.line}\n\n"
+
+
+def _last_event_id(request: web.Request) -> int | None:
+    text = request.headers.get("Last-Event-ID", "")
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 19 else None
+
+
+def _form(request: web.Request, asked: str | None) -> str:
+    if asked is None:
+        accept = request.headers.get("Accept", "")
+        return next((form for form, kind in _FORMATS.items() if form != "json" and kind in accept), "json")
+    if asked not in _FORMATS:
+        raise UsageError(f"format must be one of {', '.join(_FORMATS)}, not {asked[:20]!r}")
+    return asked
+
+
+def _filter(query: dict[str, Any], most: int) -> ReadingFilter:
+    limit = query.get("limit", DEFAULT_ROWS)
+    if not 1 <= limit <= most:
+        raise UsageError(f"limit must be 1 to {most}, not {limit}; ask for more in steps with after=…")
+    after = query.get("after")
+    if after is not None and not -(2**62) < after < 2**62:
+        raise UsageError("after is no sequence number")
+    return ReadingFilter(
+        since_us=parse_moment(query["since"]) if "since" in query else None,
+        until_us=parse_moment(query["until"]) if "until" in query else None,
+        after=after,
+        flag=query.get("flag"),
+        without_flags=query.get("clean", False),
+        limit=limit,
+        newest_first=after is None,
+    )
+
+
+def _render(reader: JournalReader, wanted: ReadingFilter, form: str) -> bytes:
+    lines = reader.lines(wanted)
+    if wanted.newest_first:
+        lines.reverse()
+    if form == "csv":
+        return to_csv(lines).encode()
+    if form == "jsonl":
+        return "".join(line + "\n" for line in lines).encode()
+    return ("[" + ",\n".join(lines) + "]\n").encode()
+
+
+ROUTES: Final = (
+    Route(
+        "GET", "/readings", list_readings, "History of readings, oldest first.", query=_LIST_QUERY, schema="Readings"
+    ),
+    Route(
+        "GET",
+        "/readings/stream",
+        stream_readings,
+        "Readings as they come, each once it is in the journal. `id` is the sequence number, so a client that"
+        " reconnects misses nothing. An event named `status` tells a change of state.",
+        reply="text/event-stream",
+        query=_STREAM_QUERY,
+    ),
+)

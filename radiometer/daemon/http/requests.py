@@ -1,0 +1,110 @@
+"""What may stand in query strings and bodies."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from typing import Any, Final, TypeVar
+
+from aiohttp import web
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from radiometer.daemon.http.route import QueryParameter
+from radiometer.data import Patch
+from radiometer.errors import UsageError
+
+_BODY_DEADLINE_S: Final = 5.0
+_Model = TypeVar("_Model", bound=BaseModel)
+
+
+class PatchBody(BaseModel):
+    """A region of the picture in pixels."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+class MeasureBody(BaseModel):
+    """Settings of one measurement; what is left out stays as it is."""
+
+    model_config = ConfigDict(extra="forbid")
+    patch: PatchBody | None = Field(None, description="Where to read; null is the middle of the picture.")
+    auto_exposure: bool = Field(True, description="Let exposures follow the scene.")
+    exposure_s: float = Field(0.01, description="Exposure time in s; switches automatic exposure off.")
+    gain_db: float = Field(0.0, description="Analogue gain in dB.")
+    wavelength_nm: float | None = Field(None, description="Wavelength of a line source in nm; null for the spectrum.")
+
+    def changes(self) -> dict[str, Any]:
+        """Return the fields that were given, as changes of `MeasurementSettings`."""
+        given = {name: getattr(self, name) for name in self.model_fields_set & set(MeasureBody.model_fields)}
+        if given.get("patch") is not None:
+            given["patch"] = Patch(**given["patch"].model_dump())
+        if "exposure_s" in given and "auto_exposure" not in given:
+            given["auto_exposure"] = False
+        return given
+
+
+class SettingsBody(MeasureBody):
+    """Settings for all later measurements; what is left out stays as it is."""
+
+    every_s: float | None = Field(
+        None, description="Period of continuous measurement in s; 0 is as fast as it goes, null stops it."
+    )
+
+
+class LightBody(BaseModel):
+    """Level of one light channel."""
+
+    model_config = ConfigDict(extra="forbid")
+    channel: str
+    level: float = Field(description="0 (off) to 1.")
+
+
+async def read_body(request: web.Request, model: type[_Model]) -> _Model:
+    """Return the validated JSON body; an empty one stands for {}.
+
+    Raises:
+        UsageError: If it is not what the model says.
+        HTTPRequestTimeout: If it does not come in time.
+        HTTPUnsupportedMediaType: If it is not JSON by its content type.
+    """
+    try:
+        async with asyncio.timeout(_BODY_DEADLINE_S):
+            content = await request.read()
+    except TimeoutError as error:
+        raise web.HTTPRequestTimeout(text="the body did not come in time") from error
+    if content.strip() and request.content_type != "application/json":
+        raise web.HTTPUnsupportedMediaType(text="send JSON with Content-Type: application/json")
+    try:
+        return model.model_validate_json(content.strip() or b"{}")
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"])) or "the body"
+        raise UsageError(f"{where}: {first['msg']}; allowed are {', '.join(model.model_fields)}") from error
+
+
+def read_query(request: web.Request, known: Sequence[QueryParameter]) -> dict[str, Any]:
+    """Return the query parameters by name, converted. Raises UsageError for an unknown or malformed one."""
+    kinds = {parameter.name: parameter.kind for parameter in known}
+    values: dict[str, Any] = {}
+    for name, text in request.query.items():
+        if name not in kinds:
+            raise UsageError(f"there is no parameter {name[:40]!r}; there are: {', '.join(kinds) or 'none'}")
+        values[name] = _converted(name, text, kinds[name])
+    return values
+
+
+def _converted(name: str, text: str, kind: str) -> Any:
+    if kind == "integer":
+        try:
+            return int(text[:20])
+        except ValueError as error:
+            raise UsageError(f"{name} must be a whole number, not {text[:20]!r}") from error
+    if kind == "boolean":
+        if text.lower() not in ("1", "0", "true", "false", "on", "off", ""):
+            raise UsageError(f"{name} must be true or false, not {text[:20]!r}")
+        return text.lower() in ("1", "true", "on", "")
+    return text

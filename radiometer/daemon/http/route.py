@@ -1,0 +1,55 @@
+"""One line of the route table; the server and its OpenAPI description are both made from it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Final
+
+from aiohttp import web
+from pydantic import BaseModel
+
+from radiometer.daemon.limits import Limits
+from radiometer.daemon.station import Station
+
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+STATION: Final = web.AppKey("station", Station)
+LIMITS: Final = web.AppKey("limits", Limits)
+QUERIES: Final = web.AppKey("queries", asyncio.Semaphore)
+
+
+@dataclass(frozen=True, slots=True)
+class QueryParameter:
+    """A parameter in the query string: name, JSON type, and what it means."""
+
+    name: str
+    kind: str
+    summary: str
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """One line of the route table.
+
+    Attributes:
+        method: "GET" or "POST".
+        path: Path, fixed.
+        handler: What serves it.
+        summary: What it does.
+        reply: Content type of the reply.
+        query: Parameters in the query string; others are refused.
+        body: Model of the JSON body; None where there is none.
+        schema: Name of the reply's schema in the OpenAPI description; "" where it is not JSON.
+        public: Whether it is served without the token; such a route gives away no measurement.
+    """
+
+    method: str
+    path: str
+    handler: Handler
+    summary: str
+    reply: str = "application/json"
+    query: tuple[QueryParameter, ...] = ()
+    body: type[BaseModel] | None = None
+    schema: str = ""
+    public: bool = False

@@ -1,0 +1,135 @@
+"""The HTTP server: routes, page, limits on connections."""
+
+from __future__ import annotations
+
+import asyncio
+from importlib import resources
+from typing import Final
+
+import structlog
+from aiohttp import web
+
+from radiometer.daemon.http import control, picture, readings
+from radiometer.daemon.http.openapi import description
+from radiometer.daemon.http.route import LIMITS, QUERIES, STATION, Route
+from radiometer.daemon.http.security import guard, report_errors
+from radiometer.daemon.limits import Limits, is_loopback
+from radiometer.daemon.station import Station
+from radiometer.errors import OutputError, UsageError
+
+_log = structlog.get_logger(__name__)
+_KEEP_ALIVE_S: Final = 30.0
+_PAGE: Final = {
+    "/": ("index.html", "text/html"),
+    "/page.css": ("page.css", "text/css"),
+    "/page.js": ("page.js", "text/javascript"),
+    "/plots.js": ("plots.js", "text/javascript"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
+}
+
+
+class HttpServer:
+    """Serves one station over HTTP.
+
+    Args:
+        station: The instrument.
+        limits: What clients may use.
+        token: What clients must send; None where only loopback is listened on.
+    """
+
+    def __init__(self, station: Station, *, limits: Limits | None = None, token: str | None = None) -> None:
+        self._station, self._limits, self._token = station, limits or Limits(), token
+        self._runner = web.AppRunner(
+            application(station, self._limits, token),
+            access_log=None,
+            keepalive_timeout=_KEEP_ALIVE_S,  # also ends a connection that never finishes its request head
+            shutdown_timeout=2.0,
+            max_field_size=8190,
+            max_line_size=8190,
+        )
+        self._server: asyncio.Server | None = None
+        station.metrics.connections.labels("http").set_function(self._count)
+
+    async def listen(self, address: str, port: int) -> int:
+        """Listen and return the port (0 chooses a free one).
+
+        Raises:
+            UsageError: If the address is not loopback and there is no token.
+            OutputError: If the port is taken.
+        """
+        if not is_loopback(address) and self._token is None:
+            raise UsageError(
+                f"to listen for HTTP on {address}, set a token with --token-file (or RADIOMETER_TOKEN), or stay on"
+                " 127.0.0.1"
+            )
+        await self._runner.setup()
+        try:
+            self._server = await asyncio.get_running_loop().create_server(self._accept, address, port)
+        except OSError as error:
+            raise OutputError(f"cannot listen for HTTP on {address}:{port}: {error.strerror or error}") from error
+        return int(self._server.sockets[0].getsockname()[1])
+
+    async def close(self) -> None:
+        """Stop listening, end streams and requests."""
+        self._station.hub.close()
+        if self._server is not None:
+            self._server.close()
+        await self._runner.cleanup()
+        if self._server is not None:
+            await self._server.wait_closed()
+
+    def _count(self) -> int:
+        return len(self._runner.server.connections) if self._runner.server else 0
+
+    def _accept(self) -> asyncio.BaseProtocol:
+        assert self._runner.server is not None
+        if self._count() >= self._limits.http_connections:
+            self._station.metrics.refused.labels("http", "too many connections").inc()
+            return _Refusal()
+        return self._runner.server()
+
+
+class _Refusal(asyncio.Protocol):
+    """Tells one client too many so, and hangs up."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        transport.write(b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n")
+        transport.close()
+
+
+def application(station: Station, limits: Limits, token: str | None) -> web.Application:
+    """Return the application: every route of the table, and the page."""
+    app = web.Application(
+        client_max_size=limits.body_bytes,
+        middlewares=[report_errors, guard(ROUTES, token, limits.http_requests_per_s)],
+    )
+    app[STATION], app[LIMITS], app[QUERIES] = station, limits, asyncio.Semaphore(limits.queries)
+    app[picture.CACHE], app[picture.ONE_AT_A_TIME] = picture.PictureCache(), asyncio.Lock()
+    for route in ROUTES:
+        app.router.add_route(route.method, route.path, route.handler)
+    return app
+
+
+async def _show_openapi(request: web.Request) -> web.Response:
+    return web.json_response(description(ROUTES))
+
+
+def _page_route(path: str, name: str, kind: str) -> Route:
+    content = resources.files("radiometer.daemon.http").joinpath("page", name).read_bytes()
+
+    async def serve(request: web.Request) -> web.Response:
+        return web.Response(body=content, content_type=kind, charset="utf-8")
+
+    return Route(
+        "GET", path, serve, "The web page." if path == "/" else "Part of the web page.", reply=kind, public=True
+    )
+
+
+ROUTES: Final[tuple[Route, ...]] = (
+    *readings.ROUTES,
+    *control.ROUTES,
+    *picture.ROUTES,
+    Route("GET", "/openapi.json", _show_openapi, "This description.", schema="OpenAPI", public=True),
+    *(_page_route(path, name, kind) for path, (name, kind) in _PAGE.items()),
+)

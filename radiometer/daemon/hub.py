@@ -1,0 +1,83 @@
+"""Hands readings and changes of state to whoever listens; a listener that falls behind is cut off."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that listeners are told.
+
+    Attributes:
+        kind: "reading" or "status".
+        line: One line of JSON.
+        sequence: Sequence number of the reading; None for a status.
+    """
+
+    kind: Literal["reading", "status"]
+    line: str
+    sequence: int | None = None
+
+
+class Subscription:
+    """One listener's queue."""
+
+    def __init__(self, capacity: int) -> None:
+        self._queue: asyncio.Queue[Event | None] = asyncio.Queue(capacity)
+        self.closed = False
+
+    def offer(self, event: Event) -> None:
+        """Queue an event; a full queue ends the subscription, for a gap must not pass unnoticed."""
+        if self.closed:
+            return
+        try:
+            self._queue.put_nowait(event)
+        except asyncio.QueueFull:
+            self.end()
+
+    def end(self) -> None:
+        """End the subscription: what was queued is thrown away and `next` returns None."""
+        self.closed = True
+        while not self._queue.empty():
+            self._queue.get_nowait()
+        self._queue.put_nowait(None)
+
+    async def next(self) -> Event | None:
+        """Return the next event; None once the subscription has ended."""
+        return await self._queue.get()
+
+
+class Hub:
+    """The listeners."""
+
+    def __init__(self) -> None:
+        self._subscriptions: set[Subscription] = set()
+
+    def __len__(self) -> int:
+        return len(self._subscriptions)
+
+    def subscribe(self, capacity: int = 256) -> Subscription:
+        """Return a new subscription that holds at most `capacity` events not yet taken."""
+        subscription = Subscription(capacity)
+        self._subscriptions.add(subscription)
+        return subscription
+
+    def unsubscribe(self, subscription: Subscription) -> None:
+        """Forget a subscription."""
+        self._subscriptions.discard(subscription)
+
+    def publish(self, event: Event) -> None:
+        """Queue an event with every listener."""
+        for subscription in tuple(self._subscriptions):
+            subscription.offer(event)
+            if subscription.closed:
+                self._subscriptions.discard(subscription)
+
+    def close(self) -> None:
+        """End every subscription."""
+        for subscription in tuple(self._subscriptions):
+            subscription.end()
+        self._subscriptions.clear()

@@ -1,0 +1,297 @@
+"""The journal: every reading in an SQLite file (WAL), numbered without holes."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import math
+import os
+import sqlite3
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Final, Self
+
+from radiometer.daemon.timestamps import microseconds, now_us
+from radiometer.data import Reading
+from radiometer.errors import OutputError
+
+APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": tells `file` and us that this is a radiometer journal
+SCHEMA_VERSION: Final = 1
+_BUSY_TIMEOUT_S: Final = 2.0
+_RETENTION_CHUNK: Final = 5000
+_SCHEMA: Final = f"""
+PRAGMA application_id = {APPLICATION_ID};
+CREATE TABLE readings (
+    sequence INTEGER PRIMARY KEY,
+    time_us INTEGER NOT NULL,
+    radiance REAL,
+    flags TEXT NOT NULL,
+    json TEXT NOT NULL,
+    budget TEXT NOT NULL
+);
+CREATE INDEX readings_by_time ON readings (time_us);
+CREATE TABLE events (id INTEGER PRIMARY KEY, time_us INTEGER NOT NULL, kind TEXT NOT NULL, message TEXT NOT NULL);
+CREATE INDEX events_by_time ON events (time_us);
+CREATE TABLE counters (name TEXT PRIMARY KEY, value INTEGER NOT NULL);
+INSERT INTO counters VALUES ('last_sequence', 0);
+PRAGMA user_version = {SCHEMA_VERSION};
+"""
+
+
+class JournalError(OutputError):
+    """The journal cannot be written just now: disk full, file locked, folder gone. Trying again may work."""
+
+
+class Journal:
+    """Writes readings and events. Use it from one thread at a time; readers have connections of their own.
+
+    Args:
+        path: The SQLite file; it and its folder are made where missing.
+        max_bytes: Size that the file may not outgrow; None for no limit. Appending then raises JournalError.
+    """
+
+    def __init__(self, path: Path, *, max_bytes: int | None = None) -> None:
+        self.path = path
+        self._max_bytes = max_bytes
+        self._connection: sqlite3.Connection | None = None
+        self._lock_file: IO[str] | None = None
+
+    def open(self) -> None:
+        """Open the journal, making it where missing.
+
+        Raises:
+            JournalError: If the file is locked or the disk full: trying again may work.
+            OutputError: If the file is no journal, a damaged one, in use by another daemon, or may not be written.
+        """
+        if self._connection is not None:
+            return
+        self._take_lock()
+        try:
+            connection = sqlite3.connect(
+                self.path, timeout=_BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
+            )
+            try:
+                self._prepare(connection)
+            except BaseException:
+                connection.close()
+                raise
+        except sqlite3.Error as error:
+            self._release_lock()
+            raise self._explain(error) from error
+        except OutputError:
+            self._release_lock()
+            raise
+        self._connection = connection
+
+    def close(self) -> None:
+        """Close the journal; closing twice does nothing."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+        self._release_lock()
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def append(self, readings: Sequence[Reading]) -> list[Reading]:
+        """Commit readings in one transaction and return them with their sequence numbers.
+
+        All of them are on disk when this returns, none of them if it raises.
+
+        Raises:
+            JournalError: If they cannot be committed now.
+        """
+        numbered: list[Reading] = []
+        with self._transaction() as connection:
+            (last,) = connection.execute("SELECT value FROM counters WHERE name = 'last_sequence'").fetchone()
+            for sequence, reading in enumerate(readings, start=last + 1):
+                numbered.append(replace(reading, sequence=sequence))
+            connection.executemany("INSERT INTO readings VALUES (?, ?, ?, ?, ?, ?)", map(_row, numbered))
+            connection.execute("UPDATE counters SET value = ? WHERE name = 'last_sequence'", (last + len(numbered),))
+        return numbered
+
+    def note(self, kind: str, message: str) -> None:
+        """Commit an event, such as a lost device.
+
+        Raises:
+            JournalError: If it cannot be committed now.
+        """
+        with self._transaction() as connection:
+            connection.execute(
+                "INSERT INTO events (time_us, kind, message) VALUES (?, ?, ?)", (now_us(), kind, message)
+            )
+
+    def drop_older(self, before_us: int) -> int:
+        """Delete readings and events older than a time, oldest first, and return how many readings went.
+
+        The newest reading always stays. Works in small transactions so that writing is never held up for long.
+
+        Args:
+            before_us: Time in µs since 1970 (UTC).
+
+        Raises:
+            JournalError: If the file cannot be written now.
+        """
+        dropped = 0
+        while True:
+            with self._transaction() as connection:
+                count = connection.execute(
+                    "DELETE FROM readings WHERE sequence IN (SELECT sequence FROM readings WHERE time_us < ? AND"
+                    " sequence < (SELECT value FROM counters WHERE name = 'last_sequence')"
+                    " ORDER BY sequence LIMIT ?)",
+                    (before_us, _RETENTION_CHUNK),
+                ).rowcount
+                connection.execute("DELETE FROM events WHERE time_us < ?", (before_us,))
+            dropped += count
+            if count < _RETENTION_CHUNK:
+                break
+        if dropped:
+            self._execute(f"PRAGMA incremental_vacuum({dropped})")
+        return dropped
+
+    def _prepare(self, connection: sqlite3.Connection) -> None:
+        (application_id,) = connection.execute("PRAGMA application_id").fetchone()
+        (version,) = connection.execute("PRAGMA user_version").fetchone()
+        (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        if tables and application_id != APPLICATION_ID:
+            raise OutputError(
+                f"{self.path} is an SQLite file but not a radiometer journal; name another with --journal"
+            )
+        if version > SCHEMA_VERSION:
+            raise OutputError(f"{self.path} was written by a newer radiometer (form {version}); update this one")
+        if not tables:
+            connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")  # a reading shown to a client survives a power cut
+        connection.execute("PRAGMA journal_size_limit = 16777216")
+        connection.execute("PRAGMA cache_size = -512")  # KiB: only the newest pages are ever touched
+        if not tables:
+            connection.executescript(f"BEGIN EXCLUSIVE; {_SCHEMA} COMMIT;")
+        if self._max_bytes is not None:
+            (page_size,) = connection.execute("PRAGMA page_size").fetchone()
+            connection.execute(f"PRAGMA max_page_count = {max(1, self._max_bytes // page_size)}")
+        self._verify(connection)
+
+    def _verify(self, connection: sqlite3.Connection) -> None:
+        low, high, count = connection.execute(
+            "SELECT coalesce(min(sequence), 1), coalesce(max(sequence), 0), count(*) FROM readings"
+        ).fetchone()
+        (last,) = connection.execute("SELECT value FROM counters WHERE name = 'last_sequence'").fetchone()
+        if count != high - low + 1 or (count and high != last):
+            raise OutputError(
+                f"{self.path} is damaged: sequence {low} to {high} holds {count} readings, counter {last};"
+                " keep the file for inspection and name another with --journal"
+            )
+
+    def _transaction(self) -> _Transaction:
+        if self._connection is None:
+            self.open()
+        assert self._connection is not None
+        return _Transaction(self, self._connection)
+
+    def _execute(self, statement: str) -> None:
+        if self._connection is None:
+            self.open()
+        assert self._connection is not None
+        try:
+            self._connection.execute(statement).fetchall()
+        except sqlite3.Error as error:
+            raise self._explain(error) from error
+
+    def _explain(self, error: sqlite3.Error) -> OutputError:
+        code = error.sqlite_errorcode & 0xFF if hasattr(error, "sqlite_errorcode") else sqlite3.SQLITE_ERROR
+        if code in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT):
+            return OutputError(f"{self.path} is damaged or no journal ({error}); name another with --journal")
+        if self._connection is None and code in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY):
+            return OutputError(f"cannot write the journal {self.path}: {error}; name a place that can with --journal")
+        ways_out = {
+            sqlite3.SQLITE_FULL: "free space on the disk, or shorten --keep-days",
+            sqlite3.SQLITE_BUSY: "another program holds it locked; close that program",
+        }
+        return JournalError(f"cannot write the journal {self.path}: {error}; {ways_out.get(code, 'trying again')}")
+
+    def _take_lock(self) -> None:
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            lock_file = self.path.with_name(self.path.name + ".lock").open("a", encoding="ascii")
+        except OSError as error:
+            kind = JournalError if error.errno in (errno.ENOSPC, errno.EDQUOT) else OutputError
+            raise kind(
+                f"cannot write the journal {self.path}: {error.strerror or error}; name another place with --journal"
+            ) from error
+        try:
+            fcntl.flock(lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            lock_file.close()
+            raise OutputError(
+                f"another daemon writes the journal {self.path}; stop it or name another with --journal"
+            ) from error
+        self._lock_file = lock_file
+
+    def _release_lock(self) -> None:
+        if self._lock_file is not None:
+            self._lock_file.close()
+            self._lock_file = None
+
+
+class _Transaction:
+    """One write transaction: committed at the end of the `with` block, rolled back on any error."""
+
+    def __init__(self, journal: Journal, connection: sqlite3.Connection) -> None:
+        self._journal, self._connection = journal, connection
+
+    def __enter__(self) -> sqlite3.Connection:
+        try:
+            self._connection.execute("BEGIN IMMEDIATE")
+        except sqlite3.Error as error:
+            raise self._journal._explain(error) from error
+        return self._connection
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if error is None:
+                self._connection.execute("COMMIT")
+                return
+        except sqlite3.Error as failure:
+            self._roll_back()
+            raise self._journal._explain(failure) from failure
+        self._roll_back()
+        if isinstance(error, sqlite3.Error):
+            raise self._journal._explain(error) from error
+
+    def _roll_back(self) -> None:
+        if self._connection.in_transaction:
+            self._connection.execute("ROLLBACK")
+
+
+def default_journal_path() -> Path:
+    """Return where the journal lies unless told otherwise: systemd's state folder, else the user's."""
+    if folder := os.environ.get("STATE_DIRECTORY"):
+        return Path(folder.split(":")[0]) / "journal.sqlite"
+    state_home = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
+    return Path(state_home) / "radiometer" / "journal.sqlite"
+
+
+def _row(reading: Reading) -> tuple[int, int, float | None, str, str, str]:
+    value = reading.radiance.value
+    budget = {entry.name: entry.u_rel for entry in reading.budget if math.isfinite(entry.u_rel)}
+    flags = " ".join(str(flag) for flag in reading.flags)
+    return (
+        reading.sequence,
+        microseconds(reading.time),
+        value if math.isfinite(value) else None,
+        flags,
+        reading.to_json(),
+        json.dumps(budget),
+    )

@@ -1,0 +1,189 @@
+"""Queries on the journal: filters, export as JSON lines or CSV. Never writes."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import sqlite3
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import quote
+
+from radiometer.daemon.journal import APPLICATION_ID
+from radiometer.daemon.timestamps import iso_time
+from radiometer.errors import InputError
+
+CSV_COLUMNS: Final = (
+    "sequence",
+    "time",
+    "instrument",
+    "radiance",
+    "u_radiance",
+    "radiance_unit",
+    "luminance",
+    "u_luminance",
+    "luminance_unit",
+    "U_rel",
+    "coverage_factor",
+    "flags",
+    "x",
+    "y",
+    "width",
+    "height",
+    "exposures_s",
+)
+_STEPS_BETWEEN_CHECKS: Final = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingFilter:
+    """Which readings are asked for.
+
+    Attributes:
+        since_us: Not before this time, µs since 1970; None for no bound.
+        until_us: Before this time; None for no bound.
+        after: Sequence number above this; None for no bound.
+        flag: Only readings with this flag.
+        without_flags: Only readings without any flag.
+        limit: At most this many; None for all.
+        newest_first: Take (and give) the newest first.
+    """
+
+    since_us: int | None = None
+    until_us: int | None = None
+    after: int | None = None
+    flag: str | None = None
+    without_flags: bool = False
+    limit: int | None = None
+    newest_first: bool = False
+
+    def where(self) -> tuple[str, list[Any]]:
+        """Return the SQL condition and its values."""
+        terms, values = ["1"], list[Any]()
+        for condition, value in (
+            ("time_us >= ?", self.since_us),
+            ("time_us < ?", self.until_us),
+            ("sequence > ?", self.after),
+            ("(' ' || flags || ' ') LIKE ('% ' || ? || ' %')", self.flag),
+        ):
+            if value is not None:
+                terms.append(condition)
+                values.append(value)
+        if self.without_flags:
+            terms.append("flags = ''")
+        return " AND ".join(terms), values
+
+
+class JournalReader:
+    """Reads a journal while a daemon may be writing it.
+
+    Args:
+        path: The SQLite file.
+        deadline_s: Longest time in s that one query may take.
+    """
+
+    def __init__(self, path: Path, *, deadline_s: float = 60.0) -> None:
+        self._path, self._deadline_s = path, deadline_s
+
+    def lines(self, wanted: ReadingFilter) -> list[str]:
+        """Return the JSON lines of the readings asked for, oldest first unless `newest_first`.
+
+        Raises:
+            InputError: If there is no journal, it cannot be read or the query takes too long.
+        """
+        return list(self.iterate(wanted))
+
+    def iterate(self, wanted: ReadingFilter) -> Iterator[str]:
+        """Yield the JSON lines of the readings asked for. Raises InputError."""
+        condition, values = wanted.where()
+        order = "DESC" if wanted.newest_first else "ASC"
+        limit = -1 if wanted.limit is None else wanted.limit
+        with self._connect() as connection:
+            rows = connection.execute(
+                f"SELECT json FROM readings WHERE {condition} ORDER BY sequence {order} LIMIT ?", [*values, limit]
+            )
+            for (line,) in rows:
+                yield line
+
+    def events(self, since_us: int | None = None, limit: int = 1000) -> list[dict[str, Any]]:
+        """Return the newest events, oldest first, each {time, kind, message}. Raises InputError."""
+        with self._connect() as connection:
+            rows = connection.execute(
+                "SELECT time_us, kind, message FROM events WHERE time_us >= ? ORDER BY id DESC LIMIT ?",
+                (since_us or 0, limit),
+            ).fetchall()
+        return [{"time": iso_time(at), "kind": kind, "message": message} for at, kind, message in reversed(rows)]
+
+    def budget(self, sequence: int) -> dict[str, float]:
+        """Return the relative standard uncertainty per contribution of one reading. Raises InputError."""
+        with self._connect() as connection:
+            row = connection.execute("SELECT budget FROM readings WHERE sequence = ?", (sequence,)).fetchone()
+        if row is None:
+            raise InputError(f"{self._path} holds no reading {sequence}")
+        return {str(name): float(u_rel) for name, u_rel in json.loads(row[0]).items()}
+
+    def bounds(self) -> tuple[int, int, int]:
+        """Return lowest and highest sequence number and the count; (0, 0, 0) if empty. Raises InputError."""
+        with self._connect() as connection:
+            low, high, count = connection.execute(
+                "SELECT coalesce(min(sequence), 0), coalesce(max(sequence), 0), count(*) FROM readings"
+            ).fetchone()
+        return int(low), int(high), int(count)
+
+    @contextmanager
+    def _connect(self) -> Iterator[sqlite3.Connection]:
+        if not self._path.is_file():
+            raise InputError(
+                f"there is no journal {self._path}; `radiometer serve` writes one, --journal names another"
+            )
+        give_up_at = time.monotonic() + self._deadline_s
+        try:
+            connection = sqlite3.connect(f"file:{quote(str(self._path.resolve()))}?mode=ro", uri=True, timeout=2.0)
+            try:
+                connection.set_progress_handler(lambda: time.monotonic() > give_up_at, _STEPS_BETWEEN_CHECKS)
+                (application_id,) = connection.execute("PRAGMA application_id").fetchone()
+                if application_id != APPLICATION_ID:
+                    raise InputError(f"{self._path} is an SQLite file but not a radiometer journal")
+                yield connection
+            finally:
+                connection.close()
+        except sqlite3.Error as error:
+            raise InputError(f"cannot read the journal {self._path}: {error}") from error
+
+
+def to_csv(lines: Iterable[str]) -> str:
+    """Return readings, given as JSON lines, as CSV with a header line."""
+    target = io.StringIO()
+    writer = csv.writer(target, lineterminator="\n")
+    writer.writerow(CSV_COLUMNS)
+    writer.writerows(map(_csv_row, lines))
+    return target.getvalue()
+
+
+def _csv_row(line: str) -> list[Any]:
+    reading = json.loads(line)
+    radiance, luminance, patch = reading["radiance"], reading["luminance"] or {}, reading["patch"]
+    return [
+        reading["sequence"],
+        reading["time"],
+        reading["instrument"],
+        radiance["value"],
+        radiance["u"],
+        radiance["unit"],
+        luminance.get("value", ""),
+        luminance.get("u", ""),
+        luminance.get("unit", ""),
+        reading["U_rel"],
+        reading["coverage_factor"],
+        " ".join(reading["flags"]),
+        patch["x"],
+        patch["y"],
+        patch["width"],
+        patch["height"],
+        " ".join(map(repr, reading["exposures_s"])),
+    ]

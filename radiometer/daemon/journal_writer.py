@@ -1,0 +1,165 @@
+"""Commits readings in the background; while the journal cannot be written they wait, and an alarm is up."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Awaitable, Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Final, TypeVar
+
+import structlog
+
+from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.journal import Journal, JournalError
+from radiometer.daemon.timestamps import now_us
+from radiometer.data import Reading
+from radiometer.errors import OutputError
+
+_log = structlog.get_logger(__name__)
+_T = TypeVar("_T")
+ALARM: Final = "journal"
+_RETENTION_PERIOD_S: Final = 3600.0
+_CLOSING_DEADLINE_S: Final = 5.0
+
+
+class JournalWriter:
+    """Owns the journal and the one thread that writes it.
+
+    Args:
+        journal: The journal, not yet open.
+        alarms: Where trouble is reported.
+        on_commit: Called in the event loop with every reading once it is on disk; the only way to a client.
+        capacity: Readings that may wait; when as many wait, `wait_for_room` blocks, so measuring pauses.
+        keep_days: Age at which readings are deleted; None keeps all.
+        retry_s: Pause in s between two tries while the journal cannot be written.
+        sleep: Waits for a number of seconds.
+    """
+
+    def __init__(
+        self,
+        journal: Journal,
+        alarms: Alarms,
+        on_commit: Callable[[Reading, float], None],
+        *,
+        capacity: int = 1000,
+        keep_days: float | None = None,
+        retry_s: float = 0.5,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+    ) -> None:
+        self._journal, self._alarms, self._on_commit = journal, alarms, on_commit
+        self._capacity, self._keep_days, self._retry_s, self._sleep = capacity, keep_days, retry_s, sleep
+        self._waiting: deque[tuple[Reading, asyncio.Future[Reading]]] = deque()
+        self._events: deque[tuple[str, str]] = deque(maxlen=capacity)
+        self._work = asyncio.Event()
+        self._room = asyncio.Event()
+        self._room.set()
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="journal")
+
+    @property
+    def depth(self) -> int:
+        """Return how many readings wait to be committed."""
+        return len(self._waiting)
+
+    async def open(self) -> None:
+        """Open the journal; one that is merely locked or full puts up an alarm and is tried again.
+
+        Raises:
+            OutputError: If the file is no journal, damaged, or written by another daemon.
+        """
+        try:
+            await self._in_thread(self._journal.open)
+        except JournalError as error:
+            self._alarms.put_up(ALARM, str(error))
+
+    def submit(self, reading: Reading) -> asyncio.Future[Reading]:
+        """Queue a reading and return the future of its committed, numbered form."""
+        future: asyncio.Future[Reading] = asyncio.get_running_loop().create_future()
+        self._waiting.append((reading, future))
+        if len(self._waiting) >= self._capacity:
+            self._room.clear()
+        self._work.set()
+        return future
+
+    def note(self, kind: str, message: str) -> None:
+        """Queue an event for the journal."""
+        self._events.append((kind, message))
+        self._work.set()
+
+    async def wait_for_room(self) -> None:
+        """Return once fewer than `capacity` readings wait."""
+        await self._room.wait()
+
+    async def run(self) -> None:
+        """Commit what is queued, for ever."""
+        next_retention = 0.0
+        while True:
+            self._work.clear()
+            await self._commit_until_empty()
+            if self._keep_days is not None and time.monotonic() >= next_retention:
+                await self._drop_old(self._keep_days)
+                next_retention = time.monotonic() + _RETENTION_PERIOD_S
+            if not (self._waiting or self._events):
+                await self._wait_for_work()
+
+    async def close(self) -> None:
+        """Commit what waits, log what cannot be committed within a deadline, and close the journal."""
+        try:
+            async with asyncio.timeout(_CLOSING_DEADLINE_S):
+                await self._commit_until_empty()
+        except TimeoutError:
+            for reading, _ in self._waiting:
+                _log.error("reading could not be committed", reading=reading.to_json())
+        for _, future in self._waiting:
+            future.cancel()
+        await self._in_thread(self._journal.close)
+        self._thread.shutdown(wait=False)
+
+    async def _wait_for_work(self) -> None:
+        try:
+            async with asyncio.timeout(_RETENTION_PERIOD_S):
+                await self._work.wait()
+        except TimeoutError:
+            return
+
+    async def _commit_until_empty(self) -> None:
+        while self._waiting or self._events:
+            try:
+                await self._commit_batch()
+                self._alarms.clear(ALARM, "the journal is written again")
+            except OutputError as error:
+                paused = "" if self._room.is_set() else "; measuring is paused until it can be written"
+                self._alarms.put_up(ALARM, f"{error}; {len(self._waiting)} readings wait{paused}")
+                await self._sleep(self._retry_s)
+
+    async def _commit_batch(self) -> None:
+        while self._events:
+            await self._in_thread(self._journal.note, *self._events[0])
+            self._events.popleft()
+        batch = [reading for reading, _ in self._waiting]
+        if not batch:
+            return
+        started = time.perf_counter()
+        committed = await self._in_thread(self._journal.append, batch)
+        self._hand_out(committed, time.perf_counter() - started)
+
+    def _hand_out(self, committed: Sequence[Reading], seconds: float) -> None:
+        for reading in committed:
+            _, future = self._waiting.popleft()
+            self._on_commit(reading, seconds)
+            if not future.done():
+                future.set_result(reading)
+        if len(self._waiting) < self._capacity:
+            self._room.set()
+
+    async def _drop_old(self, keep_days: float) -> None:
+        try:
+            dropped = await self._in_thread(self._journal.drop_older, now_us() - int(keep_days * 86400e6))
+            if dropped:
+                _log.info("old readings deleted", count=dropped, keep_days=keep_days)
+        except OutputError as error:
+            self._alarms.put_up(ALARM, f"old readings could not be deleted: {error}")
+
+    async def _in_thread(self, call: Callable[..., _T], *arguments: object) -> _T:
+        return await asyncio.get_running_loop().run_in_executor(self._thread, call, *arguments)

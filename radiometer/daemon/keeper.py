@@ -1,0 +1,250 @@
+"""Keeps a device open: notices its loss, says so, reopens it with back-off."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol, TypeVar
+
+import structlog
+
+from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.instrument import DeviceReport
+from radiometer.errors import (
+    DeviceError,
+    DeviceInUse,
+    DeviceLost,
+    DeviceNotFound,
+    DeviceTimeout,
+    MissingLibrary,
+    RadiometerError,
+)
+
+_log = structlog.get_logger(__name__)
+_T = TypeVar("_T")
+_LOOK_S = 0.02
+_FIRST_CALL_S = 2.0  # a call never made before may take so long, for nothing is known of it
+_LOSS = (DeviceLost, DeviceTimeout, DeviceNotFound, DeviceInUse, MissingLibrary)
+
+
+class KeptDevice(Protocol):
+    """What can be kept open: opened, asked whether it is there, closed."""
+
+    @property
+    def late_at(self) -> float | None:
+        """Return when the call in progress begins to be late (monotonic clock, s); None where that is not known."""
+        ...
+
+    def open(self) -> None:
+        """Open the device. Raises DeviceError."""
+        ...
+
+    def close(self) -> None:
+        """Release it, whatever its state."""
+        ...
+
+    def check(self) -> DeviceReport:
+        """Ask whether it is there. Raises DeviceError."""
+        ...
+
+
+class DeviceState(StrEnum):
+    """How a device stands."""
+
+    READY = "ready"
+    OVERDUE = "overdue"  # a call takes longer than it should: the device may be gone
+    LOST = "lost"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True, slots=True)
+class KeeperTimes:
+    """Times in s of a keeper.
+
+    Attributes:
+        first_pause_s: Pause before the first try to reopen.
+        longest_pause_s: Longest pause between two tries; pauses double up to it.
+        check_every_s: An idle device is asked this often whether it is still there.
+        overdue_s: A call that takes this much longer than the last good one is reported.
+    """
+
+    first_pause_s: float = 0.2
+    longest_pause_s: float = 0.5
+    check_every_s: float = 0.5
+    overdue_s: float = 1.0
+
+
+class DeviceKeeper:
+    """Owns a device and the one thread that talks to it.
+
+    Args:
+        name: "camera" or "light box": the name of its alarm.
+        device: The device, not yet open.
+        alarms: Where its loss is reported.
+        times: Pauses and deadlines.
+        after_open: Called in the event loop after each opening.
+        sleep: Waits for a number of seconds.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        device: KeptDevice,
+        alarms: Alarms,
+        *,
+        times: KeeperTimes | None = None,
+        after_open: Callable[[], None] = lambda: None,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+    ) -> None:
+        self.name, self.state, self.report, self.losses = name, DeviceState.CLOSED, DeviceReport(), 0
+        self._device, self._alarms, self._after_open, self._sleep = device, alarms, after_open, sleep
+        self._times = times or KeeperTimes()
+        self._busy = asyncio.Lock()
+        self._trouble = asyncio.Event()
+        self._last_used = 0.0
+        self._call_began: float | None = None
+        self._usual_s: dict[str, float] = {}
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
+
+    @property
+    def is_ready(self) -> bool:
+        """Tell whether the device is open and answering."""
+        return self.state in (DeviceState.READY, DeviceState.OVERDUE)
+
+    @property
+    def stuck_s(self) -> float:
+        """Return for how many seconds the call in progress has run; 0 if there is none."""
+        return 0.0 if self._call_began is None else time.monotonic() - self._call_began
+
+    async def open_once(self) -> bool:
+        """Try to open the device and return whether it worked; a failure puts the alarm up."""
+        async with self._busy:
+            try:
+                await self._in_thread("open", self._device.open)
+                self.report = await self._in_thread("check", self._device.check)
+            except DeviceError as error:
+                self._set_lost(error)
+                await self._in_thread("close", self._device.close)
+                return False
+            self.state = DeviceState.READY
+            self._last_used = time.monotonic()
+        self._after_open()
+        self._alarms.clear(self.name, f"{self.name} is back" if self.losses else f"{self.name} is open")
+        return True
+
+    async def use(self, call: Callable[..., _T], *arguments: object, usual_s: float | None = None) -> _T:
+        """Run a blocking call on the device's thread and return its result.
+
+        Args:
+            call: A method of the device.
+            *arguments: What it is called with.
+            usual_s: How long it should take; None to go by the last call of that name.
+
+        Raises:
+            DeviceLost: If the device is not open, or was lost in the call.
+            RadiometerError: What the call raises.
+        """
+        async with self._busy:
+            if not self.is_ready:
+                raise DeviceLost(self.loss_message())
+            try:
+                return await self._in_thread(call.__name__, call, *arguments, usual_s=usual_s)
+            except _LOSS as error:
+                self._set_lost(error)
+                raise
+            finally:
+                self._last_used = time.monotonic()
+                self._answered()
+
+    def loss_message(self) -> str:
+        """Return what is known about the loss."""
+        alarm = next((a for a in self._alarms.active if a.name == self.name), None)
+        return alarm.message if alarm else f"the {self.name} is not open"
+
+    async def run(self) -> None:
+        """Reopen the device whenever it is lost, and look after it while it is idle; for ever."""
+        pause_s = self._times.first_pause_s
+        while True:
+            if self.is_ready:
+                pause_s = self._times.first_pause_s
+                await self._look_after()
+            elif not await self.open_once():
+                await self._sleep(pause_s)
+                pause_s = min(2 * pause_s, self._times.longest_pause_s)
+
+    async def close(self) -> None:
+        """Release the device and its thread."""
+        async with self._busy:
+            self.state = DeviceState.CLOSED
+            try:
+                async with asyncio.timeout(5.0):
+                    await self._in_thread("close", self._device.close)
+            except TimeoutError:
+                _log.error("device does not let go", device=self.name)
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+    async def _look_after(self) -> None:
+        """Wait for trouble or, while nobody uses the device, ask it whether it is there."""
+        self._trouble.clear()
+        try:
+            async with asyncio.timeout(self._times.check_every_s):
+                await self._trouble.wait()
+            return
+        except TimeoutError:
+            pass
+        if time.monotonic() - self._last_used < self._times.check_every_s or self._busy.locked():
+            return
+        try:
+            self.report = await self.use(self._device.check)
+        except DeviceError as error:
+            _log.debug("check failed", device=self.name, error=str(error))
+
+    def _set_lost(self, error: Exception) -> None:
+        newly = self.state is not DeviceState.LOST
+        self.losses += newly
+        self.state = DeviceState.LOST
+        self._alarms.put_up(self.name, f"{self.name} lost: {error}; trying to reopen it", worse=newly)
+        self._trouble.set()
+
+    async def _in_thread(
+        self, name: str, call: Callable[..., _T], *arguments: object, usual_s: float | None = None
+    ) -> _T:
+        """Run a call on the device's thread; say so where it takes far longer than it should."""
+        started = self._call_began = time.monotonic()
+        future = asyncio.get_running_loop().run_in_executor(self._thread, call, *arguments)
+        usual = self._usual_s.get(name, _FIRST_CALL_S) if usual_s is None else usual_s
+        await self._tell_if_late(future, name, started, started + self._times.overdue_s + 1.5 * usual)
+        try:
+            result = await future
+            self._call_began = None
+        except RadiometerError:
+            self._call_began = None
+            raise
+        except Exception as error:  # the daemon's edge: a driver's bug must not end the daemon
+            self._call_began = None
+            _log.exception("unexpected error in a device", device=self.name)
+            raise DeviceLost(f"{type(error).__name__}: {error}") from error
+        self._usual_s[name] = time.monotonic() - started
+        return result
+
+    async def _tell_if_late(self, future: asyncio.Future[_T], name: str, started: float, usual_end: float) -> None:
+        """Return when the call is over; put the alarm up meanwhile if the device itself, else the clock, says late."""
+        while not future.done():
+            late_at = self._device.late_at
+            due = usual_end if late_at is None else late_at
+            await asyncio.wait({future}, timeout=max(_LOOK_S, min(due - time.monotonic(), 10 * _LOOK_S)))
+            is_late = self._device.late_at == late_at and time.monotonic() >= due
+            if not future.done() and is_late and self.state is DeviceState.READY:
+                self.state = DeviceState.OVERDUE
+                self._alarms.put_up(
+                    self.name, f"{self.name} has not answered {name!r} for {time.monotonic() - started:.1f} s"
+                )
+
+    def _answered(self) -> None:
+        if self.state is DeviceState.OVERDUE:
+            self.state = DeviceState.READY
+            self._alarms.clear(self.name, f"{self.name} answers again")

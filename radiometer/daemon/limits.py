@@ -1,0 +1,107 @@
+"""What one client, and all together, may use."""
+
+from __future__ import annotations
+
+import ipaddress
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from radiometer.errors import UsageError
+
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of the interfaces.
+
+    Attributes:
+        scpi_connections: Open SCPI connections.
+        line_bytes: Length of an SCPI message.
+        messages_waiting: Messages of one client that wait to be executed; reading pauses at more.
+        messages_per_s: SCPI messages per second of one client, sustained; more are delayed.
+        reply_bytes_waiting: Reply bytes that a client has not taken; execution pauses at more.
+        stuck_s: A client that does not take its replies, or does not finish a line, is dropped after this time in s.
+        http_connections: Open HTTP connections.
+        http_requests_per_s: HTTP requests per second of one address, sustained; more are refused (429).
+        body_bytes: Size of an HTTP request body.
+        listeners: Open streams of readings.
+        rows: Readings in one HTTP reply.
+        queries: Queries of the journal that HTTP clients run at the same time; others wait.
+    """
+
+    scpi_connections: int = 256
+    line_bytes: int = 4096
+    messages_waiting: int = 64
+    messages_per_s: float = 1000.0
+    reply_bytes_waiting: int = 262_144
+    stuck_s: float = 30.0
+    http_connections: int = 128
+    http_requests_per_s: float = 100.0
+    body_bytes: int = 16_384
+    listeners: int = 64
+    rows: int = 20_000
+    queries: int = 2
+
+
+class TokenBucket:
+    """Counts what is used against a steady rate with a burst of one second's worth.
+
+    Args:
+        per_s: Tokens that come back per second.
+        clock: Steady time in s.
+    """
+
+    __slots__ = ("_clock", "_filled_at", "_per_s", "_tokens")
+
+    def __init__(self, per_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._per_s, self._clock = per_s, clock
+        self._tokens, self._filled_at = per_s, clock()
+
+    def take(self) -> float:
+        """Take a token and return 0, or the time in s after which one will be there."""
+        now = self._clock()
+        self._tokens = min(self._per_s, self._tokens + (now - self._filled_at) * self._per_s)
+        self._filled_at = now
+        if self._tokens >= 1.0:
+            self._tokens -= 1.0
+            return 0.0
+        return (1.0 - self._tokens) / self._per_s
+
+    @property
+    def is_full(self) -> bool:
+        """Tell whether nothing was used of late."""
+        return self._tokens + (self._clock() - self._filled_at) * self._per_s >= self._per_s
+
+
+def parse_networks(texts: Sequence[str]) -> tuple[Network, ...]:
+    """Return the networks of an allow-list such as 192.168.1.0/24 or 10.0.0.7. Raises UsageError."""
+    networks: list[Network] = []
+    for text in texts:
+        try:
+            networks.append(ipaddress.ip_network(text, strict=False))
+        except ValueError as error:
+            raise UsageError(f"{text!r} is no network; give an address or CIDR such as 192.168.1.0/24") from error
+    return tuple(networks)
+
+
+def is_loopback(address: str) -> bool:
+    """Tell whether an address to listen on is reachable from this machine only."""
+    if address == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        return False
+
+
+def is_allowed(peer: str, networks: Sequence[Network]) -> bool:
+    """Tell whether a peer may connect: loopback always, others if a network of the allow-list holds them."""
+    try:
+        address = ipaddress.ip_address(peer.partition("%")[0])
+    except ValueError:
+        return False
+    mapped = getattr(address, "ipv4_mapped", None)
+    address = mapped or address
+    return address.is_loopback or any(address.version == network.version and address in network for network in networks)

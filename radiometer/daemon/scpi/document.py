@@ -1,0 +1,107 @@
+"""Writes the manual docs/scpi.md from the command table."""
+
+from __future__ import annotations
+
+from itertools import groupby
+
+from radiometer.daemon.scpi import status
+from radiometer.daemon.scpi.command import Command, CommandTable
+from radiometer.daemon.scpi.errors import MESSAGES
+from radiometer.daemon.scpi.table import command_table
+
+_INTRODUCTION = """\
+# SCPI
+
+`radiometer serve` listens on TCP port 5025 (raw socket) and, where asked for, on a Unix socket. This page is made from
+the command table by `python -m radiometer.daemon.scpi.document`; a test keeps it up to date and runs every example.
+
+* One message per line, ended by a line feed (a carriage return before it is ignored). Replies end the same way.
+* Headers in short or long form (`SENS:EXP`, `SENSe:EXPosure`), in capitals or not; nodes in brackets may be left out.
+* Several commands in one message are separated by `;`. After one, the next begins where its last node stood:
+  `SENS:EXP 4 MS;GAIN 0`. A leading `:` begins at the root. Replies of one message are joined by `;`.
+* Numbers may carry a unit: `SENS:EXP 4 MS` is `SENS:EXP 0.004`. `MIN`, `MAX` and `DEF` stand for the limits;
+  `SENS:EXP? MAX` asks for one. What is out of range is refused (−222), never clipped.
+* A query that fails has no reply; `SYST:ERR?` tells why. After a command error (−1xx) the rest of the message is
+  ignored.
+* Each connection has status, error queue, patch and formats of its own; the settings of the camera, continuous
+  measurement and the light box are shared by all.
+* Every value can be had with its standard uncertainty (k=1) beside it: `MEAS:RAD?` replies `value,u`.
+  9.91E+37 stands for "not a number", 9.9E+37 for infinity.
+* Blocks (`#` + number of digits + length + bytes) may hold any byte.
+* **SCPI has no authentication.** The daemon listens on the loopback address; on another one only with a list of those
+  who may connect (`--scpi-allow`).
+* Limits: 256 connections, 4096 bytes per message, 1000 messages per second and client (more are delayed). A client that
+  does not take its replies or does not finish a message within 30 s is dropped.
+
+```python
+import pyvisa
+
+instrument = pyvisa.ResourceManager("@py").open_resource(
+    "TCPIP::127.0.0.1::5025::SOCKET", read_termination="\\n", write_termination="\\n"
+)
+radiance, u = map(float, instrument.query("MEAS:RAD? 400,300,64,64").split(","))
+```
+
+`lxi scpi --raw --address 127.0.0.1 --port 5025 "MEAS:RAD?"` does the same from the shell.
+"""
+
+
+def manual(table: CommandTable | None = None) -> str:
+    """Return the text of the manual."""
+    commands = sorted((table or command_table()).commands, key=lambda command: _ORDER.index(command.group))
+    parts = [_INTRODUCTION]
+    for group, members in groupby(commands, key=lambda command: command.group):
+        parts.append(f"\n## {group}\n")
+        parts += [_entry(command) for command in members]
+        if group == "Status":
+            parts.append(_bits("Operation status", status.OPERATION_BITS))
+            parts.append(_bits("Questionable status", status.QUESTIONABLE_BITS))
+    parts.append("\n## Errors\n\n| number | text |\n|---|---|\n")
+    parts += [f"| {number} | {text} |\n" for number, text in MESSAGES.items()]
+    parts.append("\nA semicolon and what exactly is wrong may follow the text.\n")
+    return "".join(parts)
+
+
+_ORDER = (
+    "Measuring",
+    "Settings of the camera (shared by all clients)",
+    "Calibration",
+    "Light source",
+    "Pictures, curves and history",
+    "Status",
+    "System",
+    "Common commands",
+)
+
+
+def _entry(command: Command) -> str:
+    lines = [f"\n### `{command.pattern}`\n\n{command.summary}\n\n"]
+    if command.do is not None:
+        names = _signature(command.parameters, len(command.parameters) if command.required < 0 else command.required)
+        lines.append(f"* Command: `{command.pattern}{names}`\n")
+    if command.ask is not None:
+        names = _signature(command.ask_parameters, command.ask_required)
+        lines.append(f"* Query: `{command.pattern}?{names}` → `{command.reply}`\n")
+    for parameter in dict.fromkeys((*command.parameters, *command.ask_parameters)):
+        lines.append(f"* {parameter.name}: `{parameter.form}`\n")
+    lines.append(f"* Example: `{command.example}`\n")
+    return "".join(lines)
+
+
+def _signature(parameters: tuple[object, ...], required: int) -> str:
+    names = [f"<{getattr(parameter, 'name', '')}>" for parameter in parameters]
+    text = ",".join(names[:required]) + "".join(
+        f"[{',' if position else ''}{name}]" for position, name in enumerate(names[required:], start=required)
+    )
+    return f" {text}" if text else ""
+
+
+def _bits(title: str, meanings: dict[int, str]) -> str:
+    rows = "".join(f"| {bit} | {1 << bit} | {text} |\n" for bit, text in meanings.items())
+    return f"\n### {title}\n\n| bit | weight | set while |\n|---|---|---|\n{rows}"
+
+
+if __name__ == "__main__":
+    import sys
+
+    sys.stdout.write(manual())

@@ -1,0 +1,153 @@
+"""Kinds of parameters: how each is read, refused and described."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+from radiometer.daemon.scpi.errors import ScpiError
+from radiometer.daemon.scpi.lexer import Argument, Kind
+from radiometer.daemon.station import Station
+
+_MULTIPLIERS: Final = {
+    "S": {"": 1.0, "S": 1.0, "MS": 1e-3, "US": 1e-6, "NS": 1e-9, "MIN": 60.0},
+    "DB": {"": 1.0, "DB": 1.0},
+    "NM": {"": 1.0, "NM": 1.0, "UM": 1e3, "M": 1e9},
+    "": {"": 1.0},
+    "PCT": {"": 1.0, "PCT": 0.01, "%": 0.01},
+}
+
+
+class Parameter(Protocol):
+    """One parameter of a command."""
+
+    @property
+    def name(self) -> str:
+        """Return the name for messages and the manual."""
+        ...
+
+    @property
+    def form(self) -> str:
+        """Return what is accepted, for the manual."""
+        ...
+
+    def read(self, argument: Argument, station: Station) -> Any:
+        """Return the value of an argument. Raises ScpiError."""
+        ...
+
+
+def short_form(word: str) -> str:
+    """Return the capitals of a mnemonic: "EXPosure" gives "EXP"."""
+    return "".join(char for char in word if not char.islower())
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Lowest, highest and default value."""
+
+    low: float
+    high: float
+    default: float
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A number with a unit; MINimum, MAXimum and DEFault stand for the limits.
+
+    Attributes:
+        name: Name for messages.
+        unit: Key of the table of suffixes: "S", "DB", "NM", "PCT" or "".
+        limits: Returns the limits in force.
+        integer: Whether it is rounded to a whole number.
+        also: Words that are accepted instead of a number.
+    """
+
+    name: str
+    unit: str
+    limits: Callable[[Station], Limits]
+    integer: bool = False
+    also: tuple[str, ...] = ()
+
+    @property
+    def form(self) -> str:
+        """Return what is accepted."""
+        words = "".join(f" | {word}" for word in self.also)
+        unit = {"": "", "PCT": " (fraction, or PCT)"}.get(self.unit, f" ({self.unit.lower().replace('db', 'dB')})")
+        return f"<{self.name}{unit}> | MINimum | MAXimum | DEFault{words}"
+
+    def read(self, argument: Argument, station: Station) -> float | int | str:
+        """Return the value in the unit; a word of `also` as it is spelled there. Raises ScpiError."""
+        if argument.kind is Kind.WORD:
+            return self._word(argument.text, station)
+        if argument.kind is not Kind.NUMBER:
+            raise ScpiError(-104, f"{self.name}: a number is expected")
+        value = self._scaled(argument)
+        limits = self.limits(station)
+        if not limits.low * (1 - 1e-9) <= value <= limits.high * (1 + 1e-9):
+            raise ScpiError(
+                -222, f"{self.name} {value:g} is outside {limits.low:g} to {limits.high:g} {self.unit.lower()}".rstrip()
+            )
+        return round(value) if self.integer else value
+
+    def _scaled(self, argument: Argument) -> float:
+        suffixes = _MULTIPLIERS[self.unit]
+        if argument.suffix.upper() not in suffixes:
+            raise ScpiError(-131 if self.unit else -138, f"{self.name}: {argument.suffix[:20]}")
+        value = float(argument.text) * suffixes[argument.suffix.upper()]
+        if not math.isfinite(value):
+            raise ScpiError(-222, f"{self.name} is not a finite number")
+        return value
+
+    def _word(self, word: str, station: Station) -> float | int | str:
+        limits = self.limits(station)
+        for name, value in (("MINimum", limits.low), ("MAXimum", limits.high), ("DEFault", limits.default)):
+            if word.upper() in (name.upper(), short_form(name)):
+                return round(value) if self.integer else value
+        for name in self.also:
+            if word.upper() in (name.upper(), short_form(name)):
+                return name
+        raise ScpiError(-141, f"{self.name}: {word[:20]}")
+
+
+@dataclass(frozen=True, slots=True)
+class Boolean:
+    """ON, OFF, or a number: 0 is off, all else on."""
+
+    name: str = "state"
+
+    @property
+    def form(self) -> str:
+        """Return what is accepted."""
+        return "ON | OFF | 1 | 0"
+
+    def read(self, argument: Argument, station: Station) -> bool:
+        """Return the value. Raises ScpiError."""
+        if argument.kind is Kind.WORD and argument.text.upper() in ("ON", "OFF"):
+            return argument.text.upper() == "ON"
+        if argument.kind is Kind.NUMBER and not argument.suffix:
+            return round(float(argument.text)) != 0 if math.isfinite(float(argument.text)) else True
+        raise ScpiError(-141 if argument.kind is Kind.WORD else -104, f"{self.name}: ON or OFF is expected")
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One word out of a list, in its short or long form."""
+
+    name: str
+    words: tuple[str, ...]
+
+    @property
+    def form(self) -> str:
+        """Return what is accepted."""
+        return " | ".join(self.words)
+
+    def read(self, argument: Argument, station: Station) -> str:
+        """Return the word as the list spells it. Raises ScpiError."""
+        if argument.kind is not Kind.WORD:
+            raise ScpiError(-104, f"{self.name}: one of {self.form} is expected")
+        for word in self.words:
+            if argument.text.upper() in (word.upper(), short_form(word)):
+                return word
+        raise ScpiError(-224, f"{self.name}: {argument.text[:20]}; allowed is {self.form}")

@@ -1,0 +1,285 @@
+"""SCPI over raw TCP and a Unix socket: one message per line."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+import stat
+from collections import deque
+from collections.abc import Coroutine, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import structlog
+
+from radiometer.daemon.limits import Limits, Network, TokenBucket, is_allowed, is_loopback
+from radiometer.daemon.scpi.errors import ScpiError
+from radiometer.daemon.scpi.lexer import block_end
+from radiometer.daemon.scpi.session import Session
+from radiometer.daemon.scpi.table import command_table
+from radiometer.daemon.station import Station
+from radiometer.errors import OutputError, UsageError
+
+_log = structlog.get_logger(__name__)
+INTERFACE: Final = "scpi"
+_DISCARD_LIMIT: Final = 16  # times the line limit that may be thrown away before the client is dropped
+_MESSAGES_AT_ONCE: Final = 32
+
+
+class ScpiConnection(asyncio.Protocol):
+    """One client on a socket."""
+
+    def __init__(self, server: ScpiServer) -> None:
+        self._server, self._limits = server, server.limits
+        self._buffer = bytearray()
+        self._messages: deque[bytes] = deque()
+        self._bucket = TokenBucket(server.limits.messages_per_s)
+        self._transport: asyncio.Transport | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._resume: asyncio.Handle | None = None
+        self._discarding = 0
+        self._cannot_write = False
+        self.session: Session | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Take or refuse the client."""
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        transport.set_write_buffer_limits(high=self._limits.reply_bytes_waiting)
+        raw_socket = transport.get_extra_info("socket")
+        if raw_socket is not None and raw_socket.family != socket.AF_UNIX:
+            raw_socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        if reason := self._server.refusal(transport.get_extra_info("peername")):
+            self._server.station.metrics.refused.labels(INTERFACE, reason).inc()
+            _log.warning("scpi client refused", reason=reason, peer=str(transport.get_extra_info("peername")))
+            transport.abort()
+            return
+        self.session = Session(self._server.station, self._server.table)
+        self._server.connections.add(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the client."""
+        self._server.connections.discard(self)
+        for handle in (self._timer, self._resume):
+            if handle is not None:
+                handle.cancel()
+        if self._task is not None:
+            self._task.cancel()
+        if self.session is not None:
+            self.session.close()
+        self._messages.clear()
+        self._buffer.clear()
+        self._transport = None
+
+    def data_received(self, data: bytes) -> None:
+        """Cut what came into messages and run them."""
+        if self.session is None:
+            return
+        self._buffer += data
+        self._cut()
+        self._watch()
+        if self._task is None and self._resume is None:
+            self._work()
+
+    def pause_writing(self) -> None:
+        """Stop executing for a client that does not take its replies; drop it if that lasts."""
+        self._cannot_write = True
+        self._start_timer("does not take its replies")
+
+    def resume_writing(self) -> None:
+        """Go on executing."""
+        self._cannot_write = False
+        self._stop_timer()
+        self._watch()
+        if self._task is None and self._resume is None:
+            self._work()
+
+    def drop(self, reason: str) -> None:
+        """End the connection at once."""
+        self._server.station.metrics.refused.labels(INTERFACE, "dropped").inc()
+        _log.warning("scpi client dropped", reason=reason)
+        if self._transport is not None:
+            self._transport.abort()
+
+    def _cut(self) -> None:
+        searched = 0
+        while (newline := self._buffer.find(b"\n", searched)) >= 0:
+            end = block_end(self._buffer, newline) if b"#" in self._buffer[:newline] else newline
+            if end > newline and end <= self._limits.line_bytes and not self._discarding:
+                if end >= len(self._buffer):
+                    break
+                searched = end
+                continue
+            if self._discarding:
+                self._discarding = 0
+            elif newline > self._limits.line_bytes:
+                self._refuse_length()
+            else:
+                self._messages.append(bytes(self._buffer[:newline]))
+            del self._buffer[: newline + 1]
+            searched = 0
+        if len(self._buffer) > self._limits.line_bytes:
+            self._overrun()
+        if len(self._messages) > self._limits.messages_waiting and self._transport is not None:
+            self._transport.pause_reading()
+
+    def _overrun(self) -> None:
+        if not self._discarding:
+            self._refuse_length()
+        self._discarding += len(self._buffer)
+        self._buffer.clear()
+        if self._discarding > _DISCARD_LIMIT * self._limits.line_bytes:
+            self.drop("sends a message without end")
+
+    def _refuse_length(self) -> None:
+        if self.session is not None:
+            self.session.status.push(ScpiError(-363, f"a message may have {self._limits.line_bytes} bytes"))
+
+    def _work(self) -> None:
+        """Run what waits; come back later where the client is fast, slow, or its command has to wait."""
+        self._resume = None
+        assert self.session is not None
+        for _ in range(_MESSAGES_AT_ONCE):
+            if not self._messages or self._cannot_write or self._transport is None:
+                break
+            if (pause_s := self._bucket.take()) > 0:
+                self._resume = asyncio.get_running_loop().call_later(pause_s, self._work)
+                break
+            outcome = self._run(self._messages.popleft())
+            if isinstance(outcome, Coroutine):
+                self._task = asyncio.create_task(self._wait(outcome))
+                break
+            self._send(outcome)
+        else:
+            self._resume = asyncio.get_running_loop().call_soon(self._work)
+        if len(self._messages) <= self._limits.messages_waiting // 2 and self._transport is not None:
+            self._transport.resume_reading()
+
+    def _run(self, message: bytes) -> str | Coroutine[Any, Any, str | None] | None:
+        assert self.session is not None
+        self._server.served.inc()
+        try:
+            return self.session.execute(message.rstrip(b"\r").decode("latin-1"))
+        except Exception as error:  # noqa: BLE001 (the daemon's edge: one client's message must not end the daemon)
+            self._unexpected(error)
+            return None
+
+    async def _wait(self, outcome: Coroutine[Any, Any, str | None]) -> None:
+        try:
+            reply = await outcome
+        except Exception as error:  # noqa: BLE001 (the daemon's edge, as above)
+            self._unexpected(error)
+            reply = None
+        self._task = None
+        self._send(reply)
+        self._work()
+
+    def _unexpected(self, error: Exception) -> None:
+        _log.error("unexpected error in a scpi command", error=repr(error), exc_info=error)
+        if self.session is not None:
+            self.session.status.push(ScpiError(-310, type(error).__name__))
+
+    def _send(self, reply: str | None) -> None:
+        if reply is not None and self._transport is not None:
+            self._transport.write(reply.encode("latin-1", "replace") + b"\n")
+
+    def _watch(self) -> None:
+        """A line that is begun must be finished in time."""
+        if self._cannot_write:
+            return
+        if (self._buffer or self._discarding) and self._timer is None:
+            self._start_timer("does not finish its message")
+        elif not (self._buffer or self._discarding):
+            self._stop_timer()
+
+    def _start_timer(self, reason: str) -> None:
+        self._stop_timer()
+        self._timer = asyncio.get_running_loop().call_later(self._limits.stuck_s, self.drop, reason)
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+
+class ScpiServer:
+    """Listens for SCPI clients.
+
+    Args:
+        station: The instrument.
+        limits: What clients may use.
+        allow: Networks that may connect beside loopback.
+    """
+
+    def __init__(self, station: Station, *, limits: Limits | None = None, allow: Sequence[Network] = ()) -> None:
+        self.station, self.limits, self.table = station, limits or Limits(), command_table()
+        self.connections: set[ScpiConnection] = set()
+        self.served = station.metrics.requests.labels(INTERFACE)
+        self._allow = tuple(allow)
+        self._servers: list[asyncio.Server] = []
+        self._socket_path: Path | None = None
+        station.on_change.append(self._state_changed)
+        station.metrics.connections.labels(INTERFACE).set_function(lambda: len(self.connections))
+
+    async def listen_tcp(self, address: str, port: int) -> int:
+        """Listen on a TCP port and return it (0 chooses a free one).
+
+        Raises:
+            UsageError: If the address is not loopback and there is no allow-list.
+            OutputError: If the port is taken.
+        """
+        if not is_loopback(address) and not self._allow:
+            raise UsageError(
+                f"SCPI has no authentication: to listen on {address}, list who may connect with --scpi-allow"
+                " (addresses or networks), or stay on 127.0.0.1"
+            )
+        try:
+            server = await asyncio.get_running_loop().create_server(lambda: ScpiConnection(self), address, port)
+        except OSError as error:
+            raise OutputError(f"cannot listen for SCPI on {address}:{port}: {error.strerror or error}") from error
+        self._servers.append(server)
+        return int(server.sockets[0].getsockname()[1])
+
+    async def listen_unix(self, path: Path) -> None:
+        """Listen on a Unix socket that only this user and group may open. Raises OutputError."""
+        try:
+            if path.exists() and stat.S_ISSOCK(path.stat().st_mode):
+                path.unlink()  # left behind by a daemon that was killed
+            before = os.umask(0o117)  # never open to others, not even between its making and a chmod
+            try:
+                server = await asyncio.get_running_loop().create_unix_server(lambda: ScpiConnection(self), path)
+            finally:
+                os.umask(before)
+        except OSError as error:
+            raise OutputError(f"cannot listen for SCPI on {path}: {error.strerror or error}") from error
+        self._servers.append(server)
+        self._socket_path = path
+
+    async def close(self) -> None:
+        """Stop listening and end every connection."""
+        for server in self._servers:
+            server.close()
+        for connection in tuple(self.connections):
+            if connection._transport is not None:
+                connection._transport.close()
+        for server in self._servers:
+            await server.wait_closed()
+        if self._socket_path is not None:
+            with contextlib.suppress(FileNotFoundError):
+                self._socket_path.unlink()
+
+    def refusal(self, peer: Any) -> str:
+        """Return why a client is refused; "" where it is taken."""
+        if len(self.connections) >= self.limits.scpi_connections:
+            return "too many connections"
+        if isinstance(peer, tuple) and not is_allowed(peer[0], self._allow):
+            return "not on the allow-list"
+        return ""
+
+    def _state_changed(self) -> None:
+        for connection in self.connections:
+            if connection.session is not None:
+                connection.session.state_changed()

@@ -1,0 +1,182 @@
+"""STATus, SYSTem, TRACe, FORMat:BORDer."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
+from radiometer.daemon.scpi import formats
+from radiometer.daemon.scpi.command import Call, Command, Handler, Outcome
+from radiometer.daemon.scpi.errors import ScpiError
+from radiometer.daemon.scpi.parameters import Choice, Limits, Number
+from radiometer.daemon.station import Station
+from radiometer.data import Frame
+
+if TYPE_CHECKING:
+    from radiometer.daemon.scpi.status import Register
+
+STATUS: Final = "Status"
+SYSTEM: Final = "System"
+TRACE: Final = "Pictures, curves and history"
+_HISTORY_LIMITS: Final = Limits(1, 10_000, 100)
+
+
+def _word16(station: Station) -> Limits:
+    return Limits(0, 65535, 0)
+
+
+def _history(station: Station) -> Limits:
+    return _HISTORY_LIMITS
+
+
+def _register(call: Call, name: str) -> Register:
+    call.session.update_status()
+    return call.session.status.operation if name == "OPERation" else call.session.status.questionable
+
+
+def _event(name: str) -> Handler:
+    return lambda call: str(_register(call, name).take_event())
+
+
+def _condition(name: str) -> Handler:
+    return lambda call: str(_register(call, name).condition)
+
+
+def _enable(name: str) -> Handler:
+    return lambda call: str(_register(call, name).enable)
+
+
+def _set_enable(name: str) -> Handler:
+    def handler(call: Call) -> None:
+        _register(call, name).enable = call.values[0]
+
+    return handler
+
+
+def _all_errors(call: Call) -> str:
+    status = call.session.status
+    return ",".join(status.next_error() for _ in range(max(1, status.error_count)))
+
+
+def _alarms(call: Call) -> str:
+    alarms = call.session.station.alarms.active
+    return ",".join(formats.string(f"{alarm.name}: {alarm.message}") for alarm in alarms) or formats.string("")
+
+
+def _devices(call: Call) -> str:
+    devices = call.session.station.status()["devices"]
+    return ",".join(formats.string(f"{name}: {entry['state']}") for name, entry in devices.items())
+
+
+def _state(call: Call) -> str:
+    return formats.block(json.dumps(call.session.station.status(), ensure_ascii=False).encode())
+
+
+def _headers(call: Call) -> str:
+    lines = []
+    for command in call.session.table.commands:
+        form = "/nquery/" if command.ask is None else "/qonly/" if command.do is None else ""
+        lines.append(f":{command.pattern}{form}" if not command.pattern.startswith("*") else command.pattern + form)
+    return formats.block(("\n".join(lines) + "\n").encode())
+
+
+def _frame(call: Call) -> Frame:
+    measurement = call.session.station.latest_measurement
+    frame = measurement.frame if measurement else None
+    if frame is None:
+        raise ScpiError(-230, "there is no picture yet")
+    return frame
+
+
+def _trace(call: Call) -> Outcome:
+    match call.values[0]:
+        case "IMAGe":
+            order = ">u2" if call.session.big_endian else "<u2"
+            return formats.block(_frame(call).dn.astype(order).tobytes())
+        case "RESPonse":
+            curve = call.session.station.instrument.response
+            if curve is None:
+                raise ScpiError(-230, "no response curve is in use; digital numbers are taken as linear")
+            return formats.block(_floats(call, np.stack([curve.log_exposure, curve.u_log_exposure], axis=1)))
+        case _:
+            count = call.values[1] if len(call.values) > 1 else _HISTORY_LIMITS.default
+            return _trace_history(call, int(count))
+
+
+async def _trace_history(call: Call, count: int) -> str:
+    reader = JournalReader(call.session.station.journal_path, deadline_s=5.0)
+    lines = await asyncio.to_thread(reader.lines, ReadingFilter(limit=count, newest_first=True))
+    rows = [json.loads(line) for line in reversed(lines)]
+    table = [[row["sequence"], row["radiance"]["value"], row["radiance"]["u"]] for row in rows]
+    return formats.block(_floats(call, np.array(table, dtype=float).reshape(-1, 3)))
+
+
+def _floats(call: Call, table: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bytes:
+    return bytes(table.astype(">f8" if call.session.big_endian else "<f8").tobytes())
+
+
+def _size(call: Call) -> str:
+    frame = _frame(call)
+    return formats.words((frame.shape[1], frame.shape[0], frame.bit_depth))
+
+
+def _set_order(call: Call) -> None:
+    call.session.big_endian = call.values[0] == "NORMal"
+
+
+def _registers(name: str) -> tuple[Command, ...]:
+    bit_list = "its bits are listed below"
+    short = name[:4].upper()
+    return (
+        Command(f"STATus:{name}[:EVENt]", f"Reads the {name.lower()} event register and clears it; {bit_list}.",
+                ask=_event(name), reply="0 to 32767", example=f"STAT:{short}?", group=STATUS),
+        Command(f"STATus:{name}:CONDition", f"Reads the {name.lower()} condition register.", ask=_condition(name),
+                reply="0 to 32767", example=f"STAT:{short}:COND?", group=STATUS),
+        Command(f"STATus:{name}:ENABle", "Sets which of its events reach the status byte.", do=_set_enable(name),
+                ask=_enable(name), parameters=(Number("mask", "", _word16, True),), reply="0 to 65535",
+                example=f"STAT:{short}:ENAB 65535;ENAB?", group=STATUS),
+    )  # fmt: skip
+
+
+COMMANDS: Final = (
+    *_registers("OPERation"),
+    *_registers("QUEStionable"),
+    Command("STATus:PRESet", "Clears the enable registers of both.", do=lambda call: call.session.status.preset(),
+            example="STAT:PRES", group=STATUS),
+    Command("SYSTem:ERRor[:NEXT]", "Takes the oldest entry out of the session's error queue (32 entries). A"
+            " lost camera,"
+            " a lost light box and a journal that cannot be written are entered here as they happen.",
+            ask=lambda call: call.session.status.next_error(), reply='number,"text"', example="SYST:ERR?",
+            group=SYSTEM),
+    Command("SYSTem:ERRor:ALL", "Takes all entries.", ask=_all_errors, reply='number,"text",…', example="SYST:ERR:ALL?",
+            group=SYSTEM),
+    Command("SYSTem:ERRor:COUNt", "Counts the entries.", ask=lambda call: str(call.session.status.error_count),
+            reply="integer", example="SYST:ERR:COUN?", group=SYSTEM),
+    Command("SYSTem:VERSion", "Tells the version of SCPI.", ask=lambda call: "1999.0", reply="1999.0",
+            example="SYST:VERS?", group=SYSTEM),
+    Command("SYSTem:ALARm", "Lists the alarms that are up.", ask=_alarms, reply='"alarm",…', example="SYST:ALAR?",
+            group=SYSTEM),
+    Command("SYSTem:DEVice", "Lists the devices, each ready, overdue, lost or closed.", ask=_devices,
+            reply='"device: state",…', example="SYST:DEV?", group=SYSTEM),
+    Command("SYSTem:STATe", "Replies the state of everything as JSON in a block, as GET /status does.", ask=_state,
+            reply="block", example="SYST:STAT?", group=SYSTEM),
+    Command("SYSTem:HELP:HEADers", "Lists every header in a block, one per line.", ask=_headers, reply="block",
+            example="SYST:HELP:HEAD?", group=SYSTEM),
+    Command("TRACe[:DATA]", "Replies a block: IMAGe is the latest frame (16-bit digital numbers, row by row),"
+            " RESPonse the"
+            " response curve (pairs ln H, u of 64-bit floats, one per digital number), HISTory[,count] the"
+            " newest readings"
+            " (triples sequence, radiance, u of 64-bit floats, oldest first).", ask=_trace,
+            ask_parameters=(Choice("trace", ("IMAGe", "RESPonse", "HISTory")), Number("count", "", _history, True)),
+            ask_required=1, reply="block", example="READ?;:TRAC:DATA? HIST,10", group=TRACE),
+    Command("TRACe:SIZE", "Replies width, height and bit depth of IMAGe.", ask=_size, reply="width,height,bits",
+            example="READ?;:TRAC:SIZE?", group=TRACE),
+    Command("FORMat:BORDer", "Sets the byte order in blocks: NORMal is most significant byte first.", do=_set_order,
+            ask=lambda call: "NORM" if call.session.big_endian else "SWAP",
+            parameters=(Choice("order", ("NORMal", "SWAPped")),),
+            reply="NORM or SWAP", example="FORM:BORD SWAP;BORD?", group=TRACE),
+)  # fmt: skip

@@ -1,0 +1,171 @@
+"""Puts the daemon together: station, interfaces, signals, systemd."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import structlog
+
+from radiometer.daemon.http.server import HttpServer
+from radiometer.daemon.limits import Limits, Network, is_loopback
+from radiometer.daemon.mqtt import MqttPublisher, MqttTarget
+from radiometer.daemon.scpi.server import ScpiServer
+from radiometer.daemon.station import Station
+from radiometer.daemon.systemd import Notifier
+from radiometer.errors import RadiometerError
+
+_log = structlog.get_logger(__name__)
+# The event loop must get the interpreter soon after a reply is due, even while a measurement computes.
+_SWITCH_INTERVAL_S: Final = 0.0005
+_HUNG_S: Final = 600.0  # a driver's call that takes longer never ends: systemd may start the daemon anew
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceOptions:
+    """Where the daemon listens and what it tells whom.
+
+    Attributes:
+        every_s: Period of continuous measurement in s; None for on demand only.
+        scpi_address: Address for SCPI; None for no TCP.
+        scpi_port: Port for SCPI; 0 chooses a free one.
+        scpi_socket: Unix socket for SCPI; None for none.
+        scpi_allow: Networks that may connect to SCPI beside loopback.
+        http_address: Address for HTTP; None for none.
+        http_port: Port for HTTP; 0 chooses a free one.
+        token: Token for HTTP; None where only loopback is listened on.
+        mqtt: Broker to publish to; None for none.
+        limits: What clients may use.
+    """
+
+    every_s: float | None = None
+    scpi_address: str | None = "127.0.0.1"
+    scpi_port: int = 5025
+    scpi_socket: Path | None = None
+    scpi_allow: tuple[Network, ...] = ()
+    http_address: str | None = "127.0.0.1"
+    http_port: int = 8080
+    token: str | None = None
+    mqtt: MqttTarget | None = None
+    limits: Limits = field(default_factory=Limits)
+
+
+class Service:
+    """A station with its interfaces.
+
+    Args:
+        station: The instrument, not yet started.
+        options: Where to listen.
+        announce: Told, one line each, where the daemon listens and what must be known of it.
+        notifier: Tells systemd; by default the one that systemd asked for.
+    """
+
+    def __init__(
+        self,
+        station: Station,
+        options: ServiceOptions,
+        announce: Callable[[str], None] = lambda line: None,
+        notifier: Notifier | None = None,
+    ) -> None:
+        self._station, self._options, self._announce = station, options, announce
+        self._notifier = notifier or Notifier.from_environment()
+        self._scpi = ScpiServer(station, limits=options.limits, allow=options.scpi_allow)
+        self._http = HttpServer(station, limits=options.limits, token=options.token)
+        self._mqtt = MqttPublisher(station, options.mqtt) if options.mqtt else None
+        self._stop = asyncio.Event()
+        self._reloads: set[asyncio.Task[None]] = set()
+
+    async def run(self) -> None:
+        """Serve until a signal ends it; SIGHUP reloads the calibration.
+
+        Raises:
+            RadiometerError: If it cannot start, or a part of it has ended that never should.
+        """
+        sys.setswitchinterval(_SWITCH_INTERVAL_S)
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self._stop.set)
+        loop.add_signal_handler(signal.SIGHUP, self._reload)
+        try:
+            await self._station.start()
+            await self._listen()
+            self._station.set_every(self._options.every_s)
+            self._notifier.ready(self._summary())
+            self._station.on_change.append(lambda: self._notifier.status(self._summary()))
+            await self._watch()
+        finally:
+            self._notifier.stopping()
+            await self._close()
+            for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+                loop.remove_signal_handler(number)
+
+    async def _listen(self) -> None:
+        options = self._options
+        if options.scpi_address is not None:
+            port = await self._scpi.listen_tcp(options.scpi_address, options.scpi_port)
+            reach = "this machine" if is_loopback(options.scpi_address) else ", ".join(map(str, options.scpi_allow))
+            self._announce(f"SCPI on {options.scpi_address}:{port} (no authentication: {reach} may connect)")
+        if options.scpi_socket is not None:
+            await self._scpi.listen_unix(options.scpi_socket)
+            self._announce(f"SCPI on {options.scpi_socket}")
+        if options.http_address is not None:
+            port = await self._http.listen(options.http_address, options.http_port)
+            guarded = "token needed" if options.token else "no token: this machine only"
+            self._announce(f"HTTP on http://{_bracketed(options.http_address)}:{port}/ ({guarded})")
+        if self._mqtt is not None:
+            self._mqtt.start()
+            self._announce(f"MQTT to {self._mqtt.target} under {self._mqtt.topic}/")
+        self._announce(f"journal {self._station.journal_path}")
+
+    async def _watch(self) -> None:
+        """Feed the watchdog while all is well; end when told to, or when a part has died."""
+        period_s = min(self._notifier.watchdog_period_s or 1.0, 1.0)
+        while not self._stop.is_set():
+            with suppress(TimeoutError):
+                async with asyncio.timeout(period_s):
+                    await self._stop.wait()
+            if (failure := self._station.failed_task()) is not None:
+                _log.error("a part of the daemon ended", error=repr(failure))
+                raise RadiometerError(f"the daemon ends: {type(failure).__name__}: {failure}") from failure
+            if self._station.camera.stuck_s < _HUNG_S:
+                self._notifier.alive()
+
+    async def _close(self) -> None:
+        await self._http.close()
+        await self._scpi.close()
+        await self._station.stop()
+        if self._mqtt is not None:
+            await self._mqtt.stop()
+
+    def _reload(self) -> None:
+        task = asyncio.create_task(self._reload_calibration())
+        self._reloads.add(task)
+        task.add_done_callback(self._reloads.discard)
+
+    async def _reload_calibration(self) -> None:
+        self._notifier.reloading()
+        try:
+            self._announce(f"calibration reloaded: {await self._station.reload_calibration()}")
+        except RadiometerError as error:
+            self._announce(f"calibration not reloaded: {error}")
+        self._notifier.ready(self._summary())
+
+    def _summary(self) -> str:
+        alarms = [alarm.message for alarm in self._station.alarms.active]
+        return (
+            f"alarm: {alarms[0]}"
+            if alarms
+            else "measuring"
+            if self._station.acquisition.every_s is not None
+            else "ready"
+        )
+
+
+def _bracketed(address: str) -> str:
+    return f"[{address}]" if ":" in address else address
