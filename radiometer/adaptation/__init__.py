@@ -1,0 +1,1 @@
+"""Dark adaptation: threshold series, branch models, fits and their report."""

@@ -1,0 +1,227 @@
+"""Chooses the branch model of a threshold series and states what the eye did, with intervals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.adaptation.branch_fit import BranchFit, fit_model
+from radiometer.adaptation.branch_models import MODELS
+from radiometer.adaptation.intervals import Interval, bootstrap_values, percentile_interval, profile_interval
+from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.errors import MeasurementError
+
+SHALLOWEST_S2: Final = -0.03  # log10 units per min; a flatter line after the "break" is no rod branch
+EVIDENCE_AICC: Final = 4.0  # an evidence ratio of e² = 7 (Burnham and Anderson 2002, section 2.6)
+LEAST_ROD_FALL: Final = 0.5  # log10 units by which rods must go below the cones for a break to be one
+CRITERION_BELOW_PLATEAU: Final = 2.0
+GRID: Final = 2000
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class FitRequest:
+    """How to fit.
+
+    Attributes:
+        criterion: log10 threshold for the rod-intercept time; None for 2 log10 units below the cone plateau.
+        stimulus_u_log10: Standard uncertainty of the stimulus calibration in log10 units, shared by all thresholds.
+        bootstrap_draws: Redraws for the intervals of derived quantities; 0 leaves them out.
+        confidence: Probability of the intervals.
+    """
+
+    criterion: float | None = None
+    stimulus_u_log10: float = 0.0
+    bootstrap_draws: int = 200
+    confidence: float = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A value with unit, standard uncertainty and two intervals (None where not made)."""
+
+    value: float
+    u: float
+    unit: str
+    profile: Interval | None = None
+    bootstrap: Interval | None = None
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping for JSON; an unbounded end is null."""
+        mapping: dict[str, Any] = {"value": self.value, "u": _finite(self.u), "unit": self.unit}
+        for name, interval in (("interval", self.profile or self.bootstrap), ("bootstrap", self.bootstrap)):
+            if interval is not None:
+                mapping[name] = [_finite(interval.low), _finite(interval.high)]
+        return mapping
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AdaptationFit:
+    """What was found of an eye.
+
+    Attributes:
+        chosen: The simplest model near the least AICc among those that make sense.
+        tried: All fits, also those left out.
+        estimates: Parameters and derived quantities by name.
+        criterion: log10 threshold of the rod-intercept time; None without a rod branch.
+        verdict: What the curve shows, in words.
+        request: How it was fitted.
+    """
+
+    chosen: BranchFit
+    tried: tuple[BranchFit, ...]
+    estimates: Mapping[str, Estimate]
+    criterion: float | None
+    verdict: str
+    request: FitRequest
+
+    @property
+    def has_break(self) -> bool:
+        """Tell whether a rod–cone break was found."""
+        return "break_min" in self.chosen.values
+
+
+def fit_adaptation(series: ThresholdSeries, request: FitRequest, rng: np.random.Generator) -> AdaptationFit:
+    """Return the fit of the family's best member, with intervals.
+
+    Args:
+        series: The thresholds.
+        request: How to fit.
+        rng: Source of chance for the bootstrap.
+
+    Raises:
+        MeasurementError: If the series shows no adaptation, or none that a branch model describes.
+    """
+    series.require_recovery()
+    fits = _fit_family(series)
+    chosen = _choose([fit for fit in fits if makes_sense(fit)])
+    criterion = _criterion(chosen, request)
+    draws = bootstrap_values(chosen, request.bootstrap_draws, rng) if request.bootstrap_draws else []
+    estimates = {
+        **{name: _parameter(chosen, name, draws, request) for name in chosen.model.parameters},
+        **_derived_estimates(chosen, criterion, draws, request),
+    }
+    return AdaptationFit(chosen, fits, estimates, criterion, _verdict(chosen), request)
+
+
+def _fit_family(series: ThresholdSeries) -> tuple[BranchFit, ...]:
+    """Return a fit of every model that the series is long enough for, all with the weights of the fullest one.
+
+    Sums of squares, and so AICc, compare only at the same weights; the fullest model mistakes least for an outlier.
+    """
+    models = [model for model in MODELS if series.time_min.size > len(model.parameters) + 2]
+    fullest = fit_model(series, models[-1])
+    return (*(fit_model(series, model, fullest.weights) for model in models[:-1]), fullest)
+
+
+def _choose(fits: list[BranchFit]) -> BranchFit:
+    """Return the simplest fit within EVIDENCE_AICC of the best: more branches must be worth their parameters."""
+    if not fits:
+        raise MeasurementError("no branch model describes these thresholds: they rise, or jump; look at the curve")
+    best = min(fit.aicc for fit in fits)
+    return next(fit for fit in fits if fit.aicc <= best + EVIDENCE_AICC)
+
+
+def makes_sense(fit: BranchFit) -> bool:
+    """Tell whether a fit is physiological: cones that fall and are seen, rods that fall well below, S3 above S2."""
+    values, times = fit.values, fit.series.time_min
+    if values["amplitude"] <= 0:
+        return False
+    if "break_min" not in values:
+        return True
+    seen = np.count_nonzero(times < values["break_min"]) >= 3 and np.count_nonzero(times > values["break_min"]) >= 3
+    s3 = values.get("s3_slope_per_min", 0.0)
+    at_break, at_end = fit.threshold(np.array([values["break_min"], times[-1]]))
+    seen = seen and at_break - at_end >= LEAST_ROD_FALL
+    return bool(seen and values["s2_slope_per_min"] <= SHALLOWEST_S2 and values["s2_slope_per_min"] < s3 <= 0.05)
+
+
+def derived_quantities(fit_values: Mapping[str, float], fit: BranchFit, criterion: float | None) -> dict[str, float]:
+    """Return final threshold, area under the curve and, with a rod branch, cone plateau and rod-intercept time.
+
+    The area is that between the curve and its final threshold, from the first to the last threshold, in log10·min. The
+    intercept is where the S2 line, prolonged where needed, crosses the criterion.
+    """
+    times = fit.series.time_min
+    grid = np.linspace(times[0], times[-1], GRID)
+    curve = fit.model.threshold(grid, dict(fit_values))
+    final = float(curve[-1])
+    derived = {"final_threshold": final, "area_log10_min": float(np.trapezoid(curve - final, grid))}
+    if criterion is not None and "break_min" in fit_values:
+        at_break = fit_values["plateau"] + fit_values["amplitude"] * math.exp(
+            -fit_values["break_min"] / fit_values["tau_min"]
+        )
+        slope = fit_values["s2_slope_per_min"]
+        derived["rod_intercept_min"] = (
+            fit_values["break_min"] + (criterion - at_break) / slope if slope < 0 else math.inf
+        )
+    return derived
+
+
+def _criterion(fit: BranchFit, request: FitRequest) -> float | None:
+    if "break_min" not in fit.values:
+        return None
+    return fit.values["plateau"] - CRITERION_BELOW_PLATEAU if request.criterion is None else request.criterion
+
+
+_UNITS: Final = {
+    "plateau": "log10",
+    "amplitude": "log10",
+    "final_threshold": "log10",
+    "s2_slope_per_min": "log10/min",
+    "s3_slope_per_min": "log10/min",
+    "area_log10_min": "log10 min",
+}
+_SHIFTED: Final = ("plateau", "final_threshold")  # a wrong stimulus scale shifts these one to one
+
+
+def _parameter(fit: BranchFit, name: str, draws: list[dict[str, float]], request: FitRequest) -> Estimate:
+    profile = profile_interval(fit, name, request.confidence)
+    boot = percentile_interval([draw[name] for draw in draws], request.confidence) if draws else None
+    return _estimate(name, fit.values[name], profile, boot, request, 0.0)
+
+
+def _derived_estimates(
+    fit: BranchFit, criterion: float | None, draws: list[dict[str, float]], request: FitRequest
+) -> dict[str, Estimate]:
+    values = derived_quantities(fit.values, fit, criterion)
+    drawn = [derived_quantities(draw, fit, criterion) for draw in draws]
+    slope = abs(fit.values.get("s2_slope_per_min", 0.0))
+    found = {}
+    for name, value in values.items():
+        boot = percentile_interval([one[name] for one in drawn], request.confidence) if drawn else None
+        # A stated criterion is absolute: a wrong stimulus scale moves the time at which it is met.
+        moved = (
+            request.stimulus_u_log10 / slope if name == "rod_intercept_min" and request.criterion is not None else 0.0
+        )
+        found[name] = _estimate(name, value, None, boot, request, moved)
+    return found
+
+
+def _estimate(
+    name: str, value: float, profile: Interval | None, boot: Interval | None, request: FitRequest, moved_u: float
+) -> Estimate:
+    shared = request.stimulus_u_log10 if name in _SHIFTED else moved_u
+    if shared:
+        profile, boot = (one.widened(shared) if one is not None else None for one in (profile, boot))
+    known = profile or boot
+    u = (known.high - known.low) / (2 * 1.96) if known is not None and request.confidence == 0.95 else math.nan
+    return Estimate(value, u, _UNITS.get(name, "min"), profile, boot)
+
+
+def _verdict(fit: BranchFit) -> str:
+    values = fit.values
+    if "break_min" not in values:
+        return "one branch: no rod–cone break is seen in these thresholds"
+    slope = values["s2_slope_per_min"]
+    return f"rod–cone break at {values['break_min']:.1f} min, S2 slope {slope:.3f} log10 units per min"
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,86 @@
+"""The light box as a stage: its white channel bleaches, its spot blinks, its button answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from radiometer.adaptation.protocol import AdaptationProtocol, SteadyBleach
+from radiometer.devices.light_box import LightBox, Radiance
+from radiometer.errors import UsageError
+
+_BLEACH, _FIXATION = "bleach", "fixation"
+
+
+@dataclass(slots=True)
+class BoxStage:
+    """Runs a test on an open light box, in real time.
+
+    Attributes:
+        box: An open light box with calibrated channels.
+        photopic_lm_per_w: Luminous efficacy of the bleaching light.
+        scotopic_lm_per_w: Scotopic luminous efficacy of the spot's light.
+        protocol: The protocol.
+        clock: Steady clock in s, the one that the box's button events are given on.
+        sleep: Waits for a number of seconds.
+        fixation_w_sr_m2: Radiance of the fixation mark; 0 leaves it dark.
+        room: Measures the dark room in cd·m⁻²; None where it cannot be measured.
+    """
+
+    box: LightBox
+    photopic_lm_per_w: float
+    scotopic_lm_per_w: float
+    protocol: AdaptationProtocol
+    clock: Callable[[], float]
+    sleep: Callable[[float], None]
+    fixation_w_sr_m2: float = 0.0
+    room: Callable[[], float] | None = None
+    _zero_s: float = field(default=0.0, init=False)
+
+    def __post_init__(self) -> None:
+        self._zero_s = self.clock()
+
+    def now_s(self) -> float:
+        """Return the time in s since the stage was set up, or as `resume_at` set it."""
+        return self.clock() - self._zero_s
+
+    def resume_at(self, time_s: float) -> None:
+        """Count on from a time that is later than the stage's own; the eye went on adapting, the clock did not."""
+        self._zero_s = min(self._zero_s, self.clock() - time_s)
+
+    def room_luminance_cd_m2(self) -> float | None:
+        """Return the luminance of the dark room; None where it cannot be measured."""
+        return self.room() if self.room else None
+
+    def bleach(self, protocol: AdaptationProtocol) -> None:
+        """Light the bleaching channel for the protocol's time, timed by the box.
+
+        Raises:
+            UsageError: If the protocol wants a flash.
+            DeviceError: If the box fails.
+            UnsafeStimulus: If it is too much for eye or box.
+        """
+        bleach = protocol.bleach
+        if not isinstance(bleach, SteadyBleach):
+            raise UsageError(
+                f"protocol {protocol.name}: a flash of {bleach.retinal_td_s:g} td·s is beyond the box's steady light; "
+                "take a protocol with a steady bleach"
+            )
+        level = Radiance(bleach.luminance_cd_m2 / self.photopic_lm_per_w)
+        self.box.pulse(_BLEACH, level, bleach.duration_s)
+        self.sleep(bleach.duration_s)
+        if self.fixation_w_sr_m2:
+            self.box.set_level(_FIXATION, Radiance(self.fixation_w_sr_m2))
+
+    def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
+        """Blink the spot once and return the presses in s from its onset. Raises DeviceError, UnsafeStimulus."""
+        spot, onset = self.protocol.spot, self.clock()
+        if log10_level is not None:
+            self.box.pulse(spot.channel, Radiance(10.0**log10_level / self.scotopic_lm_per_w), spot.on_s)
+        events = self.box.buttons(max(0.0, spot.cycle_s - (self.clock() - onset)))
+        return [event.time_s - onset for event in events if event.pressed and event.time_s >= onset]
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass; what is pressed meanwhile is taken from the box and forgotten."""
+        for _ in self.box.buttons(seconds):
+            continue

@@ -1,0 +1,137 @@
+"""Fits one branch model to a threshold series: variable projection from many starts, with a robust loss."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from radiometer.adaptation.branch_models import BranchModel
+from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.errors import MeasurementError
+
+Array = NDArray[np.float64]
+HUBER: Final = 2.5  # residuals beyond so many robust standard deviations count less (Huber 1964)
+REWEIGHTINGS: Final = 4
+REFINED: Final = 4
+_FAR: Final = 1e12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BranchFit:
+    """A fitted branch model.
+
+    Attributes:
+        model: Which one.
+        series: What it was fitted to.
+        values: Parameters by name.
+        weights: Weight of each threshold: 1/σ² relative, less where robustness has taken some off, shape (n,).
+        sum_of_squares: Weighted sum of squared residuals.
+        aicc: Akaike's information criterion, corrected for small samples (Hurvich and Tsai 1989).
+    """
+
+    model: BranchModel
+    series: ThresholdSeries
+    values: dict[str, float]
+    weights: Array
+    sum_of_squares: float
+    aicc: float
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Return the number of thresholds less that of the parameters."""
+        return self.series.time_min.size - len(self.model.parameters)
+
+    @property
+    def sigma(self) -> float:
+        """Return the standard deviation of a threshold of weight 1, in log10 units."""
+        return float(np.sqrt(self.sum_of_squares / self.degrees_of_freedom))
+
+    def threshold(self, time_min: Array) -> Array:
+        """Return fitted log10 thresholds at times in min."""
+        return self.model.threshold(time_min, self.values)
+
+
+def fit_model(series: ThresholdSeries, model: BranchModel, weights: Array | None = None) -> BranchFit:
+    """Return the least-squares fit of a model, outliers weighed down after Huber 1964.
+
+    Args:
+        series: The thresholds.
+        model: The model.
+        weights: Weights to keep as they are, such as those of another model's fit; found from the residuals where None.
+
+    Raises:
+        MeasurementError: If there are not more thresholds than parameters.
+    """
+    count = series.time_min.size
+    if count <= len(model.parameters) + 1:
+        raise MeasurementError(
+            f"{count} thresholds are too few for the {len(model.parameters)} parameters of {model.name}"
+        )
+    prior = np.ones(count) if series.sigma is None else (series.sigma.min() / series.sigma) ** 2
+    nonlinear = _best_of_grid(series, model, prior if weights is None else weights)
+    if weights is None:
+        weights = prior
+        for _ in range(REWEIGHTINGS):
+            nonlinear = refine(series.time_min, series.log_threshold, model, weights, nonlinear)
+            _, linear = project(series.time_min, series.log_threshold, model, weights, nonlinear)
+            weights = prior * _huber(series, model, prior, nonlinear, linear)
+    nonlinear = refine(series.time_min, series.log_threshold, model, weights, nonlinear)
+    total, linear = project(series.time_min, series.log_threshold, model, weights, nonlinear)
+    values = dict(zip(model.parameters, map(float, (*linear, *nonlinear)), strict=True))
+    return BranchFit(model, series, values, weights, total, _aicc(total, count, len(model.parameters) + 1))
+
+
+def project(
+    time_min: Array, log_threshold: Array, model: BranchModel, weights: Array, nonlinear: Array
+) -> tuple[float, Array]:
+    """Return the weighted sum of squares at fixed nonlinear parameters, and the best linear ones."""
+    root = np.sqrt(weights)
+    basis = model.basis(time_min, nonlinear)
+    linear, *_ = np.linalg.lstsq(basis * root[:, np.newaxis], log_threshold * root, rcond=None)
+    residuals = log_threshold - basis @ linear
+    return float(weights @ residuals**2), np.asarray(linear, dtype=np.float64)
+
+
+def refine(time_min: Array, log_threshold: Array, model: BranchModel, weights: Array, start: Array) -> Array:
+    """Return nonlinear parameters of least weighted sum of squares near a start (Nelder and Mead 1965)."""
+
+    def cost(nonlinear: Any) -> float:
+        if not model.allowed(time_min, nonlinear):
+            return _FAR
+        return project(time_min, log_threshold, model, weights, nonlinear)[0]
+
+    found = minimize(
+        cost, np.ravel(start), method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-9, "maxiter": 400}
+    )
+    return np.asarray(found.x if found.fun < cost(start) else start, dtype=np.float64)
+
+
+def _best_of_grid(series: ThresholdSeries, model: BranchModel, weights: Array) -> Array:
+    """Return the best of a few refined starts of the grid."""
+    starts = model.starts(series.time_min)
+    basis = model.basis(series.time_min, starts)
+    weighted = basis * weights[:, np.newaxis]
+    normal = np.einsum("sni,snj->sij", weighted, basis) + 1e-9 * np.eye(basis.shape[-1])
+    linear = np.linalg.solve(normal, np.einsum("sni,n->si", weighted, series.log_threshold)[..., np.newaxis])
+    residuals = series.log_threshold - (basis @ linear)[..., 0]
+    order = np.argsort((residuals**2) @ weights)[: REFINED * 8 : 8]
+    refined = [refine(series.time_min, series.log_threshold, model, weights, starts[index]) for index in order]
+    return min(refined, key=lambda x: project(series.time_min, series.log_threshold, model, weights, x)[0])
+
+
+def _huber(series: ThresholdSeries, model: BranchModel, prior: Array, nonlinear: Array, linear: Array) -> Array:
+    residuals = np.sqrt(prior) * (series.log_threshold - model.basis(series.time_min, nonlinear) @ linear)
+    free = residuals.size / (residuals.size - len(model.parameters))  # a fit's residuals are smaller than the errors
+    spread = 1.4826 * float(np.median(np.abs(residuals))) * float(np.sqrt(free))
+    if spread == 0.0:
+        return np.ones_like(residuals)
+    return np.minimum(1.0, HUBER * spread / np.maximum(np.abs(residuals), 1e-300))
+
+
+def _aicc(total: float, count: int, parameters: int) -> float:
+    correction = 2 * parameters * (parameters + 1) / (count - parameters - 1) if count > parameters + 1 else np.inf
+    return float(count * np.log(max(total, 1e-300) / count) + 2 * parameters + correction)

@@ -1,0 +1,153 @@
+"""Intervals of a branch fit's parameters: profile likelihood and residual bootstrap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq, minimize
+from scipy.stats import f as f_distribution
+
+from radiometer.adaptation.branch_fit import BranchFit, project, refine
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A two-sided interval; an end is infinite where the data do not bound it."""
+
+    low: float
+    high: float
+
+    def holds(self, value: float) -> bool:
+        """Tell whether a value lies inside."""
+        return self.low <= value <= self.high
+
+    def widened(self, u: float, coverage_factor: float = 1.96) -> Interval:
+        """Return the interval with a further standard uncertainty added to each side in quadrature."""
+        middle = 0.5 * (self.low + self.high)
+        half = float(np.hypot(0.5 * (self.high - self.low), coverage_factor * u))
+        return Interval(middle - half, middle + half)
+
+
+def profile_interval(fit: BranchFit, name: str, confidence: float = 0.95) -> Interval:
+    """Return the profile-likelihood interval of a parameter.
+
+    Values whose least sum of squares stays below S_min·(1 + F(1, n − p)/(n − p)).
+
+    Args:
+        fit: The fit.
+        name: Name of the parameter.
+        confidence: Probability of the interval.
+
+    Source: Bates and Watts 1988, Nonlinear Regression Analysis, section 6.1.
+    """
+    dof = fit.degrees_of_freedom
+    limit = fit.sum_of_squares * (1 + float(f_distribution.ppf(confidence, 1, dof)) / dof)
+    best = fit.values[name]
+    scale = max(abs(best), 0.1) * 0.05
+    return Interval(_end(fit, name, best, -scale, limit), _end(fit, name, best, scale, limit))
+
+
+def bootstrap_values(fit: BranchFit, draws: int, rng: np.random.Generator) -> list[dict[str, float]]:
+    """Return the parameters of fits to the fitted curve plus redrawn residuals.
+
+    Residuals are drawn with replacement, scaled by √(n/(n − p)), at the fit's weights.
+
+    Args:
+        fit: The fit.
+        draws: Number of redraws.
+        rng: Source of chance.
+
+    Source: Efron and Tibshirani 1993, An Introduction to the Bootstrap, chapter 9.
+    """
+    series, model = fit.series, fit.model
+    curve = fit.threshold(series.time_min)
+    residuals = np.sqrt(fit.weights) * (series.log_threshold - curve)
+    residuals = (residuals - residuals.mean()) * np.sqrt(residuals.size / fit.degrees_of_freedom)
+    start = np.array([fit.values[name] for name in model.nonlinear])
+    found = []
+    for _ in range(draws):
+        drawn = curve + rng.choice(residuals, residuals.size) / np.sqrt(fit.weights)
+        nonlinear = refine(series.time_min, drawn, model, fit.weights, start)
+        _, linear = project(series.time_min, drawn, model, fit.weights, nonlinear)
+        found.append(dict(zip(model.parameters, map(float, (*linear, *nonlinear)), strict=True)))
+    return found
+
+
+def percentile_interval(values: list[float], confidence: float = 0.95) -> Interval:
+    """Return the percentile interval of bootstrap values."""
+    tail = 50.0 * (1.0 - confidence)
+    low, high = np.percentile([value for value in values if np.isfinite(value)] or [np.nan], [tail, 100.0 - tail])
+    return Interval(float(low), float(high))
+
+
+def _end(fit: BranchFit, name: str, best: float, step: float, limit: float) -> float:
+    """Return where the profile crosses the limit on one side; infinite where it does not within 60 growing steps."""
+    start = np.array([fit.values[n] for n in fit.model.nonlinear])
+    inner = best
+    for _ in range(60):
+        outer = inner + step
+        total, nonlinear = _profile(fit, name, outer, start)
+        if total > limit:
+            return float(brentq(partial(_excess, fit, name, start, limit), inner, outer, xtol=1e-4))
+        start, inner, step = nonlinear, outer, 1.3 * step
+    return float(np.copysign(np.inf, step))
+
+
+def _excess(fit: BranchFit, name: str, start: Array, limit: float, value: float) -> float:
+    return _profile(fit, name, value, start)[0] - limit
+
+
+def _profile(fit: BranchFit, name: str, value: float, start: Array) -> tuple[float, Array]:
+    """Return the least sum of squares with one parameter held, and the nonlinear parameters there."""
+    if name in fit.model.linear:
+        return _held_linear(fit, fit.model.linear.index(name), value, start)
+    return _held_nonlinear(fit, fit.model.nonlinear.index(name), value, start)
+
+
+def _held_linear(fit: BranchFit, column: int, value: float, start: Array) -> tuple[float, Array]:
+    series, model, weights = fit.series, fit.model, fit.weights
+    root = np.sqrt(weights)
+    free = [index for index in range(len(model.linear)) if index != column]
+
+    def cost(nonlinear: Any) -> float:
+        if not model.allowed(series.time_min, nonlinear):
+            return 1e12
+        basis = model.basis(series.time_min, nonlinear)
+        wanted = series.log_threshold - value * basis[:, column]
+        linear, *_ = np.linalg.lstsq(basis[:, free] * root[:, np.newaxis], wanted * root, rcond=None)
+        return float(weights @ (wanted - basis[:, free] @ linear) ** 2)
+
+    return _minimum(cost, start)
+
+
+def _held_nonlinear(fit: BranchFit, position: int, value: float, start: Array) -> tuple[float, Array]:
+    series, model = fit.series, fit.model
+
+    def full(free: Array) -> Array:
+        return np.insert(free, position, value)
+
+    def cost(free: Any) -> float:
+        nonlinear = full(free)
+        if not model.allowed(series.time_min, nonlinear):
+            return 1e12
+        return project(series.time_min, series.log_threshold, model, fit.weights, nonlinear)[0]
+
+    free = np.delete(start, position)
+    if free.size == 0:
+        return cost(free), full(free)
+    total, found = _minimum(cost, free)
+    return total, full(found)
+
+
+def _minimum(cost: Callable[[Any], float], start: Array) -> tuple[float, Array]:
+    found = minimize(
+        cost, np.ravel(start), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-7, "maxiter": 200}
+    )
+    return float(found.fun), np.asarray(found.x, dtype=np.float64)

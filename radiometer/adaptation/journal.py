@@ -1,0 +1,89 @@
+"""Every event of a test on disk before the next one happens: a crash loses no press."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Final, Self
+
+from radiometer.errors import InputError, OutputError
+
+FORMAT: Final = "radiometer-adaptation/1"
+Event = dict[str, Any]
+
+
+class Journal:
+    """An append-only file of JSON lines, each flushed to the disk when it is written.
+
+    Args:
+        path: The file; created where it is not there.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.events: list[Event] = list(read_events(path)) if path.exists() else []
+        self._stream: IO[bytes] | None = None
+
+    def __enter__(self) -> Self:
+        try:
+            self._stream = self.path.open("ab")
+            self._cut_torn_line()
+        except OSError as error:
+            raise OutputError(f"cannot write {self.path}: {error.strerror or error}") from error
+        return self
+
+    def write(self, kind: str, time_s: float, **facts: Any) -> Event:
+        """Append an event and return it once it is on the disk. Raises OutputError where the disk refuses it."""
+        event = {"sequence": len(self.events), "kind": kind, "time_s": round(time_s, 4), **facts}
+        if self._stream is None:
+            raise OutputError(f"{self.path}: the journal is not open")
+        try:
+            self._stream.write(json.dumps(event, ensure_ascii=False, allow_nan=False).encode() + b"\n")
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+        except OSError as error:
+            raise OutputError(f"cannot write {self.path}: {error.strerror or error}") from error
+        self.events.append(event)
+        return event
+
+    def of_kind(self, kind: str) -> list[Event]:
+        """Return the events of a kind, in order."""
+        return [event for event in self.events if event["kind"] == kind]
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._stream:
+            self._stream.close()
+            self._stream = None
+
+    def _cut_torn_line(self) -> None:
+        """Cut off what a crash left of a half-written line, so that the next event begins a line of its own."""
+        if self._stream is None:
+            return
+        whole = self.path.read_bytes().rfind(b"\n") + 1
+        if whole < self.path.stat().st_size:
+            self._stream.truncate(whole)
+
+
+def read_events(path: Path) -> Iterator[Event]:
+    """Yield the events of a journal; a last line that was not finished is left out.
+
+    Raises:
+        InputError: If it cannot be read, or a line other than the last is damaged or out of order.
+    """
+    try:
+        lines = path.read_bytes().split(b"\n")
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    for number, line in enumerate(lines[:-1]):
+        try:
+            event = json.loads(line)
+        except ValueError as error:
+            raise InputError(f"{path}, line {number + 1}: not a line of a journal ({error})") from error
+        if not isinstance(event, dict) or event.get("sequence") != number:
+            raise InputError(f"{path}, line {number + 1}: events are missing or out of order")
+        yield event

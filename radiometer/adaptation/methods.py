@@ -1,0 +1,84 @@
+"""Which level comes next, and when a threshold is found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from radiometer.adaptation.protocol import LimitsMethod, Spot, StaircaseMethod
+
+
+@dataclass
+class Ascent:
+    """Ascending limits: up by a step per blink until it is seen.
+
+    Attributes:
+        spot: The spot's levels.
+        method: Its settings.
+        last: Threshold before, log10; None at the start, where the ascent begins near the top.
+    """
+
+    spot: Spot
+    method: LimitsMethod
+    last: float | None = None
+    threshold: float | None = None
+    exhausted: bool = False
+    level: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.level = _start(self.spot, self.last, self.method.start_below_log10)
+
+    def answer(self, *, seen: bool) -> None:
+        """Take the answer to the blink at `level` and go on."""
+        if seen:
+            self.threshold = self.level
+        elif self.level >= self.spot.highest_log10 - 1e-9:
+            self.exhausted = True
+        else:
+            self.level = min(self.level + self.method.step_log10, self.spot.highest_log10)
+
+
+@dataclass
+class Staircase:
+    """4-2 dB staircase: the mean of the last reversals is the threshold."""
+
+    spot: Spot
+    method: StaircaseMethod
+    last: float | None = None
+    threshold: float | None = None
+    exhausted: bool = False
+    level: float = field(init=False)
+    _turns: list[float] = field(default_factory=list)
+    _went_up: bool | None = None
+
+    def __post_init__(self) -> None:
+        self.level = _start(self.spot, self.last, self.method.start_below_log10)
+
+    def answer(self, *, seen: bool) -> None:
+        """Take the answer to the blink at `level` and go on."""
+        up = not seen
+        if self._went_up is not None and up != self._went_up:
+            self._turns.append(self.level)
+        self._went_up = up
+        if len(self._turns) > self.method.reversals:
+            kept = self._turns[1:]
+            self.threshold = sum(kept) / len(kept)
+            return
+        if up and self.level >= self.spot.highest_log10 - 1e-9:
+            self.exhausted = True
+            return
+        step = self.method.step_log10 if self._turns else self.method.first_step_log10
+        moved = self.level + step if up else self.level - step
+        self.level = min(max(moved, self.spot.lowest_log10), self.spot.highest_log10)
+
+
+Method = Ascent | Staircase
+
+
+def begin(spot: Spot, method: LimitsMethod | StaircaseMethod, last: float | None) -> Method:
+    """Return the search for the next threshold, begun a little below the last one."""
+    return Ascent(spot, method, last) if isinstance(method, LimitsMethod) else Staircase(spot, method, last)
+
+
+def _start(spot: Spot, last: float | None, below: float) -> float:
+    first = spot.highest_log10 - 1.0 if last is None else last - below
+    return min(max(first, spot.lowest_log10), spot.highest_log10)

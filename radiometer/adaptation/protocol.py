@@ -1,0 +1,146 @@
+"""What a test does: bleach, test spot, method, end; read from YAML and checked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from radiometer.data.config_files import shipped_config
+from radiometer.data.storage import read_yaml
+from radiometer.data.validation import ConfigSection, validate
+from radiometer.errors import ConfigurationError, InputError
+
+SHIPPED = ("classic", "quick", "screen-only", "led-only")
+
+
+class SteadyBleach(ConfigSection):
+    """A bright field looked at for some time."""
+
+    kind: Literal["steady"] = "steady"
+    luminance_cd_m2: float = Field(gt=0, le=10_000)
+    duration_s: float = Field(gt=0, le=600)
+
+
+class FlashBleach(ConfigSection):
+    """A flash, given by what reaches the retina in scotopic trolands × seconds."""
+
+    kind: Literal["flash"]
+    retinal_td_s: float = Field(gt=0, le=1e8)
+    duration_s: float = Field(0.01, gt=0, le=1.0)
+
+
+class Spot(ConfigSection):
+    """The test spot: where it is shown, its light, its place and how it blinks.
+
+    Levels are log10 of scotopic luminance in cd·m⁻².
+    """
+
+    device: Literal["screen", "light_box"]
+    channel: str
+    peak_nm: float = Field(gt=360, lt=780)
+    size_deg: float = Field(1.5, gt=0, le=30)
+    eccentricity_deg: float = Field(8.0, ge=0, le=60)
+    on_s: float = Field(0.3, gt=0)
+    off_s: float = Field(0.7, ge=0)
+    lowest_log10: float = -5.5
+    highest_log10: float = 1.5
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.highest_log10 <= self.lowest_log10:
+            raise ValueError("highest_log10 must be above lowest_log10")
+        return self
+
+    @property
+    def cycle_s(self) -> float:
+        """Return the time of one blink in s."""
+        return self.on_s + self.off_s
+
+
+class Fixation(ConfigSection):
+    """The red mark that is looked at: red, for rods do not see it."""
+
+    peak_nm: float = Field(660.0, gt=600, lt=780)
+    size_deg: float = Field(0.3, gt=0, le=2)
+
+
+class LimitsMethod(ConfigSection):
+    """Ascending limits: the blinking spot brightens by a step per blink until the button is pressed."""
+
+    kind: Literal["limits"] = "limits"
+    step_log10: float = Field(0.1, gt=0, le=1)
+    start_below_log10: float = Field(0.5, gt=0, le=3)
+
+
+class StaircaseMethod(ConfigSection):
+    """4-2 dB staircase: dimmer after a press, brighter after none; the step halves at the first reversal."""
+
+    kind: Literal["staircase"]
+    first_step_log10: float = Field(0.4, gt=0, le=2)
+    step_log10: float = Field(0.2, gt=0, le=1)
+    reversals: int = Field(2, ge=1, le=10)
+    start_below_log10: float = Field(0.2, gt=-1, le=3)
+
+
+class Ending(ConfigSection):
+    """When the test is over."""
+
+    duration_min: float = Field(40.0, gt=0, le=120)
+    criterion_log10: float | None = None
+
+
+class Watch(ConfigSection):
+    """How false presses and absence are found out."""
+
+    catch_share: float = Field(0.1, ge=0, le=0.5)
+    fastest_press_s: float = Field(0.12, ge=0)
+    pause_between_s: float = Field(4.0, ge=0)
+    absent_after: int = Field(3, ge=1)
+    most_false_share: float = Field(0.33, gt=0, le=1)
+
+
+class Safety(ConfigSection):
+    """Limits that the run keeps to."""
+
+    darkest_room_cd_m2: float = Field(1e-3, gt=0)
+    calibration_days: float = Field(30.0, gt=0)
+
+
+class AdaptationProtocol(ConfigSection):
+    """A whole protocol."""
+
+    format: Literal["radiometer-protocol/1"] = "radiometer-protocol/1"
+    name: str
+    description: str = ""
+    bleach: Annotated[SteadyBleach | FlashBleach, Field(discriminator="kind")]
+    spot: Spot
+    fixation: Fixation = Fixation()
+    method: Annotated[LimitsMethod | StaircaseMethod, Field(discriminator="kind")]
+    end: Ending = Ending()
+    watch: Watch = Watch()
+    safety: Safety = Safety()
+
+    @model_validator(mode="after")
+    def _criterion_within_reach(self) -> Self:
+        criterion = self.end.criterion_log10
+        if criterion is not None and not self.spot.lowest_log10 < criterion < self.spot.highest_log10:
+            raise ValueError("end.criterion_log10 lies outside the spot's levels")
+        return self
+
+
+def read_protocol(name: str | Path) -> AdaptationProtocol:
+    """Return the protocol in a file, or a shipped one by its name.
+
+    Raises:
+        ConfigurationError: If there is none, or it holds something not allowed.
+    """
+    file = Path(name)
+    if str(name) in SHIPPED and not file.exists():
+        file = shipped_config(f"protocols/{name}.yaml")
+    try:
+        mapping = read_yaml(file)
+    except InputError as error:
+        raise ConfigurationError(f"{error}; shipped protocols are {', '.join(SHIPPED)}") from error
+    return validate(AdaptationProtocol, mapping, str(file), ConfigurationError)

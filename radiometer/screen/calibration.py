@@ -1,0 +1,263 @@
+"""The calibration of a screen: level to radiance and luminance with uncertainty, and back."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data import Provenance, Quantity
+from radiometer.data.provenance import utc_now
+from radiometer.data.storage import read_yaml, write_yaml_atomic
+from radiometer.errors import CalibrationError, SettingOutOfRange
+from radiometer.screen.interpolation import LevelTable, rising
+from radiometer.screen.transfer_models import MODELS, TransferFit, fit_transfer
+
+FORMAT = "radiometer-screen/1"
+RADIANCE, LUMINANCE, SCOTOPIC = "W sr-1 m-2", "cd m-2", "scotopic cd m-2"
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ChannelCurve:
+    """Radiance over the level of one channel ("grey", "red", "green" or "blue").
+
+    Attributes:
+        name: The channel.
+        levels: Measured levels as integers 0 to 2^bits − 1, ascending, shape (n,).
+        radiance: Radiance in W·sr⁻¹·m⁻² at each, drift taken out.
+        u_independent: Standard uncertainty in W·sr⁻¹·m⁻² of each level by itself.
+        u_common_rel: Relative standard uncertainty shared by all levels.
+        photopic_lm_per_w: Luminous efficacy of the channel's light.
+        scotopic_lm_per_w: Scotopic luminous efficacy of the channel's light.
+        spectrum: Name of the spectrum that the efficacies assume.
+        detection_limit: Radiance in W·sr⁻¹·m⁻² below which a level could not be told from no light.
+        bits: Bits per level.
+    """
+
+    name: str
+    levels: tuple[int, ...]
+    radiance: tuple[float, ...]
+    u_independent: tuple[float, ...]
+    u_common_rel: float
+    photopic_lm_per_w: float
+    scotopic_lm_per_w: float
+    spectrum: str
+    detection_limit: float = 0.0
+    bits: int = 8
+
+    def __post_init__(self) -> None:
+        counts = {len(self.levels), len(self.radiance), len(self.u_independent)}
+        if len(counts) != 1 or len(self.levels) < 3:
+            raise CalibrationError(f"channel {self.name}: needs three levels or more, each with radiance and u")
+        if any(b <= a for a, b in zip(self.levels, self.levels[1:], strict=False)):
+            raise CalibrationError(f"channel {self.name}: levels must ascend")
+
+    @property
+    def top_level(self) -> int:
+        """Return the highest level, 2^bits − 1."""
+        return int(2**self.bits - 1)
+
+    @cached_property
+    def table(self) -> LevelTable:
+        """Return the radiance over the level 0..1, never falling."""
+        return LevelTable(np.array(self.levels) / self.top_level, rising(self.radiance, self.u_independent))
+
+    @cached_property
+    def _missed(self) -> Array:
+        """Return the interpolation's error in the middle of each gap between levels, shape (n − 1,)."""
+        errors = np.abs(_left_out_errors(np.array(self.levels) / self.top_level, self.table.values))
+        missed = np.maximum(errors[1:], errors[:-1]) / 8.0
+        missed[0] = errors[1] / 2.0  # near black the curve need not be smooth: no power of the gap is counted on
+        return missed
+
+    def radiance_at(self, level: float) -> Quantity:
+        """Return the radiance at a level (integer or between), with the total standard uncertainty.
+
+        Raises:
+            SettingOutOfRange: If the level is outside what was measured.
+        """
+        low, high = self.levels[0], self.levels[-1]
+        if not low <= level <= high:
+            raise SettingOutOfRange(f"screen channel {self.name}", "level", level, low, high, "")
+        value = float(self.table.at(level / self.top_level))
+        return Quantity(value, math.hypot(self.u_shape_at(level), value * self.u_common_rel), RADIANCE)
+
+    def u_shape_at(self, level: float) -> float:
+        """Return the standard uncertainty in W·sr⁻¹·m⁻² at a level without what all levels share."""
+        independent = float(np.interp(level, self.levels, self.u_independent))
+        gap = min(max(bisect_right(self.levels, level) - 1, 0), len(self.levels) - 2)
+        into = (level - self.levels[gap]) / (self.levels[gap + 1] - self.levels[gap])
+        between = float(self._missed[gap]) * 4.0 * into * (1.0 - into)  # nothing is missed at a measured level
+        lost = self.detection_limit / 2 if self.radiance_is_lost(level) else 0.0
+        return max(math.hypot(independent, between), lost)
+
+    def radiance_is_lost(self, level: float) -> bool:
+        """Tell whether the radiance at a level is below what could be detected."""
+        return float(self.table.at(level / self.top_level)) < self.detection_limit
+
+    def efficacy(self, unit: str) -> float:
+        """Return what a radiance is multiplied by to give a quantity in a unit.
+
+        Raises:
+            CalibrationError: If the unit is none of the three.
+        """
+        known = {RADIANCE: 1.0, LUMINANCE: self.photopic_lm_per_w, SCOTOPIC: self.scotopic_lm_per_w}
+        if unit not in known:
+            raise CalibrationError(f"unit {unit!r}: a screen is known in {', '.join(known)}")
+        return known[unit]
+
+    def at(self, level: float, unit: str = RADIANCE) -> Quantity:
+        """Return radiance, luminance or scotopic luminance at a level. Raises SettingOutOfRange, CalibrationError."""
+        radiance, factor = self.radiance_at(level), self.efficacy(unit)
+        return Quantity(radiance.value * factor, radiance.u * factor, unit)
+
+    def level_for(self, target: float, unit: str = RADIANCE) -> int:
+        """Return the whole level whose value is nearest to a target.
+
+        Raises:
+            SettingOutOfRange: If the screen cannot show it.
+            CalibrationError: If the unit is unknown.
+        """
+        factor = self.efficacy(unit)
+        low, high = (float(v) * factor for v in (self.table.values[0], self.table.values[-1]))
+        rounding = 1e-9 * high
+        if not low - rounding <= target <= high + rounding:
+            raise SettingOutOfRange(f"screen channel {self.name}", "target", target, low, high, unit)
+        exact = self.table.level_of(target / factor) * self.top_level
+        near = {max(self.levels[0], math.floor(exact)), min(self.levels[-1], math.ceil(exact))}
+        return min(near, key=lambda n: abs(float(self.table.at(n / self.top_level)) * factor - target))
+
+    def fits(self) -> dict[str, TransferFit]:
+        """Return every model of `MODELS` that these levels suffice for, fitted."""
+        levels = np.array(self.levels) / self.top_level
+        usable = [name for name, model in MODELS.items() if len(self.levels) >= len(model.parameters)]
+        return {name: fit_transfer(name, levels, self.radiance, self.u_independent) for name in usable}
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping that stands in the file."""
+        return {
+            "levels": list(self.levels),
+            "bits": self.bits,
+            "radiance_W_per_sr_m2": list(self.radiance),
+            "u_independent": list(self.u_independent),
+            "u_common_rel": self.u_common_rel,
+            "photopic_lm_per_W": self.photopic_lm_per_w,
+            "scotopic_lm_per_W": self.scotopic_lm_per_w,
+            "spectrum": self.spectrum,
+            "detection_limit": self.detection_limit,
+            "fits": {
+                name: {
+                    "parameters": f.parameters,
+                    "rms_rel": f.rms_rel,
+                    "max_rel": f.max_rel,
+                    "max_of_peak": f.max_of_peak,
+                }
+                for name, f in self.fits().items()
+            },
+        }
+
+    @classmethod
+    def from_mapping(cls, name: str, mapping: Mapping[str, Any], where: str) -> ChannelCurve:
+        """Return the channel that a mapping describes. Raises CalibrationError."""
+        try:
+            return cls(
+                name,
+                tuple(int(n) for n in mapping["levels"]),
+                tuple(float(v) for v in mapping["radiance_W_per_sr_m2"]),
+                tuple(float(v) for v in mapping["u_independent"]),
+                float(mapping["u_common_rel"]),
+                float(mapping["photopic_lm_per_W"]),
+                float(mapping["scotopic_lm_per_W"]),
+                str(mapping["spectrum"]),
+                float(mapping.get("detection_limit", 0.0)),
+                int(mapping.get("bits", 8)),
+            )
+        except KeyError as error:
+            raise CalibrationError(f"{where}: channel {name}: key {error} is missing") from error
+        except (TypeError, ValueError) as error:
+            raise CalibrationError(f"{where}: channel {name}: {error}") from error
+
+
+@dataclass(frozen=True)
+class ScreenCalibration:
+    """A calibrated screen.
+
+    Attributes:
+        name: What the screen is called.
+        channels: Curves by channel name; "grey" always.
+        instrument: Serial number of the camera.
+        created: ISO 8601 time in UTC.
+        checks: What was found beside the curves: drift, flicker, uniformity, additivity.
+        provenance: Method, inputs and assumptions.
+    """
+
+    name: str
+    channels: dict[str, ChannelCurve]
+    instrument: str = ""
+    created: str = field(default_factory=utc_now)
+    checks: dict[str, Any] = field(default_factory=dict)
+    provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
+
+    def channel(self, name: str = "grey") -> ChannelCurve:
+        """Return a channel. Raises CalibrationError where it was not measured."""
+        if name not in self.channels:
+            raise CalibrationError(
+                f"screen {self.name}: channel {name!r} was not measured; known: {', '.join(self.channels)}"
+            )
+        return self.channels[name]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping that stands in the file."""
+        return {
+            "format": FORMAT,
+            "name": self.name,
+            "created": self.created,
+            "instrument": self.instrument,
+            "checks": self.checks,
+            "provenance": self.provenance.to_mapping(),
+            "channels": {name: curve.to_mapping() for name, curve in self.channels.items()},
+        }
+
+    def write(self, path: Path) -> None:
+        """Write the calibration as YAML, whole or not at all. Raises OutputError."""
+        write_yaml_atomic(path, self.to_mapping())
+
+    @classmethod
+    def read(cls, path: Path) -> ScreenCalibration:
+        """Return the calibration in a file. Raises InputError, CalibrationError."""
+        mapping = read_yaml(path)
+        if mapping.get("format") != FORMAT:
+            raise CalibrationError(f"{path}: format is {mapping.get('format')!r}; expected {FORMAT!r}")
+        channels = mapping.get("channels")
+        if not isinstance(channels, dict) or "grey" not in channels:
+            raise CalibrationError(f"{path}: holds no channel 'grey'; calibrate the screen again")
+        return cls(
+            str(mapping.get("name", path.stem)),
+            {n: ChannelCurve.from_mapping(n, m, str(path)) for n, m in channels.items()},
+            str(mapping.get("instrument", "")),
+            str(mapping.get("created", "")),
+            dict(mapping.get("checks") or {}),
+            Provenance.from_mapping(mapping.get("provenance") or {}),
+        )
+
+
+def _left_out_errors(levels: Array, values: Array) -> Array:
+    """Return how far the curve through the others misses each level; the ends take their neighbour's figure.
+
+    With a level left out the gap is twice as wide, and the error of a monotone cubic goes at least as its cube:
+    within the real gaps it is an eighth of this or less.
+    """
+    errors = np.zeros_like(values)
+    for i in range(1, len(levels) - 1):
+        keep = np.arange(len(levels)) != i
+        errors[i] = float(LevelTable(levels[keep], values[keep]).at(levels[i])) - values[i]
+    errors[0], errors[-1] = errors[1], errors[-2]
+    return errors

@@ -1,0 +1,124 @@
+"""Checks before and beside the levels: warm-up, flicker, uniformity, additivity of the primaries."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from radiometer.screen.meter import Meter, ScreenReading
+
+STEADY_REL: Final = 0.002  # change over the window that counts as warmed up: the size of white's repeatability
+_WINDOW: Final = 5
+
+
+@dataclass(frozen=True, slots=True)
+class WarmUp:
+    """What was seen while the display warmed up.
+
+    Attributes:
+        waited_s: How long white was shown.
+        drift_rel: Relative change over the last readings.
+        steady: Whether that was below the limit before the time was up.
+    """
+
+    waited_s: float
+    drift_rel: float
+    steady: bool
+
+
+def wait_until_steady(
+    meter: Meter, sleep: Callable[[float], None], *, limit_s: float, interval_s: float = 60.0
+) -> WarmUp:
+    """Read white until five readings in a row agree within 0.2 % (or their noise), or the time is up.
+
+    Args:
+        meter: Reads white.
+        sleep: Waits for a number of seconds.
+        limit_s: Longest time to wait in s; 0 takes a single set of readings.
+        interval_s: Pause between readings in s.
+    """
+    readings = [meter.read()]
+    while True:
+        drift, noise = _drift_of(readings[-_WINDOW:])
+        waited = readings[-1].time_s - readings[0].time_s
+        steady = len(readings) >= _WINDOW and drift <= max(STEADY_REL, 3.0 * noise)
+        if steady or waited >= limit_s:
+            return WarmUp(waited, drift, steady)
+        sleep(interval_s)
+        readings.append(meter.read())
+
+
+def _drift_of(readings: Sequence[ScreenReading]) -> tuple[float, float]:
+    values = np.array([r.radiance for r in readings])
+    noise = float(np.mean([r.u_independent for r in readings])) / values.mean()
+    return float(np.ptp(values) / values.mean()), float(noise)
+
+
+@dataclass(frozen=True, slots=True)
+class Flicker:
+    """Whether the display's light changes within fractions of a second (PWM dimming, scanning).
+
+    Attributes:
+        exposure_s: Exposure of the test frames in s.
+        scatter_rel: Relative scatter from frame to frame.
+        noise_rel: What noise alone would give.
+        found: Whether the scatter exceeds noise beyond doubt (five sigmas of its estimate).
+    """
+
+    exposure_s: float
+    scatter_rel: float
+    noise_rel: float
+    found: bool
+
+
+def judge_flicker(values: Sequence[float], noise_rel: float, exposure_s: float) -> Flicker:
+    """Return whether readings of many short exposures scatter more than noise.
+
+    Args:
+        values: Mean signal of each frame, at least 3.
+        noise_rel: Relative standard uncertainty of each by noise.
+        exposure_s: Their exposure in s.
+    """
+    signal = np.asarray(values, dtype=np.float64)
+    scatter = float(signal.std(ddof=1) / signal.mean())
+    limit = noise_rel * math.sqrt(1 + 5 * math.sqrt(2 / (signal.size - 1)))
+    return Flicker(exposure_s, scatter, noise_rel, found=scatter > max(limit, 5e-4))
+
+
+@dataclass(frozen=True, slots=True)
+class Uniformity:
+    """White over a grid of places relative to the middle.
+
+    Attributes:
+        grid: Rows of values relative to the middle.
+        lowest: The lowest of them.
+        highest: The highest of them.
+    """
+
+    grid: tuple[tuple[float, ...], ...]
+    lowest: float
+    highest: float
+
+    @classmethod
+    def of(cls, values: Sequence[Sequence[float]]) -> Uniformity:
+        """Return the figures of a grid of radiances with odd numbers of rows and columns."""
+        table = np.asarray(values, dtype=np.float64)
+        relative = table / table[table.shape[0] // 2, table.shape[1] // 2]
+        rows = tuple(tuple(float(v) for v in row) for row in relative)
+        return cls(rows, float(relative.min()), float(relative.max()))
+
+
+def additivity(whites: Mapping[str, float], blacks: float) -> float | None:
+    """Return (red + green + blue − 2·black) / white − 1 of the highest levels; None unless all were measured."""
+    if not {"grey", "red", "green", "blue"} <= set(whites):
+        return None
+    return (whites["red"] + whites["green"] + whites["blue"] - 2.0 * blacks) / whites["grey"] - 1.0
+
+
+def as_mapping(check: WarmUp | Flicker | Uniformity) -> dict[str, Any]:
+    """Return a check as it stands in the file."""
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(check).items()}

@@ -1,0 +1,1 @@
+"""The full-screen page that shows patches in any browser."""

@@ -1,0 +1,91 @@
+"""Which patches are shown, in which order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from radiometer.devices import DisplayPatch
+from radiometer.errors import UsageError
+
+CHANNELS: Final = ("grey", "red", "green", "blue")
+_PRIMARIES: Final[dict[str, tuple[float, float, float]]] = {
+    "grey": (1.0, 1.0, 1.0),
+    "red": (1.0, 0.0, 0.0),
+    "green": (0.0, 1.0, 0.0),
+    "blue": (0.0, 0.0, 1.0),
+}
+QUICK_LEVELS: Final = (0, 32, 64, 96, 128, 192, 255)
+REFERENCE_EVERY: Final = 10
+
+Purpose = Literal["level", "white", "black"]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One patch to be shown and read.
+
+    Attributes:
+        channel: One of `CHANNELS`.
+        level: Level 0 to 2^bits − 1.
+        purpose: "level" for the curve, "white" and "black" for drift references.
+    """
+
+    channel: str
+    level: int
+    purpose: Purpose = "level"
+
+    def patch(self, bits: int = 8, size: float = 1.0) -> DisplayPatch:
+        """Return what the display is asked to show, `size` of the screen's width and height."""
+        drive = self.level / (2**bits - 1)
+        red, green, blue = _PRIMARIES[self.channel]
+        return DisplayPatch((red * drive, green * drive, blue * drive), width_fraction=size, height_fraction=size)
+
+
+def parse_levels(text: str, bits: int = 8) -> tuple[int, ...]:
+    """Return ascending levels behind "all", "quick", a count such as "33", or a list such as "0,16,255".
+
+    Black and white are always among them.
+
+    Raises:
+        UsageError: If the text is none of these.
+    """
+    top = 2**bits - 1
+    if text == "all":
+        return tuple(range(top + 1))
+    if text == "quick":
+        return tuple(round(n * top / 255) for n in QUICK_LEVELS)
+    try:
+        numbers = [int(part) for part in text.split(",")]
+    except ValueError as error:
+        raise UsageError(
+            f"--levels {text!r}: expected all, quick, a count such as 33, or a list such as 0,16,255"
+        ) from error
+    if len(numbers) == 1 and 3 <= numbers[0] <= top + 1:
+        return tuple(sorted({round(n) for n in np.linspace(0, top, numbers[0])}))
+    if len(numbers) == 1 or min(numbers) < 0 or max(numbers) > top:
+        raise UsageError(f"--levels {text!r}: a count is 3 to {top + 1}; levels are 0 to {top}")
+    return tuple(sorted({0, top, *numbers}))
+
+
+def make_plan(
+    levels: tuple[int, ...], channels: tuple[str, ...], rng: np.random.Generator, *, bits: int = 8
+) -> list[Step]:
+    """Return all levels of all channels in random order, white and black references before, after and between.
+
+    Raises:
+        UsageError: If a channel is unknown.
+    """
+    unknown = sorted(set(channels) - set(CHANNELS))
+    if unknown:
+        raise UsageError(f"channel {unknown[0]!r} is unknown; choose from {', '.join(CHANNELS)}")
+    steps = [Step(channel, level) for channel in channels for level in levels]
+    references = [Step("grey", 2**bits - 1, "white"), Step("grey", 0, "black")]
+    plan: list[Step] = []
+    for number, position in enumerate(rng.permutation(len(steps))):
+        if number % REFERENCE_EVERY == 0:
+            plan += references
+        plan.append(steps[position])
+    return plan + references

@@ -1,0 +1,156 @@
+"""Measuring a screen: patches shown and read, drift taken out, black as a limit where nothing is seen."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from radiometer.devices import Display
+from radiometer.errors import MeasurementError
+from radiometer.screen.calibration import ChannelCurve
+from radiometer.screen.drift import Drift
+from radiometer.screen.meter import Meter, ScreenReading
+from radiometer.screen.plan import Step
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """What is known of a channel's light: efficacies in lm·W⁻¹ and the spectrum that they assume."""
+
+    photopic_lm_per_w: float
+    scotopic_lm_per_w: float
+    spectrum: str
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A step with its readings."""
+
+    step: Step
+    readings: tuple[ScreenReading, ...]
+
+    @property
+    def mean(self) -> ScreenReading:
+        """Return the mean of the readings; their scatter counts where it exceeds their own uncertainty."""
+        values = np.array([r.radiance for r in self.readings])
+        stated = math.sqrt(sum(r.u_independent**2 for r in self.readings)) / len(values)
+        seen = float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else 0.0
+        return ScreenReading(
+            radiance=float(values.mean()),
+            u_independent=max(stated, seen),
+            u_common_rel=max(r.u_common_rel for r in self.readings),
+            time_s=float(np.mean([r.time_s for r in self.readings])),
+            flags=tuple(sorted({f for r in self.readings for f in r.flags})),
+        )
+
+
+Progress = Callable[[int, int, Step], None]
+
+
+def measure_steps(
+    display: Display,
+    meter: Meter,
+    plan: Sequence[Step],
+    *,
+    repeats: int = 1,
+    patch_size: float = 1.0,
+    bits: int = 8,
+    progress: Progress | None = None,
+) -> list[Measured]:
+    """Show every step and read it.
+
+    Args:
+        display: An open display.
+        meter: Looks at the middle of it.
+        plan: Steps in order.
+        repeats: Readings of each.
+        patch_size: Size of the patch as a fraction of the screen's.
+        bits: Bits per level.
+        progress: Called after every step with (done, total, step).
+
+    Raises:
+        DeviceError: If display or camera fail.
+        MeasurementError: If a reading is clipped.
+    """
+    done: list[Measured] = []
+    for step in plan:
+        display.show(step.patch(bits, patch_size))
+        readings = tuple(meter.read() for _ in range(repeats))
+        if any("saturated" in r.flags for r in readings):
+            raise MeasurementError(
+                f"level {step.level} of {step.channel} clips even at the shortest exposure; close the aperture or "
+                "put a grey filter before the lens"
+            )
+        done.append(Measured(step, readings))
+        if progress:
+            progress(len(done), len(plan), step)
+    return done
+
+
+def curves_of(
+    measured: Sequence[Measured], lights: Mapping[str, Light], *, bits: int = 8, unsettled_rel: float = 0.0
+) -> tuple[dict[str, ChannelCurve], Drift]:
+    """Return the channels' curves with the display's drift taken out, and the drift.
+
+    Args:
+        measured: Levels and references.
+        lights: Light of every channel.
+        bits: Bits per level.
+        unsettled_rel: Relative change of white while it was waited for; with the drift it bounds how far the
+            display was from settled, and goes into what all levels share.
+
+    Raises:
+        MeasurementError: If there is no white reference or a channel has fewer than three levels.
+    """
+    whites = [m.mean for m in measured if m.step.purpose == "white"]
+    if len(whites) < 2:
+        raise MeasurementError("needs white references before and after the levels")
+    drift = Drift.of(whites)
+    levels: dict[str, dict[int, ScreenReading]] = defaultdict(dict)
+    for entry in measured:
+        if entry.step.purpose == "level":
+            levels[entry.step.channel][entry.step.level] = entry.mean
+    unsettled = math.hypot(unsettled_rel, drift.range_rel) / math.sqrt(3.0)  # a rectangle of that half-width
+    limit = _detection_limit([m.mean for m in measured if m.step.level == 0])
+    return {n: _curve(n, readings, lights[n], drift, (limit, unsettled), bits) for n, readings in levels.items()}, drift
+
+
+def _detection_limit(blacks: Sequence[ScreenReading]) -> float:
+    """Return three times the uncertainty of the mean black where black itself is not above it, else 0.
+
+    Source: the detection limit at three standard deviations of the blank (IUPAC 1975).
+    """
+    if not blacks:
+        return 0.0
+    values = np.array([b.radiance for b in blacks])
+    noise = math.sqrt(sum(b.u_independent**2 for b in blacks)) / len(blacks)
+    scatter = float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else 0.0
+    limit = 3.0 * max(noise, scatter)
+    return limit if values.mean() < limit else 0.0
+
+
+def _curve(
+    name: str, readings: Mapping[int, ScreenReading], light: Light, drift: Drift, limits: tuple[float, float], bits: int
+) -> ChannelCurve:
+    if len(readings) < 3:
+        raise MeasurementError(f"channel {name}: {len(readings)} levels are too few; take three or more")
+    ordered = sorted(readings)
+    factors = [float(drift.at(readings[n].time_s)) for n in ordered]
+    values = [max(readings[n].radiance / f, 0.0) for n, f in zip(ordered, factors, strict=True)]
+    u = [math.hypot(readings[n].u_independent, v * drift.u_rel) for n, v in zip(ordered, values, strict=True)]
+    return ChannelCurve(
+        name,
+        tuple(ordered),
+        tuple(values),
+        tuple(u),
+        math.hypot(max(readings[n].u_common_rel for n in ordered), limits[1]),
+        light.photopic_lm_per_w,
+        light.scotopic_lm_per_w,
+        light.spectrum,
+        detection_limit=limits[0],
+        bits=bits,
+    )

@@ -1,0 +1,130 @@
+"""Descriptions of a display's curve by a few numbers, and how far each is from what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+
+Array = NDArray[np.float64]
+Curve = Callable[[Array, Array], Array]
+
+
+@dataclass(frozen=True, slots=True)
+class TransferModel:
+    """A named curve L(v; parameters) of the drive v = 0..1.
+
+    Attributes:
+        name: Name in files.
+        source: Where the equation comes from.
+        parameters: Names of its parameters.
+        curve: Function (parameters, v) giving values in the unit of the measured ones.
+        start: Function (v, values) giving parameters to start from.
+    """
+
+    name: str
+    source: str
+    parameters: tuple[str, ...]
+    curve: Curve
+    start: Callable[[Array, Array], list[float]]
+
+
+@dataclass(frozen=True, slots=True)
+class TransferFit:
+    """A fitted model and its errors.
+
+    Attributes:
+        model: Name of the model.
+        parameters: Fitted value of each parameter; α, L0 and peak in the unit of the values.
+        rms_rel: Root mean square of the relative error over all measured levels above the black.
+        max_rel: Largest relative error over those levels.
+        max_of_peak: Largest error in units of the highest value.
+    """
+
+    model: str
+    parameters: dict[str, float]
+    rms_rel: float
+    max_rel: float
+    max_of_peak: float
+
+    def predict(self, level: ArrayLike) -> Array:
+        """Return the model's values at levels 0..1."""
+        model = MODELS[self.model]
+        return model.curve(np.array(list(self.parameters.values())), np.asarray(level, dtype=np.float64))
+
+
+def _gamma(p: Array, v: Array) -> Array:
+    return np.asarray(p[0] * v ** p[1])
+
+
+def _gamma_offset(p: Array, v: Array) -> Array:
+    return np.asarray(p[0] + p[1] * v ** p[2])
+
+
+def _pelli_zhang(p: Array, v: Array) -> Array:
+    return np.asarray(p[0] + np.maximum(p[1] + p[2] * v, 0.0) ** p[3])
+
+
+MODELS: Final[dict[str, TransferModel]] = {
+    "gamma": TransferModel("gamma", "L = peak·v^γ", ("peak", "gamma"), _gamma, lambda v, y: [float(y.max()), 2.2]),
+    "gamma_offset": TransferModel(
+        "gamma_offset",
+        "L = L0 + range·v^γ (PsychoPy's easy form)",
+        ("L0", "range", "gamma"),
+        _gamma_offset,
+        lambda v, y: [float(y.min()), float(np.ptp(y)), 2.2],
+    ),
+    "pelli_zhang1991": TransferModel(
+        "pelli_zhang1991",
+        "L = α + (β + κ·v)^γ, Pelli and Zhang 1991, Vision Research 31, 1337",
+        ("alpha", "beta", "kappa", "gamma"),
+        _pelli_zhang,
+        lambda v, y: [float(y.min()), 0.0, float(np.ptp(y)) ** (1 / 2.2), 2.2],
+    ),
+}
+
+
+def fit_transfer(name: str, level: ArrayLike, value: ArrayLike, u: ArrayLike) -> TransferFit:
+    """Fit one of the models to measured values.
+
+    Args:
+        name: Key of `MODELS`.
+        level: Drive 0..1, shape (n,), n at least as many as the model has parameters.
+        value: Radiance or luminance, 0 or more, shape (n,).
+        u: Standard uncertainty of each value; a floor of 0.2 % of the value is added, since no display follows a
+            formula better.
+
+    Raises:
+        ValueError: If there are too few levels or the fit does not converge.
+    """
+    model = MODELS[name]
+    v, y, sigma = (np.asarray(a, dtype=np.float64) for a in (level, value, u))
+    if v.size < len(model.parameters):
+        raise ValueError(f"{name} needs at least {len(model.parameters)} levels, not {v.size}")
+    scale = np.hypot(sigma, 0.002 * y) + 1e-6 * y.max()
+    start = np.array(model.start(v, y))
+
+    def residuals(p: Array) -> Array:
+        return np.asarray((model.curve(p, v) - y) / scale)
+
+    found = least_squares(residuals, start, x_scale=np.maximum(np.abs(start), 0.01), max_nfev=2000)
+    if not found.success:
+        raise ValueError(f"{name}: the fit did not converge ({found.message})")
+    return _judged(model, found.x, v, y)
+
+
+def _judged(model: TransferModel, parameters: Array, v: Array, y: Array) -> TransferFit:
+    error = model.curve(parameters, v) - y
+    lit = (v > 0) & (y > 0)
+    relative = error[lit] / y[lit]
+    return TransferFit(
+        model.name,
+        dict(zip(model.parameters, (float(p) for p in parameters), strict=True)),
+        rms_rel=float(np.sqrt(np.mean(relative**2))),
+        max_rel=float(np.abs(relative).max()),
+        max_of_peak=float(np.abs(error).max() / y.max()),
+    )
