@@ -1,0 +1,43 @@
+"""Histories out of a table of results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from radiometer.archive.trend import Trend, fit_trend
+from radiometer.errors import InputError
+
+
+def read_histories(table: Path, quantity: str) -> list[Trend]:
+    """Return the trend of a quantity for every patch of a table of results.
+
+    Args:
+        table: Table written by a batch, .parquet or .csv.
+        quantity: Such as "radiance".
+
+    Raises:
+        InputError: If the file is no such table, or a patch has too few readings.
+    """
+    import pandas as pd
+
+    try:
+        frame = pd.read_parquet(table) if table.suffix == ".parquet" else pd.read_csv(table)
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read {table}: {error}") from error
+    missing = {"captured", "quantity", "patch", "value", "u", "unit", "status"} - set(frame.columns)
+    if missing:
+        raise InputError(f"{table}: column {sorted(missing)[0]!r} is missing; it is no table of `radiometer batch`")
+    chosen = frame[(frame["quantity"] == quantity) & (frame["status"] == "ok") & frame["captured"].notna()]
+    return [
+        fit_trend(
+            np.asarray(rows["captured"], float),
+            np.asarray(rows["value"], float),
+            np.asarray(rows["u"], float),
+            patch=str(name),
+            quantity=quantity,
+            unit=str(rows["unit"].iloc[0]),
+        )
+        for name, rows in chosen.groupby("patch")
+    ]

@@ -1,0 +1,180 @@
+"""The jobs that `radiometer batch` can do; a new one is one function and one line in JOBS.
+
+A job takes a capture set and the settings and returns rows: plain mappings of numbers, words and booleans, the
+same keys whatever the job, so that all rows fit one table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from radiometer.archive.settings import JobSettings
+from radiometer.data import Calibration, CaptureSet, Patch
+from radiometer.errors import MeasurementError, RadiometerError
+
+Row = dict[str, Any]
+COLUMNS: Final = (
+    "capture", "captured", "content_hash", "fingerprint", "job", "status", "patch", "quantity",
+    "value", "u", "unit", "flags", "error", "software",
+)  # fmt: skip
+
+
+def run_job(capture: Path, settings: JobSettings, done_hashes: frozenset[str] = frozenset()) -> list[Row]:
+    """Return the rows of one capture set; a failure becomes a row, a capture already done no row.
+
+    Args:
+        capture: The capture set's folder.
+        settings: What to do.
+        done_hashes: Content hashes of what the table holds already for these settings.
+    """
+    import radiometer
+
+    common: Row = dict.fromkeys(COLUMNS)
+    common.update(capture=str(capture), job=settings.job, fingerprint=settings.fingerprint(), flags="")
+    common["software"] = f"radiometer {radiometer.__version__}"
+    try:
+        capture_set = CaptureSet.read(capture)
+        common.update(content_hash=capture_set.content_hash(), captured=captured_at(capture_set))
+        if common["content_hash"] in done_hashes:
+            return []
+        return [{**common, "status": "ok", **row} for row in JOBS[settings.job](capture_set, settings)]
+    except (RadiometerError, OSError) as error:
+        return [{**common, "status": "failed", "error": str(error)}]
+
+
+def captured_at(capture_set: CaptureSet) -> float | None:
+    """Return when a capture was taken in s since 1970: its `created` key, else a first time stamp that is a date."""
+    import datetime as dt
+
+    created = (capture_set.header.model_extra or {}).get("created")
+    if created is not None:
+        try:
+            moment = created if isinstance(created, dt.datetime) else dt.datetime.fromisoformat(str(created))
+            return moment.replace(tzinfo=moment.tzinfo or dt.UTC).timestamp()
+        except ValueError:
+            return None
+    stamp = capture_set.header.frames[0].timestamp_s
+    return stamp if stamp is not None and stamp > 1e9 else None
+
+
+def measure(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
+    """Return the radiance of every patch."""
+    from radiometer.analysis.patch_reading import read_patch
+
+    header = capture_set.header
+    calibration = Calibration.read(Path(settings.calibration)) if settings.calibration else None
+    frames = list(capture_set.frames())
+    rows: list[Row] = []
+    for name, patch in _patches(capture_set, settings, frames[0].shape):
+        reading = read_patch(frames, patch, calibration, header.camera, header.lens)
+        shared = {"patch": name, "flags": " ".join(map(str, reading.flags))}
+        rows.append({**shared, "quantity": "radiance", **reading.radiance.to_mapping()})
+        if reading.luminance:
+            rows.append({**shared, "quantity": "luminance", **reading.luminance.to_mapping()})
+    return rows
+
+
+def response(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
+    """Return the recovered response at five levels, as ln of the exposure relative to the middle."""
+    from radiometer.analysis.response_debevec1997 import recover_response_debevec1997
+
+    curve = recover_response_debevec1997([capture_set.bracket()]).curve
+    levels = np.linspace(0, curve.log_exposure.size - 1, 7).astype(int)[1:-1]
+    return [
+        {
+            "patch": "",
+            "quantity": f"log_exposure[{level}]",
+            "value": float(curve.log_exposure[level]),
+            "u": float(curve.u_log_exposure[level]),
+            "unit": "1",
+        }
+        for level in levels
+    ]
+
+
+def merge(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
+    """Return mean radiance and share of good pixels of the merged picture; write the map where maps are wanted.
+
+    Raises:
+        MeasurementError: If no pixel is good.
+    """
+    from radiometer.analysis.merge import merge as merge_frames
+    from radiometer.archive.maps import write_map
+
+    header = capture_set.header
+    calibration = Calibration.read(Path(settings.calibration)) if settings.calibration else None
+    merged = merge_frames(capture_set.bracket(), header.camera, header.lens, calibration)
+    if settings.maps:
+        write_map(merged, Path(settings.maps) / f"{capture_set.path.name}-{capture_set.content_hash()[:12]}.zarr")
+    good = merged.mask == 0
+    count = int(good.sum())
+    if not count:
+        raise MeasurementError(f"{capture_set.path}: no pixel is well exposed in any frame, so there is no mean")
+    mean = float(merged.radiance[good].mean(dtype=np.float64))
+    noise = float(np.sqrt(np.square(merged.u_radiance[good], dtype=np.float64).sum())) / count
+    return [
+        {
+            "patch": "frame",
+            "quantity": "radiance",
+            "value": mean,
+            "u": float(np.hypot(noise, merged.u_rel_common * mean)),
+            "unit": merged.unit,
+            "flags": "" if calibration else "uncalibrated",
+        },
+        {"patch": "frame", "quantity": "good_pixels", "value": float(good.mean()), "u": 0.0, "unit": "1"},
+    ]
+
+
+def characterise(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
+    """Return the EMVA 1288 figures of the camera, one row a symbol."""
+    from radiometer.analysis.characterise import characterise as characterise_subject
+    from radiometer.analysis.characterise import subject_of_capture
+
+    region = Patch(*settings.patch) if settings.patch else None
+    figures = characterise_subject(subject_of_capture(capture_set, region)).figures
+    return [{"patch": "frame", "quantity": symbol, **figure.to_mapping()} for symbol, figure in figures.items()]
+
+
+def reconcile(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
+    """Return the gap before and after, and every parameter of the effects that were found; the verdict is a flag."""
+    from radiometer.reconcile import reconcile_capture
+
+    found = reconcile_capture(capture_set.path).result
+    flags = str(found.verdict)
+    rows: list[Row] = [
+        {"patch": "", "quantity": name, "value": value, "u": 0.0, "unit": "reduced chi-square", "flags": flags}
+        for name, value in (("gap_before", found.gap_before), ("gap_after", found.gap_after))
+    ]
+    for effect in found.effects:
+        rows += [
+            {
+                "patch": effect.where,
+                "quantity": f"{effect.name}.{name}",
+                "value": parameter.value,
+                "u": parameter.u,
+                "unit": parameter.unit,
+                "flags": flags,
+            }
+            for name, parameter in effect.parameters.items()
+        ]
+    return rows
+
+
+def _patches(capture_set: CaptureSet, settings: JobSettings, shape: tuple[int, int]) -> list[tuple[str, Patch]]:
+    if settings.patch:
+        return [("patch", Patch(*settings.patch))]
+    known = [(entry.name, entry.patch) for entry in capture_set.header.patches]
+    return known or [("frame", Patch(0, 0, shape[1], shape[0]))]
+
+
+JOBS: Final[dict[str, Callable[[CaptureSet, JobSettings], list[Row]]]] = {
+    "measure": measure,
+    "merge": merge,
+    "response": response,
+    "characterise": characterise,
+    "reconcile": reconcile,
+}

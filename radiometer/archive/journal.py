@@ -1,0 +1,102 @@
+"""Rows on disk as they come: a journal that survives a kill, and the table made from it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from radiometer.archive.jobs import COLUMNS, Row
+from radiometer.data.storage import atomic_file
+from radiometer.errors import OutputError, UsageError
+
+TABLE_ENDINGS = (".parquet", ".csv")
+
+
+class ResultJournal:
+    """Rows beside the table, one JSON line per capture set, flushed to disk as each task ends.
+
+    A line that a kill cut short is left out when reading; its capture set is simply done again.
+
+    Args:
+        table: The table's file, ending in .parquet or .csv; the journal lies beside it.
+    """
+
+    def __init__(self, table: Path) -> None:
+        if table.suffix not in TABLE_ENDINGS:
+            raise UsageError(f"-o {table}: the table's name must end in {' or '.join(TABLE_ENDINGS)}")
+        self.table, self.path = table, table.with_name(table.name + ".journal")
+        self._rows: list[Row] = []
+        self._descriptor = -1
+
+    def __enter__(self) -> Self:
+        self._rows = list(self._read())
+        try:
+            self._descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+            if self.path.stat().st_size and not self.path.read_bytes().endswith(b"\n"):
+                os.write(self._descriptor, b"\n")
+        except OSError as error:
+            raise OutputError(f"cannot write {self.path}: {error.strerror or error}") from error
+        return self
+
+    def add(self, finished: list[list[Row]]) -> None:
+        """Append the rows of some capture sets, a line each. Raises OutputError if the disk refuses them."""
+        lines = [json.dumps(rows, ensure_ascii=False).encode() + b"\n" for rows in finished if rows]
+        if not lines:
+            return
+        try:
+            os.write(self._descriptor, b"".join(lines))
+            os.fsync(self._descriptor)
+        except OSError as error:
+            raise OutputError(f"cannot write {self.path}: {error.strerror or error}") from error
+        self._rows += [row for rows in finished for row in rows]
+
+    def done(self, fingerprint: str) -> dict[str, str]:
+        """Return capture → content hash of what is done already under a fingerprint; failures are tried again."""
+        return {
+            row["capture"]: row["content_hash"]
+            for row in self._rows
+            if row["fingerprint"] == fingerprint and row["status"] == "ok"
+        }
+
+    def write_table(self) -> int:
+        """Write the table, sorted and whole or not at all, and return its number of rows.
+
+        For each capture, job, patch and quantity the newest row stands.
+        """
+        import pandas as pd
+
+        newest = {(r["capture"], r["job"], r["patch"], r["quantity"]): r for r in self._without_old_failures()}
+        ordered = sorted(
+            newest.values(), key=lambda r: tuple(str(r[k]) for k in ("capture", "job", "patch", "quantity"))
+        )
+        frame = pd.DataFrame(ordered, columns=list(COLUMNS)).astype({"value": float, "u": float, "captured": float})
+        with atomic_file(self.table, binary=True) as stream:
+            if self.table.suffix == ".parquet":
+                frame.to_parquet(stream, index=False)
+            else:
+                stream.write(frame.to_csv(index=False).encode())
+        return len(frame)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.close(self._descriptor)
+
+    def _without_old_failures(self) -> Iterable[Row]:
+        """Leave out what a later run of the same capture and job has replaced."""
+        last = {(row["capture"], row["job"]): (row["fingerprint"], row["status"]) for row in self._rows}
+        return [r for r in self._rows if last[r["capture"], r["job"]] == (r["fingerprint"], r["status"])]
+
+    def _read(self) -> Iterable[Row]:
+        if not self.path.exists():
+            return
+        for line in self.path.read_text(encoding="utf-8", errors="replace").splitlines():
+            try:
+                rows = json.loads(line)
+            except json.JSONDecodeError:
+                continue
+            yield from rows

@@ -1,0 +1,142 @@
+"""Runs a job over an archive: in this process, on local workers, or on a Dask cluster that stands already."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from radiometer.archive.jobs import Row, run_job
+from radiometer.archive.journal import ResultJournal
+from radiometer.archive.settings import JobSettings
+from radiometer.errors import DeviceNotFound, MissingLibrary
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+# So many tasks are handed out ahead per worker thread: enough to keep it busy, few enough to stop soon.
+_AHEAD = 3
+# Captures per task: handing a task out and taking its result back costs as much as a small capture itself.
+_LARGEST_TASK = 8
+_Task = tuple[Path, JobSettings, frozenset[str]]
+Progress = Callable[[int, int, list[Row]], None]
+
+
+@dataclass(frozen=True, slots=True)
+class BatchSummary:
+    """How a run over an archive went: numbers of capture sets, and the rows of those that failed."""
+
+    done: int
+    skipped: int
+    failures: tuple[Row, ...]
+    rows_in_table: int
+    interrupted: bool = False
+
+
+def run_batch(
+    captures: list[Path],
+    settings: JobSettings,
+    table: Path,
+    *,
+    scheduler: str | None = None,
+    workers: int = 0,
+    progress: Progress | None = None,
+) -> BatchSummary:
+    """Do a job on every capture set that is not done yet and write the table.
+
+    Args:
+        captures: Folders of capture sets.
+        settings: What to do.
+        table: Table to write, .parquet or .csv; what it holds of the same captures, settings and code is kept.
+        scheduler: Address of a Dask scheduler, "tcp://HOST:PORT"; None for this machine.
+        workers: Local worker processes; 0 works in this process. Ignored with a scheduler.
+        progress: Called after every capture set with how many are done, how many there are, and its rows.
+
+    Raises:
+        UsageError: If the table's name has no known ending.
+        OutputError: If the table cannot be written.
+        DeviceNotFound: If no scheduler answers.
+        MissingLibrary: If the extra `cluster` is not installed.
+    """
+    done = skipped = 0
+    failures: list[Row] = []
+    interrupted = False
+    with ResultJournal(table) as journal:
+        known = journal.done(settings.fingerprint())
+        try:
+            for finished in _results(captures, settings, known, scheduler, workers):
+                journal.add(finished)
+                for rows in finished:
+                    done, skipped = done + bool(rows), skipped + (not rows)
+                    failures += [row for row in rows if row["status"] == "failed"]
+                    if progress:
+                        progress(done + skipped, len(captures), rows)
+        except KeyboardInterrupt:
+            interrupted = True
+        count = journal.write_table()
+    return BatchSummary(done, skipped, tuple(failures), count, interrupted)
+
+
+def _results(
+    captures: list[Path], settings: JobSettings, known: dict[str, str], scheduler: str | None, workers: int
+) -> Iterator[list[list[Row]]]:
+    """Yield the rows of every capture set, those of one task together."""
+    tasks: list[_Task] = [
+        (path, settings, frozenset({known[str(path)]} if str(path) in known else ())) for path in captures
+    ]
+    if scheduler is None and workers == 0:
+        yield from ([run_job(*task)] for task in tasks)
+        return
+    with _client(scheduler, workers) as client:
+        yield from _on_cluster(client, tasks)
+
+
+def _run_jobs(tasks: list[_Task]) -> list[list[Row]]:
+    return [run_job(*task) for task in tasks]
+
+
+def _on_cluster(client: Client, tasks: list[_Task]) -> Iterator[list[list[Row]]]:
+    """Yield results as they come, handing out a new task for each; a task lost with its worker is run again."""
+    from distributed import as_completed
+
+    threads = max(1, sum(client.nthreads().values()))
+    size = max(1, min(_LARGEST_TASK, len(tasks) // (4 * threads)))
+    waiting = iter([tasks[first : first + size] for first in range(0, len(tasks), size)])
+
+    def submit(several: list[_Task]) -> Any:
+        return client.submit(_run_jobs, several, pure=False, retries=2)
+
+    running = as_completed([submit(several) for several in islice(waiting, _AHEAD * threads)])
+    for future in running:
+        for several in islice(waiting, 1):
+            running.add(submit(several))
+        yield future.result()
+        future.release()
+
+
+@contextmanager
+def _client(scheduler: str | None, workers: int) -> Iterator[Client]:
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise MissingLibrary(
+            "Dask is not installed; `pip install 'radiometer[cluster]'`, or use --workers 0"
+        ) from error
+    if scheduler is not None:
+        try:
+            client = Client(scheduler, timeout="10s")
+        except (OSError, TimeoutError, ValueError) as error:
+            raise DeviceNotFound(
+                f"no Dask scheduler answers at {scheduler}: start one, or leave out --scheduler"
+            ) from error
+        with client:
+            yield client
+        return
+    with (
+        LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client

@@ -1,0 +1,48 @@
+"""What is done to every capture set of an archive, and the fingerprint of the code that does it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+
+import radiometer
+
+
+@dataclass(frozen=True, slots=True)
+class JobSettings:
+    """One job with everything that its result depends on beside the capture set.
+
+    Attributes:
+        job: Name in the registry of `jobs.py`.
+        calibration: Calibration file; None for relative values.
+        patch: Region X,Y,W,H; None for the patches that each capture set names, else the whole frame.
+        maps: Folder that radiance maps are written to; None for none.
+    """
+
+    job: str
+    calibration: str | None = None
+    patch: tuple[int, int, int, int] | None = None
+    maps: str | None = None
+
+    def fingerprint(self) -> str:
+        """Return a hash of the settings, the calibration's content and the code: equal means the same result."""
+        digest = hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode())
+        if self.calibration:
+            digest.update(Path(self.calibration).read_bytes())
+        digest.update(code_hash().encode())
+        return digest.hexdigest()[:16]
+
+
+@cache
+def code_hash() -> str:
+    """Return a hash over the source of the packages that results depend on."""
+    root = Path(radiometer.__file__).resolve().parent
+    digest = hashlib.sha256()
+    for package in ("data", "analysis", "reconcile", "archive"):
+        for source in sorted((root / package).rglob("*.py")):
+            digest.update(source.relative_to(root).as_posix().encode())
+            digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
