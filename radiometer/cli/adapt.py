@@ -1,0 +1,76 @@
+"""`radiometer adapt`: the dark-adaptation test."""
+
+from __future__ import annotations
+
+import json as json_module
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from radiometer.cli.adapt_run import register
+from radiometer.cli.console import console, note
+
+app = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Dark adaptation: run the test, and say what its thresholds tell of an eye.",
+)
+
+
+register(app)
+
+
+@app.callback()
+def adapt() -> None:
+    """Dark adaptation: run the test, and say what its thresholds tell of an eye."""
+
+
+@app.command()
+def fit(
+    data: Annotated[Path, typer.Argument(help="CSV: time in min, log10 threshold, and perhaps its sigma.")],
+    criterion: Annotated[
+        float | None, typer.Option(help="log10 threshold of the rod intercept; 2 below the cone plateau by default.")
+    ] = None,
+    stimulus_u_log10: Annotated[
+        float, typer.Option(min=0.0, help="Standard uncertainty of the stimulus calibration, log10 units.")
+    ] = 0.0,
+    bootstrap: Annotated[int, typer.Option(min=0, help="Bootstrap redraws; 0 for none.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="Makes the redraws.")] = 1,
+    report: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="CSV of thresholds, fit and residuals to write.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False,
+) -> None:
+    """Fit cone and rod branches to thresholds: plateau, rod–cone break, S2, rod intercept, final threshold.
+
+    One branch, cones and S2 (5 parameters) or cones, S2 and S3 (7) are tried; the AICc decides among those that
+    make sense.
+    """
+    import numpy as np
+
+    from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
+    from radiometer.adaptation.report import LABELS, curve_csv, to_mapping, write_page
+    from radiometer.adaptation.threshold_series import ThresholdSeries
+    from radiometer.data.storage import write_text_atomic
+
+    request = FitRequest(criterion, stimulus_u_log10, bootstrap)
+    found = fit_adaptation(ThresholdSeries.read(data), request, np.random.default_rng(seed))
+    if report is not None:
+        write_page(found, report, f"Dark adaptation: {data.stem}")
+    if csv is not None:
+        write_text_atomic(csv, curve_csv(found))
+    if json:
+        print(json_module.dumps(to_mapping(found)))
+        return
+    out = console()
+    out.print(f"[bold]{found.verdict}[/bold]")
+    for name, estimate in found.estimates.items():
+        interval = estimate.profile or estimate.bootstrap
+        shown = f"   {interval.low:.3f} to {interval.high:.3f} (95 %)" if interval else ""
+        out.print(f"{LABELS.get(name, name):<32} {estimate.value:9.3f} {estimate.unit:<10}{shown}")
+    note(f"model {found.chosen.model.name}; scatter of a threshold {found.chosen.sigma:.3f} log10 units")
+    if found.criterion is not None:
+        note(f"rod intercept at log10 threshold {found.criterion:.2f}")

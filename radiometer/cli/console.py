@@ -1,0 +1,55 @@
+"""What the commands share in talking to people: tables, progress bars, notes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+
+def console(*, to_stderr: bool = False) -> Console:
+    """Return a console; colour only on a terminal, and never under NO_COLOR."""
+    from rich.console import Console
+
+    return Console(stderr=to_stderr, highlight=False, soft_wrap=True)
+
+
+def note(message: str) -> None:
+    """Say something beside the result, on standard error."""
+    print(message, file=sys.stderr)
+
+
+@contextmanager
+def progress_bar(*, shown: bool = True) -> Iterator[Progress]:
+    """Show a progress bar on standard error while the block runs; nothing where that is no terminal."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=console(to_stderr=True),
+        transient=True,
+        disable=not (shown and sys.stderr.isatty()),
+    )
+    with bar:
+        yield bar
+
+
+def significant(value: float, u: float) -> str:
+    """Return a value with as many digits as its standard uncertainty allows: two digits of u."""
+    import math
+
+    if not (math.isfinite(value) and math.isfinite(u)) or u <= 0:
+        return f"{value:.5g}"
+    decimals = 1 - math.floor(math.log10(u))
+    magnitude = math.floor(math.log10(abs(value))) if value else -decimals
+    if -4 <= magnitude < 6 and 0 <= decimals <= 9:
+        return f"{value:.{decimals}f}"
+    return f"{value:.{max(0, magnitude + decimals)}e}"

@@ -1,0 +1,46 @@
+"""`radiometer devices`: what can be opened."""
+
+from __future__ import annotations
+
+import dataclasses
+import json as json_module
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from radiometer.cli.console import console, note
+
+
+def command(
+    bench: Annotated[Path | None, typer.Option(help="Bench file; the simulated bench by default.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False,
+) -> None:
+    """List the cameras and boxes that can be opened."""
+    from radiometer.bench.boxes import find_boxes
+    from radiometer.bench.cameras import SIMULATED, list_cameras
+    from radiometer.bench.config import read_bench
+
+    config, where = read_bench(bench)
+    cameras, missing = list_cameras(config, where)
+    boxes, held = find_boxes()
+    if json:
+        found = {
+            "cameras": [dataclasses.asdict(entry) for entry in cameras],
+            "light_boxes": [dataclasses.asdict(entry) for entry in boxes],
+            "ports_in_use": held,
+            "note": missing,
+        }
+        print(json_module.dumps(found))
+        return
+    for entry in cameras:
+        how = f"--camera {SIMULATED}" if entry.interface == "simulated" else f"--camera {entry.serial}"
+        console().print(f"{entry.vendor} {entry.model}  serial {entry.serial}  {entry.interface}  {how}")
+    for box in boxes:
+        console().print(f"light box  serial {box.serial}  firmware {box.firmware}  {box.port}  --box {box.serial}")
+    for port in held:
+        note(f"{port} is held by another program")
+    if not cameras:
+        note("no camera found")
+    if missing:
+        note(missing)

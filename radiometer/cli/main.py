@@ -1,0 +1,130 @@
+"""Entry point of the command line: lazy commands, one-line errors, exit codes 0, 1 and 2."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import os
+import sys
+import textwrap
+from types import TracebackType
+from typing import Any
+
+import radiometer
+from radiometer.cli.commands import COMMANDS
+from radiometer.errors import RadiometerError, UsageError
+
+_INTRODUCTION = """\
+Usage: radiometer [-v] COMMAND [ARGUMENTS]
+
+  Turn a camera into an absolute radiance meter.
+  `radiometer COMMAND --help` explains each command.
+
+Options:
+  -v, --verbose  Log what happens to standard error; twice for more.
+  --version      Show the version and leave.
+  -h, --help     Show this text and leave.
+
+Commands:
+"""
+
+
+def main() -> None:
+    """Run the command line and leave with exit code 0 (done), 1 (failed) or 2 (misused)."""
+    if not {"-v", "-vv", "--verbose"} & set(sys.argv):
+        sys.excepthook = _report_defect
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: list[str]) -> int:
+    """Run the command line and return its exit code.
+
+    Args:
+        arguments: Words after the program's name.
+    """
+    try:
+        return _dispatch(arguments)
+    except RadiometerError as error:
+        return _report(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        return _report("stopped by the user", 1)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        name = f"{error.filename}: " if error.filename else ""
+        return _report(f"{name}{error.strerror or error}", 1)
+    except MemoryError:
+        return _report("not enough memory; try fewer or smaller frames", 1)
+
+
+def overview() -> str:
+    """Return the text of `radiometer --help`, made from the table of commands alone."""
+    width = max(map(len, COMMANDS)) + 2
+    lines = [
+        textwrap.fill(entry.summary, 100, initial_indent=f"  {name:<{width}}", subsequent_indent=" " * (width + 2))
+        for name, entry in COMMANDS.items()
+    ]
+    return _INTRODUCTION + "\n".join(lines)
+
+
+def _dispatch(arguments: list[str]) -> int:
+    verbosity = 0
+    for position, word in enumerate(arguments):
+        if word in ("-h", "--help"):
+            print(overview())
+            return 0
+        if word == "--version":
+            print(f"radiometer {radiometer.__version__}")
+            return 0
+        if word in ("-v", "-vv", "--verbose"):
+            verbosity += word.count("v") if word != "--verbose" else 1
+            continue
+        from radiometer.cli.logging_setup import configure_logging
+
+        configure_logging(verbosity)
+        return _run_command(word, arguments[position + 1 :])
+    print(overview(), file=sys.stderr)
+    return 2
+
+
+def _run_command(name: str, arguments: list[str]) -> int:
+    entry = COMMANDS.get(name)
+    if entry is None:
+        close = difflib.get_close_matches(name, COMMANDS, 1)
+        hint = f"did you mean {close[0]!r}?" if close else "`radiometer --help` lists them"
+        raise UsageError(f"there is no command {name!r}; {hint}")
+    import typer
+
+    click_error: Any = typer.BadParameter.__mro__[2]  # typer carries its own copy of click
+    app = _application(name, importlib.import_module(entry.module), typer)
+    try:
+        result = app(arguments, prog_name=f"radiometer {name}", standalone_mode=False)
+    except typer.Exit as leaving:
+        return int(leaving.exit_code)
+    except typer.Abort:
+        return _report("stopped by the user", 1)
+    except click_error as misuse:
+        misuse.show()
+        return int(misuse.exit_code)
+    return result if isinstance(result, int) else 0
+
+
+def _application(name: str, module: Any, typer: Any) -> Any:
+    if hasattr(module, "app"):
+        return module.app
+    app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    app.command(name=name, context_settings={"help_option_names": ["-h", "--help"]})(module.command)
+    return app
+
+
+def _report_defect(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Say in one line what the program did not foresee; Python then leaves with exit code 1."""
+    print(f"error: a defect of radiometer itself: {kind.__name__}: {error}", file=sys.stderr)
+    print("please report it with what `radiometer -v …` prints for the same words", file=sys.stderr)
+
+
+def _report(message: str, code: int) -> int:
+    colour = sys.stderr.isatty() and "NO_COLOR" not in os.environ
+    print("\x1b[1;31merror:\x1b[0m" if colour else "error:", message, file=sys.stderr)
+    return code

@@ -1,0 +1,129 @@
+"""`radiometer measure`: the radiance of a patch, with its uncertainty."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from radiometer.cli.arguments import parse_patch
+from radiometer.cli.console import console, note, progress_bar, significant
+from radiometer.errors import UsageError
+
+if TYPE_CHECKING:
+    from radiometer.bench.instrument import Instrument
+    from radiometer.data import Reading
+
+_FLAG_MEANING = {
+    "saturated": "pixels clip even in the shortest exposure: the value is a lower bound",
+    "below_noise": "the signal does not rise above the noise: take the value as an upper limit",
+    "extrapolated": "uses digital numbers for which the response curve had no data",
+    "flicker": "exposures disagree beyond their noise: the light flickers or moves",
+    "stale_calibration": "the calibration is older than it says it is valid for",
+    "uncalibrated": "no calibration: the value is relative, not a radiance",
+    "nonuniform": "the patch is not uniform: its spread exceeds the noise",
+}
+
+
+def command(
+    camera: Annotated[str | None, typer.Option(help="sim, or a GenICam id, serial number or address.")] = None,
+    patch: Annotated[str | None, typer.Option(help="Region X,Y,W,H in pixels; the bench's by default.")] = None,
+    calibration: Annotated[Path | None, typer.Option(help="Calibration file; the bench's by default.")] = None,
+    uncalibrated: Annotated[bool, typer.Option("--uncalibrated", help="Use no calibration: relative values.")] = False,
+    bench: Annotated[Path | None, typer.Option(help="Bench file; the simulated bench by default.")] = None,
+    spectrum: Annotated[str | None, typer.Option(help="Spectrum assumed for the luminance.")] = None,
+    u_rel: Annotated[float | None, typer.Option(help="Repeat until noise is below this relative u (k = 1).")] = None,
+    repeat: Annotated[int, typer.Option(min=1, help="Number of readings.")] = 1,
+    watch: Annotated[bool, typer.Option("--watch", help="Read until stopped by Ctrl-C.")] = False,
+    every: Annotated[float, typer.Option(min=0.0, help="Seconds from one reading's start to the next's.")] = 0.0,
+    budget: Annotated[bool, typer.Option("--budget", help="Print the uncertainty budget.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object per reading on standard output.")] = False,
+) -> None:
+    """Read the radiance of a patch, with its uncertainty.
+
+    Meters the patch, takes the exposures it needs, merges them and prints the radiance in W·sr⁻¹·m⁻² with its
+    expanded uncertainty (k = 2), the luminance, and what must be known of the reading.
+    """
+    if calibration and uncalibrated:
+        raise UsageError("--calibration and --uncalibrated exclude each other")
+    from radiometer.bench.assembly import open_instrument
+
+    wanted = parse_patch(patch) if patch else None
+    with open_instrument(
+        bench, camera, wanted, calibration, uncalibrated=uncalibrated, spectrum=spectrum
+    ) as instrument:
+        if not json:
+            _introduce(instrument)
+        for number in itertools.count(1) if watch else range(1, repeat + 1):
+            begun = time.monotonic()
+            reading = _one(instrument, number, u_rel, shown=not json)
+            if json:
+                print(reading.to_json(), flush=True)
+            else:
+                _show(reading, budget=budget)
+            if watch or number < repeat:
+                time.sleep(max(0.0, every - (time.monotonic() - begun)))
+
+
+def _one(instrument: Instrument, number: int, u_rel: float | None, *, shown: bool) -> Reading:
+    with progress_bar(shown=shown) as bar:
+        task = bar.add_task("measuring", total=None)
+        return instrument.measure(
+            target_u_rel=u_rel,
+            sequence=number,
+            progress=lambda done, total, _frame: bar.update(task, completed=done, total=total),
+        )
+
+
+def _introduce(instrument: Instrument) -> None:
+    who, patch = instrument.camera.identity, instrument.patch
+    note(f"{who.vendor} {who.model} {who.serial}, patch {patch.x},{patch.y} {patch.width} × {patch.height} pixels")
+    if instrument.calibration is None:
+        note("assumed: the response is linear above the black level")
+        return
+    note(f"calibrated {instrument.calibration.created[:10]} by {instrument.calibration.scale.reference}")
+    for assumption in instrument.calibration.provenance.assumptions:
+        note(f"assumed: {assumption}")
+
+
+def _show(reading: Reading, *, budget: bool) -> None:
+    out = console()
+    value = reading.radiance
+    expanded = reading.coverage_factor * value.u
+    unit = "W·sr⁻¹·m⁻²" if value.unit == "W sr-1 m-2" else value.unit
+    out.print(
+        f"radiance   [bold]{significant(value.value, value.u)} ± {expanded:.2g} {unit}[/bold]"
+        f"   (k = {reading.coverage_factor:g}, {100 * reading.expanded_u_rel:.2g} %)"
+    )
+    if reading.luminance:
+        luminance = reading.luminance
+        expanded = reading.coverage_factor * luminance.u
+        out.print(f"luminance  {significant(luminance.value, luminance.u)} ± {expanded:.2g} cd·m⁻²")
+    exposures = ", ".join(_time(t) for t in sorted(set(reading.exposures_s)))
+    out.print(f"exposures  {exposures}")
+    for flag in reading.flags:
+        out.print(f"[yellow]flag       {flag}[/yellow]: {_FLAG_MEANING[str(flag)]}")
+    if budget:
+        _show_budget(reading)
+
+
+def _time(seconds: float) -> str:
+    unit, scale = ("s", 1.0) if seconds >= 1 else ("ms", 1e-3) if seconds >= 1e-3 else ("µs", 1e-6)
+    return f"{seconds / scale:.4g} {unit}"
+
+
+def _show_budget(reading: Reading) -> None:
+    from rich.table import Table
+
+    total = sum(entry.u_rel**2 for entry in reading.budget) or 1.0
+    table = Table(title="uncertainty budget (k = 1)", title_justify="left")
+    for heading in ("contribution", "u rel. %", "share %", "type", "dof", "from"):
+        table.add_column(heading, justify="right" if "%" in heading or heading == "dof" else "left")
+    for entry in sorted(reading.budget, key=lambda contribution: -contribution.u_rel):
+        dof = "∞" if entry.degrees_of_freedom == float("inf") else f"{entry.degrees_of_freedom:.0f}"
+        share = 100 * entry.u_rel**2 / total
+        table.add_row(entry.name, f"{100 * entry.u_rel:.3f}", f"{share:.1f}", entry.kind, dof, entry.note)
+    console().print(table)

@@ -1,0 +1,165 @@
+"""`radiometer reconcile`: where simulation and measurement disagree, and which effect is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from radiometer.cli.console import console, note, progress_bar, significant
+from radiometer.errors import UsageError
+
+if TYPE_CHECKING:
+    from radiometer.data import Frame
+    from radiometer.reconcile import FoundEffect, ReconcileResult
+
+_VERDICTS = {
+    "agrees": "Nothing is missing: simulation and measurement agree.",
+    "effects_found": "Found what was missing; with it simulation and measurement agree.",
+    "unnamed_effect": "They disagree, and no known effect explains it.",
+    "incomplete": "Something was named, but structure stays: the names are provisional.",
+}
+
+
+def command(
+    capture: Annotated[
+        Path,
+        typer.Argument(
+            help="Capture set, photograph folder, EMVA 1288 descriptor (.txt) or light-meter table (.csv).",
+        ),
+    ],
+    model: Annotated[Path | None, typer.Option(help="Model to start from; the ideal camera by default.")] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Where the new model is written.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Where the HTML report is written.")] = None,
+    plan: Annotated[Path | None, typer.Option(help="Write the next capture as a plan for `bracket`.")] = None,
+    without: Annotated[list[str] | None, typer.Option(help="Leave an entry out of the catalogue.")] = None,
+    provisional: Annotated[bool, typer.Option("--provisional", help="Switch provisional effects on in -o.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+) -> None:
+    """Find where simulation and measurement disagree, name the missing effect, add it, show the gap shrink.
+
+    Simulates the capture from the current model, compares means, noise and patterns along every setting, tries each
+    physical effect of the catalogue, and keeps what predicts held-out settings better. `-o` writes the model with
+    what was found; the simulator loads it.
+    """
+    from radiometer.reconcile.sources import reconcile_source
+
+    _refuse_unknown(without or [])
+    photographs = _photographs(capture)
+    with progress_bar(shown=not json) as bar:
+        task = bar.add_task("reading frames", total=None)
+        done = reconcile_source(
+            capture,
+            model_path=model,
+            without=tuple(without or ()),
+            photographs=photographs,
+            progress=lambda count, total: bar.update(task, completed=count, total=total),
+            say=lambda line: bar.update(task, description=line),
+        )
+    result = done.result.written(
+        done.write_model(output, provisional=provisional) if output else None,
+        done.write_report(report) if report else None,
+    )
+    if plan:
+        done.write_plan(plan)
+    if json:
+        print(result.to_json())
+        return
+    _show(result)
+    for path in (result.model, result.report, str(plan) if plan else None):
+        if path:
+            note(f"wrote {path}")
+
+
+def _photographs(path: Path) -> Sequence[Frame] | None:
+    """Return the frames of a folder of photographs; None where the path is something else."""
+    from radiometer.data.capture_set import HEADER_NAME
+    from radiometer.reconcile.emva_sets import find_descriptor
+
+    if not path.is_dir() or (path / HEADER_NAME).exists() or find_descriptor(path) or (path / "frames").is_dir():
+        return None
+    from radiometer.bench.sources import open_brackets
+
+    bracket = open_brackets(path)[0]
+    return (*bracket.frames, *bracket.dark_frames)
+
+
+def _refuse_unknown(names: list[str]) -> None:
+    from radiometer.reconcile.engine import CATALOGUE
+
+    for name in names:
+        if name not in CATALOGUE:
+            raise UsageError(f"--without {name}: there is no such effect; known are {', '.join(sorted(CATALOGUE))}")
+
+
+def _show(result: ReconcileResult) -> None:
+    out = console()
+    out.print(f"[bold]{_VERDICTS[result.verdict]}[/bold]")
+    if result.frames:
+        out.print(
+            f"{result.captures} captures, {result.frames} frames; {result.tests[0]} tests, "
+            f"{result.tests[1]} of them significant in the end ({result.seconds:.1f} s)"
+        )
+    out.print(f"gap {result.gap_before:.3f} → {result.gap_after:.3f} ({result.gap_unit})")
+    for number, effect in enumerate(result.effects, 1):
+        _show_effect(number, effect)
+    for remark in result.extra.get("remarks", []):
+        out.print(remark)
+    _show_covariates(result)
+    _show_limits(result)
+    for text in result.assumptions:
+        out.print(f"assumed: {text}")
+
+
+def _show_effect(number: int, effect: FoundEffect) -> None:
+    out = console()
+    weak = ", weak: repeat the captures" if effect.gain_nats < 10 else ""
+    tentative = " (provisional)" if effect.provisional else ""
+    out.print(
+        f"\n{number}. [bold]{effect.name}[/bold]{tentative} along {effect.where}, seen in {effect.block}: "
+        f"gap {effect.gap_before:.3f} → {effect.gap_after:.3f} ({effect.gain_nats:.0f} nats{weak})"
+    )
+    for name, entry in effect.parameters.items():
+        shown = f"{entry.value:.6g}" if entry.u is None else f"{significant(entry.value, entry.u)} ± {entry.u:.2g}"
+        out.print(f"   {name} = {shown} {'' if entry.unit == '1' else entry.unit}")
+    if effect.closest:
+        out.print(f"   closest entry: {effect.closest[0]}, which explains {100 * effect.closest[1]:.0f} % of it")
+    if effect.alternatives:
+        out.print(f"   these data cannot tell it from: {', '.join(effect.alternatives)}")
+    if effect.next_capture:
+        out.print(f"   next capture: {effect.next_capture.get('description', '')}")
+
+
+def _show_covariates(result: ReconcileResult) -> None:
+    if not result.covariates:
+        return
+    from rich.table import Table
+
+    table = Table(title="disagreement along each covariate (1 = chance)", title_justify="left", box=None)
+    for heading in ("covariate", "before", "after"):
+        table.add_column(heading, justify="left" if heading == "covariate" else "right")
+    for name, gap in sorted(result.covariates.items(), key=lambda item: -item[1].before):
+        table.add_row(name, f"{gap.before:.1f}", f"{gap.after:.1f}")
+    console().print()
+    console().print(table)
+
+
+def _show_limits(result: ReconcileResult) -> None:
+    if not result.limits:
+        return
+    from rich.table import Table
+
+    table = Table(title="what these data would have shown at 5 sigma", title_justify="left", box=None)
+    for heading in ("effect", "from", "parameter"):
+        table.add_column(heading, justify="right" if heading == "from" else "left")
+    for name, limit in result.limits.items():
+        if limit.amplitude is not None:
+            unit = "" if limit.unit == "1" else limit.unit
+            table.add_row(name, f"{limit.amplitude:.2g}", f"{unit} ({limit.parameter})")
+    console().print()
+    console().print(table)
+    blind = [name for name, limit in result.limits.items() if limit.amplitude is None]
+    if blind:
+        console().print(f"blind to: {', '.join(blind)}")

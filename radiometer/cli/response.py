@@ -1,0 +1,210 @@
+"""`radiometer response`: recover the camera response from brackets or photographs."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from radiometer.analysis.exports_curves import CURVE_SUFFIXES, write_curves
+from radiometer.analysis.response_compare import compare_methods
+from radiometer.analysis.response_estimate import ResponseEstimate, median_uncertainty
+from radiometer.analysis.response_labels import refuse_lying_labels
+from radiometer.analysis.response_methods import DEFAULT_METHOD, METHODS, method_names
+from radiometer.bench.sources import open_brackets
+from radiometer.cli.console import note, progress_bar
+from radiometer.cli.response_plot import check_plot_name, draw_responses
+from radiometer.data import Bracket
+from radiometer.errors import MeasurementError, OutputError, UsageError
+
+_CURVE_SUFFIXES = (".csv", ".yaml", ".yml", *CURVE_SUFFIXES)
+_METHOD_HELP = f"Method: {', '.join(METHODS)}, or all."
+_CHANNEL_HELP = "Channel of colour photographs: luminance, red, green, blue, or each (one curve per colour)."
+
+Report = Callable[[int, int], None]
+
+
+def command(
+    paths: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Capture sets or folders of photographs.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Curve to write: .csv, .yaml, .m (pfstools) or .rsp (hdrgen)."
+        ),
+    ] = None,
+    plot: Annotated[
+        str | None,
+        typer.Option("--plot", metavar="[FILE]", help="Draw the curve; without FILE, beside the output as .png."),
+    ] = None,
+    channel: Annotated[str, typer.Option("--channel", help=_CHANNEL_HELP)] = "luminance",
+    method: Annotated[str, typer.Option("--method", help=_METHOD_HELP)] = DEFAULT_METHOD,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+) -> None:
+    """Recover the camera response g(M) = ln H from brackets of exposures, with its uncertainty.
+
+    Several PATHs are fitted jointly: one camera, one response.
+    """
+    names = method_names(method)
+    picture = _plot_path(plot, output)
+    _check_targets(output, picture)
+    started = time.monotonic()
+    estimates = [estimate for brackets in _read(paths, channel).values() for estimate in _recover(brackets, names)]
+    files = _write(estimates, output) if output is not None else []
+    if picture is not None:
+        draw_responses(estimates, picture)
+    if as_json:
+        print(json.dumps(_mapping(estimates, files, picture)))
+        return
+    _print_summary(estimates, [*files, *([picture] if picture else [])], time.monotonic() - started)
+
+
+def app(arguments: Sequence[str], **how: Any) -> Any:
+    """Run the command; `--plot` may stand alone, which Typer itself does not know.
+
+    Args:
+        arguments: Words after `radiometer response`.
+        how: Passed on to Typer.
+    """
+    inner = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    inner.command(name="response", context_settings={"help_option_names": ["-h", "--help"]})(command)
+    return inner(_with_plot_name(list(arguments)), **how)
+
+
+def _with_plot_name(words: list[str]) -> list[str]:
+    """Put an empty name behind a `--plot` that has none."""
+    result: list[str] = []
+    for word, following in zip(words, [*words[1:], None], strict=True):
+        bare = word == "--plot" and (following is None or following.startswith("-") or Path(following).is_dir())
+        result.append("--plot=" if bare else word)
+    return result
+
+
+def _plot_path(plot: str | None, output: Path | None) -> Path | None:
+    if plot is None:
+        return None
+    if plot:
+        return Path(plot)
+    return (output or Path("response")).with_suffix(".png")
+
+
+def _check_targets(output: Path | None, picture: Path | None) -> None:
+    """Refuse what cannot be written before the work is done, not after."""
+    if output is not None and output.suffix.lower() not in _CURVE_SUFFIXES:
+        raise UsageError(f"cannot write {output}: a curve's ending must be one of {', '.join(_CURVE_SUFFIXES)}")
+    if picture is not None:
+        check_plot_name(picture)
+    for target in (output, picture):
+        if target is not None and target.is_dir():
+            raise OutputError(f"cannot write {target}: it is a folder")
+        if target is not None and not target.parent.is_dir():
+            raise OutputError(f"cannot write {target}: the folder {target.parent} does not exist")
+
+
+def _read(paths: Sequence[Path], channel: str) -> dict[str, list[Bracket]]:
+    """Return the brackets of all paths by colour channel."""
+    found: dict[str, list[Bracket]] = {}
+    for path in paths:
+        with _bar(f"reading {path.name}") as report:
+            brackets = open_brackets(path, channel, report=report)
+        for bracket in brackets:
+            refuse_lying_labels(bracket)
+            found.setdefault(str(bracket.frames[0].extra.get("channel", "mono")), []).append(bracket)
+    return found
+
+
+def _recover(brackets: Sequence[Bracket], names: Sequence[str]) -> Iterator[ResponseEstimate]:
+    with _bar("recovering the response") as report:
+        for done, name in enumerate(names):
+            report(done, len(names))
+            try:
+                yield METHODS[name](brackets)
+            except MeasurementError as error:
+                if len(names) == 1 or name == DEFAULT_METHOD:
+                    raise
+                note(f"{name} gives no curve: {error}")
+        report(len(names), len(names))
+
+
+@contextmanager
+def _bar(text: str) -> Iterator[Report]:
+    """Show a progress bar on standard error while it is a terminal."""
+    with progress_bar() as progress:
+        task = progress.add_task(text, total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
+
+
+def _write(estimates: Sequence[ResponseEstimate], output: Path) -> list[Path]:
+    """Write one curve under the given name, several with channel and method in theirs."""
+    if output.suffix.lower() in CURVE_SUFFIXES:
+        return _write_for_others(estimates, output)
+    channels = {estimate.curve.channel for estimate in estimates}
+    methods = {estimate.method for estimate in estimates}
+    files = []
+    for estimate in estimates:
+        parts = [output.stem]
+        parts += [estimate.curve.channel] if len(channels) > 1 else []
+        parts += [estimate.method] if len(methods) > 1 else []
+        target = output.with_name("-".join(parts) + output.suffix)
+        estimate.curve.write(target)
+        files.append(target)
+    return files
+
+
+def _write_for_others(estimates: Sequence[ResponseEstimate], output: Path) -> list[Path]:
+    """Write the channels of each method into one file of another program's form."""
+    methods = list(dict.fromkeys(estimate.method for estimate in estimates))
+    files = []
+    for method in methods:
+        target = output.with_name(f"{output.stem}-{method}{output.suffix}") if len(methods) > 1 else output
+        write_curves(target, {one.curve.channel: one.curve for one in estimates if one.method == method})
+        files.append(target)
+    return files
+
+
+def _mapping(estimates: Sequence[ResponseEstimate], files: Sequence[Path], picture: Path | None) -> dict[str, Any]:
+    return {
+        "format": "radiometer-response-result/1",
+        "curves": [estimate.to_mapping() for estimate in estimates],
+        "disagreements": [found.to_mapping() for found in compare_methods(estimates)],
+        "files": [str(file) for file in files],
+        "plot": None if picture is None else str(picture),
+    }
+
+
+def _print_summary(estimates: Sequence[ResponseEstimate], files: Sequence[Path], seconds: float) -> None:
+    for estimate in estimates:
+        print("\n".join(_summary(estimate)), end="\n\n" if len(estimates) > 1 else "\n")
+    for found in compare_methods(estimates):
+        print(
+            f"disagreement     {found.second} and {found.first} ({found.channel}): {100 * found.rms_log:.2g} % rms, "
+            f"at most {found.largest_sigma:.1f} sigma at {found.at_dn} DN"
+        )
+    for file in files:
+        print(f"written          {file}")
+    print(f"time             {seconds:.2f} s")
+
+
+def _summary(estimate: ResponseEstimate) -> list[str]:
+    curve = estimate.curve
+    low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
+    stops = float(curve.log_exposure[high] - curve.log_exposure[low]) / 0.6931471805599453
+    lines = [
+        f"method           {estimate.method}, channel {curve.channel}, {curve.bit_depth} bits",
+        f"data             {estimate.pixel_count:,} pixels in {estimate.group_count} groups, "
+        f"{estimate.sample_count:,} unclipped values",
+        f"supported        {low} to {high} DN, {stops:.1f} stops; extrapolated outside",
+        f"u(ln H)          {median_uncertainty(curve):.2g} (median, k = 1, over 5 to 95 % of that range)",
+        f"gauge            {estimate.gauge}",
+    ]
+    if estimate.stability is not None:
+        lines.append(
+            f"disjoint thirds  differ by {100 * estimate.stability.rms_log:.2g} % (rms), "
+            f"reduced chi-square {estimate.stability.reduced_chi2:.2f}"
+        )
+    lines += [f"assumed          {text}" for text in curve.provenance.assumptions]
+    return lines + [f"note             {text}" for text in estimate.notes]

@@ -1,0 +1,60 @@
+"""The picture of response curves that `radiometer response --plot` draws."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from radiometer.analysis.response_estimate import ResponseEstimate
+from radiometer.data.storage import write_bytes_atomic
+from radiometer.errors import UsageError
+
+PLOT_SUFFIXES: Final = (".png", ".pdf", ".svg")
+_COLOURS: Final = {"red": "#c0392b", "green": "#27843f", "blue": "#2a5db0"}
+
+
+def check_plot_name(path: Path) -> None:
+    """Refuse a name whose ending is no picture form.
+
+    Raises:
+        UsageError: If the ending is not one of .png, .pdf, .svg.
+    """
+    if path.suffix.lower() not in PLOT_SUFFIXES:
+        raise UsageError(f"cannot draw {path}: its ending must be one of {', '.join(PLOT_SUFFIXES)}")
+
+
+def draw_responses(estimates: Sequence[ResponseEstimate], path: Path) -> None:
+    """Draw ln H over the digital number with its k = 2 band, and below it the standard uncertainty.
+
+    Raises:
+        OutputError: If the file cannot be written.
+        UsageError: If its ending is no picture form.
+    """
+    check_plot_name(path)
+    figure = Figure(figsize=(7.2, 6.4), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    for estimate in estimates:
+        curve = estimate.curve
+        low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
+        dn = np.arange(low, high + 1)
+        g, u = curve.log_exposure[low : high + 1], curve.u_log_exposure[low : high + 1]
+        label = f"{estimate.method}, {curve.channel}"
+        colour = _COLOURS.get(curve.channel) if len({e.method for e in estimates}) == 1 else None
+        (line,) = upper.plot(dn, g, label=label, color=colour, linewidth=1.2)
+        upper.fill_between(dn, g - 2 * u, g + 2 * u, color=line.get_color(), alpha=0.2, linewidth=0)
+        lower.semilogy(dn[u > 0], u[u > 0], color=line.get_color(), linewidth=1.0)
+    absolute = any(estimate.curve.absolute for estimate in estimates)
+    upper.set_ylabel("ln H  (J m⁻²)" if absolute else "ln H, relative to the middle value")
+    upper.legend(frameon=False)
+    lower.set_ylabel("u(ln H), k = 1")
+    lower.set_xlabel("digital number M (DN)")
+    for axes in (upper, lower):
+        axes.grid(True, alpha=0.3)
+    content = io.BytesIO()
+    figure.savefig(content, format=path.suffix.lower()[1:], dpi=150)
+    write_bytes_atomic(path, content.getvalue())

@@ -1,0 +1,85 @@
+"""`radiometer simulate box`: a simulated light box on a pseudo-terminal."""
+
+from __future__ import annotations
+
+import re
+import select
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from radiometer.cli.arguments import parse_seconds
+from radiometer.errors import UsageError
+
+if TYPE_CHECKING:
+    from radiometer.bench.served_box import ServedBox
+
+
+def command(
+    serial: Annotated[str, typer.Option(help="Serial number: eight letters or digits.")] = "TWIN0001",
+    link: Annotated[Path | None, typer.Option(help="Name of its port; where boxes are looked for by default.")] = None,
+    firmware: Annotated[
+        Path | None, typer.Option(help="Run this firmware (light_box.hex) in simavr instead of the twin.")
+    ] = None,
+    clock_ppm: Annotated[float, typer.Option(help="Rate of its clock above true time, ppm.")] = 0.0,
+    corrupt: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of bytes that the line damages.")] = 0.0,
+    drop: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of bytes that the line loses.")] = 0.0,
+    reset_every: Annotated[str | None, typer.Option(help="Restart the box this often, such as 30s.")] = None,
+    press_every: Annotated[str | None, typer.Option(help="Press the button this often for 0.2 s.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Makes the line's faults.")] = 0,
+) -> None:
+    """Serve a simulated light box that any serial program can open, until stopped by Ctrl-C.
+
+    Its first line on standard output is the name of its port. On a terminal, Enter presses the button for 0.2 s.
+    """
+    if not re.fullmatch(r"[0-9A-Za-z-]{8}", serial):
+        raise UsageError(f"--serial {serial!r}: expected eight letters or digits, such as TWIN0001")
+    from radiometer.bench.served_box import served_box
+
+    periods = [parse_seconds(text, name) if text else None for text, name in _periods(reset_every, press_every)]
+    made = served_box(serial, link, firmware=firmware, clock_ppm=clock_ppm, corrupt=corrupt, drop=drop, seed=seed)
+    with made.server as server:
+        print(server.port, flush=True)
+        print(f"light box {serial} is served; stop with Ctrl-C", file=sys.stderr, flush=True)
+        try:
+            _run(made, *periods)
+        except KeyboardInterrupt:
+            return
+
+
+def _periods(reset_every: str | None, press_every: str | None) -> tuple[tuple[str | None, str], ...]:
+    return (reset_every, "--reset-every"), (press_every, "--press-every")
+
+
+def _run(made: ServedBox, reset_every_s: float | None, press_every_s: float | None) -> None:
+    """Press and reset as asked, for ever."""
+    start_s = time.monotonic()
+    resets = presses = 0
+    while True:
+        if _entered(0.05):
+            _press(made)
+        elapsed_s = time.monotonic() - start_s
+        if reset_every_s and elapsed_s > (resets + 1) * reset_every_s:
+            resets += 1
+            made.reset()
+        if press_every_s and elapsed_s > (presses + 1) * press_every_s:
+            presses += 1
+            _press(made)
+
+
+def _press(made: ServedBox) -> None:
+    made.press(True)
+    time.sleep(0.2)
+    made.press(False)
+
+
+def _entered(timeout_s: float) -> bool:
+    """Wait a moment; tell whether somebody pressed Enter on the terminal."""
+    if not sys.stdin or not sys.stdin.isatty():
+        time.sleep(timeout_s)
+        return False
+    ready, _, _ = select.select([sys.stdin], [], [], timeout_s)
+    return bool(ready and sys.stdin.readline())

@@ -1,0 +1,43 @@
+"""`radiometer simulate camera`: a simulated Blackfly S over GigE Vision in a process of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    scene: Annotated[
+        str | None, typer.Option(help="YAML file of a scene, a picture, or a kind of scene; the bench's by default.")
+    ] = None,
+    serial: Annotated[str | None, typer.Option(help="Serial number; the bench's by default.")] = None,
+    bench: Annotated[Path | None, typer.Option(help="Bench file; the simulated bench by default.")] = None,
+    address: Annotated[str, typer.Option(help="Address of a network interface of this computer.")] = "127.0.0.1",
+    seed: Annotated[int | None, typer.Option(min=0, help="Makes the noise; the bench's by default.")] = None,
+    real_time: Annotated[
+        bool, typer.Option("--real-time/--fast", help="Frames take their exposure time, or come as they are made.")
+    ] = True,
+    lose_per_mille: Annotated[int, typer.Option(min=0, max=1000, help="Packets lost of a thousand.")] = 0,
+    answer_delay: Annotated[float, typer.Option(min=0.0, help="Seconds by which frames and answers are late.")] = 0.0,
+    stall_after: Annotated[int | None, typer.Option(min=0, help="Stop sending after so many frames.")] = None,
+    drop_after: Annotated[int | None, typer.Option(min=0, help="Fall silent after so many frames.")] = None,
+    frame_pool: Annotated[
+        int, typer.Option(min=0, help="Serve so many frames again and again; 0 makes every frame anew.")
+    ] = 0,
+) -> None:
+    """Serve a simulated Blackfly S that any GenICam program can open, until stopped by Ctrl-C.
+
+    Its pictures come from the forward model: the bench's camera, lens and scene. As shipped, automatic exposure, gamma
+    and sharpening are on. Faults can also be set over the wire, by the features SimPacketLossPerMille, SimStall,
+    SimAnswerDelay and SimDisconnect.
+    """
+    from radiometer.bench.served_camera import Faults, serve, served_camera
+
+    camera = served_camera(
+        bench, scene, serial=serial, address=address, seed=seed, real_time=real_time, pool=frame_pool
+    )
+    with camera:
+        print(f"{camera.label} is served at {address}; stop with Ctrl-C", flush=True)
+        serve(camera, Faults(lose_per_mille, answer_delay, stall_after, drop_after))

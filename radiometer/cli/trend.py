@@ -1,0 +1,54 @@
+"""`radiometer trend`: drift over months in a table of results."""
+
+from __future__ import annotations
+
+import json as json_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from radiometer.cli.console import console, note
+from radiometer.errors import InputError
+
+if TYPE_CHECKING:
+    from radiometer.archive.trend import Trend
+
+
+def command(
+    results: Annotated[Path, typer.Argument(help="Table written by `radiometer batch --do measure`.")],
+    quantity: Annotated[str, typer.Option(help="Quantity to follow.")] = "radiance",
+    report: Annotated[Path | None, typer.Option(help="HTML report with control charts.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False,
+) -> None:
+    """Find the drift of a source or of the instrument over months, with its uncertainty.
+
+    A drift is claimed only beyond three of its standard uncertainties.
+    """
+    from radiometer.archive.history import read_histories
+    from radiometer.data.storage import write_text_atomic
+
+    trends = read_histories(results, quantity)
+    if not trends:
+        raise InputError(f"{results}: holds no dated {quantity!r} rows that succeeded; run `radiometer batch` first")
+    if report:
+        from radiometer.archive.trend_report import trend_report
+
+        write_text_atomic(report, trend_report(trends, str(results)))
+    if json:
+        print(json_module.dumps({"trends": [trend.to_mapping() for trend in trends]}))
+        return
+    for trend in trends:
+        console().print(_sentence(trend))
+    if report:
+        note(f"report: {report}")
+
+
+def _sentence(trend: Trend) -> str:
+    drift, u = 100 * trend.drift_per_month, 100 * trend.u_drift_per_month
+    verdict = "[bold yellow]drifts[/bold yellow]" if trend.drifts else "no drift shown"
+    outliers = f", {int(trend.outlier.sum())} outliers" if trend.outlier.any() else ""
+    return (
+        f"{trend.patch}: {trend.quantity} {verdict}: ({drift:+.3f} ± {2 * u:.3f}) % per month (k = 2) "
+        f"over {trend.time_s.size} readings{outliers}"
+    )
