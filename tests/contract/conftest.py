@@ -1,0 +1,144 @@
+"""The cameras that the contract suite runs over."""
+
+from __future__ import annotations
+
+import fcntl
+import shutil
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from drivers.aravis_camera import load_library, open_camera
+from drivers.gige_ping import answers
+from radiometer.data import LensDescription
+from radiometer.devices import Camera, CameraPreset, Roi
+from radiometer.errors import MissingLibrary
+from simulators.blackfly_gige import BlackflyGige
+from simulators.blackfly_pictures import ForwardModelSource
+from simulators.camera_model import CameraModel
+from simulators.scenes.factory import scene_from_mapping
+from simulators.simulated_camera import SimulatedCamera, default_limits
+
+LOOPBACK = "127.0.0.1"
+SMALL_REGION = Roi(16, 8, 64, 48)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A camera under test: how to make it, how a second opener is made, and a region small enough to be quick."""
+
+    name: str
+    make: Callable[[], Camera]
+    second: Callable[[Camera], Camera]
+    roi: Roi = SMALL_REGION
+
+
+@pytest.fixture(scope="session")
+def aravis_installed() -> None:
+    """Skip where Aravis is not installed."""
+    try:
+        load_library()
+    except MissingLibrary as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture
+def gige_port() -> Iterator[None]:
+    """Hold the one GigE Vision control port of the loopback interface against other test runs."""
+    with (Path(tempfile.gettempdir()) / "radiometer-gige-port.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        end = time.monotonic() + 60
+        while not port_is_free():
+            if time.monotonic() > end:
+                pytest.skip("another program serves a GigE Vision camera at 127.0.0.1")
+            time.sleep(0.2)
+        yield
+
+
+def port_is_free() -> bool:
+    """Tell whether a camera could be served on the loopback interface."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
+        try:
+            line.bind((LOOPBACK, 3956))
+        except OSError:
+            return False
+    return True
+
+
+@pytest.fixture
+def fake_gige_process(aravis_installed: None, gige_port: None) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+    """Return a function that starts Debian's fake GigE Vision camera in its own process and waits until it answers."""
+    program = shutil.which("arv-fake-gv-camera-0.8")
+    if program is None:
+        pytest.skip("arv-fake-gv-camera-0.8 is not installed: apt install aravis-tools")
+    running: list[subprocess.Popen[bytes]] = []
+
+    def start(*options: str) -> subprocess.Popen[bytes]:
+        process = subprocess.Popen([program, "-i", LOOPBACK, "-s", "GV77", *options], stderr=subprocess.DEVNULL)
+        running.append(process)
+        end = time.monotonic() + 10
+        while not answers(LOOPBACK, attempts=1, timeout_s=0.2):
+            assert time.monotonic() < end, "arv-fake-gv-camera did not come up"
+        return process
+
+    yield start
+    for process in running:
+        process.kill()
+        process.wait()
+
+
+def _simulated(radiance: float = 1.0) -> SimulatedCamera:
+    preset = CameraPreset.shipped("BFS-U3-19S4M")
+    model = CameraModel.ideal(preset.camera, LensDescription(focal_length_mm=16, f_number=4.0))
+    scene = scene_from_mapping({"kind": "uniform", "radiance_W_per_sr_m2": radiance})
+    limits = replace(default_limits(), width=160, height=120)
+    return SimulatedCamera(model, scene, seed=3, limits=limits)
+
+
+@pytest.fixture
+def blackfly(aravis_installed: None, gige_port: None) -> Iterator[BlackflyGige]:
+    """Serve a simulated Blackfly of 160 × 120 pixels that looks at an even field, in this process."""
+    camera = _simulated(radiance=0.4)
+    limits = replace(default_limits(), width=160, height=120, has_shutter=False)
+    with BlackflyGige(ForwardModelSource(camera.sensor), limits, serial="22500077") as served:
+        yield served
+    assert served.failure is None
+
+
+@pytest.fixture(params=["simulated", "fake_1", "fake_gige", "blackfly"])
+def subject(request: pytest.FixtureRequest) -> Subject:
+    """Return each camera in turn."""
+    if request.param == "simulated":
+        return Subject("simulated", _simulated, lambda camera: camera)
+    request.getfixturevalue("aravis_installed")
+    if request.param == "fake_1":
+        return Subject("Fake_1", lambda: open_camera("Fake_1"), lambda _: open_camera("Fake_1"))
+    if request.param == "blackfly":
+        request.getfixturevalue("blackfly")
+    else:
+        request.getfixturevalue("fake_gige_process")()
+    return Subject(request.param, lambda: open_camera(LOOPBACK), lambda _: open_camera(LOOPBACK))
+
+
+@pytest.fixture
+def room_for_frames(subject: Subject) -> None:
+    """Skip where a full frame of a GigE camera that bursts cannot be held: no packet socket, small socket buffers."""
+    status = Path("/proc/self/status").read_text(encoding="utf-8")
+    capabilities = int(next(line for line in status.splitlines() if line.startswith("CapEff")).split()[1], 16)
+    buffer_bytes = int(Path("/proc/sys/net/core/rmem_max").read_text(encoding="utf-8"))
+    if subject.name == "fake_gige" and not capabilities >> 13 & 1 and buffer_bytes < 4_194_304:
+        pytest.skip("full frames need CAP_NET_RAW or net.core.rmem_max of 4 MB: see `radiometer doctor`")
+
+
+@pytest.fixture
+def camera(subject: Subject) -> Iterator[Camera]:
+    """Return the camera, opened."""
+    made = subject.make()
+    with made:
+        yield made

@@ -1,0 +1,124 @@
+"""Benches for the light-box contract: the driver on the simulated twin, and on the real firmware in simavr."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from drivers.light_box import SerialLightBox
+from drivers.light_box_link import BoxLink
+from drivers.serial_line import SerialLine
+from radiometer.devices.exposure_ledger import ExposureLedger
+from radiometer.devices.retinal_safety import ChannelOptics
+from radiometer.errors import MissingLibrary
+from simulators.avr_box import AvrBox
+from simulators.light_box import LightBoxTwin
+from simulators.pty_line import PtyServer, WiredTwin
+
+OPTICS = {
+    "bleach": ChannelOptics(None, 0.0, 60.0, 5.0),
+    "spot": ChannelOptics(453.0, 22.0, 1.5, 3.0),
+    "spot_red": ChannelOptics(640.0, 18.0, 1.5, 3.0),
+    "fixation": ChannelOptics(640.0, 18.0, 0.3, 1.0),
+}
+
+
+@dataclass
+class Rig:
+    """A box on a pseudo-terminal, its driver, and what can be done to it and seen of it from outside.
+
+    `went_dark_s` is the box time at which the bleach's light ended.
+    """
+
+    server: PtyServer
+    box: SerialLightBox
+    duty: Callable[[str], float]
+    high_current: Callable[[str], bool]
+    press: Callable[[bool], None]
+    box_time_s: Callable[[], float]
+    went_dark_s: Callable[[], float]
+
+    def wait_until(self, condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
+        """Poll until something holds; tell whether it ever did."""
+        deadline_s = time.monotonic() + timeout_s
+        while time.monotonic() < deadline_s:
+            if condition():
+                return True
+            time.sleep(0.005)
+        return condition()
+
+
+@pytest.fixture(scope="session")
+def firmware(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the firmware as `make` does and return its HEX file; skip where the compiler is absent."""
+    if shutil.which("avr-gcc") is None:
+        pytest.skip("avr-gcc is not installed (Debian: gcc-avr, avr-libc)")
+    build = tmp_path_factory.mktemp("firmware")
+    source = project_root / "drivers" / "firmware" / "light_box"
+    subprocess.run(["make", "-s", "-C", str(source), f"BUILD={build}"], check=True, capture_output=True, timeout=120)
+    return build / "light_box.hex"
+
+
+def _driver(server: PtyServer) -> SerialLightBox:
+    return SerialLightBox(BoxLink(SerialLine(server.port)), ExposureLedger(OPTICS, time.monotonic))
+
+
+def _twin_rig(link: Path) -> Rig:
+    twin = LightBoxTwin()
+    server = PtyServer(WiredTwin(twin), link=link)
+    server.start()
+
+    def press(pressed: bool) -> None:
+        with server.lock:
+            twin.press(server.time_s(), pressed=pressed)
+
+    def high_current(channel: str) -> bool:
+        state = next(state for state in twin.channels if state.limits.name == channel)
+        return state.high and state.driven_level > 0
+
+    dark_s: list[float] = []
+    twin.watch = lambda: dark_s.append(twin.box_ms / 1000) if twin.duty("bleach") == 0 else dark_s.clear()
+    return Rig(server, _driver(server), twin.duty, high_current, press, lambda: twin.box_ms / 1000, lambda: dark_s[0])
+
+
+def _firmware_rig(link: Path, firmware: Path) -> Rig:
+    try:
+        avr = AvrBox(firmware)
+    except MissingLibrary as missing:
+        pytest.skip(str(missing))
+    server = PtyServer(avr, link=link)
+    server.start()
+
+    def press(pressed: bool) -> None:
+        with server.lock:
+            avr.press(pressed=pressed)
+
+    def duty(channel: str) -> float:
+        with server.lock:
+            return avr.duty(channel)
+
+    def went_dark_s() -> float:
+        last_high = avr.pins["bleach"].last_high()
+        assert last_high is not None
+        return last_high / avr.avr.frequency_hz
+
+    return Rig(server, _driver(server), duty, avr.is_high_current, press, lambda: avr.avr.time_s, went_dark_s)
+
+
+@pytest.fixture(params=["twin", "firmware"])
+def rig(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
+    """Return a running box with an opened driver."""
+    link = tmp_path / "box"
+    made = _twin_rig(link) if request.param == "twin" else _firmware_rig(link, request.getfixturevalue("firmware"))
+    try:
+        made.box.open()
+        yield made
+    finally:
+        made.box.close()
+        made.server.stop()

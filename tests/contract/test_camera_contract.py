@@ -1,0 +1,193 @@
+"""What every camera must do, real or simulated: above the device layer they cannot be told apart."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiometer.devices import Camera, CameraSettings, Roi
+from radiometer.errors import DeviceError, DeviceInUse, SettingOutOfRange
+
+
+@pytest.fixture
+def settings(subject, camera) -> CameraSettings:
+    """Return settings that any camera can take, over a small region."""
+    formats = camera.capabilities.pixel_formats
+    return CameraSettings(
+        exposure_s=0.005,
+        black_level_dn=camera.capabilities.black_level_dn[0],
+        pixel_format="Mono12" if "Mono12" in formats else "Mono8",
+        roi=subject.roi,
+    )
+
+
+def test_a_camera_fulfils_the_protocol(camera):
+    """The driver has every member of the protocol, and says who it is."""
+    assert isinstance(camera, Camera)
+    assert camera.identity.vendor
+    assert camera.identity.model
+    assert camera.identity.serial
+
+
+def test_limits_are_ordered_and_in_si_units(camera):
+    """Bounds run from low to high; exposures are in seconds."""
+    limits = camera.capabilities
+    assert 0 < limits.exposure_s[0] < 1e-3 < 1 < limits.exposure_s[1] <= 3600
+    assert limits.gain_db[0] <= limits.gain_db[1]
+    assert limits.black_level_dn[0] <= limits.black_level_dn[1]
+    assert limits.width > 0
+    assert limits.height > 0
+    assert "Mono8" in limits.pixel_formats
+
+
+def test_configure_returns_what_is_read_back(camera, settings):
+    """What `configure` returns is what `settings` says afterwards, and it is what was asked for."""
+    in_force = camera.configure(settings)
+    assert in_force == camera.settings
+    assert in_force.exposure_s == pytest.approx(settings.exposure_s, rel=1e-6)
+    assert replace(in_force, exposure_s=0.005) == replace(settings, exposure_s=0.005)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0], ids=["too short", "too long"])
+def test_an_exposure_outside_the_limits_is_refused_with_limits_and_unit(camera, settings, factor):
+    """The message gives value, limits and unit, and nothing was changed."""
+    before = camera.configure(settings)
+    low, high = camera.capabilities.exposure_s
+    wrong = low * factor if factor < 1 else high * factor
+    with pytest.raises(
+        SettingOutOfRange, match=rf"exposure time .* s is out of range; allowed is {low:g} to {high:g} s"
+    ):
+        camera.configure(replace(settings, exposure_s=wrong, gain_db=camera.capabilities.gain_db[1]))
+    assert camera.settings == before
+
+
+def test_a_gain_outside_the_limits_is_refused_with_limits_and_unit(camera, settings):
+    """The message gives the limits in dB, and nothing was changed."""
+    before = camera.configure(settings)
+    low, high = camera.capabilities.gain_db
+    with pytest.raises(SettingOutOfRange, match=rf"gain .* dB is out of range; allowed is {low:g} to {high:g} dB"):
+        camera.configure(replace(settings, gain_db=high + 1, exposure_s=0.5))
+    assert camera.settings == before
+
+
+def test_a_black_level_outside_the_limits_is_refused_with_limits_and_unit(camera, settings):
+    """The message gives the limits in DN, and nothing was changed."""
+    before = camera.configure(settings)
+    with pytest.raises(SettingOutOfRange, match=r"black level .* DN is out of range; allowed is .* DN"):
+        camera.configure(replace(settings, black_level_dn=60_000, exposure_s=0.5))
+    assert camera.settings == before
+
+
+@pytest.mark.parametrize("roi", [Roi(-1, 0, 8, 8), Roi(0, 0, 100_000, 8), Roi(0, 0, 8, 0), Roi(8, 100_000, 8, 8)])
+def test_a_region_off_the_sensor_is_refused_with_its_limits(camera, settings, roi):
+    """A region that leaves the sensor is refused in pixels, and nothing was changed."""
+    before = camera.configure(settings)
+    with pytest.raises(SettingOutOfRange, match=r"(?i)roi .* (px|pixels) is out of range"):
+        camera.configure(replace(settings, roi=roi, exposure_s=0.5))
+    assert camera.settings == before
+
+
+def test_an_unknown_pixel_format_is_refused_with_those_on_offer(camera, settings):
+    """The message names the formats that there are."""
+    with pytest.raises(DeviceError, match="Mono8"):
+        camera.configure(replace(settings, pixel_format="BayerRG8"))
+
+
+def test_frames_have_the_region_and_the_settings_read_back(camera, settings, subject):
+    """Every frame carries size, bit depth and settings in force."""
+    in_force = camera.configure(settings)
+    frames = camera.capture(3)
+    assert [f.shape for f in frames] == [(subject.roi.height, subject.roi.width)] * 3
+    assert {f.settings.exposure_s for f in frames} == {in_force.exposure_s}
+    assert {f.settings.gain_db for f in frames} == {in_force.gain_db}
+    assert {f.settings.black_level_dn for f in frames} == {in_force.black_level_dn}
+
+
+def test_frames_are_numbered_and_timed_in_order(camera, settings):
+    """Running numbers and times rise from frame to frame."""
+    camera.configure(settings)
+    frames = camera.capture(3)
+    assert all(a.frame_id < b.frame_id for a, b in itertools.pairwise(frames))
+    assert all(a.settings.timestamp_s < b.settings.timestamp_s for a, b in itertools.pairwise(frames))
+
+
+def test_digital_numbers_are_right_aligned_in_every_format(camera, settings):
+    """No digital number is above full scale, whatever the format on the wire."""
+    for name in camera.capabilities.pixel_formats:
+        camera.configure(replace(settings, pixel_format=name))
+        frame = camera.capture(1)[0]
+        assert frame.dn.dtype == (np.uint8 if frame.bit_depth <= 8 else np.uint16), name
+        assert int(frame.dn.max()) <= frame.full_scale_dn, name
+        assert frame.bit_depth == camera.description.bit_depth, name
+
+
+def test_the_whole_sensor_is_the_region_where_none_is_named(room_for_frames, camera, settings):
+    """Without a region the frame is as large as the capabilities say."""
+    assert camera.configure(replace(settings, roi=None)).roi is None
+    assert camera.capture(1)[0].shape == (camera.capabilities.height, camera.capabilities.width)
+
+
+def test_a_stream_yields_until_it_is_closed(camera, settings):
+    """Frames come one after the other; after closing the stream a capture works."""
+    camera.configure(settings)
+    stream = camera.stream()
+    frames = list(itertools.islice(stream, 4))
+    stream.close()
+    assert len({f.frame_id for f in frames}) == 4
+    assert len(camera.capture(1)) == 1
+
+
+def test_a_software_trigger_gives_one_frame_per_capture(camera, settings):
+    """Triggered frames come as asked for, numbered without a gap."""
+    camera.configure(replace(settings, software_trigger=True))
+    first, second = camera.capture(1)[0], camera.capture(1)[0]
+    assert second.frame_id == first.frame_id + 1
+    assert camera.configure(replace(settings, software_trigger=False)).software_trigger is False
+
+
+def test_frames_are_counted(camera, settings):
+    """`counts.frames` is the number of complete frames since opening."""
+    camera.configure(settings)
+    camera.capture(2)
+    camera.capture(1)
+    assert camera.counts.frames == 3
+
+
+def test_a_second_opener_is_told_that_the_camera_is_in_use(camera, subject):
+    """Whoever opens a camera that is open gets DeviceInUse, and the first keeps it."""
+    with pytest.raises(DeviceInUse, match=r"in use|open already"):
+        subject.second(camera).open()
+    assert camera.capture(1)
+
+
+def test_a_closed_camera_refuses_use(subject):
+    """Without opening, settings and capture raise DeviceError; closing it twice does nothing."""
+    made = subject.make()
+    with pytest.raises(DeviceError, match="not open"):
+        made.capture(1)
+    made.close()
+    made.close()
+
+
+def test_a_camera_can_be_closed_and_opened_again(camera, settings):
+    """After reopening it captures as before."""
+    camera.close()
+    camera.open()
+    camera.configure(settings)
+    assert len(camera.capture(1)) == 1
+
+
+def test_a_shutter_closes_or_is_refused(camera, settings):
+    """Where there is a shutter, dark frames say so; where there is none, closing it is an error."""
+    camera.configure(settings)
+    if not camera.capabilities.has_shutter:
+        with pytest.raises(DeviceError, match="no shutter"):
+            camera.set_shutter(closed=True)
+        return
+    camera.set_shutter(closed=True)
+    assert camera.capture(1)[0].settings.is_dark
+    camera.set_shutter(closed=False)
+    assert not camera.capture(1)[0].settings.is_dark

@@ -1,0 +1,20 @@
+"""A real camera, named by RADIOMETER_CAMERA (serial number, device id or address)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from drivers.aravis_camera import AravisCamera, open_camera
+
+
+@pytest.fixture(scope="session")
+def camera() -> Iterator[AravisCamera]:
+    """Return the opened camera, or skip where none is named."""
+    name = os.environ.get("RADIOMETER_CAMERA")
+    if not name:
+        pytest.skip("no real camera: set RADIOMETER_CAMERA to a serial number, device id or address")
+    with open_camera(name) as opened:
+        yield opened

@@ -1,0 +1,89 @@
+"""Two boxes that speak the light-box protocol, in their own time: the twin, and the firmware in simavr."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from zlib import crc32
+
+import pytest
+
+from radiometer.errors import MissingLibrary
+from simulators.avr_box import AvrBox
+from simulators.light_box import LightBoxTwin, TwinSettings
+
+SERIAL = "LB000007"
+
+
+class Talker:
+    """A box that is asked byte for byte; time passes only when the test lets it."""
+
+    def __init__(self, avr: AvrBox | None) -> None:
+        self.avr = avr
+        self.twin = LightBoxTwin(TwinSettings(serial=SERIAL))
+        self.run(0.1)
+        self.boot = self.take()
+
+    def run(self, duration_s: float) -> None:
+        """Let box time pass."""
+        if self.avr is not None:
+            self.avr.run(duration_s)
+        else:
+            self.twin.advance(self.twin.time_s + duration_s)
+
+    def take(self) -> bytes:
+        """Return what the box has sent since the last call."""
+        if self.avr is not None:
+            return self.avr.take_sent()
+        sent = b"".join(emitted.line for emitted in self.twin.emitted)
+        self.twin.emitted.clear()
+        return sent
+
+    def tell(self, raw: bytes) -> bytes:
+        """Send bytes as they are and return what comes back within 20 ms."""
+        if self.avr is not None:
+            self.avr.send(raw)
+        else:
+            self.twin.receive(raw, self.twin.time_s)
+        self.run(0.02)
+        return self.take()
+
+    def ask(self, body: str) -> bytes:
+        """Send a request with its checksum and return what comes back."""
+        return self.tell(f"{body}*{crc32(body.encode()):08X}\n".encode())
+
+    def duty(self, channel: str) -> float:
+        """Return the duty at a channel's pin."""
+        return self.avr.duty(channel) if self.avr is not None else self.twin.duty(channel)
+
+    def button(self, pressed: bool) -> None:
+        """Press or release the button now."""
+        if self.avr is not None:
+            self.avr.press(pressed=pressed)
+        else:
+            self.twin.press(self.twin.time_s, pressed=pressed)
+
+
+@pytest.fixture(scope="session")
+def light_box_hex(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the firmware; skip where the compiler is absent."""
+    if shutil.which("avr-gcc") is None:
+        pytest.skip("avr-gcc is not installed (Debian: gcc-avr, avr-libc)")
+    build = tmp_path_factory.mktemp("protocol_firmware")
+    source = project_root / "drivers" / "firmware" / "light_box"
+    subprocess.run(["make", "-s", "-C", str(source), f"BUILD={build}"], check=True, capture_output=True, timeout=120)
+    return build / "light_box.hex"
+
+
+@pytest.fixture(params=["twin", "firmware"])
+def talker(request: pytest.FixtureRequest) -> Iterator[Talker]:
+    """Return a freshly powered box."""
+    if request.param == "twin":
+        yield Talker(None)
+        return
+    try:
+        yield Talker(AvrBox(request.getfixturevalue("light_box_hex"), serial=SERIAL))
+    except MissingLibrary as missing:
+        pytest.skip(str(missing))

@@ -1,0 +1,136 @@
+"""What only the firmware has: pins, interrupts, timing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from zlib import crc32
+
+import pytest
+
+from radiometer.errors import MissingLibrary
+from simulators.avr_box import AvrBox
+
+PINS = ("bleach", "spot", "spot_red", "fixation")
+
+
+@pytest.fixture
+def avr(light_box_hex: Path) -> AvrBox:
+    """Return the firmware, powered for 10 ms."""
+    try:
+        box = AvrBox(light_box_hex)
+    except MissingLibrary as missing:
+        pytest.skip(str(missing))
+    box.run(0.01)
+    box.take_sent()
+    return box
+
+
+@pytest.fixture
+def ask(avr: AvrBox) -> Callable[[str], bytes]:
+    """Return a function that sends a request and returns the answer."""
+
+    def asked(body: str, wait_s: float = 0.012) -> bytes:
+        avr.send(f"{body}*{crc32(body.encode()):08X}\n".encode())
+        avr.run(wait_s)
+        return avr.take_sent()
+
+    return asked
+
+
+def test_power_on_makes_no_light(avr):
+    """From power-on not one pin has risen."""
+    assert all(not any(level for _, level in avr.pins[name].edges) for name in PINS)
+    assert not any(avr.is_high_current(name) for name in PINS)
+
+
+def test_refused_level_makes_not_one_edge(avr, ask):
+    """A level above the limit never reaches the pin, not even for a PWM period."""
+    ask("#00 HI 1")
+    for number, words in enumerate(("SL 3 H 20001", "PU 3 H 65535 100", "BL 3 H 30000 5 5 9", "RA 3 H 20001 50")):
+        assert b"ER 05" in ask(f"#{number + 1:02X} {words}")
+    avr.run(0.2)
+    assert not any(level for _, level in avr.pins["fixation"].edges)
+    assert not avr.is_high_current("fixation")
+
+
+@pytest.mark.parametrize("level", [8, 100, 1000, 12345, 32768, 60000])
+def test_duty_at_the_spot_is_the_stated_step(avr, ask, level):
+    """Over 32 dithering cycles the pin is high for the stated steps of 8192, within simavr's 2 cycles per edge."""
+    ask("#00 HI 1")
+    ask(f"#01 SL 1 H {level}", 0.05)
+    steps = ((level + (level >> 15)) * 8192 + 32768) >> 16
+    assert avr.duty("spot", 256 * 64e-6) == pytest.approx(steps / 8192, abs=2 / 1024 + 1 / 256)
+
+
+def test_pulse_has_its_length(avr, ask):
+    """A pulse of 50 ms ends within 0.2 ms of its length."""
+    ask("#00 HI 1")
+    ask("#01 PU 1 H 60000 50", 0.08)
+    edges = avr.pins["spot"].edges
+    first = next(cycle for cycle, level in edges if level)
+    assert (edges[-1][0] - first) / 16e6 == pytest.approx(0.050, abs=0.0012)  # it starts within a millisecond
+
+
+def test_range_switch_never_shows_the_old_duty_at_the_new_current(avr, ask):
+    """When the current is switched the pin is low."""
+    ask("#00 HI 1")
+    ask("#01 SL 1 L 60000")
+    ask("#02 SL 1 H 100")
+    switched = next(cycle for cycle, level in avr.range_pins["spot"].edges if level)
+    before = [level for cycle, level in avr.pins["spot"].edges if cycle <= switched]
+    assert before[-1] is False
+    after = avr.pins["spot"].high_fraction(switched, switched + 64_000)
+    assert after < 0.01
+
+
+def test_button_is_stamped_within_twenty_microseconds(avr):
+    """The event's time is the edge's, on the box's clock, whatever the main loop does."""
+    stamps_s, pressed_s = [], []
+    for press in range(6):
+        avr.run(0.0203)
+        pressed_s.append(avr.avr.time_s)
+        avr.press(pressed=press % 2 == 0)
+        avr.run(0.02)
+        stamps_s.append(float(avr.take_sent().split()[3].split(b"*")[0]) / 1000)
+    delays_s = [stamp - pressed for stamp, pressed in zip(stamps_s, pressed_s, strict=True)]
+    assert max(delays_s) - min(delays_s) < 2e-5  # what they have in common is the moment at which the clock started
+    assert abs(max(delays_s)) < 1e-3
+
+
+def test_bouncing_contact_is_one_press(avr):
+    """Ten bounces within 5 ms are one press; the release comes once too."""
+    for _ in range(10):
+        avr.press()
+        avr.run(0.00025)
+        avr.press(pressed=False)
+        avr.run(0.00025)
+    avr.press()
+    avr.run(0.05)
+    sent = avr.take_sent()
+    assert sent.count(b" BT D ") == 1
+    assert b" BT U " not in sent
+
+
+def test_line_is_served_while_all_channels_ramp_and_blink(avr, ask):
+    """At full load no byte is lost and every request is answered."""
+    ask("#00 HI 1")
+    for channel in range(3):
+        ask(f"#{channel + 1:02X} RA {channel} L 60000 3000")
+    ask("#04 BL 3 L 20000 1 1 0")
+    answered = sum(b" OK " in ask(f"#{number:02X} TM") for number in range(16, 116))
+    assert answered == 100
+    status = ask("#F0 ST").split()
+    assert status[4:6] == [b"0", b"0"]
+
+
+def test_bucket_runs_dry_and_says_so(avr, ask):
+    """Steady bleach at its highest level ends by itself after about 200 s of bucket; a fifth is checked here by RB."""
+    ask("#00 HI 1")
+    ask("#01 SL 0 H 60000")
+    before = int(ask("#02 RB 0").split()[6].split(b"*")[0])
+    for number in range(20):
+        avr.run(0.5)
+        ask(f"#{number + 16:02X} TM")
+    after = int(ask("#03 RB 0").split()[6].split(b"*")[0])
+    assert (before - after) / (20 * 0.512 * 1000) == pytest.approx(60000 // 256 + 1, rel=0.01)

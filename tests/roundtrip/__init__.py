@@ -1,0 +1,1 @@
+"""Round trips: what one program hides, the other has to find."""

@@ -1,0 +1,81 @@
+"""A light box calibrated by the camera gives the radiance that it is asked for."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from radiometer.bench.boxes import open_light_box
+from radiometer.bench.light_bench import SurveyRequest, open_light_camera, survey_box
+from radiometer.data.light_calibration import LightCalibration
+from radiometer.devices import Radiance
+from radiometer.errors import SettingOutOfRange
+
+SETTLED_S = 400.0
+
+
+@pytest.fixture(scope="module")
+def calibration() -> LightCalibration:
+    """Calibrate the simulated box's test spots with the simulated camera."""
+    with open_light_box("sim") as opened, open_light_camera(opened, None, None, None, None) as camera:
+        return survey_box(opened, camera, SurveyRequest(("spot", "spot_red"), seed=1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("channel", ["spot", "spot_red"])
+def test_set_radiance_is_true_within_the_stated_uncertainty_over_five_decades(calibration, channel):
+    """Forty random radiances over the whole range: the twin emits the stated radiance within k = 2."""
+    low, high = calibration.limits(channel)
+    assert math.log10(high / low) > 5.0
+    rng = np.random.default_rng(2)
+    errors = []
+    with open_light_box("sim") as opened:
+        opened.box.calibration = calibration
+        for wanted in np.exp(rng.uniform(math.log(low), math.log(high), 40)):
+            choice = calibration.choose(channel, float(wanted))
+            opened.box.set_level(channel, Radiance(float(wanted)))
+            opened.wait(SETTLED_S)
+            true = opened.twin.emission(channel, opened.twin.time_s).radiance_w_sr_m2
+            errors.append((choice.radiance_w_sr_m2 - true) / choice.u_w_sr_m2)
+            assert choice.radiance_w_sr_m2 / wanted == pytest.approx(1.0, abs=0.04)  # half a step of 16
+    assert np.max(np.abs(errors)) <= 2.0
+    assert np.mean(np.abs(errors) <= 1.0) > 0.6
+
+
+@pytest.mark.slow
+def test_low_and_high_range_meet(calibration):
+    """Where both ranges reach, their interpolations agree within their own uncertainties."""
+    for channel in ("spot", "spot_red"):
+        ranges = calibration.channels[channel].ranges
+        step_low, step_high = 8000, None
+        radiance, u_low, _ = ranges["low"].at(step_low)
+        step_high = ranges["high"].nearest_step(radiance)
+        other, u_high, _ = ranges["high"].at(step_high)
+        half_step = 0.5 / step_high
+        assert abs(radiance / other - 1) < 2 * math.hypot(u_low, u_high) + half_step
+
+
+@pytest.mark.slow
+def test_warm_up_is_stated(calibration):
+    """At the highest level the blue spot starts 5 % brighter than it settles: 0.2 %/K over some 27 K."""
+    top = max(calibration.channels["spot"].points, key=lambda point: point.radiance_W_per_sr_m2)
+    assert top.start_rel == pytest.approx(1 / (1 - 0.002 * 30 * 60000 / 65536), abs=0.01)
+
+
+@pytest.mark.slow
+def test_file_holds_everything(calibration, tmp_path):
+    """Written and read again, the calibration chooses the same levels."""
+    calibration.write(tmp_path / "box.yaml")
+    again = LightCalibration.read(tmp_path / "box.yaml")
+    for radiance in (2e-5, 1e-3, 0.3):
+        assert again.choose("spot", radiance) == calibration.choose("spot", radiance)
+
+
+@pytest.mark.slow
+def test_radiance_out_of_range_is_refused(calibration):
+    """Nothing is extrapolated: the message gives the measured range."""
+    for radiance in (1e-6, 5.0, -1.0, math.nan):
+        with pytest.raises(SettingOutOfRange, match="allowed is"):
+            calibration.choose("spot", radiance)

@@ -1,0 +1,128 @@
+"""A simulated subject's thresholds, fitted: what went in comes out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation
+from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.errors import MeasurementError
+from simulators.eye_kinetics import Eye, drawn_eye, eye_after_bleach, scotopic_per_photopic
+from simulators.observer import Habits, Observer
+
+QUICK = FitRequest(bootstrap_draws=0)
+STEP_LOG10 = 0.1
+BLINK_S = 1.0
+
+
+def limits_run(observer: Observer, wavelength_nm: float, duration_min: float = 30.0) -> ThresholdSeries:
+    """Return thresholds by ascending limits: 0.1 log10 per blink of 1 s until seen, anew 0.5 below, every 20 s.
+
+    An ascent that is answered at its first blink began too high: it counts for nothing, the next begins 1.0 lower.
+    """
+    times, thresholds, start, time_s = [], [], 3.0, 30.0
+    while time_s < 60 * duration_min:
+        level, begun_s = start, time_s
+        if observer.answer(level, time_s, wavelength_nm) is not None:
+            start, time_s = start - 1.0, time_s + 2 * BLINK_S
+            continue
+        while observer.answer(level, time_s, wavelength_nm) is None and level < 5.0:
+            level, time_s = level + STEP_LOG10, time_s + BLINK_S
+        times.append((begun_s + time_s) / 120)
+        thresholds.append(level)
+        start, time_s = level - 0.5, begun_s + 20.0
+    return ThresholdSeries(np.array(times), np.array(thresholds))
+
+
+def fitted(observer: Observer, wavelength_nm: float) -> AdaptationFit:
+    """Return the fit of a run."""
+    return fit_adaptation(limits_run(observer, wavelength_nm), QUICK, np.random.default_rng(0))
+
+
+@pytest.mark.slow
+def test_blue_light_shows_the_break_where_it_is():
+    """At 453 nm the break lies within three standard uncertainties, and the method's own delay, of the eye's."""
+    eye = Eye(s3_slope_per_min=-0.04)
+    found = fitted(Observer(eye, rng=np.random.default_rng(0)), 453.0)
+    assert found.has_break
+    estimate = found.estimates["break_min"]
+    assert abs(estimate.value - eye.break_min(453.0)) < 3 * estimate.u + 0.1
+    assert found.estimates["s2_slope_per_min"].value == pytest.approx(-0.24, abs=0.03)
+
+
+@pytest.mark.slow
+def test_red_light_shows_no_break():
+    """At 640 nm rods and cones are about equally sensitive: one branch."""
+    assert not fitted(Observer(Eye(), rng=np.random.default_rng(2)), 640.0).has_break
+
+
+@pytest.mark.slow
+def test_short_bleach_leaves_one_branch():
+    """After a short bleach the rods alone are seen: no break, and the fit ends where the thresholds do."""
+    eye = eye_after_bleach(Eye(), 300.0, 2.0)
+    series = limits_run(Observer(eye, rng=np.random.default_rng(3)), 453.0)
+    found = fit_adaptation(series, QUICK, np.random.default_rng(0))
+    assert not found.has_break, found.verdict
+    late = series.log_threshold[series.time_min > 20.0]
+    assert found.estimates["final_threshold"].value == pytest.approx(late.mean(), abs=0.15)
+    assert late.mean() < eye.cone_log10(30.0, 453.0) - 2.0
+
+
+@pytest.mark.parametrize(
+    ("habits", "said"),
+    [
+        (Habits(lapses=1.0, false_alarms=0.0), "never, or always"),
+        (Habits(lapses=0.0, false_alarms=1.0), "no recovery|never, or always"),
+    ],
+)
+def test_subject_who_never_or_always_presses_gets_a_verdict(habits, said):
+    """No curve is made of what is none."""
+    observer = Observer(Eye(), habits, np.random.default_rng(4))
+    if habits.false_alarms:
+        times = np.arange(0.5, 20, 0.5)
+        series = ThresholdSeries(times, np.full(times.size, 3.0))
+        assert observer.answer(None, 60.0, 453.0) is not None
+    else:
+        series = limits_run(observer, 453.0, 10.0)
+        series = ThresholdSeries(series.time_min, np.minimum(series.log_threshold, 5.0).round(6))
+    with pytest.raises(MeasurementError, match=said):
+        fit_adaptation(series, QUICK, np.random.default_rng(0))
+
+
+def cohort_coverage(subjects: int, seed: int) -> tuple[dict[str, list[bool]], list[float]]:
+    """Return for every parameter whether its 95 % interval held the truth, and the errors of the break in min."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.5, 35.0, 0.5)
+    held: dict[str, list[bool]] = {}
+    errors = []
+    for _ in range(subjects):
+        eye = drawn_eye(rng)
+        thresholds = np.array([eye.threshold_log10(time, 453.0) for time in times]) + rng.normal(0, 0.1, times.size)
+        found = fit_adaptation(ThresholdSeries(times, thresholds), QUICK, rng)
+        truth = {
+            "plateau": eye.cone_plateau_log10 + math.log10(scotopic_per_photopic(453.0)),
+            "amplitude": eye.cone_amplitude,
+            "tau_min": eye.cone_tau_min,
+            "break_min": eye.break_min(453.0),
+            "s2_slope_per_min": eye.s2_slope_per_min,
+            "rod_rod_break_min": eye.rod_rod_break_min,
+            "s3_slope_per_min": eye.s3_slope_per_min,
+        }
+        for name, value in truth.items():
+            estimate = found.estimates.get(name)
+            held.setdefault(name, []).append(estimate is not None and estimate.profile.holds(value))
+        errors.append(found.chosen.values.get("break_min", math.nan) - truth["break_min"])
+    return held, errors
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_small_cohort_is_covered():
+    """Of 16 subjects and 7 parameters at least 87 % of the 95 % intervals hold the truth (3 binomial sigma of 112)."""
+    held, errors = cohort_coverage(16, seed=11)
+    share = np.mean([hit for hits in held.values() for hit in hits])
+    assert share >= 0.95 - 3 * math.sqrt(0.95 * 0.05 / 112)
+    assert abs(np.mean(errors)) < 3 * np.std(errors) / math.sqrt(16) + 0.1

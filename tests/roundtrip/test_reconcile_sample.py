@@ -1,0 +1,54 @@
+"""A sample of the confusion matrix: the finder against sessions of the independent generator.
+
+`python -m benchmarks.reconcile_confusion` runs all of it; here stands one session of each kind of cause.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from radiometer.reconcile import gap_of, reconcile
+from radiometer.reconcile.result import ReconcileResult
+from tests.roundtrip.generator.session import Session, make_session
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+# One cause of each kind: electronics, noise, optics, lens scale; timing and source have tests of their own below.
+SAMPLE = ("dark_current", "excess_read_noise", "veiling_glare", "fnumber_tstop_error")
+
+
+def _ask(session: Session, without: tuple[str, ...] = ()) -> ReconcileResult:
+    return reconcile(session.header, list(session.frames()), without=without, with_limits=False)
+
+
+def test_nothing_hidden_nothing_found() -> None:
+    """A session without any hidden effect agrees with the camera that its header declares."""
+    answer = _ask(make_session(camera_seed=0))
+    assert str(answer.verdict) == "agrees"
+    assert answer.effects == ()
+
+
+@pytest.mark.parametrize("name", SAMPLE)
+def test_hidden_effect_is_named_first(name: str) -> None:
+    """At its smallest realistic size the effect is the first name given, and the gap on held-out settings shrinks."""
+    answer = _ask(make_session(name, camera_seed=3))
+    assert [e.name for e in answer.effects][:1] == [name]
+    assert answer.gap_after < answer.gap_before
+
+
+def test_found_effect_shrinks_the_gap_of_a_fresh_session() -> None:
+    """With what was found frozen, another session of the same rig is met to a reduced chi-square of 1.05."""
+    answer = _ask(make_session("exposure_time_offset", camera_seed=4))
+    assert [e.name for e in answer.effects][:1] == ["exposure_time_offset"]
+    fresh = make_session("exposure_time_offset", camera_seed=4, session_seed=904)
+    before, after = (gap_of(found, fresh.header, list(fresh.frames())) for found in (None, answer))
+    assert before > 1.1
+    assert after <= 1.05
+
+
+def test_entry_taken_from_the_catalogue_is_not_replaced_by_a_confident_name() -> None:
+    """Without its entry the droop is left unnamed or provisional, and the source's level is among the first places."""
+    answer = _ask(make_session("led_thermal_droop", camera_seed=5), without=("led_thermal_droop",))
+    assert str(answer.verdict) in ("unnamed_effect", "incomplete")
+    places = list(dict.fromkeys(place["covariate"] for place in answer.to_mapping()["localisation"]))
+    assert "source_level" in places[:3]

@@ -1,0 +1,83 @@
+"""The manner of the source: raised errors documented, tests explained, modules small, nothing of any one machine."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("radiometer", "drivers", "simulators")
+SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
+LONGEST_MODULE = 400
+# A command's docstring is its help text for people; what it raises becomes an exit code.
+LIBRARY = [path for path in SOURCES if "cli" not in path.parts]
+
+
+def name_of(path):
+    """Return a path relative to the project, for test names."""
+    return path.relative_to(ROOT).as_posix()
+
+
+def public_functions(tree):
+    """Yield public functions and methods of public classes."""
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and not node.name.startswith("_"):
+            yield node
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            yield from (
+                child
+                for child in node.body
+                if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef) and not child.name.startswith("_")
+            )
+
+
+def raised_names(function):
+    """Return the names of the exceptions that a function raises itself."""
+    names = set()
+    for node in ast.walk(function):
+        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+            callee = node.exc.func
+            names.add(callee.id if isinstance(callee, ast.Name) else getattr(callee, "attr", ""))
+    return {name for name in names if name and name[0].isupper() and name not in {"AssertionError", "StopIteration"}}
+
+
+@pytest.mark.parametrize("path", LIBRARY, ids=name_of)
+def test_raised_errors_stand_in_the_docstring(path):
+    """What a public function raises itself is named in its docstring."""
+    missing = []
+    for function in public_functions(ast.parse(path.read_text(encoding="utf-8"))):
+        said = ast.get_docstring(function) or ""
+        missing += [f"{function.name}: {name}" for name in raised_names(function) if name not in said]
+    assert missing == []
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
+def test_modules_stay_small(path):
+    """A module is one thing."""
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST_MODULE
+
+
+@pytest.mark.parametrize("path", TESTS, ids=name_of)
+def test_every_test_says_which_behaviour_it_shows(path):
+    """The docstring of a test is the sentence that it proves."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    silent = [
+        node.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and node.name.startswith("test_")
+        and not ast.get_docstring(node)
+    ]
+    assert silent == []
+
+
+def test_nothing_names_a_package_registry():
+    """Pins and configuration work with whatever registry is configured."""
+    names = ("pyproject.toml", "constraints.txt", "Makefile", ".ci/run")
+    files = [ROOT / name for name in names if (ROOT / name).exists()]
+    host = re.compile(r"https?://[a-z0-9.-]*(pypi|python|debian|npm)[a-z0-9.-]*\.(org|com)|index-url")
+    assert [file.name for file in files if host.search(file.read_text(encoding="utf-8"))] == []

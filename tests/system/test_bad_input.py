@@ -1,0 +1,182 @@
+"""Bad input to the main job's commands: one clear line, exit code 1 or 2, no traceback, nothing half-written."""
+
+from __future__ import annotations
+
+import os
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from radiometer.cli.main import run
+from radiometer.data.config_files import shipped_config
+
+
+@pytest.fixture
+def said(capsys):
+    """Return a function that runs the command line and returns exit code and what it said on standard error."""
+
+    def call(*words):
+        code = run([str(word) for word in words])
+        return code, capsys.readouterr().err
+
+    return call
+
+
+def write_photographs(folder, levels, times):
+    """Write uniform-ish 8-bit PNGs with a list of their times."""
+    folder.mkdir()
+    ramp = np.linspace(0.0, 1.0, 64)[None, :] * np.ones((48, 1))
+    lines = []
+    for number, (level, seconds) in enumerate(zip(levels, times, strict=True)):
+        cv2.imwrite(str(folder / f"{number}.png"), np.clip(ramp * level, 0, 255).astype(np.uint8))
+        lines.append(f"{number}.png {seconds}")
+    (folder / "exposures.txt").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def edited_bench(tmp_path, change):
+    """Write the simulated bench with a change."""
+    mapping = yaml.safe_load(shipped_config("bench-simulated.yaml").read_text())
+    change(mapping)
+    path = tmp_path / "bench.yaml"
+    path.write_text(yaml.safe_dump(mapping))
+    return path
+
+
+def edited_calibration(tmp_path, **camera):
+    """Write the shipped calibration with another camera in it."""
+    mapping = yaml.safe_load(shipped_config("calibrations/simulated.yaml").read_text())
+    mapping["camera"].update(camera)
+    path = tmp_path / "calibration.yaml"
+    path.write_text(yaml.safe_dump(mapping))
+    return path
+
+
+def test_an_empty_folder(said, tmp_path):
+    """There is nothing to recover a response from."""
+    (tmp_path / "empty").mkdir()
+    code, line = said("response", tmp_path / "empty", "-o", tmp_path / "c.csv")
+    assert code == 1
+    assert "empty" in line
+    assert not (tmp_path / "c.csv").exists()
+
+
+def test_one_exposure_only(said, tmp_path):
+    """One exposure says nothing about the response."""
+    code, line = said("response", write_photographs(tmp_path / "p", [200], [0.1]), "-o", tmp_path / "c.csv")
+    assert code == 1
+    assert "exposure" in line
+
+
+def test_all_frames_saturated(said, tmp_path):
+    """Clipped pixels hold no information."""
+    folder = write_photographs(tmp_path / "p", [90000, 180000, 360000], [0.1, 0.2, 0.4])
+    for file in folder.glob("*.png"):
+        cv2.imwrite(str(file), np.full((48, 64), 255, np.uint8))
+    code, line = said("response", folder, "-o", tmp_path / "c.csv")
+    assert code == 1
+    assert "clip" in line or "saturated" in line
+
+
+def test_mixed_sizes(said, tmp_path):
+    """Frames of two sizes are no bracket; the message gives both."""
+    folder = write_photographs(tmp_path / "p", [60, 120, 240], [0.1, 0.2, 0.4])
+    cv2.imwrite(str(folder / "1.png"), np.zeros((40, 64), np.uint8))
+    code, line = said("response", folder, "-o", tmp_path / "c.csv")
+    assert code == 1
+    assert "64 × 40" in line
+
+
+def test_mixed_bit_depths(said, tmp_path):
+    """Frames of 8 and 16 bits are no bracket."""
+    folder = write_photographs(tmp_path / "p", [60, 120, 240], [0.1, 0.2, 0.4])
+    cv2.imwrite(str(folder / "1.png"), np.full((48, 64), 999, np.uint16))
+    code, line = said("response", folder, "-o", tmp_path / "c.csv")
+    assert code == 1
+    assert "bit" in line
+
+
+def test_a_truncated_png(said, tmp_path):
+    """Half a picture is named."""
+    folder = write_photographs(tmp_path / "p", [60, 120, 240], [0.1, 0.2, 0.4])
+    os.truncate(folder / "1.png", (folder / "1.png").stat().st_size // 2)
+    code, line = said("response", folder, "-o", tmp_path / "c.csv")
+    assert code == 1
+    assert "1.png" in line
+
+
+def test_missing_times(said, tmp_path):
+    """Without times there is no response; the message says where they may stand."""
+    folder = write_photographs(tmp_path / "p", [60, 120, 240], [0.1, 0.2, 0.4])
+    (folder / "exposures.txt").unlink()
+    code, line = said("response", folder, "-o", tmp_path / "c.csv")
+    assert code == 1
+    assert "exposures.txt" in line
+
+
+def test_a_label_that_lies(said, tmp_path):
+    """A time that contradicts the brightness names its file."""
+    folder = write_photographs(tmp_path / "p", [30, 60, 120, 240], [0.1, 0.2, 0.05, 0.8])
+    code, line = said("response", folder, "-o", tmp_path / "c.csv")
+    assert code == 1
+    assert ".png" in line
+
+
+def test_an_unwritable_output(said, tmp_path):
+    """The result's folder does not exist."""
+    folder = write_photographs(tmp_path / "p", [30, 60, 120, 240], [0.1, 0.2, 0.4, 0.8])
+    code, line = said("response", folder, "-o", tmp_path / "absent" / "c.csv")
+    assert code == 1
+    assert "cannot write" in line
+
+
+def test_a_bench_with_an_unknown_key(said, tmp_path):
+    """The key and what is allowed are named; misuse has exit code 2."""
+    code, line = said("measure", "--bench", edited_bench(tmp_path, lambda m: m.update(lenz=1)))
+    assert code == 2
+    assert "unknown key 'lenz'" in line
+
+
+@pytest.mark.parametrize("camera", [{"serial": "999"}, {"model": "BFS-U3-51S5M"}, {"bit_depth": 10}])
+def test_a_calibration_of_another_camera(said, tmp_path, camera):
+    """Neither another unit, another model nor another pixel format is measured with."""
+    code, line = said("measure", "--calibration", edited_calibration(tmp_path, **camera))
+    assert code == 1
+    assert str(next(iter(camera.values()))) in line
+
+
+def test_a_patch_off_the_sensor(said):
+    """Misuse: the frame's size is named."""
+    code, line = said("measure", "--patch", "1600,0,40,40")
+    assert code == 2
+    assert "1616 × 1240" in line
+
+
+def test_a_capture_onto_an_existing_folder(said, tmp_path):
+    """Nothing is overwritten."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "precious").write_text("x")
+    code, line = said("bracket", tmp_path / "out")
+    assert code == 1
+    assert "exists already" in line
+    assert (tmp_path / "out" / "precious").read_text() == "x"
+
+
+def test_an_exposure_ladder_beyond_the_camera(said, tmp_path):
+    """Limits and unit are named."""
+    code, line = said("bracket", tmp_path / "out", "--from", "1us", "--to", "1ms")
+    assert code == 1
+    assert "allowed is 1.1e-05 to 30 s" in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("content", ["", "a: b", "format: radiometer-calibration/9", "\x00\x01", "a: ["])
+def test_a_file_that_is_no_calibration(said, tmp_path, content):
+    """Whatever the file holds, the message names it and there is no traceback."""
+    (tmp_path / "c.yaml").write_text(content)
+    code, line = said("measure", "--calibration", tmp_path / "c.yaml")
+    assert code == 1
+    assert "c.yaml" in line
+    assert "Traceback" not in line

@@ -1,0 +1,237 @@
+"""The daemon in a process of its own, used by real clients: PyVISA, lxi, curl, a browser."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+import io
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import numpy as np
+import pytest
+from PIL import Image
+
+from benchmarks._daemon import DaemonProcess
+
+BRIGHT, DIM = 0.918, 0.1997  # radiance of the two patches of the small bench, W sr-1 m-2
+
+
+@pytest.fixture(scope="module")
+def shared_daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaemonProcess]:
+    """Return a daemon that measures five times a second and has a light box."""
+    with DaemonProcess(tmp_path_factory.mktemp("daemon"), "--every", "0.2", "--box", "sim") as running:
+        running.wait_for_reading()
+        yield running
+
+
+@pytest.fixture
+def daemon(shared_daemon: DaemonProcess) -> DaemonProcess:
+    """Return the shared daemon as it was started: its settings reset, its newest readings those of the bright patch."""
+    shared_daemon.ask("*RST;*OPC?")
+    shared_daemon.post("/measure", {})
+    return shared_daemon
+
+
+def _need(program: str) -> str:
+    path = shutil.which(program)
+    if path is None:
+        pytest.skip(f"{program} is not installed")
+    return path
+
+
+def test_pyvisa_reads_values_settings_and_blocks(daemon: DaemonProcess) -> None:
+    """A VISA socket resource queries value and uncertainty, sets an exposure, and fetches the picture."""
+    pyvisa = pytest.importorskip("pyvisa")
+    pytest.importorskip("pyvisa_py")
+    manager = pyvisa.ResourceManager("@py")
+    instrument = manager.open_resource(
+        f"TCPIP::127.0.0.1::{daemon.scpi_port}::SOCKET", read_termination="\n", write_termination="\n", timeout=10_000
+    )
+    assert instrument.query("*IDN?").startswith("FLIR,BFS-U3-19S4M,22500001,")
+    value, u = instrument.query_ascii_values("MEAS:RAD? 100,30,20,20")
+    assert abs(value - DIM) < 4 * u
+    assert 0 < u < 0.01
+    instrument.write("SENS:EXP 4 MS;:FORM:BORD SWAP")
+    assert float(instrument.query("SENS:EXP?")) == 0.004
+    instrument.write("SENS:EXP:AUTO ON")
+    picture = instrument.query_binary_values("TRAC:DATA? IMAG", datatype="H", is_big_endian=False, container=list)
+    assert len(picture) == 160 * 120
+    assert max(picture) < 4096
+    assert instrument.query("SYST:ERR?") == '0,"No error"'
+    instrument.close()
+    manager.close()
+
+
+def test_lxi_tools_talk_scpi(daemon: DaemonProcess) -> None:
+    """`lxi scpi --raw` prints the reply."""
+    command = [_need("lxi"), "scpi", "--raw", "--address", "127.0.0.1", "--port", str(daemon.scpi_port), "MEAS:RAD?"]
+    reply = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True).stdout
+    value, u = map(float, reply.split(","))
+    assert abs(value - BRIGHT) < 4 * u
+
+
+def test_curl_reads_history_picture_and_stream(daemon: DaemonProcess, tmp_path: Path) -> None:
+    """History as CSV, the picture as PNG, and the first readings of the stream."""
+    curl = [_need("curl"), "-sS", "--max-time", "20"]
+    table = subprocess.run(
+        [*curl, f"{daemon.url}/readings?format=csv&limit=1"], capture_output=True, text=True, check=True
+    )
+    header, row = table.stdout.splitlines()
+    assert header.startswith("sequence,time,instrument,radiance,u_radiance")
+    assert abs(float(row.split(",")[3]) - BRIGHT) < 0.03
+    picture = tmp_path / "frame.png"
+    subprocess.run([*curl, "-f", "-o", str(picture), f"{daemon.url}/frame.png"], check=True)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    streaming = subprocess.Popen([*curl, "-N", f"{daemon.url}/readings/stream"], stdout=subprocess.PIPE)
+    assert streaming.stdout is not None
+    lines = [streaming.stdout.readline() for _ in range(6)]
+    streaming.terminate()
+    streaming.wait()
+    streaming.stdout.close()
+    readings = [json.loads(line[6:]) for line in lines if line.startswith(b"data: ")]
+    numbers = [reading["sequence"] for reading in readings]
+    assert numbers == list(range(numbers[0], numbers[0] + 2))
+
+
+def test_curl_posts_a_measurement(daemon: DaemonProcess) -> None:
+    """POST /measure with a patch of its own."""
+    body = '{"patch": {"x": 100, "y": 30, "width": 20, "height": 20}}'
+    command = [_need("curl"), "-sS", "-f", "--json", body, f"{daemon.url}/measure"]
+    reading = json.loads(subprocess.run(command, capture_output=True, check=True, timeout=30).stdout)
+    assert abs(reading["radiance"]["value"] - DIM) < 4 * reading["radiance"]["u"]
+
+
+_CHROMIUM_FLAGS = (
+    "headless",
+    "no-sandbox",
+    "disable-gpu",
+    "disable-background-networking",
+    "disable-component-update",
+    "disable-sync",
+    "no-first-run",
+    "disable-quic",
+    "remote-debugging-port=0",
+    "window-size=1240,900",
+)
+
+
+class Browser:
+    """Headless Chromium over its debugging socket."""
+
+    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
+        self._socket, self._number = socket, 0
+        self.requested: list[str] = []
+        self.errors: list[str] = []
+
+    async def command(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Run a command and return its result."""
+        self._number += 1
+        await self._socket.send_json({"id": self._number, "method": method, "params": parameters})
+        async with asyncio.timeout(20):
+            while True:
+                message = await self._socket.receive_json()
+                self._note(message)
+                if message.get("id") == self._number:
+                    return dict(message["result"])
+
+    async def evaluate(self, expression: str) -> Any:
+        """Return the value of a JavaScript expression."""
+        result = await self.command("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
+        return result["result"].get("value")
+
+    async def wait_for(self, expression: str) -> Any:
+        """Return the value of an expression once it is true."""
+        async with asyncio.timeout(20):
+            while not (value := await self.evaluate(expression)):
+                await asyncio.sleep(0.1)
+            return value
+
+    async def mouse(self, kind: str, x: float, y: float) -> None:
+        """Move, press or release the left button."""
+        await self.command("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
+
+    def _note(self, message: dict[str, Any]) -> None:
+        if message.get("method") == "Network.requestWillBeSent":
+            self.requested.append(message["params"]["request"]["url"])
+        if message.get("method") == "Runtime.exceptionThrown":
+            self.errors.append(str(message["params"]["exceptionDetails"]))
+
+
+@pytest.fixture
+async def browser(tmp_path: Path) -> AsyncIterator[Browser]:
+    """Return a headless browser with an empty profile."""
+    flags = [f"--{name}" for name in _CHROMIUM_FLAGS]
+    process = await asyncio.create_subprocess_exec(
+        _need("chromium"), *flags, f"--user-data-dir={tmp_path / 'profile'}", "about:blank",
+        stderr=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.DEVNULL,
+    )  # fmt: skip
+    assert process.stderr is not None
+    async with asyncio.timeout(60):
+        while not (found := re.search(rb"ws://127\.0\.0\.1:(\d+)/", await process.stderr.readline())):
+            pass
+    drained = asyncio.create_task(process.stderr.read())
+    async with aiohttp.ClientSession() as http:
+        async with http.get(f"http://127.0.0.1:{int(found[1])}/json") as reply:
+            tabs = await reply.json(content_type=None)
+        address = next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
+        async with http.ws_connect(address, max_msg_size=0) as socket:
+            driver = Browser(socket)
+            for domain in ("Page", "Runtime", "Network"):
+                await driver.command(f"{domain}.enable")
+            yield driver
+    with contextlib.suppress(ProcessLookupError):
+        process.terminate()
+    await process.wait()
+    await drained
+
+
+@pytest.mark.timeout(120)
+async def test_a_browser_drags_the_patch_and_sees_the_value_change(daemon: DaemonProcess, browser: Browser) -> None:
+    """From the bright field to the dim one; nothing from outside is loaded and no script fails."""
+    await browser.command("Page.navigate", url=daemon.url + "/")
+    await browser.wait_for(f"Math.abs(parseFloat(document.getElementById('value').textContent) - {BRIGHT}) < 0.03")
+    await browser.wait_for(
+        "!document.getElementById('patch').hidden && document.getElementById('picture').naturalWidth"
+    )
+    await browser.evaluate("document.getElementById('patch').scrollIntoView({block: 'center'})")
+    box = await browser.evaluate(
+        "(() => { const p = document.getElementById('patch').getBoundingClientRect(),"
+        " i = document.getElementById('picture').getBoundingClientRect();"
+        " return {x: p.x + p.width / 2, y: p.y + p.height / 2, scale: i.width / 160}; })()"
+    )
+    await browser.mouse("mousePressed", box["x"], box["y"])
+    for step in range(1, 9):
+        await browser.mouse("mouseMoved", box["x"] + step * 10 * box["scale"], box["y"])
+    await browser.mouse("mouseReleased", box["x"] + 80 * box["scale"], box["y"])
+    await browser.wait_for(f"Math.abs(parseFloat(document.getElementById('value').textContent) - {DIM}) < 0.01")
+    patch = daemon.get("/status")["settings"]["patch"]
+    assert (abs(patch["x"] - 100) <= 1, patch["y"], patch["width"]) == (True, 30, 20)
+    await browser.evaluate("document.querySelector('[data-theme=red]').click()")
+    assert browser.errors == []
+    assert [url for url in browser.requested if not url.startswith((daemon.url, "blob:", "data:", "about:"))] == []
+
+
+@pytest.mark.timeout(120)
+async def test_the_red_theme_lights_the_red_channel_only(daemon: DaemonProcess, browser: Browser) -> None:
+    """Not one pixel of the whole page has green or blue in it, alarm and sliders included: rods stay adapted."""
+    await browser.command("Page.navigate", url=daemon.url + "/")
+    await browser.wait_for("document.querySelectorAll('#lights input').length == 4")
+    await browser.evaluate("document.querySelector('[data-theme=red]').click()")
+    await browser.wait_for("document.getElementById('nothing').hidden")
+    await asyncio.sleep(2.5)  # the picture comes anew in the red map
+    await browser.command(
+        "Emulation.setDeviceMetricsOverride", width=1240, height=1400, deviceScaleFactor=1, mobile=False
+    )
+    await asyncio.sleep(1.0)
+    shot = await browser.command("Page.captureScreenshot", format="png")
+    pixels = np.asarray(Image.open(io.BytesIO(base64.b64decode(shot["data"]))).convert("RGB"))
+    assert pixels[..., 0].max() > 200
+    assert pixels[..., 1:].max() == 0

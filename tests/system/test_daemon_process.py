@@ -1,0 +1,168 @@
+"""The daemon as a process: signals, crashes, load, and its journal afterwards."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from benchmarks import daemon_kill, daemon_load, daemon_soak
+from benchmarks._daemon import ROOT, DaemonProcess, write_small_bench
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_cleanly(tmp_path: Path, number: int) -> None:
+    """Exit code 0, no traceback, nothing left unfinished in the journal."""
+    with DaemonProcess(tmp_path, "--every", "0.02") as daemon:
+        daemon.wait_for_reading()
+        assert daemon.stop(number) == 0
+    assert not [line for line in daemon.lines if "Traceback" in line or "error" in line.lower()]
+    assert not daemon.journal.with_name("journal.sqlite-wal").exists()
+
+
+def test_it_says_at_start_that_scpi_has_no_authentication(tmp_path: Path) -> None:
+    """Addresses and who may connect are told on standard error."""
+    with DaemonProcess(tmp_path) as daemon:
+        assert any(line.startswith("SCPI on") and "no authentication" in line for line in daemon.lines)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["--scpi-address", "0.0.0.0", "--scpi-port", "0"], 2, "--scpi-allow"),
+        (["--http-address", "0.0.0.0", "--http-port", "0", "--no-scpi"], 2, "--token-file"),
+        (["--scpi-allow", "nonsense"], 2, "no network"),
+        (["--bench", "/nonexistent.yaml"], 2, "/nonexistent.yaml"),
+        (["--patch", "1,2,3"], 2, "--patch"),
+        (["--every", "-1"], 2, "--every"),
+        (["--journal", "/proc/nowhere/journal.sqlite", "--scpi-port", "99999"], 2, "--scpi-port"),
+    ],
+)
+def test_wrong_options_are_refused(arguments: list[str], code: int, message: str, tmp_path: Path) -> None:
+    """One line says what is wrong; the exit code tells misuse from failure."""
+    command = [sys.executable, "-m", "radiometer", "serve", "--journal", str(tmp_path / "j.sqlite"), "--scpi-port", "0",
+               "--http-port", "0", *arguments]  # fmt: skip
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.returncode == code
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_port_that_is_taken_is_named(tmp_path: Path) -> None:
+    """Exit code 1 and the address."""
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = str(other.getsockname()[1])
+        command = [sys.executable, "-m", "radiometer", "serve", "--journal", str(tmp_path / "j"), "--scpi-port", port]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert f"127.0.0.1:{port}" in done.stderr
+
+
+def test_hangup_reloads_the_calibration(tmp_path: Path) -> None:
+    """A changed file is taken; a broken one puts an alarm up and the old one stays in use."""
+    calibration = tmp_path / "calibration.yaml"
+    text = (ROOT / "configs/calibrations/simulated.yaml").read_text(encoding="utf-8")
+    calibration.write_text(text, encoding="utf-8")
+    with DaemonProcess(tmp_path, "--every", "0.1", "--calibration", str(calibration)) as daemon:
+        daemon.wait_for_reading()
+        before = daemon.post("/measure", {})["radiance"]["value"]
+        calibration.write_text("format: nonsense\n", encoding="utf-8")
+        daemon.process.send_signal(signal.SIGHUP)  # type: ignore[union-attr]
+        _until(lambda: [alarm["name"] for alarm in daemon.get("/status")["alarms"]] == ["calibration"])
+        assert daemon.post("/measure", {})["radiance"]["value"] == pytest.approx(before, rel=0.01)
+        calibration.write_text(text, encoding="utf-8")
+        daemon.process.send_signal(signal.SIGHUP)  # type: ignore[union-attr]
+        _until(lambda: daemon.get("/status")["alarms"] == [])
+
+
+@pytest.mark.timeout(120)
+def test_kills_leave_no_hole_and_lose_nothing_that_was_seen() -> None:
+    """Four kills here; the benchmark does fifty."""
+    result = daemon_kill.run(4, seed=7)
+    assert (result.holes, result.duplicates, result.missing) == (0, 0, 0)
+    assert result.seen > 0
+
+
+@pytest.mark.timeout(120)
+def test_many_clients_are_served_while_it_measures() -> None:
+    """200 clients at 20 queries/s for 4 s here, a minute in the benchmark; times are judged on a free machine only."""
+    busy = os.getloadavg()[0] > (os.cpu_count() or 1)
+    result = daemon_load.run("small", 0.1, 200, 20.0, 4.0)
+    assert result.replies.errors == 0
+    assert result.replies.asked == 200 * 80
+    assert busy or result.replies.p99_ms < 20
+    assert busy or result.fall < 0.10
+
+
+@pytest.mark.timeout(180)
+def test_a_short_soak_leaks_no_descriptor() -> None:
+    """Clients come and go for 20 s; descriptors stay, and memory grows by less than a leak would show."""
+    result = daemon_soak.run(20.0, warm_up_s=15.0, sample_s=0.25)
+    assert result.errors == 0
+    assert abs(result.descriptors_last - result.descriptors_first) <= 6  # connections that come and go
+    assert result.end_mb - result.warm_mb < 15
+
+
+def test_log_queries_exports_and_plots(tmp_path: Path) -> None:
+    """While the daemon runs and after it ended."""
+    with DaemonProcess(tmp_path, "--every", "0.05") as daemon:
+        daemon.wait_for_reading()
+        time.sleep(1.0)
+        lines = _log(daemon, "--json", "--limit", "5").splitlines()
+    assert len(lines) == 5
+    first = json.loads(lines[0])
+    assert [json.loads(line)["sequence"] for line in lines] == list(range(first["sequence"], first["sequence"] + 5))
+    assert _log(daemon, "--csv", "--limit", "2").startswith("sequence,time,instrument,radiance,u_radiance,")
+    assert "standard deviation" in _log(daemon, "--since", "1h")
+    assert "combined (k = 1)" in _log(daemon, "--budget", str(first["sequence"]))
+    assert "camera is open" not in _log(daemon, "--events")
+    _log(daemon, "--plot", str(tmp_path / "plot.png"))
+    assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_log_without_a_journal_says_so(tmp_path: Path) -> None:
+    """Exit code 1 and the way out."""
+    command = [sys.executable, "-m", "radiometer", "log", str(tmp_path / "none.sqlite")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert "radiometer serve" in done.stderr
+
+
+def test_systemd_is_told(tmp_path: Path) -> None:
+    """READY, the watchdog, and STOPPING arrive at the notification socket."""
+    path = tmp_path / "notify"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
+        channel.bind(str(path))
+        channel.settimeout(30)
+        bench = write_small_bench(tmp_path)
+        command = [sys.executable, "-m", "radiometer", "serve", "--journal", str(tmp_path / "j"), "--scpi-port", "0",
+                   "--http-port", "0", "--bench", str(bench)]  # fmt: skip
+        environment = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "400000", "PATH": "/usr/bin:/bin"}
+        process = subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.DEVNULL)
+        messages = [channel.recv(1000).decode()]
+        while "WATCHDOG=1" not in messages:
+            messages.append(channel.recv(1000).decode())
+        process.terminate()
+        while not messages[-1].startswith("STOPPING=1"):
+            messages.append(channel.recv(1000).decode())
+        assert process.wait(20) == 0
+    assert messages[0].startswith("READY=1\n")
+
+
+def _log(daemon: DaemonProcess, *arguments: str) -> str:
+    command = [sys.executable, "-m", "radiometer", "log", str(daemon.journal), *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=True).stdout
+
+
+def _until(condition: object, deadline_s: float = 10.0) -> None:
+    give_up = time.monotonic() + deadline_s
+    while not condition():  # type: ignore[operator]
+        assert time.monotonic() < give_up, "the condition did not come true"
+        time.sleep(0.05)

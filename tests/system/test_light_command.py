@@ -1,0 +1,119 @@
+"""`radiometer light` and `radiometer simulate box` as a user runs them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from radiometer.bench.boxes import open_light_box
+from radiometer.cli.main import run
+
+
+@pytest.fixture
+def surroundings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """Keep data and ports of this test apart from the user's."""
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return dict(os.environ)
+
+
+@pytest.fixture
+def served(surroundings: dict[str, str], project_root: Path) -> Iterator[str]:
+    """Serve a simulated box in a process of its own and return its port."""
+    words = [sys.executable, "-m", "radiometer", "simulate", "box", "--serial", "CLI00001", "--press-every", "1s"]
+    process = subprocess.Popen(
+        words, cwd=project_root, env=surroundings, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert process.stdout is not None
+    yield process.stdout.readline().decode().strip()
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=20)
+    assert process.returncode == 0, err.decode()
+    assert out == b""
+
+
+def test_box_is_found_by_its_serial_number(served, capsys):
+    """Discovery asks for identity: the served box is found without naming its port."""
+    assert run(["light", "status", "--box", "CLI00001", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["serial"] == "CLI00001"
+    assert report["port"] == served
+    assert set(report["channels"]) == {"bleach", "spot", "spot_red", "fixation"}
+    assert report["supply_v"] == pytest.approx(12.0)
+
+
+def test_set_holds_the_light_and_leaves_the_box_dark(served, capsys):
+    """`set --for` reads the level back and returns; afterwards the box is dark."""
+    started_s = time.monotonic()
+    assert run(["light", "set", "spot", "--level", "1234", "--low", "--for", "0.5", "--json"]) == 0
+    assert time.monotonic() - started_s > 0.5
+    report = json.loads(capsys.readouterr().out)
+    assert (report["mode"], report["level"], report["current_range"]) == ("steady", 1234, "low")
+    with open_light_box(served) as opened:
+        assert opened.box.read_channel("spot").drive.level == 0
+
+
+def test_button_is_watched(served, capsys):
+    """Presses are printed one JSON object per line, with their uncertainty."""
+    assert run(["light", "watch-buttons", "--box", served, "--count", "2", "--json"]) == 0
+    entries = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    presses = [entry["time_s"] for entry in entries if entry["pressed"]]
+    assert len(presses) == 2
+    assert presses[1] - presses[0] == pytest.approx(1.0, abs=0.5)
+    assert all(0 < entry["u_s"] < 0.05 for entry in entries)
+
+
+def test_calibrate_then_set_by_radiance(surroundings, capsys, tmp_path):
+    """After `light calibrate` a radiance can be set, and one out of range is refused with exit code 1."""
+    assert run(["light", "set", "bleach", "--radiance", "0.1", "--box", "sim"]) == 1
+    assert "light calibrate" in capsys.readouterr().err
+    assert run(["light", "calibrate", "--box", "sim", "--channel", "bleach", "--seed", "2", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert Path(report["file"]) == tmp_path / "data" / "radiometer" / "light_boxes" / "SIM00001.yaml"
+    assert run(["light", "set", "bleach", "--radiance", "0.1", "--box", "sim", "--json"]) == 0
+    radiance = json.loads(capsys.readouterr().out)["radiance"]
+    assert radiance["value"] == pytest.approx(0.1, rel=0.02)
+    assert 0 < radiance["u"] < 0.003
+    assert run(["light", "set", "bleach", "--radiance", "1000", "--box", "sim"]) == 1
+    assert "allowed is" in capsys.readouterr().err
+
+
+def test_pulse_blink_and_off_on_the_simulated_box(surroundings, capsys):
+    """The other commands run on the simulated box and say what they did."""
+    assert run(["light", "pulse", "spot", "--level", "500", "--duration", "200ms", "--box", "sim", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["mode"] == "pulse"
+    assert run(["light", "blink", "spot", "--level", "500", "--count", "2", "--box", "sim", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["mode"] == "blink"
+    assert run(["light", "off", "--box", "sim", "--json"]) == 0
+    assert all(json.loads(capsys.readouterr().out)["dark"].values())
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["set", "spot", "--box", "sim"], "either --radiance or --level"),
+        (["set", "spot", "--level", "5", "--radiance", "1", "--box", "sim"], "either --radiance or --level"),
+        (["set", "green", "--level", "5", "--box", "sim"], "it has bleach, spot"),
+        (["pulse", "spot", "--level", "5", "--duration", "soon", "--box", "sim"], "--duration 'soon'"),
+        (["calibrate", "--channel", "green", "--box", "sim"], "it has bleach, spot"),
+    ],
+)
+def test_misuse_is_answered_with_the_way_out(surroundings, capsys, words, said):
+    """Wrong words end with exit code 2 and one line."""
+    assert run(["light", *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_no_box_is_said(surroundings, capsys):
+    """Without any box the message names the ways to one."""
+    code = run(["light", "status", "--box", "NONE0001"])
+    assert code == 1
+    assert "--box sim" in capsys.readouterr().err

@@ -1,0 +1,157 @@
+"""`radiometer response` from the outside: its files, its JSON, its one-line errors."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from radiometer.cli.main import run
+from radiometer.data import CameraDescription, CaptureSetWriter, Frame, FrameSettings, ResponseCurve
+
+
+def _photographs(folder: Path, *, times=(0.01, 0.02, 0.04, 0.08, 0.16), dtype=np.uint8, colour=False) -> Path:
+    """Write a gamma stack of a gradient as PNG files with exposures.txt."""
+    folder.mkdir()
+    rng = np.random.default_rng(5)
+    radiance = np.exp(np.linspace(0.0, 4.5, 120))[None, :].repeat(90, axis=0)
+    full_scale = np.iinfo(dtype).max
+    lines = []
+    for index, time in enumerate(times):
+        exposure = radiance * time * (1 + 0.01 * rng.standard_normal(radiance.shape))
+        image = np.clip(np.round(np.clip(exposure, 0, 1) ** 0.45 * full_scale), 0, full_scale).astype(dtype)
+        cv2.imwrite(str(folder / f"p{index}.png"), np.dstack([image // 2, image, image // 3]) if colour else image)
+        lines.append(f"p{index}.png {time}")
+    (folder / "exposures.txt").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def test_curve_is_written_as_the_format_says(tmp_path, capsys):
+    """The CSV has the header dn,log_exposure,u_log_exposure and one row per digital number, 0 in the middle."""
+    assert run(["response", str(_photographs(tmp_path / "p")), "-o", str(tmp_path / "curve.csv")]) == 0
+    lines = (tmp_path / "curve.csv").read_text().splitlines()
+    assert lines[0] == "dn,log_exposure,u_log_exposure"
+    assert len(lines) == 257
+    assert lines[129].startswith("128,0.0,")
+    assert "reduced chi-square" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [["--plot"], ["--plot", "picture.svg"]])
+def test_plot_with_and_without_a_name(tmp_path, monkeypatch, words):
+    """`--plot` alone draws beside the output, `--plot FILE` where it is told to."""
+    monkeypatch.chdir(tmp_path)
+    assert run(["response", str(_photographs(tmp_path / "p")), "-o", "curve.csv", *words]) == 0
+    assert (tmp_path / (words[1] if len(words) > 1 else "curve.png")).stat().st_size > 5000
+
+
+def test_json_is_one_object_with_the_diagnostics(tmp_path, capsys):
+    """--json prints a single object; the curve file is named in it."""
+    target = tmp_path / "curve.yaml"
+    assert run(["response", str(_photographs(tmp_path / "p")), "-o", str(target), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["files"] == [str(target)]
+    assert result["curves"][0]["bit_depth"] == 8
+    assert ResponseCurve.read(target).bit_depth == 8
+
+
+def test_each_channel_gets_a_file(tmp_path):
+    """--channel each writes one curve per colour, the colour in the name."""
+    folder = _photographs(tmp_path / "p", colour=True)
+    assert run(["response", str(folder), "-o", str(tmp_path / "c.csv"), "--channel", "each"]) == 0
+    assert sorted(f.name for f in tmp_path.glob("*.csv")) == ["c-blue.csv", "c-green.csv", "c-red.csv"]
+
+
+def test_two_folders_are_fitted_jointly(tmp_path, capsys):
+    """Several PATHs give one curve from the pixels of all of them."""
+    folders = [str(_photographs(tmp_path / name)) for name in ("p", "q")]
+    assert run(["response", *folders, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["curves"][0]["pixels"] == 2 * 90 * 120
+
+
+def _one_exposure(folder: Path) -> None:
+    _photographs(folder, times=(0.04,))
+
+
+def _all_saturated(folder: Path) -> None:
+    _photographs(folder, times=(2.0, 4.0, 8.0))
+
+
+def _empty(folder: Path) -> None:
+    folder.mkdir()
+
+
+def _lie(folder: Path) -> None:
+    _photographs(folder)
+    listed = folder / "exposures.txt"
+    listed.write_text(listed.read_text().replace("p3.png 0.08", "p3.png 0.015"))
+
+
+def _no_times(folder: Path) -> None:
+    _photographs(folder)
+    (folder / "exposures.txt").unlink()
+
+
+def _unfinished(folder: Path) -> None:
+    _photographs(folder)
+    (folder / "exposures.txt").unlink()
+    (folder / "frames").mkdir()
+    for file in folder.glob("*.png"):
+        file.rename(folder / "frames" / file.name)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (_empty, "is empty"),
+        (_one_exposure, "holds one exposure only"),
+        (_all_saturated, "all frames are clipped"),
+        (_lie, "p3.png says 0.015 s but looks like a longer exposure"),
+        (_no_times, "has no exposure time"),
+        (_unfinished, "was not finished"),
+        (lambda folder: None, "does not exist"),
+    ],
+)
+def test_bad_input_is_one_clear_line(tmp_path, capsys, make, message):
+    """Unusable input gives one line on standard error that names the trouble, and exit code 1."""
+    make(tmp_path / "p")
+    assert run(["response", str(tmp_path / "p"), "-o", str(tmp_path / "curve.csv")]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert message in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "curve.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (["-o", "absent/curve.csv"], 1, "the folder absent does not exist"),
+        (["-o", "p"], 2, "ending must be one of"),
+        (["-o", "curve.txt"], 2, "ending must be one of"),
+        (["--plot", "curve.gif"], 2, "ending must be one of"),
+        (["--method", "guess"], 2, "there is no response method 'guess'"),
+        (["--channel", "infrared"], 2, "there is no channel 'infrared'"),
+    ],
+)
+def test_misuse_is_refused(tmp_path, monkeypatch, capsys, words, code, message):
+    """A target that cannot be written or an unknown choice is refused before the work is done."""
+    monkeypatch.chdir(tmp_path)
+    _photographs(tmp_path / "p")
+    assert run(["response", "p", *words]) == code
+    assert message in capsys.readouterr().err
+
+
+def test_capture_set_is_taken_as_well(tmp_path):
+    """A capture set of 12-bit frames gives a curve of 4096 values."""
+    rng = np.random.default_rng(2)
+    radiance = np.exp(np.linspace(0.0, 5.0, 160))[None, :].repeat(80, axis=0)
+    with CaptureSetWriter(tmp_path / "capture", CameraDescription(bit_depth=12)) as writer:
+        for time in 0.001 * 2.0 ** np.arange(8):
+            electrons = rng.poisson(np.minimum(radiance * time, 2.0) * 10_000)
+            numbers = np.clip(np.round(electrons * 0.4), 0, 4095).astype(np.uint16)
+            writer.add(Frame(numbers, 12, FrameSettings(float(time))))
+    assert run(["response", str(tmp_path / "capture"), "-o", str(tmp_path / "c.csv")]) == 0
+    assert ResponseCurve.read(tmp_path / "c.csv").log_exposure.size == 4096

@@ -1,0 +1,129 @@
+"""Brackets taken from a simulated camera: metered, planned, captured, judged."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from radiometer.acquire.bracketing import BracketRequest, plan_for_scene, take_plan
+from radiometer.acquire.exposure_plan import ExposurePlan
+from radiometer.acquire.metering import meter
+from radiometer.acquire.reach import assess_reach
+from radiometer.data import LensDescription, Patch
+from radiometer.devices import CameraCapabilities, CameraPreset, CameraSettings
+from radiometer.errors import DeviceError, UsageError
+from simulators.camera_model import CameraModel
+from simulators.scenes import scene_from_mapping
+from simulators.simulated_camera import SimulatedCamera
+
+LIMITS = CameraCapabilities((11e-6, 30.0), (0.0, 47.9), (0.0, 511.0), ("Mono12",), 100, 40, True, True)
+
+
+def camera_before(scene, **limits):
+    """Return an open simulated Blackfly of 100 × 40 pixels before a scene."""
+    preset = CameraPreset.shipped("BFS-U3-19S4M").camera
+    model = CameraModel.ideal(preset, LensDescription(focal_length_mm=16, f_number=4.0))
+    capabilities = LIMITS if not limits else CameraCapabilities(**{**capabilities_as_dict(), **limits})
+    camera = SimulatedCamera(model, scene_from_mapping(scene), seed=3, limits=capabilities)
+    camera.open()
+    camera.configure(CameraSettings(0.01, black_level_dn=64.0))
+    return camera
+
+
+def capabilities_as_dict():
+    """Return LIMITS as keyword arguments."""
+    return {name: getattr(LIMITS, name) for name in LIMITS.__dataclass_fields__}
+
+
+CHART = {"kind": "step_chart", "steps": {"count": 10, "lowest": 1e-4, "highest": 10.0}}
+
+
+def expected_rate(camera, radiance):
+    """Return DN/s at a radiance by hand: π·L/(4N²) · pixel area / photon energy · QE / conversion gain."""
+    about = camera.description
+    photons = np.pi * radiance / (4 * 16.0) * (about.pixel_pitch_um * 1e-6) ** 2 / (6.62607015e-34 * 299792458 / 550e-9)
+    return photons * about.quantum_efficiency / about.conversion_gain_e_per_dn
+
+
+def test_metering_finds_the_brightness_of_every_patch():
+    """Rates over five decades agree with the radiometric equation within their noise."""
+    camera = camera_before(CHART)
+    rates = meter(camera).rates_dn_per_s
+    for patch in camera.scene.patches(100, 40):
+        found = rates[patch.patch.slices]
+        expected = expected_rate(camera, patch.radiance())
+        # The dimmest trial signal is five times its noise; the mean of n pixels is √n better.
+        assert found.mean() == pytest.approx(expected, rel=4 * 0.2 / np.sqrt(found.size))
+
+
+def test_five_decades_are_well_exposed_twice():
+    """The bracket that follows from the scene reaches every pixel of the chart."""
+    camera = camera_before(CHART)
+    request = BracketRequest()
+    frames = list(take_plan(camera, plan_for_scene(camera, request), request))
+    reach = assess_reach(frames, camera.description)
+    for patch in camera.scene.patches(100, 40):
+        assert reach.cover[patch.patch.slices].min() >= 2
+
+
+def test_a_region_needs_only_its_own_exposures():
+    """One patch takes two frames, whatever surrounds it."""
+    camera = camera_before(CHART)
+    patch = camera.scene.patches(100, 40)[4].patch
+    plan = plan_for_scene(camera, BracketRequest(region=patch))
+    assert len(plan.exposures_s) == 2
+
+
+def test_what_is_too_bright_is_said_with_its_place():
+    """A patch that clips at the shortest exposure is named by number and region."""
+    patch = {"name": "sun", "x": 10, "y": 5, "width": 20, "height": 10, "drive": 1.0}
+    scene = {"kind": "screen", "peak_radiance_W_per_sr_m2": 1e5, "gamma": 2.2, "background": 0.001, "patches": [patch]}
+    camera = camera_before(scene)
+    request = BracketRequest()
+    plan = plan_for_scene(camera, request)
+    reach = assess_reach(take_plan(camera, plan, request), camera.description)
+    assert plan.too_bright == 200
+    assert reach.sentences()[0] == ("200 of 4000 pixels clip even in the shortest exposure (within x 10, y 5, 20 × 10)")
+
+
+def test_a_black_scene_costs_no_endless_exposures():
+    """Where there is nothing to see, two of the longest exposures are not taken for nothing."""
+    camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": 0.0})
+    plan = plan_for_scene(camera, BracketRequest(time_limit_s=30.0))
+    assert plan.too_dark == 4000
+    assert len(plan.exposures_s) == 1
+
+
+def test_dark_frames_follow_with_the_shutter_closed():
+    """Each distinct exposure gets its dark frames, which hold no light; the shutter is open again afterwards."""
+    camera = camera_before(CHART)
+    request = BracketRequest(dark_frames=2)
+    frames = list(take_plan(camera, ExposurePlan((0.01, 0.01, 0.1)), request))
+    darks = [frame for frame in frames if frame.settings.is_dark]
+    assert [frame.settings.exposure_s for frame in darks] == [0.01, 0.01, 0.1, 0.1]
+    # Mean dark signal at 40 °C is under an electron; noise of 4,000 pixels averages to 0.02 DN.
+    assert darks[0].dn.mean() == pytest.approx(64.0, abs=0.15)
+    assert not camera.capture()[0].settings.is_dark
+
+
+def test_dark_frames_without_any_shutter_are_refused():
+    """The message says what to do."""
+    camera = camera_before(CHART, has_shutter=False)
+    with pytest.raises(DeviceError, match="cover the lens"):
+        list(take_plan(camera, ExposurePlan((0.01,)), BracketRequest(dark_frames=1)))
+
+
+def test_the_deadline_stops_before_a_frame_that_would_be_late():
+    """At the deadline the frames taken so far stand, the rest is left."""
+    camera = camera_before(CHART)
+    now = iter([0.0, 5.0, 9.5, 20.0])
+    frames = take_plan(
+        camera, ExposurePlan((1.0, 1.0, 1.0, 1.0)), BracketRequest(), deadline_s=10.0, clock=lambda: next(now)
+    )
+    assert len(list(frames)) == 2
+
+
+def test_no_time_is_misuse():
+    """A time limit of nothing is refused before the camera moves."""
+    with pytest.raises(UsageError, match="leaves no time"):
+        plan_for_scene(camera_before(CHART), BracketRequest(region=Patch(0, 0, 4, 4), time_limit_s=0.0))

@@ -1,0 +1,71 @@
+"""The frames that a characterisation takes from a camera."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from radiometer.acquire.characterisation_ladder import LadderRequest, saturating_exposure_s, take_ladder
+from radiometer.data import LensDescription, Patch
+from radiometer.devices import CameraPreset, CameraSettings
+from radiometer.errors import MeasurementError
+from simulators.camera_model import CameraModel
+from simulators.scenes import UniformScene
+from simulators.simulated_camera import SimulatedCamera
+
+REGION = Patch(8, 8, 32, 24)
+
+
+def _camera(radiance: float) -> SimulatedCamera:
+    preset = CameraPreset.shipped("BFS-U3-19S4M")
+    limits = replace(preset.require_limits("test").capabilities(has_shutter=True), width=64, height=48)
+    model = CameraModel.ideal(preset.camera, LensDescription(f_number=4.0))
+    camera = SimulatedCamera(model, UniformScene(radiance_W_per_sr_m2=radiance), limits=limits)
+    camera.open()
+    camera.configure(CameraSettings(exposure_s=0.01, black_level_dn=64.0))
+    return camera
+
+
+@pytest.mark.parametrize("radiance", [1e-3, 0.3, 50.0])
+def test_saturating_exposure_is_found_over_decades(radiance: float) -> None:
+    """4031 DN above black are reached at 4031·5.95 e- over the photocurrent, within the noise of the region."""
+    camera = _camera(radiance)
+    per_s = 0.62 * 3.141592653589793 * radiance / 64 * (4.5e-6) ** 2 / (6.62607015e-34 * 299_792_458.0 / 550e-9)
+    assert saturating_exposure_s(camera, REGION) == pytest.approx(4031 * 5.95 / (per_s + 4.42), rel=2e-3)
+
+
+@pytest.mark.parametrize(("radiance", "word"), [(1e-7, "dim"), (1e6, "bright")])
+def test_light_that_cannot_saturate_is_refused(radiance: float, word: str) -> None:
+    """The message says which way the light is wrong."""
+    with pytest.raises(MeasurementError, match=f"too {word}"):
+        saturating_exposure_s(_camera(radiance), REGION)
+
+
+def test_ladder_takes_pairs_a_stack_and_the_same_darks() -> None:
+    """Bright pairs cross saturation; dark frames repeat the exposures and add the long ones; the shutter reopens."""
+    camera = _camera(0.3)
+    request = LadderRequest(REGION, steps=9, stack=4, dark_exposures_s=(1.0,))
+    frames = list(take_ladder(camera, request))
+    bright = [f for f in frames if not f.settings.is_dark]
+    dark = [f for f in frames if f.settings.is_dark]
+    assert len(frames) == request.frames()
+    assert {f.settings.exposure_s for f in dark} == {f.settings.exposure_s for f in bright} | {1.0}
+    assert max(f.dn[REGION.slices].min() for f in bright) == 4095
+    assert not camera.capture()[0].settings.is_dark
+
+
+def test_shutter_by_hand_is_asked_for_and_given_back() -> None:
+    """Where a callback closes the shutter it is told to open it again, even when taking stops midway."""
+    camera, asked = _camera(0.3), list[bool]()
+
+    def ask(closed: bool) -> None:
+        asked.append(closed)
+        camera.set_shutter(closed=closed)
+
+    frames = take_ladder(camera, LadderRequest(REGION, steps=6, stack=3), ask)
+    for frame in frames:
+        if frame.settings.is_dark:
+            break
+    frames.close()  # type: ignore[attr-defined]
+    assert asked == [True, False]

@@ -1,0 +1,124 @@
+"""Exposure plans: every pixel well exposed twice, nothing more than needed, limits respected."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from radiometer.acquire.exposure_plan import (
+    MINIMUM_SNR,
+    ExposureWindow,
+    exposure_ladder,
+    plan_exposures,
+    repeats_for,
+)
+from radiometer.data import CameraDescription
+from radiometer.errors import SettingOutOfRange, UsageError
+
+CAMERA = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=2.6, read_noise_e=2.4, full_well_e=10500)
+LIMITS_S = (11e-6, 30.0)
+WINDOW = ExposureWindow.of(CAMERA, 0.0, 64.0)
+
+
+def cover_of(rates, exposures):
+    """Count in how many exposures each rate lies inside the window."""
+    signal = np.multiply.outer(np.asarray(exposures), rates)
+    return ((signal >= WINDOW.lowest_dn) & (signal <= WINDOW.highest_dn * (1 + 1e-6))).sum(axis=0)
+
+
+def test_the_window_begins_where_signal_over_noise_reaches_its_minimum():
+    """At the lowest signal the photon-transfer law gives just the minimum signal-to-noise ratio."""
+    electrons = WINDOW.lowest_dn * 2.6
+    noise_e = math.sqrt(electrons + 2.4**2 + 2.6**2 / 12)
+    assert electrons / noise_e == pytest.approx(MINIMUM_SNR, rel=1e-9)
+
+
+def test_the_window_ends_below_the_earlier_of_full_well_and_converter():
+    """A small full well clips before the converter does."""
+    small = CAMERA.model_copy(update={"full_well_e": 2600.0})
+    assert ExposureWindow.of(small, 0.0, 64.0).clipping_dn == pytest.approx(1000.0)
+    assert ExposureWindow.of(CAMERA, 20.0, 64.0).clipping_dn == pytest.approx(4095 - 64)
+
+
+@settings(deadline=None, max_examples=200)
+@example([14.7421875, 14.74609375])
+@given(st.lists(st.floats(math.log(30.0), math.log(3e7)), min_size=1, max_size=40))
+def test_every_reachable_pixel_is_well_exposed_twice(log_rates):
+    """Whatever the scene, each pixel lies between noise floor and clipping in at least two exposures."""
+    rates = np.exp(np.array(log_rates))
+    plan = plan_exposures(rates, WINDOW, 0.0, LIMITS_S)
+    assert plan.too_bright == 0
+    assert plan.too_dark == 0
+    assert cover_of(rates, plan.exposures_s).min() >= 2
+
+
+def test_the_plan_holds_no_frame_that_could_be_left_out():
+    """Taking away any one exposure leaves some pixel with less than two."""
+    rates = np.geomspace(100.0, 1e7, 500)
+    plan = plan_exposures(rates, WINDOW, 0.0, LIMITS_S)
+    for left_out in range(len(plan.exposures_s)):
+        rest = [t for k, t in enumerate(plan.exposures_s) if k != left_out]
+        assert cover_of(rates, rest).min() < 2
+
+
+def test_two_separate_brightnesses_need_no_exposures_between():
+    """A bright and a dark patch five decades apart take four frames; the empty range between takes none."""
+    plan = plan_exposures(np.array([100.0, 1e7]), WINDOW, 0.0, LIMITS_S)
+    assert len(plan.exposures_s) == 4
+
+
+def test_exposures_are_far_enough_apart_to_teach_the_response():
+    """No two exposures of a plan are nearer than half a stop."""
+    exposures = plan_exposures(np.geomspace(100.0, 1e7, 500), WINDOW, 0.0, LIMITS_S).exposures_s
+    assert np.diff(np.log2(exposures)).min() >= 0.5 - 1e-9
+
+
+def test_unreachable_pixels_are_counted_and_do_not_hold_up_the_rest():
+    """Pixels beyond the camera's limits are reported by number."""
+    rates = np.array([1e12, 1e12, 1000.0, 1e-3, 0.0, np.inf])
+    plan = plan_exposures(rates, WINDOW, 0.0, LIMITS_S)
+    assert plan.too_bright == 3
+    assert plan.too_dark == 2
+    assert cover_of(np.array([1000.0]), plan.exposures_s)[0] == 2
+
+
+def test_the_time_limit_gives_up_the_longest_exposures_and_says_so():
+    """A plan never takes longer than permitted; that it was cut is stated."""
+    rates = np.geomspace(20.0, 1e6, 100)
+    whole = plan_exposures(rates, WINDOW, 0.0, LIMITS_S)
+    cut = plan_exposures(rates, WINDOW, 0.0, LIMITS_S, time_limit_s=whole.total_s / 3)
+    assert whole.cut_short is False
+    assert cut.cut_short is True
+    assert cut.total_s <= whole.total_s / 3
+
+
+def test_repeats_reach_the_uncertainty_asked_for():
+    """One pixel at a known signal: n passes bring its relative noise down by √n, by hand."""
+    rate = np.array([1000.0])
+    plan = plan_exposures(rate, WINDOW, 0.0, LIMITS_S)
+    signal_e = rate[0] * 2.6 * np.array(plan.exposures_s)
+    information = (signal_e**2 / (signal_e + 2.4**2 + 2.6**2 / 12)).sum()
+    expected = math.ceil(1.0 / (information * 0.001**2))
+    assert repeats_for(plan, rate, CAMERA, 0.0, 0.001) == expected
+
+
+def test_a_ladder_has_the_ends_and_the_steps_asked_for():
+    """One stop apart from 1 ms to 8 ms."""
+    assert exposure_ladder(0.001, 0.008, 1.0, LIMITS_S).exposures_s == pytest.approx((0.001, 0.002, 0.004, 0.008))
+
+
+def test_a_ladder_outside_the_limits_is_refused_with_limits_and_unit():
+    """The message gives value, limits and unit."""
+    with pytest.raises(SettingOutOfRange, match=r"1e-06 s is out of range; allowed is 1\.1e-05 to 30 s"):
+        exposure_ladder(1e-6, 1.0, 1.0, LIMITS_S)
+
+
+@pytest.mark.parametrize(("low", "high", "stops"), [(0.1, 0.01, 1.0), (0.01, 0.1, 0.0), (0.01, 0.1, -1.0)])
+def test_a_ladder_that_makes_no_sense_is_misuse(low, high, stops):
+    """Ends the wrong way round or steps not above 0."""
+    with pytest.raises(UsageError):
+        exposure_ladder(low, high, stops, LIMITS_S)

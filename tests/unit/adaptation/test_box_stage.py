@@ -1,0 +1,85 @@
+"""The box as a stage: what is lit, for how long, and whose presses count."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from radiometer.adaptation.box_stage import BoxStage
+from radiometer.adaptation.protocol import read_protocol
+from radiometer.devices.light_box import ButtonEvent, Radiance
+from radiometer.errors import UsageError
+
+
+class RecordingBox:
+    """A box that notes what it is asked and hands out presses that were laid down."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[object, ...]] = []
+        self.presses: list[float] = []
+        self.time = 100.0
+
+    def pulse(self, channel: str, level: Radiance, duration_s: float) -> None:
+        self.asked.append((channel, level.radiance_w_sr_m2, duration_s))
+
+    def set_level(self, channel: str, level: Radiance) -> None:
+        self.asked.append((channel, level.radiance_w_sr_m2))
+
+    def buttons(self, timeout_s: float) -> Iterator[ButtonEvent]:
+        self.time += timeout_s
+        for number, time_s in enumerate(self.presses):
+            yield ButtonEvent(True, time_s, 1e-4, time_s, number)
+            yield ButtonEvent(False, time_s + 0.1, 1e-4, time_s + 0.1, number + 1)
+
+
+@pytest.fixture
+def box() -> RecordingBox:
+    return RecordingBox()
+
+
+@pytest.fixture
+def stage(box: RecordingBox) -> BoxStage:
+    def sleep(seconds: float) -> None:
+        box.time += seconds
+
+    protocol = read_protocol("classic")
+    return BoxStage(box, 300.0, 900.0, protocol, lambda: box.time, sleep, fixation_w_sr_m2=1e-4)  # type: ignore[arg-type]
+
+
+def test_bleach_is_the_protocols_light_and_then_the_mark(stage: BoxStage, box: RecordingBox) -> None:
+    """300 cd/m² at 300 lm/W are 1 W/sr/m² for 120 s; the red mark follows."""
+    stage.bleach(stage.protocol)
+    assert box.asked == [("bleach", pytest.approx(1.0), 120.0), ("fixation", 1e-4)]
+    assert stage.now_s() == pytest.approx(120.0)
+
+
+def test_blink_is_one_pulse_of_the_levels_radiance(stage: BoxStage, box: RecordingBox) -> None:
+    """-3 log scotopic cd/m² at 900 lm/W, for the protocol's 0.3 s, within a cycle of 1 s."""
+    stage.blink(-3.0, 0, 0)
+    assert box.asked == [("spot", pytest.approx(1e-3 / 900), 0.3)]
+    assert stage.now_s() == pytest.approx(1.0)
+
+
+def test_presses_count_from_the_onset_and_releases_do_not(stage: BoxStage, box: RecordingBox) -> None:
+    """A press before the onset is not an answer."""
+    box.presses = [99.9, 100.4]
+    assert stage.blink(-3.0, 0, 0) == [pytest.approx(0.4)]
+
+
+def test_catch_lights_nothing(stage: BoxStage, box: RecordingBox) -> None:
+    """No level, no pulse."""
+    stage.blink(None, 0, 0)
+    assert box.asked == []
+
+
+def test_flash_is_refused_with_the_way_out(stage: BoxStage) -> None:
+    """A flash protocol cannot be given by the steady channel."""
+    with pytest.raises(UsageError, match="steady bleach"):
+        stage.bleach(read_protocol("quick"))
+
+
+def test_resuming_counts_on(stage: BoxStage) -> None:
+    """After a crash the time goes on from the journal's end."""
+    stage.resume_at(500.0)
+    assert stage.now_s() == pytest.approx(500.0)

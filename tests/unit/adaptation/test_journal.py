@@ -1,0 +1,42 @@
+"""The journal: on disk at once, a torn end is cut, damage elsewhere is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from radiometer.adaptation.journal import Journal, read_events
+from radiometer.errors import InputError
+
+
+def test_events_read_back_in_order(tmp_path: Path) -> None:
+    """What was written is what is read, numbered."""
+    with Journal(tmp_path / "j") as journal:
+        journal.write("start", 0.0, subject="A")
+        journal.write("trial", 1.5, threshold=-1.0)
+    events = list(read_events(tmp_path / "j"))
+    assert [e["kind"] for e in events] == ["start", "trial"]
+    assert events[1] == {"sequence": 1, "kind": "trial", "time_s": 1.5, "threshold": -1.0}
+
+
+def test_half_written_line_is_cut_and_the_next_event_follows(tmp_path: Path) -> None:
+    """A crash in the middle of a write costs that event only."""
+    file = tmp_path / "j"
+    with Journal(file) as journal:
+        journal.write("start", 0.0)
+        journal.write("trial", 1.0)
+    file.write_bytes(file.read_bytes()[:-7])
+    with Journal(file) as journal:
+        assert len(journal.events) == 1
+        journal.write("trial", 2.0)
+    assert [e["time_s"] for e in read_events(file)] == [0.0, 2.0]
+
+
+@pytest.mark.parametrize("damage", [b"{not json}\n", b'{"sequence": 5, "kind": "trial", "time_s": 1}\n'])
+def test_damage_in_the_middle_is_refused_with_its_line(tmp_path: Path, damage: bytes) -> None:
+    """A journal with a hole is not taken up."""
+    file = tmp_path / "j"
+    file.write_bytes(b'{"sequence": 0, "kind": "start", "time_s": 0}\n' + damage + b"{}\n")
+    with pytest.raises(InputError, match="line 2"):
+        list(read_events(file))

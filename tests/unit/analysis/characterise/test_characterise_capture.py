@@ -1,0 +1,277 @@
+"""Characterising capture sets: gains, temperatures, patches, photons, the camera file, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radiometer.analysis.characterise import EmvaDescriptor, characterise, read_subject, subject_of_capture
+from radiometer.analysis.characterise.emva_export import export_descriptor
+from radiometer.analysis.characterise.report import datasheet, rounded
+from radiometer.analysis.characterise.subject import Subject
+from radiometer.data import CameraDescription, CaptureSet, FrameSettings, LensDescription, Patch, Quantity
+from radiometer.data.storage import read_yaml, write_yaml_atomic
+from radiometer.devices import CameraPreset
+from radiometer.errors import CaptureError, InputError, MeasurementError
+from simulators.camera_model import CameraModel
+from simulators.scenes import StepChartScene, UniformScene
+from simulators.simulated_capture import simulate_capture
+
+CAMERA = CameraDescription(
+    bit_depth=12,
+    model="BFS-U3-19S4M",
+    pixel_pitch_um=4.5,
+    conversion_gain_e_per_dn=2.6,
+    read_noise_e=3.0,
+    full_well_e=10_500,
+    dark_current_e_per_s=2.0,
+    black_level_dn=64,
+    quantum_efficiency=0.62,
+)
+BELIEVED = CameraDescription(bit_depth=12, model="BFS-U3-19S4M", pixel_pitch_um=4.5)
+EXPOSURES = np.linspace(0.002, 0.05, 16)
+
+
+def _plan(gain_db: float = 0.0, darks: bool = True, top: float = 1.0) -> list[FrameSettings]:
+    bright = [FrameSettings(float(t) * top / 10 ** (gain_db / 20), gain_db) for t in EXPOSURES]
+    return bright + ([replace(one, shutter="closed") for one in bright] if darks else [])
+
+
+def _capture(
+    path: Path, plan: list[FrameSettings], frames: int = 2, scene: UniformScene | StepChartScene | None = None
+) -> CaptureSet:
+    model = CameraModel.ideal(CAMERA, LensDescription(focal_length_mm=16, f_number=4.0))
+    lit = scene or UniformScene(radiance_W_per_sr_m2=0.14)
+    return simulate_capture(model, plan, lit, path, frames_per_setting=frames, believed_camera=BELIEVED, seed=5)
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> CaptureSet:
+    return _capture(tmp_path / "set", _plan())
+
+
+def test_camera_file_is_read_as_a_camera_preset(capture: CaptureSet) -> None:
+    """The result has the form of configs/cameras, with the measured figures and a source for each."""
+    result = characterise(subject_of_capture(capture))
+    preset = CameraPreset.from_mapping(result.to_mapping(), "camera.yaml")
+    assert preset.camera.conversion_gain_e_per_dn == pytest.approx(2.6, abs=4 * 2.6 * result.figures["K"].u_rel)
+    assert preset.camera.quantum_efficiency == pytest.approx(0.62, abs=4 * 0.01 * result.figures["eta"].u)
+    assert set(preset.camera.model_dump(exclude_none=True)) <= set(preset.sources)
+    assert preset.sources["read_noise_e"].startswith("measured: sigma_d")
+
+
+def test_uncertainty_of_the_light_goes_into_the_quantum_efficiency(capture: CaptureSet) -> None:
+    """A radiance known to 5 % gives a quantum efficiency known to no better, while K stays as it is."""
+    header = read_yaml(capture.path / "capture.yaml")
+    header["patches"][0]["u_rel"] = 0.05
+    write_yaml_atomic(capture.path / "capture.yaml", header)
+    loose, tight = (characterise(subject_of_capture(c)) for c in (CaptureSet.read(capture.path), capture))
+    assert loose.figures["eta"].u_rel == pytest.approx(np.hypot(0.05, tight.figures["eta"].u_rel), rel=1e-3)
+    assert loose.figures["K"] == tight.figures["K"]
+
+
+def test_every_gain_has_its_own_system_gain(tmp_path: Path) -> None:
+    """K rises by the factor of the gain, within 4 standard deviations; the figures hold at 0 dB."""
+    capture = _capture(tmp_path / "set", _plan(12.0) + _plan(0.0))
+    result = characterise(subject_of_capture(capture))
+    assert result.gain_db == 0.0
+    assert list(result.gains) == [0.0, 12.0]
+    for gain_db, K in result.gains.items():
+        assert K.value == pytest.approx(10 ** (gain_db / 20) / 2.6, abs=4 * K.u)
+
+
+def test_patches_of_a_chart_all_take_part_in_the_photon_transfer(tmp_path: Path) -> None:
+    """Six patches give six times the steps, and K agrees with the truth within 4 standard deviations."""
+    chart = StepChartScene(radiances_W_per_sr_m2=(0.02, 0.05, 0.08, 0.1, 0.12, 0.14))
+    capture = _capture(tmp_path / "set", _plan(), scene=chart)
+    result = characterise(subject_of_capture(capture))
+    assert len({step.bright.region for step in result.transfer.used}) == 6
+    assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
+
+
+def test_saturation_that_is_not_reached_is_said_and_left_out(tmp_path: Path) -> None:
+    """With exposures to half of saturation there is no saturation capacity, and a note says why."""
+    result = characterise(subject_of_capture(_capture(tmp_path / "set", _plan(top=0.5))))
+    assert {"mu_e_sat", "mu_e_plateau"} & set(result.figures) == set()
+    assert any("saturation was not reached" in note for note in result.notes)
+
+
+def test_full_well_below_the_converter_is_the_plateau(tmp_path: Path) -> None:
+    """A well of 8000 e- ends below full scale: the plateau gives it within 4 standard deviations."""
+    model = CameraModel.ideal(CAMERA, LensDescription(f_number=4.0))
+    model = model.with_parameters("full_well_saturation", full_well_e=8000)
+    scene = UniformScene(radiance_W_per_sr_m2=0.14)
+    capture = simulate_capture(model, _plan(), scene, tmp_path / "set", frames_per_setting=2)
+    result = characterise(subject_of_capture(capture))
+    plateau = result.figures["mu_e_plateau"]
+    assert plateau.value == pytest.approx(8000, abs=4 * plateau.u)
+    assert result.description().full_well_e == plateau.value
+    assert result.limited_by == "full well"
+
+
+def test_dark_frames_at_other_exposures_serve_by_their_line(tmp_path: Path) -> None:
+    """Where darks were taken at other exposures, K still comes out within 4 standard deviations."""
+    darks = [FrameSettings(t, shutter="closed") for t in (0.001, 0.03, 0.06)]
+    result = characterise(subject_of_capture(_capture(tmp_path / "set", _plan(darks=False) + darks)))
+    assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
+
+
+@pytest.mark.parametrize(
+    ("plan", "frames", "message"),
+    [
+        (_plan(darks=False), 2, r"holds no dark frames; capture them with the shutter closed"),
+        (_plan(), 1, r"only one frame at exposure .* temporal noise needs two frames"),
+        (_plan()[:2] + _plan()[16:], 2, r"needs at least 3 levels of light"),
+    ],
+)
+def test_unusable_captures_are_refused_with_the_way_out(
+    tmp_path: Path, plan: list[FrameSettings], frames: int, message: str
+) -> None:
+    """Each lack is named with what to do."""
+    capture = _capture(tmp_path / "set", plan, frames)
+    with pytest.raises(MeasurementError, match=message):
+        characterise(subject_of_capture(capture))
+
+
+def test_dark_frames_alone_are_refused(tmp_path: Path) -> None:
+    """The message says what is missing."""
+    capture = _capture(tmp_path / "set", [p for p in _plan() if p.is_dark])
+    with pytest.raises(CaptureError, match="all frames are dark"):
+        subject_of_capture(capture)
+
+
+def test_of_two_f_numbers_the_more_frequent_is_used(tmp_path: Path) -> None:
+    """Light proportional to exposure needs one aperture: the rest is left out, and a note says so."""
+    plan = [*_plan(), FrameSettings(0.01, f_number=8.0)]
+    result = characterise(subject_of_capture(_capture(tmp_path / "set", plan)))
+    assert any("f-number 4 and pattern 'default' were used; 2 others" in note for note in result.notes)
+    assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
+
+
+def test_frames_with_the_source_off_stand_in_for_dark_ones(tmp_path: Path) -> None:
+    """Without a shutter, source-off frames serve, and a note says what that means."""
+    plan = _plan(darks=False)
+    plan += [replace(one, source_level=0.0) for one in plan]
+    result = characterise(subject_of_capture(_capture(tmp_path / "set", plan)))
+    assert any("source off were taken for dark ones" in note for note in result.notes)
+    assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
+
+
+def test_level_ladder_at_one_exposure_serves_as_well(tmp_path: Path) -> None:
+    """Light may be varied instead of exposure; then there is no dark current, and a note says so."""
+    levels = np.linspace(0.04, 1.0, 16)
+    plan = [FrameSettings(0.05, source_level=float(level)) for level in levels] + [
+        FrameSettings(0.05, shutter="closed")
+    ]
+    result = characterise(subject_of_capture(_capture(tmp_path / "set", plan)))
+    assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
+    assert "mu_I_mean" not in result.figures
+    assert "dark current needs dark frames at three exposures or more" in result.notes
+
+
+def test_curve_of_the_signal_to_noise_ratio_stands_in_the_file(capture: CaptureSet) -> None:
+    """Each step's SNR is its signal over the root of its variance; none where every pixel clips."""
+    steps = characterise(subject_of_capture(capture)).to_mapping()["emva1288"]["steps"]
+    assert len(steps) == len(EXPOSURES)
+    for step in steps:
+        if step["sigma2_y_dn2"] == 0:
+            assert step["SNR"] is None
+            continue
+        expected = (step["mu_y_dn"] - step["mu_y_dark_dn"]) / step["sigma2_y_dn2"] ** 0.5
+        assert step["SNR"] == pytest.approx(expected, rel=1e-12)
+
+
+def test_averaged_frames_are_refused_as_showing_no_shot_noise(capture: CaptureSet) -> None:
+    """Where both frames of each pair are the same file, the variance does not rise with the signal."""
+    header = read_yaml(capture.path / "capture.yaml")
+    for first, second in zip(header["frames"][::2], header["frames"][1::2], strict=True):
+        second["file"] = first["file"]
+    write_yaml_atomic(capture.path / "capture.yaml", header)
+    with pytest.raises(MeasurementError, match=r"show no shot noise|needs at least"):
+        characterise(read_subject(capture.path))
+
+
+def test_region_outside_the_frame_is_refused(capture: CaptureSet) -> None:
+    """The message gives the region and the size of the frame."""
+    with pytest.raises(MeasurementError, match=r"150,0,40,40 does not lie on the frame of 160 × 120"):
+        characterise(subject_of_capture(capture, Patch(150, 0, 40, 40)))
+
+
+def test_descriptor_export_gives_the_same_figures_when_read_back(tmp_path: Path) -> None:
+    """A capture, exported and characterised again from the descriptor, has the same K, R and read noise."""
+    capture = _capture(tmp_path / "set", _plan())
+    subject = subject_of_capture(capture)
+    result = characterise(subject)
+    remarks = export_descriptor(subject, result, tmp_path / "emva.txt")
+    again = characterise(read_subject(tmp_path / "emva.txt"))
+    for name in ("K", "R", "sigma_d", "mu_e_sat"):
+        assert again.figures[name].value == pytest.approx(result.figures[name].value, rel=1e-6)
+    assert remarks == [
+        "no exposure has three or more bright and dark frames: the spatial figures cannot be worked out from it"
+    ]
+
+
+def test_descriptor_export_of_a_region_writes_that_part(tmp_path: Path) -> None:
+    """The form knows no regions, so the part that was looked at becomes images of its own; a stack is listed."""
+    capture = _capture(tmp_path / "set", _plan(), frames=3)
+    subject = subject_of_capture(capture, Patch(10, 20, 64, 48))
+    assert export_descriptor(subject, characterise(subject), tmp_path / "emva.txt") == []
+    descriptor = EmvaDescriptor.read(tmp_path / "emva.txt")
+    assert (descriptor.width, descriptor.height) == (64, 48)
+    assert [len(g.files) for g in descriptor.groups] == [2] * 32 + [3, 3]
+    assert "emva_images\\0000.png" in (tmp_path / "emva.txt").read_text()
+
+
+@pytest.mark.parametrize("factor", [100.0, 0.01])
+def test_descriptor_export_refuses_an_implausible_efficiency(capture: CaptureSet, factor: float) -> None:
+    """A radiance that is wrong by a factor of 100 is found by the quantum efficiency that would follow."""
+    header = read_yaml(capture.path / "capture.yaml")
+    header["patches"][0]["radiance_W_per_sr_m2"] *= factor
+    write_yaml_atomic(capture.path / "capture.yaml", header)
+    subject = read_subject(capture.path)
+    with pytest.raises(InputError, match=r"a quantum efficiency of .* would follow, outside 5 to 100 %"):
+        export_descriptor(subject, characterise(subject), capture.path / "emva.txt")
+
+
+def test_descriptor_export_without_photons_is_refused(capture: CaptureSet) -> None:
+    """Where the radiance is unknown the message says how to give it."""
+    subject: Subject = replace(subject_of_capture(capture), fluxes=(None,))
+    with pytest.raises(InputError, match="photons per pixel are unknown; give the radiance"):
+        export_descriptor(subject, characterise(subject), capture.path / "emva.txt")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("v 4.0\nb 1000 5\n", r"holds no line 'n bits width height'"),
+        ("n 12 4 4\n", r"lists no image"),
+        ("n 12 4 4\nq 1\n", r"line 2: q 1: is not understood \(a line begins with v, n, b, d or i\)"),
+        ("n 12 4 4\nb ten 5\n", r"line 2: b ten 5: is not understood"),
+        ("n 12 4 4\nd 0\n", r"line 2: .*exposure must be above 0 ns"),
+        ("n 12 4 4\ni a.png\n", r"line 2: .*before the first b or d line"),
+        ("n 12 4 4\nd 100\ni images\\a.png\n", r"line 3: image .*images/a\.png does not exist"),
+    ],
+)
+def test_wrong_descriptors_are_refused_by_line(tmp_path: Path, text: str, message: str) -> None:
+    """The message gives file, line and what is wrong."""
+    (tmp_path / "d.txt").write_text(text)
+    with pytest.raises(InputError, match=message):
+        EmvaDescriptor.read(tmp_path / "d.txt")
+
+
+def test_datasheet_is_one_page_with_figures_and_plots(capture: CaptureSet) -> None:
+    """The page holds K with its unit, five plots, and refers to no other file."""
+    result = characterise(subject_of_capture(capture))
+    page = datasheet(result)
+    value, expanded = rounded(result.figures["K"])
+    assert f"<td class='n'>{value}</td><td class='n'>± {expanded}</td><td>DN/e-</td>" in page
+    assert page.count("<svg") == 5
+    assert "src=" not in page
+
+
+def test_rounding_gives_two_digits_of_the_expanded_uncertainty() -> None:
+    """Value and U end at the same digit."""
+    assert rounded(Quantity(0.281652, 0.00123, "DN/e-")) == ("0.2817", "0.0025")

@@ -1,0 +1,169 @@
+"""Batches: every capture once, failures reported and passed by, resumable, the same on any number of workers."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import threading
+import time
+
+import pytest
+
+from radiometer.archive.discovery import find_captures
+from radiometer.archive.jobs import COLUMNS, JOBS
+from radiometer.archive.run import run_batch
+from radiometer.archive.settings import JobSettings
+from radiometer.errors import DeviceNotFound, InputError, UsageError
+
+pd = pytest.importorskip("pandas", reason="the extra `cluster` is not installed")
+distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+# Dask's own clean-up leaves sockets and event loops to the garbage collector.
+pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning", "ignore::UserWarning")
+
+MEASURE = JobSettings("measure")
+
+
+def batch(root, table, **more):
+    """Run the measure job over an archive."""
+    return run_batch(find_captures(str(root))[0], MEASURE, table, **more)
+
+
+def test_every_capture_becomes_a_row(make_archive, tmp_path):
+    """One row per capture and patch with value, u, flags and provenance."""
+    summary = batch(make_archive(5), tmp_path / "results.csv")
+    table = pd.read_csv(tmp_path / "results.csv")
+    assert list(table.columns) == list(COLUMNS)
+    assert (summary.done, summary.rows_in_table, len(table)) == (5, 5, 5)
+    assert (table["value"] > 0).all()
+    assert (table["u"] > 0).all()
+    assert table["flags"].tolist() == ["uncalibrated"] * 5
+
+
+def test_a_failing_capture_does_not_stop_the_rest(make_archive, tmp_path):
+    """A truncated frame makes a row with its error; the others are done."""
+    root = make_archive(4)
+    victim = root / "day-0002" / "frames" / "0001.png"
+    os.truncate(victim, 40)
+    summary = batch(root, tmp_path / "results.csv")
+    table = pd.read_csv(tmp_path / "results.csv")
+    assert [row["capture"].endswith("day-0002") for row in summary.failures] == [True]
+    assert table["status"].tolist() == ["ok", "ok", "failed", "ok"]
+    assert "truncated" in table["error"][2]
+
+
+def test_what_is_done_is_not_done_again(make_archive, tmp_path):
+    """A second run skips all; a changed capture is done anew and replaces its row."""
+    root = make_archive(3)
+    batch(root, tmp_path / "results.csv")
+    assert batch(root, tmp_path / "results.csv").skipped == 3
+    shutil.copy(root / "day-0000" / "frames" / "0000.png", root / "day-0001" / "frames" / "0000.png")
+    again = batch(root, tmp_path / "results.csv")
+    assert (again.done, again.skipped, again.rows_in_table) == (1, 2, 3)
+
+
+def test_other_settings_are_another_result(make_archive, tmp_path):
+    """The same captures with another patch are measured anew."""
+    root = make_archive(2)
+    batch(root, tmp_path / "results.csv")
+    moved = JobSettings("measure", patch=(0, 0, 8, 8))
+    summary = run_batch(find_captures(str(root))[0], moved, tmp_path / "results.csv")
+    assert summary.done == 2
+
+
+def test_an_interrupted_run_leaves_a_usable_table_and_goes_on(make_archive, tmp_path):
+    """Ctrl-C after two captures: their rows stand; the next run does the rest only."""
+    root = make_archive(5)
+
+    def stop(done, _total, _rows):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    first = batch(root, tmp_path / "results.csv", progress=stop)
+    assert (first.interrupted, len(pd.read_csv(tmp_path / "results.csv"))) == (True, 2)
+    second = batch(root, tmp_path / "results.csv")
+    assert (second.done, second.skipped, second.rows_in_table) == (3, 2, 5)
+
+
+def test_a_journal_cut_in_the_middle_of_a_line_loses_that_capture_only(make_archive, tmp_path):
+    """After a kill in the middle of writing, the half line is done again."""
+    root = make_archive(3)
+    batch(root, tmp_path / "results.csv")
+    journal = tmp_path / "results.csv.journal"
+    os.truncate(journal, journal.stat().st_size - 30)
+    again = batch(root, tmp_path / "results.csv")
+    assert (again.done, again.skipped, again.rows_in_table) == (1, 2, 3)
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_table_bit_for_bit_though_a_worker_dies(make_archive, tmp_path):
+    """Two worker processes, one killed in the middle: no row lost or doubled, every value as in one process."""
+    root = make_archive(60)
+    batch(root, tmp_path / "one.parquet")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
+        victims = [worker.process.pid for worker in cluster.workers.values()]
+        begun = threading.Event()
+
+        def kill():
+            begun.wait(60)
+            os.kill(victims[0], signal.SIGKILL)
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        summary = batch(
+            root,
+            tmp_path / "two.parquet",
+            scheduler=cluster.scheduler_address,
+            progress=lambda done, *_: begun.set() if done >= 10 else None,
+        )
+        killer.join()
+        time.sleep(0.1)
+    assert summary.done == 60
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "one.parquet"), pd.read_parquet(tmp_path / "two.parquet"))
+
+
+def test_no_scheduler_is_said_in_one_line(make_archive, tmp_path):
+    """Nothing listens there."""
+    with pytest.raises(DeviceNotFound, match="no Dask scheduler answers at tcp://127"):
+        batch(make_archive(1), tmp_path / "r.csv", scheduler="tcp://127.0.0.1:9")
+
+
+def test_an_empty_archive_and_a_strange_table_are_refused(make_archive, tmp_path):
+    """Both messages say what was expected."""
+    with pytest.raises(InputError, match="holds no capture set"):
+        find_captures(str(tmp_path))
+    with pytest.raises(UsageError, match=r"must end in \.parquet or \.csv"):
+        batch(make_archive(1), tmp_path / "results.xlsx")
+
+
+def test_unfinished_captures_are_listed(make_archive):
+    """A folder with frames but no header is no capture set, and is not passed over in silence."""
+    root = make_archive(2)
+    (root / "day-0001" / "capture.yaml").unlink()
+    finished, unfinished = find_captures(str(root))
+    assert ([p.name for p in finished], [p.name for p in unfinished]) == (["day-0000"], ["day-0001"])
+
+
+@pytest.mark.parametrize("job", sorted(JOBS))
+def test_every_job_gives_rows_of_one_table(make_archive, tmp_path, job):
+    """Whatever the job, its rows have the table's columns; a failure is a row too."""
+    summary = run_batch(find_captures(str(make_archive(1)))[0], JobSettings(job), tmp_path / "r.csv")
+    assert summary.rows_in_table >= 1
+    assert list(pd.read_csv(tmp_path / "r.csv").columns) == list(COLUMNS)
+
+
+def test_maps_are_written_whole_on_request(make_archive, tmp_path):
+    """Each merged capture leaves a Zarr group with radiance, uncertainty and mask that reads back."""
+    zarr = pytest.importorskip("zarr", reason="the extra `cluster` is not installed")
+    settings = JobSettings("merge", maps=str(tmp_path / "maps"))
+    summary = run_batch(find_captures(str(make_archive(2)))[0], settings, tmp_path / "r.csv")
+    assert summary.failures == ()
+    groups = sorted((tmp_path / "maps").iterdir())
+    assert len(groups) == 2
+    group = zarr.open_group(str(groups[0]), mode="r")
+    assert group["radiance"].shape == group["u_radiance"].shape == group["mask"].shape == (16, 16)
+    table = pd.read_csv(tmp_path / "r.csv")
+    mean = table.query("quantity == 'radiance'")["value"].iloc[0]
+    assert group["radiance"][:].mean() == pytest.approx(mean, rel=1e-5)

@@ -1,0 +1,73 @@
+"""Trends: a planted drift is found within its uncertainty, none is claimed where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from radiometer.archive.trend import MONTH_S, fit_trend
+from radiometer.errors import InputError
+
+U_REL = 0.005
+
+
+def history(rng, drift_per_month, readings=120, scatter=0.002):
+    """Return 12 months of readings whose scatter is smaller than their stated u (most of it is shared)."""
+    time_s = np.sort(rng.uniform(0, 12 * MONTH_S, readings))
+    value = 5.0 * (1 + drift_per_month * time_s / MONTH_S) * (1 + scatter * rng.standard_normal(readings))
+    return time_s, value, np.full(readings, 5.0 * U_REL)
+
+
+def test_a_drift_of_a_fifth_of_a_percent_per_month_is_found():
+    """0.2 %/month over a year: found, and right within 3 of its stated sigmas."""
+    trend = fit_trend(*history(np.random.default_rng(1), 0.002))
+    assert trend.drifts
+    # The figure is relative to the level in the middle of the record.
+    assert abs(trend.drift_per_month - 0.002 / (1 + 0.002 * 6)) < 3 * trend.u_drift_per_month
+    assert trend.u_drift_per_month < 0.0002
+
+
+def test_the_stated_uncertainty_of_the_drift_is_honest():
+    """Over 200 archives the errors scatter by the stated sigma; the scatter is known to 1/√400 = 5 %."""
+    pulls = []
+    for seed in range(200):
+        trend = fit_trend(*history(np.random.default_rng(seed), 0.001, readings=60))
+        pulls.append((trend.drift_per_month - 0.001 / (1 + 0.001 * 6)) / trend.u_drift_per_month)
+    assert np.std(pulls) == pytest.approx(1.0, abs=0.2)
+
+
+def test_no_drift_is_claimed_where_there_is_none():
+    """300 archives without a drift: at most 4 false claims at three sigmas (0.8 expected)."""
+    claims = [fit_trend(*history(np.random.default_rng(seed), 0.0, readings=60)).drifts for seed in range(300)]
+    assert sum(claims) <= 4
+
+
+def test_an_outlier_is_named_and_does_not_bend_the_line():
+    """One reading 5 % too high at the end leaves the drift where it was."""
+    time_s, value, u = history(np.random.default_rng(3), 0.0)
+    without = fit_trend(time_s, value, u)
+    value = value.copy()
+    value[-1] *= 1.05
+    trend = fit_trend(time_s, value, u)
+    assert trend.outlier.nonzero()[0].tolist() == [value.size - 1]
+    assert abs(trend.drift_per_month - without.drift_per_month) < without.u_drift_per_month
+
+
+def test_scatter_beyond_the_stated_uncertainty_is_stated():
+    """Readings that scatter 2 % with a stated 0.5 % have an excess of √(2² − 0.5²) %."""
+    trend = fit_trend(*history(np.random.default_rng(4), 0.0, scatter=0.02))
+    assert trend.excess_rel == pytest.approx(np.sqrt(0.02**2 - U_REL**2), rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t, v, u: (t[:5], v[:5], u[:5]), "too few for a trend"),
+        (lambda t, v, u: (t * 0, v, u), "all readings are of one time"),
+        (lambda t, v, u: (t, v * 0, u), "must be above 0"),
+    ],
+)
+def test_what_has_no_trend_is_refused(change, message):
+    """Too few, one time only, nothing to be relative to."""
+    with pytest.raises(InputError, match=message):
+        fit_trend(*change(*history(np.random.default_rng(5), 0.0)))

@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiometer.bench.camera_health import check_camera, check_dark_level, check_linearity, check_temperature
+from radiometer.data import LensDescription
+from radiometer.devices import CameraPreset, CameraSettings, Health
+from simulators.camera_model import CameraModel
+from simulators.scenes import scene_from_mapping
+from simulators.simulated_camera import SimulatedCamera, default_limits
+
+
+class BentCamera(SimulatedCamera):
+    """A camera whose digital numbers are bent by a gamma of 0.9."""
+
+    def capture(self, count=1):
+        frames = super().capture(count)
+        return [replace(f, dn=np.rint(4095 * (f.dn / 4095) ** 0.9).astype(np.uint16)) for f in frames]
+
+
+def camera(kind=SimulatedCamera, radiance=0.3, temperature_c=40.0):
+    model = CameraModel.ideal(CameraPreset.shipped("BFS-U3-19S4M").camera, LensDescription(f_number=4.0))
+    scene = scene_from_mapping({"kind": "uniform", "radiance_W_per_sr_m2": radiance})
+    limits = replace(default_limits(), width=80, height=60)
+    return kind(model, scene, limits=limits, temperature_c=temperature_c)
+
+
+def test_a_sound_camera_has_no_warning():
+    """An ideal camera passes every check."""
+    with camera() as sound:
+        sound.configure(CameraSettings(0.01, black_level_dn=64))
+        assert {finding.health for finding in check_camera(sound)} == {Health.OK}
+
+
+def test_a_bent_response_is_found():
+    """A gamma of 0.9 is found as half the exposure not giving half the signal."""
+    with camera(BentCamera) as bent:
+        bent.configure(CameraSettings(0.01, black_level_dn=0))
+        finding = check_linearity(bent, 0.0)
+    assert finding.health is Health.WARNING
+    assert "gives 0.535" in finding.message  # 0.5**0.9 = 0.5359
+
+
+def test_too_little_light_is_told_instead_of_judged():
+    """Without light there is no verdict on linearity, but a cure."""
+    with camera(radiance=1e-9) as unlit:
+        unlit.configure(CameraSettings(0.01, black_level_dn=64))
+        finding = check_linearity(unlit, 64.0)
+    assert finding.health is Health.NOTE
+    assert finding.cure
+
+
+def test_a_dark_signal_cut_off_at_zero_is_found():
+    """With black level 0 half of the noise is cut off; the cure is a higher black level."""
+    with camera() as cut:
+        cut.configure(CameraSettings(0.01, black_level_dn=0))
+        finding, _ = check_dark_level(cut)
+    assert finding.health is Health.WARNING
+    assert "raise the black level" in finding.cure
+
+
+def test_the_dark_level_is_measured_with_the_shutter_closed():
+    """Where there is a shutter the dark level is that of closed frames, to the noise of their mean."""
+    with camera(radiance=10.0) as lit:
+        lit.configure(CameraSettings(0.01, black_level_dn=64))
+        _, level_dn = check_dark_level(lit)
+    assert level_dn == pytest.approx(64.0, abs=5 * 0.95 / np.sqrt(2 * 80 * 60) + 0.01)
+
+
+@pytest.mark.parametrize(("temperature_c", "health"), [(40.0, Health.OK), (75.0, Health.WARNING)])
+def test_a_hot_sensor_is_found(temperature_c, health):
+    """A sensor above 65 °C is a warning."""
+    with camera(temperature_c=temperature_c) as warm:
+        assert check_temperature(warm).health is health

@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from radiometer.bench.served_camera import served_camera
+from radiometer.cli.main import run
+from radiometer.errors import ConfigurationError
+
+
+def test_the_devices_are_listed(capsys):
+    """`radiometer simulate --help` lists what can be simulated."""
+    assert run(["simulate", "--help"]) == 0
+    assert "camera" in capsys.readouterr().out
+
+
+def test_without_a_device_it_is_misused(capsys):
+    """Without a device the list goes to standard error and the exit code is 2."""
+    assert run(["simulate"]) == 2
+    assert "Devices:" in capsys.readouterr().err
+
+
+def test_a_device_that_there_is_not_is_told_with_the_nearest(capsys):
+    """A mistyped device gets a hint."""
+    assert run(["simulate", "camrea"]) == 2
+    assert "did you mean 'camera'" in capsys.readouterr().err
+
+
+def test_a_scene_with_an_unknown_kind_is_refused(tmp_path):
+    """The message names the file and the kinds that there are."""
+    file = tmp_path / "scene.yaml"
+    file.write_text("kind: moonlight\n", encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=r"scene\.yaml.*moonlight"):
+        served_camera(scene=str(file))
+
+
+def test_a_missing_scene_file_is_told(capsys, tmp_path):
+    """A file that is not there is one line and exit code 2."""
+    assert run(["simulate", "camera", "--scene", str(tmp_path / "none.yaml")]) == 2
+    assert "none.yaml" in capsys.readouterr().err
+
+
+def test_only_a_simulated_bench_can_be_served(tmp_path):
+    """A bench with a real camera has nothing to serve."""
+    file = tmp_path / "bench.yaml"
+    file.write_text(
+        "format: radiometer-bench/1\ncamera: {kind: genicam, id: '1'}\nlens: {focal_length_mm: 16, f_number: 4}\n",
+        encoding="utf-8",
+    )
+    with pytest.raises(ConfigurationError, match="only a simulated one can be served"):
+        served_camera(file)
+
+
+@pytest.mark.parametrize("kind", ["uniform", "screen", "led"])
+def test_a_kind_of_scene_can_be_named(kind):
+    """A scene that needs nothing told is named by its kind."""
+    assert served_camera(scene=kind, serial="5").label == "simulated camera FLIR BFS-U3-19S4M 5"
+
+
+def test_a_picture_can_be_the_scene(tmp_path):
+    """A picture file is a scene of its own."""
+    file = tmp_path / "scene.png"
+    cv2.imwrite(str(file), np.full((20, 30), 128, np.uint8))
+    assert served_camera(scene=str(file)).label

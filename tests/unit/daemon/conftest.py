@@ -1,0 +1,220 @@
+"""A fake instrument and light box, and a running station built on them."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.daemon.instrument import DeviceReport, Measurement, MeasurementSettings
+from radiometer.daemon.journal import Journal
+from radiometer.daemon.keeper import KeeperTimes
+from radiometer.daemon.scpi.server import ScpiServer
+from radiometer.daemon.station import Station
+from radiometer.data import Contribution, Frame, FrameSettings, Patch, Quantity, Reading, ResponseCurve
+from radiometer.devices import CameraCapabilities, CameraIdentity
+from radiometer.errors import DeviceError, DeviceLost, MeasurementError
+
+QUICK = KeeperTimes(first_pause_s=0.01, longest_pause_s=0.05, check_every_s=0.05, overdue_s=1.0)
+
+
+@dataclass
+class FakeInstrument:
+    """An instrument without optics: radiance 1 + patch.x; can be unplugged."""
+
+    measure_s: float = 0.002
+    unplugged: bool = False
+    failing: bool = False
+    openings: int = 0
+    measured: list[MeasurementSettings] = field(default_factory=list)
+    is_open: bool = False
+    reloads: int = 0
+    late_at: float | None = None
+
+    @property
+    def identity(self) -> CameraIdentity:
+        return CameraIdentity("Fake", "F-1", "4711", "fake")
+
+    @property
+    def limits(self) -> CameraCapabilities:
+        if not self.openings:
+            raise DeviceError("the camera was never open")
+        return CameraCapabilities((1e-5, 30.0), (0.0, 48.0), (0.0, 255.0), ("Mono12",), 64, 48)
+
+    def open(self) -> None:
+        if self.unplugged:
+            raise DeviceLost("fake camera: unplugged")
+        self.openings += 1
+        self.is_open = True
+
+    def close(self) -> None:
+        self.is_open = False
+
+    def check(self) -> DeviceReport:
+        if self.unplugged:
+            raise DeviceLost("fake camera: unplugged")
+        return DeviceReport(41.5, {"frames": len(self.measured), "missing_packets": 3})
+
+    def measure(self, settings: MeasurementSettings) -> Measurement:
+        self.measured.append(settings)
+        time.sleep(self.measure_s)
+        if self.unplugged:
+            raise DeviceLost("fake camera: unplugged")
+        if self.failing:
+            raise MeasurementError("every pixel is saturated; close the aperture")
+        patch = settings.patch or Patch(16, 12, 32, 24)
+        reading = Reading(
+            Quantity(1.0 + patch.x, 0.01, "W sr-1 m-2"),
+            patch,
+            "4711",
+            Quantity(100.0, 2.0, "cd m-2"),
+            exposures_s=(settings.exposure_s,),
+            budget=(Contribution("scale", 0.01),),
+        )
+        dn = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64)
+        return Measurement(reading, (Frame(dn, 12, FrameSettings(settings.exposure_s)),))
+
+    def self_test(self) -> list[str]:
+        return ["dark level is high"] if self.failing else []
+
+    def reload_calibration(self) -> str:
+        self.reloads += 1
+        return "calibration.yaml, made 2026-11-20"
+
+    @property
+    def response(self) -> ResponseCurve | None:
+        g = np.log((np.arange(256) + 0.5) / 128.5)
+        return ResponseCurve(g, np.full(256, 0.01))
+
+    @property
+    def calibration_summary(self) -> dict[str, Any]:
+        return {"source": "calibration.yaml", "created": "2026-11-20T12:00:00Z", "assumptions": ["equal energy"]}
+
+
+@dataclass
+class FakeBox:
+    """A light box of two channels."""
+
+    unplugged: bool = False
+    levels: dict[str, float] = field(default_factory=dict)
+    name: str = "fake box"
+    channels: tuple[str, ...] = ("white", "red")
+    late_at: float | None = None
+
+    def open(self) -> None:
+        if self.unplugged:
+            raise DeviceLost("fake box: unplugged")
+        self.levels = dict.fromkeys(self.channels, 0.0)
+
+    def close(self) -> None:
+        self.levels = dict.fromkeys(self.channels, 0.0)
+
+    def check(self) -> DeviceReport:
+        if self.unplugged:
+            raise DeviceLost("fake box: unplugged")
+        return DeviceReport(30.0)
+
+    def set_level(self, channel: str, level: float) -> float:
+        if self.unplugged:
+            raise DeviceLost("fake box: unplugged")
+        self.levels[channel] = level
+        return level
+
+
+@pytest.fixture
+def instrument() -> FakeInstrument:
+    """Return a fake instrument, not yet open."""
+    return FakeInstrument()
+
+
+@pytest.fixture
+def box() -> FakeBox:
+    """Return a fake light box, not yet open."""
+    return FakeBox()
+
+
+@pytest.fixture
+async def station(instrument: FakeInstrument, box: FakeBox, tmp_path: Path) -> AsyncIterator[Station]:
+    """Return a running station on the fakes."""
+    running = Station(instrument, Journal(tmp_path / "journal.sqlite"), box=box, times=QUICK)
+    await running.start()
+    yield running
+    await running.stop()
+
+
+@pytest.fixture
+def make_reading() -> Callable[..., Reading]:
+    """Return a maker of readings."""
+    template = Reading(Quantity(1.0, 0.01, "W sr-1 m-2"), Patch(0, 0, 10, 10), "4711")
+    return lambda **changes: replace(template, **changes)
+
+
+@pytest.fixture
+def eventually() -> Callable[..., Awaitable[None]]:
+    """Return a wait for a condition, 5 s unless told otherwise."""
+
+    async def wait(condition: Callable[[], object], deadline_s: float = 5.0) -> None:
+        async with asyncio.timeout(deadline_s):
+            while not condition():
+                await asyncio.sleep(0.005)
+
+    return wait
+
+
+@dataclass
+class LineClient:
+    """A raw socket that sends and receives lines."""
+
+    reader: asyncio.StreamReader
+    writer: asyncio.StreamWriter
+
+    async def send(self, message: str) -> None:
+        self.writer.write(message.encode("latin-1") + b"\n")
+        await self.writer.drain()
+
+    async def ask(self, message: str) -> str:
+        await self.send(message)
+        async with asyncio.timeout(5.0):
+            reply = await self.reader.readline()
+            if reply.startswith(b"#"):  # a block may hold line feeds
+                length = 2 + int(reply[1:2]) + int(reply[2 : 2 + int(reply[1:2])]) + 1
+                reply += await self.reader.readexactly(length - len(reply))
+            return reply.decode("latin-1").rstrip("\n")
+
+
+@pytest.fixture
+async def scpi(station: Station) -> AsyncIterator[ScpiServer]:
+    """Return an SCPI server on a free loopback port."""
+    server = ScpiServer(station)
+    await server.listen_tcp("127.0.0.1", 0)
+    yield server
+    await server.close()
+
+
+@pytest.fixture
+async def connect(scpi: ScpiServer) -> AsyncIterator[Callable[[], Awaitable[LineClient]]]:
+    """Return a maker of clients of that server."""
+    clients: list[LineClient] = []
+
+    async def make() -> LineClient:
+        port = scpi._servers[0].sockets[0].getsockname()[1]
+        clients.append(LineClient(*await asyncio.open_connection("127.0.0.1", port, limit=2**22)))
+        return clients[-1]
+
+    yield make
+    for client in clients:
+        client.writer.close()
+
+
+@pytest.fixture
+async def client(connect: Callable[[], Awaitable[LineClient]]) -> LineClient:
+    """Return one client whose error queue is empty."""
+    line_client = await connect()
+    await line_client.send("*CLS")
+    return line_client

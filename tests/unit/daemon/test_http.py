@@ -1,0 +1,382 @@
+"""The HTTP interface: history, stream, picture, settings, description, and who is refused."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import numpy as np
+import pytest
+from PIL import Image
+
+from radiometer.daemon.http.openapi import description
+from radiometer.daemon.http.picture import composite, render
+from radiometer.daemon.http.server import ROUTES, HttpServer
+from radiometer.daemon.instrument import Measurement
+from radiometer.daemon.limits import Limits
+from radiometer.daemon.station import Station
+from radiometer.data import Frame, FrameSettings, Patch, Quantity, Reading
+from radiometer.errors import UsageError
+
+Eventually = Callable[..., Awaitable[None]]
+
+
+@pytest.fixture
+async def session() -> AsyncIterator[aiohttp.ClientSession]:
+    """Return a client session."""
+    async with aiohttp.ClientSession() as client:
+        yield client
+
+
+@pytest.fixture
+async def serve(station: Station) -> AsyncIterator[Callable[..., Awaitable[str]]]:
+    """Return a starter of HTTP servers that gives their base address."""
+    servers: list[HttpServer] = []
+
+    async def start(**options: Any) -> str:
+        servers.append(HttpServer(station, **options))
+        return f"http://127.0.0.1:{await servers[-1].listen('127.0.0.1', 0)}"
+
+    yield start
+    for server in servers:
+        await server.close()
+
+
+@pytest.fixture
+async def base(serve: Any) -> str:
+    """Return the address of a server with default limits."""
+    return str(await serve())
+
+
+async def test_measure_replies_the_documented_reading(
+    base: str, session: aiohttp.ClientSession, station: Station
+) -> None:
+    """POST /measure measures the patch asked for; the reply is the journal's line."""
+    body = {"patch": {"x": 3, "y": 4, "width": 5, "height": 6}}
+    async with session.post(f"{base}/measure", json=body) as reply:
+        reading = await reply.json()
+    assert reply.status == 200
+    assert station.latest is not None
+    assert reading == station.latest.to_mapping()
+    assert (reading["patch"], reading["radiance"]["value"]) == (body["patch"], 4.0)
+    assert station.settings.patch is None
+
+
+@pytest.mark.parametrize(
+    ("form", "count"),
+    [("json", lambda text: len(json.loads(text))), ("jsonl", lambda text: len(text.splitlines())),
+     ("csv", lambda text: len(text.splitlines()) - 1)],
+)  # fmt: skip
+async def test_history_comes_in_three_forms(
+    base: str, session: aiohttp.ClientSession, station: Station, form: str, count: Callable[[str], int]
+) -> None:
+    """Array, lines and CSV hold the same readings."""
+    for _ in range(3):
+        await station.measure()
+    async with session.get(f"{base}/readings", params={"format": form, "limit": "2"}) as reply:
+        assert count(await reply.text()) == 2
+
+
+async def test_history_filters(base: str, session: aiohttp.ClientSession, station: Station) -> None:
+    """`limit` keeps the newest, `after` begins with the oldest above it."""
+    for _ in range(5):
+        await station.measure()
+
+    async def numbers(query: str) -> list[int]:
+        async with session.get(f"{base}/readings?{query}") as reply:
+            return [reading["sequence"] for reading in await reply.json()]
+
+    assert await numbers("limit=2") == [4, 5]
+    assert await numbers("after=1&limit=2") == [2, 3]
+    assert await numbers("until=1h") == []
+    assert len(await numbers("since=1h&clean=true")) == 5
+    assert await numbers("flag=saturated") == []
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("/readings?limit=0", "limit must be 1 to"),
+        ("/readings?limit=abc", "whole number"),
+        ("/readings?since=yesterday", "ISO 8601"),
+        ("/readings?format=xml", "format must be one of"),
+        ("/readings?nonsense=1", "no parameter 'nonsense'"),
+        ("/frame.png?width=100000", "width must be"),
+    ],
+)
+async def test_wrong_queries_are_refused_with_the_reason(
+    base: str, session: aiohttp.ClientSession, path: str, message: str
+) -> None:
+    """Status 400 and JSON that says what is allowed."""
+    async with session.get(base + path) as reply:
+        content = await reply.json()
+    assert reply.status == 400
+    assert message in content["error"]["message"]
+
+
+@pytest.mark.parametrize(
+    ("body", "status"),
+    [
+        (b'{"patch": {"x": 1}}', 400),
+        (b'{"nonsense": 1}', 400),
+        (b"{", 400),
+        (b'{"patch": {"x": 60, "y": 0, "width": 10, "height": 10}}', 400),
+        (b'{"exposure_s": 1e9}', 400),
+        (b'{"gain_db": -1}', 400),
+        (b"x" * 100_000, 413),
+    ],
+)
+async def test_wrong_bodies_are_refused_and_change_nothing(
+    base: str, session: aiohttp.ClientSession, station: Station, body: bytes, status: int
+) -> None:
+    """Out of range, unknown, malformed or too large."""
+    before = station.settings
+    for path in ("/measure", "/settings"):
+        async with session.post(base + path, data=body, headers={"Content-Type": "application/json"}) as reply:
+            assert reply.status == status, await reply.text()
+    assert station.settings == before
+    assert station.latest is None
+
+
+async def test_the_stream_replays_and_follows_without_gap(
+    base: str, session: aiohttp.ClientSession, station: Station
+) -> None:
+    """A client that reconnects with Last-Event-ID gets every reading once, in order."""
+    station.set_every(0.005)
+    while station.latest is None or station.latest.sequence < 10:
+        await asyncio.sleep(0.01)
+    numbers: list[int] = []
+    async with session.get(f"{base}/readings/stream", headers={"Last-Event-ID": "3"}) as reply:
+        assert reply.content_type == "text/event-stream"
+        async for raw in reply.content:
+            if raw.startswith(b"data: ") and b'"radiance"' in raw:
+                numbers.append(json.loads(raw[6:])["sequence"])
+            if len(numbers) == 40:
+                break
+    assert numbers == list(range(4, 44))
+
+
+async def test_the_stream_as_json_lines(base: str, session: aiohttp.ClientSession, station: Station) -> None:
+    """Each line is a reading."""
+    await station.measure()
+    async with session.get(f"{base}/readings/stream", params={"format": "jsonl", "after": "0"}) as reply:
+        line = await asyncio.wait_for(reply.content.readline(), 5)
+    assert station.latest is not None
+    assert json.loads(line) == station.latest.to_mapping()
+
+
+async def test_a_loss_is_pushed_to_listeners(
+    base: str, session: aiohttp.ClientSession, station: Station, instrument: Any
+) -> None:
+    """An event named status tells of the alarm within the deadline; health turns 503; metrics say 0."""
+    async with session.get(f"{base}/readings/stream") as stream:
+        instrument.unplugged = True
+        async with asyncio.timeout(2.0):
+            while (await stream.content.readline()) != b"event: status\n":
+                pass
+        status = json.loads((await stream.content.readline())[6:])
+    assert [alarm["name"] for alarm in status["alarms"]] == ["camera"]
+    async with session.get(f"{base}/healthz") as health:
+        assert (health.status, await health.json()) == (503, {"status": "alarm", "alarms": ["camera"]})
+    async with session.get(f"{base}/metrics") as metrics:
+        assert 'radiometer_device_up{device="camera"} 0.0' in await metrics.text()
+    async with session.post(f"{base}/measure") as refused:
+        assert refused.status == 503
+
+
+async def test_metrics_hold_what_an_operator_watches(
+    base: str, session: aiohttp.ClientSession, station: Station, eventually: Eventually
+) -> None:
+    """Readings, latency, exposure, lost packets, retries, temperature, queue depth."""
+    await station.measure()
+    await eventually(lambda: station.camera.report.counters.get("frames"))
+    async with session.get(f"{base}/metrics") as reply:
+        text = await reply.text()
+    for line in (
+        "radiometer_readings_total 1.0",
+        "radiometer_measurement_seconds_count 1.0",
+        "radiometer_exposure_seconds 0.01",
+        "radiometer_lost_packets_total 3.0",
+        "radiometer_retries_total 0.0",
+        'radiometer_temperature_celsius{device="camera"} 41.5',
+        'radiometer_queue_depth{queue="journal"} 0.0',
+        "process_resident_memory_bytes ",
+    ):
+        assert line in text
+
+
+async def test_settings_change_and_are_reported(
+    base: str, session: aiohttp.ClientSession, station: Station, box: Any
+) -> None:
+    """What is left out stays; an exposure switches automatic exposure off; null stops continuous measurement."""
+    async with session.post(f"{base}/settings", json={"exposure_s": 0.02, "every_s": 5}) as reply:
+        status = await reply.json()
+    assert (status["settings"]["auto_exposure"], status["every_s"]) == (False, 5.0)
+    async with session.post(f"{base}/settings", json={"every_s": None}) as reply:
+        status = await reply.json()
+    assert (status["settings"]["exposure_s"], status["every_s"]) == (0.02, None)
+    async with session.post(f"{base}/light", json={"channel": "red", "level": 0.25}) as reply:
+        assert (reply.status, box.levels["red"]) == (200, 0.25)
+    async with session.post(f"{base}/light", json={"channel": "blue", "level": 0.25}) as reply:
+        assert reply.status == 400
+
+
+async def test_the_description_covers_every_route(base: str, session: aiohttp.ClientSession) -> None:
+    """OpenAPI lists each path and method that is served, every reference resolves, and it is served itself."""
+    async with session.get(f"{base}/openapi.json") as reply:
+        served = await reply.json()
+    assert served == json.loads(json.dumps(description(ROUTES)))
+    assert {(path, method) for path, entry in served["paths"].items() for method in entry} == {
+        (route.path, route.method.lower()) for route in ROUTES
+    }
+    references = {part.split('"')[0] for part in json.dumps(served).split("#/components/schemas/")[1:]}
+    assert references <= set(served["components"]["schemas"])
+
+
+@pytest.mark.parametrize(
+    "path", [route.path for route in ROUTES if route.method == "GET" and "stream" not in route.path]
+)
+async def test_every_get_route_answers(base: str, session: aiohttp.ClientSession, station: Station, path: str) -> None:
+    """Status 200, the content type that the table says, and the security headers."""
+    await station.measure()
+    (route,) = [entry for entry in ROUTES if (entry.method, entry.path) == ("GET", path)]
+    async with session.get(base + path) as reply:
+        assert reply.status == 200
+        assert reply.content_type == route.reply
+        assert "default-src 'none'" in reply.headers["Content-Security-Policy"]
+
+
+async def test_the_page_needs_nothing_from_outside(base: str, session: aiohttp.ClientSession) -> None:
+    """No part of the page names another host."""
+    for path in ("/", "/page.js", "/plots.js", "/page.css"):
+        async with session.get(base + path) as reply:
+            text = (await reply.text()).replace("http://www.w3.org/2000/svg", "")
+        assert "http:" not in text
+        assert "https:" not in text
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Host": "evil.example"}, 403),
+        ({"Origin": "http://evil.example"}, 403),
+        ({"Sec-Fetch-Site": "cross-site"}, 403),
+        ({"Content-Type": "text/plain"}, 415),
+    ],
+)
+async def test_foreign_sites_cannot_use_a_browser_against_it(
+    base: str, session: aiohttp.ClientSession, headers: dict[str, str], status: int
+) -> None:
+    """DNS rebinding, cross-site posts and simple-request tricks are refused."""
+    async with session.post(f"{base}/measure", data=b"{}", headers=headers) as reply:
+        assert reply.status == status
+
+
+@pytest.mark.parametrize(
+    "path", ["/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/page/../../journal.sqlite", "//etc/passwd"]
+)
+async def test_no_path_reaches_the_file_system(base: str, path: str) -> None:
+    """Whatever the path, only routes of the table are served."""
+    host, port = base.removeprefix("http://").split(":")
+    reader, writer = await asyncio.open_connection(host, int(port))
+    writer.write(f"GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode())
+    head = await reader.read()
+    writer.close()
+    assert head.split(b"\r\n")[0].split()[1] in (b"404", b"400")
+    assert b"root:" not in head
+
+
+async def test_a_token_is_asked_for(serve: Any, session: aiohttp.ClientSession) -> None:
+    """Without it only the page, its parts, health and description are served."""
+    base = await serve(token="a-long-enough-token")
+    for route in ROUTES:
+        async with session.request(route.method, base + route.path, headers={"Host": "radiometer.lab"}) as reply:
+            assert (reply.status == 401) == (not route.public)
+    for given, status in (("a-long-enough-token", 200), ("a-long-enough-tokem", 401), ("", 401)):
+        async with session.get(f"{base}/status", headers={"Authorization": f"Bearer {given}"}) as reply:
+            assert reply.status == status
+
+
+async def test_another_address_needs_a_token(station: Station) -> None:
+    """An open address without a token is refused at start."""
+    server = HttpServer(station)
+    with pytest.raises(UsageError, match="--token-file"):
+        await server.listen("0.0.0.0", 0)
+
+
+async def test_rates_and_connections_are_limited(serve: Any, session: aiohttp.ClientSession) -> None:
+    """More than allowed gives 429; one connection too many gives 503."""
+    base = await serve(limits=Limits(http_requests_per_s=5.0, http_connections=2))
+    statuses = []
+    for _ in range(12):
+        async with session.get(f"{base}/healthz") as reply:
+            statuses.append(reply.status)
+    assert statuses[:5] == [200] * 5
+    assert 429 in statuses
+    host, port = base.removeprefix("http://").split(":")
+    streams = [await asyncio.open_connection(host, int(port)) for _ in range(3)]
+    assert b"503" in (await asyncio.wait_for(streams[-1][0].read(), 5)).split(b"\r\n")[0]
+    for _, writer in streams:
+        writer.close()
+
+
+async def test_listeners_are_limited(serve: Any, session: aiohttp.ClientSession, station: Station) -> None:
+    """Beyond the limit a stream is refused, and a slot is free again once a listener leaves."""
+    base = await serve(limits=Limits(listeners=1))
+    async with session.get(f"{base}/readings/stream") as first:
+        assert first.status == 200
+        async with session.get(f"{base}/readings/stream") as second:
+            assert second.status == 503
+
+
+def _measurement(dn: np.ndarray[Any, Any], exposures_s: tuple[float, ...]) -> Measurement:
+    frames = tuple(
+        Frame(
+            np.minimum(dn * (t / exposures_s[0]) + 64, 4095).astype(np.uint16),
+            12,
+            FrameSettings(t, black_level_dn=64.0),
+        )
+        for t in exposures_s
+    )
+    return Measurement(Reading(Quantity(2.0, 0.1, "W sr-1 m-2"), Patch(0, 0, 10, 10), "1"), frames)
+
+
+def test_the_picture_spans_what_no_single_frame_does() -> None:
+    """Each pixel comes from the longest exposure that does not clip, scaled to the patch's radiance."""
+    dn = np.full((40, 40), 100.0)
+    dn[20:] = 3000.0
+    dn[:10, 20:] = 1.0
+    picture = composite(_measurement(dn, (0.001, 0.01)), None, 7)
+    assert picture.radiance[5, 5] == pytest.approx(2.0, rel=0.01)
+    assert picture.radiance[30, 5] == pytest.approx(60.0, rel=0.01)
+    assert picture.radiance[5, 30] == pytest.approx(0.02, rel=0.06)  # 10 DN above black in the longer frame
+    assert not picture.clipped.any()
+
+
+def test_the_scale_bar_widens_the_picture_and_the_map_is_red_only() -> None:
+    """The bar adds its width; the red map lights the red channel alone; clipped pixels stand out elsewhere."""
+    picture = composite(_measurement(np.linspace(1, 3500, 1600).reshape(40, 40), (0.001,)), None, 1)
+    plain, headers = render(picture, width=80, scale="linear", colours="red", bar=False)
+    barred, _ = render(picture, width=80, scale="linear", colours="red", bar=True)
+    pixels = np.asarray(Image.open(io.BytesIO(plain)))
+    assert pixels.shape == (80, 80, 3)
+    assert pixels[..., 0].max() == 255
+    assert pixels[..., 1:].max() == 0
+    assert Image.open(io.BytesIO(barred)).size[0] > 80
+    assert headers["Radiometer-Frame"] == "40,40"
+
+
+def test_no_route_takes_a_path_from_the_client() -> None:
+    """Every path of the table is fixed."""
+    assert not [route.path for route in ROUTES if "{" in route.path]
+
+
+def test_the_page_is_part_of_the_package(project_root: Path) -> None:
+    """Every file of the page folder is served."""
+    files = {path.name for path in (project_root / "radiometer/daemon/http/page").iterdir()}
+    assert files == {"index.html", "page.css", "page.js", "plots.js", "icon.svg"}

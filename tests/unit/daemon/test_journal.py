@@ -1,0 +1,190 @@
+"""The journal keeps every reading, numbered without holes, and says why it cannot."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from radiometer.daemon.journal import Journal, JournalError
+from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
+from radiometer.daemon.timestamps import iso_time, microseconds, parse_moment
+from radiometer.data import Flag, Quantity, Reading
+from radiometer.errors import InputError, OutputError, UsageError
+
+Make = Callable[..., Reading]
+
+
+def test_sequences_run_on_after_reopening(tmp_path: Path, make_reading: Make) -> None:
+    """Numbers continue where they stopped, without hole or duplicate."""
+    for _ in range(3):
+        with Journal(tmp_path / "j.sqlite") as journal:
+            journal.append([make_reading(), make_reading()])
+    lines = JournalReader(tmp_path / "j.sqlite").lines(ReadingFilter())
+    assert [json.loads(line)["sequence"] for line in lines] == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_reading_comes_back_as_it_was_committed(tmp_path: Path, make_reading: Make) -> None:
+    """The stored line is the documented JSON of the numbered reading."""
+    with Journal(tmp_path / "j.sqlite") as journal:
+        (numbered,) = journal.append([make_reading(flags=(Flag.SATURATED,))])
+    assert JournalReader(tmp_path / "j.sqlite").lines(ReadingFilter()) == [numbered.to_json()]
+
+
+def test_an_undefined_radiance_is_kept_too(tmp_path: Path, make_reading: Make) -> None:
+    """A value that is not finite is stored as null, not refused."""
+    with Journal(tmp_path / "j.sqlite") as journal:
+        journal.append([make_reading(radiance=Quantity(float("nan"), float("inf"), "relative"))])
+    (line,) = JournalReader(tmp_path / "j.sqlite").lines(ReadingFilter())
+    assert json.loads(line)["radiance"] == {"value": None, "u": None, "unit": "relative"}
+
+
+def test_filters_select_by_time_flag_and_number(tmp_path: Path, make_reading: Make) -> None:
+    """Each filter keeps exactly the readings it names."""
+    with Journal(tmp_path / "j.sqlite") as journal:
+        journal.append(
+            [
+                make_reading(time="2026-01-01T00:00:00Z"),
+                make_reading(time="2026-01-02T00:00:00Z", flags=(Flag.BELOW_NOISE, Flag.UNCALIBRATED)),
+                make_reading(time="2026-01-03T00:00:00Z", flags=(Flag.UNCALIBRATED,)),
+            ]
+        )
+    reader = JournalReader(tmp_path / "j.sqlite")
+
+    def numbers(wanted: ReadingFilter) -> list[int]:
+        return [json.loads(line)["sequence"] for line in reader.lines(wanted)]
+
+    assert numbers(ReadingFilter(since_us=microseconds("2026-01-02T00:00:00Z"))) == [2, 3]
+    assert numbers(ReadingFilter(until_us=microseconds("2026-01-02T00:00:00Z"))) == [1]
+    assert numbers(ReadingFilter(flag="uncalibrated")) == [2, 3]
+    assert numbers(ReadingFilter(flag="calibrated")) == []
+    assert numbers(ReadingFilter(without_flags=True)) == [1]
+    assert numbers(ReadingFilter(after=1, limit=1)) == [2]
+    assert numbers(ReadingFilter(limit=2, newest_first=True)) == [3, 2]
+
+
+def test_csv_has_a_header_and_one_row_per_reading(tmp_path: Path, make_reading: Make) -> None:
+    """A missing luminance is an empty cell."""
+    with Journal(tmp_path / "j.sqlite") as journal:
+        journal.append([make_reading(exposures_s=(0.001, 0.004))])
+    header, row = to_csv(JournalReader(tmp_path / "j.sqlite").lines(ReadingFilter())).splitlines()
+    cells = dict(zip(header.split(","), row.split(","), strict=True))
+    assert (cells["sequence"], cells["radiance"], cells["luminance"], cells["exposures_s"]) == (
+        "1",
+        "1.0",
+        "",
+        "0.001 0.004",
+    )
+
+
+def test_a_full_journal_refuses_and_loses_nothing(tmp_path: Path, make_reading: Make) -> None:
+    """At the size limit appending raises, what was committed stays, and the numbers go on once there is room."""
+    path = tmp_path / "j.sqlite"
+    committed: list[Reading] = []
+
+    def fill(journal: Journal) -> None:
+        while True:
+            committed.extend(journal.append([make_reading()] * 20))
+
+    with Journal(path, max_bytes=200_000) as limited, pytest.raises(JournalError, match="free space"):
+        fill(limited)
+    with Journal(path) as journal:
+        (numbered,) = journal.append([make_reading()])
+    count = len(committed)
+    assert count > 0
+    assert numbered.sequence == count + 1
+    assert JournalReader(path).bounds() == (1, count + 1, count + 1)
+
+
+def test_a_locked_journal_is_named_as_such(tmp_path: Path, make_reading: Make) -> None:
+    """A file locked by another program raises JournalError, and works again once it is free."""
+    path = tmp_path / "j.sqlite"
+    with Journal(path) as journal:
+        other = sqlite3.connect(path, isolation_level=None)
+        other.execute("BEGIN EXCLUSIVE")
+        with pytest.raises(JournalError, match="locked"):
+            journal.append([make_reading()])
+        other.execute("ROLLBACK")
+        other.close()
+        assert [reading.sequence for reading in journal.append([make_reading()])] == [1]
+
+
+def test_a_second_daemon_is_refused(tmp_path: Path) -> None:
+    """Two writers of one journal are not allowed."""
+    with Journal(tmp_path / "j.sqlite"), pytest.raises(OutputError, match="another daemon"):
+        Journal(tmp_path / "j.sqlite").open()
+
+
+@pytest.mark.parametrize("content", [b"not a database at all, but long enough to look like one" * 40, b"\0" * 4096])
+def test_a_file_that_is_no_journal_is_refused(tmp_path: Path, content: bytes) -> None:
+    """Foreign content is neither overwritten nor reported as a passing trouble."""
+    path = tmp_path / "j.sqlite"
+    path.write_bytes(content)
+    with pytest.raises(OutputError, match="--journal") as caught:
+        Journal(path).open()
+    assert not isinstance(caught.value, JournalError)
+    assert path.read_bytes() == content
+
+
+def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    """A wrong path is a mistake to be told at once, not a trouble that passes."""
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="--journal") as caught:
+        Journal(tmp_path / "file" / "j.sqlite").open()
+    assert not isinstance(caught.value, JournalError)
+
+
+def test_another_sqlite_file_is_refused(tmp_path: Path) -> None:
+    """A database of another program is left alone."""
+    path = tmp_path / "j.sqlite"
+    with sqlite3.connect(path) as other:
+        other.execute("CREATE TABLE things (id INTEGER)")
+    other.close()
+    with pytest.raises(OutputError, match="not a radiometer journal"):
+        Journal(path).open()
+    with pytest.raises(InputError, match="not a radiometer journal"):
+        JournalReader(path).lines(ReadingFilter())
+
+
+def test_retention_deletes_the_oldest_and_keeps_the_numbers(tmp_path: Path, make_reading: Make) -> None:
+    """Old readings go, the newest always stays, and numbers are never used again."""
+    path = tmp_path / "j.sqlite"
+    with Journal(path) as journal:
+        journal.append([make_reading(time=f"2026-01-{day:02d}T00:00:00Z") for day in range(1, 11)])
+        assert journal.drop_older(microseconds("2026-01-06T00:00:00Z")) == 5
+        assert journal.drop_older(microseconds("2027-01-01T00:00:00Z")) == 4
+        assert [reading.sequence for reading in journal.append([make_reading()])] == [11]
+    assert JournalReader(path).bounds() == (10, 11, 2)
+    with Journal(path) as journal:
+        assert [reading.sequence for reading in journal.append([make_reading()])] == [12]
+
+
+def test_a_hole_is_found_on_opening(tmp_path: Path, make_reading: Make) -> None:
+    """A journal that was tampered with is refused."""
+    path = tmp_path / "j.sqlite"
+    with Journal(path) as journal:
+        journal.append([make_reading()] * 3)
+    with sqlite3.connect(path) as other:
+        other.execute("DELETE FROM readings WHERE sequence = 2")
+    other.close()
+    with pytest.raises(OutputError, match="damaged"):
+        Journal(path).open()
+
+
+def test_a_long_query_ends_at_its_deadline(tmp_path: Path, make_reading: Make) -> None:
+    """A reader gives up rather than hold a thread for ever."""
+    with Journal(tmp_path / "j.sqlite") as journal:
+        journal.append([make_reading()] * 20_000)
+    with pytest.raises(InputError, match="interrupted"):
+        JournalReader(tmp_path / "j.sqlite", deadline_s=-1.0).lines(ReadingFilter(flag="none"))
+
+
+def test_moments_are_iso_times_or_ages() -> None:
+    """Both forms give µs since 1970; anything else is refused with the allowed forms."""
+    assert iso_time(parse_moment("2026-11-20T12:00:00.25+01:00")) == "2026-11-20T11:00:00.250000Z"
+    assert parse_moment("1.5h", now=10_000_000_000) == 10_000_000_000 - 5_400_000_000
+    with pytest.raises(UsageError, match="ISO 8601"):
+        parse_moment("yesterday")

@@ -1,0 +1,231 @@
+"""The core measures, commits before it shows, and survives the loss of devices and journal."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sqlite3
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from radiometer.daemon.journal import Journal
+from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
+from radiometer.daemon.keeper import DeviceState
+from radiometer.daemon.station import Station
+from radiometer.data import Patch
+from radiometer.errors import DeviceError, OutputError, SettingOutOfRange, UsageError
+
+Eventually = Callable[..., Awaitable[None]]
+
+
+async def test_a_reading_is_in_the_journal_when_it_is_seen(station: Station) -> None:
+    """What `measure` returns can be read from the file at that moment."""
+    reading = await station.measure()
+    assert JournalReader(station.journal_path).lines(ReadingFilter()) == [reading.to_json()]
+    assert station.latest == reading
+
+
+async def test_continuous_measurement_keeps_its_period(station: Station) -> None:
+    """Ten periods give ten readings, give or take the first and last."""
+    station.set_every(0.05)
+    await asyncio.sleep(0.5)
+    station.set_every(None)
+    assert station.latest is not None
+    assert 8 <= station.latest.sequence <= 11
+
+
+async def test_on_demand_goes_before_continuous(station: Station, instrument: Any) -> None:
+    """A request is served although measuring runs as fast as it goes."""
+    station.set_every(0.0)
+    reading = await station.measure(station.configure(patch=Patch(1, 2, 3, 4)), 2.0)
+    assert reading.patch == Patch(1, 2, 3, 4)
+
+
+async def test_requests_for_the_same_settings_share_a_measurement(station: Station, instrument: Any) -> None:
+    """Fifty clients that ask at once cost at most two measurements."""
+    readings = await asyncio.gather(*(station.measure() for _ in range(50)))
+    assert len({reading.sequence for reading in readings}) <= 2
+    assert len(instrument.measured) <= 2
+
+
+async def test_settings_out_of_range_are_refused_and_change_nothing(station: Station) -> None:
+    """The error names value, limits and unit; the old settings stay."""
+    before = station.settings
+    with pytest.raises(SettingOutOfRange, match="1e-05 to 30 s"):
+        station.configure(exposure_s=100.0, auto_exposure=False)
+    with pytest.raises(UsageError, match="64 × 48"):
+        station.configure(patch=Patch(60, 0, 10, 10))
+    assert station.settings == before
+
+
+async def test_a_lost_camera_is_reported_and_reopened(
+    station: Station, instrument: Any, eventually: Eventually
+) -> None:
+    """Loss puts the alarm up and fails requests at once; the return clears it, and measuring goes on."""
+    station.set_every(0.01)
+    await eventually(lambda: station.latest)
+    instrument.unplugged = True
+    await eventually(lambda: station.camera.state is DeviceState.LOST)
+    assert [alarm.name for alarm in station.alarms.active] == ["camera"]
+    with pytest.raises(DeviceError, match="unplugged"):
+        await station.measure()
+    instrument.unplugged = False
+    await eventually(lambda: not station.alarms.active)
+    assert station.latest is not None
+    last = station.latest.sequence
+    await eventually(lambda: station.latest is not None and station.latest.sequence > last)
+    assert station.camera.losses == 1
+
+
+async def test_a_camera_that_does_not_return_is_told_before_it_gives_up(
+    station: Station, instrument: Any, eventually: Eventually
+) -> None:
+    """While a call hangs the alarm is up; once it returns the alarm goes, and no loss is counted."""
+    instrument.measure_s = 1.0
+    instrument.late_at = time.monotonic() + 0.2
+    measuring = asyncio.create_task(station.measure())
+    await eventually(lambda: station.camera.state is DeviceState.OVERDUE, 0.8)
+    assert "has not answered" in station.alarms.active[0].message
+    await measuring
+    assert station.alarms.active == ()
+    assert station.camera.losses == 0
+
+
+async def test_a_late_camera_that_turns_out_lost_is_announced_again(
+    station: Station, instrument: Any, eventually: Eventually
+) -> None:
+    """Listeners hear of the delay, then of the loss, as two events."""
+    instrument.measure_s = 0.6
+    instrument.late_at = time.monotonic() + 0.1
+    listener = station.hub.subscribe()
+    measuring = asyncio.create_task(station.measure())
+    await eventually(lambda: station.camera.state is DeviceState.OVERDUE)
+    instrument.unplugged = True
+    with pytest.raises(DeviceError):
+        await measuring
+    told = []
+    for _ in range(2):
+        event = await asyncio.wait_for(listener.next(), 2)
+        assert event is not None
+        told.append(json.loads(event.line)["devices"]["camera"]["state"])
+    assert told == ["overdue", "lost"]
+
+
+async def test_an_idle_camera_is_missed_too(station: Station, instrument: Any, eventually: Eventually) -> None:
+    """Nobody measures, yet the loss is noticed."""
+    instrument.unplugged = True
+    await eventually(lambda: station.camera.state is DeviceState.LOST)
+
+
+async def test_a_camera_that_is_absent_at_start_is_waited_for(
+    instrument: Any, tmp_path: Path, eventually: Eventually
+) -> None:
+    """The daemon comes up without its camera and takes it when it appears."""
+    instrument.unplugged = True
+    station = Station(instrument, Journal(tmp_path / "j.sqlite"))
+    await station.start()
+    assert [alarm.name for alarm in station.alarms.active] == ["camera"]
+    instrument.unplugged = False
+    await eventually(lambda: station.camera.is_ready)
+    assert (await station.measure()).sequence == 1
+    await station.stop()
+
+
+async def test_a_light_box_that_comes_back_is_known_to_be_dark(
+    station: Station, box: Any, eventually: Eventually
+) -> None:
+    """Levels set before the loss are not believed after it."""
+    assert await station.set_level("red", 0.5) == 0.5
+    box.unplugged = True
+    await eventually(lambda: [alarm.name for alarm in station.alarms.active] == ["light box"])
+    with pytest.raises(DeviceError):
+        await station.set_level("red", 0.7)
+    box.unplugged = False
+    await eventually(lambda: not station.alarms.active)
+    assert station.levels == {"white": 0.0, "red": 0.0}
+
+
+async def test_a_driver_bug_counts_as_loss(station: Station, instrument: Any, eventually: Eventually) -> None:
+    """An unexpected exception neither ends the daemon nor stays unnoticed."""
+    instrument.measure = lambda settings: 1 / 0
+    station.set_every(0.01)
+    await eventually(lambda: station.camera.losses > 0)
+    del instrument.measure
+    await eventually(lambda: station.latest)
+
+
+async def test_failed_measurements_put_an_alarm_up(station: Station, instrument: Any, eventually: Eventually) -> None:
+    """A saturated scene is reported; when it is over the alarm goes."""
+    instrument.failing = True
+    station.set_every(0.01)
+    await eventually(lambda: [alarm.name for alarm in station.alarms.active] == ["measurement"])
+    instrument.failing = False
+    await eventually(lambda: not station.alarms.active)
+
+
+async def test_a_locked_journal_holds_readings_back(station: Station, eventually: Eventually) -> None:
+    """While it is locked no client sees a reading; afterwards all come, numbered without holes."""
+    other = sqlite3.connect(station.journal_path, isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    station.set_every(0.02)
+    await eventually(lambda: any(alarm.name == "journal" for alarm in station.alarms.active))
+    assert station.latest is None
+    other.execute("ROLLBACK")
+    other.close()
+    await eventually(lambda: station.latest is not None and not station.alarms.active)
+    station.set_every(None)
+    await eventually(lambda: station.writer.depth == 0)
+    numbers = [json.loads(line)["sequence"] for line in JournalReader(station.journal_path).lines(ReadingFilter())]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert len(numbers) > 5
+
+
+async def test_measuring_pauses_when_too_much_waits(
+    instrument: Any, tmp_path: Path, eventually: Eventually, make_reading: Any
+) -> None:
+    """A journal that stays full stops the acquisition instead of losing readings or filling the memory."""
+    station = Station(instrument, Journal(tmp_path / "j.sqlite", max_bytes=50_000))
+    station.writer._capacity = 20
+    await station.start()
+    station.set_every(0.0)
+    await eventually(lambda: station.writer.depth >= 20, 20.0)
+    await asyncio.sleep(0.3)
+    measured, waiting = len(instrument.measured), station.writer.depth
+    assert waiting <= 21
+    assert station.latest is not None
+    assert station.latest.sequence + waiting == measured
+    await eventually(lambda: any("paused" in alarm.message for alarm in station.alarms.active))
+    await station.stop()
+
+
+async def test_a_damaged_journal_ends_the_start(instrument: Any, tmp_path: Path) -> None:
+    """A file that will never become a journal is refused with the way out."""
+    (tmp_path / "j.sqlite").write_bytes(b"x" * 5000)
+    station = Station(instrument, Journal(tmp_path / "j.sqlite"))
+    with pytest.raises(OutputError, match="--journal"):
+        await station.start()
+
+
+async def test_a_listener_that_falls_behind_is_cut_off(station: Station) -> None:
+    """Its queue does not grow; the others go on."""
+    slow, quick = station.hub.subscribe(2), station.hub.subscribe(64)
+    for _ in range(5):
+        await station.measure()
+    assert slow.closed
+    assert await slow.next() is None
+    assert not quick.closed
+
+
+async def test_events_are_in_the_journal(station: Station, instrument: Any, eventually: Eventually) -> None:
+    """Loss and return of the camera can be read later."""
+    instrument.unplugged = True
+    await eventually(lambda: station.alarms.active)
+    instrument.unplugged = False
+    await eventually(lambda: not station.alarms.active)
+    reader = JournalReader(station.journal_path)
+    await eventually(lambda: len(reader.events()) == 2)
+    assert [event["kind"] for event in reader.events()] == ["alarm", "cleared"]

@@ -1,0 +1,50 @@
+"""The watch on a camera knows by when a call should be over."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from radiometer.daemon.watched_camera import GRACE_S, WatchedCamera
+from radiometer.devices import Camera, CameraSettings
+
+
+class _Camera:
+    """Notes what the watch says while a call runs."""
+
+    def __init__(self) -> None:
+        self.settings = CameraSettings(0.5)
+        self.seen: list[float | None] = []
+        self.watch: Any = None
+
+    def capture(self, count: int = 1) -> list[Any]:
+        self.seen.append(self.watch.late_at)
+        return []
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        self.seen.append(self.watch.late_at)
+        raise ValueError("refused")
+
+
+def test_a_capture_is_late_after_twice_its_exposures_and_a_grace() -> None:
+    """The time counts from the call's begin; after the call nothing is late."""
+    camera: Any = _Camera()
+    camera.watch = watched = WatchedCamera(camera, clock=lambda: 100.0)
+    watched.capture(3)
+    assert camera.seen == [100.0 + GRACE_S + 3.0]
+    assert watched.late_at is None
+
+
+def test_a_refused_call_is_not_late_for_ever() -> None:
+    """An error ends the call too."""
+    camera: Any = _Camera()
+    camera.watch = watched = WatchedCamera(camera, clock=lambda: 100.0)
+    try:
+        watched.configure(CameraSettings(0.1))
+    except ValueError:
+        assert camera.seen == [100.0 + GRACE_S]
+    assert watched.late_at is None
+
+
+def test_it_is_a_camera() -> None:
+    """It has every member of the Protocol."""
+    assert [name for name in dir(Camera) if not name.startswith("_") and not hasattr(WatchedCamera, name)] == []

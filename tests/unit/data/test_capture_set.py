@@ -1,0 +1,150 @@
+"""Capture sets: what is written is read, and what is unfinished or inconsistent is refused with its reason."""
+
+from __future__ import annotations
+
+import os
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from radiometer.data import CameraDescription, CaptureSet, CaptureSetWriter, Frame, FrameSettings
+from radiometer.errors import CaptureError, OutputError
+
+CAMERA = CameraDescription(bit_depth=12, model="BFS-U3-19S4M", serial="22500001")
+
+
+def frame(level=100, exposure_s=0.01, shape=(6, 8), **settings):
+    """Return a uniform 12-bit frame."""
+    return Frame(np.full(shape, level, np.uint16), 12, FrameSettings(exposure_s, **settings))
+
+
+@pytest.fixture
+def capture(tmp_path):
+    """Return the folder of a finished capture set of three light frames and a dark one."""
+    folder = tmp_path / "capture"
+    with CaptureSetWriter(folder, CAMERA) as writer:
+        for exposure_s, level in ((0.04, 400), (0.01, 100), (0.02, 4095)):
+            writer.add(frame(level, exposure_s, temperature_c=41.5, black_level_dn=64.0))
+        writer.add(frame(64, 0.04, shutter="closed"))
+    return folder
+
+
+def edit(folder, change):
+    """Change capture.yaml through a function of its mapping."""
+    path = folder / "capture.yaml"
+    mapping = yaml.safe_load(path.read_text())
+    change(mapping)
+    path.write_text(yaml.safe_dump(mapping))
+
+
+def test_digital_numbers_and_settings_survive_the_disk(capture):
+    """A 12-bit 4095 is stored as 4095; settings come back as they were."""
+    read = CaptureSet.read(capture)
+    frames = list(read.frames())
+    assert [int(f.dn[0, 0]) for f in frames] == [400, 100, 4095, 64]
+    assert frames[0].settings == FrameSettings(0.04, black_level_dn=64.0, temperature_c=41.5)
+    assert frames[3].settings.is_dark
+
+
+def test_a_bracket_is_sorted_and_keeps_the_darks_apart(capture):
+    """Light frames ascend in exposure; dark frames stand beside them."""
+    bracket = CaptureSet.read(capture).bracket()
+    assert bracket.effective_exposures_s.tolist() == [0.01, 0.02, 0.04]
+    assert len(bracket.dark_frames) == 1
+
+
+def test_keys_of_other_programs_are_kept(capture):
+    """Unknown keys are allowed and stay."""
+    edit(capture, lambda m: m.update(laboratory={"room": 12}))
+    assert CaptureSet.read(capture).header.to_mapping()["laboratory"] == {"room": 12}
+
+
+def test_a_folder_without_its_header_is_unfinished(capture):
+    """capture.yaml is written last, so its absence means that the capture was not finished."""
+    (capture / "capture.yaml").unlink()
+    with pytest.raises(CaptureError, match="not finished"):
+        CaptureSet.read(capture)
+
+
+def test_an_error_while_capturing_leaves_nothing_behind(tmp_path):
+    """No half-written capture set stays on disk."""
+
+    def fail():
+        with CaptureSetWriter(tmp_path / "capture", CAMERA) as writer:
+            writer.add(frame())
+            raise RuntimeError("camera gone")
+
+    with pytest.raises(RuntimeError, match="camera gone"):
+        fail()
+    assert not (tmp_path / "capture").exists()
+
+
+def test_a_folder_that_holds_something_is_not_overwritten(capture):
+    """A second capture needs another name."""
+    with pytest.raises(OutputError, match="exists already"), CaptureSetWriter(capture, CAMERA):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda m: m["camera"].pop("bit_depth"), r"'camera.bit_depth' is missing"),
+        (lambda m: m["frames"][1].update(exposure_s=-1), r"frames\.1\.exposure_s = -1"),
+        (lambda m: m["frames"][1].update(file="frames/9999.png"), r"9999\.png' does not exist"),
+        (lambda m: m["frames"][1].update(file="../../etc/passwd"), "outside the capture set"),
+        (lambda m: m.update(format="radiometer-capture/9"), "this version reads"),
+        (lambda m: m.update(frames=[]), "frames"),
+    ],
+)
+def test_a_wrong_header_is_refused_with_key_and_reason(capture, change, message):
+    """The error names the file, the key and what is wrong."""
+    edit(capture, change)
+    with pytest.raises(CaptureError, match=message):
+        CaptureSet.read(capture)
+
+
+def test_text_that_is_no_yaml_is_refused_with_its_line(capture):
+    """The error gives line and column."""
+    (capture / "capture.yaml").write_text("camera: {bit_depth: 12\nframes: ]")
+    with pytest.raises(Exception, match="line 2"):
+        CaptureSet.read(capture)
+
+
+def test_a_truncated_png_is_refused(capture):
+    """Half a file must not become a half-black frame."""
+    file = capture / "frames" / "0001.png"
+    os.truncate(file, file.stat().st_size - 20)
+    with pytest.raises(CaptureError, match=r"0001\.png: the PNG is truncated"):
+        CaptureSet.read(capture).read_frame(1)
+
+
+def test_values_above_full_scale_are_refused(capture):
+    """A 13-bit value in a 12-bit capture set means that the header or the frame is wrong."""
+    cv2.imwrite(str(capture / "frames" / "0001.png"), np.full((6, 8), 5000, np.uint16))
+    with pytest.raises(CaptureError, match="holds the value 5000, above the full scale 4095"):
+        CaptureSet.read(capture).read_frame(1)
+
+
+def test_mixed_sizes_are_refused(capture):
+    """All frames of a set need one size; the error names the file and both sizes."""
+    cv2.imwrite(str(capture / "frames" / "0001.png"), np.full((5, 8), 50, np.uint16))
+    with pytest.raises(CaptureError, match=r"0001\.png: is 8 × 5 pixels, the frames before 8 × 6"):
+        list(CaptureSet.read(capture).frames())
+
+
+def test_colour_frames_are_refused(capture):
+    """A capture set holds one channel."""
+    cv2.imwrite(str(capture / "frames" / "0001.png"), np.zeros((6, 8, 3), np.uint16))
+    with pytest.raises(CaptureError, match="expected one channel"):
+        CaptureSet.read(capture).read_frame(1)
+
+
+def test_the_content_hash_notices_one_changed_pixel(capture):
+    """Two sets are the same only if every pixel is."""
+    before = CaptureSet.read(capture).content_hash()
+    changed = np.full((6, 8), 100, np.uint16)
+    changed[0, 0] = 101
+    cv2.imwrite(str(capture / "frames" / "0001.png"), changed)
+    assert CaptureSet.read(capture).content_hash() != before

@@ -1,0 +1,90 @@
+"""Interpolation between measured levels of a light box."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from radiometer.data.light_calibration import ChannelCalibration, LightCalibration, LightPoint
+from radiometer.errors import CalibrationError
+
+STEPS = 8192
+
+
+def point(step: int, radiance: float, current_range: str = "high", u_rel: float = 1e-4) -> LightPoint:
+    """Return a measured level."""
+    return LightPoint(
+        current_range=current_range,
+        level=min(step * 8, 65535),
+        duty_step=step,
+        radiance_W_per_sr_m2=radiance,
+        u_rel=u_rel,
+    )
+
+
+def calibration(*points: LightPoint, common_u_rel: float = 0.0) -> LightCalibration:
+    """Return a calibration of one channel."""
+    channel = ChannelCalibration(duty_steps=STEPS, common_u_rel=common_u_rel, points=points)
+    return LightCalibration("LB000001", {"spot": channel})
+
+
+def test_proportional_channel_is_reproduced_at_every_step():
+    """Where radiance goes as duty, any step between two points comes out exactly."""
+    found = calibration(point(16, 16.0), point(256, 256.0), point(4096, 4096.0))
+    for step in (16, 17, 100, 1000, 4095, 4096):
+        choice = found.choose("spot", float(step))
+        assert choice.radiance_w_sr_m2 == pytest.approx(step, rel=1e-9)
+        assert (choice.level * STEPS + 32768) // 65536 == step
+
+
+def test_smooth_departure_stays_within_the_stated_interpolation_error():
+    """With a droop of 10 % every step lies within k = √3 (the half width) of its own stated error."""
+
+    def radiance(step: float) -> float:
+        return step * (1 - 0.1 * step / STEPS)
+
+    steps = np.unique(np.round(np.geomspace(16, STEPS, 12)).astype(int))
+    held = calibration(*(point(int(s), radiance(s), u_rel=0.0) for s in steps)).channels["spot"].ranges["high"]
+    between = np.setdiff1d(np.unique(np.round(np.geomspace(16, STEPS, 200)).astype(int)), steps)
+    ratios = [(held.at(int(s))[0] / radiance(s) - 1) / (math.sqrt(3) * held.at(int(s))[1]) for s in between]
+    assert np.max(np.abs(ratios)) < 1.3  # the third derivative is not in the bound
+    assert np.max(np.abs(ratios)) > 0.2  # and the bound is not idle
+
+
+def test_common_uncertainty_is_in_every_level():
+    """What all points share is not averaged away."""
+    found = calibration(point(16, 16.0), point(4096, 4096.0), common_u_rel=0.01)
+    choice = found.choose("spot", 300.0)
+    assert choice.u_w_sr_m2 / choice.radiance_w_sr_m2 == pytest.approx(0.01, rel=1e-3)
+
+
+def test_falling_radiance_is_refused():
+    """More duty with less light is a measurement that went wrong."""
+    with pytest.raises(CalibrationError, match="must rise"):
+        calibration(point(16, 16.0), point(32, 15.0)).choose("spot", 15.5)
+
+
+def test_uncalibrated_channel_is_named():
+    """A channel that was not measured says how to measure it."""
+    with pytest.raises(CalibrationError, match="light calibrate --channel bleach"):
+        calibration(point(16, 16.0), point(32, 32.0)).choose("bleach", 1.0)
+
+
+def test_both_ranges_serve_and_the_nearer_step_wins():
+    """Where the ranges overlap the finer one is taken."""
+    found = calibration(
+        point(16, 16.0), point(4096, 4096.0), point(16, 16 / 256, "low"), point(8192, 8192 / 256, "low")
+    )
+    choice = found.choose("spot", 20.4)
+    assert choice.current_range == "low"
+    assert choice.radiance_w_sr_m2 == pytest.approx(20.4, rel=2e-4)
+
+
+def test_safety_bound_is_above_the_radiance():
+    """The radiance for the safety check has its expanded uncertainty added; unmeasured levels have none."""
+    found = calibration(point(16, 16.0), point(4096, 4096.0), common_u_rel=0.01)
+    assert found.highest_radiance("spot", 8 * 100, True) == pytest.approx(102.0, rel=1e-3)
+    assert found.highest_radiance("spot", 8 * 5000, True) is None
+    assert found.highest_radiance("spot", 8 * 100, False) is None

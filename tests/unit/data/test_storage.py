@@ -1,0 +1,44 @@
+"""Files are whole or absent, and a failure is said in one line."""
+
+from __future__ import annotations
+
+import errno
+
+import pytest
+
+from radiometer.data import storage
+from radiometer.errors import OutputError
+
+
+def test_a_full_disk_leaves_the_old_file_whole(tmp_path, monkeypatch):
+    """The new content never appears in part; the old stays; nothing else is left in the folder."""
+    target = tmp_path / "result.yaml"
+    target.write_text("old")
+
+    def full(_descriptor):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(storage.os, "fsync", full)
+    with pytest.raises(OutputError, match="No space left"):
+        storage.write_text_atomic(target, "new")
+    assert target.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["result.yaml"]
+
+
+def test_an_unwritable_place_is_named(tmp_path):
+    """The message says which file and why."""
+    with pytest.raises(OutputError, match=r"cannot write .*absent/x: No such file"):
+        storage.write_text_atomic(tmp_path / "absent" / "x", "text")
+
+
+def test_an_exception_of_the_writer_leaves_nothing(tmp_path):
+    """Whatever goes wrong in the block, no file appears."""
+
+    def fail():
+        with storage.atomic_file(tmp_path / "x") as stream:
+            stream.write("half")
+            raise KeyError("boom")
+
+    with pytest.raises(KeyError):
+        fail()
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,69 @@
+"""Offset and drift of the box's clock from exchanges."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.light_box_clock import BoxClock, ClockSample
+from radiometer.errors import MeasurementError
+
+
+def exchange(host_s: float, offset_s: float, out_s: float, back_s: float, rate: float = 0.0) -> ClockSample:
+    """Return an exchange at a host time with given delays; the box's clock runs `rate` fast."""
+    box_s = (host_s + out_s - offset_s) * (1 + rate)
+    return ClockSample(host_s, box_s, box_s + 0.001 * (1 + rate), host_s + out_s + 0.001 + back_s)
+
+
+def test_equal_delays_give_the_exact_offset():
+    """With the same delay both ways the offset is exact."""
+    assert exchange(10.0, 3.0, 0.004, 0.004).offset_s == pytest.approx(3.0, abs=1e-12)
+
+
+def test_wire_time_of_unequal_lines_is_taken_out():
+    """A short request and a long answer do not shift the offset."""
+    sample = ClockSample(10.0, 7.0 + 0.0014, 7.0 + 0.0014, 10.0 + 0.0014 + 0.0036, 0.0014, 0.0036)
+    assert sample.offset_s == pytest.approx(3.0, abs=1e-12)
+    assert sample.free_delay_s == pytest.approx(0.0, abs=1e-12)
+
+
+def test_port_without_wire_time_is_recognised():
+    """An exchange faster than its bytes on a real wire is taken as it is."""
+    sample = ClockSample(10.0, 7.00005, 7.00005, 10.0001, 0.0014, 0.0036)
+    assert sample.offset_s == pytest.approx(3.0, abs=1e-9)
+
+
+def test_one_sided_delay_stays_within_the_stated_bound():
+    """A delay on one way only errs by no more than half of it, which the uncertainty states as a rectangle."""
+    clock = BoxClock()
+    for step in range(100):
+        clock.add(exchange(0.25 * step, 3.0, 0.002, 0.0))
+    time_s, u_s = clock.host_time_s(20.0)
+    assert abs(time_s - 23.0) <= 0.001 + 1e-6
+    assert u_s >= 0.001 / np.sqrt(3)
+
+
+@pytest.mark.parametrize("rate", [2e-4, -2e-4, 4e-3])
+def test_drift_is_found_within_its_uncertainty(rate):
+    """Drift comes out within three stated standard uncertainties."""
+    rng = np.random.default_rng(5)
+    clock = BoxClock()
+    for step in range(400):
+        clock.add(exchange(0.25 * step, 0.0, *rng.exponential(2e-4, 2), rate=rate))
+    found = clock.estimate()
+    assert abs(found.drift_ppm - 1e6 * rate / (1 + rate)) < 3 * found.u_drift_ppm
+    assert found.u_drift_ppm < 5.0
+
+
+def test_slow_exchanges_do_not_harm():
+    """Exchanges that were held up by 20 ms one way are left out of the line."""
+    clock = BoxClock()
+    for step in range(100):
+        clock.add(exchange(0.25 * step, 3.0, 0.02 if step % 3 else 0.0001, 0.0001))
+    assert clock.host_time_s(12.0)[0] == pytest.approx(15.0, abs=3e-4)
+
+
+def test_no_exchange_is_said():
+    """Without any comparison there is no time."""
+    with pytest.raises(MeasurementError, match="synchronise"):
+        BoxClock().host_time_s(1.0)

@@ -1,0 +1,186 @@
+"""Folders of photographs: times from EXIF or lists, channels, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from drivers.photograph_folder import read_photographs
+from drivers.photograph_times import is_dial_time, read_list
+from radiometer.errors import CaptureError, UsageError
+
+
+def _grey(folder: Path, name: str, level: int, dtype=np.uint8, shape=(24, 32)) -> None:
+    gradient = np.linspace(level / 2, level, shape[1])[None, :].repeat(shape[0], axis=0)
+    cv2.imwrite(str(folder / name), gradient.astype(dtype))
+
+
+def _jpeg(folder: Path, name: str, level: int, *, time=None, f_number=8.0, iso=100) -> None:
+    image = Image.fromarray(np.full((24, 32, 3), (level, level // 2, level // 4), np.uint8))
+    exif = Image.Exif()
+    if time is not None:
+        exif.get_ifd(0x8769).update({33434: time, 33437: f_number, 34855: iso})
+    image.save(folder / name, exif=exif, quality=95)
+
+
+def test_list_gives_times_with_fractions(tmp_path):
+    """Lines `name seconds` are read, a fraction is taken as it stands, comments and commas are allowed."""
+    (tmp_path / "exposures.txt").write_text("# name time\na.png 1/125\nb.png, 0.5\n\nc.png\t2 s\n")
+    times = {name: known.exposure_s for name, known in read_list(tmp_path / "exposures.txt").items()}
+    assert times == {"a.png": 1 / 125, "b.png": 0.5, "c.png": 2.0}
+
+
+def test_list_of_shutter_speeds_is_inverted(tmp_path):
+    """Where the heading says that the second column is 1/t, its reciprocal is the time."""
+    (tmp_path / "image_list.txt").write_text("# Filename 1/shutter_speed f/stop\na.png 0.25 8\n")
+    assert read_list(tmp_path / "image_list.txt")["a.png"].exposure_s == 4.0
+
+
+def test_memorial_list_holds_times_in_its_second_column(shared_data):
+    """In the memorial list column 2 is the time: the first file, 32 s, is the brightest picture."""
+    folder = shared_data / "stacks" / "memorial_film"
+    bracket = read_photographs(folder, "green")[0]
+    assert [bracket.frames[0].settings.exposure_s, bracket.frames[-1].settings.exposure_s] == [1 / 1024, 32.0]
+    assert np.median(bracket.frames[-1].dn) > np.median(bracket.frames[0].dn)
+
+
+@pytest.mark.parametrize("line", ["a.png", "a.png soon", "a.png 0", "a.png -1/30", "a.png 1/0"])
+def test_line_without_a_time_names_file_and_line(tmp_path, line):
+    """A line without a positive time is refused with the file and the line number."""
+    (tmp_path / "exposures.txt").write_text(f"# heading\n{line}\n")
+    with pytest.raises(CaptureError, match=r"exposures\.txt, line 2"):
+        read_list(tmp_path / "exposures.txt")
+
+
+def test_exif_dial_times_become_exact_stops(tmp_path):
+    """EXIF 1/60 s is 2⁻⁶ s and f/5.6 is 2^2.5; the printed time stays beside it."""
+    _jpeg(tmp_path, "a.jpg", 50, time=1 / 60, f_number=5.6)
+    _jpeg(tmp_path, "b.jpg", 100, time=1 / 30, f_number=5.6)
+    bracket = read_photographs(tmp_path, "red")[0]
+    assert [f.settings.exposure_s for f in bracket] == [2.0**-6, 2.0**-5]
+    assert bracket.frames[0].settings.f_number == pytest.approx(2**2.5)
+    assert bracket.frames[0].extra["nominal_exposure_s"] == pytest.approx(1 / 60)
+
+
+def test_exif_times_off_the_dial_stay_as_they_are(tmp_path):
+    """A telephone's 1/3021 s is no dial value and is not moved to the next third of a stop."""
+    _jpeg(tmp_path, "a.jpg", 50, time=1 / 3021)
+    assert not is_dial_time(1 / 3021)
+    assert read_photographs(tmp_path, "red")[0].frames[0].settings.exposure_s == pytest.approx(1 / 3021, rel=1e-4)
+
+
+def test_higher_iso_counts_as_gain(tmp_path):
+    """Twice the ISO speed is a gain of 6.02 dB relative to the lowest one in the folder."""
+    _jpeg(tmp_path, "a.jpg", 50, time=0.1, iso=100)
+    _jpeg(tmp_path, "b.jpg", 100, time=0.1, iso=200)
+    gains = [f.settings.gain_db for f in read_photographs(tmp_path, "green")[0]]
+    assert gains == pytest.approx([0.0, 6.0206], abs=1e-4)
+
+
+def test_each_channel_is_a_bracket_of_its_own(tmp_path):
+    """ "each" gives red, green and blue; the values are those of the file."""
+    _jpeg(tmp_path, "a.jpg", 80, time=0.1)
+    _jpeg(tmp_path, "b.jpg", 160, time=0.2)
+    brackets = read_photographs(tmp_path, "each")
+    assert [b.frames[0].extra["channel"] for b in brackets] == ["red", "green", "blue"]
+    assert [int(np.median(b.frames[1].dn)) for b in brackets] == pytest.approx([160, 80, 40], abs=2)
+
+
+def test_luminance_is_luma_and_saturated_where_a_channel_is(tmp_path):
+    """Luma weights are 0.299, 0.587, 0.114; one saturated channel saturates the sum."""
+    image = np.zeros((8, 8, 3), np.uint8)
+    image[:4], image[4:] = (10, 100, 200), (0, 0, 255)  # blue, green, red
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    (tmp_path / "exposures.txt").write_text("a.png 1\n")
+    luma = read_photographs(tmp_path, "luminance")[0].frames[0].dn
+    assert int(luma[0, 0]) == round(0.299 * 200 + 0.587 * 100 + 0.114 * 10)
+    assert int(luma[7, 0]) == 255
+
+
+def test_sixteen_bit_files_keep_their_values(tmp_path):
+    """A 16-bit PNG and a 16-bit TIFF are read without scaling."""
+    for name in ("a.png", "b.tif"):
+        cv2.imwrite(str(tmp_path / name), np.full((8, 8), 40_000, np.uint16))
+    (tmp_path / "exposures.txt").write_text("a.png 1\nb.tif 2\n")
+    bracket = read_photographs(tmp_path)[0]
+    assert bracket.bit_depth == 16
+    assert {int(f.dn[0, 0]) for f in bracket} == {40_000}
+
+
+def _mixed_sizes(folder: Path) -> None:
+    _grey(folder, "a.png", 100)
+    _grey(folder, "b.png", 200, shape=(24, 30))
+
+
+def _mixed_depths(folder: Path) -> None:
+    _grey(folder, "a.png", 100)
+    _grey(folder, "b.png", 20_000, np.uint16)
+
+
+def _truncated(folder: Path) -> None:
+    _grey(folder, "a.png", 100)
+    _grey(folder, "b.png", 200)
+    (folder / "b.png").write_bytes((folder / "b.png").read_bytes()[:-20])
+
+
+def _not_an_image(folder: Path) -> None:
+    _grey(folder, "a.png", 100)
+    (folder / "b.png").write_text("nothing of the kind")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (_mixed_sizes, "b.png is 30 × 24 pixels"),
+        (_mixed_depths, "b.png has 16 bits"),
+        (_truncated, r"b\.png: the PNG is truncated"),
+        (_not_an_image, r"b\.png: not a readable PNG"),
+    ],
+)
+def test_unusable_files_are_named(tmp_path, make, message):
+    """Mixed sizes or bit depths, truncated and foreign files are refused, the file named."""
+    make(tmp_path)
+    (tmp_path / "exposures.txt").write_text("a.png 1\nb.png 2\n")
+    with pytest.raises(CaptureError, match=message):
+        read_photographs(tmp_path)
+
+
+def test_truncated_jpeg_is_named(tmp_path):
+    """A JPEG cut short is refused, not filled with grey."""
+    _jpeg(tmp_path, "a.jpg", 80, time=0.1)
+    (tmp_path / "a.jpg").write_bytes((tmp_path / "a.jpg").read_bytes()[:-40])
+    with pytest.raises(CaptureError, match=r"a\.jpg: not a readable JPEG"):
+        read_photographs(tmp_path)
+
+
+def test_missing_time_is_refused_with_the_way_out(tmp_path):
+    """A photograph without EXIF and without a list is refused; the message says how to write the list."""
+    _jpeg(tmp_path, "a.jpg", 80)
+    with pytest.raises(CaptureError, match=r"a\.jpg: has no exposure time.*exposures\.txt"):
+        read_photographs(tmp_path)
+
+
+def test_listed_file_that_is_absent_is_refused(tmp_path):
+    """A list that names a file that is not there is refused."""
+    (tmp_path / "exposures.csv").write_text("file,seconds\na.png,1\n")
+    with pytest.raises(CaptureError, match=r"names 'a\.png', which is not in the folder"):
+        read_photographs(tmp_path)
+
+
+def test_changing_aperture_is_refused(tmp_path):
+    """A bracket by f-number is refused: the lens's true apertures are not known well enough."""
+    _jpeg(tmp_path, "a.jpg", 80, time=0.1, f_number=8)
+    _jpeg(tmp_path, "b.jpg", 160, time=0.1, f_number=5.6)
+    with pytest.raises(CaptureError, match="f-number changes"):
+        read_photographs(tmp_path)
+
+
+def test_unknown_channel_is_refused(tmp_path):
+    """A channel that does not exist is a misuse."""
+    _jpeg(tmp_path, "a.jpg", 80, time=0.1)
+    with pytest.raises(UsageError, match="choose one of"):
+        read_photographs(tmp_path, "infrared")

@@ -1,0 +1,125 @@
+"""The statistics that reconcile reduces frames to, and the weights that it gives them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
+from radiometer.errors import CaptureError
+from radiometer.reconcile.design import Design, group_captures
+from radiometer.reconcile.localise import localise, significant
+from radiometer.reconcile.state import FitState, first_state
+from radiometer.reconcile.statistics import frame_reader, reduce_frames
+
+
+def _state(captured: Any) -> FitState:
+    design = Design.of(captured.header, captured.frames[0].shape)
+    seen, images = reduce_frames(design, frame_reader(captured.frames))
+    return first_state(design, seen, images)
+
+
+def _header(exposures: list[float]) -> CaptureHeader:
+    frames = tuple(FrameEntry(file=f"{i}.png", exposure_s=t) for i, t in enumerate(exposures))
+    return CaptureHeader(camera=CameraDescription(bit_depth=12), frames=frames)
+
+
+def test_neighbouring_frames_of_one_setting_are_one_capture() -> None:
+    """A run of one exposure is a capture; a run twice the usual length is two."""
+    captures = group_captures(_header([1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0]))
+    assert [capture.frames for capture in captures] == [(0, 1), (2, 3), (4, 5), (6, 7)]
+
+
+def test_interleaved_single_frames_are_gathered_by_setting() -> None:
+    """Where no two neighbours share a setting, the repeats make the capture."""
+    captures = group_captures(_header([1.0, 2.0, 1.0, 2.0]))
+    assert [capture.frames for capture in captures] == [(0, 2), (1, 3)]
+
+
+def test_patch_outside_the_frame_is_refused(make_capture: Callable[..., Any]) -> None:
+    """A patch that does not fit the frames names itself and its place."""
+    captured = make_capture(plan=[{"t": 1e-3}], frames=1)
+    with pytest.raises(CaptureError, match=r"patch 'p05' .* lies outside"):
+        Design.of(captured.header, (64, 90))
+
+
+def test_mean_and_variance_agree_with_numpy(make_capture: Callable[..., Any]) -> None:
+    """Streaming sums give what all frames at once give."""
+    captured = make_capture(plan=[{"t": 3e-3}], frames=5)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    seen, _ = reduce_frames(design, frame_reader(captured.frames))
+    tile = design.tiles[7]
+    stack = np.stack([frame.dn[tile.slices] for frame in captured.frames]).astype(float)
+    centred = stack - stack.mean(axis=(1, 2), keepdims=True)
+    pixels = stack[0].size
+    assert seen.mean[0, 7] == pytest.approx(stack.mean(), rel=1e-12)
+    expected = centred.var(axis=0, ddof=1).sum() / (pixels - 1)
+    assert seen.variance[0, 7] == pytest.approx(expected, rel=1e-9)
+
+
+def test_hot_pixel_in_a_dark_is_left_out_everywhere() -> None:
+    """One defect of 3000 DN moves no tile mean, in the dark capture or in a lit one; it counts in both."""
+    rng = np.random.default_rng(3)
+    frames = []
+    for shutter in ("open", "closed"):
+        dn = np.rint(rng.normal(500 if shutter == "open" else 64, 2, (48, 72))).astype(np.uint16)
+        dn[20, 30] += 3000
+        settings = FrameSettings(0.1, shutter="open" if shutter == "open" else "closed")
+        frames.append(Frame(dn, 12, settings))
+    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
+    header = CaptureHeader(camera=CameraDescription(bit_depth=12), frames=entries)
+    design = Design.of(header, (48, 72))
+    seen, _ = reduce_frames(design, frame_reader(frames))
+    sigma_of_a_tile_mean = 2.1 / np.sqrt(12 * 12)
+    np.testing.assert_allclose(seen.mean[0], 500, atol=5 * sigma_of_a_tile_mean)
+    assert seen.outliers.tolist() == [1.0, 1.0]
+
+
+def test_frames_of_another_size_are_refused(make_capture: Callable[..., Any]) -> None:
+    """The message names the frame and both sizes."""
+    captured = make_capture(plan=[{"t": 3e-3}], frames=2)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    smaller = Frame(captured.frames[1].dn[:-1], 12, captured.frames[1].settings)
+    with pytest.raises(CaptureError, match="frame 1 is 96 × 63 pixels"):
+        reduce_frames(design, frame_reader([captured.frames[0], smaller]))
+
+
+def test_residuals_of_an_ideal_camera_are_white(make_capture: Callable[..., Any]) -> None:
+    """Every block's χ² per entry is 1 within five of its own standard deviations √(2/n), the fitted ones allowed."""
+    state = _state(make_capture(seed=5))
+    for name, cut in state.comparison.cuts.items():
+        if name in ("outliers", "comb"):
+            continue
+        count = state.comparison.degrees(name)
+        reduced = float(np.sum(state.data_residual[cut] ** 2)) / count
+        assert reduced == pytest.approx(1.0, abs=5 * np.sqrt(2 / count) + state.layout.size / 1400), name
+
+
+def test_repeatability_is_found(make_capture: Callable[..., Any]) -> None:
+    """τ comes out at the 0.1 % that the lamp has, within the 99 % interval of 50 captures."""
+    assert _state(make_capture(seed=6)).tau == pytest.approx(1e-3, rel=0.3)
+
+
+def test_null_tests_are_calibrated(make_capture: Callable[..., Any]) -> None:
+    """Under the null the share of p < 0.05 over four seeds is 0.05 (about 50 independent tests in each)."""
+    p = [test.p_value for seed in range(4) for test in localise(_state(make_capture(seed=seed)))]
+    assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 200))
+
+
+@pytest.mark.parametrize(
+    ("hidden", "block", "where"),
+    [
+        ({"exposure": lambda t: t + 8e-6}, "mean", "exposure_s"),
+        ({"picture": lambda image, s: image * (1 + 0.02 * (s["T"] - 35) / 10)}, "mean", "temperature_C"),
+        ({"picture": lambda image, s: image * (s["N"] / 4) ** 0.03}, "mean", "f_number"),
+    ],
+)
+def test_disagreement_is_found_along_its_covariate(
+    make_capture: Callable[..., Any], hidden: dict[str, Any], block: str, where: str
+) -> None:
+    """The leading test names statistic and covariate without knowing any effect."""
+    found = significant(localise(_state(make_capture(seed=2, **hidden))))
+    assert (found[0].block, found[0].where) == (block, where)

@@ -1,0 +1,131 @@
+"""Exports have the forms that the other programs read."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radiometer.errors import UsageError
+from radiometer.screen import ScreenCalibration
+from radiometer.screen.calibration import LUMINANCE
+from radiometer.screen.exports import EXPORTS, write_export
+from radiometer.screen.exports.chromaticity import argyll_line
+from radiometer.screen.exports.tables import to_csv, to_inverse_csv
+from radiometer.screen.exports.video_lut import correction
+from radiometer.screen.meter import ScreenReading
+from radiometer.screen.photometer import RadiometerPhotometer
+
+
+@pytest.mark.parametrize("kind", EXPORTS)
+def test_every_export_is_written(kind: str, screen: ScreenCalibration, tmp_path: Path) -> None:
+    """Each kind makes a file with content."""
+    write_export(screen, kind, tmp_path / "x")
+    assert (tmp_path / "x").stat().st_size > 100
+
+
+def test_unknown_export_is_refused(screen: ScreenCalibration, tmp_path: Path) -> None:
+    """The message lists what there is."""
+    with pytest.raises(UsageError, match="psychopy, ti3, csv"):
+        write_export(screen, "icc", tmp_path / "x")
+
+
+def test_psychopy_grid_reproduces_the_luminance_by_psychopys_own_formula(screen: ScreenCalibration) -> None:
+    """a + (b + k·x)^γ of the grid's grey row is the measured luminance within 1 % of it or 0.05 % of white."""
+    text = EXPORTS["psychopy"][0](screen)
+    entry = next(iter(json.loads(text).values()))
+    grid = np.array(entry["gammaGrid"]["__ndarray__"])
+    assert grid.shape == tuple(entry["gammaGrid"]["shape"]) == (4, 6)
+    assert entry["linearizeMethod"] == 4
+    low, high, gamma, a, b, k = grid[0]
+    curve = screen.channel()
+    truth = np.array([curve.at(n, LUMINANCE).value for n in curve.levels])
+    shown = a + np.maximum(b + k * np.array(curve.levels) / 255, 0) ** gamma
+    assert np.all(np.abs(shown - truth) < np.maximum(0.01 * truth, 5e-4 * high))
+    assert low == pytest.approx(truth[0])
+
+
+def _ti3(text: str) -> tuple[dict[str, str], list[list[float]]]:
+    """Return keywords and rows as a reader of CGATS finds them."""
+    lines = text.splitlines()
+    start, end = lines.index("BEGIN_DATA"), lines.index("END_DATA")
+    words = dict(
+        line.split(maxsplit=1) for line in lines[1:start] if " " in line and not line.startswith(("#", "SAMPLE"))
+    )
+    return words, [[float(v) for v in line.split()] for line in lines[start + 1 : end]]
+
+
+def test_ti3_is_read_like_a_file_of_dispreads(screen: ScreenCalibration, shared_data: Path) -> None:
+    """Keywords and fields of a real file are there, with rows counted, white at Y = 100 and drive in percent."""
+    real = next((shared_data / "displays").glob("*.ti3")).read_text(encoding="latin-1")
+    ours, rows = _ti3(EXPORTS["ti3"][0](screen))
+    theirs = real[: real.index("BEGIN_DATA\n")]
+    for key in ("DEVICE_CLASS", "COLOR_REP", "NORMALIZED_TO_Y_100", "NUMBER_OF_FIELDS"):
+        assert f"{key} {ours[key]}" in theirs
+    assert int(ours["NUMBER_OF_SETS"]) == len(rows) == 17
+    assert rows[-1][1:4] == [100.0, 100.0, 100.0]
+    assert rows[-1][5] == pytest.approx(100)
+    white = float(ours["LUMINANCE_XYZ_CDM2"].strip('"').split()[1])
+    assert white == pytest.approx(screen.channel().at(255, LUMINANCE).value)
+
+
+def test_csv_has_one_row_per_level_with_uncertainty(screen: ScreenCalibration) -> None:
+    """Luminance and its u stand in every row."""
+    header, *rows = to_csv(screen).splitlines()
+    last = dict(zip(header.split(","), rows[-1].split(","), strict=True))
+    assert len(rows) == 17
+    assert float(last["luminance_cd_m2"]) == pytest.approx(224.032)
+    assert float(last["u_luminance_cd_m2"]) == pytest.approx(224.032 * 0.01005, rel=1e-2)
+
+
+def test_inverse_table_rises_and_meets_its_targets(screen: ScreenCalibration) -> None:
+    """Levels never fall, and what they show is nearer to the target than half a step."""
+    rows = [line.split(",") for line in to_inverse_csv(screen).splitlines()[1:]]
+    levels = [int(r[2]) for r in rows]
+    curve = screen.channel()
+    assert levels == sorted(levels)
+    assert (levels[0], levels[-1]) == (0, 255)
+    for row in rows[1:-1]:
+        n, target = int(row[2]), float(row[1])
+        step = curve.at(min(n + 1, 255), LUMINANCE).value - curve.at(max(n - 1, 0), LUMINANCE).value
+        assert abs(float(row[3]) - target) <= step / 2 * 1.05 + 1e-4
+
+
+def test_vcgt_has_apples_layout_and_straightens_the_screen(screen: ScreenCalibration) -> None:
+    """18 bytes of head, 3 × 256 rising 16-bit numbers; driven through them the screen follows gamma 2.2."""
+    content = EXPORTS["vcgt"][0](screen)
+    assert isinstance(content, bytes)
+    assert struct.unpack(">4sIIHHH", content[:18]) == (b"vcgt", 0, 0, 3, 256, 2)
+    table = np.frombuffer(content[18:], ">u2").reshape(3, 256)
+    assert np.all(np.diff(table.astype(int), axis=1) >= 0)
+    curve = screen.channel()
+    shown = curve.table.at(table[0] / 65535)
+    wanted = shown[0] + (shown[-1] - shown[0]) * np.linspace(0, 1, 256) ** 2.2
+    assert np.abs(shown - wanted).max() < 1e-4 * wanted[-1]
+
+
+def test_correction_of_another_gamma_is_another_table(screen: ScreenCalibration) -> None:
+    """A target of 1.8 wants more drive in the middle."""
+    assert correction(screen.channel(), 1.8)[128] > correction(screen.channel(), 2.2)[128]
+
+
+def test_argyll_line_is_spotreads() -> None:
+    """The words are those of spotread's printf; Y stands twice; X of D65 white is 0.9505 Y."""
+    line = argyll_line("grey", 100.0)
+    assert line == " Result is XYZ: 95.045593 100.000000 108.905775, Yxy: 100.000000 0.312700 0.329000"
+
+
+def test_photometer_answers_as_psychopy_asks() -> None:
+    """getLum returns cd/m² and leaves it in lastLum."""
+
+    class Meter:
+        def read(self) -> ScreenReading:
+            return ScreenReading(0.5, 0.001, 0.01, 0.0)
+
+    photometer = RadiometerPhotometer(Meter(), 320.0)
+    assert photometer.getLum() == 160.0
+    assert photometer.lastLum == 160.0
+    assert photometer.OK

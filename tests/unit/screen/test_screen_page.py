@@ -1,0 +1,166 @@
+"""The page's server and its Display: who may speak to it, what is acknowledged, what is refused."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+
+import aiohttp
+import pytest
+
+from radiometer.devices import Display, DisplayPatch
+from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceTimeout, SettingOutOfRange
+from radiometer.screen.browser_display import BrowserDisplay
+
+Answer = Callable[[dict], dict | None]
+
+
+def _echo(order: dict) -> dict:
+    return {"kind": "shown", "sequence": order["sequence"], "rgb": order["rgb"], "fullscreen": True}
+
+
+class FakePage:
+    """A page that connects in a thread and answers orders as it is told to."""
+
+    def __init__(self, answer: Answer = _echo) -> None:
+        self.orders: list[dict] = []
+        self._answer = answer
+        self._thread: threading.Thread | None = None
+
+    def open(self, url: str) -> None:
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run(url)), daemon=True)
+        self._thread.start()
+
+    def join(self) -> None:
+        if self._thread:
+            self._thread.join(10)
+
+    async def _run(self, url: str) -> None:
+        address = url.replace("/?", "/socket?")
+        async with aiohttp.ClientSession() as session, session.ws_connect(address) as socket:
+            await socket.send_json({"kind": "hello", "fullscreen": False, "zoom": 1})
+            async for message in socket:
+                order = json.loads(message.data)
+                self.orders.append(order)
+                if order["kind"] == "end":
+                    return
+                answer = self._answer(order)
+                if answer is None:
+                    return
+                await socket.send_json(answer)
+
+
+@pytest.fixture
+def shown() -> Iterator[tuple[BrowserDisplay, FakePage]]:
+    """Return an open display with a page that obeys."""
+    page = FakePage()
+    with BrowserDisplay(announce=page.open, page_timeout_s=10) as display:
+        yield display, page
+    page.join()
+
+
+def test_patch_reaches_the_page_as_codes(shown: tuple[BrowserDisplay, FakePage]) -> None:
+    """Drives become the nearest of 256 codes; size and surround go with them."""
+    display, page = shown
+    assert isinstance(display, Display)
+    display.show(DisplayPatch((1.0, 0.5, 0.0), (0.2, 0.2, 0.2), 0.5, 0.25))
+    order = page.orders[-1]
+    assert order["rgb"] == [255, 128, 0]
+    assert order["surround"] == [51, 51, 51]
+    assert (order["width"], order["height"]) == (0.5, 0.25)
+
+
+def test_leaving_tells_the_page_that_it_is_over(shown: tuple[BrowserDisplay, FakePage]) -> None:
+    """The last order is the end."""
+    display, page = shown
+    display.close()
+    page.join()
+    assert page.orders[-1] == {"kind": "end"}
+
+
+def test_every_level_is_acknowledged(shown: tuple[BrowserDisplay, FakePage]) -> None:
+    """All 256 levels are answered in order, each with its own number."""
+    display, page = shown
+    for level in range(256):
+        display.show(DisplayPatch((level / 255,) * 3))
+    assert [o["rgb"][0] for o in page.orders] == list(range(256))
+    assert len({o["sequence"] for o in page.orders}) == 256
+
+
+def test_wrong_level_read_back_is_an_error() -> None:
+    """A page that paints something else (night colours in the browser) is found out."""
+    page = FakePage(lambda order: {**_echo(order), "rgb": [254, 250, 230]})
+    with BrowserDisplay(announce=page.open) as display, pytest.raises(DeviceError, match=r"shows \[254, 250, 230\]"):
+        display.show(DisplayPatch((1, 1, 1)))
+
+
+def test_page_that_never_answers_times_out() -> None:
+    """An answer to another order does not count."""
+    page = FakePage(lambda order: {**_echo(order), "sequence": -5})
+    with (
+        BrowserDisplay(announce=page.open, show_timeout_s=0.2) as display,
+        pytest.raises(DeviceTimeout, match=r"within 0\.2 s"),
+    ):
+        display.show(DisplayPatch((1, 1, 1)))
+
+
+def test_page_that_closes_is_lost_at_once() -> None:
+    """The error comes when the page goes, not at the end of the time limit."""
+    page = FakePage(lambda order: None)
+    with BrowserDisplay(announce=page.open, show_timeout_s=30) as display, pytest.raises(DeviceLost):
+        display.show(DisplayPatch((1, 1, 1)))
+
+
+def test_no_browser_is_a_timeout_that_repeats_the_address() -> None:
+    """The user is told which address to open."""
+    display = BrowserDisplay(page_timeout_s=0.1)
+    with pytest.raises(DeviceTimeout, match=r"http://127\.0\.0\.1:\d+/\?key="):
+        display.open()
+
+
+def test_strangers_get_nothing(shown: tuple[BrowserDisplay, FakePage]) -> None:
+    """Without the key neither page nor socket is served."""
+    bare = shown[0].url.split("?")[0]
+    for address in (bare, bare + "socket?key=wrong"):
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            urllib.request.urlopen(address, timeout=5)
+        assert refused.value.code == 403
+        refused.value.close()
+
+
+def test_page_is_served_whole_and_uncached(shown: tuple[BrowserDisplay, FakePage]) -> None:
+    """One file, nothing from elsewhere."""
+    with urllib.request.urlopen(shown[0].url, timeout=5) as answer:
+        text = answer.read().decode()
+        assert answer.headers["Cache-Control"] == "no-store"
+        assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+    assert "requestAnimationFrame" in text
+    assert "http://" not in text.replace("ws://", "")
+
+
+def test_taken_port_is_in_use(shown: tuple[BrowserDisplay, FakePage]) -> None:
+    """The message names the port."""
+    port = int(shown[0].url.split(":")[2].split("/")[0])
+    with pytest.raises(DeviceInUse, match=str(port)):
+        BrowserDisplay(port).open()
+
+
+def test_warnings_follow_from_what_the_page_says(shown: tuple[BrowserDisplay, FakePage]) -> None:
+    """Not full screen is said; after a patch on a full screen it is no longer."""
+    display, _page = shown
+    assert any("full screen" in line for line in display.warnings())
+    display.show(DisplayPatch((1, 1, 1)))
+    assert not any("full screen" in line for line in display.warnings())
+
+
+@pytest.mark.parametrize("patch", [DisplayPatch((1.1, 0, 0)), DisplayPatch((1, 1, 1), width_fraction=0.0)])
+def test_impossible_patches_are_refused(shown: tuple[BrowserDisplay, FakePage], patch: DisplayPatch) -> None:
+    """Nothing is sent."""
+    display, page = shown
+    with pytest.raises(SettingOutOfRange):
+        display.show(patch)
+    assert page.orders == []

@@ -1,0 +1,127 @@
+"""Every entry of the catalogue as an effect of the forward model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiometer.data import CameraDescription, FrameSettings, LensDescription
+from simulators.camera_model import CameraModel
+from simulators.effects.base import Stage
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.effects.registry import EFFECTS
+
+CATALOGUE = {name: kind for name, kind in EFFECTS.items() if issubclass(kind, CatalogueEffect)}
+FRAMES, HEIGHT, WIDTH = 240, 24, 32
+NAMES = """
+black_level_offset black_level_gain_slope black_level_drift dark_current dark_current_clamped
+dark_current_nonuniformity gain_step_error conversion_gain_error excess_read_noise missing_codes gamma_enabled
+response_nonlinearity soft_saturation full_well_saturation adc_saturation column_pattern row_pattern
+row_temporal_noise dsnu prnu hot_pixels image_lag brighter_fatter crosstalk parasitic_light_sensitivity
+rolling_shutter_banding exposure_time_offset exposure_quantisation reciprocity_failure shutter_dead_time
+natural_vignetting mechanical_vignetting display_nonuniformity veiling_glare stray_light_kernel ghost psf_blur
+defocus fnumber_tstop_error angle_dependence polarisation spectral_mismatch source_warmup_drift
+led_thermal_droop pwm_flicker mains_ripple display_gamma_error display_black_leak ambient_light_leak
+quantum_efficiency_temperature nominal_settings exposure_label_error source_not_proportional_to_exposure
+""".split()  # noqa: SIM905
+
+
+def _context(frame: int = 0) -> ExposureContext:
+    camera = CameraDescription(
+        bit_depth=12,
+        pixel_pitch_um=4.5,
+        conversion_gain_e_per_dn=2.6,
+        read_noise_e=2.4,
+        full_well_e=10_500,
+        dark_current_e_per_s=1.0,
+        quantum_efficiency=0.6,
+    )
+    geometry = FrameGeometry.of_image(WIDTH, HEIGHT)
+    settings = FrameSettings(1 / 60, 6.0, 5.6, 64.0, 40.0, 60.0, 0.8)
+    lens = LensDescription(focal_length_mm=16.0, f_number=5.6)
+    return ExposureContext(
+        settings,
+        geometry,
+        camera,
+        lens,
+        code=np.full((HEIGHT, WIDTH), 0.5),
+        peak_radiance=1.0,
+        previous_e=np.full((HEIGHT, WIDTH), 4000.0),
+        frame_index=frame,
+        device_seed=5,
+        extra={"channel_share": 0.3},
+    )
+
+
+def _radiance(context: ExposureContext) -> float:
+    model = CameraModel.ideal(context.camera, context.lens)
+    flat = np.ones((HEIGHT, WIDTH))
+    electrons = model.mean(flat, context, until=Stage.WELL).mean()
+    return 3000.0 / float(electrons)
+
+
+def _starts(kind: type[CatalogueEffect], context: ExposureContext) -> tuple[CatalogueEffect, ...]:
+    return kind.starts(context) or (kind(),)
+
+
+def test_the_catalogue_is_whole() -> None:
+    """Every canonical name of the catalogue is an effect that a model file can hold."""
+    assert set(NAMES) <= set(EFFECTS)
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+def test_entry_simulates_what_its_moments_say(name: str) -> None:
+    """Frames through the whole chain have the expected mean: within 5 sigma of the mean over pixels and frames."""
+    context = _context()
+    effect = _starts(CATALOGUE[name], context)[0]
+    model = CameraModel.ideal(context.camera, context.lens).with_effect(effect)
+    scene = np.full((HEIGHT, WIDTH), _radiance(context))
+    expected = model.moments(scene, context)
+    total = np.zeros((HEIGHT, WIDTH))
+    for frame in range(FRAMES):
+        total += model.sample(scene, context, (frame,)).dn
+    common = float(np.max(np.broadcast_to(expected.common_variance, total.shape)))
+    spread = expected.variance / FRAMES + expected.spatial_variance
+    sigma = np.sqrt(np.mean(spread) / total.size + common / FRAMES)
+    lines = np.sqrt(np.mean(expected.spatial_variance) / min(HEIGHT, WIDTH) + np.mean(expected.variance) / FRAMES / 24)
+    allowed = (
+        5 * sigma + (5 * lines if "row" in name or "column" in name else 0.0) + 2e-4 * float(total.mean() / FRAMES)
+    )
+    assert float(total.mean()) / FRAMES == pytest.approx(float(np.mean(expected.mean)), abs=allowed)
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+def test_entry_says_what_reconcile_needs(name: str) -> None:
+    """Each names a covariate, a statistic, the capture that settles it, and only parameters that exist."""
+    kind = CATALOGUE[name]
+    assert kind.where
+    assert kind.settles
+    for effect in (*_starts(kind, _context()), *kind.covers(_context())):
+        known = {entry.name for entry in effect.parameters()}
+        assert {entry.split("[")[0] for entry in effect.free()} <= known
+
+
+@pytest.mark.parametrize("name", ["exposure_time_offset", "veiling_glare", "gamma_enabled", "dsnu", "crosstalk"])
+def test_switched_off_effect_changes_nothing(name: str) -> None:
+    """A model whose added effect is switched off gives the frames of the model without it."""
+    context = _context()
+    plain = CameraModel.ideal(context.camera, context.lens)
+    effect = _starts(CATALOGUE[name], context)[0]
+    scene = np.full((HEIGHT, WIDTH), _radiance(context)) * np.linspace(0.2, 1.0, WIDTH)
+    switched = plain.with_effect(effect).without_effect(name)
+    np.testing.assert_array_equal(switched.sample(scene, context, (1,)).dn, plain.sample(scene, context, (1,)).dn)
+    assert not np.array_equal(
+        plain.with_effect(effect).sample(scene, context, (1,)).dn, plain.sample(scene, context, (1,)).dn
+    )
+
+
+def test_dead_time_spares_the_first_frame() -> None:
+    """Frame 0 of a run has its whole exposure, the next one is shorter by the dead time."""
+    effect = EFFECTS["shutter_dead_time"](dead_time_s=1e-4)  # type: ignore[call-arg]
+    signal = np.ones((HEIGHT, WIDTH))
+    first, second = (effect.mean(signal, replace(_context(), frame_index=i)).mean() for i in (0, 1))
+    assert first == 1.0
+    assert second == pytest.approx(1 - 1e-4 * 60)

@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import re
+from xml.etree import ElementTree
+
+import pytest
+
+from simulators.blackfly_features import blackfly_features
+from simulators.genicam_document import genicam_xml
+from simulators.simulated_camera import default_limits
+
+NAMESPACE = "{http://www.genicam.org/GenApi/Version_1_0}"
+
+
+@pytest.fixture
+def features():
+    """Return the features of a simulated Blackfly with the limits of its preset."""
+    return blackfly_features(default_limits(), 12, 40.0)
+
+
+def test_no_two_registers_overlap(features):
+    """Every feature that is not an alias has bytes of its own, inside the device's memory."""
+    taken: dict[int, str] = {}
+    for feature in features:
+        if feature.kind in ("formula", "string") or feature.name in {"BinningVertical", "AcquisitionStop"}:
+            continue
+        for byte in range(feature.address, feature.address + (8 if feature.kind == "float" else 4)):
+            assert byte not in taken, f"{feature.name} overlaps {taken[byte]}"
+            assert byte < 0x10000
+            taken[byte] = feature.name
+
+
+def test_every_node_that_is_referred_to_exists(features):
+    """No pValue, pMax, pFeature or variable points to a node that is not there."""
+    root = ElementTree.fromstring(genicam_xml(features, "FLIR", "BFS-U3-19S4M"))
+    names = {node.get("Name") for node in root}
+    for node in root.iter():
+        if node.tag.removeprefix(NAMESPACE) in ("pValue", "pMin", "pMax", "pFeature", "pVariable", "pPort"):
+            assert node.text in names
+
+
+def test_names_units_and_kinds_are_those_of_the_real_camera(features, shared_data):
+    """Each feature that is not the simulator's own is named and typed as in FLIR's description of the twin."""
+    text = (shared_data / "genicam" / "FLIR_BFS_PGE_19S4M.xml").read_text(encoding="utf-8", errors="replace")
+    tags = {"float": "Float", "integer": "Integer", "boolean": "Boolean", "enumeration": "Enumeration"}
+    absent = []
+    for feature in features:
+        if feature.category in ("", "SimulatorControl") or feature.kind not in tags:
+            continue
+        node = re.search(rf'<{tags[feature.kind]} Name="{feature.name}".*?</{tags[feature.kind]}>', text, re.DOTALL)
+        if node is None:
+            absent.append(feature.name)
+        elif feature.unit:
+            assert f"<Unit>{feature.unit}</Unit>" in node.group(0), feature.name
+    assert absent == []
+
+
+def test_the_limits_are_those_of_the_preset(features):
+    """Exposure in µs, gain in dB and black level in % of full scale have the preset's bounds."""
+    by_name = {feature.name: feature for feature in features}
+    assert by_name["ExposureTime"].minimum == pytest.approx(11.0)
+    assert by_name["ExposureTime"].maximum == pytest.approx(30e6)
+    assert by_name["Gain"].maximum == 47.9943
+    assert by_name["BlackLevel"].maximum == pytest.approx(511 / 4095 * 100)

@@ -1,0 +1,56 @@
+"""Units: exact stops behind printed settings, gains, photon energy."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from radiometer.units import exact_exposure_s, exact_f_number, gain_factor, photon_energy_j
+
+
+@pytest.mark.parametrize(
+    ("printed", "exact"),
+    [
+        (1 / 8, 2**-3),
+        (1 / 60, 1 / 64),
+        (1 / 13, 2 ** (-11 / 3)),
+        (1 / 100, 2 ** (-20 / 3)),
+        (1 / 125, 1 / 128),
+        (1 / 640, 2 ** (-28 / 3)),
+        (1 / 1000, 1 / 1024),
+        (1 / 8000, 2**-13),
+        (13, 2 ** (11 / 3)),
+        (30, 32),
+    ],
+)
+def test_a_printed_time_stands_for_a_third_of_a_stop(printed, exact):
+    """Cameras print rounded times; what they run is 2^(k/3) s."""
+    assert exact_exposure_s(printed) == pytest.approx(exact, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("printed", "exact"),
+    [(16, 16), (5.6, 2**2.5), (1.7, 2**0.75), (1.4, math.sqrt(2)), (3.5, 2 ** (11 / 6)), (1.2, 2**0.25), (8, 8)],
+)
+def test_a_printed_f_number_stands_for_a_third_or_half_of_a_stop(printed, exact):
+    """f/1.7 is the half stop 2^(3/4), f/3.5 the third 2^(11/6)."""
+    assert exact_f_number(printed) == pytest.approx(exact, rel=1e-12)
+
+
+@pytest.mark.parametrize("nonsense", [0.0, -1.0, math.inf, math.nan])
+def test_no_stop_lies_behind_nonsense(nonsense):
+    """Zero, negative and not finite settings are refused."""
+    with pytest.raises(ValueError, match="positive finite"):
+        exact_exposure_s(nonsense)
+
+
+def test_twenty_decibels_are_a_factor_of_ten():
+    """Gain in dB counts amplitudes."""
+    assert gain_factor(20.0) == pytest.approx(10.0)
+    assert gain_factor(0.0) == 1.0
+
+
+def test_a_green_photon_carries_its_energy():
+    """550 nm: h·c/λ = 3.6117e-19 J."""
+    assert photon_energy_j(550.0) == pytest.approx(3.611719e-19, rel=1e-6)
