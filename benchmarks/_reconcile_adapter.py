@@ -1,0 +1,21 @@
+"""Asks the finder: one session in, its documented JSON out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from radiometer.reconcile import gap_of as gap_under
+from radiometer.reconcile import reconcile
+from radiometer.reconcile.result import ReconcileResult
+from tests.roundtrip.generator.session import Session
+
+
+def ask(session: Session, without: tuple[str, ...] = ()) -> tuple[dict[str, Any], ReconcileResult]:
+    """Return the finder's answer to a session as JSON and as it is; it sees header and frames, never the truth."""
+    found = reconcile(session.header, list(session.frames()), without=without, with_limits=False)
+    return found.to_mapping(), found
+
+
+def gap_of(found: ReconcileResult | None, session: Session) -> float:
+    """Return the reduced chi-square of a session with the found effects frozen, only nuisances fitted."""
+    return float(gap_under(found, session.header, list(session.frames())))

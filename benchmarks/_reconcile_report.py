@@ -1,0 +1,150 @@
+"""Counts of the confusion matrix, each with its denominator and an exact interval."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta
+
+Result = dict[str, Any]
+
+
+def report(results: list[Result]) -> str:
+    """Return the page's section in Markdown."""
+    crashed = [r for r in results if "error" in r]
+    fine: dict[str, list[Result]] = defaultdict(list)
+    for r in results:
+        if "error" not in r:
+            fine[r["kind"]].append(r)
+    rows = ["| measure | wanted | reached | 95 % interval |", "|---|---|---|---|"]
+    rows += [_row(*line) for line in _measures(fine)]
+    parts = ["\n".join(rows), _fresh(fine), _parameters(fine), _calibration(fine), _times(results), _confusion(fine)]
+    if crashed:
+        parts.append("Runs that ended in an error:\n\n" + "\n".join(f"* `{r['key']}`: {r['error']}" for r in crashed))
+    return "\n\n".join(p for p in parts if p)
+
+
+def _is(name: str) -> Callable[[Result], bool]:
+    return lambda r: bool(r["judged"][name])
+
+
+def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result], Callable[[Result], bool]]]:
+    alarm: Callable[[Result], bool] = lambda r: r["judged"]["verdict"] != "agrees"  # noqa: E731
+    return [
+        ("null: false alarm", "≤ 2 %", fine["null"], alarm),
+        ("null: false name", "≤ 1 %", fine["null"], lambda r: bool(r["judged"]["names"])),
+        ("one hidden: right name first", "≥ 98 %", fine["single"], _is("first")),
+        ("one hidden: exact", "≥ 95 %", fine["single"], _is("exact")),
+        ("one hidden: confidently wrong", "≤ 1 %", fine["single"], _is("confident_wrong")),
+        ("one hidden: missed", "", fine["single"], _is("missed")),
+        ("0.3 of the size: right name first", "≥ 95 %", fine["weak"], _is("first")),
+        ("two hidden: both named", "≥ 95 %", fine["pair"], _is("named")),
+        ("two hidden: exact", "≥ 85 %", fine["pair"], _is("exact")),
+        ("two hidden: confidently wrong", "≤ 1 %", fine["pair"], _is("confident_wrong")),
+        ("another equation: right family, or its place", "≥ 95 %", fine["variant"], _is("family_or_place")),
+        ("another equation: confidently wrong", "", fine["variant"], _is("confident_wrong")),
+        ("entry removed: confidently wrong", "≤ 3 %", fine["removed"], _is("confident_wrong")),
+        ("entry removed: right covariate in the first three", "≥ 95 %", fine["removed"], _is("place3")),
+        ("outside the catalogue: confidently wrong", "≤ 3 %", fine["outsider"], _is("confident_wrong")),
+        ("outside the catalogue: right covariate in the first three", "≥ 95 %", fine["outsider"], _is("place3")),
+        ("outside the catalogue: missed", "", fine["outsider"], _is("missed")),
+        ("unknown patches: right name first", "", fine["unknown"], _is("first")),
+        ("unknown patches: confidently wrong", "", fine["unknown"], _is("confident_wrong")),
+    ]  # fmt: skip
+
+
+def _row(name: str, wanted: str, results: list[Result], holds: Callable[[Result], bool]) -> str:
+    if not results:
+        return f"| {name} | {wanted} | not run | |"
+    hits = sum(map(holds, results))
+    return f"| {name} | {wanted} | {_share(hits, len(results))} |"
+
+
+def _share(hits: int, total: int) -> str:
+    """Return hits/total, percent and the Clopper–Pearson interval, as two cells."""
+    low = 0.0 if hits == 0 else float(beta.ppf(0.025, hits, total - hits + 1))
+    high = 1.0 if hits == total else float(beta.ppf(0.975, hits + 1, total - hits))
+    return f"{hits}/{total} ({100 * hits / total:.1f} %) | {100 * low:.1f} to {100 * high:.1f} %"
+
+
+def _fresh(fine: dict[str, list[Result]]) -> str:
+    named = [r for r in fine["single"] if r.get("fresh") and r["judged"]["first"]]
+    if not named:
+        return ""
+    before, after = (np.array([r["fresh"][k] for r in named]) for k in ("before", "after"))
+    large = before > 1.05
+    closed = (before[large] - after[large]) / (before[large] - 1.0)
+    lines = [
+        "A fresh session of the same rig, found effects frozen, only nuisances fitted:",
+        "",
+        "| measure | wanted | reached | 95 % interval |",
+        "|---|---|---|---|",
+        f"| reduced χ² ≤ 1.05 after | ≥ 95 % | {_share(int((after <= 1.05).sum()), after.size)} |",
+    ]
+    if large.any():
+        share = _share(int((closed >= 0.9).sum()), closed.size)
+        lines.append(f"| ≥ 90 % of the excess closed, where it was above 1.05 | ≥ 95 % | {share} |")
+    high = np.percentile(after, 95)
+    middle = f"Median {np.median(before):.3f} before, {np.median(after):.3f} after; 95th percentile after {high:.3f}."
+    worst = sorted(zip(after, before, named, strict=True), key=lambda t: -t[0])[:5]
+    listed = ", ".join(f"{r['names'][0]} {b:.2f} → {a:.3f}" for a, b, r in worst)
+    return "\n".join([*lines, "", middle, f"Worst: {listed}."])
+
+
+def _parameters(fine: dict[str, list[Result]]) -> str:
+    found = [p for r in fine["single"] if r["judged"]["exact"] for p in r["parameters"]]
+    if not found:
+        return ""
+    z = np.abs([p["z"] for p in found])
+    by_name: dict[str, list[float]] = defaultdict(list)
+    for p in found:
+        by_name[p["parameter"]].append(abs(p["z"]))
+    bad = {n: v for n, v in by_name.items() if max(v) > 3}
+    share = _share(int((z <= 3).sum()), z.size).replace(" | ", ", ")
+    text = f"Parameters of exactly named effects within three of their reported sigmas (wanted ≥ 95 %): {share}."
+    listed = ", ".join(f"{n} ({', '.join(f'{x:.1f}' for x in v)})" for n, v in bad.items())
+    return f"{text} Outside, with all deviations in sigmas: {listed}." if bad else text
+
+
+def _calibration(fine: dict[str, list[Result]]) -> str:
+    tests = [r["null_tests"] for r in fine["null"]]
+    if not tests:
+        return ""
+    below, number = (sum(t[i] for t in tests) for i in (0, 1))
+    share = f"{below}/{number} = {below / number:.4f}"
+    return f"Calibration of all tests under the null (wanted between 0.005 and 0.02): p < 0.01 in {share}."
+
+
+def _times(results: list[Result]) -> str:
+    seconds = [r["finder_s"] for r in results if "finder_s" in r]
+    if not seconds:
+        return ""
+    middle, high = np.percentile(seconds, [50, 95])
+    return (
+        "Time of the finder per session of 131 captures × 4 frames of 96 × 144 pixels: "
+        f"median {middle:.1f} s, 95th percentile {high:.1f} s, longest {max(seconds):.1f} s."
+    )
+
+
+def _confusion(fine: dict[str, list[Result]]) -> str:
+    lines = [
+        "Answers that were not exact (all kinds with one hidden effect at full size):",
+        "",
+        "| hidden | kind | answer | runs |",
+        "|---|---|---|---|",
+    ]
+    count: Counter[tuple[str, str, str]] = Counter()
+    total: Counter[tuple[str, str]] = Counter()
+    for kind in ("single", "variant", "outsider", "null"):
+        for r in fine[kind]:
+            hidden = "+".join(r["names"]) or "nothing"
+            total[hidden, kind] += 1
+            good = r["judged"]["exact"] if kind != "null" else r["judged"]["verdict"] == "agrees"
+            if not good:
+                said = " + ".join(e["name"] if e["name"] != "unnamed" else f"? ({e['where']})" for e in r["effects"])
+                count[hidden, kind, f"{r['judged']['verdict']}: {said or '-'}"] += 1
+    lines += [f"| {h} | {k} | {said} | {n}/{total[h, k]} |" for (h, k, said), n in sorted(count.items())]
+    return "\n".join(lines) if count else "Every answer to one hidden effect was exact."

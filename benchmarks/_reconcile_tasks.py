@@ -1,0 +1,99 @@
+"""The runs of the confusion matrix: what is hidden in each, and how the finder is asked."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from tests.roundtrip.generator import session  # noqa: F401  (fills the registry)
+from tests.roundtrip.generator.registry import ENTRIES, OUTSIDERS, VARIANTS
+
+KINDS = ("null", "single", "weak", "pair", "variant", "outsider", "removed", "unknown")
+# Pairs of which one hides or imitates the other outright, with this plan: the same light, codes or charge twice.
+INSEPARABLE = (
+    {"missing_codes", "reduced_bit_depth"},
+    {"dark_current", "dark_current_clamped"},
+    {"pwm_flicker", "mains_ripple"},
+    {"full_well_saturation", "soft_saturation"},
+    {"full_well_saturation", "adc_saturation"},
+    {"natural_vignetting", "angle_dependence"},
+    {"mechanical_vignetting", "angle_dependence"},
+)
+
+
+@dataclass(frozen=True)
+class Task:
+    """One run.
+
+    Attributes:
+        kind: One of `KINDS`.
+        names: What is hidden.
+        seed: Seed of rig and session.
+        scale: Factor on the drawn size (1 to 2 units).
+        without: Entries that the finder may not use.
+        known_patches: Whether the patches' radiances are stated.
+        plan: Name of the plan; None for the effect's own.
+    """
+
+    kind: str
+    names: tuple[str, ...]
+    seed: int
+    scale: float = 1.0
+    without: tuple[str, ...] = ()
+    known_patches: bool = True
+    plan: str | None = None
+
+    @property
+    def key(self) -> str:
+        """Return the name under which the result is kept."""
+        return f"{self.kind}/{'+'.join(self.names) or '-'}/{self.seed}"
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return it for the results' file."""
+        return asdict(self)
+
+
+def visible() -> list[str]:
+    """Return the entries that the standard plan can show."""
+    return [n for n, h in ENTRIES.items() if h.visible]
+
+
+def tasks(kinds: tuple[str, ...], seeds: int, *, first_seed: int = 0) -> Iterator[Task]:
+    """Yield the runs of the kinds, `seeds` of each entry (nulls: 50 times as many, pairs: 20 times)."""
+    makers = {
+        "null": lambda: (Task("null", (), first_seed + s) for s in range(50 * seeds)),
+        "single": lambda: _each("single", visible(), seeds, first_seed),
+        "weak": lambda: _each("weak", visible(), max(1, seeds // 2), first_seed, scale=0.3),
+        "pair": lambda: _pairs(20 * seeds, first_seed),
+        "variant": lambda: _each("variant", list(VARIANTS), seeds, first_seed),
+        "outsider": lambda: _each("outsider", list(OUTSIDERS), seeds, first_seed),
+        "removed": lambda: _removed(max(1, seeds // 2), first_seed),
+        "unknown": lambda: _each("unknown", visible(), max(1, seeds // 4), first_seed, known_patches=False),
+    }
+    return itertools.chain.from_iterable(makers[kind]() for kind in kinds)
+
+
+def _each(kind: str, names: list[str], seeds: int, first: int, **options: Any) -> Iterator[Task]:
+    for s, name in itertools.product(range(seeds), names):
+        yield Task(kind, (name,), first + 1000 + s, **options)
+
+
+def _pairs(count: int, first: int) -> Iterator[Task]:
+    rng = np.random.default_rng([first, 77])
+    names = [n for n in visible() if ENTRIES[n].plan == "rich"]
+    made = 0
+    while made < count:
+        pair = {names[i] for i in rng.choice(len(names), 2, replace=False)}
+        if pair not in INSEPARABLE:
+            yield Task("pair", tuple(sorted(pair)), first + 2000 + made)
+            made += 1
+
+
+def _removed(seeds: int, first: int) -> Iterator[Task]:
+    for s, name in itertools.product(range(seeds), visible()):
+        gone = (name, *(a for a in ENTRIES[name].accepted if a in ENTRIES and name in ENTRIES[a].accepted))
+        yield Task("removed", (name,), first + 3000 + s, without=gone)

@@ -1,0 +1,164 @@
+"""Accuracy and speed of the response methods beside OpenCV and colour-hdri, in one run on the same stacks.
+
+    python -m benchmarks response_accuracy
+
+Nine 8-bit frames one stop apart, 256 × 192 pixels, shot and read noise before the curve, one stack per response curve;
+then 12 bits, where no peer runs. RESPONSE_BENCH_EVERY=4 takes every fourth curve only.
+Peers that are not installed are left out and said to be.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from benchmarks._response_stacks import DORF, Array, make_stack, response_curves, rms_error, true_log_exposure
+from benchmarks._sections import write_section
+from radiometer.analysis.response_methods import METHODS
+from radiometer.analysis.response_mitsunaga1999 import recover_response_mitsunaga1999
+from radiometer.data import Bracket
+
+Peer = Callable[[Bracket], Array]
+# Solves a dense system per stack: every twentieth curve is enough to see where it stands.
+SLOW_PEERS = ("colour-hdri Debevec 1997 (every twentieth curve)",)
+
+
+@dataclass
+class Tally:
+    errors: list[float] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    chi2: list[float] = field(default_factory=list)
+
+    def row(self, name: str) -> str:
+        good = np.array([e for e in self.errors if np.isfinite(e)])
+        failed = len(self.errors) - good.size
+        chi2 = f"{np.mean(self.chi2):.2f}" if self.chi2 else "–"
+        return (
+            f"| {name} | {np.median(good):.5f} | {np.quantile(good, 0.9):.5f} | {good.max():.4f} | {failed} "
+            f"| {np.median(self.seconds):.3f} | {chi2} |"
+        )
+
+
+def opencv(make: Callable[[], object]) -> Peer:
+    def recover(bracket: Bracket) -> Array:
+        images = [np.repeat(frame.dn[..., None], 3, axis=2) for frame in bracket]
+        times = bracket.effective_exposures_s.astype(np.float32)
+        curve = make().process(images, times)  # type: ignore[attr-defined]
+        with np.errstate(divide="ignore"):
+            return np.log(np.asarray(curve, dtype=np.float64)[:, 0, 1])
+
+    return recover
+
+
+def colour_hdri_debevec() -> Peer | None:
+    try:
+        from colour_hdri import camera_response_functions_Debevec1997
+        from colour_hdri.utilities import Image, ImageStack, Metadata
+    except ImportError:
+        return None
+
+    def recover(bracket: Bracket) -> Array:
+        stack = ImageStack()
+        for frame in bracket:
+            stack.append(Image(None, frame.dn[..., None] / 255.0, Metadata(1.0, frame.settings.exposure_s, 100.0)))
+        curve = camera_response_functions_Debevec1997(stack, normalise=False)
+        with np.errstate(divide="ignore"):
+            return np.log(np.asarray(curve, dtype=np.float64)[:, 0])
+
+    return recover
+
+
+def peers() -> Iterator[tuple[str, Peer]]:
+    yield "OpenCV CalibrateDebevec, 70 samples", opencv(lambda: cv2.createCalibrateDebevec(70))
+    yield "OpenCV CalibrateDebevec, 500 samples", opencv(lambda: cv2.createCalibrateDebevec(500))
+    yield "OpenCV CalibrateRobertson", opencv(cv2.createCalibrateRobertson)
+    other = colour_hdri_debevec()
+    if other is not None:
+        yield SLOW_PEERS[0], other
+
+
+def stacks(bit_depth: int) -> Iterator[tuple[int, Bracket, slice, Array]]:
+    """Yield (number, bracket, digital numbers compared, true ln H there) for every chosen curve."""
+    every = int(os.environ.get("RESPONSE_BENCH_EVERY", "1"))
+    for seed, (_, exposure, brightness) in enumerate(response_curves()):
+        if seed % every == 0:
+            stack = make_stack(exposure, brightness, bit_depth=bit_depth, seed=seed)
+            yield seed, stack, *true_log_exposure(exposure, brightness, bit_depth)
+
+
+def measure(bit_depth: int, others: list[tuple[str, Peer]]) -> dict[str, Tally]:
+    tallies: dict[str, Tally] = {}
+    for seed, stack, inner, truth in stacks(bit_depth):
+        for name, method in METHODS.items():
+            tally = tallies.setdefault(f"radiometer {name}", Tally())
+            started = time.perf_counter()
+            try:
+                estimate = method([stack])
+            except Exception as error:  # noqa: BLE001 (a failure is a figure of the table)
+                print(f"{name} failed on curve {seed}: {error}")
+                tally.errors.append(float("nan"))
+                continue
+            tally.seconds.append(time.perf_counter() - started)
+            tally.errors.append(rms_error(estimate.curve.log_exposure[inner], truth))
+            if estimate.stability is not None:
+                tally.chi2.append(estimate.stability.reduced_chi2)
+        for name, peer in others:
+            if name in SLOW_PEERS and seed % 20:
+                continue
+            tally = tallies.setdefault(name, Tally())
+            started = time.perf_counter()
+            curve = peer(stack)
+            tally.seconds.append(time.perf_counter() - started)
+            tally.errors.append(rms_error(curve[inner], truth))
+    return tallies
+
+
+def ratio_errors(bit_depth: int) -> Array:
+    """Return the largest relative error of the unknown ratios of every stack, one of eight ratios known."""
+    found = []
+    for _, stack, _, _ in stacks(bit_depth):
+        ratios = recover_response_mitsunaga1999(stack, known_ratios={3: 2.0}).exposure_ratios
+        found.append(float(np.max(np.abs(ratios / 2.0 - 1.0))))
+    return np.array(found)
+
+
+HEADER = (
+    "| method | median | p90 | worst | failed | s per stack (median) | χ² of disjoint thirds (mean) |\n"
+    "|---|---|---|---|---|---|---|"
+)
+
+
+def main() -> None:
+    others = list(peers())
+    missing = "" if any(name.startswith("colour") for name, _ in others) else "\ncolour-hdri is not installed.\n"
+    source = "the DoRF curves" if DORF.exists() else "parametric curves (the DoRF set is absent)"
+    count = sum(1 for _ in stacks(8))
+    parts = [f"rms error of ln H over 5–95 % of the digital numbers, free offset taken out, over {count} of {source}."]
+    for bit_depth, runs in ((8, others), (12, [])):
+        tallies = measure(bit_depth, runs)
+        rows = "\n".join(tally.row(name) for name, tally in tallies.items())
+        parts.append(f"**{bit_depth} bits**\n\n{HEADER}\n{rows}")
+        print(parts[-1], flush=True)
+    for bit_depth in (8, 12):
+        worst = ratio_errors(bit_depth)
+        parts.append(
+            f"Mitsunaga–Nayar, one of eight ratios known, {bit_depth} bits: largest error of the other seven "
+            f"{100 * np.median(worst):.3f} % (median of the stacks), {100 * worst.max():.3f} % (worst)."
+        )
+        print(parts[-1], flush=True)
+    write_section(
+        "response_accuracy",
+        "Response recovery beside its peers",
+        f"OMP_NUM_THREADS=1 RESPONSE_BENCH_EVERY={os.environ.get('RESPONSE_BENCH_EVERY', '1')} "
+        "python -m benchmarks response_accuracy",
+        "\n\n".join(parts) + missing,
+    )
+
+
+if __name__ == "__main__":
+    main()
