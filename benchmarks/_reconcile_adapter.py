@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from radiometer.reconcile import gap_of as gap_under
+from radiometer.reconcile import gaps_of as gaps_under
 from radiometer.reconcile import reconcile
 from radiometer.reconcile.result import ReconcileResult
 from tests.roundtrip.generator.session import Session
@@ -16,6 +16,7 @@ def ask(session: Session, without: tuple[str, ...] = ()) -> tuple[dict[str, Any]
     return found.to_mapping(), found
 
 
-def gap_of(found: ReconcileResult | None, session: Session) -> float:
-    """Return the reduced chi-square of a session with the found effects frozen, only nuisances fitted."""
-    return float(gap_under(found, session.header, list(session.frames())))
+def gaps_of(found: ReconcileResult, session: Session) -> tuple[float, float]:
+    """Return the reduced chi-square of a session with nothing and with the found effects frozen, nuisances fitted."""
+    before, after = gaps_under((None, found), session.header, list(session.frames()))
+    return float(before), float(after)

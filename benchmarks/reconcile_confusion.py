@@ -59,7 +59,7 @@ def _run(task: Task) -> dict[str, Any]:
     }  # fmt: skip
     if task.kind in ("single", "variant") and result["judged"]["names"] and _repeats(task):
         fresh = make_session(*task.names, session_seed=task.seed + FRESH, **options)
-        result["fresh"] = {"before": finder.gap_of(None, fresh), "after": finder.gap_of(found, fresh)}
+        result["fresh"] = dict(zip(("before", "after"), finder.gaps_of(found, fresh), strict=True))
     return result
 
 

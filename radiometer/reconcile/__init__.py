@@ -1,6 +1,6 @@
 """Measured against simulated: where they disagree, which effect is missing, and the model with it added."""
 
-from radiometer.reconcile.engine import Reconciled, gap_of, reconcile, reconcile_capture
+from radiometer.reconcile.engine import Reconciled, gap_of, gaps_of, reconcile, reconcile_capture
 from radiometer.reconcile.result import FittedParameter, FoundEffect, ReconcileResult, Verdict
 
 __all__ = [
@@ -10,6 +10,7 @@ __all__ = [
     "Reconciled",
     "Verdict",
     "gap_of",
+    "gaps_of",
     "reconcile",
     "reconcile_capture",
 ]

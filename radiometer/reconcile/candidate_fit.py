@@ -9,7 +9,7 @@ import numpy as np
 
 from radiometer.reconcile.comparison import FAMILY
 from radiometer.reconcile.design import Array
-from radiometer.reconcile.linear import LinearFit, leave_one_group_out
+from radiometer.reconcile.held_out import leave_one_group_out
 from radiometer.reconcile.parameters import EffectParameters
 from radiometer.reconcile.screening import Candidate
 from radiometer.reconcile.state import FitState
@@ -82,11 +82,11 @@ class _Trial:
     @classmethod
     def of(cls, state: FitState, effect: CatalogueEffect) -> _Trial:
         """Return the trial of an effect: its residual, and its χ² after the nuisances followed."""
-        model = state.model.with_effects((*state.effects, effect))
-        data = state.comparison.residual(model.predict(state.nuisance)) - state.term_columns @ state.weights
+        predicted = state.predicted_with((*state.effects, effect))
+        data = state.comparison.residual(predicted) - state.term_residual
         residual = np.concatenate([data, state.residual[data.size :]])
         fit = state.fit
-        pulled = fit.half(fit.jacobian.T @ residual)
+        pulled = fit.half(fit.pull(residual))
         return cls(effect, residual, float(residual @ residual - pulled @ pulled))
 
     def columns(self, state: FitState) -> Array:
@@ -105,8 +105,8 @@ class _Trial:
         """Return the trial after one damped Gauss–Newton step; None where the step is no number."""
         own = _own_parameters(self.effect)
         fit = state.fit
-        part = fit.half(fit.jacobian.T @ columns)
-        pulled = fit.half(fit.jacobian.T @ self.residual)
+        part = fit.half(fit.pull(columns))
+        pulled = fit.half(fit.pull(self.residual))
         normal = columns.T @ columns - part.T @ part
         right = columns.T @ self.residual - part.T @ pulled
         lifted = normal + np.diag(damping * np.diag(normal) + 1e-9 * max(float(np.trace(normal)), 1e-12))
@@ -134,7 +134,7 @@ def _profiled(state: FitState, effect: CatalogueEffect) -> CatalogueEffect:
 
 def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandidate:
     columns = _off_bounds(best.effect, best.columns(state))
-    fit = LinearFit(best.residual, np.hstack([state.fit.jacobian, columns]))
+    fit = state.fit.extended(columns, best.residual)
     before = family_chi2(state, state.fit.projected)
     after = family_chi2(state, fit.projected)
     block = best.effect.block
@@ -172,8 +172,7 @@ def held_out_gain(state: FitState, residual: Array, columns: Array) -> float:
         residual: Whitened residual with the addition, prior rows included.
         columns: Its columns.
     """
-    fit = LinearFit(residual, np.hstack([state.fit.jacobian, columns]))
-    with_it = leave_one_group_out(fit, *state.groups)
+    with_it = leave_one_group_out(state.fit.extended(columns, residual), state.groups)
     return float(np.sum(with_it.log_density - state.held_out.log_density))
 
 

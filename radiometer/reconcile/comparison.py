@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -54,7 +55,7 @@ class Repeatability:
     row_variance: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Comparison:
     """Measured statistics with their fixed weights.
 
@@ -114,18 +115,28 @@ class Comparison:
     def _whitened_mean(self, values: Array) -> Array:
         mask = self.usable["mean"]
         extra = (None,) * (values.ndim - 2)
-        return np.asarray(np.einsum("cij,cj...->ci...", self.whitener, np.where(mask[(..., *extra)], values, 0.0)))
+        columns = np.where(mask[(..., *extra)], values, 0.0).reshape(*mask.shape, -1)
+        return np.asarray(np.matmul(self.whitener, columns).reshape(values.shape))
 
     def _tile_block(self, name: str, prediction: Prediction) -> Array:
         seen, expected = getattr(self.seen, name), getattr(prediction, name)
         mask, sigma = self.usable[name], self.deviation[name]
         if name in ("variance", "spatial"):
-            dof = np.where(mask, getattr(self.seen, f"{name}_dof"), 10.0)
-            ratio = np.where(mask, seen, 1.0) / np.where(mask, np.maximum(expected, 1e-12), 1.0)
-            difference = np.log(ratio) - _log_bias(dof)
+            difference = self._log_seen[name] - np.log(np.maximum(expected, 1e-12))
         else:
             difference = np.where(mask, seen, 0.0) - expected
         return np.where(mask, difference / sigma, 0.0)
+
+    @cached_property
+    def _log_seen(self) -> dict[str, Array]:
+        """Return the logarithms of measured variances, freed of the bias that few degrees of freedom give."""
+        found = {}
+        for name in ("variance", "spatial", "row_temporal", "columns", "rows"):
+            mask = self.usable[name]
+            dof = np.where(mask, getattr(self.seen, f"{name}_dof"), 10.0)
+            seen = np.where(mask, getattr(self.seen, name), 1.0)
+            found[name] = np.log(np.maximum(seen, 1e-12)) - _log_bias(dof)
+        return found
 
     def _capture_block(self, name: str, prediction: Prediction) -> Array:
         mask, sigma, seen = self.usable[name], self.deviation[name], getattr(self.seen, name)
@@ -134,19 +145,20 @@ class Comparison:
         if name == "outliers":
             expected = _FALSE_OUTLIERS + np.maximum(prediction.outliers, 0.0)
             return np.where(mask, 2.0 * (np.sqrt(seen + 0.375) - np.sqrt(expected + 0.375)) / sigma, 0.0)
-        ratio = np.where(mask, seen, 1.0) / self._excess(name, prediction)
         if name == "common":
-            frames = self.design.frame_count
-            freedom = np.maximum(np.where(frames > 2, frames - 2.0, frames - 1.0), 1.0)
-            return np.where(mask, _normal_score(ratio, freedom), 0.0)
-        dof = np.where(mask, getattr(self.seen, f"{name}_dof"), 10.0)
-        return np.where(mask, (np.log(np.maximum(ratio, 1e-12)) - _log_bias(dof)) / sigma, 0.0)
+            return self.common_scores(relative_flicker(prediction))
+        return np.where(mask, (self._log_seen[name] - np.log(self._excess(name, prediction))) / sigma, 0.0)
+
+    def common_scores(self, flicker2: Array) -> Array:
+        """Return the residual of the frame-common fluctuation for a relative variance of the light, (captures,)."""
+        mask, frames = self.usable["common"], self.design.frame_count
+        unit = np.where(np.isfinite(self.seen.common_unit), self.seen.common_unit, 1.0)
+        freedom = np.maximum(np.where(frames > 2, frames - 2.0, frames - 1.0), 1.0)
+        ratio = np.where(mask, self.seen.common, 1.0) / (1.0 + flicker2 / unit)
+        return np.where(mask, _normal_score(ratio, freedom), 0.0)
 
     def _excess(self, name: str, prediction: Prediction) -> Array:
         """Return what a variance ratio is expected to be: 1 without any common part."""
-        if name == "common":
-            unit = np.where(np.isfinite(self.seen.common_unit), self.seen.common_unit, 1.0)
-            return 1.0 + relative_flicker(prediction) / unit
         # Row noise averages down over the frames of a capture but stays in their mean.
         shared = {
             "row_temporal": prediction.row_variance,

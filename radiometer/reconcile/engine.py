@@ -94,13 +94,31 @@ def gap_of(found: ReconcileResult | CameraModel | None, header: CaptureHeader, f
         header: What `capture.yaml` of the (fresh) capture set says.
         frames: Its frames.
     """
+    return gaps_of((found,), header, frames)[0]
+
+
+def gaps_of(
+    found: Sequence[ReconcileResult | CameraModel | None], header: CaptureHeader, frames: Iterable[Frame]
+) -> tuple[float, ...]:
+    """Return the same of several models; the frames are read once.
+
+    Args:
+        found: Results, camera models, or None for the ideal camera of the header.
+        header: What `capture.yaml` of the (fresh) capture set says.
+        frames: Its frames.
+    """
     held = frames if isinstance(frames, Sequence) else list(frames)
-    header, given = adopted(header, found if isinstance(found, CameraModel) else None)
-    if isinstance(found, ReconcileResult):
-        given = found.added
     design = Design.of(header, held[0].shape)
-    seen, images = reduce_frames(design, frame_reader(held))
-    return first_state(design, seen, images, given).gap
+    reduced = reduce_frames(design, frame_reader(held))
+    gaps = []
+    for entry in found:
+        if isinstance(entry, CameraModel):  # it may state another black level, which the reduction goes by
+            changed, given = adopted(header, entry)
+            own = Design.of(changed, held[0].shape)
+            gaps.append(first_state(own, *reduce_frames(own, frame_reader(held)), given).gap)
+        else:
+            gaps.append(first_state(design, *reduced, () if entry is None else entry.added).gap)
+    return tuple(gaps)
 
 
 def reconcile_capture(

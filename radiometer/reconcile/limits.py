@@ -50,8 +50,7 @@ def _from_start(state: FitState, start: CatalogueEffect) -> Limit:
     kept = tuple(effect for effect in state.effects if effect.name != start.name)
     reference = change_of(state, kept) if len(kept) < len(state.effects) else 0.0
     change = change_of(state, (*kept, start)) - reference
-    rows = state.comparison.size
-    part = state.fit.half(state.fit.jacobian[:rows].T @ change)
+    part = state.fit.half(state.fit.pull(change))
     whole = float(change @ change)
     information = whole - float(part @ part)
     if information <= _BLIND * whole or information <= 0:

@@ -1,4 +1,7 @@
-"""Least squares on the whitened vector, linearised: projection, score tests, leave-one-setting-out prediction."""
+"""Least squares on the whitened vector, linearised: projection and score tests.
+
+The nuisances touch few of the statistics (the means, mostly), the effects any: their columns are kept apart.
+"""
 
 from __future__ import annotations
 
@@ -7,66 +10,114 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
 
 from radiometer.reconcile.design import Array
+
+_RIDGE = 1e-12  # relative; keeps a Cholesky factor regular
+
+
+@dataclass(frozen=True, eq=False)
+class RowBlock:
+    """Columns that are zero but in some rows.
+
+    Attributes:
+        rows: (n,) those rows, rising.
+        values: (n, columns) what stands there.
+    """
+
+    rows: NDArray[np.intp]
+    values: Array
+
+    @classmethod
+    def of(cls, matrix: Array, below: Array | None = None, first: int = 0) -> RowBlock:
+        """Return the block of a matrix, and of one more below it that begins at row `first`."""
+        rows = np.flatnonzero(matrix.any(axis=1))
+        if below is None:
+            return cls(rows, matrix[rows])
+        return cls(np.concatenate([rows, first + np.arange(below.shape[0])]), np.vstack([matrix[rows], below]))
+
+    @property
+    def columns(self) -> int:
+        """Return the number of columns."""
+        return int(self.values.shape[1])
+
+    @cached_property
+    def normal(self) -> Array:
+        """Return NᵀN."""
+        return np.asarray(self.values.T @ self.values)
+
+    @cached_property
+    def factor(self) -> Array:
+        """Return the lower Cholesky factor of NᵀN."""
+        return cholesky(self.normal)
+
+    def pull(self, vectors: Array, start: int = 0) -> Array:
+        """Return Nᵀ·v for vectors whose entries begin at row `start`, (entries,) or (entries, n)."""
+        low, high = np.searchsorted(self.rows, [start, start + vectors.shape[0]])
+        return np.asarray(self.values[low:high].T @ vectors[self.rows[low:high] - start])
 
 
 @dataclass(frozen=True, eq=False)
 class LinearFit:
-    """Residual = J·Δ + noise of unit variance, priors standing as further rows.
+    """Residual = N·a + E·b + noise of unit variance, priors standing as further rows.
 
     Attributes:
         residual: Whitened residual at the point of linearisation, priors included.
-        jacobian: −d(residual)/d(parameter), (rows, parameters).
+        nuisances: N = −d(residual)/d(nuisance).
+        effects: E = −d(residual)/d(effect parameter), (rows, parameters).
     """
 
     residual: Array
-    jacobian: Array
+    nuisances: RowBlock
+    effects: Array
 
     @cached_property
     def normal(self) -> Array:
-        """Return JᵀJ."""
-        return np.asarray(self.jacobian.T @ self.jacobian)
+        """Return JᵀJ for J = [N, E]."""
+        cross = self.nuisances.pull(self.effects)
+        return np.block([[self.nuisances.normal, cross], [cross.T, self.effects.T @ self.effects]])
 
     @cached_property
     def factor(self) -> Array:
         """Return the lower Cholesky factor of JᵀJ, a little ridge keeping it regular."""
-        scale = np.sqrt(np.maximum(np.diag(self.normal), 1e-300))
-        ridge = np.diag(1e-12 * scale**2)
-        return np.asarray(np.linalg.cholesky(self.normal + ridge))
+        return cholesky(self.normal) if self.effects.shape[1] else self.nuisances.factor
 
     @cached_property
     def step(self) -> Array:
         """Return the change of the parameters that minimises the residual."""
-        return self.solve(self.jacobian.T @ self.residual)
+        return self.solve(self.pull(self.residual))
+
+    def pull(self, vectors: Array, start: int = 0) -> Array:
+        """Return Jᵀ·v for vectors whose entries begin at row `start`, (entries,) or (entries, n)."""
+        own = self.effects[start : start + vectors.shape[0]].T @ vectors
+        return np.concatenate([self.nuisances.pull(vectors, start), own])
 
     def solve(self, right: Array) -> Array:
         """Return (JᵀJ)⁻¹ · right."""
-        half = solve_triangular(self.factor, right, lower=True)
-        return np.asarray(solve_triangular(self.factor, half, lower=True, trans="T"))
+        return np.asarray(solve_triangular(self.factor, self.half(right), lower=True, trans="T", check_finite=False))
 
     def half(self, right: Array) -> Array:
         """Return L⁻¹ · right for JᵀJ = L·Lᵀ."""
-        return np.asarray(solve_triangular(self.factor, right, lower=True))
+        return np.asarray(solve_triangular(self.factor, right, lower=True, check_finite=False))
 
     @property
     def covariance(self) -> Array:
         """Return (JᵀJ)⁻¹, the parameters' covariance."""
-        return self.solve(np.eye(self.jacobian.shape[1]))
+        return self.solve(np.eye(self.factor.shape[0]))
 
     @cached_property
     def projected(self) -> Array:
         """Return the residual after the best change of the parameters."""
-        return np.asarray(self.residual - self.jacobian @ self.step)
-
-    def project(self, rows: Array) -> Array:
-        """Return vectors (rows, n) freed of what the parameters can explain."""
-        return np.asarray(rows - self.jacobian @ self.solve(self.jacobian.T @ rows))
+        known = self.nuisances.columns
+        left = self.residual - self.effects @ self.step[known:]
+        left[self.nuisances.rows] -= self.nuisances.values @ self.step[:known]
+        return np.asarray(left)
 
     def extended(self, columns: Array, residual: Array | None = None) -> LinearFit:
-        """Return the fit with further columns, and possibly another residual."""
-        return LinearFit(self.residual if residual is None else residual, np.hstack([self.jacobian, columns]))
+        """Return the fit with further effect columns, and possibly another residual."""
+        changed = self.residual if residual is None else residual
+        return LinearFit(changed, self.nuisances, np.hstack([self.effects, columns]))
 
     def score(self, rows: slice, basis: Array) -> tuple[float, int]:
         """Return (χ², rank) of what a basis that touches only some rows would explain beside the parameters.
@@ -79,7 +130,7 @@ class LinearFit:
         basis = basis[:, lengths > 0] / lengths[lengths > 0]
         if not basis.size:
             return 0.0, 0
-        part = self.half(self.jacobian[rows].T @ basis)
+        part = self.half(self.pull(basis, rows.start))
         gram = basis.T @ basis - part.T @ part
         right = basis.T @ self.projected[rows]
         values, vectors = np.linalg.eigh(gram)
@@ -89,49 +140,7 @@ class LinearFit:
         return float(np.sum((vectors[:, kept].T @ right) ** 2 / values[kept])), int(kept.sum())
 
 
-@dataclass(frozen=True, slots=True)
-class HeldOut:
-    """How well each group of rows is predicted by the others.
-
-    Attributes:
-        log_density: (groups,) log predictive density, constants left out.
-        chi2: (groups,) squared standardised residual under the predictive covariance.
-        count: (groups,) entries that count.
-    """
-
-    log_density: Array
-    chi2: Array
-    count: Array
-
-
-def leave_one_group_out(fit: LinearFit, group: NDArray[np.intp], counts: NDArray[np.bool_]) -> HeldOut:
-    """Return the exact leave-one-group-out prediction of a linear model, without refitting.
-
-    With r the residual of the full fit and H its hat matrix, the group's own prediction error is (I − H_g)⁻¹·r_g
-    and its covariance (I − H_g)⁻¹, so that ln p = −½·r_gᵀ(I − H_g)⁻¹r_g + ½·ln|I − H_g|. By Woodbury only matrices
-    of the size of the parameters occur: (I − H_g)⁻¹ = I + J_g·(A − J_gᵀJ_g)⁻¹·J_gᵀ.
-
-    Args:
-        fit: The linear fit; rows beyond `group` (priors) are groups of their own.
-        group: Group of each row, from 0.
-        counts: Which rows count.
-    """
-    groups = int(group.max()) + 1
-    log_density, chi2, number = np.zeros(groups), np.zeros(groups), np.zeros(groups)
-    log_total = 2.0 * float(np.sum(np.log(np.diag(fit.factor))))
-    order = np.argsort(group, kind="stable")
-    bounds = np.searchsorted(group[order], np.arange(groups + 1))
-    for g in range(groups):
-        rows = order[bounds[g] : bounds[g + 1]]
-        rows = rows[counts[rows]]
-        number[g] = rows.size
-        if not rows.size:
-            continue
-        part, residual = fit.jacobian[rows], fit.projected[rows]
-        rest = fit.normal - part.T @ part
-        factor, lower = cho_factor(rest + np.diag(1e-9 * np.diag(fit.normal) + 1e-300), lower=True)
-        pulled = part.T @ residual
-        chi2[g] = float(residual @ residual + pulled @ cho_solve((factor, lower), pulled))
-        shrink = 2.0 * float(np.sum(np.log(np.diag(factor)))) - log_total
-        log_density[g] = -0.5 * chi2[g] + 0.5 * shrink
-    return HeldOut(log_density, chi2, number)
+def cholesky(normal: Array) -> Array:
+    """Return the lower Cholesky factor of a normal matrix, a little ridge keeping it regular."""
+    ridge = _RIDGE * np.maximum(np.diag(normal), 1e-300)
+    return np.asarray(np.linalg.cholesky(normal + np.diag(ridge)))

@@ -101,29 +101,36 @@ class NuisanceLayout:
         return replace(start, log_radiance=radiance, slope=slope, texture=texture, **known)
 
     def jacobian(self, model: TileModel, comparison: Comparison, values: Array, base: Prediction) -> Array:
-        """Return −d(residual)/d(parameter), shape (entries, parameters)."""
+        """Return −d(residual)/d(parameter), shape (entries, parameters); what lies beyond the last row is zero."""
         design = model.design
         at = comparison.residual(base)
         nuisance = self.unpack(design, values)
-        matrix = np.zeros((comparison.size, self.size))
+        matrix = np.zeros((self._rows(comparison), self.size))
         for column, name in enumerate(self.scalars):
             step = _SCALAR_STEP.get(name, _STEP)
             shifted = {name: getattr(nuisance, name) + step}
             if name == "log_gain":
                 shifted["log_responsivity"] = nuisance.log_responsivity - step
             moved = replace(nuisance, **shifted)
-            matrix[:, column] = (at - comparison.residual(model.predict(moved))) / step
+            change = (at - comparison.residual(model.predict(moved))) / step
+            matrix[:, column] = change[: matrix.shape[0]]
             if name == "log_responsivity":
                 _only_means(matrix, comparison, column)
         moved = replace(nuisance, log_radiance=nuisance.log_radiance + _STEP)
         first = self._radiances.start
         self._spread(matrix, comparison, base, model.predict(moved), _STEP, first, _TILE_ROWS)
         if self.patterns:
-            own = matrix[:, self._radiances].reshape(comparison.size, len(self.patterns), self.tiles)
+            own = matrix[:, self._radiances].reshape(matrix.shape[0], len(self.patterns), self.tiles)
             matrix[:, self._common] = own.sum(axis=1)
         if self.free_scene:
             self._scene_columns(matrix, model, comparison, nuisance, base)
         return matrix
+
+    def _rows(self, comparison: Comparison) -> int:
+        """Return how many of the first entries can change at all: of known scenes the means and slopes alone."""
+        if self.free_scene or len(self.scalars) > 1:
+            return comparison.size
+        return int(max(comparison.cuts[block].stop for block in _TILE_ROWS))
 
     def _scene_columns(
         self, matrix: Array, model: TileModel, comparison: Comparison, nuisance: Nuisance, base: Prediction
@@ -173,6 +180,8 @@ class NuisanceLayout:
                 matrix[rows[:, :, None], own[:, None, :]] += values
                 continue
             change = ((before[cut] - after[cut]) / step).reshape(-1, self.tiles)
+            if not change.any():
+                continue
             rows = cut.start + captures[:, None] * self.tiles + tiles
             matrix[rows, own] += change[captures]
 

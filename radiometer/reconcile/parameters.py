@@ -82,7 +82,7 @@ class EffectParameters:
             table = list(changes[owner].get(plain, getattr(self.effects[owner], plain)))
             table[int(place[:-1])] = value
             changes[owner][plain] = tuple(table)
-        return tuple(e.with_parameters(**c) if c else e for e, c in zip(self.effects, changes, strict=True))
+        return tuple(_changed(e, c) for e, c in zip(self.effects, changes, strict=True))
 
     def jacobian(self, state: FitState) -> Array:
         """Return −d(residual)/d(scaled parameter) of the data rows, (entries, parameters)."""
@@ -93,9 +93,16 @@ class EffectParameters:
             step = _STEP if values[index] + _STEP * self.scale[index] <= self.high[index] else -_STEP
             moved = values.copy()
             moved[index] += step * self.scale[index]
-            model = state.model.with_effects(self.replaced(moved))
-            columns[:, index] = (at - state.comparison.residual(model.predict(state.nuisance))) / step
+            changed = state.comparison.residual(state.predicted_with(self.replaced(moved)))
+            columns[:, index] = (at - changed) / step
         return columns
+
+
+def _changed(effect: CatalogueEffect, values: dict[str, Any]) -> CatalogueEffect:
+    """Return the effect with other values; the very same one where nothing changes."""
+    if all(getattr(effect, name) == value for name, value in values.items()):
+        return effect
+    return effect.with_parameters(**values)
 
 
 def value_of(effect: CatalogueEffect, name: str) -> float:

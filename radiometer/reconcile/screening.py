@@ -9,13 +9,12 @@ from typing import Final
 import numpy as np
 
 from radiometer.errors import MeasurementError
-from radiometer.reconcile.capture_factors import best_by_capture_factor
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.parameters import EffectParameters
+from radiometer.reconcile.start_pool import StartPool
 from radiometer.reconcile.state import FitState
 from simulators.effects.catalogue import CatalogueEffect
 
-_DENSE_KEPT: Final = 12  # of the starts of a dense search
 _LARGEST_AMPLITUDE: Final = 300.0  # a start may be that much too small …
 _SMALLEST_CURVATURE: Final = 1e-9
 
@@ -45,14 +44,20 @@ def usable_catalogue(
     return {n: kind for n, kind in catalogue.items() if n not in taken and kind.usable(state.model.context)}
 
 
-def screen(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> list[Candidate]:
-    """Return the best start of every usable entry (rigid and flexible apart), the most promising first."""
+def screen(
+    state: FitState, catalogue: Mapping[str, type[CatalogueEffect]], pool: StartPool | None = None
+) -> list[Candidate]:
+    """Return the best start of every usable entry (rigid and flexible apart), the most promising first.
+
+    Args:
+        state: The fitted model.
+        catalogue: Entries to try, by name.
+        pool: Their starts, where they were made before.
+    """
+    pool = pool or StartPool()
     found: list[Candidate] = []
     for kind in usable_catalogue(state, catalogue).values():
-        starts = kind.starts(state.model.context)
-        if kind.profiled:
-            starts = best_by_capture_factor(state, starts, _DENSE_KEPT)
-        found += _best(_rigid(state, starts))
+        found += _best(_rigid(state, pool.likeliest(state, kind)))
         found += _best([_flexible(state, cover) for cover in kind.covers(state.model.context)])
     return sorted(found, key=lambda candidate: -candidate.gain)
 
@@ -67,7 +72,7 @@ def change_of(state: FitState, effects: Sequence[CatalogueEffect]) -> Array:
     Raises:
         MeasurementError: If the prediction with them is not finite.
     """
-    moved = state.model.with_effects(effects).predict(state.nuisance)
+    moved = state.predicted_with(effects)
     changed = state.comparison.residual(moved)
     if not np.isfinite(changed).all():
         names = ", ".join(effect.name for effect in effects)
@@ -81,7 +86,7 @@ def _rigid(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate
     changes = np.stack([change_of(state, (*state.effects, effect)) for effect in starts], axis=1)
     rows = state.comparison.size
     fit = state.fit
-    part = fit.half(fit.jacobian[:rows].T @ changes)
+    part = fit.half(fit.pull(changes))
     curvature = np.sum(changes**2, axis=0) - np.sum(part**2, axis=0)
     slope = changes.T @ fit.projected[:rows]
     floor = _SMALLEST_CURVATURE * np.maximum(np.sum(changes**2, axis=0), 1e-12)

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from radiometer.reconcile.candidate_fit import FittedCandidate, accepted, fit_candidate, held_out_gain
 from radiometer.reconcile.localise import Disagreement, localise, significant, smooth_term
 from radiometer.reconcile.screening import Candidate, screen
+from radiometer.reconcile.start_pool import StartPool
 from radiometer.reconcile.state import FitState, refit, reweighted, with_effects, with_terms
 from radiometer.reconcile.terms import LinearTerm
 from simulators.effects.catalogue import CatalogueEffect
@@ -96,6 +97,7 @@ class _Run:
     say: Callable[[str], None]
     steps: list[Step] = field(default_factory=list)
     refused: set[str] = field(default_factory=set)
+    pool: StartPool = field(default_factory=StartPool)
 
 
 def search(
@@ -122,7 +124,7 @@ def search(
 
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     loud = significant(tests)
-    promising = _promising(screen(state, run.catalogue), loud)
+    promising = _promising(screen(state, run.catalogue, run.pool), loud)
     if not loud and not promising:
         return None
     fitted = sorted((fit_candidate(state, c) for c in promising[:_FITTED]), key=lambda f: -_penalised_chi2(f))

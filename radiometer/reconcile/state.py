@@ -8,11 +8,11 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.reconcile.comparison import Comparison, Repeatability, compare, relative_flicker, usable_entries
 from radiometer.reconcile.design import Array, Design
-from radiometer.reconcile.linear import HeldOut, LinearFit, leave_one_group_out
+from radiometer.reconcile.held_out import Groups, HeldOut, leave_one_group_out
+from radiometer.reconcile.linear import LinearFit, RowBlock
 from radiometer.reconcile.nuisances import NuisanceLayout, rough_log_responsivity
 from radiometer.reconcile.parameters import EffectParameters
 from radiometer.reconcile.pattern_images import PatternImages
@@ -20,7 +20,7 @@ from radiometer.reconcile.realisations import realisation_terms
 from radiometer.reconcile.repeatability import capture_scale, estimate_tau
 from radiometer.reconcile.statistics import CaptureStatistics
 from radiometer.reconcile.terms import LinearTerm, prior_rows
-from radiometer.reconcile.tile_model import Nuisance, Prediction, TileModel
+from radiometer.reconcile.tile_model import Nuisance, Prediction, TileModel, Trace
 from simulators.effects.catalogue import CatalogueEffect
 
 _ITERATIONS: Final = 25
@@ -72,7 +72,16 @@ class FitState:
     @cached_property
     def prediction(self) -> Prediction:
         """Return the expected statistics, unnamed terms left out."""
-        return self.model.predict(self.nuisance)
+        return self.trace.prediction
+
+    @cached_property
+    def trace(self) -> Trace:
+        """Return the chain of the model as it runs."""
+        return self.model.trace(self.nuisance)
+
+    def predicted_with(self, effects: Sequence[CatalogueEffect]) -> Prediction:
+        """Return the expected statistics with other effects, nuisances as they are."""
+        return self.model.predict_again(self.trace, effects)
 
     @cached_property
     def sensitivity(self) -> Array:
@@ -98,7 +107,12 @@ class FitState:
     @cached_property
     def data_residual(self) -> Array:
         """Return the whitened residual of the data, without prior rows."""
-        return self.plain_residual - self.term_columns @ self.weights
+        return self.plain_residual - self.term_residual
+
+    @cached_property
+    def term_residual(self) -> Array:
+        """Return what the linear terms take up of the whitened residual."""
+        return np.asarray(self.term_columns @ self.weights)
 
     @cached_property
     def residual(self) -> Array:
@@ -113,19 +127,14 @@ class FitState:
         return float(self.residual @ self.residual)
 
     @cached_property
-    def nuisance_jacobian(self) -> Array:
+    def nuisance_jacobian(self) -> RowBlock:
         """Return −d(residual)/d(nuisances and term weights), prior rows included."""
         data = self.layout.jacobian(self.model, self.comparison, self.values, self.prediction)
-        _, nuisance_rows = prior_rows(self.layout.prior, self.values)
-        _, term_rows = prior_rows(self._term_prior, self.weights)
-        m, k = self.layout.size, self._term_prior.size
-        return np.block(
-            [
-                [data, self.term_columns],
-                [nuisance_rows, np.zeros((m, k))],
-                [np.zeros((k, m)), term_rows],
-            ]
-        )
+        if self.term_columns.size:
+            missing = np.zeros((self.comparison.size - data.shape[0], data.shape[1]))
+            data = np.hstack([np.vstack([data, missing]), self.term_columns])
+        _, priors = prior_rows(np.concatenate([self.layout.prior, self._term_prior]), np.zeros(data.shape[1]))
+        return RowBlock.of(data, priors, first=self.comparison.size)
 
     @cached_property
     def effect_jacobian(self) -> Array:
@@ -138,7 +147,7 @@ class FitState:
         effects = self.effect_jacobian
         if self.frozen:
             effects = np.delete(effects, sorted(self.frozen), axis=1)
-        return LinearFit(self.residual, np.hstack([self.nuisance_jacobian, effects]))
+        return LinearFit(self.residual, self.nuisance_jacobian, effects)
 
     @cached_property
     def _term_prior(self) -> Array:
@@ -150,19 +159,19 @@ class FitState:
         return np.vstack([columns, below])
 
     @cached_property
-    def groups(self) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Return (group, counts) of each row: settings first, then each prior row as a group of its own."""
+    def groups(self) -> Groups:
+        """Return group of each row and whether it counts: settings first, then each prior row as its own group."""
         setting = self.design.setting_id[self.comparison.capture_of_rows()]
         priors = self.residual.size - setting.size
         behind = setting.max() + 1 + np.arange(priors)
         informative = np.concatenate([self.layout.prior < 1.0, np.zeros(self._term_prior.size, np.bool_)])
         counts = np.concatenate([self.comparison.counts(), informative])
-        return np.concatenate([setting, behind]), counts
+        return Groups(self.nuisance_jacobian, np.concatenate([setting, behind]), counts)
 
     @cached_property
     def held_out(self) -> HeldOut:
         """Return how well each setting is predicted by the others."""
-        return leave_one_group_out(self.fit, *self.groups)
+        return leave_one_group_out(self.fit, self.groups)
 
     @property
     def evidence(self) -> float:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from typing import Final
 
 import numpy as np
@@ -12,7 +13,7 @@ from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.pattern_images import PatternImages
 from radiometer.reconcile.tile_context import GAUSS_POINT, TileContext, scene_radiance, tile_context
 from radiometer.units import photon_energy_j
-from simulators.effects.base import DIGITAL_NUMBER, ELECTRONS, Stage
+from simulators.effects.base import ELECTRONS, Stage
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import Signal
 from simulators.effects.full_well_saturation import FullWellSaturation
@@ -121,42 +122,70 @@ class TileModel:
 
     def predict(self, nuisance: Nuisance) -> Prediction:
         """Return the expected statistics."""
-        gain = self._gain(nuisance)
-        light = self._light(nuisance)
-        electrons = self._lagging(nuisance)._electrons(light, nuisance)
-        final = self._read_out(electrons, gain, nuisance)
-        return self._summary(final, light, gain)
+        return self.trace(nuisance).prediction
 
-    # ---- the chain, stage by stage -------------------------------------------------------------------------
+    def trace(self, nuisance: Nuisance) -> Trace:
+        """Return the expected statistics with the moments between the links of the chain."""
+        return self._run(nuisance, 0, (), None)
 
-    def _light(self, nuisance: Nuisance) -> TileMoments:
-        """Return light per pixel in electrons before anything electronic happens to it."""
-        settings = self.context.settings
+    def predict_again(self, trace: Trace, effects: Sequence[CatalogueEffect]) -> Prediction:
+        """Return the statistics expected with other effects, from the first link on that differs.
+
+        Args:
+            trace: The chain as it ran with this model's effects.
+            effects: The effects to have instead.
+        """
+        old, new = self.effects, tuple(effects)
+        shared = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(old, new, strict=False)))
+        links = [_link_of(effect) for effect in (*old[shared:], *new[shared:])]
+        if not links:
+            return trace.prediction
+        first = min(links)
+        light = trace.light if first > _LIGHT_LINKS else None
+        return self.with_effects(new)._run(trace.nuisance, first, trace.between[: first + 1], light).prediction
+
+    # ---- the chain, link by link ---------------------------------------------------------------------------
+
+    def _run(
+        self, nuisance: Nuisance, first: int, between: tuple[TileMoments, ...], light: TileMoments | None
+    ) -> Trace:
+        model = self._lagging(nuisance)
+        gain = model._gain(nuisance)
+        links = model._links(nuisance, gain)
+        passed = list(between) or [model._scene(nuisance)]
+        for number in range(first, len(links)):
+            if number == _LIGHT_LINKS:
+                light = passed[-1]
+            passed.append(links[number](passed[-1]))
+        assert light is not None
+        return Trace(nuisance, tuple(passed), light, model._summary(passed[-1], light, gain))
+
+    def _scene(self, nuisance: Nuisance) -> TileMoments:
         scene = (self.radiance * np.exp(nuisance.log_radiance))[self.design.pattern_index]
         slopes = nuisance.slope[self.design.pattern_index]
         points = _tilt(slopes[:, 0], slopes[:, 1]) if nuisance.slope.any() else 1.0
-        signal = scene[:, :, None] * np.ones(4) * points * settings.source_level
-        moments = TileMoments.exactly(signal)
-        moments = self._apply(moments, Stage.SOURCE, Stage.SCENE)
-        moments = _scaled(moments, self._lens_factor())
-        moments = self._apply(moments, Stage.OPTICS)
-        moments = _scaled(moments, np.where(settings.is_dark, 0.0, settings.exposure_s))
-        moments = self._apply(moments, Stage.SHUTTER)
-        moments = _scaled(moments, self._photons_per_exposure())
-        moments = self._apply(moments, Stage.PHOTONS)
-        return _scaled(moments, self._quantum_efficiency() * float(np.exp(nuisance.log_responsivity)))
+        return TileMoments.exactly(scene[:, :, None] * np.ones(4) * points * self.context.settings.source_level)
 
-    def _electrons(self, light: TileMoments, nuisance: Nuisance) -> TileMoments:
-        textured = light
-        if nuisance.texture.any():
-            texture = np.maximum(nuisance.texture, 0.0)[None, :, None]
-            textured = replace(light, spatial_variance=light.spatial_variance + texture * light.mean**2)
-        moments = self._apply(textured, Stage.ELECTRONS, before_shot=True)
-        dark = self._dark_e(nuisance)
-        moments = replace(moments, mean=moments.mean + dark)
-        moments = replace(moments, variance=moments.variance + np.maximum(moments.mean, 0.0))
-        moments = self._apply(moments, Stage.ELECTRONS, before_shot=False)
-        moments = self._apply(moments, Stage.WELL)
+    def _links(self, nuisance: Nuisance, gain: Array) -> tuple[Callable[[TileMoments], TileMoments], ...]:
+        """Return what happens to the light, in order; effects act in the links that `_link_of` numbers."""
+        settings = self.context.settings
+        open_s = np.where(settings.is_dark, 0.0, settings.exposure_s)
+        sensitivity = self._quantum_efficiency() * float(np.exp(nuisance.log_responsivity))
+        return (
+            lambda moments: self._apply(moments, 0),
+            lambda moments: self._apply(_scaled(moments, self._lens_factor()), 1),
+            lambda moments: self._apply(_scaled(moments, open_s), 2),
+            lambda moments: _scaled(self._apply(_scaled(moments, self._photons_per_exposure()), 3), sensitivity),
+            lambda moments: self._apply(_textured(moments, nuisance), 4),
+            lambda moments: self._apply(_with_shot_noise(moments, self._dark_e(nuisance)), 5),
+            lambda moments: self._full(self._apply(moments, 6)),
+            lambda moments: self._apply(self._with_read_noise(moments, nuisance), 7),
+            lambda moments: self._apply(_scaled(moments, gain[:, None, None]), 8),
+            lambda moments: self._apply(self._on_black(moments, nuisance), 9),
+            lambda moments: self._apply(replace(moments, variance=moments.variance + 1.0 / 12.0), 10),
+        )
+
+    def _full(self, moments: TileMoments) -> TileMoments:
         well = self.design.header.camera.full_well_e
         if well is None or float(moments.mean.max()) < _WELL_SHARE * well:
             return moments
@@ -164,37 +193,21 @@ class TileModel:
         assert isinstance(full, TileMoments)
         return full
 
-    def _read_out(self, electrons: TileMoments, gain: Array, nuisance: Nuisance) -> TileMoments:
+    def _with_read_noise(self, moments: TileMoments, nuisance: Nuisance) -> TileMoments:
         read = self.design.header.camera.read_noise_e
         read_e2 = (TYPICAL_READ_NOISE_E if read is None else read) ** 2 * float(np.exp(nuisance.log_read))
-        moments = replace(electrons, variance=electrons.variance + read_e2)
-        moments = self._apply(moments, Stage.READOUT, unit=ELECTRONS)
-        moments = _scaled(moments, gain[:, None, None])
-        moments = self._apply(moments, Stage.READOUT, unit=DIGITAL_NUMBER)
-        black = np.nan_to_num(self.context.settings.black_level_dn) + nuisance.black_dn  # type: ignore[arg-type]
-        moments = replace(moments, mean=moments.mean + black)
-        moments = self._apply(moments, Stage.DIGITAL, before="quantisation")
-        moments = replace(moments, variance=moments.variance + 1.0 / 12.0)
-        return self._apply(moments, Stage.DIGITAL, before=None)
+        return replace(moments, variance=moments.variance + read_e2)
 
-    def _apply(
-        self,
-        moments: TileMoments,
-        *stages: Stage,
-        unit: str | None = None,
-        before_shot: bool | None = None,
-        before: str | bool | None = False,
-    ) -> TileMoments:
+    def _on_black(self, moments: TileMoments, nuisance: Nuisance) -> TileMoments:
+        black = np.nan_to_num(self.context.settings.black_level_dn) + nuisance.black_dn  # type: ignore[arg-type]
+        return replace(moments, mean=moments.mean + black)
+
+    def _apply(self, moments: TileMoments, link: int) -> TileMoments:
         for effect in (*self.given, *self.effects):
-            if effect.stage not in stages or (unit is not None and effect.unit_in != unit):
-                continue
-            if before_shot is not None and (effect.before in ("shot_noise", "dark_current")) != before_shot:
-                continue
-            if before is not False and effect.before != before:
-                continue
-            after = effect.moments(moments, self.context)
-            assert isinstance(after, TileMoments)
-            moments = after
+            if _link_of(effect) == link:
+                after = effect.moments(moments, self.context)
+                assert isinstance(after, TileMoments)
+                moments = after
         return moments
 
     # ---- figures of the declared camera --------------------------------------------------------------------
@@ -237,7 +250,7 @@ class TileModel:
 
     def _previous_signal(self) -> Array:
         """Return the light that the frame before each capture held, in electrons, (captures, tiles, 1)."""
-        signal = self._light(Nuisance.start(self.design)).mean.mean(axis=2)
+        signal = self.trace(Nuisance.start(self.design)).light.mean.mean(axis=2)
         order = np.argsort([capture.frames[0] for capture in self.design.captures])
         before = np.zeros_like(signal)
         before[order[1:]] = signal[order[:-1]]
@@ -249,7 +262,10 @@ class TileModel:
         shape = light.mean.shape
 
         def tiles(values: Signal) -> Array:
-            return np.asarray(np.broadcast_to(values, shape).mean(axis=2), dtype=np.float64)
+            values = np.asarray(values, dtype=np.float64)
+            if values.shape[-1] == 1:
+                return np.broadcast_to(values[..., 0], shape[:2])
+            return 0.25 * (values[..., 0] + values[..., 1] + values[..., 2] + values[..., 3])
 
         def captures(values: Signal) -> Array:
             return np.asarray(np.broadcast_to(values, (shape[0], 1, 1))[:, 0, 0], dtype=np.float64)
@@ -281,6 +297,57 @@ class TileModel:
             gain=gain,
             fixed=fixed,
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """The chain as it ran once.
+
+    Attributes:
+        nuisance: The nuisances.
+        between: Moments before the first link, between the links, and behind the last.
+        light: Light per pixel in electrons before anything electronic happens to it.
+        prediction: The expected statistics.
+    """
+
+    nuisance: Nuisance
+    between: tuple[TileMoments, ...]
+    light: TileMoments
+    prediction: Prediction
+
+
+_LIGHT_LINKS: Final = 4  # links that the light passes before it is electrons
+_LINK_OF_STAGE: Final = {
+    Stage.SOURCE: 0,
+    Stage.SCENE: 0,
+    Stage.OPTICS: 1,
+    Stage.SHUTTER: 2,
+    Stage.PHOTONS: 3,
+    Stage.WELL: 6,
+}
+
+
+def _link_of(effect: CatalogueEffect) -> int:
+    """Return the link of the chain in which an effect acts."""
+    if effect.stage == Stage.ELECTRONS:
+        return 4 if effect.before in ("shot_noise", "dark_current") else 5
+    if effect.stage == Stage.READOUT:
+        return 7 if effect.unit_in == ELECTRONS else 8
+    if effect.stage == Stage.DIGITAL:
+        return 10 if effect.before is None else 9
+    return _LINK_OF_STAGE[effect.stage]
+
+
+def _textured(moments: TileMoments, nuisance: Nuisance) -> TileMoments:
+    if not nuisance.texture.any():
+        return moments
+    texture = np.maximum(nuisance.texture, 0.0)[None, :, None]
+    return replace(moments, spatial_variance=moments.spatial_variance + texture * moments.mean**2)
+
+
+def _with_shot_noise(moments: TileMoments, dark: Array) -> TileMoments:
+    mean = moments.mean + dark
+    return replace(moments, mean=mean, variance=moments.variance + np.maximum(mean, 0.0))
 
 
 def _scaled(moments: TileMoments, factor: Array | float) -> TileMoments:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, ClassVar, Self, cast
 
 import numpy as np
@@ -42,7 +43,7 @@ class CatalogueEffect(Effect):
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return the effects from which a search begins; by default those of `trials`."""
-        return tuple(cls(**trial) for trial in cls.trials)
+        return cast(tuple[Self, ...], _of_trials(cls))
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
@@ -83,6 +84,11 @@ class CatalogueEffect(Effect):
     def usable(cls, context: ExposureContext) -> bool:
         """Tell whether the data hold what the effect needs at all (a temperature, an f-number …)."""
         return True
+
+
+@cache
+def _of_trials(kind: type[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
+    return tuple(kind(**trial) for trial in kind.trials)
 
 
 class Scaling(CatalogueEffect):
