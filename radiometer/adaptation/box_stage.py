@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from radiometer.adaptation.protocol import AdaptationProtocol, SteadyBleach
-from radiometer.devices.light_box import LightBox, Radiance
+from radiometer.devices.light_box import ButtonEvent, LightBox, Radiance
 from radiometer.errors import UsageError
 
 _BLEACH, _FIXATION = "bleach", "fixation"
@@ -25,6 +25,7 @@ class BoxStage:
         sleep: Waits for a number of seconds.
         fixation_w_sr_m2: Radiance of the fixation mark; 0 leaves it dark.
         room: Measures the dark room in cd·m⁻²; None where it cannot be measured.
+        wall_clock: Time of day as Unix time in s; None where the box is simulated.
     """
 
     box: LightBox
@@ -35,7 +36,10 @@ class BoxStage:
     sleep: Callable[[float], None]
     fixation_w_sr_m2: float = 0.0
     room: Callable[[], float] | None = None
+    wall_clock: Callable[[], float] | None = None
     _zero_s: float = field(default=0.0, init=False)
+    _pressed_s: float | None = field(default=None, init=False)
+    _longest: tuple[float, float] = field(default=(0.0, 0.0), init=False)
 
     def __post_init__(self) -> None:
         self._zero_s = self.clock()
@@ -44,9 +48,14 @@ class BoxStage:
         """Return the time in s since the stage was set up, or as `resume_at` set it."""
         return self.clock() - self._zero_s
 
+    def wall_s(self) -> float | None:
+        """Return the time of day as Unix time in s; None where the box is simulated."""
+        return self.wall_clock() if self.wall_clock else None
+
     def resume_at(self, time_s: float) -> None:
-        """Count on from a time that is later than the stage's own; the eye went on adapting, the clock did not."""
-        self._zero_s = min(self._zero_s, self.clock() - time_s)
+        """Count on from a time, with the mark lit again. Raises DeviceError, UnsafeStimulus."""
+        self._zero_s = self.clock() - time_s
+        self._light_mark()
 
     def room_luminance_cd_m2(self) -> float | None:
         """Return the luminance of the dark room; None where it cannot be measured."""
@@ -69,18 +78,47 @@ class BoxStage:
         level = Radiance(bleach.luminance_cd_m2 / self.photopic_lm_per_w)
         self.box.pulse(_BLEACH, level, bleach.duration_s)
         self.sleep(bleach.duration_s)
-        if self.fixation_w_sr_m2:
-            self.box.set_level(_FIXATION, Radiance(self.fixation_w_sr_m2))
+        self._light_mark()
 
     def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
         """Blink the spot once and return the presses in s from its onset. Raises DeviceError, UnsafeStimulus."""
         spot, onset = self.protocol.spot, self.clock()
         if log10_level is not None:
             self.box.pulse(spot.channel, Radiance(10.0**log10_level / self.scotopic_lm_per_w), spot.on_s)
-        events = self.box.buttons(max(0.0, spot.cycle_s - (self.clock() - onset)))
-        return [event.time_s - onset for event in events if event.pressed and event.time_s >= onset]
+        presses = self._presses(self.box.buttons(max(0.0, spot.cycle_s - (self.clock() - onset))))
+        return [time_s - onset for time_s in presses if time_s >= onset]
 
     def wait(self, seconds: float) -> None:
-        """Let time pass; what is pressed meanwhile is taken from the box and forgotten."""
-        for _ in self.box.buttons(seconds):
-            continue
+        """Let time pass; what is pressed meanwhile counts for nothing. Raises DeviceLost."""
+        self.rest(seconds)
+
+    def rest(self, seconds: float) -> int:
+        """Let time of a pause pass and return how often the button was pressed. Raises DeviceLost."""
+        return len(self._presses(self.box.buttons(seconds)))
+
+    def long_press(self, at_least_s: float) -> float | None:
+        """Return when a press that lasts so long began, on the stage's clock; each is told once, None where none is."""
+        begun_s, held_s = self._longest
+        if self._pressed_s is not None and self.clock() - self._pressed_s > held_s:
+            begun_s, held_s = self._pressed_s, self.clock() - self._pressed_s
+        if held_s < at_least_s:
+            return None
+        self._longest, self._pressed_s = (0.0, 0.0), None
+        return begun_s - self._zero_s
+
+    def _presses(self, events: Iterable[ButtonEvent]) -> list[float]:
+        """Return when presses began, on the box's clock, and remember the longest that has ended."""
+        presses = []
+        for event in events:
+            if event.pressed:
+                self._pressed_s = event.time_s
+                presses.append(event.time_s)
+            elif self._pressed_s is not None:
+                held_s = event.time_s - self._pressed_s
+                self._longest = max(self._longest, (self._pressed_s, held_s), key=lambda press: press[1])
+                self._pressed_s = None
+        return presses
+
+    def _light_mark(self) -> None:
+        if self.fixation_w_sr_m2:
+            self.box.set_level(_FIXATION, Radiance(self.fixation_w_sr_m2))

@@ -1,4 +1,4 @@
-"""Every event of a test on disk before the next one happens: a crash loses no press."""
+"""Every event of a test in its file before the next one happens: a crash loses no press."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Event = dict[str, Any]
 
 
 class Journal:
-    """An append-only file of JSON lines, each flushed to the disk when it is written.
+    """An append-only file of JSON lines, each flushed when it is written.
 
     Args:
         path: The file; created where it is not there.
@@ -35,15 +35,27 @@ class Journal:
             raise OutputError(f"cannot write {self.path}: {error.strerror or error}") from error
         return self
 
-    def write(self, kind: str, time_s: float, **facts: Any) -> Event:
-        """Append an event and return it once it is on the disk. Raises OutputError where the disk refuses it."""
+    def write(self, kind: str, time_s: float, *, lasting: bool = True, **facts: Any) -> Event:
+        """Append an event and return it.
+
+        Args:
+            kind: What happened.
+            time_s: When, in s.
+            lasting: Wait until it is on the disk, so that even a power cut does not lose it; else it is with the
+                operating system, which a crash of the program does not touch.
+            facts: What else is known of it.
+
+        Raises:
+            OutputError: If the disk refuses it.
+        """
         event = {"sequence": len(self.events), "kind": kind, "time_s": round(time_s, 4), **facts}
         if self._stream is None:
             raise OutputError(f"{self.path}: the journal is not open")
         try:
             self._stream.write(json.dumps(event, ensure_ascii=False, allow_nan=False).encode() + b"\n")
             self._stream.flush()
-            os.fsync(self._stream.fileno())
+            if lasting:
+                os.fsync(self._stream.fileno())
         except OSError as error:
             raise OutputError(f"cannot write {self.path}: {error.strerror or error}") from error
         self.events.append(event)

@@ -9,7 +9,7 @@ from radiometer.adaptation.protocol import LimitsMethod, Spot, StaircaseMethod
 
 @dataclass
 class Ascent:
-    """Ascending limits: up by a step per blink until it is seen.
+    """Ascending limits: up by a step per blink until it is seen; an ascent that is seen at once begins lower.
 
     Attributes:
         spot: The spot's levels.
@@ -23,15 +23,25 @@ class Ascent:
     threshold: float | None = None
     exhausted: bool = False
     level: float = field(init=False)
+    _missed: bool = False
 
     def __post_init__(self) -> None:
         self.level = _start(self.spot, self.last, self.method.start_below_log10)
 
     def answer(self, *, seen: bool) -> None:
         """Take the answer to the blink at `level` and go on."""
-        if seen:
+        if seen and self._missed:
             self.threshold = self.level
-        elif self.level >= self.spot.highest_log10 - 1e-9:
+        elif seen and self.level <= self.spot.lowest_log10 + 1e-9:
+            self.exhausted = True
+        elif seen:
+            self.level = max(self.level - self.method.start_below_log10, self.spot.lowest_log10)
+        else:
+            self._miss()
+
+    def _miss(self) -> None:
+        self._missed = True
+        if self.level >= self.spot.highest_log10 - 1e-9:
             self.exhausted = True
         else:
             self.level = min(self.level + self.method.step_log10, self.spot.highest_log10)
@@ -63,7 +73,8 @@ class Staircase:
             kept = self._turns[1:]
             self.threshold = sum(kept) / len(kept)
             return
-        if up and self.level >= self.spot.highest_log10 - 1e-9:
+        end = self.spot.highest_log10 if up else self.spot.lowest_log10
+        if abs(self.level - end) < 1e-9:
             self.exhausted = True
             return
         step = self.method.step_log10 if self._turns else self.method.first_step_log10

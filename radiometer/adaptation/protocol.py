@@ -92,11 +92,18 @@ class Ending(ConfigSection):
 
 
 class Watch(ConfigSection):
-    """How false presses and absence are found out."""
+    """How false presses, absence and the wish for a pause are found out.
+
+    A press that is held for `hold_to_pause_s` asks for a pause. A trial is given up after `most_blinks`; after
+    `absent_after` trials without a threshold, or a pause of more than `longest_pause_min`, the test is over.
+    """
 
     catch_share: float = Field(0.1, ge=0, le=0.5)
     fastest_press_s: float = Field(0.12, ge=0)
     pause_between_s: float = Field(4.0, ge=0)
+    hold_to_pause_s: float = Field(2.0, gt=0, le=30)
+    longest_pause_min: float = Field(10.0, gt=0, le=60)
+    most_blinks: int = Field(90, ge=5)
     absent_after: int = Field(3, ge=1)
     most_false_share: float = Field(0.33, gt=0, le=1)
 

@@ -1,90 +1,28 @@
-"""Runs a test: bleach, then one threshold after the other, everything journalled; can be taken up after a crash."""
+"""Runs a test: bleach, then one threshold after the other, everything journalled; can be taken up after a crash.
+
+Events of the journal: `start`, `room`, `bleach`, `dark`, then `blink` (after each blink, with its presses) and `trial`
+(after each threshold or catch); between them `pause`, `resume`, `taken_up` (after a crash); at last `stop` and `end`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any, Final
 
 import numpy as np
 
+from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.journal import FORMAT, Event, Journal
-from radiometer.adaptation.methods import begin
+from radiometer.adaptation.methods import Method, begin
+from radiometer.adaptation.outcome import Outcome, Verdict, counting_trials, outcome_of
 from radiometer.adaptation.protocol import AdaptationProtocol, SteadyBleach
-from radiometer.errors import InputError, MeasurementError, UsageError
-
-
-class Stage(Protocol):
-    """The devices in front of the subject, on one clock."""
-
-    def now_s(self) -> float:
-        """Return the time in s since the stage was set up."""
-        ...
-
-    def room_luminance_cd_m2(self) -> float | None:
-        """Return the luminance of the dark room; None where it cannot be measured."""
-        ...
-
-    def bleach(self, protocol: AdaptationProtocol) -> None:
-        """Give the bleach and return when it is over. Raises DeviceError, UnsafeStimulus."""
-        ...
-
-    def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
-        """Show one blink (None: none, a catch) and return the presses during it in s from its onset."""
-        ...
-
-    def wait(self, seconds: float) -> None:
-        """Let time pass in the dark; presses then count for nothing."""
-        ...
-
-    def resume_at(self, time_s: float) -> None:
-        """Count on from a time, after a crash."""
-        ...
-
-
-class Verdict(StrEnum):
-    """How a run ended."""
-
-    COMPLETE = "complete"
-    CRITERION_REACHED = "criterion_reached"
-    NO_RESPONSE = "no_response"
-    LEFT = "left"
-    UNRELIABLE = "unreliable"
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """The result of a run.
-
-    Attributes:
-        verdict: In one word.
-        explanation: For the user, what it means.
-        times_min: Time of each threshold in min after the end of the bleach.
-        thresholds_log10: Thresholds, log10 of scotopic cd·m⁻².
-        false_presses: Presses to catches or faster than a human can.
-        catches: Catches shown.
-    """
-
-    verdict: Verdict
-    explanation: str
-    times_min: tuple[float, ...]
-    thresholds_log10: tuple[float, ...]
-    false_presses: int
-    catches: int
-
-    @property
-    def can_be_fitted(self) -> bool:
-        """Tell whether the thresholds are a subject's."""
-        return self.verdict in (Verdict.COMPLETE, Verdict.CRITERION_REACHED)
-
-    def to_csv(self) -> str:
-        """Return the columns time (min) and log10 threshold."""
-        rows = [f"{t:.5f},{v:.4f}" for t, v in zip(self.times_min, self.thresholds_log10, strict=True)]
-        return "\n".join(["time_min,log10_threshold", *rows]) + "\n"
-
+from radiometer.adaptation.stage import Stage
+from radiometer.errors import MeasurementError, UsageError
 
 Watcher = Callable[[Event], None]
+SUBJECT: Final = "subject"
+LOOK_S: Final = 0.5  # how often a rest looks whether a pause is asked for, or a pause whether it is over
 
 
 def run_test(
@@ -95,6 +33,7 @@ def run_test(
     subject: str,
     seed: int = 0,
     watch: Watcher = lambda event: None,
+    controls: Controls | None = None,
 ) -> Outcome:
     """Run a test from the beginning, or from where its journal ends.
 
@@ -105,13 +44,14 @@ def run_test(
         subject: Pseudonym of the subject.
         seed: Seed of the catches.
         watch: Told every new event.
+        controls: Where pauses and the end are asked for; by the subject's long press alone where None.
 
     Raises:
         UsageError: If the journal is of another subject or protocol.
         MeasurementError: If the room is not dark.
         DeviceError: If a device fails; the run can be taken up again.
     """
-    run = _Run(protocol, stage, journal, subject, seed, watch)
+    run = _Run(protocol, stage, journal, subject, seed, watch, controls or Controls())
     run.start()
     while (outcome := run.finished()) is None:
         run.trial()
@@ -128,25 +68,47 @@ class _Run:
     subject: str
     seed: int
     watch: Watcher
+    controls: Controls
 
-    def note(self, kind: str, **facts: Any) -> Event:
-        event = self.journal.write(kind, self.stage.now_s(), **facts)
+    def note(self, kind: str, *, lasting: bool = True, **facts: Any) -> Event:
+        event = self.journal.write(kind, self.stage.now_s(), lasting=lasting, **facts)
         self.watch(event)
         return event
 
     def start(self) -> None:
         """Begin anew, or check that the journal is this test's and set the clock to its end."""
         if not self.journal.events:
-            self.note("start", format=FORMAT, subject=self.subject, protocol=self.protocol.name, seed=self.seed)
+            self._begin()
+        self._check_journal()
+        if not self.journal.of_kind("dark"):
+            self._prepare()
+            return
+        if not self.journal.of_kind("end"):
+            self._take_up()
+
+    def _begin(self) -> None:
+        wall_s = self.stage.wall_s()
+        name = self.protocol.name
+        self.note("start", format=FORMAT, subject=self.subject, protocol=name, seed=self.seed, unix_s=wall_s)
+
+    def _check_journal(self) -> None:
         begun = self.journal.events[0]
         for key, mine in (("subject", self.subject), ("protocol", self.protocol.name), ("seed", self.seed)):
             if begun.get(key) != mine:
                 raise UsageError(
                     f"{self.journal.path}: belongs to {key} {begun.get(key)!r}, not {mine!r}; name another journal"
                 )
-        if not self.journal.of_kind("dark"):
-            self._prepare()
-        self.stage.resume_at(float(self.journal.events[-1]["time_s"]))
+
+    def _take_up(self) -> None:
+        """Set the clock: the eye went on adapting while the program was away, simulated time stood still."""
+        last_s, wall_s, begun_s = self._latest_s, self.stage.wall_s(), self.journal.events[0].get("unix_s")
+        if wall_s is None or begun_s is None:
+            self.stage.resume_at(last_s)
+        else:
+            self.stage.resume_at(max(last_s, wall_s - begun_s))
+            self.note("taken_up", away_s=round(self.stage.now_s() - last_s, 3))
+        if self._paused:
+            self.note("resume", by="restart")
 
     def _prepare(self) -> None:
         room, limit = self.stage.room_luminance_cd_m2(), self.protocol.safety.darkest_room_cd_m2
@@ -159,96 +121,166 @@ class _Run:
         self.note("dark", steady=isinstance(bleach, SteadyBleach))
 
     @property
+    def _latest_s(self) -> float:
+        return float(self.journal.events[-1]["time_s"])
+
+    @property
     def _dark_since_s(self) -> float:
         return float(self.journal.of_kind("dark")[0]["time_s"])
 
+    @property
+    def _paused(self) -> bool:
+        return len(self.journal.of_kind("pause")) > len(self.journal.of_kind("resume"))
+
+    @property
+    def _blinks(self) -> list[Event]:
+        """Return the blinks of the trial that is going on, such as those from before a crash."""
+        found: list[Event] = []
+        for event in reversed(self.journal.events):
+            if event["kind"] == "blink":
+                found.append(event)
+            elif event["kind"] != "taken_up":
+                break
+        return found[::-1]
+
     def trial(self) -> None:
-        """Find one threshold, or give a catch, and journal it."""
+        """Find one threshold, or give a catch, and journal it; or pause."""
         number = len(self.journal.of_kind("trial"))
         rng = np.random.default_rng([self.seed, number])
         # The pause stands before the trial, so that a run taken up after a crash keeps the same times.
-        self.stage.wait(self.protocol.watch.pause_between_s if number else 0.0)
+        if number and not self._blinks and self._rest_between():
+            return
         if rng.random() < self.protocol.watch.catch_share:
-            self._catch(number, rng)
+            self._catch(number, int(rng.integers(2, 5)))
         else:
             self._threshold(number)
 
-    def _catch(self, number: int, rng: np.random.Generator) -> None:
-        blinks = int(rng.integers(2, 5))
-        presses = [p for n in range(blinks) for p in self.stage.blink(None, number, n)]
-        self.note("trial", catch=True, false_press=bool(presses), threshold=None)
+    def _rest_between(self) -> bool:
+        """Let the time between two trials pass, and tell whether a pause came."""
+        left_s = self.protocol.watch.pause_between_s
+        while left_s > 0:
+            self.stage.wait(min(left_s, LOOK_S))
+            left_s -= LOOK_S
+            if self._pause_asked():
+                return True
+        return False
+
+    def _blink(self, level: float | None, number: int) -> Event:
+        blinks, onset_s = len(self._blinks), self.stage.now_s()
+        presses = self.stage.blink(level, number, blinks)
+        return self.note(
+            "blink",
+            lasting=bool(presses),
+            trial=number,
+            onset_s=round(onset_s, 4),
+            log10_level=None if level is None else round(level, 4),
+            presses_s=[round(press, 4) for press in presses],
+        )
+
+    def _catch(self, number: int, blinks: int) -> None:
+        while len(self._blinks) < blinks:
+            self._blink(None, number)
+            if self._pause_asked():
+                return
+        pressed = any(blink["presses_s"] for blink in self._blinks)
+        self.note("trial", catch=True, false_press=pressed, threshold=None)
 
     def _threshold(self, number: int) -> None:
         search = begin(self.protocol.spot, self.protocol.method, self._last())
-        blinks, hasty = 0, False
-        begun_s = self.stage.now_s()
-        while search.threshold is None and not search.exhausted:
-            presses = self.stage.blink(search.level, number, blinks)
-            blinks += 1
-            hasty = any(p < self.protocol.watch.fastest_press_s for p in presses)
-            if hasty:
-                break
-            search.answer(seen=bool(presses))
+        for blink in self._blinks:
+            search.answer(seen=bool(blink["presses_s"]))
+        while not self._over(search):
+            blink = self._blink(search.level, number)
+            if self._pause_asked():
+                return
+            search.answer(seen=bool(blink["presses_s"]))
+        blinks, hasty = self._blinks, self._hasty()
+        middle_s = 0.5 * (blinks[0]["onset_s"] + self._latest_s)
         self.note(
             "trial",
             catch=False,
             false_press=hasty,
-            threshold=None if search.threshold is None else round(search.threshold, 4),
-            minutes=round((0.5 * (begun_s + self.stage.now_s()) - self._dark_since_s) / 60, 5),
-            blinks=blinks,
+            threshold=None if search.threshold is None or hasty else round(search.threshold, 4),
+            minutes=round((middle_s - self._dark_since_s) / 60, 5),
+            blinks=len(blinks),
+            seen=sum(bool(blink["presses_s"]) for blink in blinks),
         )
 
+    def _over(self, search: Method) -> bool:
+        """Tell whether a search has found its threshold, has no way on, has taken too long, or met a hasty press."""
+        ended = search.threshold is not None or search.exhausted
+        return ended or self._hasty() or len(self._blinks) >= self.protocol.watch.most_blinks
+
+    def _hasty(self) -> bool:
+        fastest_s = self.protocol.watch.fastest_press_s
+        return any(press < fastest_s for blink in self._blinks for press in blink["presses_s"])
+
     def _last(self) -> float | None:
-        found = [e["threshold"] for e in self.journal.of_kind("trial") if e["threshold"] is not None]
+        found = [t["threshold"] for t in counting_trials(self.journal) if t["threshold"] is not None]
         return float(found[-1]) if found else None
+
+    def _pause_asked(self) -> bool:
+        """Pause or stop if the subject or the operator asks for it, and tell whether the trial is off."""
+        held_since_s = self.stage.long_press(self.protocol.watch.hold_to_pause_s)
+        by = self.controls.paused_by if held_since_s is None else SUBJECT
+        if by is not None and self.controls.stopped_by is None:
+            self._pause(by, self._answered_by(held_since_s))
+        if self.controls.stopped_by is not None:
+            self.note("stop", by=self.controls.stopped_by)
+        return by is not None or self.controls.stopped_by is not None
+
+    def _pause(self, by: str, voids: int | None) -> None:
+        """Wait in the dark until whoever asked for it, or the operator, goes on, or it takes too long."""
+        self.note("pause", by=by, voids=voids)
+        begun_s = self._latest_s
+        longest_s = 60 * self.protocol.watch.longest_pause_min
+        if by == SUBJECT:
+            self.controls.pause(by)
+        while self.controls.paused_by is not None and self.controls.stopped_by is None:
+            if self.stage.rest(LOOK_S) and by == SUBJECT:
+                self.controls.resume()
+            if self.stage.now_s() - begun_s >= longest_s:
+                return
+        if self.controls.stopped_by is None:
+            self.note("resume", by=by, paused_s=round(self.stage.now_s() - begun_s, 3))
+
+    def _answered_by(self, held_since_s: float | None) -> int | None:
+        """Return the sequence number of the trial that a long press has ended; it was no answer."""
+        trials = self.journal.of_kind("trial")
+        ended = held_since_s is not None and bool(trials) and held_since_s <= float(trials[-1]["time_s"])
+        return int(trials[-1]["sequence"]) if ended else None
 
     def finished(self) -> Outcome | None:
         """Return the outcome if the test is over."""
-        trials = self.journal.of_kind("trial")
-        tries = [t for t in trials if not t["catch"]]
-        absent = self.protocol.watch.absent_after
-        gone = len(tries) >= absent and all(t["threshold"] is None and not t["false_press"] for t in tries[-absent:])
-        if gone:
-            answered = any(t["threshold"] is not None for t in tries)
-            return outcome_of(self.journal, Verdict.LEFT if answered else Verdict.NO_RESPONSE, self.protocol)
-        criterion, last = self.protocol.end.criterion_log10, self._last()
-        if criterion is not None and last is not None and last <= criterion:
-            return outcome_of(self.journal, Verdict.CRITERION_REACHED, self.protocol)
-        if self.stage.now_s() - self._dark_since_s >= 60 * self.protocol.end.duration_min:
-            return outcome_of(self.journal, Verdict.COMPLETE, self.protocol)
+        verdict = self._verdict()
+        return None if verdict is None else outcome_of(self.journal, verdict, self.protocol)
+
+    def _verdict(self) -> Verdict | None:
+        if self.journal.of_kind("stop"):
+            return Verdict.STOPPED
+        tries = [t for t in counting_trials(self.journal) if not t["catch"]]
+        found = [t["threshold"] for t in tries if t["threshold"] is not None]
+        if self._paused:
+            return Verdict.LEFT if found else Verdict.NO_RESPONSE
+        recent = tries[-self.protocol.watch.absent_after :]
+        if len(recent) == self.protocol.watch.absent_after and all(map(_fruitless, recent)):
+            return _why_fruitless(recent, known=bool(found))
+        criterion = self.protocol.end.criterion_log10
+        if criterion is not None and found and found[-1] <= criterion:
+            return Verdict.CRITERION_REACHED
+        if self._latest_s - self._dark_since_s >= 60 * self.protocol.end.duration_min:
+            return Verdict.COMPLETE
         return None
 
 
-_EXPLANATIONS = {
-    Verdict.COMPLETE: "the test ran its whole time",
-    Verdict.CRITERION_REACHED: "the threshold fell below the protocol's criterion",
-    Verdict.NO_RESPONSE: "the button was never pressed: no threshold is known, nothing is fitted",
-    Verdict.LEFT: "presses stopped: the subject left or fell asleep; nothing is fitted",
-    Verdict.UNRELIABLE: "the button was pressed without a light too often: thresholds mean nothing, nothing is fitted",
-}
+def _fruitless(trial: Event) -> bool:
+    return trial["threshold"] is None and not trial["false_press"]
 
 
-def outcome_of(journal: Journal, verdict: Verdict, protocol: AdaptationProtocol) -> Outcome:
-    """Return the outcome of a journal's trials; too many false presses overrule any other verdict.
-
-    Raises:
-        InputError: If the journal holds no start.
-    """
-    if not journal.events:
-        raise InputError(f"{journal.path}: holds no test")
-    trials = journal.of_kind("trial")
-    false, catches = sum(bool(t["false_press"]) for t in trials), sum(bool(t["catch"]) for t in trials)
-    hasty = sum(bool(t["false_press"]) and not t["catch"] for t in trials)
-    caught = false - hasty
-    limit = protocol.watch.most_false_share
-    if (catches and caught / catches > limit and caught > 1) or (trials and hasty / len(trials) > limit):
-        verdict = Verdict.UNRELIABLE
-    found = [t for t in trials if t["threshold"] is not None]
-    return Outcome(
-        verdict,
-        _EXPLANATIONS[verdict],
-        tuple(float(t["minutes"]) for t in found),
-        tuple(float(t["threshold"]) for t in found),
-        false,
-        catches,
-    )
+def _why_fruitless(trials: list[Event], *, known: bool) -> Verdict:
+    """Return why trials in a row gave no threshold; `known` tells whether earlier ones did."""
+    if not any(trial["seen"] for trial in trials):
+        return Verdict.LEFT if known else Verdict.NO_RESPONSE
+    if known and all(trial["seen"] == trial["blinks"] for trial in trials):
+        return Verdict.FLOOR_REACHED
+    return Verdict.UNRELIABLE

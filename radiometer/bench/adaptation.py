@@ -10,7 +10,7 @@ from pathlib import Path
 
 from radiometer.adaptation.box_stage import BoxStage
 from radiometer.adaptation.protocol import AdaptationProtocol
-from radiometer.adaptation.run import Stage
+from radiometer.adaptation.stage import Stage
 from radiometer.analysis.photometry import luminous_efficacy_lm_per_w
 from radiometer.analysis.spectra import spectrum
 from radiometer.bench.boxes import open_light_box
@@ -41,6 +41,10 @@ class SubjectStage:
         """Return the simulated time in s."""
         return self.clock.now_s()
 
+    def wall_s(self) -> float | None:
+        """Return None: time is simulated."""
+        return None
+
     def room_luminance_cd_m2(self) -> float | None:
         """Return a dark room."""
         return 0.0
@@ -60,6 +64,16 @@ class SubjectStage:
     def wait(self, seconds: float) -> None:
         """Let time pass."""
         self.clock.advance(seconds)
+
+    def rest(self, seconds: float) -> int:
+        """Let time of a pause pass, some of it real where the run is slowed down; nobody presses."""
+        self.clock.advance(seconds)
+        time.sleep(min(self.slow_down_s, seconds))
+        return 0
+
+    def long_press(self, at_least_s: float) -> float | None:
+        """Return None: this subject presses and lets go."""
+        return None
 
     def resume_at(self, time_s: float) -> None:
         """Move the clock to a time after a crash."""
@@ -109,4 +123,5 @@ def open_box_stage(
     scotopic = luminous_efficacy_lm_per_w(spectrum(f"line:{protocol.spot.peak_nm:g}"), "scotopic")
     with open_light_box(name, calibration=calibration) as opened:
         clock = opened.box.link.line.now  # the clock that the button's times are given on
-        yield BoxStage(opened.box, photopic, scotopic, protocol, clock, opened.wait, fixation_w_sr_m2=fixation_w_sr_m2)
+        wall = time.time if opened.twin is None else None
+        yield BoxStage(opened.box, photopic, scotopic, protocol, clock, opened.wait, fixation_w_sr_m2, wall_clock=wall)

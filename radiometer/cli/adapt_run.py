@@ -14,8 +14,9 @@ from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
     from radiometer.adaptation.journal import Event
+    from radiometer.adaptation.outcome import Outcome
     from radiometer.adaptation.protocol import AdaptationProtocol
-    from radiometer.adaptation.run import Outcome, Stage
+    from radiometer.adaptation.stage import Stage
 
 
 def register(app: typer.Typer) -> None:

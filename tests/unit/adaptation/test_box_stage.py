@@ -18,6 +18,7 @@ class RecordingBox:
     def __init__(self) -> None:
         self.asked: list[tuple[object, ...]] = []
         self.presses: list[float] = []
+        self.held: list[tuple[float, float]] = []
         self.time = 100.0
 
     def pulse(self, channel: str, level: Radiance, duration_s: float) -> None:
@@ -31,6 +32,10 @@ class RecordingBox:
         for number, time_s in enumerate(self.presses):
             yield ButtonEvent(True, time_s, 1e-4, time_s, number)
             yield ButtonEvent(False, time_s + 0.1, 1e-4, time_s + 0.1, number + 1)
+        for begun_s, ended_s in self.held:
+            yield ButtonEvent(True, begun_s, 1e-4, begun_s, 0)
+            if ended_s <= self.time:
+                yield ButtonEvent(False, ended_s, 1e-4, ended_s, 1)
 
 
 @pytest.fixture
@@ -83,3 +88,21 @@ def test_resuming_counts_on(stage: BoxStage) -> None:
     """After a crash the time goes on from the journal's end."""
     stage.resume_at(500.0)
     assert stage.now_s() == pytest.approx(500.0)
+
+
+def test_long_press_is_told_once_and_a_short_one_never(stage: BoxStage, box: RecordingBox) -> None:
+    """Presses of 0.1 s are answers; one that is held is told with its beginning, on the stage's clock."""
+    box.presses = [100.4]
+    stage.blink(-3.0, 0, 0)
+    assert stage.long_press(2.0) is None
+    box.held = [(101.5, 104.0)]
+    assert stage.rest(5.0) == 2
+    assert stage.long_press(2.0) == pytest.approx(1.5)
+    assert stage.long_press(2.0) is None
+
+
+def test_button_that_is_still_held_is_a_long_press(stage: BoxStage, box: RecordingBox) -> None:
+    """Nobody has to let go first."""
+    box.held = [(100.5, 999.0)]
+    stage.rest(4.0)
+    assert stage.long_press(2.0) == pytest.approx(0.5)

@@ -3,62 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from radiometer.adaptation.journal import Journal
+from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
-from radiometer.adaptation.run import Outcome, Verdict, run_test
+from radiometer.adaptation.run import run_test
 from radiometer.errors import DeviceLost, MeasurementError, UsageError
-
-Eye = Callable[[float | None, float], bool]
-
-
-class ScriptedStage:
-    """A stage in simulated time whose subject follows a rule: (log10 level or None, seconds in the dark) -> presses."""
-
-    def __init__(self, eye: Eye, protocol: AdaptationProtocol, *, latency_s: float = 0.4) -> None:
-        self.eye, self.protocol, self.latency_s = eye, protocol, latency_s
-        self.time, self.dark_since, self.dies_after, self.room = 0.0, 0.0, math.inf, 1e-5
-
-    def now_s(self) -> float:
-        return self.time
-
-    def room_luminance_cd_m2(self) -> float | None:
-        return self.room
-
-    def bleach(self, protocol: AdaptationProtocol) -> None:
-        self.time += protocol.bleach.duration_s
-        self.dark_since = self.time
-
-    def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
-        if self.time > self.dies_after:
-            raise DeviceLost("the box went away")
-        seen = self.eye(log10_level, self.time - self.dark_since)
-        self.time += self.protocol.spot.cycle_s
-        return [self.latency_s] if seen else []
-
-    def wait(self, seconds: float) -> None:
-        self.time += seconds
-
-    def resume_at(self, time_s: float) -> None:
-        self.time = time_s
-        self.dark_since = self.protocol.bleach.duration_s
+from tests.unit.adaptation.scripted import Eye, ScriptedStage, eye, threshold
 
 
-def threshold(seconds: float) -> float:
-    """Return a textbook curve: cones to -1, rods from about 9 min on, -0.24 log per min."""
-    minutes = seconds / 60
-    cones = -1 + 1.5 * math.exp(-minutes / 1.5)
-    return max(min(cones, -1 - 0.24 * (minutes - 9)), -4.2) if minutes > 9 else cones
-
-
-def eye(level: float | None, seconds: float) -> bool:
-    """See whatever is above the curve."""
-    return level is not None and level >= threshold(seconds)
+@pytest.fixture(autouse=True)
+def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "fsync", lambda handle: None)
 
 
 def _run(tmp_path: Path, stage: ScriptedStage, name: str = "j") -> Outcome:
@@ -100,11 +61,12 @@ def test_classic_runs_its_whole_time_and_quick_ends_at_its_criterion(tmp_path: P
         (lambda level, seconds: seconds < 600 and eye(level, seconds), Verdict.LEFT),
     ],
 )
+@pytest.mark.parametrize("name", ["classic", "quick"])
 def test_absent_and_careless_subjects_get_a_verdict_and_no_fit(
-    tmp_path: Path, classic: AdaptationProtocol, subject: Eye, verdict: Verdict
+    tmp_path: Path, name: str, subject: Eye, verdict: Verdict
 ) -> None:
-    """Never pressing, always pressing and leaving are told apart, each in words."""
-    outcome = _run(tmp_path, ScriptedStage(subject, classic))
+    """Never pressing, always pressing and leaving are told apart, each in words, by limits and by the staircase."""
+    outcome = _run(tmp_path, ScriptedStage(subject, read_protocol(name)))
     assert outcome.verdict is verdict
     assert not outcome.can_be_fitted
     assert "nothing is fitted" in outcome.explanation
@@ -129,6 +91,14 @@ def test_run_taken_up_after_a_crash_has_the_same_events(
         _run(tmp_path, broken, "broken")
     _run(tmp_path, ScriptedStage(eye, classic), "broken")
     assert (tmp_path / "broken").read_text() == (tmp_path / "whole").read_text()
+
+
+def test_spot_that_goes_no_dimmer_ends_the_test_with_what_is_known(tmp_path: Path) -> None:
+    """A screen's black at -2.5: thresholds down to it are a curve, and the verdict says where it ends."""
+    outcome = _run(tmp_path, ScriptedStage(eye, read_protocol("screen-only")))
+    assert outcome.verdict is Verdict.FLOOR_REACHED
+    assert outcome.can_be_fitted
+    assert -2.5 < min(outcome.thresholds_log10) < -2.2
 
 
 def test_journal_of_another_subject_is_refused(tmp_path: Path, classic: AdaptationProtocol) -> None:

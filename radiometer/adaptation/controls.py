@@ -1,0 +1,42 @@
+"""Pausing, resuming and stopping a run from another thread: a key, a page, a program."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+
+
+@dataclass(slots=True)
+class Controls:
+    """What somebody beside the run asks of it; safe to call from any thread.
+
+    The run looks at it after every blink: it goes dark, journals the pause, and waits. The eye adapts on.
+
+    Attributes:
+        paused_by: Who asked for the pause that is asked for now; None where none is.
+        stopped_by: Who asked for the end; None while nobody has.
+    """
+
+    paused_by: str | None = None
+    stopped_by: str | None = None
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def pause(self, by: str = "operator") -> None:
+        """Ask for a pause; one that is asked for already stays as it is."""
+        with self._lock:
+            self.paused_by = self.paused_by or by
+
+    def resume(self) -> None:
+        """Take the pause back."""
+        with self._lock:
+            self.paused_by = None
+
+    def toggle(self, by: str = "operator") -> None:
+        """Ask for a pause, or take it back where there is one."""
+        with self._lock:
+            self.paused_by = None if self.paused_by else by
+
+    def stop(self, by: str = "operator") -> None:
+        """Ask for the end of the run; it cannot be taken back."""
+        with self._lock:
+            self.stopped_by = self.stopped_by or by

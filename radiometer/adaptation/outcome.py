@@ -1,0 +1,102 @@
+"""How a run ended, and whether its thresholds are a subject's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+from radiometer.adaptation.journal import Event, Journal
+from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.errors import InputError
+
+
+class Verdict(StrEnum):
+    """How a run ended."""
+
+    COMPLETE = "complete"
+    CRITERION_REACHED = "criterion_reached"
+    FLOOR_REACHED = "floor_reached"
+    NO_RESPONSE = "no_response"
+    LEFT = "left"
+    UNRELIABLE = "unreliable"
+    STOPPED = "stopped"
+
+
+EXPLANATIONS: Final = {
+    Verdict.COMPLETE: "the test ran its whole time",
+    Verdict.CRITERION_REACHED: "the threshold fell below the protocol's criterion",
+    Verdict.FLOOR_REACHED: "the dimmest level of the spot is seen every time: the curve is known down to it",
+    Verdict.NO_RESPONSE: "the button was never pressed: no threshold is known, nothing is fitted",
+    Verdict.LEFT: "presses stopped: the subject left or fell asleep; nothing is fitted",
+    Verdict.UNRELIABLE: "the button was pressed without a light too often: thresholds mean nothing, nothing is fitted",
+    Verdict.STOPPED: "the test was stopped before its end: its thresholds are kept, nothing is fitted",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The result of a run.
+
+    Attributes:
+        verdict: In one word.
+        explanation: For the user, what it means.
+        times_min: Time of each threshold in min after the end of the bleach.
+        thresholds_log10: Thresholds, log10 of scotopic cd·m⁻².
+        false_presses: Presses to catches or faster than a human can.
+        catches: Catches shown.
+    """
+
+    verdict: Verdict
+    explanation: str
+    times_min: tuple[float, ...]
+    thresholds_log10: tuple[float, ...]
+    false_presses: int
+    catches: int
+
+    @property
+    def can_be_fitted(self) -> bool:
+        """Tell whether the thresholds are a subject's."""
+        return self.verdict in (Verdict.COMPLETE, Verdict.CRITERION_REACHED, Verdict.FLOOR_REACHED)
+
+    def to_csv(self) -> str:
+        """Return the columns time (min) and log10 threshold."""
+        rows = [f"{t:.5f},{v:.4f}" for t, v in zip(self.times_min, self.thresholds_log10, strict=True)]
+        return "\n".join(["time_min,log10_threshold", *rows]) + "\n"
+
+
+def counting_trials(journal: Journal) -> list[Event]:
+    """Return the trials that count: all but those whose press turned out to be the long one that asks for a pause."""
+    void = {event["voids"] for event in journal.of_kind("pause")} - {None}
+    return [trial for trial in journal.of_kind("trial") if trial["sequence"] not in void]
+
+
+def outcome_of(journal: Journal, verdict: Verdict, protocol: AdaptationProtocol) -> Outcome:
+    """Return the outcome of a journal's trials; too many false presses overrule any other verdict.
+
+    Raises:
+        InputError: If the journal holds no start.
+    """
+    if not journal.events:
+        raise InputError(f"{journal.path}: holds no test")
+    trials = counting_trials(journal)
+    if _too_many_false(trials, protocol):
+        verdict = Verdict.UNRELIABLE
+    found = [t for t in trials if t["threshold"] is not None]
+    return Outcome(
+        verdict,
+        EXPLANATIONS[verdict],
+        tuple(float(t["minutes"]) for t in found),
+        tuple(float(t["threshold"]) for t in found),
+        sum(bool(t["false_press"]) for t in trials),
+        sum(bool(t["catch"]) for t in trials),
+    )
+
+
+def _too_many_false(trials: list[Event], protocol: AdaptationProtocol) -> bool:
+    """Tell whether a larger share than the protocol allows of the catches, or of all trials, had false presses."""
+    catches = [t for t in trials if t["catch"]]
+    caught = sum(bool(t["false_press"]) for t in catches)
+    hasty = sum(bool(t["false_press"]) for t in trials) - caught
+    limit = protocol.watch.most_false_share
+    return (caught > 1 and caught / len(catches) > limit) or (bool(trials) and hasty / len(trials) > limit)

@@ -1,0 +1,47 @@
+"""What a test needs of the devices in front of a subject."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from radiometer.adaptation.protocol import AdaptationProtocol
+
+
+class Stage(Protocol):
+    """The devices in front of the subject, on one clock."""
+
+    def now_s(self) -> float:
+        """Return the time in s since the stage was set up."""
+        ...
+
+    def wall_s(self) -> float | None:
+        """Return the time of day as Unix time in s; None where time is simulated."""
+        ...
+
+    def room_luminance_cd_m2(self) -> float | None:
+        """Return the luminance of the dark room; None where it cannot be measured."""
+        ...
+
+    def bleach(self, protocol: AdaptationProtocol) -> None:
+        """Give the bleach and return when it is over. Raises DeviceError, UnsafeStimulus."""
+        ...
+
+    def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
+        """Show one blink (None: none, a catch) and return the presses during it in s from its onset."""
+        ...
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass in the dark; presses then count for nothing."""
+        ...
+
+    def rest(self, seconds: float) -> int:
+        """Let time of a pause pass and return how often the button was pressed."""
+        ...
+
+    def long_press(self, at_least_s: float) -> float | None:
+        """Return when a press that lasts so long began, on the stage's clock; each is told once, None where none is."""
+        ...
+
+    def resume_at(self, time_s: float) -> None:
+        """Count on from a time, after a crash."""
+        ...

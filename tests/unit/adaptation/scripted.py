@@ -1,0 +1,79 @@
+"""A stage whose subject follows a rule, in simulated time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.errors import DeviceLost
+
+Eye = Callable[[float | None, float], bool]
+
+
+class ScriptedStage:
+    """A stage in simulated time whose subject follows a rule: (log10 level or None, seconds in the dark) -> presses."""
+
+    def __init__(self, eye: Eye, protocol: AdaptationProtocol, *, latency_s: float = 0.4) -> None:
+        self.eye, self.protocol, self.latency_s = eye, protocol, latency_s
+        self.time, self.dark_since, self.dies_after, self.room = 0.0, 0.0, math.inf, 1e-5
+        self.at: dict[float, Callable[[], None]] = {}
+        self.held_since: float | None = None
+        self.presses_in_pause: list[float] = []
+        self.unix: float | None = None
+
+    def pass_time(self, seconds: float) -> None:
+        """Let time pass, and what was planned for it happen."""
+        self.time += seconds
+        for when in [when for when in self.at if when <= self.time]:
+            self.at.pop(when)()
+
+    def now_s(self) -> float:
+        return self.time
+
+    def room_luminance_cd_m2(self) -> float | None:
+        return self.room
+
+    def bleach(self, protocol: AdaptationProtocol) -> None:
+        self.time += protocol.bleach.duration_s
+        self.dark_since = self.time
+
+    def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
+        if self.time > self.dies_after:
+            raise DeviceLost("the box went away")
+        seen = self.eye(log10_level, self.time - self.dark_since)
+        self.pass_time(self.protocol.spot.cycle_s)
+        return [self.latency_s] if seen else []
+
+    def wall_s(self) -> float | None:
+        return None if self.unix is None else self.unix + self.time
+
+    def wait(self, seconds: float) -> None:
+        self.pass_time(seconds)
+
+    def rest(self, seconds: float) -> int:
+        self.pass_time(seconds)
+        pressed = [when for when in self.presses_in_pause if when <= self.time]
+        self.presses_in_pause = [when for when in self.presses_in_pause if when > self.time]
+        return len(pressed)
+
+    def long_press(self, at_least_s: float) -> float | None:
+        since = self.held_since
+        self.held_since = None
+        return since
+
+    def resume_at(self, time_s: float) -> None:
+        self.time = time_s
+        self.dark_since = self.protocol.bleach.duration_s
+
+
+def threshold(seconds: float) -> float:
+    """Return a textbook curve: cones to -1, rods from about 9 min on, -0.24 log per min."""
+    minutes = seconds / 60
+    cones = -1 + 1.5 * math.exp(-minutes / 1.5)
+    return max(min(cones, -1 - 0.24 * (minutes - 9)), -4.2) if minutes > 9 else cones
+
+
+def eye(level: float | None, seconds: float) -> bool:
+    """See whatever is above the curve."""
+    return level is not None and level >= threshold(seconds)
