@@ -3,8 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
-from radiometer.adaptation.protocol import LimitsMethod, Spot, StaircaseMethod
+from radiometer.adaptation.protocol import LimitsMethod, QuestPlusMethod, Spot, StaircaseMethod
+from radiometer.adaptation.quest_plus import QuestPlusSearch
+
+
+class Method(Protocol):
+    """The search for one threshold.
+
+    Attributes:
+        level: log10 level of the next blink.
+        threshold: log10 threshold once it is found.
+        exhausted: Whether the search ended without one.
+        u_log10: Standard uncertainty of the threshold; None where the method states none.
+    """
+
+    level: float
+    threshold: float | None
+    exhausted: bool
+    u_log10: float | None
+
+    def answer(self, *, seen: bool) -> None:
+        """Take the answer to the blink at `level` and go on."""
+        ...
 
 
 @dataclass
@@ -22,6 +44,7 @@ class Ascent:
     last: float | None = None
     threshold: float | None = None
     exhausted: bool = False
+    u_log10: float | None = None
     level: float = field(init=False)
     _missed: bool = False
 
@@ -56,6 +79,7 @@ class Staircase:
     last: float | None = None
     threshold: float | None = None
     exhausted: bool = False
+    u_log10: float | None = None
     level: float = field(init=False)
     _turns: list[float] = field(default_factory=list)
     _went_up: bool | None = None
@@ -82,12 +106,11 @@ class Staircase:
         self.level = min(max(moved, self.spot.lowest_log10), self.spot.highest_log10)
 
 
-Method = Ascent | Staircase
-
-
-def begin(spot: Spot, method: LimitsMethod | StaircaseMethod, last: float | None) -> Method:
-    """Return the search for the next threshold, begun a little below the last one."""
-    return Ascent(spot, method, last) if isinstance(method, LimitsMethod) else Staircase(spot, method, last)
+def begin(spot: Spot, method: LimitsMethod | StaircaseMethod | QuestPlusMethod, last: float | None) -> Method:
+    """Return the search for the next threshold, begun near the last one. Raises MissingLibrary for QUEST+."""
+    if isinstance(method, LimitsMethod):
+        return Ascent(spot, method, last)
+    return Staircase(spot, method, last) if isinstance(method, StaircaseMethod) else QuestPlusSearch(spot, method, last)
 
 
 def _start(spot: Spot, last: float | None, below: float) -> float:

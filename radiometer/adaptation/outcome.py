@@ -45,6 +45,7 @@ class Outcome:
         thresholds_log10: Thresholds, log10 of scotopic cd·m⁻².
         false_presses: Presses to catches or faster than a human can.
         catches: Catches shown.
+        u_log10: Standard uncertainty of each threshold; empty where the method states none.
     """
 
     verdict: Verdict
@@ -53,6 +54,7 @@ class Outcome:
     thresholds_log10: tuple[float, ...]
     false_presses: int
     catches: int
+    u_log10: tuple[float, ...] = ()
 
     @property
     def can_be_fitted(self) -> bool:
@@ -60,9 +62,11 @@ class Outcome:
         return self.verdict in (Verdict.COMPLETE, Verdict.CRITERION_REACHED, Verdict.FLOOR_REACHED)
 
     def to_csv(self) -> str:
-        """Return the columns time (min) and log10 threshold."""
-        rows = [f"{t:.5f},{v:.4f}" for t, v in zip(self.times_min, self.thresholds_log10, strict=True)]
-        return "\n".join(["time_min,log10_threshold", *rows]) + "\n"
+        """Return the columns time (min), log10 threshold and, where it is known, its standard uncertainty."""
+        names = ["time_min", "log10_threshold", *(["u_log10_threshold"] if self.u_log10 else [])]
+        columns = [self.times_min, self.thresholds_log10, *([self.u_log10] if self.u_log10 else [])]
+        rows = [",".join([f"{row[0]:.5f}", *(f"{v:.4f}" for v in row[1:])]) for row in zip(*columns, strict=True)]
+        return "\n".join([",".join(names), *rows]) + "\n"
 
 
 def counting_trials(journal: Journal) -> list[Event]:
@@ -90,6 +94,7 @@ def outcome_of(journal: Journal, verdict: Verdict, protocol: AdaptationProtocol)
         tuple(float(t["threshold"]) for t in found),
         sum(bool(t["false_press"]) for t in trials),
         sum(bool(t["catch"]) for t in trials),
+        tuple(float(t["u_log10"]) for t in found if t.get("u_log10") is not None),
     )
 
 

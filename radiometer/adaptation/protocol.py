@@ -12,7 +12,7 @@ from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.errors import ConfigurationError, InputError
 
-SHIPPED = ("classic", "quick", "screen-only", "led-only")
+SHIPPED = ("classic", "quick", "screen-only", "led-only", "questplus")
 
 
 class SteadyBleach(ConfigSection):
@@ -84,6 +84,24 @@ class StaircaseMethod(ConfigSection):
     start_below_log10: float = Field(0.2, gt=-1, le=3)
 
 
+class QuestPlusMethod(ConfigSection):
+    """QUEST+: each blink where it tells most, until the threshold is known to `stop_sd_log10`.
+
+    Levels lie `step_log10` apart. The prior is a normal distribution around the last threshold. `slopes` are exponents
+    of the Weibull function that are thought possible.
+    """
+
+    kind: Literal["questplus"]
+    step_log10: float = Field(0.1, gt=0, le=0.5)
+    prior_sd_log10: float = Field(0.5, gt=0, le=5)
+    slopes: tuple[float, ...] = Field((2.5, 3.5, 5.0), min_length=1)
+    false_alarms: float = Field(0.01, ge=0, lt=0.5)
+    lapses: float = Field(0.02, ge=0, lt=0.5)
+    stop_sd_log10: float = Field(0.1, gt=0, le=1)
+    least_blinks: int = Field(4, ge=1)
+    most_blinks: int = Field(25, ge=2)
+
+
 class Ending(ConfigSection):
     """When the test is over."""
 
@@ -124,7 +142,7 @@ class AdaptationProtocol(ConfigSection):
     bleach: Annotated[SteadyBleach | FlashBleach, Field(discriminator="kind")]
     spot: Spot
     fixation: Fixation = Fixation()
-    method: Annotated[LimitsMethod | StaircaseMethod, Field(discriminator="kind")]
+    method: Annotated[LimitsMethod | StaircaseMethod | QuestPlusMethod, Field(discriminator="kind")]
     end: Ending = Ending()
     watch: Watch = Watch()
     safety: Safety = Safety()

@@ -50,6 +50,7 @@ def run_test(
         UsageError: If the journal is of another subject or protocol.
         MeasurementError: If the room is not dark.
         DeviceError: If a device fails; the run can be taken up again.
+        MissingLibrary: If the protocol's method is QUEST+ and `questplus` is not installed.
     """
     run = _Run(protocol, stage, journal, subject, seed, watch, controls or Controls())
     run.start()
@@ -201,6 +202,7 @@ class _Run:
             catch=False,
             false_press=hasty,
             threshold=None if search.threshold is None or hasty else round(search.threshold, 4),
+            u_log10=None if search.u_log10 is None or hasty else round(search.u_log10, 4),
             minutes=round((middle_s - self._dark_since_s) / 60, 5),
             blinks=len(blinks),
             seen=sum(bool(blink["presses_s"]) for blink in blinks),

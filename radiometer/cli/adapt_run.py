@@ -27,7 +27,7 @@ def register(app: typer.Typer) -> None:
 
 
 def run(
-    protocol: Annotated[str, typer.Argument(help="Protocol file, or classic, quick, screen-only, led-only.")],
+    protocol: Annotated[str, typer.Argument(help="Protocol file, or the name of a shipped one (`adapt protocols`).")],
     subject: Annotated[str, typer.Option(help="Pseudonym of the subject.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Journal; SUBJECT-PROTOCOL.jsonl by default.")] = None,
     csv: Annotated[Path | None, typer.Option(help="Thresholds for `adapt fit`; beside the journal by default.")] = None,

@@ -19,10 +19,10 @@ def test_bleach_calculator_gives_trolands_and_fractions(capsys: pytest.CaptureFi
 
 
 def test_protocols_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    """All four, each with what it is for."""
+    """All of them, each with what it is for."""
     assert run(["adapt", "protocols"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == ["classic", "quick", "screen-only", "led-only"]
+    assert [line.split()[0] for line in lines] == ["classic", "quick", "screen-only", "led-only", "questplus"]
 
 
 @pytest.mark.parametrize(
