@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -11,69 +12,42 @@ from numpy.typing import NDArray
 
 from radiometer.data import Frame
 from radiometer.reconcile.design import Array
+from radiometer.reconcile.frame_kernels import add_tiles
 from radiometer.reconcile.profiles import fixed_profile, row_temporal_profile
 from radiometer.reconcile.tile_layout import LINES, PatchSides, TileGroup
 
 COMB_PERIODS: Final = (2, 3, 4, 5)  # a coarser step shows at one of its divisors
 OUTLIER_SIGMAS: Final = 6.0  # one false alarm in 5·10⁸ pixels of Gaussian pattern
-_COMB_VARIANCE_DN2: Final = 15.0  # above it an honest histogram shows no comb of period 5: exp(−2π²·15/25) = 7e-6
 _NEARLY_FULL: Final = 0.98  # counts as clipped: the highest code in use may lie a little below full scale
 _MAD_TO_SIGMA: Final = 1.4826
+# Above this scatter (variance 15 DN²) an honest histogram shows no comb of period 5: exp(−2π²·15/25) = 7e-6. The
+# median deviation tells it, for one hot pixel does not move that.
+_SMOOTH_MAD_DN: Final = 15.0**0.5 / _MAD_TO_SIGMA
+_MOST_FOR_MEDIAN: Final = 4096  # samples that give a robust sigma to 2 %; more would cost time and change nothing
 _TREND_TERMS: Final = 6
 
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameSums:
-    """One frame reduced to its tiles.
-
-    Attributes:
-        tile_mean: (tiles,) mean of each tile in DN.
-        deviation: Per group of tiles, pixels minus the mean of their tile's good pixels.
-        low: (tiles,) share of samples at 0 DN.
-        high: (tiles,) share at full scale.
-        side_lines: (sides, lines) means of the lines across each patch's side.
-        histogram: Counts of digital numbers over the tiles whose histogram must be smooth.
-    """
-
-    tile_mean: Array
-    deviation: tuple[Array, ...]
-    low: Array
-    high: Array
-    side_lines: Array
-    histogram: Array
-
-    @classmethod
-    def of(cls, frame: Frame, groups: Sequence[TileGroup], sides: PatchSides, defects: Mask) -> FrameSums:
-        """Return the sums of a frame."""
-        count = sum(len(group.tiles) for group in groups)
-        mean, low, high = np.empty(count), np.empty(count), np.empty(count)
-        deviations, smooth = [], []
-        for group in groups:
-            pixels, good = group.cut(frame.dn), group.cut(~defects)
-            mean[group.index] = np.sum(pixels * good, axis=(1, 2)) / np.sum(good, axis=(1, 2))
-            low[group.index] = np.mean(pixels <= 0, axis=(1, 2))
-            high[group.index] = np.mean(pixels >= _NEARLY_FULL * frame.full_scale_dn, axis=(1, 2))
-            deviation = pixels - mean[group.index, None, None]
-            deviations.append(deviation)
-            typical = _MAD_TO_SIGMA * np.median(np.abs(deviation), axis=(1, 2))  # not the work of one hot pixel
-            wide = (typical**2 > _COMB_VARIANCE_DN2) & (high[group.index] == 0)
-            smooth.append(pixels[wide & (low[group.index] == 0)].ravel())
-        numbers = np.concatenate(smooth).astype(np.intp)
-        return cls(
-            mean,
-            tuple(deviations),
-            low,
-            high,
-            sides.means(frame.dn),
-            np.bincount(numbers, minlength=frame.full_scale_dn + 1).astype(np.float64),
-        )
-
-
 @dataclass(slots=True, eq=False)
 class CaptureSums:
-    """Running sums over the frames of one capture."""
+    """Running sums over the frames of one capture.
+
+    Attributes:
+        groups: Tiles by size.
+        sides: Sides of the patches.
+        defects: Pixels that are left out.
+        frame_means: Per frame, (tiles,) mean of each tile's good pixels in DN.
+        total: Per group, sum of pixels minus their tile's mean, (tiles, height, width).
+        square: The same of squares.
+        pair_x: (tiles,) sum of products of horizontal neighbours' deviations in DN².
+        pair_y: (tiles,) the same of vertical ones.
+        row_sums: Per group and frame, sums of deviations along each tile row.
+        low: (tiles,) sum of the shares of samples at 0 DN.
+        high: (tiles,) the same at full scale.
+        side_lines: (sides, lines) sum of the means of the lines across each patch's side.
+        histogram: Counts of digital numbers over the tiles whose histogram must be smooth.
+    """
 
     groups: Sequence[TileGroup]
     sides: PatchSides
@@ -87,7 +61,7 @@ class CaptureSums:
     low: Array
     high: Array
     side_lines: Array
-    histogram: Array | float
+    histogram: Array
 
     @classmethod
     def start(cls, groups: Sequence[TileGroup], sides: PatchSides, tiles: int, defects: Mask) -> CaptureSums:
@@ -106,22 +80,38 @@ class CaptureSums:
             np.zeros(tiles),
             np.zeros(tiles),
             np.zeros((sides.tile.size, LINES)),
-            0.0,
+            np.zeros(0),
         )
 
-    def add(self, frame: FrameSums) -> None:
+    def add(self, frame: Frame) -> None:
         """Add a frame."""
-        self.frame_means.append(frame.tile_mean)
-        for number, (group, deviation) in enumerate(zip(self.groups, frame.deviation, strict=True)):
-            self.total[number] += deviation
-            self.square[number] += deviation**2
-            self.pair_x[group.index] += np.einsum("kij,kij->k", deviation[:, :, 1:], deviation[:, :, :-1])
-            self.pair_y[group.index] += np.einsum("kij,kij->k", deviation[:, 1:], deviation[:, :-1])
-            self.row_sums[number].append(deviation.sum(axis=2))
-        self.low += frame.low
-        self.high += frame.high
-        self.side_lines += frame.side_lines
-        self.histogram = self.histogram + frame.histogram
+        self._make_room(max(frame.full_scale_dn, int(frame.dn.max(initial=0))) + 1)
+        good, nearly_full = ~self.defects, _NEARLY_FULL * frame.full_scale_dn
+        mean = np.empty(self.pair_x.size)
+        for number, group in enumerate(self.groups):
+            index = group.index
+            mean[index], low, high, pair_x, pair_y, rows = add_tiles(
+                frame.dn,
+                good,
+                group.rows[:, 0],
+                group.columns[:, 0],
+                nearly_full,
+                _SMOOTH_MAD_DN,
+                self.total[number],
+                self.square[number],
+                self.histogram,
+            )
+            self.low[index] += low
+            self.high[index] += high
+            self.pair_x[index] += pair_x
+            self.pair_y[index] += pair_y
+            self.row_sums[number].append(rows)
+        self.frame_means.append(mean)
+        self.side_lines += self.sides.means(frame.dn)
+
+    def _make_room(self, codes: int) -> None:
+        if self.histogram.size < codes:
+            self.histogram = np.concatenate([self.histogram, np.zeros(codes - self.histogram.size)])
 
     def finish(self, black_dn: float) -> tuple[dict[str, Array | float], Mask]:
         """Return the statistics of the capture by name, and the map of its outlying pixels.
@@ -212,18 +202,28 @@ def _outlying(picture: Array, group: TileGroup) -> Mask:
     laid anew.
     """
     flat = picture.reshape(len(group.tiles), -1)
-    middle = np.median(flat, axis=1, keepdims=True)
-    far = _far(flat - middle)
+    step = _stride(flat.shape[1], group.width)
+    flat = flat - np.median(flat[:, ::step], axis=1, keepdims=True)
+    far = _far(flat, step)
     for _ in range(2):
-        calm = np.where(far, 0.0, flat - middle)
-        far = _far(flat - middle - (calm @ group.trend) @ group.trend.T)
+        calm = np.where(far, 0.0, flat)
+        far = _far(flat - (calm @ group.trend) @ group.trend.T, step)
     return far.reshape(picture.shape)
 
 
-def _far(residual: Array) -> Mask:
-    centre = np.median(residual, axis=1, keepdims=True)
-    sigma = _MAD_TO_SIGMA * np.median(np.abs(residual - centre), axis=1, keepdims=True)
+def _far(residual: Array, step: int) -> Mask:
+    some = residual[:, ::step]
+    centre = np.median(some, axis=1, keepdims=True)
+    sigma = _MAD_TO_SIGMA * np.median(np.abs(some - centre), axis=1, keepdims=True)
     return np.asarray(np.abs(residual - centre) > OUTLIER_SIGMAS * np.where(sigma > 0, sigma, np.inf))
+
+
+def _stride(pixels: int, width: int) -> int:
+    """Return the step by which the samples of a median are taken, through all columns alike."""
+    step = max(1, pixels // _MOST_FOR_MEDIAN)
+    while math.gcd(step, width) > 1:
+        step += 1
+    return step
 
 
 def _common_fluctuation(means: Array, out: dict[str, Array], black_dn: float) -> dict[str, float]:
@@ -241,11 +241,10 @@ def _common_fluctuation(means: Array, out: dict[str, Array], black_dn: float) ->
     return {"common": float(np.sum(amplitude**2) / (n - 1) * information), "common_unit": 1.0 / information}
 
 
-def _comb(histogram: Array | float) -> dict[str, Array | float]:
-    counts = np.atleast_1d(np.asarray(histogram, dtype=np.float64))
-    total = float(counts.sum())
+def _comb(histogram: Array) -> dict[str, Array | float]:
+    total = float(histogram.sum())
     if total <= 0:
         return {"comb": np.zeros(len(COMB_PERIODS)), "comb_count": 0.0}
-    numbers = np.arange(counts.size)
-    terms = [float(np.sum(counts * np.cos(2 * np.pi * numbers / period))) / total for period in COMB_PERIODS]
+    numbers = np.arange(histogram.size)
+    terms = [float(np.sum(histogram * np.cos(2 * np.pi * numbers / period))) / total for period in COMB_PERIODS]
     return {"comb": np.array(terms), "comb_count": total}

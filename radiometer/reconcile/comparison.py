@@ -37,6 +37,7 @@ _LIGHT_U_REL: Final = 3e-3  # how well the light of one tile is taken to be know
 _FEW: Final = 1e-3  # share of clipped samples that does not count as clipping
 _SMALLEST_SIGMA_DN: Final = 0.4  # below it σ² + 1/12 no longer holds for rounded values
 _LARGEST_COMB_COUNT: Final = 1e5  # beyond it the honest shape of a histogram itself would show
+_COMB_SQUARES: Final = np.array([1.0 if period == 2 else 0.5 for period in COMB_PERIODS])  # mean of cos²(2πn/period)
 _FALSE_OUTLIERS: Final = 0.02  # expected in a capture without hot pixels; keeps the square root finite
 
 
@@ -284,6 +285,7 @@ def _deviations(
     together = np.maximum(1.0 + 2.0 * (white_x + base.neighbour_y), 0.5)
     per_frame = noise * together / pixels + flicker
     first_share = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)
+    beside_x, beside_y = _pair_shares(design)
     pairs = pixels * np.maximum(n - 1.0, 1.0)
     counts = np.minimum(np.maximum(seen.comb_count, 1.0), _LARGEST_COMB_COUNT)[:, None]
     return {
@@ -292,8 +294,8 @@ def _deviations(
         "slope_y": np.sqrt(noise * together / n) / lengths[1],
         "variance": np.sqrt(_log_variance(seen.variance_dof) + kurtosis / (pixels * n)),
         "spatial": np.sqrt(_log_variance(seen.spatial_dof)),
-        "neighbour_x": 1.0 / np.sqrt(pairs),
-        "neighbour_y": 1.0 / np.sqrt(pairs),
+        "neighbour_x": 1.0 / np.sqrt(beside_x * pairs),
+        "neighbour_y": 1.0 / np.sqrt(beside_y * pairs),
         "first": np.sqrt(per_frame * first_share),
         "common": np.ones(len(design.captures)),
         "row_temporal": np.sqrt(_log_variance(seen.row_temporal_dof)),
@@ -301,7 +303,7 @@ def _deviations(
         "rows": np.sqrt(_log_variance(seen.rows_dof)),
         "edge": np.where(np.isfinite(seen.edge_u), seen.edge_u, 1.0),
         "outliers": np.ones(len(design.captures)),
-        "comb": np.repeat(np.sqrt(0.5 / counts), len(COMB_PERIODS), axis=1),
+        "comb": np.sqrt(_COMB_SQUARES / counts),
     }
 
 
@@ -327,6 +329,12 @@ def _row_overlap(design: Design) -> Array:
     bottom = top + height
     common = np.minimum(bottom[:, None], bottom) - np.maximum(top[:, None], top)
     return np.asarray(np.maximum(common, 0) / (height[:, None] * height))
+
+
+def _pair_shares(design: Design) -> tuple[Array, Array]:
+    """Return the number of horizontal and of vertical neighbours in each tile over that of its pixels."""
+    width, height = (np.array([getattr(tile, n) for tile in design.tiles]) for n in ("width", "height"))
+    return 1.0 - 1.0 / width, 1.0 - 1.0 / height
 
 
 def _slope_lengths(design: Design) -> tuple[Array, Array]:

@@ -16,6 +16,8 @@ _OUTLYING_SHARE: Final = 0.1
 _SHARPEST: Final = 5e-4  # a blur of 0.26 px: what a border that is not quite straight does by itself
 _WIDE: Final = 0.15  # a wide blur reaches beyond narrow surrounds, so that its share is less certain
 _CALM: Final = 0.03  # largest deviation of the line before the last, in shares of the step
+_FALLS: Final = 0.5  # a blur that leaves the line before the last calm falls off from line to line by more than this
+_SEEN: Final = 2.0  # sigmas by which a line must differ from the patch to tell anything
 _LARGEST_SHARE: Final = 0.45
 _CLEAR_STEP: Final = 5.0  # sigmas of a line's mean that a step must have to tell anything
 
@@ -81,11 +83,17 @@ def _positions(
         chosen = pattern == number
         weight = np.where(clipped[chosen] | ~(noise[chosen] > 0), 0.0, 1.0 / np.maximum(noise[chosen], 1e-12))
         average = np.sum(np.nan_to_num(step[chosen]) * np.sqrt(weight)[:, :, None], axis=0)
-        found[int(number)] = _first_step(average)
+        found[int(number)] = _first_step(average, np.sqrt(np.sum(weight > 0, axis=0)))
     return found
 
 
-def _first_step(average: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+def _first_step(average: Array, sigma: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Return the line before the step of each side, and whether that step is a clear one.
+
+    Args:
+        average: (sides, lines) deviation of each line from the patch.
+        sigma: (sides,) its noise.
+    """
     sides, lines = average.shape
     index = np.arange(sides)
     size = np.abs(average)
@@ -95,7 +103,19 @@ def _first_step(average: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     same = np.sign(average[index, first]) == np.sign(average[index, following])
     blended = same & (size[index, following] > 2.0 * size[index, first])
     after = np.where(blended, following, first)
-    calm = size[index, np.maximum(after - 2, 0)] < _CALM * size[index, after]
+    earlier = np.maximum(after - 2, 0)
+    calm = size[index, earlier] < _CALM * size[index, after]
+    calm &= ~_false_start(average, after, earlier, sigma)
     clear = (after >= 2) & calm | ((after == 1) & (size[index, 0] < _LARGEST_SHARE * size[index, 1]))
     line = np.clip(after - 1, 0, lines - 2)
     return line.astype(np.intp), np.asarray(clear & (size[index, after] > 0))
+
+
+def _false_start(
+    average: Array, after: NDArray[np.intp], earlier: NDArray[np.intp], sigma: Array
+) -> NDArray[np.bool_]:
+    """Tell where a small step came before the large one: it does not fall off inwards as a blur would."""
+    index = np.arange(sigma.size)
+    far, near, step = (average[index, line] for line in (earlier, np.maximum(after - 1, 0), after))
+    rising = (np.abs(far) > _FALLS * np.abs(near)) | (np.sign(far) != np.sign(step))
+    return np.asarray(rising & (np.abs(far) > _SEEN * sigma))

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiometer.data import Frame
 from radiometer.reconcile.design import Array, Design
+from radiometer.reconcile.frame_kernels import coarse_cells
 from radiometer.units import gain_factor
 
 _COARSE_CELLS: Final = 96  # longer side of the coarse picture; stray light is smooth on that scale
@@ -62,12 +64,7 @@ class PatternImages:
         return np.asarray(np.where(seen, values, values.max(initial=0.0)))
 
 
-def _coarse(
-    frame: Frame, cell: int, shape: tuple[int, ...]
-) -> tuple[Array, np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
-    rows, columns = shape
-    cut = frame.dn[: rows * cell, : columns * cell]
-    if cell == 1:
-        return cut.astype(np.float64), cut >= frame.full_scale_dn
-    blocks = cut.reshape(rows, cell, columns, cell)
-    return blocks.mean(axis=(1, 3)), blocks.max(axis=(1, 3)) >= frame.full_scale_dn
+def _coarse(frame: Frame, cell: int, shape: tuple[int, ...]) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the mean of each coarse cell in DN, and whether one of its pixels is clipped."""
+    mean, largest = coarse_cells(frame.dn, cell, *shape)
+    return mean, largest >= frame.full_scale_dn

@@ -1,16 +1,20 @@
-"""Reduces frames to the statistics that are compared: one pass, one frame in memory at a time."""
+"""Reduces frames to the statistics that are compared: one pass, three frames in memory at most."""
 
 from __future__ import annotations
 
+import itertools
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data import Frame
 from radiometer.errors import CaptureError
-from radiometer.reconcile.capture_sums import CaptureSums, FrameSums
+from radiometer.reconcile.capture_sums import CaptureSums
 from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.edges import edge_shares
 from radiometer.reconcile.pattern_images import PatternImages
@@ -84,6 +88,8 @@ class CaptureStatistics:
     comb_count: Array
 
 
+_AHEAD: Final = 2  # frames that are read before they are wanted
+
 FrameReader = Callable[[int], Frame]
 Progress = Callable[[int], None]
 
@@ -108,11 +114,12 @@ def reduce_frames(
     defects: NDArray[np.bool_] = np.zeros(design.shape, dtype=np.bool_)
     collected: dict[int, dict[str, NDArray[np.float64] | float]] = {}
     done = 0
-    for number in _darks_first(design):
-        capture = design.captures[number]
+    order = _darks_first(design)
+    frames = _read_ahead(design, [index for number in order for index in design.captures[number].frames], read)
+    for number in order:
         sums = CaptureSums.start(groups, sides, len(design.tiles), defects)
-        for frame in _frames(design, capture.frames, read):
-            sums.add(FrameSums.of(frame, groups, sides, defects))
+        for frame in itertools.islice(frames, len(design.captures[number].frames)):
+            sums.add(frame)
             images.add(frame, number)
             done += 1
             if progress is not None:
@@ -142,12 +149,16 @@ def _darks_first(design: Design) -> list[int]:
     )
 
 
-def _frames(design: Design, indices: Sequence[int], read: FrameReader) -> Iterator[Frame]:
-    for index in indices:
-        frame = read(index)
-        if frame.shape != design.shape:
-            raise CaptureError(
-                f"frame {index} is {frame.shape[1]} × {frame.shape[0]} pixels, the first one {design.shape[1]} × "
-                f"{design.shape[0]}; all frames of a capture set need one size"
-            )
-        yield frame
+def _read_ahead(design: Design, indices: Sequence[int], read: FrameReader) -> Iterator[Frame]:
+    """Yield frames in the order given; a second thread reads the next ones meanwhile."""
+    with ThreadPoolExecutor(max_workers=1) as reader:
+        waiting = deque(reader.submit(read, index) for index in indices[:_AHEAD])
+        for position, index in enumerate(indices):
+            frame = waiting.popleft().result()
+            waiting.extend(reader.submit(read, later) for later in indices[position + _AHEAD : position + _AHEAD + 1])
+            if frame.shape != design.shape:
+                raise CaptureError(
+                    f"frame {index} is {frame.shape[1]} × {frame.shape[0]} pixels, the first one {design.shape[1]} × "
+                    f"{design.shape[0]}; all frames of a capture set need one size"
+                )
+            yield frame
