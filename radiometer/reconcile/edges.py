@@ -111,9 +111,7 @@ def _first_step(average: Array, sigma: Array) -> tuple[NDArray[np.intp], NDArray
     return line.astype(np.intp), np.asarray(clear & (size[index, after] > 0))
 
 
-def _false_start(
-    average: Array, after: NDArray[np.intp], earlier: NDArray[np.intp], sigma: Array
-) -> NDArray[np.bool_]:
+def _false_start(average: Array, after: NDArray[np.intp], earlier: NDArray[np.intp], sigma: Array) -> NDArray[np.bool_]:
     """Tell where a small step came before the large one: it does not fall off inwards as a blur would."""
     index = np.arange(sigma.size)
     far, near, step = (average[index, line] for line in (earlier, np.maximum(after - 1, 0), after))

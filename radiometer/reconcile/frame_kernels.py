@@ -55,11 +55,12 @@ def add_tiles(
         smallest, largest = histogram.size, 0
         for i in range(height):
             for j in range(width):
-                value = np.int64(dn[y0 + i, x0 + j])
+                value = int(dn[y0 + i, x0 + j])
                 counts[value] += 1
-                smallest, largest = min(smallest, value), max(largest, value)
-                dark += value <= 0
-                full += value >= nearly_full
+                smallest = min(smallest, value)
+                largest = max(largest, value)
+                dark += int(value <= 0)
+                full += int(value >= nearly_full)
                 if good[y0 + i, x0 + j]:
                     light += value
                     number += 1
@@ -80,10 +81,10 @@ def add_tiles(
             for j in range(width):
                 pair_y[k] += (dn[y0 + i, x0 + j] - middle) * (dn[y0 + i - 1, x0 + j] - middle)
         smooth = dark == 0 and full == 0 and _within(counts, middle, comb_mad_dn) * 2 < height * width
-        for value in range(smallest, largest + 1):
+        for code in range(smallest, largest + 1):
             if smooth:
-                histogram[value] += counts[value]
-            counts[value] = 0
+                histogram[code] += counts[code]
+            counts[code] = 0
     return mean, low, high, pair_x, pair_y, rows
 
 
@@ -108,7 +109,7 @@ def coarse_cells(dn: NDArray[Any], cell: int, rows: int, columns: int) -> tuple[
     mean, largest = np.zeros((rows, columns)), np.zeros((rows, columns))
     for i in range(rows * cell):
         for j in range(columns * cell):
-            value = np.int64(dn[i, j])
+            value = int(dn[i, j])
             mean[i // cell, j // cell] += value
             if value > largest[i // cell, j // cell]:
                 largest[i // cell, j // cell] = value

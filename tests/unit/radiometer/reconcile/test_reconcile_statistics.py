@@ -11,9 +11,12 @@ import pytest
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
 from radiometer.errors import CaptureError
 from radiometer.reconcile.design import Design, group_captures
+from radiometer.reconcile.edges import edge_shares
+from radiometer.reconcile.frame_kernels import add_tiles, coarse_cells
 from radiometer.reconcile.localise import localise, significant
 from radiometer.reconcile.state import FitState, first_state
 from radiometer.reconcile.statistics import frame_reader, reduce_frames
+from radiometer.reconcile.tile_layout import LINES, PatchSides
 
 
 def _state(captured: Any) -> FitState:
@@ -60,6 +63,61 @@ def test_mean_and_variance_agree_with_numpy(make_capture: Callable[..., Any]) ->
     assert seen.variance[0, 7] == pytest.approx(expected, rel=1e-9)
 
 
+def test_compiled_sums_agree_with_numpy() -> None:
+    """Means, clipped shares, neighbour products, row sums and histogram of two tiles, one pixel of them a defect."""
+    rng = np.random.default_rng(8)
+    dn = rng.normal(300, 6, (20, 30)).round().astype(np.uint16)
+    dn[3, 4], dn[12, 17] = 0, 4095
+    good = np.ones(dn.shape, dtype=np.bool_)
+    good[5, 5] = False
+    corners = [(2, 3), (9, 12)]
+    total, square, histogram = np.zeros((2, 8, 9)), np.zeros((2, 8, 9)), np.zeros(4096)
+    top, left = (np.array(values, dtype=np.intp) for values in zip(*corners, strict=True))
+    found = add_tiles(dn, good, top, left, 4000.0, 2.6, total, square, histogram)
+    for k, (y, x) in enumerate(corners):
+        tile, counted = dn[y : y + 8, x : x + 9].astype(float), good[y : y + 8, x : x + 9]
+        deviation = tile - tile[counted].mean()
+        expected = (
+            tile[counted].mean(),
+            np.mean(tile <= 0),
+            np.mean(tile >= 4000),
+            np.sum(deviation[:, 1:] * deviation[:, :-1]),
+            np.sum(deviation[1:] * deviation[:-1]),
+            deviation.sum(axis=1),
+        )
+        for value, wanted in zip(found, expected, strict=True):
+            np.testing.assert_allclose(value[k], wanted, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(total[k], deviation, atol=1e-9)
+        np.testing.assert_allclose(square[k], deviation**2, rtol=1e-9)
+    assert histogram.sum() == 0, "both tiles hold a clipped sample"
+    add_tiles(dn, good, top[1:] - 9, left[1:] + 6, 4000.0, 2.6, total[1:], square[1:], histogram)
+    np.testing.assert_array_equal(histogram, np.bincount(dn[0:8, 18:27].ravel(), minlength=4096))
+
+
+def test_coarse_cells_are_block_means_and_maxima() -> None:
+    """Cells of 3 × 3 pixels; the rest at the border is left out."""
+    dn = np.arange(70, dtype=np.uint16).reshape(7, 10)
+    mean, largest = coarse_cells(dn, 3, 2, 3)
+    blocks = dn[:6, :9].reshape(2, 3, 3, 3)
+    np.testing.assert_allclose(mean, blocks.mean(axis=(1, 3)))
+    np.testing.assert_array_equal(largest, blocks.max(axis=(1, 3)))
+
+
+def test_dark_gap_before_a_bright_neighbour_is_no_blur() -> None:
+    """A faint patch ends in a black gap two lines before a bright one: its sides tell nothing, the sharp ones do."""
+    sharp = np.array([0.0, 0.0, 0.0, 0.0, -300.0, -300.0, 900.0])
+    gap = np.array([0.0, 0.0, 0.0, 0.0, -9.0, -9.0, 900.0])
+    lines = 1000.0 + np.array([[sharp, gap, gap]] * 4)
+    index = np.zeros((3, LINES, 12), dtype=np.intp)
+    tiles = np.full((4, 1), 1000.0)
+    share, u = edge_shares(
+        PatchSides(np.zeros(3, dtype=np.intp), index, index), lines, tiles, tiles * 0 + 1.0, tiles * 0,
+        np.zeros(4, dtype=np.intp),
+    )  # fmt: skip
+    np.testing.assert_allclose(share, 0.0, atol=1e-12)
+    assert np.isfinite(u).all()
+
+
 def test_hot_pixel_in_a_dark_is_left_out_everywhere() -> None:
     """One defect of 3000 DN moves no tile mean, in the dark capture or in a lit one; it counts in both."""
     rng = np.random.default_rng(3)
@@ -91,7 +149,7 @@ def test_residuals_of_an_ideal_camera_are_white(make_capture: Callable[..., Any]
     """Every block's χ² per entry is 1 within five of its own standard deviations √(2/n), the fitted ones allowed."""
     state = _state(make_capture(seed=5))
     for name, cut in state.comparison.cuts.items():
-        if name in ("outliers", "comb"):
+        if name == "outliers":
             continue
         count = state.comparison.degrees(name)
         reduced = float(np.sum(state.data_residual[cut] ** 2)) / count
