@@ -8,10 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from simulators.eye_kinetics import Eye, scotopic_lm_per_w
+from simulators.displays.base import SimulatedDisplay
+from simulators.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
 from simulators.light_box import LightBoxTwin
 
 HOLD_S: Final = 0.15  # how long the button is held
+# Wavelengths in nm that stand for a simulated display's primaries, and lm per W of its white (displays/lcd.py).
+PRIMARY_NM: Final = (610.0, 545.0, 450.0)
+WHITE_LM_PER_W: Final = 340.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,3 +110,45 @@ class ObserverAtBox:
             self.answered += 1
             self.twin.press(time_s + reaction_s)
             self.twin.press(time_s + reaction_s + HOLD_S, pressed=False)
+
+
+@dataclass(slots=True)
+class ObserverAtScreen:
+    """A subject in front of a simulated display, with its hand on a key.
+
+    Attributes:
+        observer: The subject.
+        display: An open display.
+        leaves_after_s: Time after the bleach from which it does not press any more.
+    """
+
+    observer: Observer
+    display: SimulatedDisplay
+    leaves_after_s: float = math.inf
+
+    def stare(self, rgb: tuple[float, float, float], duration_s: float) -> None:
+        """Look at a field of a drive 0..1 for a time that ends now: what it bleaches has to recover."""
+        luminance = WHITE_LM_PER_W * self.display.radiance(rgb)
+        self.observer.eye = eye_after_bleach(self.observer.eye, luminance, duration_s)
+        self.observer.dark_since_s = self.display.clock.now_s()
+
+    def answer(self, rgb: tuple[float, float, float]) -> float | None:
+        """Return the reaction time in s to a spot of a drive 0..1 on black, or None for no press.
+
+        What the spot adds to the black is what is seen; that a shining black itself raises the threshold is left out.
+        """
+        time_s = self.display.clock.now_s()
+        if time_s - self.observer.dark_since_s > self.leaves_after_s:
+            return None
+        level, primary = self.level_log10(rgb), max(range(3), key=lambda n: rgb[n])
+        return self.observer.answer(level, time_s, PRIMARY_NM[primary])
+
+    def level_log10(self, rgb: tuple[float, float, float]) -> float | None:
+        """Return what a drive adds to the black, log10 of scotopic cd·m⁻²; None for nothing."""
+        black = self.display.radiance((0.0, 0.0, 0.0))
+        alone = [tuple(drive if n == k else 0.0 for k in range(3)) for n, drive in enumerate(rgb)]
+        added = sum(
+            scotopic_lm_per_w(nm) * (self.display.radiance((one[0], one[1], one[2])) - black)
+            for nm, one in zip(PRIMARY_NM, alone, strict=True)
+        )
+        return math.log10(added) if added > 0 else None

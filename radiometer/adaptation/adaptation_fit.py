@@ -98,9 +98,7 @@ def fit_adaptation(series: ThresholdSeries, request: FitRequest, rng: np.random.
     Raises:
         MeasurementError: If the series shows no adaptation, or none that a branch model describes.
     """
-    series.require_recovery()
-    fits = _fit_family(series)
-    chosen = _choose([fit for fit in fits if makes_sense(fit)])
+    chosen, fits = _chosen(series)
     criterion = _criterion(chosen, request)
     draws = bootstrap_values(chosen, request.bootstrap_draws, rng) if request.bootstrap_draws else []
     estimates = {
@@ -108,6 +106,22 @@ def fit_adaptation(series: ThresholdSeries, request: FitRequest, rng: np.random.
         **_derived_estimates(chosen, criterion, draws, request),
     }
     return AdaptationFit(chosen, fits, estimates, criterion, _verdict(chosen), request)
+
+
+def best_branches(series: ThresholdSeries) -> BranchFit:
+    """Return the family's best member without any interval; quick enough to follow a running test.
+
+    Raises:
+        MeasurementError: If the series shows no adaptation, or none that a branch model describes.
+    """
+    return _chosen(series)[0]
+
+
+def _chosen(series: ThresholdSeries) -> tuple[BranchFit, tuple[BranchFit, ...]]:
+    """Return the best member, and all that were tried."""
+    series.require_recovery()
+    fits = _fit_family(series)
+    return _choose([fit for fit in fits if makes_sense(fit)]), fits
 
 
 def _fit_family(series: ThresholdSeries) -> tuple[BranchFit, ...]:

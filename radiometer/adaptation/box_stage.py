@@ -57,6 +57,20 @@ class BoxStage:
         self._zero_s = self.clock() - time_s
         self._light_mark()
 
+    def facts(self) -> dict[str, str]:
+        """Return which box it is, for the journal. Raises DeviceError."""
+        return {"box": self.box.identity.serial, "firmware": self.box.identity.firmware}
+
+    def health(self) -> dict[str, str]:
+        """Return how the box is, for whoever watches. Raises DeviceError."""
+        now = self.box.status()
+        return {
+            "box": self.box.identity.serial,
+            "supply": f"{now.supply_v:.2f} V",
+            "temperature": f"{now.temperature_celsius:.0f} °C",
+            "went dark by itself": f"{now.darkened} times",
+        }
+
     def room_luminance_cd_m2(self) -> float | None:
         """Return the luminance of the dark room; None where it cannot be measured."""
         return self.room() if self.room else None

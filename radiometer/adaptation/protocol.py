@@ -64,6 +64,14 @@ class Fixation(ConfigSection):
 
     peak_nm: float = Field(660.0, gt=600, lt=780)
     size_deg: float = Field(0.3, gt=0, le=2)
+    luminance_cd_m2: float = Field(0.1, gt=0, le=10)
+
+
+class ViewingDistance(ConfigSection):
+    """Where the eye is before a screen; the screen's calibration may know its pixels."""
+
+    distance_mm: float = Field(600.0, ge=50, le=5000)
+    pixel_mm: float | None = Field(None, gt=0.01, le=5)
 
 
 class LimitsMethod(ConfigSection):
@@ -142,6 +150,7 @@ class AdaptationProtocol(ConfigSection):
     bleach: Annotated[SteadyBleach | FlashBleach, Field(discriminator="kind")]
     spot: Spot
     fixation: Fixation = Fixation()
+    viewing: ViewingDistance = ViewingDistance()
     method: Annotated[LimitsMethod | StaircaseMethod | QuestPlusMethod, Field(discriminator="kind")]
     end: Ending = Ending()
     watch: Watch = Watch()

@@ -1,7 +1,8 @@
 """Runs a test: bleach, then one threshold after the other, everything journalled; can be taken up after a crash.
 
-Events of the journal: `start`, `room`, `bleach`, `dark`, then `blink` (after each blink, with its presses) and `trial`
-(after each threshold or catch); between them `pause`, `resume`, `taken_up` (after a crash); at last `stop` and `end`.
+Events of the journal: `start`, `stage` (what the devices are, where they can tell), `room`, `bleach`, `dark`, then
+`blink` (after each blink, with its presses) and `trial` (after each threshold or catch); between them `pause`,
+`resume`, `taken_up` (after a crash) and `prompt` (a sound); at last `stop` and `end`.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.journal import FORMAT, Event, Journal
 from radiometer.adaptation.methods import Method, begin
 from radiometer.adaptation.outcome import Outcome, Verdict, counting_trials, outcome_of
-from radiometer.adaptation.protocol import AdaptationProtocol, SteadyBleach
-from radiometer.adaptation.stage import Stage
+from radiometer.adaptation.protocol import AdaptationProtocol, LimitsMethod, SteadyBleach
+from radiometer.adaptation.stage import DescribedStage, Stage, SteppedStage
 from radiometer.errors import MeasurementError, UsageError
 
 Watcher = Callable[[Event], None]
@@ -112,6 +113,8 @@ class _Run:
             self.note("resume", by="restart")
 
     def _prepare(self) -> None:
+        if isinstance(self.stage, DescribedStage):
+            self.note("stage", **self.stage.facts())
         room, limit = self.stage.room_luminance_cd_m2(), self.protocol.safety.darkest_room_cd_m2
         if room is not None and room > limit:
             raise MeasurementError(f"the room has {room:.2g} cd/m²; the test needs less than {limit:.2g}: darken it")
@@ -201,12 +204,18 @@ class _Run:
             "trial",
             catch=False,
             false_press=hasty,
-            threshold=None if search.threshold is None or hasty else round(search.threshold, 4),
+            threshold=None if search.threshold is None or hasty else round(self._shown(search.threshold), 4),
             u_log10=None if search.u_log10 is None or hasty else round(search.u_log10, 4),
             minutes=round((middle_s - self._dark_since_s) / 60, 5),
             blinks=len(blinks),
             seen=sum(bool(blink["presses_s"]) for blink in blinks),
         )
+
+    def _shown(self, threshold: float) -> float:
+        """Return the level that was seen; other methods' thresholds lie between levels as it is."""
+        if isinstance(self.stage, SteppedStage) and isinstance(self.protocol.method, LimitsMethod):
+            return self.stage.shown_log10(threshold)
+        return threshold
 
     def _over(self, search: Method) -> bool:
         """Tell whether a search has found its threshold, has no way on, has taken too long, or met a hasty press."""

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Mapping
+from typing import Any, Protocol, runtime_checkable
 
 from radiometer.adaptation.protocol import AdaptationProtocol
 
 
 class Stage(Protocol):
     """The devices in front of the subject, on one clock."""
+
+    @property
+    def protocol(self) -> AdaptationProtocol:
+        """Return what is done, as far as the devices reach."""
+        ...
 
     def now_s(self) -> float:
         """Return the time in s since the stage was set up."""
@@ -44,4 +50,26 @@ class Stage(Protocol):
 
     def resume_at(self, time_s: float) -> None:
         """Count on from a time, after a crash."""
+        ...
+
+
+@runtime_checkable
+class DescribedStage(Protocol):
+    """A stage that can tell of itself."""
+
+    def facts(self) -> Mapping[str, Any]:
+        """Return what the journal should hold of it."""
+        ...
+
+    def health(self) -> Mapping[str, str]:
+        """Return how it is now, for whoever watches. Raises DeviceError."""
+        ...
+
+
+@runtime_checkable
+class SteppedStage(Protocol):
+    """A stage whose levels are whole steps, coarser than a threshold is known."""
+
+    def shown_log10(self, log10_level: float) -> float:
+        """Return the level that is shown where one is asked for."""
         ...

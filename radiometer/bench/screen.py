@@ -26,6 +26,7 @@ from radiometer.screen.run import Light
 
 SIMULATED_DISPLAYS: Final = ("lcd", "pwm_lcd", "oled")
 BROWSER: Final = "browser"
+START_TIMEOUT_S: Final = 600.0  # from the page's opening until somebody presses its Start
 # The camera sees only the middle of a simulated screen; a small sensor shows as much and is quick.
 _SIMULATED_SIZE: Final = (96, 64)
 _FLICKER_FRAMES: Final = 16
@@ -148,7 +149,7 @@ def _browser_bench(
     with open_bench_camera(bench, name) as (config, camera):
         where = patch or (config.patch.patch if config.patch else central_patch(camera))
         instrument = _instrument(camera, where, calibration or calibration_path(config, bench), config)
-        with BrowserDisplay(port, announce=announce) as display:
+        with BrowserDisplay(port, announce=announce, start_timeout_s=START_TIMEOUT_S) as display:
             yield ScreenBench(display, instrument, time.sleep, time.monotonic)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_module
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +14,6 @@ from radiometer.cli.console import console, note
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
-    from radiometer.adaptation.journal import Event
     from radiometer.adaptation.outcome import Outcome
     from radiometer.adaptation.protocol import AdaptationProtocol
     from radiometer.adaptation.stage import Stage
@@ -40,23 +40,40 @@ def run(
     ] = None,
     slow: Annotated[float, typer.Option(min=0.0, help="Real seconds per simulated trial, to watch it.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of catches and of the simulated subject.")] = 0,
+    screen: Annotated[
+        Path | None, typer.Option(help="Calibration of the screen that shows the spot, by `screen calibrate`.")
+    ] = None,
+    display: Annotated[
+        str, typer.Option(help="That screen: browser, or a simulated one: lcd, pwm_lcd, oled.")
+    ] = "browser",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the subject's page; 0 for any free one.")] = 0,
+    page: Annotated[bool, typer.Option("--page", help="Serve the live curve as a page, dim and red.")] = False,
+    page_port: Annotated[int, typer.Option(min=0, max=65535, help="Port of that page; 0 for any free one.")] = 0,
+    audio: Annotated[bool, typer.Option("--audio", help="Sound prompts: on the page, else by the bell.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Each event and the outcome as JSON lines.")] = False,
 ) -> None:
     """Run a dark-adaptation test; where the journal exists, take it up where it ends.
 
     Every event is on the disk before the next one happens. Exit code 1 where the run cannot be fitted.
     """
+    from radiometer.adaptation.controls import Controls
     from radiometer.adaptation.journal import Journal
     from radiometer.adaptation.protocol import read_protocol
     from radiometer.adaptation.run import run_test
+    from radiometer.cli.adapt_watch import Watching, watchers
     from radiometer.data.storage import write_text_atomic
 
     chosen = read_protocol(protocol)
     file = out or Path(f"{subject}-{chosen.name}.jsonl")
-    with _stage(chosen, box, calibration, simulate, white, fixation, seed, slow) as stage, Journal(file) as journal:
+    wanted, controls = Watching(page or page_port > 0, page_port, audio, json), Controls()
+    light = _Light(box, calibration, white, fixation, screen, display, port)
+    with _stage(chosen, light, simulate, seed, slow) as stage, Journal(file) as journal:
         if journal.events and not json:
             note(f"{file} holds {len(journal.events)} events: taking it up")
-        outcome = run_test(chosen, stage, journal, subject=subject, seed=seed, watch=_json_line if json else _tell)
+        with watchers(wanted, stage, journal, controls) as watch:
+            outcome = run_test(
+                stage.protocol, stage, journal, subject=subject, seed=seed, watch=watch, controls=controls
+            )
     table = csv or file.with_suffix(".csv")
     write_text_atomic(table, outcome.to_csv())
     _conclude(outcome, table, json=json)
@@ -64,46 +81,53 @@ def run(
         raise typer.Exit(1)
 
 
+@dataclass(frozen=True, slots=True)
+class _Light:
+    """What gives the light."""
+
+    box: str | None
+    calibration: Path | None
+    white: str
+    fixation: float
+    screen: Path | None
+    display: str
+    port: int
+
+
 def _stage(
-    protocol: AdaptationProtocol,
-    box: str | None,
-    calibration: Path | None,
-    simulate: str | None,
-    white: str,
-    fixation: float,
-    seed: int,
-    slow: float,
+    protocol: AdaptationProtocol, light: _Light, simulate: str | None, seed: int, slow: float
 ) -> AbstractContextManager[Stage]:
     from radiometer.bench.adaptation import open_box_stage, simulated_stage
 
-    if simulate is not None and box is not None:
+    if simulate is not None and light.box is not None:
         raise UsageError("--simulate and --box exclude each other")
+    if protocol.spot.device == "screen" and (simulate is None or light.screen is not None):
+        return _screen_stage(protocol, light, simulate, seed, slow)
+    if light.screen is not None:
+        raise UsageError(f"protocol {protocol.name} shows its spot by the light box; --screen is for screen-only")
     if simulate is not None:
         return nullcontext(simulated_stage(protocol, simulate, seed=seed, slow_down_s=slow))
-    return open_box_stage(protocol, box, calibration, white=white, fixation_w_sr_m2=fixation)
+    return open_box_stage(protocol, light.box, light.calibration, white=light.white, fixation_w_sr_m2=light.fixation)
 
 
-def _json_line(event: Event) -> None:
-    print(json_module.dumps(event, ensure_ascii=False), flush=True)
+def _screen_stage(
+    protocol: AdaptationProtocol, light: _Light, simulate: str | None, seed: int, slow: float
+) -> AbstractContextManager[Stage]:
+    from radiometer.bench.adaptation_screen import open_screen_stage
 
+    def announce(url: str) -> None:
+        note(f"open this address on the subject's screen, then press Start there:\n  {url}")
 
-def _tell(event: Event) -> None:
-    out = console()
-    if event["kind"] == "bleach":
-        out.print("bleach: look at the bright field")
-    elif event["kind"] == "dark":
-        out.print("dark: look at the red mark and press whenever the spot is seen")
-    elif event["kind"] == "trial" and event["catch"]:
-        out.print("  catch: pressed" if event["false_press"] else "  catch: rightly not pressed")
-    elif event["kind"] == "trial":
-        found = event["threshold"]
-        said = "not seen" if found is None else f"{found:6.2f} log scotopic cd/m²  {_bar(found)}"
-        out.print(f"{event['minutes']:6.2f} min  {'pressed too early' if event['false_press'] else said}")
-
-
-def _bar(threshold: float) -> str:
-    """Return a bar from −5.5 up to the threshold: the curve as it grows."""
-    return "▪" * max(0, round(5 * (threshold + 5.5)))
+    return open_screen_stage(
+        protocol,
+        light.screen,
+        display=light.display,
+        subject=simulate,
+        port=light.port,
+        announce=announce,
+        seed=seed,
+        slow_down_s=slow,
+    )
 
 
 def _conclude(outcome: Outcome, table: Path, *, json: bool) -> None:

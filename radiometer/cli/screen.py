@@ -38,6 +38,9 @@ def calibrate(
     channels: Annotated[str, typer.Option(help="Channels: grey,red,green,blue or some of them.")] = "grey",
     repeats: Annotated[int, typer.Option(min=1, help="Readings of every patch.")] = 1,
     size: Annotated[float, typer.Option(min=0.01, max=1.0, help="Patch size as a share of the screen's.")] = 1.0,
+    pixel_mm: Annotated[
+        float | None, typer.Option(min=0.01, max=5.0, help="Distance of two pixels in mm, for `adapt run`.")
+    ] = None,
     warm_up: Annotated[float, typer.Option(min=0.0, help="Longest wait for the screen to settle in s.")] = 900.0,
     white: Annotated[str, typer.Option(help="Spectrum assumed for grey: white_led, cie_d65, a CSV …")] = "white_led",
     camera: Annotated[str | None, typer.Option(help="GenICam id, serial number or address.")] = None,
@@ -64,6 +67,7 @@ def calibrate(
         patch_size=size,
         warm_up_limit_s=warm_up,
         seed=seed,
+        pixel_mm=pixel_mm,
     )
     kinds = _export_kinds(export)
     where = parse_patch(patch) if patch else None

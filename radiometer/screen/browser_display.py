@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Any, Final, Self
 
@@ -21,6 +21,7 @@ class BrowserDisplay:
         port: Port on 127.0.0.1; 0 for any free one.
         announce: Called with the address once it is served; opens a browser or prints it.
         page_timeout_s: How long to wait for a browser to open it.
+        start_timeout_s: How long to wait for somebody to press Start; None where nothing is to be waited for.
         show_timeout_s: How long a patch may take to appear.
     """
 
@@ -30,11 +31,13 @@ class BrowserDisplay:
         *,
         announce: Callable[[str], None] = lambda url: None,
         page_timeout_s: float = 120.0,
+        start_timeout_s: float | None = None,
         show_timeout_s: float = 5.0,
     ) -> None:
         self._server = PageServer(port)
         self._announce = announce
-        self._page_timeout_s, self._show_timeout_s = page_timeout_s, show_timeout_s
+        self._page_timeout_s, self._start_timeout_s = page_timeout_s, start_timeout_s
+        self._show_timeout_s = show_timeout_s
         self._numbers = itertools.count(1)
         self._open = False
 
@@ -57,6 +60,8 @@ class BrowserDisplay:
         self._announce(self._server.url)
         try:
             self._server.wait_for_page(self._page_timeout_s)
+            if self._start_timeout_s is not None:
+                self._server.wait_for_start(self._start_timeout_s)
         except DeviceError:
             self.close()
             raise
@@ -94,16 +99,7 @@ class BrowserDisplay:
 
     def warnings(self) -> list[str]:
         """Return what on the page's side may falsify a measurement."""
-        seen = self._server.conditions
-        checks = (
-            (not seen.get("fullscreen", False), "the page is not full screen: press F11"),
-            (seen.get("zoom", 1) != 1, "the page is zoomed in: reset it to 100 %"),
-            (seen.get("hdr", False), "the screen runs in HDR: its levels are mapped before they are shown"),
-            (seen.get("forcedColours", False), "high-contrast colours are on"),
-            (not seen.get("visible", True), "the page is hidden behind another window"),
-            (seen.get("colourDepth", 24) < 24, "the screen shows fewer than 8 bits per channel"),
-        )
-        return [text for wrong, text in checks if wrong]
+        return page_warnings(self._server.conditions)
 
     def __enter__(self) -> Self:
         self.open()
@@ -113,6 +109,20 @@ class BrowserDisplay:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def page_warnings(seen: Mapping[str, Any]) -> list[str]:
+    """Return what is wrong with a page by what it says of itself."""
+    checks = (
+        (not seen.get("fullscreen", False), "the page is not full screen: press F11"),
+        (seen.get("zoom", 1) != 1, "the page is zoomed in: reset it to 100 %"),
+        (float(seen.get("pixelRatio", 1)) % 1 != 0, "page or desktop is zoomed to parts of pixels: set both to 100 %"),
+        (seen.get("hdr", False), "the screen runs in HDR: its levels are mapped before they are shown"),
+        (seen.get("forcedColours", False), "high-contrast colours are on"),
+        (not seen.get("visible", True), "the page is hidden behind another window"),
+        (seen.get("colourDepth", 24) < 24, "the screen shows fewer than 8 bits per channel"),
+    )
+    return [text for wrong, text in checks if wrong]
 
 
 def _codes(rgb: tuple[float, float, float]) -> list[int]:

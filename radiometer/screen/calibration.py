@@ -196,6 +196,7 @@ class ScreenCalibration:
         instrument: Serial number of the camera.
         created: ISO 8601 time in UTC.
         checks: What was found beside the curves: drift, flicker, uniformity, additivity.
+        pixel_mm: Distance of two pixels in mm, where somebody has measured it.
         provenance: Method, inputs and assumptions.
     """
 
@@ -205,6 +206,7 @@ class ScreenCalibration:
     created: str = field(default_factory=utc_now)
     checks: dict[str, Any] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
+    pixel_mm: float | None = None
 
     def channel(self, name: str = "grey") -> ChannelCurve:
         """Return a channel. Raises CalibrationError where it was not measured."""
@@ -221,6 +223,7 @@ class ScreenCalibration:
             "name": self.name,
             "created": self.created,
             "instrument": self.instrument,
+            "pixel_mm": self.pixel_mm,
             "checks": self.checks,
             "provenance": self.provenance.to_mapping(),
             "channels": {name: curve.to_mapping() for name, curve in self.channels.items()},
@@ -246,7 +249,16 @@ class ScreenCalibration:
             str(mapping.get("created", "")),
             dict(mapping.get("checks") or {}),
             Provenance.from_mapping(mapping.get("provenance") or {}),
+            _length(mapping.get("pixel_mm"), path),
         )
+
+
+def _length(value: object, path: Path) -> float | None:
+    if value is None:
+        return None
+    if not isinstance(value, int | float) or not value > 0:
+        raise CalibrationError(f"{path}: pixel_mm is {value!r}; expected a length in mm above 0")
+    return float(value)
 
 
 def _left_out_errors(levels: Array, values: Array) -> Array:

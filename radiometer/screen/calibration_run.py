@@ -61,6 +61,7 @@ class Options:
         patch_size: Patch as a share of the screen's width and height.
         warm_up_limit_s: Longest wait for the screen to settle in s.
         seed: Seed of the random order.
+        pixel_mm: Distance of two pixels in mm; None where nobody has measured it.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Options:
     patch_size: float = 1.0
     warm_up_limit_s: float = 900.0
     seed: int = 1
+    pixel_mm: float | None = None
 
 
 def calibrate_screen(
@@ -118,6 +120,7 @@ def calibrate_screen(
             assumptions=(*assumptions, f"exports: {ASSUMPTION}"),
             parameters={"patch_size": options.patch_size, "seed": options.seed},
         ),
+        pixel_mm=options.pixel_mm,
     )
 
 

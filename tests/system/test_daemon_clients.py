@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import contextlib
 import io
 import json
-import re
 import shutil
 import subprocess
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
-from typing import Any
 
-import aiohttp
 import numpy as np
 import pytest
 from PIL import Image
 
 from benchmarks._daemon import DaemonProcess
+from tests.system.chromium import Browser, headless
 
 BRIGHT, DIM = 0.918, 0.1997  # radiance of the two patches of the small bench, W sr-1 m-2
 
@@ -109,88 +106,11 @@ def test_curl_posts_a_measurement(daemon: DaemonProcess) -> None:
     assert abs(reading["radiance"]["value"] - DIM) < 4 * reading["radiance"]["u"]
 
 
-_CHROMIUM_FLAGS = (
-    "headless",
-    "no-sandbox",
-    "disable-gpu",
-    "disable-background-networking",
-    "disable-component-update",
-    "disable-sync",
-    "no-first-run",
-    "disable-quic",
-    "remote-debugging-port=0",
-    "window-size=1240,900",
-)
-
-
-class Browser:
-    """Headless Chromium over its debugging socket."""
-
-    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
-        self._socket, self._number = socket, 0
-        self.requested: list[str] = []
-        self.errors: list[str] = []
-
-    async def command(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Run a command and return its result."""
-        self._number += 1
-        await self._socket.send_json({"id": self._number, "method": method, "params": parameters})
-        async with asyncio.timeout(20):
-            while True:
-                message = await self._socket.receive_json()
-                self._note(message)
-                if message.get("id") == self._number:
-                    return dict(message["result"])
-
-    async def evaluate(self, expression: str) -> Any:
-        """Return the value of a JavaScript expression."""
-        result = await self.command("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
-        return result["result"].get("value")
-
-    async def wait_for(self, expression: str) -> Any:
-        """Return the value of an expression once it is true."""
-        async with asyncio.timeout(20):
-            while not (value := await self.evaluate(expression)):
-                await asyncio.sleep(0.1)
-            return value
-
-    async def mouse(self, kind: str, x: float, y: float) -> None:
-        """Move, press or release the left button."""
-        await self.command("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
-
-    def _note(self, message: dict[str, Any]) -> None:
-        if message.get("method") == "Network.requestWillBeSent":
-            self.requested.append(message["params"]["request"]["url"])
-        if message.get("method") == "Runtime.exceptionThrown":
-            self.errors.append(str(message["params"]["exceptionDetails"]))
-
-
 @pytest.fixture
 async def browser(tmp_path: Path) -> AsyncIterator[Browser]:
     """Return a headless browser with an empty profile."""
-    flags = [f"--{name}" for name in _CHROMIUM_FLAGS]
-    process = await asyncio.create_subprocess_exec(
-        _need("chromium"), *flags, f"--user-data-dir={tmp_path / 'profile'}", "about:blank",
-        stderr=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.DEVNULL,
-    )  # fmt: skip
-    assert process.stderr is not None
-    async with asyncio.timeout(60):
-        while not (found := re.search(rb"ws://127\.0\.0\.1:(\d+)/", await process.stderr.readline())):
-            pass
-    drained = asyncio.create_task(process.stderr.read())
-    async with aiohttp.ClientSession() as http:
-        async with http.get(f"http://127.0.0.1:{int(found[1])}/json") as reply:
-            tabs = await reply.json(content_type=None)
-        address = next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
-        async with http.ws_connect(address, max_msg_size=0) as socket:
-            driver = Browser(socket)
-            for domain in ("Page", "Runtime", "Network"):
-                await driver.command(f"{domain}.enable")
-            yield driver
-    with contextlib.suppress(ProcessLookupError):
-        process.terminate()
-    await process.wait()
-    await drained
+    async with headless(tmp_path / "profile") as driver:
+        yield driver
 
 
 @pytest.mark.timeout(120)

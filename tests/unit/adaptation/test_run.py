@@ -94,11 +94,11 @@ def test_run_taken_up_after_a_crash_has_the_same_events(
 
 
 def test_spot_that_goes_no_dimmer_ends_the_test_with_what_is_known(tmp_path: Path) -> None:
-    """A screen's black at -2.5: thresholds down to it are a curve, and the verdict says where it ends."""
+    """A darkest spot at -4: thresholds down to it are a curve, and the verdict says where it ends."""
     outcome = _run(tmp_path, ScriptedStage(eye, read_protocol("screen-only")))
     assert outcome.verdict is Verdict.FLOOR_REACHED
     assert outcome.can_be_fitted
-    assert -2.5 < min(outcome.thresholds_log10) < -2.2
+    assert -4.0 < min(outcome.thresholds_log10) < -3.7
 
 
 def test_journal_of_another_subject_is_refused(tmp_path: Path, classic: AdaptationProtocol) -> None:

@@ -1,0 +1,165 @@
+"""The state of a test as its events tell it, for whoever watches: phase, thresholds, catches, the running fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from radiometer.adaptation.adaptation_fit import best_branches
+from radiometer.adaptation.journal import Event
+from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.adaptation.threshold_series import FEWEST, ThresholdSeries
+from radiometer.errors import MeasurementError
+
+_CURVE_POINTS: Final = 160
+
+
+@dataclass(slots=True)
+class LiveState:
+    """What is known of a running test.
+
+    Attributes:
+        protocol: What is done.
+        phase: "starting", "bleach", "fixation", "threshold", "paused" or "over".
+        subject: Pseudonym.
+        time_s: Time of the newest event in s.
+        dark_since_s: When the bleach ended; None before.
+        thresholds: Time in min and log10 threshold by the trial's sequence number; None where not seen.
+        catches: Time in min of each catch and whether it was pressed.
+        false_presses: How many presses had no light, or were faster than a human.
+        blink: Level of the newest blink (None: a catch, or none yet) and its presses.
+        outcome: Verdict and explanation, once over.
+    """
+
+    protocol: AdaptationProtocol
+    phase: str = "starting"
+    subject: str = ""
+    time_s: float = 0.0
+    phase_since_s: float = 0.0
+    dark_since_s: float | None = None
+    thresholds: dict[int, tuple[float, float | None]] = field(default_factory=dict)
+    catches: dict[int, tuple[float, bool]] = field(default_factory=dict)
+    hasty: set[int] = field(default_factory=set)
+    blink: Event | None = None
+    outcome: tuple[str, str] | None = None
+
+    def take(self, event: Event) -> None:
+        """Take an event of the journal, in order."""
+        kind, self.time_s = str(event["kind"]), float(event["time_s"])
+        phase = {"bleach": "bleach", "blink": "threshold", "pause": "paused", "end": "over"}.get(kind, "fixation")
+        if kind in ("start", "room", "stage", "prompt", "stop"):
+            phase = self.phase
+        if phase != self.phase:
+            self.phase, self.phase_since_s = phase, self.time_s
+        match kind:
+            case "start":
+                self.subject = str(event["subject"])
+            case "dark":
+                self.dark_since_s = self.time_s
+            case "blink":
+                self.blink = event
+            case "trial":
+                self._trial(event)
+            case "pause" if event.get("voids") is not None:
+                for known in (self.thresholds, self.catches):
+                    known.pop(int(event["voids"]), None)
+                self.hasty.discard(int(event["voids"]))
+            case "end":
+                self.outcome = (str(event["verdict"]), str(event["explanation"]))
+            case _:
+                pass
+
+    def _trial(self, event: Event) -> None:
+        number, minutes = int(event["sequence"]), self.minutes
+        if event["catch"]:
+            self.catches[number] = (minutes, bool(event["false_press"]))
+            return
+        found = event["threshold"]
+        self.thresholds[number] = (float(event.get("minutes", minutes)), None if found is None else float(found))
+        if event["false_press"]:
+            self.hasty.add(number)
+
+    @property
+    def minutes(self) -> float:
+        """Return the time in the dark in min at the newest event; 0 before."""
+        return 0.0 if self.dark_since_s is None else (self.time_s - self.dark_since_s) / 60.0
+
+    @property
+    def false_presses(self) -> int:
+        """Return how many trials had a press without light or faster than a human."""
+        return len(self.hasty) + sum(pressed for _, pressed in self.catches.values())
+
+    @property
+    def points(self) -> list[tuple[float, float]]:
+        """Return the thresholds found: minutes and log10."""
+        return [(minutes, value) for minutes, value in self.thresholds.values() if value is not None]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the state for the page."""
+        spot, blink = self.protocol.spot, self.blink or {}
+        return {
+            "phase": self.phase,
+            "subject": self.subject,
+            "protocol": self.protocol.name,
+            "time_s": self.time_s,
+            "phase_since_s": self.phase_since_s,
+            "dark_since_s": self.dark_since_s,
+            "bleach_s": self.protocol.bleach.duration_s,
+            "duration_min": self.protocol.end.duration_min,
+            "criterion": self.protocol.end.criterion_log10,
+            "lowest": spot.lowest_log10,
+            "highest": spot.highest_log10,
+            "points": [[round(t, 3), round(v, 3)] for t, v in self.points],
+            "missed": [round(t, 3) for t, v in self.thresholds.values() if v is None],
+            "catches": len(self.catches),
+            "false_presses": self.false_presses,
+            "level": blink.get("log10_level"),
+            "pressed": bool(blink.get("presses_s")),
+            "outcome": self.outcome,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class RunningFit:
+    """The fit of the thresholds so far.
+
+    Attributes:
+        count: How many thresholds it is of.
+        text: What it says.
+        curve: Minutes and log10 thresholds of the line; empty where nothing can be fitted yet.
+    """
+
+    count: int
+    text: str
+    curve: tuple[tuple[float, float], ...] = ()
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the fit for the page."""
+        return {"count": self.count, "text": self.text, "curve": [[round(t, 3), round(v, 3)] for t, v in self.curve]}
+
+
+def running_fit(points: Iterable[tuple[float, float]]) -> RunningFit:
+    """Return the fit of thresholds so far, or why there is none yet."""
+    known = sorted(points)
+    if len(known) < FEWEST:
+        return RunningFit(len(known), f"a fit needs {FEWEST} thresholds")
+    table = np.array(known)
+    try:
+        fit = best_branches(ThresholdSeries(table[:, 0], table[:, 1]))
+    except MeasurementError as error:
+        return RunningFit(len(known), f"no fit yet: {error}")
+    times = np.linspace(table[0, 0], table[-1, 0], _CURVE_POINTS)
+    curve = tuple((float(t), float(v)) for t, v in zip(times, fit.threshold(times), strict=True))
+    return RunningFit(len(known), _words(fit.values), curve)
+
+
+def _words(values: dict[str, float]) -> str:
+    if "break_min" not in values:
+        return f"one branch so far, plateau {values['plateau']:.2f}"
+    return (
+        f"cone plateau {values['plateau']:.2f}, break {values['break_min']:.1f} min, "
+        f"S2 {values['s2_slope_per_min']:.2f} per min"
+    )

@@ -1,0 +1,199 @@
+"""The running test on a page for a dark room: served on loopback, with buttons to pause and to stop."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import queue
+import threading
+import time
+from collections.abc import Callable, Mapping
+from importlib.resources import files
+from types import TracebackType
+from typing import Final, Self
+
+from aiohttp import web
+
+from radiometer.adaptation.controls import Controls
+from radiometer.adaptation.journal import Event
+from radiometer.adaptation.live import LiveState, RunningFit, running_fit
+from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.errors import DeviceError
+from radiometer.screen.loopback import LoopbackServer, Message
+
+_SLOW_BROWSER_S: Final = 2.0
+_REFRESH_S: Final = 0.05  # events that come closer together are told together
+_BY: Final = "page"
+_OVER: Final = None
+
+Health = Callable[[], Mapping[str, str]]
+
+
+class LivePage:
+    """Shows a running test to any number of browsers; one that goes away is missed by nobody.
+
+    Args:
+        protocol: What is done.
+        controls: Where its buttons ask for a pause or the end.
+        port: Port on 127.0.0.1; 0 for any free one.
+        audio: Whether prompts are sounded.
+        health: Returns the state of box or screen by name; asked on the thread of the run after every trial.
+        clock: Steady clock in s.
+    """
+
+    def __init__(
+        self,
+        protocol: AdaptationProtocol,
+        controls: Controls,
+        port: int = 0,
+        *,
+        audio: bool = False,
+        health: Health = dict,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        page = files("radiometer.adaptation.page").joinpath("live.html").read_text(encoding="utf-8")
+        self._server = LoopbackServer(page, self, port, what="page of the test")
+        self._controls, self._audio, self._health, self._clock = controls, audio, health, clock
+        self._state, self._fit = LiveState(protocol), RunningFit(0, "")
+        self._told_s, self._due = clock(), False
+        self._devices = self._ask_devices()
+        self._sockets: set[web.WebSocketResponse] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._points: queue.SimpleQueue[list[tuple[float, float]] | None] = queue.SimpleQueue()
+        self._fitter = threading.Thread(target=self._follow, name="running fit", daemon=True)
+
+    @property
+    def url(self) -> str:
+        """Return the address of the page. Raises DeviceError unless open."""
+        return self._server.url
+
+    def open(self) -> None:
+        """Serve the page. Raises DeviceInUse where the port is taken."""
+        self._server.start()
+        self._fitter.start()
+
+    def close(self) -> None:
+        """Finish the last fit, tell the browsers that it is over, and stop serving."""
+        self._points.put(_OVER)
+        self._fitter.join()
+        self._server.stop(self._say_goodbye)
+
+    def tell(self, event: Event) -> None:
+        """Take an event of the run, at once and without waiting for any browser."""
+        if event["kind"] == "trial":
+            self._devices = self._ask_devices()
+        self._server.soon(lambda: self._take(event))
+
+    async def joined(self, socket: web.WebSocketResponse) -> None:
+        """Give a browser that has just connected the whole state."""
+        self._sockets.add(socket)
+        await self._send(socket, self._message())
+
+    def received(self, message: Message) -> None:
+        """Do what a button asks for."""
+        match message.get("kind"):
+            case "pause":
+                self._controls.pause(_BY)
+            case "resume":
+                self._controls.resume()
+            case "stop":
+                self._controls.stop(_BY)
+            case _:
+                return
+        self._broadcast()
+
+    def left(self, socket: web.WebSocketResponse) -> None:
+        """Forget a browser that has gone."""
+        self._sockets.discard(socket)
+
+    def _ask_devices(self) -> dict[str, str]:
+        """Return the devices' state; where they do not tell, the run goes on and finds out for itself."""
+        try:
+            return dict(self._health())
+        except DeviceError as error:
+            return {"devices": str(error)}
+
+    def _take(self, event: Event) -> None:
+        known = len(self._state.points)
+        self._state.take(event)
+        self._told_s = self._clock()
+        if event["kind"] == "prompt":
+            self._send_all({"kind": "prompt", "say": event["say"]})
+        if len(self._state.points) != known:
+            self._points.put(self._state.points)
+        self._broadcast()
+
+    def _message(self) -> Message:
+        return {
+            "kind": "state",
+            **self._state.to_mapping(),
+            "age_s": round(self._clock() - self._told_s, 2),
+            "fit": self._fit.to_mapping(),
+            "devices": self._devices,
+            "audio": self._audio,
+            "pause_asked": self._controls.paused_by,
+            "stop_asked": self._controls.stopped_by,
+        }
+
+    def _broadcast(self) -> None:
+        """Tell every browser the state, soon."""
+        if not self._due:
+            self._due = True
+            asyncio.get_running_loop().call_later(_REFRESH_S, self._refresh)
+
+    def _refresh(self) -> None:
+        self._due = False
+        self._send_all(self._message())
+
+    def _send_all(self, message: Message) -> None:
+        for socket in tuple(self._sockets):
+            task = asyncio.get_running_loop().create_task(self._send(socket, message))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _send(self, socket: web.WebSocketResponse, message: Message) -> None:
+        """Send to a browser, and drop one that does not take it."""
+        try:
+            async with asyncio.timeout(_SLOW_BROWSER_S):
+                await socket.send_json(message)
+        except (ConnectionError, RuntimeError, TimeoutError):
+            self._sockets.discard(socket)
+
+    def _follow(self) -> None:
+        """Fit the newest thresholds, one fit at a time; those that came meanwhile are fitted together."""
+        while (points := self._points.get()) is not _OVER:
+            over = False
+            with contextlib.suppress(queue.Empty):
+                while not over:
+                    newer = self._points.get_nowait()
+                    over, points = newer is _OVER, points if newer is _OVER else newer
+            found = running_fit(points)
+            self._server.soon(lambda found=found: self._fitted(found))  # type: ignore[misc]
+            if over:
+                return
+
+    def _fitted(self, found: RunningFit) -> None:
+        self._fit = found
+        self._broadcast()
+
+    async def _say_goodbye(self) -> None:
+        for socket in tuple(self._sockets):
+            await self._send(socket, {**self._message(), "phase": "over"})
+            with contextlib.suppress(ConnectionError, RuntimeError):
+                await socket.close()
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def replayed(page: LivePage, events: list[Event]) -> None:
+    """Tell a page what a journal held already; its prompts are not sounded again."""
+    for event in events:
+        if event["kind"] != "prompt":
+            page.tell(event)

@@ -1,0 +1,1 @@
+"""The page of the running test, for a dark room."""

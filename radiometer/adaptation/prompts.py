@@ -1,0 +1,53 @@
+"""What is said to subject and operator by sound: at the phases of a test and at every threshold; journalled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from radiometer.adaptation.journal import Event, Journal
+
+
+def prompts_after(event: Event) -> tuple[str, ...]:
+    """Return the prompts that an event calls for, in order.
+
+    "bleach" (it begins), "dark" (it is over), "mark" (look at the red mark), "threshold" (found), "pause", "resume",
+    "end".
+    """
+    match event["kind"]:
+        case "dark":
+            return ("dark", "mark")
+        case "bleach" | "pause" | "resume" | "end" as kind:
+            return (str(kind),)
+        case "trial" if not event["catch"] and event["threshold"] is not None:
+            return ("threshold",)
+        case _:
+            return ()
+
+
+@dataclass(frozen=True, slots=True)
+class Prompter:
+    """Journals prompts and has them sounded.
+
+    Attributes:
+        journal: The open journal of the test.
+        sound: Told every prompt, as an event of kind "prompt".
+    """
+
+    journal: Journal
+    sound: Callable[[Event], None]
+
+    def after(self, event: Event) -> None:
+        """Give the prompts that an event calls for. Raises OutputError."""
+        self._give(event, prompts_after(event))
+
+    def catch_up(self) -> None:
+        """Give what a crash left out after the newest event, so that the journal holds the same. Raises OutputError."""
+        for given, event in enumerate(reversed(self.journal.events)):
+            if event["kind"] != "prompt":
+                self._give(event, prompts_after(event)[given:])
+                return
+
+    def _give(self, event: Event, prompts: tuple[str, ...]) -> None:
+        for say in prompts:
+            self.sound(self.journal.write("prompt", float(event["time_s"]), say=say))

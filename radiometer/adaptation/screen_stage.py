@@ -1,0 +1,157 @@
+"""A calibrated screen as a stage: its field bleaches, its spot blinks beside a red mark, a key or touch answers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from radiometer.adaptation.protocol import AdaptationProtocol, SteadyBleach
+from radiometer.adaptation.screen_levels import SpotLevels, field_code, mark_code
+from radiometer.errors import UsageError
+from radiometer.screen.calibration import ScreenCalibration
+from radiometer.screen.stimulus import Blink, Hold, Picture, Shape, StimulusScreen, Viewing, in_codes
+
+# Reaction times by browser, keyboard or touch screen come out too long by tens of ms that differ from machine to
+# machine: Pronk et al. 2020, Behavior Research Methods 52, 1371. A rectangle from 0 to 0.1 s stands for it.
+PRESS_LAG_S: Final = 0.1
+_SAME_PRESS_S: Final = 0.2  # two beginnings of a press that are told closer than this are one
+
+
+@dataclass(slots=True)
+class ScreenStage:
+    """Runs a test on a screen.
+
+    Attributes:
+        screen: An open screen before the subject.
+        calibration: Its calibration.
+        protocol: The protocol, within the screen's reach.
+        viewing: Where the eye is.
+        clock: Steady clock in s.
+        wall_clock: Time of day as Unix time in s; None where time is simulated.
+        room: Measures the dark room in cd·m⁻²; None where it cannot be measured.
+    """
+
+    screen: StimulusScreen
+    calibration: ScreenCalibration
+    protocol: AdaptationProtocol
+    viewing: Viewing
+    clock: Callable[[], float]
+    wall_clock: Callable[[], float] | None = None
+    room: Callable[[], float] | None = None
+    levels: SpotLevels = field(init=False)
+    _zero_s: float = field(default=0.0, init=False)
+    _bleach: Picture = field(init=False)
+    _rest: Picture = field(init=False)
+    _spot: Shape = field(init=False)
+    _held: tuple[float, float] = field(default=(0.0, 0.0), init=False)
+    _told_s: float = field(default=-math.inf, init=False)
+    _last: Blink | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        spot, mark, half = self.protocol.spot, self.protocol.fixation, self.protocol.spot.eccentricity_deg / 2
+        bleach = self.protocol.bleach
+        if not isinstance(bleach, SteadyBleach):
+            raise UsageError(
+                f"protocol {self.protocol.name}: a screen gives no flash of {bleach.retinal_td_s:g} td·s; take a "
+                "protocol with a steady bleach"
+            )
+        self.levels = SpotLevels.of(self.calibration, spot.channel)
+        red, _ = mark_code(self.calibration, mark.luminance_cd_m2)
+        shown = self.viewing.ellipse(-half, mark.size_deg, red)
+        self._spot = self.viewing.ellipse(half, spot.size_deg, self.levels.rgb(-1))
+        self.viewing.require_room((shown, self._spot), self.screen.size)
+        self._bleach = Picture(field_code(self.calibration, bleach.luminance_cd_m2, self.protocol.name))
+        self._rest = Picture(shapes=(shown,))
+        self._zero_s = self.clock()
+
+    def now_s(self) -> float:
+        """Return the time in s since the stage was set up, or as `resume_at` set it."""
+        return self.clock() - self._zero_s
+
+    def wall_s(self) -> float | None:
+        """Return the time of day as Unix time in s; None where time is simulated."""
+        return self.wall_clock() if self.wall_clock else None
+
+    def resume_at(self, time_s: float) -> None:
+        """Count on from a time, with the mark shown again. Raises DeviceError."""
+        self._zero_s = self.clock() - time_s
+        self.screen.show(self._rest)
+
+    def room_luminance_cd_m2(self) -> float | None:
+        """Return the luminance of the dark room; None where it cannot be measured."""
+        return self.room() if self.room else None
+
+    def facts(self) -> dict[str, Any]:
+        """Return what the journal should hold of the screen."""
+        low, high = self.levels.reach
+        return {
+            "screen": self.calibration.name,
+            "calibrated": self.calibration.created,
+            "distance_mm": self.viewing.distance_mm,
+            "pixel_mm": self.viewing.pixel_mm,
+            "reach_log10": [round(low, 4), round(high, 4)],
+            "coarsest_step_log10": round(self.levels.coarsest_step(self.protocol.spot.lowest_log10), 4),
+            "u_level_log10": [round(float(self.levels.u_log10[i]), 4) for i in (0, -1)],
+            "u_scale_log10": round(self.levels.u_common_log10, 4),
+            "mark_calibrated": mark_code(self.calibration, self.protocol.fixation.luminance_cd_m2)[1],
+            "u_press_s": round(self.u_press_s, 4),
+            "warnings": self.screen.warnings(),
+        }
+
+    def health(self) -> dict[str, str]:
+        """Return how the screen is, for whoever watches."""
+        wrong = self.screen.warnings()
+        frames = "" if self._last is None else f"{1 / self._last.frame_s:.0f} frames/s"
+        return {"screen": self.calibration.name, "page": "; ".join(wrong) or "as it should be", "shows": frames or "–"}
+
+    @property
+    def u_press_s(self) -> float:
+        """Return the standard uncertainty of the time of a press: its lag, and the frame in which the light came."""
+        frame_s = self._last.frame_s if self._last else 1 / 60
+        return math.hypot(PRESS_LAG_S, frame_s) / math.sqrt(12.0)
+
+    def bleach(self, protocol: AdaptationProtocol) -> None:
+        """Light the whole screen for the protocol's time, then leave the mark. Raises DeviceError."""
+        self.screen.show(self._bleach)
+        self.screen.rest(protocol.bleach.duration_s)
+        self.screen.show(self._rest)
+
+    def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
+        """Blink the spot once and return the presses in s from its onset. Raises DeviceError."""
+        spot, lit = self.protocol.spot, self._rest
+        if log10_level is not None:
+            rgb = self.levels.rgb(self.levels.nearest(log10_level))
+            lit = Picture(shapes=(*self._rest.shapes, in_codes(self._spot, rgb)))
+        seen = self._last = self.screen.blink(lit, self._rest, spot.on_s, spot.cycle_s)
+        self._note(seen.hold)
+        return list(seen.presses_s)
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass in the dark; presses then count for nothing. Raises DeviceError."""
+        self.rest(seconds)
+
+    def rest(self, seconds: float) -> int:
+        """Let time of a pause pass and return how often the button was pressed. Raises DeviceError."""
+        seen = self.screen.rest(seconds)
+        self._note(seen.hold)
+        return seen.presses
+
+    def long_press(self, at_least_s: float) -> float | None:
+        """Return when a press that lasts so long began, on the stage's clock; each is told once, None where none is."""
+        begun_s, lasted_s = self._held
+        if lasted_s < at_least_s:
+            return None
+        self._held, self._told_s = (0.0, 0.0), begun_s
+        return begun_s
+
+    def _note(self, hold: Hold) -> None:
+        """Remember the longest press; one that was told already may still go on."""
+        begun_s = self.now_s() - hold.began_ago_s
+        if hold.lasted_s > self._held[1] and begun_s > self._told_s + _SAME_PRESS_S:
+            self._held = (begun_s, hold.lasted_s)
+
+    def shown_log10(self, log10_level: float) -> float:
+        """Return the level that the screen shows where one is asked for: it has whole levels only."""
+        return float(self.levels.log10[self.levels.nearest(log10_level)])

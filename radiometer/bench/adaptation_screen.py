@@ -1,0 +1,194 @@
+"""A screen as the stage of the adaptation test: a page in a browser, or a simulated one before a simulated subject."""
+
+from __future__ import annotations
+
+import datetime as dt
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.adaptation.screen_levels import SpotLevels, within_reach
+from radiometer.adaptation.screen_stage import ScreenStage
+from radiometer.bench.screen import BROWSER, SIMULATED_DISPLAYS, START_TIMEOUT_S
+from radiometer.devices import DisplayPatch
+from radiometer.errors import CalibrationError, ConfigurationError, UsageError
+from radiometer.screen.calibration import ScreenCalibration
+from radiometer.screen.stimulus import Blink, Code, Hold, Picture, Rest, StimulusScreen, Viewing
+from simulators.displays import DISPLAYS, SimulatedDisplay
+from simulators.eye_kinetics import Eye
+from simulators.observer import Habits, Observer, ObserverAtScreen
+
+_FRAME_S: Final = 1 / 60
+_SIMULATED_SIZE: Final = (1920, 1080)
+_SIMULATED_PIXEL_MM: Final = 0.27
+_HABITS: Final[dict[str, tuple[Habits, float]]] = {
+    "steady": (Habits(), np.inf),
+    "never": (Habits(), -1.0),
+    "always": (Habits(false_alarms=1.0, lapses=0.0), np.inf),
+    "leaves": (Habits(), 600.0),
+}
+
+
+@dataclass(slots=True)
+class ObservedScreen:
+    """A simulated screen with a simulated subject before it, in simulated time.
+
+    Attributes:
+        watcher: The subject and the display.
+        seed: Makes the subject's answers.
+        slow_down_s: Real seconds that each blink takes, so that a run can be watched or interrupted.
+    """
+
+    watcher: ObserverAtScreen
+    seed: int = 0
+    slow_down_s: float = 0.0
+    _shown: Picture = field(default_factory=Picture)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Return width and height of the screen in pixels."""
+        return _SIMULATED_SIZE
+
+    def show(self, picture: Picture) -> None:
+        """Show a picture. Raises DeviceError, SettingOutOfRange."""
+        self._shown = picture
+        self.watcher.display.show(DisplayPatch(_drive(picture.field)))
+
+    def blink(self, lit: Picture, rest: Picture, on_s: float, cycle_s: float) -> Blink:
+        """Let the subject see what `lit` has beyond `rest`."""
+        spots = [shape for shape in lit.shapes if shape not in rest.shapes]
+        rgb = _drive(spots[0].rgb) if spots else (0.0, 0.0, 0.0)
+        # The answer follows from the time, so that a run that was taken up after a crash goes on as it would have.
+        clock = self.watcher.display.clock
+        self.watcher.observer.rng = np.random.default_rng([self.seed, round(1e3 * clock.now_s())])
+        reaction_s = self.watcher.answer(rgb)
+        self._pass(cycle_s)
+        return Blink(() if reaction_s is None else (reaction_s,), Hold(), on_s, _FRAME_S, _FRAME_S)
+
+    def rest(self, seconds: float) -> Rest:
+        """Let time pass; whoever looks at a bright field meanwhile is bleached."""
+        self._pass(seconds)
+        if max(self._shown.field) > 0:
+            self.watcher.stare(_drive(self._shown.field), seconds)
+        return Rest(0, Hold())
+
+    def warnings(self) -> list[str]:
+        """Return nothing: a simulated screen is as it should be."""
+        return []
+
+    def _pass(self, seconds: float) -> None:
+        self.watcher.display.clock.advance(seconds)
+        time.sleep(min(self.slow_down_s, seconds))
+
+
+class ObservedStage(ScreenStage):
+    """A simulated screen as a stage: what a crash has undone is done again in no time."""
+
+    def resume_at(self, time_s: float) -> None:
+        """Bleach the subject as it was, and move the clock to a time. Raises DeviceError."""
+        self.bleach(self.protocol)
+        if isinstance(self.screen, ObservedScreen):
+            self.screen.watcher.display.clock.advance(max(0.0, time_s - self.now_s()))
+
+
+def _drive(code: Code) -> tuple[float, float, float]:
+    return code[0] / 255, code[1] / 255, code[2] / 255
+
+
+@contextmanager
+def open_screen_stage(
+    protocol: AdaptationProtocol,
+    calibration: Path | None,
+    *,
+    display: str = BROWSER,
+    subject: str | None = None,
+    port: int = 0,
+    announce: Callable[[str], None] = lambda url: None,
+    seed: int = 0,
+    slow_down_s: float = 0.0,
+) -> Iterator[ScreenStage]:
+    """Open a calibrated screen as a stage for the block.
+
+    Args:
+        protocol: A protocol whose spot is on a screen.
+        calibration: The screen's calibration.
+        display: "browser", or "lcd", "pwm_lcd", "oled" for a simulated one.
+        subject: Simulated subject before a simulated display: "steady", "never", "always", "leaves".
+        port: Port of the page; 0 for any free one.
+        announce: Called with the page's address.
+        seed: Makes the simulated subject's answers.
+        slow_down_s: Real seconds that a simulated blink takes.
+
+    Raises:
+        UsageError: If protocol, display and subject do not go together, or no calibration is named.
+        CalibrationError: If the calibration is too old or does not hold what the protocol needs.
+        ConfigurationError: If the screen does not reach what the protocol asks for.
+        DeviceError: If the page cannot be shown.
+    """
+    if calibration is None:
+        raise UsageError(f"protocol {protocol.name} needs a calibrated screen: --screen FILE of `screen calibrate`")
+    known = ScreenCalibration.read(calibration)
+    _require_fresh(known, protocol)
+    reached = within_reach(protocol, SpotLevels.of(known, protocol.spot.channel))
+    if display == BROWSER:
+        if subject is not None:
+            raise UsageError("a simulated subject sees simulated displays only: --display lcd, pwm_lcd or oled")
+        with _browser(port, announce) as screen:
+            viewing = _viewing(protocol, known, None)
+            yield ScreenStage(screen, known, reached, viewing, time.monotonic, wall_clock=time.time)
+    elif display in SIMULATED_DISPLAYS:
+        watcher = _watcher(display, subject)
+        with watcher.display:
+            viewing = _viewing(protocol, known, _SIMULATED_PIXEL_MM)
+            screen_before = ObservedScreen(watcher, seed, slow_down_s)
+            yield ObservedStage(screen_before, known, reached, viewing, watcher.display.clock.now_s)
+    else:
+        raise UsageError(f"display {display!r} is unknown; choose {BROWSER}, {', '.join(SIMULATED_DISPLAYS)}")
+
+
+def _browser(port: int, announce: Callable[[str], None]) -> AbstractContextManager[StimulusScreen]:
+    from radiometer.screen.browser_stimulus import BrowserStimulus
+
+    return BrowserStimulus(port, announce=announce, start_timeout_s=START_TIMEOUT_S)
+
+
+def _watcher(display: str, subject: str | None) -> ObserverAtScreen:
+    if subject is None:
+        raise UsageError("a simulated display needs a simulated subject: --simulate steady, never, always or leaves")
+    if subject not in _HABITS:
+        raise UsageError(f"simulated subject {subject!r}: choose {', '.join(_HABITS)}")
+    habits, leaves_after_s = _HABITS[subject]
+    observer = Observer(Eye(), habits)
+    return ObserverAtScreen(observer, SimulatedDisplay(DISPLAYS[display]), leaves_after_s)
+
+
+def _require_fresh(calibration: ScreenCalibration, protocol: AdaptationProtocol) -> None:
+    try:
+        created = dt.datetime.fromisoformat(calibration.created)
+    except ValueError as error:
+        raise CalibrationError(
+            f"screen {calibration.name}: its calibration says {calibration.created!r} for when it was made; calibrate "
+            "it again"
+        ) from error
+    days = (dt.datetime.now(dt.UTC) - created).total_seconds() / 86400
+    if days > protocol.safety.calibration_days:
+        raise CalibrationError(
+            f"screen {calibration.name}: its calibration is {days:.0f} days old, protocol {protocol.name} allows "
+            f"{protocol.safety.calibration_days:g}: calibrate it again, or raise safety.calibration_days"
+        )
+
+
+def _viewing(protocol: AdaptationProtocol, calibration: ScreenCalibration, otherwise_mm: float | None) -> Viewing:
+    pixel_mm = protocol.viewing.pixel_mm or calibration.pixel_mm or otherwise_mm
+    if pixel_mm is None:
+        raise ConfigurationError(
+            "the distance of two pixels is not known: measure the picture's width, divide it by its pixels, and give "
+            "it as viewing.pixel_mm in the protocol or as --pixel-mm to `screen calibrate`"
+        )
+    return Viewing(protocol.viewing.distance_mm, pixel_mm)

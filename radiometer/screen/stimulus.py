@@ -1,0 +1,140 @@
+"""What a subject sees on a screen: a field, a mark, a spot; where they stand for an eye at a distance."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+from radiometer.errors import ConfigurationError
+
+Code = tuple[int, int, int]
+BLACK: Code = (0, 0, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A uniform ellipse.
+
+    Attributes:
+        x: Its middle right of the screen's middle in pixels.
+        y: Its middle below the screen's middle in pixels.
+        width: Its width in pixels.
+        height: Its height in pixels.
+        rgb: Codes 0 to 255 of red, green and blue.
+    """
+
+    x: float
+    y: float
+    width: float
+    height: float
+    rgb: Code
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A uniform field with shapes on it, the last in front."""
+
+    field: Code = BLACK
+    shapes: tuple[Shape, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """The longest press since last asked: how long it lasted, or has lasted so far, and how long ago it began, in s."""
+
+    lasted_s: float = 0.0
+    began_ago_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Blink:
+    """How a blink went, on the screen's own clock.
+
+    Attributes:
+        presses_s: Presses in s from the onset of the light.
+        hold: The longest press, begun before or during it.
+        on_s: How long the light was on.
+        frame_s: Time between two frames.
+        longest_frame_s: Longest time between two frames; twice `frame_s` and more means that frames were dropped.
+    """
+
+    presses_s: tuple[float, ...]
+    hold: Hold
+    on_s: float
+    frame_s: float
+    longest_frame_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """What was pressed while nothing was shown: how often, and the longest press."""
+
+    presses: int
+    hold: Hold
+
+
+class StimulusScreen(Protocol):
+    """A screen before a subject, with a button."""
+
+    def show(self, picture: Picture) -> None:
+        """Show a picture and return once it is on screen. Raises DeviceError."""
+        ...
+
+    def blink(self, lit: Picture, rest: Picture, on_s: float, cycle_s: float) -> Blink:
+        """Show `lit` for a time, then `rest` until the cycle is over; return what was pressed. Raises DeviceError."""
+        ...
+
+    def rest(self, seconds: float) -> Rest:
+        """Let time pass and return what was pressed. Raises DeviceError."""
+        ...
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Return width and height of the screen in pixels."""
+        ...
+
+    def warnings(self) -> list[str]:
+        """Return what on the screen's side may falsify a test."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Viewing:
+    """An eye before the middle of a flat screen, the mark and the spot on either side of it.
+
+    Attributes:
+        distance_mm: Distance of the eye from the screen in mm.
+        pixel_mm: Distance of two pixels in mm.
+    """
+
+    distance_mm: float
+    pixel_mm: float
+
+    def ellipse(self, at_deg: float, size_deg: float, rgb: Code) -> Shape:
+        """Return what covers a circle of visual angle around a direction in the horizontal.
+
+        Args:
+            at_deg: Direction from the screen's middle, right of it positive.
+            size_deg: Diameter in degrees.
+            rgb: Its codes.
+        """
+        scale = self.distance_mm / self.pixel_mm
+        left, right = (math.tan(math.radians(at_deg + side * size_deg / 2)) for side in (-1, 1))
+        height = 2.0 * math.tan(math.radians(size_deg / 2)) / math.cos(math.radians(at_deg))
+        return Shape(scale * (left + right) / 2, 0.0, scale * (right - left), scale * height, rgb)
+
+    def require_room(self, shapes: tuple[Shape, ...], size: tuple[int, int]) -> None:
+        """Refuse shapes that a screen of a width and height in pixels does not hold. Raises ConfigurationError."""
+        for shape in shapes:
+            reach = 2 * (abs(shape.x) + shape.width / 2)
+            if reach > size[0] or shape.height > size[1]:
+                raise ConfigurationError(
+                    f"mark and spot need a page {reach:.0f} pixels wide at {self.distance_mm:g} mm; it has {size[0]}: "
+                    "go to full screen, sit closer (viewing.distance_mm) or lower spot.eccentricity_deg"
+                )
+
+
+def in_codes(shape: Shape, rgb: Code) -> Shape:
+    """Return a shape in other codes."""
+    return Shape(shape.x, shape.y, shape.width, shape.height, rgb)

@@ -1,0 +1,136 @@
+"""The page of a running test in a real browser: points grow, pause reaches the run, nothing is green or blue."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from radiometer.adaptation.controls import Controls
+from radiometer.adaptation.live_page import LivePage
+from radiometer.adaptation.protocol import read_protocol
+from simulators.subject import SubjectCurve
+from tests.system.chromium import Browser, headless
+
+PHONE = (390, 844)
+
+
+@pytest.fixture
+async def browser(tmp_path: Path) -> AsyncIterator[Browser]:
+    """Return a headless browser of a phone's size."""
+    async with headless(tmp_path / "profile") as driver:
+        await driver.be_a_phone(*PHONE)
+        yield driver
+
+
+@pytest.fixture
+def served() -> Iterator[tuple[LivePage, Controls]]:
+    """Return the open page of a test that has begun, and its controls."""
+    controls = Controls()
+    with LivePage(read_protocol("classic"), controls, audio=True, health=lambda: {"supply": "5.02 V"}) as page:
+        for number, (kind, time_s, facts) in enumerate(
+            (("start", 0.0, {"subject": "S07"}), ("bleach", 0.1, {}), ("dark", 120.1, {}))
+        ):
+            page.tell({"sequence": number, "kind": kind, "time_s": time_s, **facts})
+        yield page, controls
+
+
+def _tell_trials(page: LivePage, first: int, count: int) -> None:
+    """Tell trials every half minute: thresholds of a healthy curve, one catch that was pressed for every ten."""
+    for number in range(first, first + count):
+        minutes = 0.5 * (number + 1)
+        event: dict[str, Any] = {"sequence": 10 + 2 * number, "time_s": 120.1 + 60 * minutes}
+        page.tell({**event, "kind": "blink", "log10_level": -1.0, "presses_s": [0.4]})
+        found = round(SubjectCurve().threshold(minutes) + 0.05 * (-1) ** number, 3)
+        trial = {"catch": True, "false_press": True, "threshold": None}
+        if number % 10 != 9:
+            trial = {"catch": False, "false_press": False, "threshold": found, "minutes": minutes}
+        page.tell({**event, "sequence": 11 + 2 * number, "kind": "trial", **trial})
+
+
+async def _text(browser: Browser, name: str) -> str:
+    return str(await browser.evaluate(f"document.getElementById('{name}').textContent"))
+
+
+async def _wait_for_text(browser: Browser, name: str, text: str) -> None:
+    await browser.wait_for(f"document.getElementById('{name}').textContent === {text!r}")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(150)
+async def test_page_shows_points_grow_and_survives_a_reload(
+    served: tuple[LivePage, Controls], browser: Browser
+) -> None:
+    """Phase, counts, fit and devices appear; a reload has all of it again; nothing is loaded from elsewhere."""
+    page, _ = served
+    await browser.command("Page.navigate", url=page.url)
+    await _wait_for_text(browser, "phase", "Look at the red mark")
+    _tell_trials(page, 0, 5)
+    await _wait_for_text(browser, "found", "5")
+    few = int((await browser.picture())[..., 0].astype(int).sum())
+    _tell_trials(page, 5, 45)
+    await _wait_for_text(browser, "found", "45")
+    await browser.wait_for("document.getElementById('fit').textContent.includes('break')")
+    await browser.command("Page.reload")
+    await _wait_for_text(browser, "found", "45")
+    await browser.wait_for("document.getElementById('fit').textContent.includes('break')")
+    assert await _text(browser, "catches") == await _text(browser, "false") == "5"
+    assert "5.02 V" in await _text(browser, "devices")
+    assert "S07" in await _text(browser, "who")
+    assert int((await browser.picture())[..., 0].astype(int).sum()) > few
+    page.tell({"sequence": 900, "kind": "prompt", "time_s": 2000.0, "say": "end"})
+    await browser.wait_for("played.includes('end')")
+    page.tell({"sequence": 901, "kind": "end", "time_s": 2000.0, "verdict": "complete", "explanation": "all of it"})
+    await _wait_for_text(browser, "phase", "Over: complete")
+    assert [url for url in browser.requested if not url.startswith((page.url.split("?")[0], "data:"))] == []
+    assert browser.errors == []
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(150)
+async def test_nothing_on_the_page_is_green_or_blue(served: tuple[LivePage, Controls], browser: Browser) -> None:
+    """At its brightest and with every part shown not one pixel has green or blue; as opened the red stays below 100."""
+    page, _ = served
+    _tell_trials(page, 0, 40)
+    await browser.command("Page.navigate", url=page.url)
+    await _wait_for_text(browser, "found", "36")
+    picture = await browser.picture()
+    assert picture.shape[:2] == (2 * PHONE[1], 2 * PHONE[0])
+    assert picture[..., 1:].max() == 0
+    assert 30 < picture[..., 0].max() < 100
+    assert picture[..., 0].mean() < 10
+    await browser.evaluate("for (let n = 0; n < 9; n++) document.getElementById('brighter').click()")
+    await browser.evaluate("document.getElementById('stop').focus(); document.getElementById('stop').click()")
+    await browser.evaluate("getSelection().selectAllChildren(document.body)")
+    brightest = await browser.picture()
+    assert brightest[..., 1:].max() == 0
+    assert brightest[..., 0].max() > picture[..., 0].max()
+    assert await browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(150)
+async def test_buttons_reach_the_run_and_a_browser_may_go(served: tuple[LivePage, Controls], browser: Browser) -> None:
+    """Pause, resume and, on the second press, stop; the page may be left meanwhile."""
+    page, controls = served
+    await browser.command("Page.navigate", url=page.url)
+    await browser.wait_for("!document.getElementById('pause').disabled")
+    await browser.evaluate("document.getElementById('pause').click()")
+    await _wait_for_text(browser, "pause", "Resume")
+    assert controls.paused_by == "page"
+    await browser.evaluate("document.getElementById('pause').click()")
+    await _wait_for_text(browser, "pause", "Pause")
+    assert controls.paused_by is None
+    await browser.command("Page.navigate", url="about:blank")
+    _tell_trials(page, 0, 3)
+    await browser.command("Page.navigate", url=page.url)
+    await _wait_for_text(browser, "found", "3")
+    said = "document.getElementById('stop').click(); document.getElementById('say').textContent"
+    assert "once more" in await browser.evaluate(said)
+    assert controls.stopped_by is None
+    # The first of these stops, or arms anew where the machine was too slow, and then the second stops.
+    await browser.evaluate("document.getElementById('stop').click(); document.getElementById('stop').click()")
+    await _wait_for_text(browser, "say", "stopping …")
+    assert controls.stopped_by == "page"

@@ -1,0 +1,139 @@
+"""The state of a running test by its events, its running fit, its prompts and its picture in a terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.adaptation.journal import Event, Journal
+from radiometer.adaptation.live import LiveState, running_fit
+from radiometer.adaptation.prompts import Prompter, prompts_after
+from radiometer.adaptation.protocol import read_protocol
+from radiometer.cli.adapt_live import live_lines
+from radiometer.cli.terminal_chart import TerminalChart
+from simulators.subject import SubjectCurve
+
+
+def _event(kind: str, time_s: float, **facts: Any) -> Event:
+    return {"sequence": round(10 * time_s), "kind": kind, "time_s": time_s, **facts}
+
+
+def _trial(time_s: float, threshold: float | None, *, false: bool = False, catch: bool = False) -> Event:
+    minutes = {} if catch else {"minutes": (time_s - 120) / 60}
+    return _event("trial", time_s, catch=catch, false_press=false, threshold=threshold, **minutes)
+
+
+@pytest.fixture
+def state() -> LiveState:
+    """Return the state of a test that has just gone dark, after 120 s."""
+    state = LiveState(read_protocol("classic"))
+    for event in (_event("start", 0.0, subject="S1"), _event("bleach", 0.1), _event("dark", 120.0)):
+        state.take(event)
+    return state
+
+
+def test_phases_follow_the_events(state: LiveState) -> None:
+    """Bleach, fixation, threshold, pause and the end; notes in between change nothing."""
+    seen = [state.phase]
+    for event in (
+        _event("blink", 121.0, log10_level=0.5, presses_s=[]),
+        _event("prompt", 121.0, say="threshold"),
+        _trial(122.0, 0.5),
+        _event("pause", 123.0, by="page", voids=None),
+        _event("resume", 130.0, by="page"),
+        _event("end", 140.0, verdict="stopped", explanation="enough"),
+    ):
+        state.take(event)
+        seen.append(state.phase)
+    assert seen == ["fixation", "threshold", "threshold", "fixation", "paused", "fixation", "over"]
+    assert state.outcome == ("stopped", "enough")
+    assert state.to_mapping()["subject"] == "S1"
+
+
+def test_false_presses_are_caught_and_hasty_ones(state: LiveState) -> None:
+    """One pressed catch of two and one hasty press make two false presses; the hasty trial has no threshold."""
+    for event in (
+        _trial(130, None, catch=True),
+        _trial(140, None, catch=True, false=True),
+        _trial(150, None, false=True),
+        _trial(160, -0.5),
+    ):
+        state.take(event)
+    told = state.to_mapping()
+    assert (told["catches"], told["false_presses"]) == (2, 2)
+    assert told["points"] == [[round(40 / 60, 3), -0.5]]
+    assert told["missed"] == [0.5]
+
+
+def test_trial_that_a_long_press_voided_is_taken_back(state: LiveState) -> None:
+    """The pause names the trial; its threshold is on no curve."""
+    state.take(_trial(130, 0.2))
+    state.take(_trial(140, -0.1))
+    state.take(_event("pause", 141, by="subject", voids=1400))
+    assert [value for _, value in state.points] == [0.2]
+
+
+def test_running_fit_finds_the_break_and_says_why_there_is_none() -> None:
+    """Too few thresholds and a flat curve are said so; a whole curve with 0.05 log10 of noise has its break at 9 min.
+
+    The break of 70 thresholds is known to about 0.3 min (`benchmarks/adaptation_cohort`); 4 sigmas are allowed.
+    """
+    rng = np.random.default_rng(3)
+    whole = [(t, SubjectCurve().threshold(t) + rng.normal(0, 0.05)) for t in np.arange(0.5, 35, 0.5)]
+    fit = running_fit(whole)
+    assert float(fit.text.split("break ")[1].split()[0]) == pytest.approx(9.0, abs=1.2)
+    errors = [value - SubjectCurve().threshold(t) for t, value in fit.curve]
+    assert np.sqrt(np.mean(np.square(errors))) < 0.1
+    assert running_fit(whole[:5]).text == "a fit needs 8 thresholds"
+    assert "no fit yet" in running_fit([(t, -1.0) for t, _ in whole]).text
+
+
+def test_chart_sets_dots_where_the_points_are() -> None:
+    """The corners of the ranges are the corner dots; a point outside is not drawn."""
+    chart = TerminalChart(4, 2, (0.0, 1.0), (0.0, 1.0))
+    chart.dots([(0.0, 0.0), (1.0, 1.0), (0.5, 2.0)])
+    top, bottom, *_ = chart.lines([0, 1], [0, 1], "min")
+    assert top[6:] == "⠀⠀⠀⠈"
+    assert bottom[6:] == "⡀⠀⠀⠀"
+    assert (top[:6], bottom[:6]) == ("   1 ┤", "   0 ┤")
+
+
+def test_terminal_shows_clock_curve_and_counts(state: LiveState) -> None:
+    """13 lines of chart between the clock and the counts; the level that blinks is told."""
+    for minute in range(1, 12):
+        state.take(_trial(120.0 + 60 * minute, SubjectCurve().threshold(minute)))
+    state.take(_event("blink", 781.0, log10_level=-1.5, presses_s=[0.4]))
+    lines = live_lines(state, running_fit(state.points), 60, waited_s=2.0)
+    assert lines[0].startswith("11:03 in the dark")
+    assert lines[-1].startswith("11 thresholds   0 not seen")
+    assert lines[-1].endswith("spot -1.50  pressed")
+    assert sum("⠀" in line for line in lines) == 12
+    assert max(map(len, lines)) < 80
+
+
+def test_prompts_follow_the_phases() -> None:
+    """Every phase and every threshold has its sound, catches and misses have none."""
+    said = {kind: prompts_after(_event(kind, 1.0)) for kind in ("start", "bleach", "dark", "pause", "resume", "end")}
+    assert said["dark"] == ("dark", "mark")
+    assert all(said[kind] == (kind,) for kind in ("bleach", "pause", "resume", "end"))
+    assert said["start"] == ()
+    assert prompts_after(_trial(5, -1.0)) == ("threshold",)
+    assert prompts_after(_trial(5, None)) == prompts_after(_trial(5, None, catch=True)) == ()
+
+
+@pytest.mark.parametrize("given", [0, 1, 2])
+def test_prompts_that_a_crash_left_out_are_given_once(tmp_path: Path, given: int) -> None:
+    """With none, one or both of two prompts in the journal, taking it up leaves both there, in order."""
+    heard: list[Event] = []
+    with Journal(tmp_path / "j") as journal:
+        journal.write("dark", 120.0, steady=True)
+        for say in ("dark", "mark")[:given]:
+            journal.write("prompt", 120.0, say=say)
+        prompter = Prompter(journal, heard.append)
+        prompter.catch_up()
+        prompter.catch_up()
+        assert [event["say"] for event in journal.of_kind("prompt")] == ["dark", "mark"]
+    assert len(heard) == 2 - given
