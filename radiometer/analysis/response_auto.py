@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.response_basis import ValueBasis, hat_weight
 from radiometer.analysis.response_curves import finished_curve, rising, supported_range
 from radiometer.analysis.response_debevec1997 import curve_debevec1997
-from radiometer.analysis.response_estimate import ResponseEstimate, compare_thirds
+from radiometer.analysis.response_estimate import ResponseEstimate, compare_thirds, inner_range
 from radiometer.analysis.response_fit import ResponseFit, fit_response, time_error_modes
 from radiometer.analysis.response_noise import LogNoise, fit_log_noise
 from radiometer.analysis.response_noise_shift import ASSUMPTION, mean_exposure_dn
@@ -24,10 +24,16 @@ Array = NDArray[np.float64]
 
 # Hat weight from which a row counts in full: 5 % of the range away from black and from saturation.
 _FULLY_TRUSTED_HAT = 0.1
+# Exposures nearer to each other than this, in ln t, count as repeats of one.
+_LEAST_STEP = 0.1
 # What the spline itself can be off by in ln H.
 _LEAST_U_LOG = 1e-4
 
 METHOD = "auto"
+# One λ stands for the whole curve, but real responses are rougher in some places (near black above all) than on
+# average. By this factor the error that smoothness leaves is larger than a curve of even roughness would have: over the
+# DoRF curves it makes the mean squared error in units of u about 1 (benchmarks/response_accuracy.py states it).
+_UNEVEN_ROUGHNESS = 2.0
 # Below this the rounding to whole numbers is a large part of the exposure; the cut is made on the value that the
 # other frames predict, because a cut on the noisy value itself would keep the brighter half.
 _LEAST_PREDICTED_DN = 6.0
@@ -43,7 +49,8 @@ def recover_response_auto(brackets: Bracket | Sequence[Bracket]) -> ResponseEsti
 
     The bend is the third difference over the basis variable. Frames at whole stops leave a wave in ln H with a
     period of one stop undetermined, whatever the method: there the curve is as smooth as the data allow. Other
-    ratios (say 1.6) determine it. The stated uncertainty is that of the data under the smoothness so chosen.
+    ratios (say 1.6) determine it. The stated uncertainty holds the noise of the pixels and, beside it, what smoothness
+    decided where the data did not; disjoint parts of the pixels share the latter, so they are compared by the former.
 
     Args:
         brackets: One bracket or several taken with the same response, 8 to 16 bits; fitted jointly.
@@ -63,16 +70,16 @@ def recover_response_auto(brackets: Bracket | Sequence[Bracket]) -> ResponseEsti
 @on_one_blas_thread
 def solve_auto(samples: ResponseSamples) -> ResponseEstimate:
     """Recover the response from gathered samples; see `recover_response_auto`."""
-    start = curve_debevec1997(samples).log_exposure
-    result = _fit(samples, start)
+    result = _fit(samples, curve_debevec1997(samples).log_exposure)
     thirds = []
     if samples.group_count >= 60:
         parts = [samples.third(k) for k in range(3)]
-        thirds = [_fit(p, result.log_exposure, result.noise, result.fit.time_spread).curve(p) for p in parts]
+        fits = [_fit(p, result.log_exposure, result.noise, result.fit.time_spread) for p in parts]
+        thirds = [fit.curve(part, fit.u_pixels) for fit, part in zip(fits, parts, strict=True)]
     fit, times = result.fit, samples.frame_log_time
     ratios, u_ratios = _exposure_ratios(fit, times)
     return ResponseEstimate(
-        curve=result.curve(samples),
+        curve=result.curve(samples, result.u_log_exposure),
         method=METHOD,
         pixel_count=samples.pixel_count,
         group_count=result.samples.group_count,
@@ -87,6 +94,7 @@ def solve_auto(samples: ResponseSamples) -> ResponseEstimate:
         details={
             "noise": result.noise.to_mapping(),
             "reduced_chi2": fit.reduced_chi2,
+            "median_u_of_pixels": float(np.median(result.u_pixels[inner_range(supported_range(result.samples))])),
             "time_spread": fit.time_spread,
             "log_time_errors": [float(error) for error in _log_time_errors(fit, times)],
         },
@@ -99,7 +107,13 @@ class _Result:
     fit: ResponseFit
     noise: LogNoise
     log_exposure: Array
-    u_log_exposure: Array
+    u_pixels: Array
+    u_shared: Array
+
+    @property
+    def u_log_exposure(self) -> Array:
+        """Return the standard uncertainty from the pixels' noise and from what all pixels share."""
+        return np.hypot(self.u_pixels, self.u_shared)
 
     @property
     def residual_rms_log(self) -> float:
@@ -107,11 +121,11 @@ class _Result:
         residual = normal.residuals(self.fit.solution)
         return float(np.sqrt(normal.weight @ residual**2 / normal.weight.sum()))
 
-    def curve(self, samples: ResponseSamples) -> ResponseCurve:
+    def curve(self, samples: ResponseSamples, u: Array) -> ResponseCurve:
         times = "exposure times as stated" if not self.fit.time_spread else "exposure times right on average"
         return finished_curve(
             self.log_exposure,
-            self.u_log_exposure,
+            u,
             supported_range(self.samples),
             method=METHOD,
             channel=samples.channel,
@@ -137,14 +151,18 @@ def _fit(
         found = fit_log_noise(left, fit.leverage(), _at(g, dn), slope_at(g, dn, samples), samples.pixels)
         fit = fit_response(samples, dn, _variance(samples, dn, g, found), time_spread=fit.time_spread)
     basis = ValueBasis(samples.bit_depth, limits)
-    every = np.asarray(basis.all_values().toarray())
-    from_middle = every - every[every.shape[0] // 2]
-    covariance = fit.covariance()[: basis.size, : basis.size]
-    u = np.sqrt(np.maximum(np.einsum("ij,ij->i", from_middle @ covariance, from_middle), 0.0))
+    from_middle = basis.all_values().toarray()
+    from_middle -= from_middle[from_middle.shape[0] // 2].copy()
+
+    def u_of(covariance: Array) -> Array:
+        inner = covariance[: basis.size, : basis.size]
+        return np.asarray(np.sqrt(np.maximum(np.einsum("ij,ij->i", from_middle @ inner, from_middle), 0.0)))
+
     g = _values(samples, fit.coefficients)
     # Wrong times leave the exponent of the curve as uncertain as the mean of so many of them.
     u_exponent = fit.time_spread / float(np.linalg.norm(samples.frame_log_time - samples.frame_log_time.mean()))
-    return _Result(samples, fit, found, g, np.hypot(u, (g - g[g.size // 2]) * u_exponent))
+    u_shared = np.hypot(_UNEVEN_ROUGHNESS * u_of(fit.smoothness_covariance()), (g - g[g.size // 2]) * u_exponent)
+    return _Result(samples, fit, found, g, u_of(fit.covariance()), u_shared)
 
 
 def _values(samples: ResponseSamples, coefficients: Array) -> Array:
@@ -192,11 +210,19 @@ def _variance(samples: ResponseSamples, dn: Array, log_exposure: Array, noise: L
 
 
 def slope_at(log_exposure: Array, dn: Array, samples: ResponseSamples) -> Array:
-    """Return g' in 1/DN at digital numbers, over a step that grows with the distance from black and saturation."""
+    """Return g' in 1/DN at digital numbers, over half an exposure step to either side.
+
+    A wave of one step's period, which the data cannot see, drops out: were it in the slope, and so in the weights, it
+    would give weight to what agrees with it and feed itself.
+    """
     limits = samples.limits
-    step = np.maximum(1.0, 0.03 * np.minimum(dn - limits.black_dn, limits.saturated_dn - dn))
-    rise = _at(log_exposure, dn + step) - _at(log_exposure, dn - step)
-    return np.asarray(np.maximum(rise / (2.0 * step), 1e-9))
+    ends = _at(log_exposure, np.array([limits.black_dn, limits.saturated_dn], dtype=np.float64))
+    step = max(float(np.median(np.diff(np.unique(samples.frame_log_time)))), _LEAST_STEP)
+    here = _at(log_exposure, dn)
+    low, high = np.maximum(here - 0.5 * step, ends[0]), np.minimum(here + 0.5 * step, ends[1])
+    numbers = np.arange(log_exposure.size)
+    rise = np.interp(high, log_exposure, numbers) - np.interp(low, log_exposure, numbers)
+    return np.asarray(np.maximum((high - low) / np.maximum(rise, 1e-9), 1e-9))
 
 
 def _at(log_exposure: Array, dn: Array) -> Array:

@@ -11,7 +11,9 @@ from scipy.interpolate import BSpline
 
 from radiometer.analysis.response_limits import ValueLimits
 
-_SPLINE_PIECES = 56
+# Twice as many as real responses have bends: a wave of one stop's period must fit into the basis itself, or data that
+# cannot see it seem to rule it out.
+_SPLINE_PIECES = 112
 _ROUGHNESS_ORDER = 3
 
 
@@ -42,7 +44,8 @@ class ValueBasis:
         low, high = self._bounds()
         step = (high - low) / _SPLINE_PIECES
         knots = low + step * np.arange(-3, _SPLINE_PIECES + 4)
-        return sp.csr_array(BSpline.design_matrix(np.clip(u, low, high), knots, 3))
+        # The last inner knot may lie a rounding error below `high`.
+        return sp.csr_array(BSpline.design_matrix(np.clip(u, knots[3], knots[-4]), knots, 3))
 
     def all_values(self) -> sp.csr_array:
         """Return the design for every digital number, shape (2**bit_depth, size)."""

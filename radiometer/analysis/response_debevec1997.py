@@ -19,6 +19,8 @@ from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError
 
 METHOD = "debevec1997"
+# Hat weight that the first guess of other methods asks for: 4 % of the range away from black and from saturation.
+_CLEAR_HAT = 0.08
 
 
 def recover_response_debevec1997(
@@ -54,10 +56,10 @@ def recover_response_debevec1997(
 @on_one_blas_thread
 def solve_debevec1997(samples: ResponseSamples, *, smoothing: float | None = None) -> ResponseEstimate:
     """Recover the response from gathered samples; see `recover_response_debevec1997`."""
-    first = _solve(samples, smoothing)[0]
-    samples = _noise_taken_out(samples, first)
+    samples = without_noise_shift(samples, curve_debevec1997(samples))
     curve, normal, solution = _solve(samples, smoothing)
-    thirds = [_solve(samples.third(k), solution.smoothing)[0] for k in range(3)] if samples.group_count >= 60 else []
+    parts = [samples.third(k) for k in range(3)] if samples.group_count >= 60 else []
+    thirds = [_solve(part, solution.smoothing, of_pixels=True)[0] for part in parts]
     residual = normal.residuals(solution.coefficients)
     times = samples.frame_log_time
     return ResponseEstimate(
@@ -76,17 +78,29 @@ def solve_debevec1997(samples: ResponseSamples, *, smoothing: float | None = Non
 
 
 def curve_debevec1997(samples: ResponseSamples) -> ResponseCurve:
-    """Return the curve alone, for methods that start from it."""
-    return _solve(samples, None)[0]
+    """Return the curve alone, for methods that start from it: from values clear of black and saturation.
+
+    A plateau close to white (film, some tone curves) would bend the whole curve by a wave of one stop's period.
+    """
+    try:
+        return _solve(samples.kept(hat_weight(samples.dn, samples.limits) > _CLEAR_HAT), None)[0]
+    except MeasurementError:  # too few values for that luxury
+        return _solve(samples, None)[0]
 
 
-def _noise_taken_out(samples: ResponseSamples, first: ResponseCurve) -> ResponseSamples:
+def without_noise_shift(samples: ResponseSamples, first: ResponseCurve) -> ResponseSamples:
+    """Return the samples with every mean digital number replaced by that of the mean exposure.
+
+    Args:
+        samples: The rows.
+        first: A first estimate of the curve.
+    """
     shifted = mean_exposure_dn(samples.dn, samples.variance, first.log_exposure, samples.limits)
     return replace(samples, dn=np.clip(shifted, samples.limits.black_dn, samples.limits.saturated_dn))
 
 
 def _solve(
-    samples: ResponseSamples, smoothing: float | None
+    samples: ResponseSamples, smoothing: float | None, *, of_pixels: bool = False
 ) -> tuple[ResponseCurve, NormalEquations, PenalisedSolution]:
     basis = ValueBasis(samples.bit_depth, samples.limits)
     hat = hat_weight(samples.dn, samples.limits)
@@ -98,18 +112,20 @@ def _solve(
     middle = basis.design(np.array([float(1 << (samples.bit_depth - 1))])).toarray()[0]
     solution = solve_penalised(normal, basis.roughness(), middle, smoothing)
     meat = normal.robust_meat(solution.coefficients)
-    # Bayesian share of the penalty: what smoothing may have bent.
-    bend = solution.inverse - solution.inverse @ normal.matrix @ solution.inverse
-    covariance = solution.inverse @ meat @ solution.inverse + solution.residual_variance * bend
-    try:
-        half = np.linalg.cholesky(covariance + np.eye(basis.size) * 1e-15 * float(np.trace(covariance)))
-    except np.linalg.LinAlgError as error:
+    covariance = solution.inverse @ meat @ solution.inverse
+    if not of_pixels:
+        # Bayesian share of the penalty: what smoothing may have bent. Parts of the pixels share it.
+        bend = solution.inverse - solution.inverse @ normal.matrix @ solution.inverse
+        covariance = covariance + solution.residual_variance * bend
+    if not np.all(np.isfinite(covariance)):
         raise MeasurementError(
             "the frames hold too few different pixel values for a response; photograph a scene with more tones"
-        ) from error
+        )
+    from_middle = every.toarray() - middle
+    variance = np.einsum("ij,ij->i", from_middle @ covariance, from_middle)
     curve = finished_curve(
         every @ solution.coefficients,
-        np.sqrt(np.square(every @ half - middle @ half).sum(axis=1)),
+        np.sqrt(np.maximum(variance, 0.0)),
         supported_range(samples),
         method=METHOD,
         channel=samples.channel,

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 _TIME_SPREADS = (0.001, 0.003, 0.01, 0.03)
 # Twice the gain in log likelihood that calls for errors of the exposure times.
 _CALLS_FOR_TIME_ERRORS = 20.0
-_SMOOTHINGS = np.logspace(-6, 5, 23)
+_SMOOTHINGS = np.logspace(-6, 9, 31)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +54,10 @@ class ResponseFit:
     def covariance(self) -> Array:
         """Return the covariance of the solution, from the scatter of whole groups, with no noise model assumed."""
         return np.asarray(self.inverse @ self.normal.robust_meat(self.solution) @ self.inverse)
+
+    def smoothness_covariance(self) -> Array:
+        """Return the part of the posterior covariance that the smoothness (and the prior of the times) decides."""
+        return np.asarray(self.inverse - self.inverse @ self.normal.matrix @ self.inverse)
 
     def leverage(self) -> Array:
         """Return the part of each row's own noise that curve and group took up, 0 to 0.95."""

@@ -85,8 +85,8 @@ def solve_mitsunaga1999(
         return np.concatenate([_log_curve(inner.coefficients, size), inner.log_ratios])
 
     u = jackknife(samples, values)
-    u[:size] = np.hypot(u[:size], _misfit(pairs, order, gauge, size))
-    curve = _curve(samples, fit.coefficients, u[:size], order)
+    total = np.hypot(u[:size], _misfit(pairs, order, gauge, size))
+    curve = _curve(samples, fit.coefficients, total, order)
     thirds = [
         _curve(part, _fit(_Pairs.of(part, start, pairs.frames), order, gauge).coefficients, u[:size] * 3**0.5, order)
         for part in (samples.third(k) for k in range(3))
@@ -258,9 +258,9 @@ def _best_order(pairs: _Pairs, gauge: _Gauge) -> int:
 def _misfit(pairs: _Pairs, order: int, gauge: _Gauge, size: int) -> Array:
     """Return how far the curves of the neighbouring orders lie away: what a polynomial of this order cannot tell."""
     here = _log_curve(_fit(pairs, order, gauge).coefficients, size)
-    near = [o for o in (order - 1, order + 1) if o >= 1]
+    near = [o for o in (order - 2, order - 1, order + 1, order + 2) if o >= 1]
     gaps = [np.abs(_log_curve(_fit(pairs, o, gauge).coefficients, size) - here) for o in near]
-    return np.asarray(np.mean(gaps, axis=0))
+    return np.asarray(np.max(gaps, axis=0))
 
 
 def _rises(coefficients: Array, pairs: _Pairs) -> bool:

@@ -121,7 +121,7 @@ def solve_penalised(
     fixed = normal.matrix + np.outer(gauge, gauge) * float(np.trace(normal.matrix)) / float(gauge @ gauge)
     if smoothing is not None:
         return _finish(normal, penalty, fixed, smoothing * scale, smoothing)
-    grid = np.logspace(-12, 4, 33)
+    grid = np.logspace(-12, 7, 39)
     scores = [_restricted_deviance(normal, penalty, fixed, value * scale, order) for value in grid]
     if not np.isfinite(np.min(scores)):
         raise MeasurementError(

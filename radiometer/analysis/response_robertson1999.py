@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.response_curves import finished_curve, supported_range
+from radiometer.analysis.response_debevec1997 import curve_debevec1997, without_noise_shift
 from radiometer.analysis.response_estimate import ResponseEstimate, compare_thirds
 from radiometer.analysis.response_jackknife import jackknife
 from radiometer.analysis.response_samples import ResponseSamples, gather_samples
@@ -20,18 +21,24 @@ Array = NDArray[np.float64]
 METHOD = "robertson1999"
 # Nodes of I(M): one per digital number at 8 bits, then straight lines in between.
 _NODES = 256
-_ITERATIONS = 250
-_STILL = 2e-6
+_ITERATIONS = 30
+# The iteration has no smoothing: what it still moves by less than this is noise that it begins to follow.
+_STILL = 1e-3
+# The Gaussian weight at black and saturation, taken off so that it is 0 there (as OpenCV and pfstools do).
+_LEAST_WEIGHT = float(np.exp(-4.0)) * (1.0 - 1e-3)
 
 
 def recover_response_robertson1999(brackets: Bracket | Sequence[Bracket]) -> ResponseEstimate:
     """Recover I(M), the exposure behind every digital number, from all pixels by Robertson's iteration.
 
     In turns: x_p = Σ_i w t_i I(M_pi) / Σ_i w t_i² and I(m) = mean of t_i x_p over all samples of value m, I(M_mid) = 1,
-    with the Gaussian weight w(m) = exp(−4 (m − m_mid)²/m_mid²). Changed from the paper: a pixel is the mean of
-    equally bright ones and counts once for each of them; above 8 bits I has 256 nodes with straight lines between; the
-    first guess is the best power law instead of a straight line.
-    There is no smoothing. The uncertainty is a grouped jackknife's.
+    with the Gaussian weight w(m) = exp(−4 (m − m_mid)²/m_mid²) less its value at the ends. Changed from the paper: a
+    pixel is the mean of equally bright ones and counts once for each of them; above 8 bits I has 256 nodes with
+    straight lines between; the first guess is Debevec and Malik's curve instead of a straight line. What exposures a
+    stop apart cannot see, a wave of one stop's period, stays as the first guess has it: a straight line or a power law
+    leaves the whole distance between itself and the camera's curve folded into such a wave.
+    There is no smoothing beyond that of the first guess; the iteration ends when it begins to follow the noise.
+    The uncertainty is a grouped jackknife's together with the first guess's.
 
     Args:
         brackets: One bracket or several taken with the same response.
@@ -48,16 +55,19 @@ def recover_response_robertson1999(brackets: Bracket | Sequence[Bracket]) -> Res
 @on_one_blas_thread
 def solve_robertson1999(samples: ResponseSamples) -> ResponseEstimate:
     """Recover the response from gathered samples; see `recover_response_robertson1999`."""
-    exposure, residual = _iterate(samples, _first_guess(samples))
+    first = curve_debevec1997(samples)
+    samples = without_noise_shift(samples, first)
+    guess = np.exp(np.interp(_nodes(samples), np.arange(first.log_exposure.size), first.log_exposure))
+    exposure, residual = _iterate(samples, guess)
 
     def values(part: ResponseSamples) -> Array:
-        return _log_curve(samples, _iterate(part, exposure)[0])
+        return _log_curve(samples, _iterate(part, guess)[0])
 
     u = jackknife(samples, values)
-    thirds = [_curve(part, _log_curve(samples, _iterate(part, exposure)[0]), u * 3**0.5) for part in _thirds(samples)]
+    thirds = [_curve(part, values(part), u * 3**0.5) for part in (samples.third(k) for k in range(3))]
     times = samples.frame_log_time
     return ResponseEstimate(
-        curve=_curve(samples, _log_curve(samples, exposure), u),
+        curve=_curve(samples, _log_curve(samples, exposure), np.hypot(u, first.u_log_exposure)),
         method=METHOD,
         pixel_count=samples.pixel_count,
         group_count=samples.group_count,
@@ -70,35 +80,14 @@ def solve_robertson1999(samples: ResponseSamples) -> ResponseEstimate:
     )
 
 
-def _thirds(samples: ResponseSamples) -> list[ResponseSamples]:
-    return [samples.third(k) for k in range(3)]
-
-
 def _nodes(samples: ResponseSamples) -> Array:
     return np.linspace(0.0, (1 << samples.bit_depth) - 1.0, min(_NODES, 1 << samples.bit_depth))
-
-
-def _first_guess(samples: ResponseSamples) -> Array:
-    """Return I = M^γ with the γ that makes the frames agree best; the iteration keeps what it cannot see of it."""
-    starts = np.flatnonzero(np.diff(samples.group, prepend=-1))
-    weight = _weight(samples)
-    total = np.add.reduceat(weight, starts)
-    log_dn = np.log(samples.dn - samples.limits.black_dn)
-
-    def away_from_mean(values: Array) -> Array:
-        return np.asarray(values - (np.add.reduceat(weight * values, starts) / total)[samples.group])
-
-    # Within a group γ·ln M − ln t is constant: γ is a regression through the origin.
-    rise, stop = away_from_mean(log_dn), away_from_mean(samples.log_time)
-    gamma = float(np.sum(weight * rise * stop) / np.sum(weight * rise**2))
-    nodes = np.maximum(_nodes(samples) - samples.limits.black_dn, 0.25 * _nodes(samples)[1])
-    return np.asarray((nodes / nodes[nodes.size // 2]) ** gamma)
 
 
 def _weight(samples: ResponseSamples) -> Array:
     middle = 0.5 * (samples.limits.black_dn + samples.limits.saturated_dn)
     half = 0.5 * (samples.limits.saturated_dn - samples.limits.black_dn)
-    return np.asarray(np.exp(-4.0 * ((samples.dn - middle) / half) ** 2) * samples.pixels)
+    return np.asarray((np.exp(-4.0 * ((samples.dn - middle) / half) ** 2) - _LEAST_WEIGHT) * samples.pixels)
 
 
 def _iterate(samples: ResponseSamples, exposure: Array) -> tuple[Array, float]:

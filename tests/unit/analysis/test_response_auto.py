@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
@@ -27,13 +25,18 @@ def test_disjoint_thirds_differ_as_much_as_stated(make_stack):
     assert max(stability.rms_log for stability in found) < 0.01
 
 
-def test_errors_stay_within_the_stated_uncertainty(make_stack, inner_error):
-    """Over ten seeds the mean squared error in units of u is near 1: 0.4 to 2.5 at some 10 free values each."""
+@pytest.mark.parametrize("bit_depth", [8, 12])
+def test_errors_stay_within_the_stated_uncertainty(make_stack, inner_error, bit_depth):
+    """Over ten responses the mean squared error in units of u is near 1: 0.4 to 2.5 at some 10 free values each.
+
+    The frames are whole stops apart and eight of the responses have bends of their own, so that much of the error is
+    what smoothness decides.
+    """
     squares = []
-    for seed in range(10):
-        curve = recover_response_auto(make_stack("gamma", seed=seed)).curve
-        error = inner_error(curve, "gamma")
-        first = int(np.ceil(0.05 * 4095))
+    for seed, response in enumerate(["gamma", "linear", *(f"tone{k}" for k in range(8))]):
+        curve = recover_response_auto(make_stack(response, bit_depth=bit_depth, seed=seed)).curve
+        error = inner_error(curve, response)
+        first = int(np.ceil(0.05 * (2**bit_depth - 1)))
         u = curve.u_log_exposure[first : first + error.size]
         away = u > 0.1 * np.median(u)  # at the gauge point both vanish
         squares.append(np.mean((error[away] / u[away]) ** 2))
@@ -79,14 +82,6 @@ def test_black_level_is_respected(make_stack):
     assert curve.valid_dn[0] > 64
     g = np.exp(curve.log_exposure[[564, 1064, 2064]])
     assert g / g[0] == pytest.approx([1, 2, 4], rel=0.01)
-
-
-def test_small_stack_takes_under_half_a_second(make_stack):
-    """Nine frames of 256 × 192 pixels at 8 bits are solved in less than 0.5 s of processor time."""
-    bracket = make_stack("gamma", bit_depth=8)
-    started = time.process_time()
-    recover_response_auto(bracket)
-    assert time.process_time() - started < 0.5
 
 
 @pytest.mark.parametrize("response", ["gamma", "linear"])

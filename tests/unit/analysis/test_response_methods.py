@@ -12,16 +12,13 @@ from radiometer.analysis.response_mitsunaga1999 import recover_response_mitsunag
 from radiometer.data import Bracket, Frame, FrameSettings
 from radiometer.errors import InputError, MeasurementError, UsageError
 
-# Robertson's method has no smoothing: one stop's wave stays in its curves (see docs/response.md).
-LARGEST_SCATTER = {"robertson1999": 0.03}
-
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("response", ["linear", "gamma"])
 def test_method_gives_the_response_back(make_stack, inner_error, method, response):
-    """ln H over 5–95 % scatters by less than 0.5 % (3 % for Robertson, who does not smooth)."""
+    """ln H over 5–95 % scatters by less than 0.5 %."""
     curve = METHODS[method]([make_stack(response, bit_depth=8)]).curve
-    assert np.std(inner_error(curve, response)) < LARGEST_SCATTER.get(method, 0.005)
+    assert np.std(inner_error(curve, response)) < 0.005
     assert curve.log_exposure[128] == 0.0
     assert curve.provenance.method == method
 
