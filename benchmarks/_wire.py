@@ -23,10 +23,17 @@ def radiometer(*words: str) -> list[str]:
 
 
 @contextmanager
-def served(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a program that serves a camera, from its first answer to the end of the block; one at a time per computer."""
+def only_camera() -> Iterator[None]:
+    """Wait until no other camera is served on this computer, and keep it so to the end of the block."""
     with PORT_LOCK.open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+@contextmanager
+def served(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a program that serves a camera, from its first answer to the end of the block."""
+    with only_camera():
         yield from _served(command)
 
 

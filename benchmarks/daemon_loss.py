@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import random
@@ -18,8 +19,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks._box_station import box_station, seconds_until
 from benchmarks._daemon import ROOT, DaemonProcess, machine_note, write_small_bench
 from benchmarks._sections import write_section
+from benchmarks._wire import only_camera
 
 CYCLES = 20
 SERIAL = "22500077"
@@ -34,7 +37,10 @@ class LossResult:
 
 
 class WireCamera:
-    """The simulated Blackfly behind GigE Vision, in a process of its own: killed, it is an unplugged camera."""
+    """The simulated Blackfly behind GigE Vision, in a process of its own: killed, it is an unplugged camera.
+
+    One at a time per computer, for all answer on the same port.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._command = [
@@ -71,7 +77,7 @@ def run(cycles: int, seed: int = 1) -> LossResult:
     """Unplug and replug the camera; every interface is watched."""
     rng = random.Random(seed)
     told, recovered = list[float](), list[float]()
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, only_camera():
         folder = Path(name)
         camera = WireCamera(folder)
         camera.plug()
@@ -96,6 +102,20 @@ def run(cycles: int, seed: int = 1) -> LossResult:
             open_ends.close()
         finally:
             camera.unplug()
+    return LossResult(told, recovered)
+
+
+async def run_box(cycles: int) -> LossResult:
+    """Unplug and replug the light box; the station in this process is watched."""
+    told, recovered = list[float](), list[float]()
+    with tempfile.TemporaryDirectory() as name:
+        async with box_station(Path(name)) as (station, server, _):
+            for _ in range(cycles):
+                await station.set_level("fixation", 0.1)
+                server.unplug()
+                told.append(await seconds_until(lambda: bool(station.alarms.active)))
+                server.plug()
+                recovered.append(await seconds_until(lambda: not station.alarms.active))
     return LossResult(told, recovered)
 
 
@@ -165,20 +185,23 @@ def _is_back(daemon: DaemonProcess, before: int) -> bool:
 
 def main() -> None:
     note = machine_note()
-    result = run(CYCLES)
+    result, box = run(CYCLES), asyncio.run(run_box(CYCLES))
     rows = [
         f"| {what} | {statistics.median(times):.2f} s | {max(times):.2f} s |\n"
         for what, times in (
-            ("unplugged until SCPI, event stream and health all tell", result.told_s),
-            ("replugged until the next reading, alarms clear", result.recovered_s),
+            ("camera unplugged until SCPI, event stream and health all tell", result.told_s),
+            ("camera replugged until the next reading, alarms clear", result.recovered_s),
+            ("light box unplugged until the alarm", box.told_s),
+            ("light box replugged until the alarm clears", box.recovered_s),
         )
     ]
     body = note + (
-        f"The simulated Blackfly on the wire, killed and started {CYCLES} times while the daemon measures.\n\n"
+        f"The simulated Blackfly on the wire, killed and started {CYCLES} times while the daemon measures; the light"
+        f" box's pseudo-terminal closed and opened {CYCLES} times.\n\n"
         "| from … to | median | longest |\n|---|---|---|\n" + "".join(rows)
     )
-    print(body, result)
-    write_section("daemon-loss", "Camera lost and found by the daemon", "python -m benchmarks daemon_loss", body)
+    print(body, result, box)
+    write_section("daemon-loss", "Devices lost and found by the daemon", "python -m benchmarks daemon_loss", body)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ import structlog
 from drivers.camera_finding import find_camera, listed_cameras
 from drivers.camera_opening import CameraSession, open_session
 from drivers.camera_quirks import load_preset
+from drivers.farewell import drop_in_background
 from drivers.frame_stream import Tally
 from drivers.fresh_frames import FreshFrames
 from radiometer.data import CameraDescription, Frame, LensDescription
@@ -192,6 +193,8 @@ class AravisCamera:
             _LOG.info("camera did not say goodbye", camera=self._label, reason=str(error))
         finally:
             _held.discard(session.opened_by)
+            if session.is_lost():
+                drop_in_background(session.camera)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Set everything and return it as read back.

@@ -9,6 +9,7 @@ from typing import Any, Final
 import structlog
 
 from drivers.camera_quirks import CameraQuirks, quirks_for
+from drivers.farewell import drop_in_background
 from drivers.feature_access import FeatureAccess, translated
 from drivers.feature_hygiene import HygieneFinding, switch_off_falsifiers
 from drivers.gige_ping import answers
@@ -149,7 +150,9 @@ def open_session(
     try:
         return _controlled_session(aravis, features, camera, known, identity.device_id, preset)
     except BaseException:
-        if camera.is_gv_device():
+        if features.lost.is_set():
+            drop_in_background(camera)
+        elif camera.is_gv_device():
             camera.get_device().leave_control()
         raise
 
@@ -194,16 +197,20 @@ def _new_camera(aravis: Any, library_error: type[Exception], identity: CameraIde
     try:
         camera = aravis.Camera.new(identity.device_id)
     except library_error as error:
-        found = translated(error, f"camera {identity.device_id}")
-        if isinstance(found, DeviceInUse):
-            raise found from error
-        raise DeviceNotFound(
-            f"camera {identity.device_id} does not answer ({getattr(error, 'message', error)}); "
-            "check cable, power and address, `radiometer devices` lists those that do"
-        ) from error
+        raise _not_opened(error, identity) from error
     if camera is None:
         raise DeviceNotFound(f"camera {identity.device_id} does not answer; `radiometer devices` lists those that do")
     return camera
+
+
+def _not_opened(error: Exception, identity: CameraIdentity) -> DeviceError:
+    told = translated(error, f"camera {identity.device_id}")
+    if isinstance(told, DeviceInUse):
+        return told
+    return DeviceNotFound(
+        f"camera {identity.device_id} does not answer ({getattr(error, 'message', error)}); "
+        "check cable, power and address, `radiometer devices` lists those that do"
+    )
 
 
 def _completed(camera: Any, identity: CameraIdentity, library_error: type[Exception]) -> CameraIdentity:

@@ -45,10 +45,15 @@ class FeatureAccess:
         try:
             return method(*arguments)
         except self._library_error as error:
-            told = translated(error, self._name)
-            if isinstance(told, DeviceLost):
-                self.lost.set()
-            raise told from error
+            # No local name for it: an exception that its own frame holds keeps the camera alive as garbage.
+            raise self._noted(error) from error
+
+    def _noted(self, error: Exception) -> DeviceError:
+        """Return the project's error, having taken note of a camera that is gone."""
+        told = translated(error, self._name)
+        if isinstance(told, DeviceLost):
+            self.lost.set()
+        return told
 
     def has(self, feature: str) -> bool:
         """Tell whether a feature exists and can be used now."""

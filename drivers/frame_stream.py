@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import structlog
 
+from drivers.farewell import drop_in_background
 from drivers.feature_access import FeatureAccess
 from radiometer.devices import AcquisitionCounts
 from radiometer.errors import DeviceError, DeviceTimeout
@@ -125,7 +126,9 @@ class FrameStream:
                 self._features.call(self._camera.stop_acquisition)
         finally:
             self._add_statistics()
-            self._stream = None
+            stream, self._stream = self._stream, None
+            if self._is_lost():
+                drop_in_background(stream)
 
     def next_frame(self, deadline_s: float, trigger: Callable[[], None] | None = None) -> RawFrame | None:
         """Return the next complete frame; None if nothing came within the deadline or the camera is gone.

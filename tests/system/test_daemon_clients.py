@@ -146,7 +146,9 @@ async def test_the_red_theme_lights_the_red_channel_only(daemon: DaemonProcess, 
     await browser.wait_for("document.querySelectorAll('#lights input').length == 4")
     await browser.evaluate("document.querySelector('[data-theme=red]').click()")
     await browser.wait_for("document.getElementById('nothing').hidden")
-    await asyncio.sleep(2.5)  # the picture comes anew in the red map
+    await browser.wait_for(
+        "document.getElementById('picture').dataset.map === 'red' && document.getElementById('picture').complete"
+    )
     await browser.command(
         "Emulation.setDeviceMetricsOverride", width=1240, height=1400, deviceScaleFactor=1, mobile=False
     )

@@ -157,9 +157,9 @@ def make_reading() -> Callable[..., Reading]:
 
 @pytest.fixture
 def eventually() -> Callable[..., Awaitable[None]]:
-    """Return a wait for a condition, 5 s unless told otherwise."""
+    """Return a wait for a condition, 20 s unless told otherwise."""
 
-    async def wait(condition: Callable[[], object], deadline_s: float = 5.0) -> None:
+    async def wait(condition: Callable[[], object], deadline_s: float = 20.0) -> None:
         async with asyncio.timeout(deadline_s):
             while not condition():
                 await asyncio.sleep(0.005)
@@ -180,7 +180,7 @@ class LineClient:
 
     async def ask(self, message: str) -> str:
         await self.send(message)
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(20.0):
             reply = await self.reader.readline()
             if reply.startswith(b"#"):  # a block may hold line feeds
                 length = 2 + int(reply[1:2]) + int(reply[2 : 2 + int(reply[1:2])]) + 1

@@ -200,6 +200,7 @@ async function refreshPicture() {
     const old = $("picture").src, [w, h] = reply.headers.get("Radiometer-Frame").split(",").map(Number);
     $("picture").src = URL.createObjectURL(await reply.blob());
     if (old) URL.revokeObjectURL(old);
+    $("picture").dataset.map = map;
     state.frame = { w, h };
     $("nothing").hidden = true;
     showLegend(reply.headers, map);

@@ -1,0 +1,35 @@
+"""Lets go of a camera that is gone without waiting for it.
+
+When the library's objects end, they say goodbye to the camera: the stream closes its channel, the device gives up
+control. Each goodbye to a camera that no longer answers waits 2.5 s, in whichever thread drops the object last.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from typing import Any, Final
+
+_OWN_REFERENCES: Final = 2  # that of the list, and that of the question itself
+_LOOK_S: Final = 0.05
+_PATIENCE_S: Final = 60.0
+
+
+def drop_in_background(*objects: Any) -> None:
+    """Take objects of the library over, and drop them in a thread of its own once nobody else holds them.
+
+    Args:
+        *objects: Objects to let go, in the order in which they are to end. The caller drops its own references, which
+            an exception on its way up may hold a while longer.
+    """
+    threading.Thread(target=_drop, args=(list(objects),), name="camera farewell", daemon=True).start()
+
+
+def _drop(kept: list[Any]) -> None:
+    give_up = time.monotonic() + _PATIENCE_S
+    while kept:
+        if sys.getrefcount(kept[0]) > _OWN_REFERENCES and time.monotonic() < give_up:
+            time.sleep(_LOOK_S)
+        else:
+            del kept[0]

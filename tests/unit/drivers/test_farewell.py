@@ -1,0 +1,81 @@
+"""Letting go of a camera: at once where it answers, without waiting where it is gone."""
+
+from __future__ import annotations
+
+import gc
+import threading
+
+import pytest
+
+from drivers.aravis_camera import load_library, open_camera
+from drivers.farewell import drop_in_background
+from drivers.feature_access import FeatureAccess
+from radiometer.errors import DeviceError, MissingLibrary
+
+
+class _SlowToEnd:
+    """Its end waits for permission, as that of a stream whose camera is gone waits for an answer."""
+
+    def __init__(self) -> None:
+        self.may_end, self.ended_in = threading.Event(), list[str]()
+
+    def __del__(self) -> None:
+        self.may_end.wait(20)
+        self.ended_in.append(threading.current_thread().name)
+
+
+def test_the_last_reference_is_dropped_in_a_thread_of_its_own():
+    """Nobody waits for the end, not even who holds the object a while longer."""
+    slow = _SlowToEnd()
+    may_end, ended_in = slow.may_end, slow.ended_in
+    drop_in_background(slow)
+    del slow
+    assert ended_in == []
+    may_end.set()
+    for thread in threading.enumerate():
+        if thread.name == "camera farewell":
+            thread.join(20)
+    assert ended_in == ["camera farewell"]
+
+
+def test_an_error_of_the_library_keeps_no_frame_alive(library_error):
+    """Once the error is handled, what the failing call held is freed without the garbage collector."""
+
+    class Held:
+        ended = False
+
+        def fail(self) -> None:
+            raise library_error("[Gain] access denied")
+
+        def __del__(self) -> None:
+            type(self).ended = True
+
+    def failing() -> None:
+        held = Held()
+        FeatureAccess(held, "camera W1", library_error).call(held.fail)
+
+    gc.disable()
+    try:
+        with pytest.raises(DeviceError):
+            failing()
+        assert Held.ended
+    finally:
+        gc.enable()
+
+
+def test_a_closed_camera_is_given_back_to_the_library_at_once():
+    """Its object ends with close(): later it would write to a camera that somebody else controls by then."""
+    try:
+        load_library()
+    except MissingLibrary as error:
+        pytest.skip(str(error))
+    camera, ended = open_camera("Fake_1"), list[bool]()
+    gc.disable()
+    try:
+        camera.open()
+        camera.capture(1)
+        camera.session.camera.weak_ref(lambda: ended.append(True))
+        camera.close()
+        assert ended == [True]
+    finally:
+        gc.enable()
