@@ -20,6 +20,7 @@ _FREE_RESPONSIVITY: Final = 50.0  # where no radiance is known its unit is arbit
 _SCALARS: Final = ("log_responsivity", "log_gain", "log_read", "black_dn", "dark_e_per_s")
 _SCALAR_STEP: Final = {"black_dn": 1e-2, "dark_e_per_s": 1e-2}
 _SCALAR_PRIOR: Final = {"log_responsivity": _FREE_RESPONSIVITY, "black_dn": 1e4, "dark_e_per_s": 1e3}
+_LINEAR: Final = (-0.5, 1.0)  # relative errors of a radiance between which its factor is linear
 _FREE_SLOPE: Final = 3.0
 _FREE_TEXTURE: Final = 10.0
 
@@ -87,9 +88,8 @@ class NuisanceLayout:
         start = Nuisance.start(design)
         radiance, slope, texture = start.log_radiance, start.slope, start.texture
         index = list(self.patterns)
-        radiance[index] = values[self._radiances].reshape(len(index), self.tiles)
         if index:
-            radiance[index] += values[self._common]
+            radiance[index] = np.log(_light_factor(self._relative(values))[0])
         if self.free_scene:
             at = self._common.stop
             count = 2 * len(index) * self.tiles
@@ -120,11 +120,18 @@ class NuisanceLayout:
         first = self._radiances.start
         self._spread(matrix, comparison, base, model.predict(moved), _STEP, first, _TILE_ROWS)
         if self.patterns:
+            factor, slope = _light_factor(self._relative(values))
+            matrix[:, self._radiances] *= (slope / factor).ravel()
             own = matrix[:, self._radiances].reshape(matrix.shape[0], len(self.patterns), self.tiles)
             matrix[:, self._common] = own.sum(axis=1)
         if self.free_scene:
             self._scene_columns(matrix, model, comparison, nuisance, base)
         return matrix
+
+    def _relative(self, values: Array) -> Array:
+        """Return how far each patch's radiance is off, (patterns, tiles): its own part and that of all patterns."""
+        own = values[self._radiances].reshape(len(self.patterns), self.tiles)
+        return np.asarray(own + values[self._common])
 
     def _rows(self, comparison: Comparison) -> int:
         """Return how many of the first entries can change at all: of known scenes the means and slopes alone."""
@@ -187,6 +194,20 @@ class NuisanceLayout:
 
 
 _TILE_ROWS: Final = ("mean", "slope_x", "slope_y")
+
+
+def _light_factor(relative: Array) -> tuple[Array, Array]:
+    """Return the factor on a radiance that is off by so much, and its derivative.
+
+    It is 1 + x in the middle: means are then linear in x, and what an effect had been mistaken for is given back at
+    once when the effect enters. Beyond, it goes on as an exponential, so that it stays above zero.
+    """
+    low, high = _LINEAR
+    below, above = relative < low, relative > high
+    middle = 1.0 + np.clip(relative, low, high)
+    slope = np.where(below, np.exp(np.minimum(relative - low, 0.0) / (1.0 + low)), 1.0)
+    slope = np.where(above, np.exp(np.maximum(relative - high, 0.0) / (1.0 + high)), slope)
+    return np.asarray(middle * slope), np.asarray(slope)
 
 
 def _only_means(matrix: Array, comparison: Comparison, column: int) -> None:
