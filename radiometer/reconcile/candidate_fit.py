@@ -84,8 +84,8 @@ class _Trial:
         """Return the trial of an effect: its residual, and its χ² after the nuisances followed."""
         predicted = state.predicted_with((*state.effects, effect))
         data = state.comparison.residual(predicted) - state.term_residual
-        residual = np.concatenate([data, state.residual[data.size :]])
         fit = state.fit
+        residual = fit.followed(np.concatenate([data, state.residual[data.size :]]))
         pulled = fit.half(fit.pull(residual))
         return cls(effect, residual, float(residual @ residual - pulled @ pulled))
 
@@ -138,10 +138,12 @@ def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandid
     before = family_chi2(state, state.fit.projected)
     after = family_chi2(state, fit.projected)
     block = best.effect.block
-    gain = sum(before.values()) - sum(after.values())
-    gain += float(np.sum(state.fit.projected[state.comparison.size :] ** 2))
-    gain -= float(np.sum(fit.projected[state.comparison.size :] ** 2))
+    rows = state.comparison.size
+    stated = float(np.sum(state.fit.projected[rows:] ** 2) - np.sum(fit.projected[rows:] ** 2))
+    gain = sum(before.values()) - sum(after.values()) + stated
     evidence = before.get(block, 0.0) - after.get(block, 0.0)
+    if block == "mean":  # what the means say against the stated radiances stands in the prior rows
+        evidence += stated
     return FittedCandidate(
         best.effect, gain, evidence, candidate.parameters, candidate.flexible, best.residual, columns
     )
@@ -169,8 +171,8 @@ def held_out_gain(state: FitState, residual: Array, columns: Array) -> float:
 
     Args:
         state: The model without them.
-        residual: Whitened residual with the addition, prior rows included.
-        columns: Its columns.
+        residual: Whitened residual with the addition, prior rows included, followers followed.
+        columns: Its columns, the same.
     """
     with_it = leave_one_group_out(state.fit.extended(columns, residual), state.groups)
     return float(np.sum(with_it.log_density - state.held_out.log_density))

@@ -49,7 +49,7 @@ def _from_start(state: FitState, start: CatalogueEffect) -> Limit:
     name, unit = _main_parameter(type(start), start)
     kept = tuple(effect for effect in state.effects if effect.name != start.name)
     reference = change_of(state, kept) if len(kept) < len(state.effects) else 0.0
-    change = change_of(state, (*kept, start)) - reference
+    change = state.fit.followed(change_of(state, (*kept, start)) - reference)
     part = state.fit.half(state.fit.pull(change))
     whole = float(change @ change)
     information = whole - float(part @ part)

@@ -63,14 +63,22 @@ class LinearFit:
     """Residual = N·a + E·b + noise of unit variance, priors standing as further rows.
 
     Attributes:
-        residual: Whitened residual at the point of linearisation, priors included.
+        residual: Whitened residual at the point of linearisation, priors included, followers followed.
         nuisances: N = −d(residual)/d(nuisance).
-        effects: E = −d(residual)/d(effect parameter), (rows, parameters).
+        effects: E = −d(residual)/d(effect parameter), (rows, parameters), followers followed.
+        followers: The same as N in rows that go with the nuisances but have no say in them.
     """
 
     residual: Array
     nuisances: RowBlock
     effects: Array
+    followers: RowBlock
+
+    @classmethod
+    def of(cls, residual: Array, nuisances: RowBlock, effects: Array, followers: RowBlock) -> LinearFit:
+        """Return the fit of a residual and of effect columns in which the followers stand still."""
+        bare = cls(residual, nuisances, np.zeros((residual.size, 0)), followers)
+        return cls(bare.followed(residual), nuisances, bare.followed(effects), followers)
 
     @cached_property
     def normal(self) -> Array:
@@ -92,6 +100,18 @@ class LinearFit:
         """Return Jᵀ·v for vectors whose entries begin at row `start`, (entries,) or (entries, n)."""
         own = self.effects[start : start + vectors.shape[0]].T @ vectors
         return np.concatenate([self.nuisances.pull(vectors, start), own])
+
+    def followed(self, vectors: Array) -> Array:
+        """Return vectors with the followers where the nuisances take them: v − F·(NᵀN)⁻¹·Nᵀ·v; not to be done twice.
+
+        Args:
+            vectors: (entries,) or (entries, n); prior rows may be left out.
+        """
+        half = solve_triangular(self.nuisances.factor, self.nuisances.pull(vectors), lower=True, check_finite=False)
+        step = solve_triangular(self.nuisances.factor, half, lower=True, trans="T", check_finite=False)
+        moved = vectors.copy()
+        moved[self.followers.rows] -= self.followers.values @ step[: self.followers.columns]
+        return moved
 
     def solve(self, right: Array) -> Array:
         """Return (JᵀJ)⁻¹ · right."""
@@ -115,9 +135,9 @@ class LinearFit:
         return np.asarray(left)
 
     def extended(self, columns: Array, residual: Array | None = None) -> LinearFit:
-        """Return the fit with further effect columns, and possibly another residual."""
+        """Return the fit with further effect columns, and possibly another residual, followers followed in both."""
         changed = self.residual if residual is None else residual
-        return LinearFit(changed, self.nuisances, np.hstack([self.effects, columns]))
+        return LinearFit(changed, self.nuisances, np.hstack([self.effects, columns]), self.followers)
 
     def score(self, rows: slice, basis: Array) -> tuple[float, int]:
         """Return (χ², rank) of what a basis that touches only some rows would explain beside the parameters.

@@ -128,6 +128,25 @@ class NuisanceLayout:
             self._scene_columns(matrix, model, comparison, nuisance, base)
         return matrix
 
+    def followers(self, model: TileModel, comparison: Comparison, values: Array, base: Prediction) -> Array:
+        """Return −d(residual)/d(parameter) of the variances, as far as they follow the light, (entries, parameters).
+
+        They do not say how much light there is (see `_only_means`), but the light says how large they are.
+        """
+        nuisance = self.unpack(model.design, values)
+        matrix = np.zeros((comparison.size, self.size))
+        if not self.patterns:
+            return matrix
+        moved = model.predict(replace(nuisance, log_radiance=nuisance.log_radiance + _STEP))
+        self._spread(matrix, comparison, base, moved, _STEP, self._radiances.start, _FOLLOWING)
+        own = matrix[:, self._radiances]
+        if "log_gain" not in self.scalars:
+            matrix[:, 0] = own.sum(axis=1)
+        factor, slope = _light_factor(self._relative(values))
+        own *= (slope / factor).ravel()
+        matrix[:, self._common] = own.reshape(-1, len(self.patterns), self.tiles).sum(axis=1)
+        return matrix
+
     def _relative(self, values: Array) -> Array:
         """Return how far each patch's radiance is off, (patterns, tiles): its own part and that of all patterns."""
         own = values[self._radiances].reshape(len(self.patterns), self.tiles)
@@ -194,6 +213,7 @@ class NuisanceLayout:
 
 
 _TILE_ROWS: Final = ("mean", "slope_x", "slope_y")
+_FOLLOWING: Final = ("variance", "spatial")
 
 
 def _light_factor(relative: Array) -> tuple[Array, Array]:

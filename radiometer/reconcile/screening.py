@@ -83,9 +83,9 @@ def change_of(state: FitState, effects: Sequence[CatalogueEffect]) -> Array:
 def _rigid(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate]:
     if not starts:
         return []
-    changes = np.stack([change_of(state, (*state.effects, effect)) for effect in starts], axis=1)
     rows = state.comparison.size
     fit = state.fit
+    changes = fit.followed(np.stack([change_of(state, (*state.effects, effect)) for effect in starts], axis=1))
     part = fit.half(fit.pull(changes))
     curvature = np.sum(changes**2, axis=0) - np.sum(part**2, axis=0)
     slope = changes.T @ fit.projected[:rows]
@@ -112,5 +112,5 @@ def _flexible(state: FitState, cover: CatalogueEffect) -> Candidate:
         moved[index] += 0.1 * parameters.scale[index]
         columns.append(change_of(state, parameters.replaced(moved)) - at)
     rows = slice(0, state.comparison.size)
-    gain, _ = state.fit.score(rows, np.stack(columns, axis=1))
+    gain, _ = state.fit.score(rows, state.fit.followed(np.stack(columns, axis=1)))
     return Candidate(cover, gain, len(own), flexible=True)

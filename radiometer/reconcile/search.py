@@ -186,7 +186,7 @@ def _convinces(state: FitState, chosen: tuple[FittedCandidate, float], loud: tup
 def _smooth_gain(state: FitState, test: Disagreement) -> float:
     term = smooth_term(state, test)
     columns = state.pad(term.build(state.comparison, state.prediction, state.sensitivity))
-    return held_out_gain(state, state.residual, columns)
+    return held_out_gain(state, state.fit.residual, state.fit.followed(columns))
 
 
 def _named(

@@ -147,7 +147,8 @@ class FitState:
         effects = self.effect_jacobian
         if self.frozen:
             effects = np.delete(effects, sorted(self.frozen), axis=1)
-        return LinearFit(self.residual, self.nuisance_jacobian, effects)
+        followers = self.layout.followers(self.model, self.comparison, self.values, self.prediction)
+        return LinearFit.of(self.residual, self.nuisance_jacobian, effects, RowBlock.of(followers))
 
     @cached_property
     def _term_prior(self) -> Array:

@@ -139,6 +139,19 @@ def bracket(rng: np.random.Generator, *, repeats: int = 2, with_darks: bool = Tr
     return [everything[i] for i in rng.permutation(len(everything))]
 
 
+def short(rng: np.random.Generator) -> list[Setting]:
+    """Return 25 captures for frames of many pixels: every covariate is moved, none of them finely."""
+    exposures = [Setting(t) for t in (41e-6, 113e-6, 311e-6, 523e-6, 877e-6, 1.151e-3)]
+    levels = [Setting(t, level=0.1) for t in (0.43e-3, 2.9e-3, 9e-3)]
+    gains = [Setting(0.9e-3 / 10 ** (g / 20), g) for g in (6.0, 12.0, 18.0)]
+    stops = [Setting(0.9e-3 * (n / 4) ** 2, f_number=n) for n in (2.8, 5.6, 8.0)]
+    surroundings = [Setting(0.3e-3, pattern=p) for p in ("bright_surround", "dark_surround")]
+    again = [Setting(0.9e-3, temperature_c=45.0), REFERENCE, REFERENCE, REFERENCE]
+    cap = [Setting(t, g, closed=True) for t, g in ((40e-6, 0.0), (0.1, 0.0), (1.0, 0.0), (0.1, 24.0))]
+    chosen = exposures + levels + gains + stops + surroundings + again + cap
+    return [chosen[i] for i in rng.permutation(len(chosen))]
+
+
 def dark_only(rng: np.random.Generator) -> list[Setting]:
     """Return darks and nothing else."""
     chosen = [s for s in darks() if s.closed]
