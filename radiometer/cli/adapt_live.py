@@ -74,7 +74,7 @@ class _Terminal:
         if len(points) != self._fit.count:
             self._fit = running_fit(points)
         out = console()
-        lines = live_lines(self._state, self._fit, max(40, out.width) - 8, self._waited_s())
+        lines = live_lines(self._state, self._fit, max(40, out.width) - 12, self._waited_s())
         return Text("\n".join(lines), style=_DIM_RED, no_wrap=True)
 
     def _waited_s(self) -> float:

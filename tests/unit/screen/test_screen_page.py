@@ -26,9 +26,9 @@ def _echo(order: dict) -> dict:
 class FakePage:
     """A page that connects in a thread and answers orders as it is told to."""
 
-    def __init__(self, answer: Answer = _echo) -> None:
+    def __init__(self, answer: Answer = _echo, hello: tuple[str, ...] = ("hello",)) -> None:
         self.orders: list[dict] = []
-        self._answer = answer
+        self._answer, self._hello = answer, hello
         self._thread: threading.Thread | None = None
 
     def open(self, url: str) -> None:
@@ -42,7 +42,8 @@ class FakePage:
     async def _run(self, url: str) -> None:
         address = url.replace("/?", "/socket?")
         async with aiohttp.ClientSession() as session, session.ws_connect(address) as socket:
-            await socket.send_json({"kind": "hello", "fullscreen": False, "zoom": 1})
+            for kind in self._hello:
+                await socket.send_json({"kind": kind, "fullscreen": False, "zoom": 1})
             async for message in socket:
                 order = json.loads(message.data)
                 self.orders.append(order)
@@ -120,6 +121,18 @@ def test_no_browser_is_a_timeout_that_repeats_the_address() -> None:
     display = BrowserDisplay(page_timeout_s=0.1)
     with pytest.raises(DeviceTimeout, match=r"http://127\.0\.0\.1:\d+/\?key="):
         display.open()
+
+
+def test_measuring_waits_for_start() -> None:
+    """A page that is open but whose Start nobody presses is no reason to begin; pressing it is."""
+    waiting = FakePage()
+    display = BrowserDisplay(announce=waiting.open, page_timeout_s=10, start_timeout_s=0.2)
+    with pytest.raises(DeviceTimeout, match="nobody pressed Start"):
+        display.open()
+    pressed = FakePage(hello=("hello", "ready"))
+    with BrowserDisplay(announce=pressed.open, page_timeout_s=10, start_timeout_s=10) as begun:
+        begun.show(DisplayPatch((1, 1, 1)))
+    assert pressed.orders[0]["rgb"] == [255, 255, 255]
 
 
 def test_strangers_get_nothing(shown: tuple[BrowserDisplay, FakePage]) -> None:

@@ -1,0 +1,260 @@
+"""The whole test on a screen: a simulated one with a simulated subject, and a real browser with a real key."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+import os
+import queue
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radiometer.adaptation.journal import Event, Journal
+from radiometer.adaptation.outcome import Outcome, Verdict
+from radiometer.adaptation.protocol import read_protocol
+from radiometer.adaptation.run import run_test
+from radiometer.adaptation.screen_levels import SpotLevels, within_reach
+from radiometer.adaptation.screen_stage import ScreenStage
+from radiometer.bench.adaptation_screen import open_screen_stage
+from radiometer.bench.screen import lights, open_screen_bench
+from radiometer.errors import CalibrationError, ConfigurationError, DeviceLost, UsageError
+from radiometer.screen.browser_stimulus import BrowserStimulus
+from radiometer.screen.calibration import ScreenCalibration
+from radiometer.screen.calibration_run import Options, calibrate_screen
+from radiometer.screen.stimulus import Picture, Viewing
+from simulators.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
+from simulators.observer import PRIMARY_NM, Habits, Observer
+from tests.system.chromium import Browser, headless
+
+LEVELS = (0, 1, 2, 4, 8, 16, 32, 64, 128, 192, 255)
+
+
+@pytest.fixture(scope="module")
+def oled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the calibration of a simulated OLED by the simulated camera."""
+    file = tmp_path_factory.mktemp("screen") / "oled.yaml"
+    with open_screen_bench("oled", seed=2) as bench:
+        calibrate_screen(bench, Options("oled", LEVELS, ("blue",)), lights()).write(file)
+    return file
+
+
+def _run(file: Path, journal: Path, *, subject: str = "steady", dies_after: int | None = None) -> Outcome:
+    """Return the outcome of a run; one that dies does so after a number of events."""
+
+    def watch(event: Event) -> None:
+        if dies_after is not None and event["sequence"] >= dies_after:
+            raise DeviceLost("the power failed")
+
+    with (
+        open_screen_stage(read_protocol("screen-only"), file, display="oled", subject=subject, seed=7) as stage,
+        Journal(journal) as open_journal,
+    ):
+        return run_test(stage.protocol, stage, open_journal, subject="S1", seed=7, watch=watch)
+
+
+def _by_limits(rng: np.random.Generator) -> float:
+    """Return the error of one ascent: from 0.4 below the threshold up by 0.1 until seen, once it was missed."""
+    observer, missed, level = Observer(Eye(), Habits(), rng), False, -0.4 + float(rng.uniform(-0.05, 0.05))
+    truth = Eye().threshold_log10(30.0, 450.0)
+    while True:
+        seen = observer.answer(truth + level, 1800.0, 450.0) is not None
+        if seen and missed:
+            return level
+        missed, level = missed or not seen, level - 0.4 if seen else level + 0.1
+
+
+def test_thresholds_are_the_simulated_eyes(oled: Path, tmp_path: Path) -> None:
+    """Where the screen's steps are fine, thresholds less the eye's own are what ascending limits find of any eye.
+
+    The screen's luminances are those of its calibration, the eye's those of the simulation: the ratio of their
+    scotopic efficacies is taken out. The mean of n errors of standard deviation s is good to s/√n; 4 of that are
+    allowed, and the calibration's scale.
+    """
+    outcome = _run(oled, tmp_path / "j")
+    calibration = ScreenCalibration.read(oled)
+    efficacy = math.log10(calibration.channel("blue").scotopic_lm_per_w / scotopic_lm_per_w(PRIMARY_NM[2]))
+    eye = eye_after_bleach(Eye(), 120.0, 300.0)
+    fine = [(t, v) for t, v in zip(outcome.times_min, outcome.thresholds_log10, strict=True) if v > -2.0]
+    errors = np.array([v - efficacy - eye.threshold_log10(t, PRIMARY_NM[2]) for t, v in fine])
+    expected = np.array([_by_limits(np.random.default_rng(n)) for n in range(2000)])
+    assert outcome.verdict is Verdict.FLOOR_REACHED
+    assert errors.size > 15
+    assert errors.mean() == pytest.approx(expected.mean(), abs=4 * expected.std() / math.sqrt(errors.size) + 0.01)
+    assert errors.std() < 1.8 * expected.std()
+
+
+@pytest.mark.parametrize("dies_after", [4, 5, 40, 111])
+def test_run_taken_up_after_a_crash_has_the_same_events(oled: Path, tmp_path: Path, dies_after: int) -> None:
+    """Before, just after and long after the bleach: the journal equals that of an undisturbed run."""
+    _run(oled, tmp_path / "whole")
+    with pytest.raises(DeviceLost):
+        _run(oled, tmp_path / "broken", dies_after=dies_after)
+    _run(oled, tmp_path / "broken")
+    assert (tmp_path / "broken").read_text() == (tmp_path / "whole").read_text()
+
+
+@pytest.mark.parametrize(("subject", "verdict"), [("never", Verdict.NO_RESPONSE), ("always", Verdict.UNRELIABLE)])
+def test_absent_and_careless_subjects_get_a_verdict(oled: Path, tmp_path: Path, subject: str, verdict: Verdict) -> None:
+    """As at the box, nothing is fitted."""
+    outcome = _run(oled, tmp_path / "j", subject=subject)
+    assert outcome.verdict is verdict
+    assert not outcome.can_be_fitted
+
+
+def test_command_runs_it_and_journals_the_prompts(oled: Path, tmp_path: Path, project_root: Path) -> None:
+    """`adapt run screen-only` before a simulated screen ends well; prompts stand in the journal, bells on stderr."""
+    words = ["adapt", "run", "screen-only", "--subject", "S1", "--screen", str(oled), "--display", "oled"]
+    done = subprocess.run(
+        [sys.executable, "-m", "radiometer", *words, "--simulate", "steady", "--audio", "--json", "--page"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=150, check=False,
+        env={**os.environ, "PYTHONPATH": str(project_root)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    events = [json.loads(line) for line in (tmp_path / "S1-screen-only.jsonl").read_text().splitlines()]
+    said = [event["say"] for event in events if event["kind"] == "prompt"]
+    found = sum(event["kind"] == "trial" and event["threshold"] is not None for event in events)
+    assert said[:3] == ["bleach", "dark", "mark"]
+    assert said[-1] == "end"
+    assert said.count("threshold") == found > 15
+    assert "http://127.0.0.1:" in done.stderr
+    assert json.loads(done.stdout.splitlines()[-1])["verdict"] == "floor_reached"
+
+
+def test_what_does_not_go_together_is_refused(oled: Path, tmp_path: Path) -> None:
+    """No calibration, an old one, no subject, a subject before a real page, a criterion out of reach: each is said."""
+    protocol = read_protocol("screen-only")
+    with pytest.raises(UsageError, match="--screen FILE"), open_screen_stage(protocol, None):
+        pass
+    with pytest.raises(UsageError, match="--simulate"), open_screen_stage(protocol, oled, display="oled"):
+        pass
+    with pytest.raises(UsageError, match="simulated displays only"), open_screen_stage(protocol, oled, subject="never"):
+        pass
+    old = tmp_path / "old.yaml"
+    old.write_text(oled.read_text().replace(ScreenCalibration.read(oled).created, "2020-01-01T00:00:00Z"))
+    with pytest.raises(CalibrationError, match="allows 30"), open_screen_stage(protocol, old, display="oled"):
+        pass
+    bright = protocol.model_copy(update={"bleach": protocol.bleach.model_copy(update={"luminance_cd_m2": 900.0})})
+    with (
+        pytest.raises(ConfigurationError, match="beyond screen oled"),
+        open_screen_stage(bright, oled, display="oled", subject="steady"),
+    ):
+        pass
+
+
+@pytest.fixture
+async def shown(tmp_path: Path) -> AsyncIterator[tuple[BrowserStimulus, Browser]]:
+    """Return the test's page in headless Chromium, its Start pressed."""
+    addresses: queue.SimpleQueue[str] = queue.SimpleQueue()
+    screen = BrowserStimulus(announce=addresses.put, page_timeout_s=60, start_timeout_s=60)
+    async with headless(tmp_path / "profile") as browser:
+        opening = asyncio.create_task(asyncio.to_thread(screen.open))
+        await browser.command("Page.navigate", url=await asyncio.to_thread(addresses.get))
+        await browser.wait_for("document.getElementById('state').textContent === 'connected'")
+        await browser.evaluate("document.getElementById('go').click()")
+        await opening
+        try:
+            yield screen, browser
+        finally:
+            await asyncio.to_thread(screen.close)
+
+
+VIEWING = Viewing(300.0, 0.27)
+MARK = VIEWING.ellipse(-4.0, 0.6, (60, 0, 0))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(150)
+async def test_browser_shows_exactly_the_codes_asked_for(shown: tuple[BrowserStimulus, Browser]) -> None:
+    """Field, mark and spot stand on the composed screen to the code, the spot in its place and size to a pixel."""
+    screen, browser = shown
+    await asyncio.to_thread(screen.show, Picture((187, 187, 187)))
+    assert np.unique(await browser.picture()).tolist() == [187]
+    for code in (1, 2, 37, 128, 255):
+        spot = VIEWING.ellipse(4.0, 1.5, (0, 0, code))
+        await asyncio.to_thread(screen.show, Picture(shapes=(MARK, spot)))
+        picture = await browser.picture()
+        height, width = picture.shape[:2]
+        at = [picture[height // 2, round(width / 2 + shape.x)].tolist() for shape in (MARK, spot)]
+        assert at == [[60, 0, 0], [0, 0, code]]
+        assert picture[:5].max() == picture[-5:].max() == 0
+        lit = np.flatnonzero(picture[..., 2].max(axis=0))
+        assert (lit[0] + lit[-1] + 1) / 2 == pytest.approx(width / 2 + spot.x, abs=1.0)
+        assert lit[-1] - lit[0] + 1 == pytest.approx(spot.width, abs=2.0)
+    assert screen.size == (width, height)
+
+
+async def _tapping(browser: Browser) -> None:
+    """Press and release the space bar until cancelled."""
+    while True:
+        await browser.key("keyDown")
+        await browser.key("keyUp")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(150)
+async def test_browser_blinks_and_records_the_key(shown: tuple[BrowserStimulus, Browser]) -> None:
+    """Presses during a blink come back from its onset, none is invented; a key held down is told as a hold."""
+    screen, browser = shown
+    lit, rest = Picture(shapes=(MARK, VIEWING.ellipse(4.0, 1.5, (0, 0, 90)))), Picture(shapes=(MARK,))
+    await asyncio.to_thread(screen.show, rest)
+    quiet = await asyncio.to_thread(screen.blink, lit, rest, 0.3, 0.6)
+    assert quiet.presses_s == ()
+    assert quiet.hold.lasted_s == 0
+    assert (await browser.picture())[..., 2].max() == 0  # the spot is off again
+    tapping = asyncio.create_task(_tapping(browser))
+    tapped = await asyncio.to_thread(screen.blink, lit, rest, 0.5, 1.5)
+    rested = await asyncio.to_thread(screen.rest, 1.0)
+    tapping.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await tapping
+    assert len(tapped.presses_s) >= 1
+    assert rested.presses >= 1
+    assert all(0 <= a <= b for a, b in zip(tapped.presses_s, tapped.presses_s[1:], strict=False))
+    assert tapped.on_s > 0.4
+    await browser.key("keyUp")
+    await browser.key("keyDown")
+    held = await asyncio.to_thread(screen.blink, lit, rest, 0.2, 0.6)
+    await browser.key("keyUp")
+    assert held.hold.lasted_s > 0.5
+    assert held.hold.began_ago_s >= held.hold.lasted_s
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(150)
+async def test_short_run_in_a_browser_is_journalled_with_its_presses(
+    oled: Path, tmp_path: Path, shown: tuple[BrowserStimulus, Browser]
+) -> None:
+    """Three seconds of blinks after a short bleach, the space bar tapped all the while: events and real presses."""
+    screen, browser = shown
+    text = (
+        "{name: brief, bleach: {kind: steady, luminance_cd_m2: 50, duration_s: 0.3}, method: {kind: limits}, "
+        "spot: {device: screen, channel: blue, peak_nm: 450, on_s: 0.1, off_s: 0.15, lowest_log10: -4}, "
+        "end: {duration_min: 0.05}, watch: {pause_between_s: 0.1}, viewing: {distance_mm: 300}}"
+    )
+    (tmp_path / "brief.yaml").write_text(text)
+    known = ScreenCalibration.read(oled)
+    protocol = within_reach(read_protocol(tmp_path / "brief.yaml"), SpotLevels.of(known, "blue"))
+    stage = ScreenStage(screen, known, protocol, VIEWING, time.monotonic, wall_clock=time.time)
+
+    def run() -> Outcome:
+        with Journal(tmp_path / "j") as journal:
+            return run_test(protocol, stage, journal, subject="S1")
+
+    tapping = asyncio.create_task(_tapping(browser))
+    outcome = await asyncio.to_thread(run)
+    tapping.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await tapping
+    with Journal(tmp_path / "j") as journal:
+        assert [event["kind"] for event in journal.events[:5]] == ["start", "stage", "room", "bleach", "dark"]
+        assert journal.events[-1]["verdict"] == outcome.verdict
+        assert any(blink["presses_s"] for blink in journal.of_kind("blink"))
+        assert journal.events[1]["pixel_mm"] == VIEWING.pixel_mm
