@@ -25,6 +25,7 @@ from radiometer.devices.light_box import (
     LightBoxIdentity,
     LightBoxStatus,
 )
+from radiometer.devices.retinal_safety import HazardFractions, hazard_fractions
 from radiometer.errors import (
     CalibrationError,
     DeviceError,
@@ -33,6 +34,7 @@ from radiometer.errors import (
     DeviceTimeout,
     RadiometerError,
     SettingOutOfRange,
+    UnsafeStimulus,
     UsageError,
 )
 
@@ -144,6 +146,33 @@ class SerialLightBox:
             raise SettingOutOfRange(self._name, "number of blinks", count, 0, 65535, "")
         times = (self._milliseconds("bright time", on_s, 60.0), self._milliseconds("dark time", off_s, 60.0))
         return self._shine("BL", channel, level, on_s * count if count else math.inf, (*times, count))
+
+    def foresee(self, channel: str, level: Level, bright_s: float) -> HazardFractions:
+        """Return which fractions of the exposure limits a stimulus would use up, without lighting anything.
+
+        Args:
+            channel: Name of the channel.
+            level: Raw level, or radiance of a calibrated channel.
+            bright_s: Bright time in s, in sum.
+
+        Raises:
+            SettingOutOfRange: If the level is beyond the channel's limits.
+            CalibrationError: If a radiance is wanted of a channel that is not calibrated.
+            UnsafeStimulus: If it is too much for the eye, or for the channel's energy budget.
+        """
+        self._index(channel)
+        drive = self._drive(channel, level)
+        radiance = self._highest_radiance(channel, drive)
+        self.ledger.refuse_unsafe(channel, radiance, bright_s)
+        high = drive.current_range is CurrentRange.HIGH
+        units_per_ms = (drive.level >> 8) + 1 if high else 1  # docs/light-box-protocol.md, safety in the box
+        longest_s = self._buckets[channel] / units_per_ms / 1000.0
+        if bright_s > longest_s:
+            raise UnsafeStimulus(
+                f"{self._name}: {channel} for {bright_s:g} s at level {drive.level} is more than its energy budget, "
+                f"which ends such light after {longest_s:.0f} s; take a lower level or a shorter time"
+            )
+        return hazard_fractions(self.ledger.optics[channel], radiance, bright_s)
 
     def off(self, channel: str) -> None:
         """Darken one channel."""

@@ -10,9 +10,7 @@ import numpy as np
 
 from simulators.displays.base import SimulatedDisplay
 from simulators.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
-from simulators.light_box import LightBoxTwin
 
-HOLD_S: Final = 0.15  # how long the button is held
 # Wavelengths in nm that stand for a simulated display's primaries, and lm per W of its white (displays/lcd.py).
 PRIMARY_NM: Final = (610.0, 545.0, 450.0)
 WHITE_LM_PER_W: Final = 340.0
@@ -71,45 +69,6 @@ class Observer:
         if self.rng.random() >= probability:
             return None
         return float(self.habits.reaction_s * math.exp(self.rng.normal(0.0, self.habits.reaction_spread)))
-
-
-@dataclass(slots=True)
-class ObserverAtBox:
-    """A subject in front of the simulated light box, with its hand on the button.
-
-    Attributes:
-        observer: The subject.
-        twin: The box.
-        channel: The channel that it watches for.
-        answered: How often it has pressed.
-    """
-
-    observer: Observer
-    twin: LightBoxTwin
-    channel: str = "spot"
-    answered: int = 0
-    _was_lit: bool = False
-
-    def sit_down(self) -> None:
-        """Begin to watch the box."""
-        self.twin.watch = self._look
-
-    def _look(self) -> None:
-        """See whether the spot has come on; press if it was noticed."""
-        position = [limits.name for limits in self.twin.settings.channels].index(self.channel)
-        led, lit = self.twin.leds[position], self.twin.duty(self.channel) > 0
-        came_on, self._was_lit = lit and not self._was_lit, lit
-        if not came_on:
-            return
-        time_s = self.twin.time_s
-        emission = led.emission(time_s)
-        wavelength_nm = emission.peak_nm or 555.0
-        luminance = emission.radiance_w_sr_m2 * scotopic_lm_per_w(wavelength_nm)
-        reaction_s = self.observer.answer(math.log10(max(luminance, 1e-12)), time_s, wavelength_nm)
-        if reaction_s is not None:
-            self.answered += 1
-            self.twin.press(time_s + reaction_s)
-            self.twin.press(time_s + reaction_s + HOLD_S, pressed=False)
 
 
 @dataclass(slots=True)

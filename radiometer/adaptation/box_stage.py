@@ -2,14 +2,47 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from radiometer.adaptation.protocol import AdaptationProtocol, SteadyBleach
 from radiometer.devices.light_box import ButtonEvent, LightBox, Radiance
-from radiometer.errors import UsageError
 
-_BLEACH, _FIXATION = "bleach", "fixation"
+BLEACH, FIXATION = "bleach", "fixation"
+
+
+@dataclass(frozen=True, slots=True)
+class BoxLights:
+    """What the eye makes of the box's light, and what of it the protocol wants.
+
+    Attributes:
+        protocol: The protocol.
+        bleach_photopic_lm_per_w: Luminous efficacy of the bleaching light.
+        bleach_scotopic_lm_per_w: Its scotopic luminous efficacy.
+        spot_scotopic_lm_per_w: That of the spot's light.
+        fixation_w_sr_m2: Radiance of the fixation mark; 0 leaves it dark.
+    """
+
+    protocol: AdaptationProtocol
+    bleach_photopic_lm_per_w: float
+    bleach_scotopic_lm_per_w: float
+    spot_scotopic_lm_per_w: float
+    fixation_w_sr_m2: float = 0.0
+
+    @property
+    def bleach(self) -> Radiance:
+        """Return the radiance of the bleach; a flash's is its td·s over duration and area of the pupil in mm²."""
+        light = self.protocol.bleach
+        if isinstance(light, SteadyBleach):
+            return Radiance(light.luminance_cd_m2 / self.bleach_photopic_lm_per_w)
+        trolands = light.retinal_td_s / light.duration_s
+        return Radiance(trolands / (math.pi / 4 * light.pupil_mm**2) / self.bleach_scotopic_lm_per_w)
+
+    def spot(self, log10_level: float) -> Radiance:
+        """Return the radiance of the spot, before its filter, for a level in log10 scotopic cd·m⁻² behind it."""
+        density = self.protocol.spot.filter_density
+        return Radiance(10.0 ** (log10_level + density) / self.spot_scotopic_lm_per_w)
 
 
 @dataclass(slots=True)
@@ -18,24 +51,16 @@ class BoxStage:
 
     Attributes:
         box: An open light box with calibrated channels.
-        photopic_lm_per_w: Luminous efficacy of the bleaching light.
-        scotopic_lm_per_w: Scotopic luminous efficacy of the spot's light.
-        protocol: The protocol.
+        lights: Its lights.
         clock: Steady clock in s, the one that the box's button events are given on.
         sleep: Waits for a number of seconds.
-        fixation_w_sr_m2: Radiance of the fixation mark; 0 leaves it dark.
-        room: Measures the dark room in cd·m⁻²; None where it cannot be measured.
         wall_clock: Time of day as Unix time in s; None where the box is simulated.
     """
 
     box: LightBox
-    photopic_lm_per_w: float
-    scotopic_lm_per_w: float
-    protocol: AdaptationProtocol
+    lights: BoxLights
     clock: Callable[[], float]
     sleep: Callable[[float], None]
-    fixation_w_sr_m2: float = 0.0
-    room: Callable[[], float] | None = None
     wall_clock: Callable[[], float] | None = None
     _zero_s: float = field(default=0.0, init=False)
     _pressed_s: float | None = field(default=None, init=False)
@@ -43,6 +68,11 @@ class BoxStage:
 
     def __post_init__(self) -> None:
         self._zero_s = self.clock()
+
+    @property
+    def protocol(self) -> AdaptationProtocol:
+        """Return what is done."""
+        return self.lights.protocol
 
     def now_s(self) -> float:
         """Return the time in s since the stage was set up, or as `resume_at` set it."""
@@ -63,6 +93,8 @@ class BoxStage:
 
     def health(self) -> dict[str, str]:
         """Return how the box is, for whoever watches. Raises DeviceError."""
+        if self.wall_clock is None:  # asking would let simulated time pass
+            return {"box": self.box.identity.serial}
         now = self.box.status()
         return {
             "box": self.box.identity.serial,
@@ -71,34 +103,22 @@ class BoxStage:
             "went dark by itself": f"{now.darkened} times",
         }
 
-    def room_luminance_cd_m2(self) -> float | None:
-        """Return the luminance of the dark room; None where it cannot be measured."""
-        return self.room() if self.room else None
-
     def bleach(self, protocol: AdaptationProtocol) -> None:
         """Light the bleaching channel for the protocol's time, timed by the box.
 
         Raises:
-            UsageError: If the protocol wants a flash.
             DeviceError: If the box fails.
             UnsafeStimulus: If it is too much for eye or box.
         """
-        bleach = protocol.bleach
-        if not isinstance(bleach, SteadyBleach):
-            raise UsageError(
-                f"protocol {protocol.name}: a flash of {bleach.retinal_td_s:g} td·s is beyond the box's steady light; "
-                "take a protocol with a steady bleach"
-            )
-        level = Radiance(bleach.luminance_cd_m2 / self.photopic_lm_per_w)
-        self.box.pulse(_BLEACH, level, bleach.duration_s)
-        self.sleep(bleach.duration_s)
+        self.box.pulse(BLEACH, self.lights.bleach, protocol.bleach.duration_s)
+        self.sleep(protocol.bleach.duration_s)
         self._light_mark()
 
     def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
         """Blink the spot once and return the presses in s from its onset. Raises DeviceError, UnsafeStimulus."""
-        spot, onset = self.protocol.spot, self.clock()
+        spot, onset = self.lights.protocol.spot, self.clock()
         if log10_level is not None:
-            self.box.pulse(spot.channel, Radiance(10.0**log10_level / self.scotopic_lm_per_w), spot.on_s)
+            self.box.pulse(spot.channel, self.lights.spot(log10_level), spot.on_s)
         presses = self._presses(self.box.buttons(max(0.0, spot.cycle_s - (self.clock() - onset))))
         return [time_s - onset for time_s in presses if time_s >= onset]
 
@@ -134,5 +154,5 @@ class BoxStage:
         return presses
 
     def _light_mark(self) -> None:
-        if self.fixation_w_sr_m2:
-            self.box.set_level(_FIXATION, Radiance(self.fixation_w_sr_m2))
+        if self.lights.fixation_w_sr_m2:
+            self.box.set_level(FIXATION, Radiance(self.lights.fixation_w_sr_m2))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import dataclass, field
 
 
@@ -15,10 +16,13 @@ class Controls:
     Attributes:
         paused_by: Who asked for the pause that is asked for now; None where none is.
         stopped_by: Who asked for the end; None while nobody has.
+        linger_s: Real time that each look at a pause takes besides; for runs in simulated time, where a pause would
+            be over before anybody could end it.
     """
 
     paused_by: str | None = None
     stopped_by: str | None = None
+    linger_s: float = 0.0
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def pause(self, by: str = "operator") -> None:
@@ -40,3 +44,8 @@ class Controls:
         """Ask for the end of the run; it cannot be taken back."""
         with self._lock:
             self.stopped_by = self.stopped_by or by
+
+    def linger(self) -> None:
+        """Let real time pass between two looks at a pause."""
+        if self.linger_s:
+            time.sleep(self.linger_s)

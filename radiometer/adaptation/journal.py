@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -12,6 +13,8 @@ from typing import IO, Any, Final, Self
 from radiometer.errors import InputError, OutputError
 
 FORMAT: Final = "radiometer-adaptation/1"
+REFUSED: Final = "refused"
+CHECK: Final = "check"
 Event = dict[str, Any]
 
 
@@ -20,11 +23,17 @@ class Journal:
 
     Args:
         path: The file; created where it is not there.
+        relive: Take up a simulated run by living through it again: events come anew from the first on (or from the last
+            refused try on), must equal those in the file, and are written where the file ends. A simulated world that
+            died with its program is whole again then, down to the temperature of its LEDs.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, relive: bool = False) -> None:
         self.path = path
-        self.events: list[Event] = list(read_events(path)) if path.exists() else []
+        known = list(read_events(path)) if path.exists() else []
+        tried = max((number + 1 for number, event in enumerate(known) if event["kind"] == REFUSED), default=0)
+        self._past: deque[Event] = deque(known[tried:] if relive else [])
+        self.events: list[Event] = known[:tried] if relive else known
         self._stream: IO[bytes] | None = None
 
     def __enter__(self) -> Self:
@@ -47,8 +56,14 @@ class Journal:
 
         Raises:
             OutputError: If the disk refuses it.
+            InputError: If the run is lived through again and this event is another one than the file's.
         """
         event = {"sequence": len(self.events), "kind": kind, "time_s": round(time_s, 4), **facts}
+        if self._past:
+            before = self._past.popleft()
+            self._compare(event, before)
+            self.events.append(before)
+            return before
         if self._stream is None:
             raise OutputError(f"{self.path}: the journal is not open")
         try:
@@ -60,6 +75,14 @@ class Journal:
             raise OutputError(f"cannot write {self.path}: {error.strerror or error}") from error
         self.events.append(event)
         return event
+
+    def _compare(self, event: Event, before: Event) -> None:
+        same = json.loads(json.dumps(event)) == before
+        if not same and not event["kind"] == before["kind"] == CHECK:  # a calibration has grown older meanwhile
+            raise InputError(
+                f"{self.path}, line {event['sequence'] + 1}: the simulated run is not the same any more "
+                f"({before['kind']} then, {event['kind']} now); options or program have changed, name another journal"
+            )
 
     def of_kind(self, kind: str) -> list[Event]:
         """Return the events of a kind, in order."""

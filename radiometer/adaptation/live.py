@@ -50,7 +50,7 @@ class LiveState:
         """Take an event of the journal, in order."""
         kind, self.time_s = str(event["kind"]), float(event["time_s"])
         phase = {"bleach": "bleach", "blink": "threshold", "pause": "paused", "end": "over"}.get(kind, "fixation")
-        if kind in ("start", "room", "stage", "prompt", "stop"):
+        if kind in ("start", "stage", "check", "room", "refused", "prompt", "stop"):
             phase = self.phase
         if phase != self.phase:
             self.phase, self.phase_since_s = phase, self.time_s

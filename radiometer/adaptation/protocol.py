@@ -24,17 +24,22 @@ class SteadyBleach(ConfigSection):
 
 
 class FlashBleach(ConfigSection):
-    """A flash, given by what reaches the retina in scotopic trolands × seconds."""
+    """A flash, given by what reaches the retina in scotopic trolands × seconds through a pupil of known diameter.
+
+    It must be short beside the pigment's regeneration (400 s in rods), so that only its energy counts.
+    """
 
     kind: Literal["flash"]
     retinal_td_s: float = Field(gt=0, le=1e8)
-    duration_s: float = Field(0.01, gt=0, le=1.0)
+    duration_s: float = Field(0.01, gt=0, le=20.0)
+    pupil_mm: float = Field(6.0, ge=1, le=9)
 
 
 class Spot(ConfigSection):
     """The test spot: where it is shown, its light, its place and how it blinks.
 
-    Levels are log10 of scotopic luminance in cd·m⁻².
+    Levels are log10 of scotopic luminance in cd·m⁻² at the eye, behind a neutral filter of `filter_density` before the
+    spot where there is one.
     """
 
     device: Literal["screen", "light_box"]
@@ -44,6 +49,7 @@ class Spot(ConfigSection):
     eccentricity_deg: float = Field(8.0, ge=0, le=60)
     on_s: float = Field(0.3, gt=0)
     off_s: float = Field(0.7, ge=0)
+    filter_density: float = Field(0.0, ge=0, le=6)
     lowest_log10: float = -5.5
     highest_log10: float = 1.5
 
@@ -121,7 +127,8 @@ class Watch(ConfigSection):
     """How false presses, absence and the wish for a pause are found out.
 
     A press that is held for `hold_to_pause_s` asks for a pause. A trial is given up after `most_blinks`; after
-    `absent_after` trials without a threshold, or a pause of more than `longest_pause_min`, the test is over.
+    `absent_after` trials without a threshold, or a pause of more than `longest_pause_min`, the test is over. In the
+    first `blind_min` after the bleach nothing may be seen: unanswered trials count only later.
     """
 
     catch_share: float = Field(0.1, ge=0, le=0.5)
@@ -129,6 +136,7 @@ class Watch(ConfigSection):
     pause_between_s: float = Field(4.0, ge=0)
     hold_to_pause_s: float = Field(2.0, gt=0, le=30)
     longest_pause_min: float = Field(10.0, gt=0, le=60)
+    blind_min: float = Field(5.0, ge=0, le=30)
     most_blinks: int = Field(90, ge=5)
     absent_after: int = Field(3, ge=1)
     most_false_share: float = Field(0.33, gt=0, le=1)
@@ -137,8 +145,8 @@ class Watch(ConfigSection):
 class Safety(ConfigSection):
     """Limits that the run keeps to."""
 
-    darkest_room_cd_m2: float = Field(1e-3, gt=0)
-    calibration_days: float = Field(30.0, gt=0)
+    darkest_room_cd_m2: float = Field(1e-3, gt=0)  # the most that the dark room may have
+    calibration_days: float = Field(30.0, gt=0)  # the greatest age of the calibration of box or screen
 
 
 class AdaptationProtocol(ConfigSection):

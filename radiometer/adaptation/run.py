@@ -1,25 +1,26 @@
 """Runs a test: bleach, then one threshold after the other, everything journalled; can be taken up after a crash.
 
-Events of the journal: `start`, `stage` (what the devices are, where they can tell), `room`, `bleach`, `dark`, then
-`blink` (after each blink, with its presses) and `trial` (after each threshold or catch); between them `pause`,
-`resume`, `taken_up` (after a crash) and `prompt` (a sound); at last `stop` and `end`.
+Events of the journal: `start`, `stage` (what the devices are, where they can tell), `check`, `room`, `refused` (by a
+check), `bleach`, `dark`, then `blink` (after each blink, with its presses) and `trial` (after each threshold or catch);
+between them `pause`, `resume`, `taken_up` (after a crash) and `prompt` (a sound); at last `stop` and `end`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
+from radiometer.adaptation.checks import Check
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import FORMAT, Event, Journal
+from radiometer.adaptation.journal import FORMAT, REFUSED, Event, Journal
 from radiometer.adaptation.methods import Method, begin
 from radiometer.adaptation.outcome import Outcome, Verdict, counting_trials, outcome_of
 from radiometer.adaptation.protocol import AdaptationProtocol, LimitsMethod, SteadyBleach
 from radiometer.adaptation.stage import DescribedStage, Stage, SteppedStage
-from radiometer.errors import MeasurementError, UsageError
+from radiometer.errors import UsageError
 
 Watcher = Callable[[Event], None]
 SUBJECT: Final = "subject"
@@ -35,6 +36,7 @@ def run_test(
     seed: int = 0,
     watch: Watcher = lambda event: None,
     controls: Controls | None = None,
+    checks: Sequence[Check] = (),
 ) -> Outcome:
     """Run a test from the beginning, or from where its journal ends.
 
@@ -46,14 +48,15 @@ def run_test(
         seed: Seed of the catches.
         watch: Told every new event.
         controls: Where pauses and the end are asked for; by the subject's long press alone where None.
+        checks: Made before the bleach; what they find is journalled, what they refuse is raised.
 
     Raises:
         UsageError: If the journal is of another subject or protocol.
-        MeasurementError: If the room is not dark.
+        RadiometerError: If a check refuses, such as a MeasurementError where the room is not dark.
         DeviceError: If a device fails; the run can be taken up again.
         MissingLibrary: If the protocol's method is QUEST+ and `questplus` is not installed.
     """
-    run = _Run(protocol, stage, journal, subject, seed, watch, controls or Controls())
+    run = _Run(protocol, stage, journal, subject, seed, watch, controls or Controls(), checks)
     run.start()
     while (outcome := run.finished()) is None:
         run.trial()
@@ -71,6 +74,7 @@ class _Run:
     seed: int
     watch: Watcher
     controls: Controls
+    checks: Sequence[Check]
 
     def note(self, kind: str, *, lasting: bool = True, **facts: Any) -> Event:
         event = self.journal.write(kind, self.stage.now_s(), lasting=lasting, **facts)
@@ -115,10 +119,12 @@ class _Run:
     def _prepare(self) -> None:
         if isinstance(self.stage, DescribedStage):
             self.note("stage", **self.stage.facts())
-        room, limit = self.stage.room_luminance_cd_m2(), self.protocol.safety.darkest_room_cd_m2
-        if room is not None and room > limit:
-            raise MeasurementError(f"the room has {room:.2g} cd/m²; the test needs less than {limit:.2g}: darken it")
-        self.note("room", luminance_cd_m2=room)
+        for check in self.checks:
+            finding = check()
+            self.note(finding.kind, **finding.facts)
+            if finding.refusal is not None:
+                self.note(REFUSED, reason=str(finding.refusal))
+                raise finding.refusal
         bleach = self.protocol.bleach
         self.note("bleach", light=bleach.model_dump())
         self.stage.bleach(self.protocol)
@@ -250,6 +256,7 @@ class _Run:
         while self.controls.paused_by is not None and self.controls.stopped_by is None:
             if self.stage.rest(LOOK_S) and by == SUBJECT:
                 self.controls.resume()
+            self.controls.linger()
             if self.stage.now_s() - begun_s >= longest_s:
                 return
         if self.controls.stopped_by is None:
@@ -274,7 +281,7 @@ class _Run:
         if self._paused:
             return Verdict.LEFT if found else Verdict.NO_RESPONSE
         recent = tries[-self.protocol.watch.absent_after :]
-        if len(recent) == self.protocol.watch.absent_after and all(map(_fruitless, recent)):
+        if len(recent) == self.protocol.watch.absent_after and all(map(self._fruitless, recent)):
             return _why_fruitless(recent, known=bool(found))
         criterion = self.protocol.end.criterion_log10
         if criterion is not None and found and found[-1] <= criterion:
@@ -283,9 +290,10 @@ class _Run:
             return Verdict.COMPLETE
         return None
 
-
-def _fruitless(trial: Event) -> bool:
-    return trial["threshold"] is None and not trial["false_press"]
+    def _fruitless(self, trial: Event) -> bool:
+        """Tell whether a trial gave no threshold though a subject who is there would have given one."""
+        blind = trial["seen"] == 0 and trial["minutes"] < self.protocol.watch.blind_min
+        return trial["threshold"] is None and not trial["false_press"] and not blind
 
 
 def _why_fruitless(trials: list[Event], *, known: bool) -> Verdict:

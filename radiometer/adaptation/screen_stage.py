@@ -30,7 +30,6 @@ class ScreenStage:
         viewing: Where the eye is.
         clock: Steady clock in s.
         wall_clock: Time of day as Unix time in s; None where time is simulated.
-        room: Measures the dark room in cd·m⁻²; None where it cannot be measured.
     """
 
     screen: StimulusScreen
@@ -39,7 +38,6 @@ class ScreenStage:
     viewing: Viewing
     clock: Callable[[], float]
     wall_clock: Callable[[], float] | None = None
-    room: Callable[[], float] | None = None
     levels: SpotLevels = field(init=False)
     _zero_s: float = field(default=0.0, init=False)
     _bleach: Picture = field(init=False)
@@ -78,10 +76,6 @@ class ScreenStage:
         """Count on from a time, with the mark shown again. Raises DeviceError."""
         self._zero_s = self.clock() - time_s
         self.screen.show(self._rest)
-
-    def room_luminance_cd_m2(self) -> float | None:
-        """Return the luminance of the dark room; None where it cannot be measured."""
-        return self.room() if self.room else None
 
     def facts(self) -> dict[str, Any]:
         """Return what the journal should hold of the screen."""

@@ -24,10 +24,6 @@ class Stage(Protocol):
         """Return the time of day as Unix time in s; None where time is simulated."""
         ...
 
-    def room_luminance_cd_m2(self) -> float | None:
-        """Return the luminance of the dark room; None where it cannot be measured."""
-        ...
-
     def bleach(self, protocol: AdaptationProtocol) -> None:
         """Give the bleach and return when it is over. Raises DeviceError, UnsafeStimulus."""
         ...

@@ -12,12 +12,13 @@ from typing import Final
 
 import numpy as np
 
+from radiometer.adaptation.checks import Check, Finding, judge_age
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.adaptation.screen_levels import SpotLevels, within_reach
 from radiometer.adaptation.screen_stage import ScreenStage
 from radiometer.bench.screen import BROWSER, SIMULATED_DISPLAYS, START_TIMEOUT_S
 from radiometer.devices import DisplayPatch
-from radiometer.errors import CalibrationError, ConfigurationError, UsageError
+from radiometer.errors import ConfigurationError, UsageError
 from radiometer.screen.calibration import ScreenCalibration
 from radiometer.screen.stimulus import Blink, Code, Hold, Picture, Rest, StimulusScreen, Viewing
 from simulators.displays import DISPLAYS, SimulatedDisplay
@@ -42,12 +43,10 @@ class ObservedScreen:
     Attributes:
         watcher: The subject and the display.
         seed: Makes the subject's answers.
-        slow_down_s: Real seconds that each blink takes, so that a run can be watched or interrupted.
     """
 
     watcher: ObserverAtScreen
     seed: int = 0
-    slow_down_s: float = 0.0
     _shown: Picture = field(default_factory=Picture)
 
     @property
@@ -84,7 +83,6 @@ class ObservedScreen:
 
     def _pass(self, seconds: float) -> None:
         self.watcher.display.clock.advance(seconds)
-        time.sleep(min(self.slow_down_s, seconds))
 
 
 class ObservedStage(ScreenStage):
@@ -111,9 +109,10 @@ def open_screen_stage(
     port: int = 0,
     announce: Callable[[str], None] = lambda url: None,
     seed: int = 0,
-    slow_down_s: float = 0.0,
-) -> Iterator[ScreenStage]:
-    """Open a calibrated screen as a stage for the block.
+    accept_stale: bool = False,
+    room: Callable[[], Finding] | None = None,
+) -> Iterator[tuple[ScreenStage, list[Check]]]:
+    """Open a calibrated screen as a stage for the block, with its checks.
 
     Args:
         protocol: A protocol whose spot is on a screen.
@@ -123,7 +122,8 @@ def open_screen_stage(
         port: Port of the page; 0 for any free one.
         announce: Called with the page's address.
         seed: Makes the simulated subject's answers.
-        slow_down_s: Real seconds that a simulated blink takes.
+        accept_stale: Go on with a calibration that is older than the protocol allows.
+        room: Checks the dark room; None where no camera does.
 
     Raises:
         UsageError: If protocol, display and subject do not go together, or no calibration is named.
@@ -134,20 +134,23 @@ def open_screen_stage(
     if calibration is None:
         raise UsageError(f"protocol {protocol.name} needs a calibrated screen: --screen FILE of `screen calibrate`")
     known = ScreenCalibration.read(calibration)
-    _require_fresh(known, protocol)
+    age = judge_age(f"screen {known.name}", known.created, protocol, dt.datetime.now(dt.UTC), accept_stale=accept_stale)
+    if age.refusal is not None:
+        raise age.refusal
+    checks: list[Check] = [lambda: age, *([room] if room else [])]
     reached = within_reach(protocol, SpotLevels.of(known, protocol.spot.channel))
     if display == BROWSER:
         if subject is not None:
             raise UsageError("a simulated subject sees simulated displays only: --display lcd, pwm_lcd or oled")
         with _browser(port, announce) as screen:
             viewing = _viewing(protocol, known, None)
-            yield ScreenStage(screen, known, reached, viewing, time.monotonic, wall_clock=time.time)
+            yield ScreenStage(screen, known, reached, viewing, time.monotonic, wall_clock=time.time), checks
     elif display in SIMULATED_DISPLAYS:
         watcher = _watcher(display, subject)
         with watcher.display:
             viewing = _viewing(protocol, known, _SIMULATED_PIXEL_MM)
-            screen_before = ObservedScreen(watcher, seed, slow_down_s)
-            yield ObservedStage(screen_before, known, reached, viewing, watcher.display.clock.now_s)
+            screen_before = ObservedScreen(watcher, seed)
+            yield ObservedStage(screen_before, known, reached, viewing, watcher.display.clock.now_s), checks
     else:
         raise UsageError(f"display {display!r} is unknown; choose {BROWSER}, {', '.join(SIMULATED_DISPLAYS)}")
 
@@ -166,22 +169,6 @@ def _watcher(display: str, subject: str | None) -> ObserverAtScreen:
     habits, leaves_after_s = _HABITS[subject]
     observer = Observer(Eye(), habits)
     return ObserverAtScreen(observer, SimulatedDisplay(DISPLAYS[display]), leaves_after_s)
-
-
-def _require_fresh(calibration: ScreenCalibration, protocol: AdaptationProtocol) -> None:
-    try:
-        created = dt.datetime.fromisoformat(calibration.created)
-    except ValueError as error:
-        raise CalibrationError(
-            f"screen {calibration.name}: its calibration says {calibration.created!r} for when it was made; calibrate "
-            "it again"
-        ) from error
-    days = (dt.datetime.now(dt.UTC) - created).total_seconds() / 86400
-    if days > protocol.safety.calibration_days:
-        raise CalibrationError(
-            f"screen {calibration.name}: its calibration is {days:.0f} days old, protocol {protocol.name} allows "
-            f"{protocol.safety.calibration_days:g}: calibrate it again, or raise safety.calibration_days"
-        )
 
 
 def _viewing(protocol: AdaptationProtocol, calibration: ScreenCalibration, otherwise_mm: float | None) -> Viewing:

@@ -53,9 +53,22 @@ class SurveyRequest:
 
 @contextmanager
 def open_light_camera(
-    opened: OpenedBox, name: str | None, bench: Path | None, patch: Patch | None, calibration: Path | None
+    opened: OpenedBox,
+    name: str | None,
+    bench: Path | None,
+    patch: Patch | None,
+    calibration: Path | None,
+    ambient_w_sr_m2: float = 0.0,
 ) -> Iterator[Instrument]:
     """Open the camera that looks at a box for the block; a simulated box is looked at by a simulated camera.
+
+    Args:
+        opened: The open box.
+        name: Camera by name; the bench's own where None.
+        bench: Bench file; the shipped one where None.
+        patch: Where to read; the bench's where None.
+        calibration: Calibration of the camera; the bench's where None.
+        ambient_w_sr_m2: Radiance of the simulated room on the simulated box.
 
     Raises:
         UsageError: If a simulated box is to be looked at by a real camera.
@@ -67,7 +80,7 @@ def open_light_camera(
         return
     if name not in (None, SIMULATED_CAMERA):
         raise UsageError(f"the simulated box can only be looked at by the simulated camera, not by {name}")
-    yield _absolute(_simulated_instrument(opened, bench, patch, calibration))
+    yield _absolute(_simulated_instrument(opened, bench, patch, calibration, ambient_w_sr_m2))
 
 
 def survey_box(
@@ -134,7 +147,7 @@ def _absolute(instrument: Instrument) -> Instrument:
 
 
 def _simulated_instrument(
-    opened: OpenedBox, bench: Path | None, patch: Patch | None, calibration: Path | None
+    opened: OpenedBox, bench: Path | None, patch: Patch | None, calibration: Path | None, ambient_w_sr_m2: float
 ) -> Instrument:
     file = bench or shipped_config(BENCH)
     config, where = read_bench(file)
@@ -146,7 +159,9 @@ def _simulated_instrument(
     limits = replace(limits, width=wanted.width or limits.width, height=wanted.height or limits.height)
     clock = HookedClock(opened.box.link.line.now, opened.wait)
     model = CameraModel.ideal(preset.camera, config.lens.description)
-    camera = LightBoxCamera(model, BoxView(twin), limits=limits, clock=clock, seed=wanted.seed, serial=wanted.serial)
+    camera = LightBoxCamera(
+        model, BoxView(twin, ambient_w_sr_m2), limits=limits, clock=clock, seed=wanted.seed, serial=wanted.serial
+    )
     camera.open()
     camera.configure(replace(camera.settings, black_level_dn=wanted.black_level_dn, gain_db=wanted.gain_db))
     known = calibration or calibration_path(config, bench)

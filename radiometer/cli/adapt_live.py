@@ -128,7 +128,13 @@ def _chart(state: LiveState, fit: RunningFit, columns: int) -> list[str]:
 def tell_line(event: Event) -> None:
     """Print one line for each phase and each trial."""
     out = console()
-    if event["kind"] == "bleach":
+    if event["kind"] == "check":
+        out.print(f"checked: {_finding(event)}")
+    elif event["kind"] == "room" and event["luminance_cd_m2"] is not None:
+        out.print(f"dark room: ({event['luminance_cd_m2']:.2g} ± {2 * event['u_cd_m2']:.1g}) cd/m² (k = 2)")
+    elif event["kind"] == "refused":
+        out.print("refused: nothing was shown")
+    elif event["kind"] == "bleach":
         out.print("bleach: look at the bright field")
     elif event["kind"] == "dark":
         out.print("dark: look at the red mark and press whenever the spot is seen")
@@ -140,6 +146,18 @@ def tell_line(event: Event) -> None:
         found = event["threshold"]
         said = "not seen" if found is None else f"{found:6.2f} log scotopic cd/m²  {_bar(found)}"
         out.print(f"{event['minutes']:6.2f} min  {'pressed too early' if event['false_press'] else said}")
+
+
+def _finding(event: Event) -> str:
+    """Return a check's finding in words."""
+    if event["what"] == "calibration":
+        stale = ", older than the protocol allows: accepted" if event.get("accepted_stale") else ""
+        age = f", {event['age_days']:.0f} days old" if "age_days" in event else ""
+        return f"calibration of {event['of']}{age}{stale}"
+    if "blue_light" not in event:
+        return "the box's limits"
+    blue, thermal = 100 * event["blue_light"], 100 * event["thermal"]
+    return f"{blue:.2g} % of the blue-light limit, {thermal:.2g} % of the thermal one"
 
 
 def _bar(threshold: float) -> str:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json as json_module
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,9 +16,11 @@ from radiometer.cli.console import console, note
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
+    from radiometer.adaptation.checks import Check
     from radiometer.adaptation.outcome import Outcome
     from radiometer.adaptation.protocol import AdaptationProtocol
     from radiometer.adaptation.stage import Stage
+    from radiometer.bench.box_adaptation import BoxRequest
 
 
 def register(app: typer.Typer) -> None:
@@ -33,11 +37,20 @@ def run(
     csv: Annotated[Path | None, typer.Option(help="Thresholds for `adapt fit`; beside the journal by default.")] = None,
     box: Annotated[str | None, typer.Option(help="Light box: sim, a serial number or a port.")] = None,
     calibration: Annotated[Path | None, typer.Option(help="Light calibration; the box's own by default.")] = None,
+    accept_stale: Annotated[
+        bool, typer.Option("--accept-stale", help="Go on with a calibration older than the protocol allows.")
+    ] = False,
+    camera: Annotated[
+        str | None, typer.Option(help="Camera that checks the dark room: sim, or its id, serial number or address.")
+    ] = None,
+    bench: Annotated[Path | None, typer.Option(help="Bench file of that camera.")] = None,
     white: Annotated[str, typer.Option(help="Spectrum of the bleaching light.")] = "white_led",
     fixation: Annotated[float, typer.Option(min=0.0, help="Radiance of the red mark in W·sr⁻¹·m⁻²; 0 for none.")] = 0.0,
     simulate: Annotated[
-        str | None, typer.Option(help="A simulated subject in simulated time: steady, never, always, leaves.")
+        str | None,
+        typer.Option(help="Simulated subject in simulated time: steady, never, always, leaves; also with --box sim."),
     ] = None,
+    room: Annotated[float, typer.Option(min=0.0, help="Luminance of the simulated box's room in cd/m².")] = 0.0,
     slow: Annotated[float, typer.Option(min=0.0, help="Real seconds per simulated trial, to watch it.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of catches and of the simulated subject.")] = 0,
     screen: Annotated[
@@ -54,25 +67,45 @@ def run(
 ) -> None:
     """Run a dark-adaptation test; where the journal exists, take it up where it ends.
 
-    Every event is on the disk before the next one happens. Exit code 1 where the run cannot be fitted.
+    Calibration age, safety and, with --camera or --bench, the dark room are checked before the bleach. Keys: p pauses
+    and goes on, q ends the test; a press of the button that is held for 2 s pauses too. Every event is in the journal
+    before the next one happens. Exit code 1 where the run cannot be fitted.
     """
     from radiometer.adaptation.controls import Controls
     from radiometer.adaptation.journal import Journal
     from radiometer.adaptation.protocol import read_protocol
     from radiometer.adaptation.run import run_test
+    from radiometer.bench.box_adaptation import SIMULATED, BoxRequest
     from radiometer.cli.adapt_watch import Watching, watchers
+    from radiometer.cli.keys import listening
     from radiometer.data.storage import write_text_atomic
 
     chosen = read_protocol(protocol)
     file = out or Path(f"{subject}-{chosen.name}.jsonl")
-    wanted, controls = Watching(page or page_port > 0, page_port, audio, json), Controls()
-    light = _Light(box, calibration, white, fixation, screen, display, port)
-    with _stage(chosen, light, simulate, seed, slow) as stage, Journal(file) as journal:
-        if journal.events and not json:
-            note(f"{file} holds {len(journal.events)} events: taking it up")
-        with watchers(wanted, stage, journal, controls) as watch:
+    wanted, controls = Watching(page or page_port > 0, page_port, audio, json, slow), Controls(linger_s=slow)
+    seen = camera is not None or bench is not None
+    box_request = BoxRequest(
+        box, calibration, white, fixation, accept_stale, seen, camera, bench, room, subject=simulate, seed=seed
+    )
+    with (
+        _stage(chosen, box_request, _Screen(screen, display, port)) as (stage, checks),
+        Journal(file, relive=box == SIMULATED) as journal,
+    ):
+        if file.stat().st_size and not json:
+            note(f"{file} holds a run: taking it up")
+        with (
+            watchers(wanted, stage, journal, controls) as watch,
+            listening({"p": controls.toggle, "q": controls.stop}),
+        ):
             outcome = run_test(
-                stage.protocol, stage, journal, subject=subject, seed=seed, watch=watch, controls=controls
+                stage.protocol,
+                stage,
+                journal,
+                subject=subject,
+                seed=seed,
+                watch=watch,
+                controls=controls,
+                checks=checks,
             )
     table = csv or file.with_suffix(".csv")
     write_text_atomic(table, outcome.to_csv())
@@ -82,52 +115,58 @@ def run(
 
 
 @dataclass(frozen=True, slots=True)
-class _Light:
-    """What gives the light."""
+class _Screen:
+    """Which screen gives the light."""
 
-    box: str | None
     calibration: Path | None
-    white: str
-    fixation: float
-    screen: Path | None
     display: str
     port: int
 
 
+@contextmanager
 def _stage(
-    protocol: AdaptationProtocol, light: _Light, simulate: str | None, seed: int, slow: float
-) -> AbstractContextManager[Stage]:
-    from radiometer.bench.adaptation import open_box_stage, simulated_stage
+    protocol: AdaptationProtocol, request: BoxRequest, screen: _Screen
+) -> Iterator[tuple[Stage, Sequence[Check]]]:
+    from radiometer.bench.adaptation import simulated_stage
+    from radiometer.bench.box_adaptation import open_box_stage
 
-    if simulate is not None and light.box is not None:
-        raise UsageError("--simulate and --box exclude each other")
-    if protocol.spot.device == "screen" and (simulate is None or light.screen is not None):
-        return _screen_stage(protocol, light, simulate, seed, slow)
-    if light.screen is not None:
+    on_screen, simulated = protocol.spot.device == "screen", request.subject is not None
+    if screen.calibration is not None and not on_screen:
         raise UsageError(f"protocol {protocol.name} shows its spot by the light box; --screen is for screen-only")
-    if simulate is not None:
-        return nullcontext(simulated_stage(protocol, simulate, seed=seed, slow_down_s=slow))
-    return open_box_stage(protocol, light.box, light.calibration, white=light.white, fixation_w_sr_m2=light.fixation)
+    if on_screen and request.box is None and (screen.calibration is not None or not simulated):
+        with _on_screen(protocol, request, screen) as opened:
+            yield opened
+    elif request.subject is not None and request.box is None:
+        yield simulated_stage(protocol, request.subject, seed=request.seed), ()
+    else:
+        with open_box_stage(protocol, request) as opened:
+            yield opened
 
 
-def _screen_stage(
-    protocol: AdaptationProtocol, light: _Light, simulate: str | None, seed: int, slow: float
-) -> AbstractContextManager[Stage]:
+@contextmanager
+def _on_screen(
+    protocol: AdaptationProtocol, request: BoxRequest, screen: _Screen
+) -> Iterator[tuple[Stage, Sequence[Check]]]:
+    from radiometer.bench.adaptation_room import room_by_camera
     from radiometer.bench.adaptation_screen import open_screen_stage
 
     def announce(url: str) -> None:
         note(f"open this address on the subject's screen, then press Start there:\n  {url}")
 
-    return open_screen_stage(
+    with open_screen_stage(
         protocol,
-        light.screen,
-        display=light.display,
-        subject=simulate,
-        port=light.port,
+        screen.calibration,
+        display=screen.display,
+        subject=request.subject,
+        port=screen.port,
         announce=announce,
-        seed=seed,
-        slow_down_s=slow,
-    )
+        seed=request.seed,
+        accept_stale=request.accept_stale,
+        room=partial(room_by_camera, protocol, request.camera, request.bench, request.white)
+        if request.measure_room
+        else None,
+    ) as opened:
+        yield opened
 
 
 def _conclude(outcome: Outcome, table: Path, *, json: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -29,12 +30,14 @@ class Watching:
         page_port: Its port; 0 for any free one.
         audio: Whether prompts are sounded: by the page, or by the terminal's bell where there is none.
         json: Whether events are printed as JSON lines.
+        slow_s: Real time that passes after each trial, so that a run in simulated time can be watched.
     """
 
     page: bool
     page_port: int
     audio: bool
     json: bool
+    slow_s: float = 0.0
 
 
 @contextmanager
@@ -50,6 +53,8 @@ def watchers(wanted: Watching, stage: Stage, journal: Journal, controls: Control
         def tell(event: Event) -> None:
             for teller in tellers:
                 teller(event)
+            if wanted.slow_s and event["kind"] == "trial":
+                time.sleep(wanted.slow_s)
 
         if not wanted.audio:
             yield tell

@@ -16,7 +16,7 @@ class ScriptedStage:
 
     def __init__(self, eye: Eye, protocol: AdaptationProtocol, *, latency_s: float = 0.4) -> None:
         self.eye, self.protocol, self.latency_s = eye, protocol, latency_s
-        self.time, self.dark_since, self.dies_after, self.room = 0.0, 0.0, math.inf, 1e-5
+        self.time, self.dark_since, self.dies_after = 0.0, 0.0, math.inf
         self.at: dict[float, Callable[[], None]] = {}
         self.held_since: float | None = None
         self.presses_in_pause: list[float] = []
@@ -30,9 +30,6 @@ class ScriptedStage:
 
     def now_s(self) -> float:
         return self.time
-
-    def room_luminance_cd_m2(self) -> float | None:
-        return self.room
 
     def bleach(self, protocol: AdaptationProtocol) -> None:
         self.time += protocol.bleach.duration_s

@@ -6,10 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from radiometer.adaptation.box_stage import BoxStage
+from radiometer.adaptation.box_stage import BoxLights, BoxStage
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.devices.light_box import ButtonEvent, Radiance
-from radiometer.errors import UsageError
 
 
 class RecordingBox:
@@ -48,21 +47,21 @@ def stage(box: RecordingBox) -> BoxStage:
     def sleep(seconds: float) -> None:
         box.time += seconds
 
-    protocol = read_protocol("classic")
-    return BoxStage(box, 300.0, 900.0, protocol, lambda: box.time, sleep, fixation_w_sr_m2=1e-4)  # type: ignore[arg-type]
+    lights = BoxLights(read_protocol("classic"), 300.0, 600.0, 900.0, fixation_w_sr_m2=1e-4)
+    return BoxStage(box, lights, lambda: box.time, sleep)  # type: ignore[arg-type]
 
 
 def test_bleach_is_the_protocols_light_and_then_the_mark(stage: BoxStage, box: RecordingBox) -> None:
     """300 cd/m² at 300 lm/W are 1 W/sr/m² for 120 s; the red mark follows."""
-    stage.bleach(stage.protocol)
+    stage.bleach(stage.lights.protocol)
     assert box.asked == [("bleach", pytest.approx(1.0), 120.0), ("fixation", 1e-4)]
     assert stage.now_s() == pytest.approx(120.0)
 
 
 def test_blink_is_one_pulse_of_the_levels_radiance(stage: BoxStage, box: RecordingBox) -> None:
-    """-3 log scotopic cd/m² at 900 lm/W, for the protocol's 0.3 s, within a cycle of 1 s."""
+    """-3 log scotopic cd/m² behind a filter of density 3 at 900 lm/W, for the protocol's 0.3 s, in a cycle of 1 s."""
     stage.blink(-3.0, 0, 0)
-    assert box.asked == [("spot", pytest.approx(1e-3 / 900), 0.3)]
+    assert box.asked == [("spot", pytest.approx(1.0 / 900), 0.3)]
     assert stage.now_s() == pytest.approx(1.0)
 
 
@@ -78,16 +77,18 @@ def test_catch_lights_nothing(stage: BoxStage, box: RecordingBox) -> None:
     assert box.asked == []
 
 
-def test_flash_is_refused_with_the_way_out(stage: BoxStage) -> None:
-    """A flash protocol cannot be given by the steady channel."""
-    with pytest.raises(UsageError, match="steady bleach"):
-        stage.bleach(read_protocol("quick"))
+def test_flash_gives_its_scotopic_troland_seconds(stage: BoxStage, box: RecordingBox) -> None:
+    """4e5 td·s in 15 s through 6 mm (28.27 mm²) are 943 scotopic cd/m², at 600 lm/W 1.572 W/sr/m²."""
+    stage.lights = BoxLights(read_protocol("quick"), 300.0, 600.0, 900.0)
+    stage.bleach(stage.lights.protocol)
+    assert box.asked == [("bleach", pytest.approx(4e5 / 15 / 28.274 / 600, rel=1e-4), 15.0)]
 
 
-def test_resuming_counts_on(stage: BoxStage) -> None:
-    """After a crash the time goes on from the journal's end."""
+def test_resuming_counts_on_with_the_mark_lit(stage: BoxStage, box: RecordingBox) -> None:
+    """After a crash the time goes on, and the subject has something to look at again."""
     stage.resume_at(500.0)
     assert stage.now_s() == pytest.approx(500.0)
+    assert box.asked == [("fixation", 1e-4)]
 
 
 def test_long_press_is_told_once_and_a_short_one_never(stage: BoxStage, box: RecordingBox) -> None:

@@ -29,10 +29,10 @@ def seen_probability(level: float, alpha: float) -> float:
 
 
 def test_threshold_lies_within_its_stated_uncertainty() -> None:
-    """Over 40 subjects drawn from the prior, the squared errors in units of u are chi-squared (2 in 1000 outside)."""
+    """Over 24 subjects drawn from the prior, the squared errors in units of u are chi-squared (2 in 1000 outside)."""
     rng = np.random.default_rng(2)
     squares = []
-    for _ in range(40):
+    for _ in range(24):
         alpha = -3.0 + METHOD.prior_sd_log10 * rng.standard_normal()
         search = QuestPlusSearch(SPOT, METHOD, last=-3.0)
         while search.threshold is None and not search.exhausted:
@@ -41,13 +41,13 @@ def test_threshold_lies_within_its_stated_uncertainty() -> None:
         assert search.u_log10 is not None
         assert search.u_log10 <= METHOD.stop_sd_log10
         squares.append(((search.threshold - alpha) / search.u_log10) ** 2)
-    assert chi2.ppf(0.001, 40) < sum(squares) < chi2.ppf(0.999, 40)
+    assert chi2.ppf(0.001, 24) < sum(squares) < chi2.ppf(0.999, 24)
 
 
 @pytest.mark.parametrize("seen", [False, True])
 def test_answers_of_one_kind_only_are_no_threshold(seen: bool) -> None:
     """Who never or always presses gives a bound from one side; the prior is no measurement."""
-    search = QuestPlusSearch(SPOT, METHOD, last=-3.0)
+    search = QuestPlusSearch(SPOT, METHOD.model_copy(update={"most_blinks": 12}), last=-3.0)
     while not search.exhausted:
         search.answer(seen=seen)
     assert search.threshold is None
@@ -74,7 +74,11 @@ def protocol(monkeypatch: pytest.MonkeyPatch) -> AdaptationProtocol:
     """Return the shipped protocol, cut to 2 min, with the disk's waiting left out."""
     monkeypatch.setattr(os, "fsync", lambda handle: None)
     whole = read_protocol("questplus")
-    return whole.model_copy(update={"end": whole.end.model_copy(update={"duration_min": 2.0})})
+    end, watch = (
+        part.model_copy(update=change)
+        for part, change in ((whole.end, {"duration_min": 2.0}), (whole.watch, {"blind_min": 0.0}))
+    )
+    return whole.model_copy(update={"end": end, "watch": watch})
 
 
 def _run(path: Path, stage: ScriptedStage) -> Outcome:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import os
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from radiometer.adaptation.checks import Finding, judge_room
 from radiometer.adaptation.journal import Journal
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
@@ -109,13 +111,17 @@ def test_journal_of_another_subject_is_refused(tmp_path: Path, classic: Adaptati
         run_test(classic, ScriptedStage(eye, classic), journal, subject="B2", seed=3)
 
 
-def test_bright_room_is_refused_before_the_bleach(tmp_path: Path, classic: AdaptationProtocol) -> None:
-    """Nobody is dazzled for nothing."""
+def test_refused_check_is_journalled_and_keeps_the_bleach_away(tmp_path: Path, classic: AdaptationProtocol) -> None:
+    """Nobody is dazzled for nothing, and the journal says why; the next try begins with the checks again."""
     stage = ScriptedStage(eye, classic)
-    stage.room = 0.5
-    with pytest.raises(MeasurementError, match=r"0\.5 cd/m²"):
-        _run(tmp_path, stage)
+    findings = [Finding("check", {"what": "safety"}), judge_room(0.5, 0.01, classic)]
+    with Journal(tmp_path / "j") as journal, pytest.raises(MeasurementError, match=r"\(0\.5 ± 0\.02\) cd/m²"):
+        run_test(classic, stage, journal, subject="A1", seed=3, checks=[partial(lambda f: f, f) for f in findings])
     assert stage.time == 0.0
+    assert [event["kind"] for event in journal.events] == ["start", "check", "room", "refused"]
+    _run(tmp_path, stage)
+    with Journal(tmp_path / "j") as journal:
+        assert [event["kind"] for event in journal.events[4:6]] == ["bleach", "dark"]
 
 
 def test_catches_are_about_a_tenth_of_all_trials(tmp_path: Path, classic: AdaptationProtocol) -> None:

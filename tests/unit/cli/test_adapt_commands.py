@@ -30,10 +30,10 @@ def test_protocols_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     [
         ["nothing", "--subject", "A", "--simulate", "steady"],
         ["classic", "--subject", "A", "--simulate", "asleep"],
-        ["classic", "--subject", "A", "--simulate", "steady", "--box", "sim"],
+        ["classic", "--subject", "A", "--simulate", "steady", "--box", "LB000001"],
     ],
 )
 def test_misuse_is_exit_code_two(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    """Unknown protocol, unknown subject, and both kinds at once."""
+    """Unknown protocol, unknown subject, and a simulated subject before a real box."""
     assert run(["adapt", "run", *words]) == 2
     assert capsys.readouterr().err.startswith("error:")

@@ -10,7 +10,8 @@ import pytest
 
 from simulators.eye_kinetics import Eye, bleached, drawn_eye, eye_after_bleach, recovery_min, scotopic_per_photopic
 from simulators.light_box import LightBoxTwin
-from simulators.observer import Habits, Observer, ObserverAtBox
+from simulators.observer import Habits, Observer
+from simulators.observer_at_box import ObserverAtBox
 
 
 def test_bleach_settles_where_bleaching_and_regeneration_balance():

@@ -1,0 +1,89 @@
+"""What is checked before a bleach: calibration not too old, light safe, room dark. Each finding is journalled."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.errors import CalibrationError, MeasurementError, RadiometerError
+
+COVERAGE: Final = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a check has found.
+
+    Attributes:
+        kind: Kind of the event: "room" or "check".
+        facts: What stands in the journal.
+        refusal: Why the test must not begin; None where it may.
+    """
+
+    kind: str
+    facts: Mapping[str, Any]
+    refusal: RadiometerError | None = None
+
+
+Check = Callable[[], Finding]
+
+
+def judge_age(
+    what: str, created: str, protocol: AdaptationProtocol, now: dt.datetime, *, accept_stale: bool = False
+) -> Finding:
+    """Return whether a calibration is young enough for a protocol.
+
+    Args:
+        what: What is calibrated, for the message.
+        created: When, ISO 8601 with time zone.
+        protocol: States the limit in days.
+        now: The time, with time zone.
+        accept_stale: Go on with an old one; the journal says so.
+    """
+    try:
+        age_days = (now - dt.datetime.fromisoformat(created)).total_seconds() / 86400.0
+    except (ValueError, TypeError):
+        said = f"the calibration of {what} says {created!r} for when it was made; calibrate again"
+        return Finding("check", {"what": "calibration", "of": what}, CalibrationError(said))
+    limit_days = protocol.safety.calibration_days
+    stale = age_days > limit_days
+    facts = {"what": "calibration", "of": what, "age_days": round(age_days, 2), "limit_days": limit_days}
+    if not stale:
+        return Finding("check", facts)
+    if accept_stale:
+        return Finding("check", {**facts, "accepted_stale": True})
+    return Finding(
+        "check",
+        facts,
+        CalibrationError(
+            f"the calibration of {what} is {age_days:.0f} days old, protocol {protocol.name} allows {limit_days:g}; "
+            "calibrate again, or go on with --accept-stale (the journal will say so)"
+        ),
+    )
+
+
+def judge_room(luminance_cd_m2: float, u_cd_m2: float, protocol: AdaptationProtocol) -> Finding:
+    """Return whether a room is dark enough for a protocol: its luminance and twice its uncertainty below the limit.
+
+    Args:
+        luminance_cd_m2: Luminance of the dark field in cd·m⁻².
+        u_cd_m2: Its standard uncertainty.
+        protocol: States the limit.
+    """
+    limit = protocol.safety.darkest_room_cd_m2
+    facts = {"luminance_cd_m2": luminance_cd_m2, "u_cd_m2": u_cd_m2, "limit_cd_m2": limit}
+    reading = f"({luminance_cd_m2:.2g} ± {COVERAGE * u_cd_m2:.1g}) cd/m² (k = 2)"
+    if luminance_cd_m2 + COVERAGE * u_cd_m2 <= limit:
+        return Finding("room", facts)
+    if luminance_cd_m2 > limit:
+        said = f"the room has {reading}; protocol {protocol.name} needs less than {limit:.2g}: darken it"
+    else:
+        said = (
+            f"the camera reads {reading}: that does not show the room to be darker than the {limit:.2g} that "
+            f"protocol {protocol.name} needs; open its aperture, give it more time (time_limit_s of the bench), or "
+            "state another safety.darkest_room_cd_m2"
+        )
+    return Finding("room", facts, MeasurementError(said))

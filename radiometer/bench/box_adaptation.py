@@ -1,0 +1,213 @@
+"""The light box as a stage of the adaptation test, with its checks; a simulated subject may sit before it."""
+
+from __future__ import annotations
+
+import datetime as dt
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from radiometer.adaptation.box_stage import BLEACH, FIXATION, BoxLights, BoxStage
+from radiometer.adaptation.checks import Check, Finding, judge_age
+from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach
+from radiometer.analysis.photometry import luminous_efficacy_lm_per_w
+from radiometer.analysis.spectra import spectrum
+from radiometer.bench.adaptation_room import measured_room
+from radiometer.bench.boxes import OpenedBox, open_light_box
+from radiometer.bench.light_bench import open_light_camera
+from radiometer.data.config_files import shipped_config
+from radiometer.devices.light_box import Radiance
+from radiometer.devices.retinal_safety import HazardFractions, refuse_unsafe
+from radiometer.errors import CalibrationError, MeasurementError, RadiometerError, SettingOutOfRange, UsageError
+from simulators.eye_kinetics import Eye
+from simulators.observer import Habits, Observer
+from simulators.observer_at_box import ObserverAtBox
+
+SIMULATED: Final = "sim"
+SIMULATED_CALIBRATION: Final = "calibrations/simulated-box.yaml"
+PEAK_TOLERANCE_NM: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class BoxRequest:
+    """Which box to run a test on, and how.
+
+    Attributes:
+        box: "sim", a serial number or a port; None for the only one that answers.
+        calibration: Light calibration; the box's own where None.
+        white: Spectrum of the bleaching light; what light there is in the room counts as of the same.
+        fixation_w_sr_m2: Radiance of the red mark; 0 for none.
+        accept_stale: Go on with a calibration that is older than the protocol allows.
+        measure_room: Measure the dark room with a camera.
+        camera: Camera for that, by name; the bench's own where None.
+        bench: Bench file of that camera.
+        room_cd_m2: Luminance of the simulated room.
+        subject: Simulated subject before the simulated box: "steady", "never", "always", "leaves"; None for nobody.
+        seed: Makes the simulated subject's answers.
+    """
+
+    box: str | None = None
+    calibration: Path | None = None
+    white: str = "white_led"
+    fixation_w_sr_m2: float = 0.0
+    accept_stale: bool = False
+    measure_room: bool = False
+    camera: str | None = None
+    bench: Path | None = None
+    room_cd_m2: float = 0.0
+    subject: str | None = None
+    seed: int = 0
+
+
+@contextmanager
+def open_box_stage(protocol: AdaptationProtocol, request: BoxRequest) -> Iterator[tuple[BoxStage, list[Check]]]:
+    """Open a light box as a stage for the block, with its checks; it is dark and released afterwards.
+
+    Raises:
+        UsageError: If the protocol wants a screen, or a simulated subject is to sit before a real box.
+        CalibrationError: If the box has no calibration, or another box's.
+        DeviceError: If the box cannot be opened.
+        InputError: If the spectrum is unknown.
+    """
+    if protocol.spot.device != "light_box":
+        raise UsageError(f"protocol {protocol.name} shows its spot on a screen; choose one for the light box")
+    if request.subject is not None and request.box != SIMULATED:
+        raise UsageError("a simulated subject can only sit before the simulated box: --box sim")
+    lights = box_lights(protocol, request)
+    own = request.box == SIMULATED and request.calibration is None
+    file = shipped_config(SIMULATED_CALIBRATION) if own else request.calibration
+    with open_light_box(request.box, calibration=file) as opened:
+        if opened.calibration is None:
+            raise CalibrationError(
+                f"light box {opened.box.identity.serial} has no calibration: make one with `radiometer light calibrate`"
+            )
+        if request.subject is not None:
+            seat_subject(opened, protocol, request.subject, request.seed)
+        clock = opened.box.link.line.now  # the clock that the button's times are given on
+        stage = BoxStage(opened.box, lights, clock, opened.wait, None if opened.twin else time.time)
+        yield stage, _checks(opened, lights, request, shipped=own)
+
+
+def box_lights(protocol: AdaptationProtocol, request: BoxRequest) -> BoxLights:
+    """Return what the eye makes of the box's lights. Raises InputError for an unknown spectrum."""
+    white, spot = spectrum(request.white), spectrum(f"line:{protocol.spot.peak_nm:g}")
+    return BoxLights(
+        protocol,
+        luminous_efficacy_lm_per_w(white, "photopic"),
+        luminous_efficacy_lm_per_w(white, "scotopic"),
+        luminous_efficacy_lm_per_w(spot, "scotopic"),
+        request.fixation_w_sr_m2,
+    )
+
+
+def seat_subject(opened: OpenedBox, protocol: AdaptationProtocol, behaviour: str, seed: int) -> ObserverAtBox:
+    """Seat a simulated subject before a simulated box and return it.
+
+    Args:
+        opened: The open simulated box.
+        protocol: States the filter before the spot.
+        behaviour: "steady", "never" (presses), "always" (presses) or "leaves" (after 10 min).
+        seed: Makes the answers.
+
+    Raises:
+        UsageError: If the behaviour is unknown or the box is not simulated.
+    """
+    habits = {"steady": Habits(), "never": Habits(lapses=1.0, false_alarms=0.0), "always": Habits(), "leaves": Habits()}
+    if behaviour not in habits or opened.twin is None:
+        raise UsageError(f"simulated subject {behaviour!r}: choose {', '.join(habits)}, before --box sim")
+    subject = ObserverAtBox(
+        Observer(Eye(), habits[behaviour], np.random.default_rng(seed)),
+        opened.twin,
+        filter_density=protocol.spot.filter_density,
+        leaves_after_min=10.0 if behaviour == "leaves" else float("inf"),
+        taps=behaviour == "always",
+    )
+    subject.sit_down()
+    return subject
+
+
+def _checks(opened: OpenedBox, lights: BoxLights, request: BoxRequest, *, shipped: bool) -> list[Check]:
+    checks: list[Check] = [lambda: _safe(opened, lights)]
+    if not shipped:  # the simulated box does not age
+        checks.append(lambda: _young(opened, lights.protocol, accept_stale=request.accept_stale))
+    if request.measure_room:
+        checks.append(lambda: _dark(opened, lights.protocol, request))
+    return checks
+
+
+def _young(opened: OpenedBox, protocol: AdaptationProtocol, *, accept_stale: bool) -> Finding:
+    assert opened.calibration is not None
+    what, now = f"light box {opened.calibration.box_serial}", dt.datetime.now(dt.UTC)
+    return judge_age(what, opened.calibration.created, protocol, now, accept_stale=accept_stale)
+
+
+def _dark(opened: OpenedBox, protocol: AdaptationProtocol, request: BoxRequest) -> Finding:
+    """Return what the camera reads of the dark field. Raises DeviceError, CalibrationError, UsageError."""
+    opened.box.safe()
+    ambient_w_sr_m2 = request.room_cd_m2 / luminous_efficacy_lm_per_w(spectrum(request.white), "photopic")
+    with open_light_camera(opened, request.camera, request.bench, None, None, ambient_w_sr_m2) as instrument:
+        return measured_room(instrument, protocol, request.white)
+
+
+def _safe(opened: OpenedBox, lights: BoxLights) -> Finding:
+    """Return what the whole test does to the eye, with every light at its highest, and whether the box can give it."""
+    protocol, box = lights.protocol, opened.box
+    bright_s = 60 * protocol.end.duration_min
+    spot, share = protocol.spot, protocol.spot.on_s / protocol.spot.cycle_s
+    facts: dict[str, object] = {"what": "safety", "allowed_fraction": box.ledger.allowed_fraction}
+    try:
+        _require_colour(opened, protocol)
+        used = [box.foresee(BLEACH, lights.bleach, protocol.bleach.duration_s)]
+        box.foresee(spot.channel, lights.spot(spot.lowest_log10), spot.on_s)
+        used.append(box.foresee(spot.channel, lights.spot(spot.highest_log10), share * bright_s))
+        if lights.fixation_w_sr_m2:
+            used.append(box.foresee(FIXATION, Radiance(lights.fixation_w_sr_m2), bright_s))
+        whole = HazardFractions(sum(one.blue_light for one in used), max(one.thermal for one in used))
+        facts |= {"blue_light": float(f"{whole.blue_light:.3g}"), "thermal": float(f"{whole.thermal:.3g}")}
+        facts["bleach_w_sr_m2"] = float(f"{lights.bleach.radiance_w_sr_m2:.5g}")
+        refuse_unsafe(f"protocol {protocol.name}", whole, box.ledger.allowed_fraction)
+    except RadiometerError as refusal:
+        return Finding("check", facts, _explained(refusal, opened, lights))
+    return Finding("check", facts)
+
+
+def _require_colour(opened: OpenedBox, protocol: AdaptationProtocol) -> None:
+    """Raise UsageError if the channel's light is not the protocol's."""
+    spot = protocol.spot
+    known = opened.box.channels.get(spot.channel)
+    peak_nm = known.peak_nm if known else None
+    if peak_nm is not None and abs(peak_nm - spot.peak_nm) > PEAK_TOLERANCE_NM:
+        raise UsageError(
+            f"protocol {protocol.name} wants a spot of {spot.peak_nm:g} nm, channel {spot.channel} has {peak_nm:g} nm: "
+            "name another channel, or state its own wavelength in the protocol"
+        )
+
+
+def _explained(refusal: RadiometerError, opened: OpenedBox, lights: BoxLights) -> RadiometerError:
+    """Return a refusal with the way out where the box cannot give what the protocol wants."""
+    if not isinstance(refusal, SettingOutOfRange) or opened.calibration is None:
+        return refusal
+    protocol, spot = lights.protocol, lights.protocol.spot
+    if refusal.name.endswith(BLEACH):
+        _, brightest = opened.calibration.limits(BLEACH)
+        bleach = protocol.bleach
+        if isinstance(bleach, FlashBleach):
+            shortest_s = bleach.duration_s * lights.bleach.radiance_w_sr_m2 / brightest
+            way = f"this box needs {shortest_s:.3g} s at least for {bleach.retinal_td_s:g} td·s: bleach.duration_s"
+        else:
+            way = f"it reaches {brightest * lights.bleach_photopic_lm_per_w:.0f} cd/m²: bleach.luminance_cd_m2"
+    else:
+        low, high = (
+            np.log10(radiance * lights.spot_scotopic_lm_per_w) - spot.filter_density
+            for radiance in opened.calibration.limits(spot.channel)
+        )
+        way = (
+            f"behind a filter of density {spot.filter_density:g} it reaches {low:.2f} to {high:.2f} log10 scotopic "
+            "cd/m²: spot.lowest_log10, spot.highest_log10 or spot.filter_density"
+        )
+    return MeasurementError(f"protocol {protocol.name}: {refusal}; {way}")

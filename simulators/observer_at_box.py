@@ -1,0 +1,107 @@
+"""A simulated subject before the simulated light box: sees its LEDs, is bleached by them, presses its button."""
+
+from __future__ import annotations
+
+import math
+from copy import copy
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from simulators.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
+from simulators.led_physics import LedState
+from simulators.light_box import LightBoxTwin
+from simulators.observer import Observer
+
+HOLD_S: Final = 0.15  # how long the button is held
+BLEACH: Final = "bleach"
+WHITE_LM_PER_W: Final = 320.0  # of a white LED's light: 450 nm pump, phosphor at 560 nm
+TAPPING_S: Final = 0.7  # how often a subject presses who always does
+LONGEST_S: Final = 3 * 3600.0
+
+
+@dataclass(slots=True)
+class ObserverAtBox:
+    """A subject in front of the simulated light box, with its hand on the button.
+
+    What the box's bleaching light does to the eye follows from its luminance and time; before any bleach the eye is as
+    `observer` has it.
+
+    Attributes:
+        observer: The subject.
+        twin: The box.
+        channels: The channels that it watches for.
+        filter_density: Optical density of the filter before them.
+        leaves_after_min: Time in the dark after which it presses no more.
+        taps: Press again and again, whatever is seen.
+        answered: How often it has pressed for a light.
+    """
+
+    observer: Observer
+    twin: LightBoxTwin
+    channels: tuple[str, ...] = ("spot", "spot_red")
+    filter_density: float = 0.0
+    leaves_after_min: float = math.inf
+    taps: bool = False
+    answered: int = 0
+    _lit: dict[str, bool] = field(default_factory=dict)
+    _rested: Eye = field(init=False)
+    _bleach: tuple[float, float, float, bool] | None = None
+
+    def __post_init__(self) -> None:
+        self._rested = self.observer.eye
+
+    def sit_down(self) -> None:
+        """Begin to watch the box."""
+        self.twin.watch = self._look
+        if self.taps:
+            for time_s in np.arange(self.twin.time_s, self.twin.time_s + LONGEST_S, TAPPING_S):
+                self._press(float(time_s))
+
+    def _look(self) -> None:
+        """See what has come on or gone off; press if the spot was noticed."""
+        self._watch_bleach()
+        for channel in self.channels:
+            lit = self.twin.duty(channel) > 0
+            came_on = lit and not self._lit.get(channel, False)
+            self._lit[channel] = lit
+            if came_on and not self.taps:
+                self._answer(channel)
+
+    def _answer(self, channel: str) -> None:
+        time_s = self.twin.time_s
+        if time_s - self.observer.dark_since_s > 60.0 * self.leaves_after_min:
+            return
+        emission = self._led(channel).emission(time_s)
+        wavelength_nm = emission.peak_nm or 555.0
+        luminance = emission.radiance_w_sr_m2 * scotopic_lm_per_w(wavelength_nm) * 10.0**-self.filter_density
+        reaction_s = self.observer.answer(math.log10(max(luminance, 1e-12)), time_s, wavelength_nm)
+        if reaction_s is not None:
+            self.answered += 1
+            self._press(time_s + reaction_s)
+
+    def _press(self, time_s: float) -> None:
+        self.twin.press(time_s)
+        self.twin.press(time_s + HOLD_S, pressed=False)
+
+    def _watch_bleach(self) -> None:
+        """Note when the bleaching light comes on, and adapt from when it has gone."""
+        now_s, duty = self.twin.time_s, self.twin.duty(BLEACH)
+        if duty > 0:
+            if self._bleach is None:
+                high = next(state.high for state in self.twin.channels if state.limits.name == BLEACH)
+                self._bleach = now_s, self._led(BLEACH).emission(now_s).radiance_w_sr_m2, duty, high
+            return
+        if self._bleach is None:
+            return
+        begun_s, first, duty, high = self._bleach
+        self._bleach = None
+        led = copy(self._led(BLEACH))
+        led.drive(duty, high=high, time_s=now_s)  # as it was just before: warm, hence a little dimmer than at first
+        luminance = WHITE_LM_PER_W * 0.5 * (first + led.emission(now_s).radiance_w_sr_m2)
+        self.observer.eye = eye_after_bleach(self._rested, luminance, now_s - begun_s)
+        self.observer.dark_since_s = now_s
+
+    def _led(self, channel: str) -> LedState:
+        return self.twin.leds[[limits.name for limits in self.twin.settings.channels].index(channel)]

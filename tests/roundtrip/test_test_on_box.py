@@ -1,0 +1,126 @@
+"""The whole test through the simulated box: the subject sees its LEDs and presses its button, as on hardware."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation
+from radiometer.adaptation.journal import Journal
+from radiometer.adaptation.outcome import Outcome, Verdict
+from radiometer.adaptation.protocol import AdaptationProtocol, SteadyBleach, read_protocol
+from radiometer.adaptation.run import run_test
+from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.bench.box_adaptation import BoxRequest, open_box_stage
+from simulators.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
+from simulators.observer_at_box import WHITE_LM_PER_W
+
+# Radiance for 750 cd/m² by the protocol's white LED (316.9 lm/W), as the simulated eye sees it.
+BLEACH_CD_M2 = 750.0 / 316.9 * WHITE_LM_PER_W
+
+
+@pytest.fixture(autouse=True)
+def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "fsync", lambda handle: None)
+
+
+def protocol(minutes: float, *, bleach_s: float = 150.0, **spot: Any) -> AdaptationProtocol:
+    """Return the shipped box-only protocol, cut short."""
+    whole = read_protocol("led-only")
+    return whole.model_copy(
+        update={
+            "bleach": SteadyBleach(luminance_cd_m2=750.0, duration_s=bleach_s),
+            "spot": whole.spot.model_copy(update=spot),
+            "end": whole.end.model_copy(update={"duration_min": minutes}),
+        }
+    )
+
+
+def run(path: Path, wanted: AdaptationProtocol, subject: str | None = "steady") -> tuple[Outcome, Journal]:
+    """Run a test on the simulated box."""
+    request = BoxRequest("sim", subject=subject, seed=4)
+    with open_box_stage(wanted, request) as (stage, checks), Journal(path, relive=True) as journal:
+        return run_test(wanted, stage, journal, subject="A1", seed=3, checks=checks), journal
+
+
+def fitted(outcome: Outcome) -> AdaptationFit:
+    """Return the fit of a run's thresholds."""
+    assert outcome.can_be_fitted, outcome
+    series = ThresholdSeries(np.array(outcome.times_min), np.array(outcome.thresholds_log10))
+    return fit_adaptation(series, FitRequest(bootstrap_draws=0), np.random.default_rng(0))
+
+
+@pytest.mark.slow
+def test_blue_spot_shows_the_break_of_the_eye_that_the_bleach_left(tmp_path: Path) -> None:
+    """Break within its interval's width and the method's own delay; plateau where the eye has it on the stated scale.
+
+    The product takes the spot for a line at 453 nm (833 lm/W scotopic), the eye sees 756 lm/W: +0.04 log10 units; the
+    limits end up to a step (0.1) above α, or below it by the function's spread.
+    """
+    outcome, _ = run(tmp_path / "j", protocol(18.0))
+    found = fitted(outcome)
+    eye = eye_after_bleach(Eye(), BLEACH_CD_M2, 150.0)
+    truth = eye.break_min(453.0)
+    assert found.has_break
+    assert truth is not None
+    assert abs(found.estimates["break_min"].value - truth) < 3 * found.estimates["break_min"].u + 0.3
+    offset = math.log10(833.0 / scotopic_lm_per_w(453.0))
+    late = [v for t, v in zip(outcome.times_min, outcome.thresholds_log10, strict=True) if t > 10]
+    eyes = [eye.threshold_log10(t, 453.0) for t in outcome.times_min if t > 10]
+    assert np.mean(late) - np.mean(eyes) == pytest.approx(offset, abs=0.15)
+
+
+@pytest.mark.slow
+def test_red_spot_shows_no_break(tmp_path: Path) -> None:
+    """At 640 nm rods and cones are about equally sensitive: the same subject, bleach and box give one branch."""
+    red = protocol(
+        14.0, channel="spot_red", peak_nm=640.0, filter_density=1.5, lowest_log10=-6.0, highest_log10=-1.3
+    )  # fmt: skip
+    outcome, _ = run(tmp_path / "j", red)
+    assert not fitted(outcome).has_break
+
+
+@pytest.mark.slow
+def test_short_bleach_leaves_the_rod_branch_alone(tmp_path: Path) -> None:
+    """After 2 s the rods are the more sensitive from the first threshold on: one branch, far below the cones'."""
+    outcome, _ = run(tmp_path / "j", protocol(10.0, bleach_s=2.0))
+    found = fitted(outcome)
+    assert not found.has_break, found.verdict
+    assert found.estimates["final_threshold"].value < Eye().cone_log10(30.0, 453.0) - 2.0
+
+
+@pytest.mark.parametrize(
+    ("subject", "verdict"),
+    [("never", Verdict.NO_RESPONSE), (None, Verdict.NO_RESPONSE), ("always", Verdict.UNRELIABLE)],
+)
+def test_subject_who_never_or_always_presses_gets_a_verdict(
+    tmp_path: Path, subject: str | None, verdict: Verdict
+) -> None:
+    """And nobody before the box is as one who never presses."""
+    outcome, _ = run(tmp_path / "j", protocol(7.0, bleach_s=10.0), subject)
+    assert outcome.verdict is verdict
+    assert not outcome.can_be_fitted
+
+
+def test_subject_who_leaves_gets_a_verdict(tmp_path: Path) -> None:
+    """Ten minutes of presses, then none: known before the test's time is over."""
+    outcome, journal = run(tmp_path / "j", protocol(20.0, bleach_s=10.0), "leaves")
+    assert outcome.verdict is Verdict.LEFT
+    assert not outcome.can_be_fitted
+    assert journal.events[-1]["time_s"] < 18 * 60
+
+
+def test_run_that_died_is_lived_through_again_and_goes_on(tmp_path: Path) -> None:
+    """Cut anywhere, even in a line, the journal of the same command equals the undisturbed one byte for byte."""
+    wanted = protocol(1.5, bleach_s=10.0)
+    run(tmp_path / "whole", wanted)
+    whole = (tmp_path / "whole").read_bytes()
+    for share in (0.02, 0.4, 0.9):
+        (tmp_path / "cut").write_bytes(whole[: int(share * len(whole))])
+        run(tmp_path / "cut", wanted)
+        assert (tmp_path / "cut").read_bytes() == whole
