@@ -79,11 +79,13 @@ class ObserverAtScreen:
         observer: The subject.
         display: An open display.
         leaves_after_s: Time after the bleach from which it does not press any more.
+        filter_density: Optical density of a filter that it puts before its eye after the bleach.
     """
 
     observer: Observer
     display: SimulatedDisplay
     leaves_after_s: float = math.inf
+    filter_density: float = 0.0
 
     def stare(self, rgb: tuple[float, float, float], duration_s: float) -> None:
         """Look at a field of a drive 0..1 for a time that ends now: what it bleaches has to recover."""
@@ -110,4 +112,4 @@ class ObserverAtScreen:
             scotopic_lm_per_w(nm) * (self.display.radiance((one[0], one[1], one[2])) - black)
             for nm, one in zip(PRIMARY_NM, alone, strict=True)
         )
-        return math.log10(added) if added > 0 else None
+        return math.log10(added) - self.filter_density if added > 0 else None

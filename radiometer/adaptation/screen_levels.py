@@ -27,7 +27,7 @@ class SpotLevels:
     Attributes:
         channel: Name of the channel.
         codes: Whole levels that can be told from black, ascending, shape (n,).
-        log10: log10 of the scotopic luminance in cd·m⁻² that each adds to the black, shape (n,).
+        log10: log10 of the scotopic luminance in cd·m⁻² that each adds to the black, behind the filter, shape (n,).
         u_log10: Its standard uncertainty without what all levels share, shape (n,).
         u_common_log10: What all share: the scale.
     """
@@ -39,8 +39,13 @@ class SpotLevels:
     u_common_log10: float
 
     @classmethod
-    def of(cls, calibration: ScreenCalibration, channel: str) -> SpotLevels:
+    def of(cls, calibration: ScreenCalibration, channel: str, filter_density: float = 0.0) -> SpotLevels:
         """Return the spots of a channel of a calibrated screen.
+
+        Args:
+            calibration: The screen's calibration.
+            channel: The channel.
+            filter_density: Optical density of a neutral filter before screen or eye.
 
         Raises:
             CalibrationError: If the channel was not measured.
@@ -61,7 +66,8 @@ class SpotLevels:
         # Above the first usable level all are used: an uncertain one between two good ones is bounded by them.
         value = np.maximum.accumulate(added[first:])
         relative = u[first:] / value / math.log(10)
-        return cls(channel, codes[first:], np.log10(value), relative, curve.u_common_rel / math.log(10))
+        at_eye = np.log10(value) - filter_density
+        return cls(channel, codes[first:], at_eye, relative, curve.u_common_rel / math.log(10))
 
     @property
     def reach(self) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from radiometer.adaptation.protocol import AdaptationProtocol, SteadyBleach
 from radiometer.adaptation.screen_levels import SpotLevels, field_code, mark_code
 from radiometer.errors import UsageError
 from radiometer.screen.calibration import ScreenCalibration
-from radiometer.screen.stimulus import Blink, Hold, Picture, Shape, StimulusScreen, Viewing, in_codes
+from radiometer.screen.stimulus import Blink, Code, Hold, Picture, Shape, StimulusScreen, Viewing, in_codes
 
 # Reaction times by browser, keyboard or touch screen come out too long by tens of ms that differ from machine to
 # machine: Pronk et al. 2020, Behavior Research Methods 52, 1371. A rectangle from 0 to 0.1 s stands for it.
@@ -55,14 +55,20 @@ class ScreenStage:
                 f"protocol {self.protocol.name}: a screen gives no flash of {bleach.retinal_td_s:g} td·s; take a "
                 "protocol with a steady bleach"
             )
-        self.levels = SpotLevels.of(self.calibration, spot.channel)
-        red, _ = mark_code(self.calibration, mark.luminance_cd_m2)
+        self.levels = SpotLevels.of(self.calibration, spot.channel, spot.filter_density)
+        red, _ = self._mark_code()
         shown = self.viewing.ellipse(-half, mark.size_deg, red)
         self._spot = self.viewing.ellipse(half, spot.size_deg, self.levels.rgb(-1))
         self.viewing.require_room((shown, self._spot), self.screen.size)
         self._bleach = Picture(field_code(self.calibration, bleach.luminance_cd_m2, self.protocol.name))
         self._rest = Picture(shapes=(shown,))
         self._zero_s = self.clock()
+
+    def _mark_code(self) -> tuple[Code, bool]:
+        """Return the red that is the mark's luminance at the eye, behind the filter; and whether it is calibrated."""
+        return mark_code(
+            self.calibration, self.protocol.fixation.luminance_cd_m2 * 10.0**self.protocol.spot.filter_density
+        )
 
     def now_s(self) -> float:
         """Return the time in s since the stage was set up, or as `resume_at` set it."""
@@ -85,11 +91,12 @@ class ScreenStage:
             "calibrated": self.calibration.created,
             "distance_mm": self.viewing.distance_mm,
             "pixel_mm": self.viewing.pixel_mm,
+            "filter_density": self.protocol.spot.filter_density,
             "reach_log10": [round(low, 4), round(high, 4)],
             "coarsest_step_log10": round(self.levels.coarsest_step(self.protocol.spot.lowest_log10), 4),
             "u_level_log10": [round(float(self.levels.u_log10[i]), 4) for i in (0, -1)],
             "u_scale_log10": round(self.levels.u_common_log10, 4),
-            "mark_calibrated": mark_code(self.calibration, self.protocol.fixation.luminance_cd_m2)[1],
+            "mark_calibrated": self._mark_code()[1],
             "u_press_s": round(self.u_press_s, 4),
             "warnings": self.screen.warnings(),
         }

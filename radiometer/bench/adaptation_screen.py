@@ -138,15 +138,16 @@ def open_screen_stage(
     if age.refusal is not None:
         raise age.refusal
     checks: list[Check] = [lambda: age, *([room] if room else [])]
-    reached = within_reach(protocol, SpotLevels.of(known, protocol.spot.channel))
+    reached = within_reach(protocol, SpotLevels.of(known, protocol.spot.channel, protocol.spot.filter_density))
     if display == BROWSER:
         if subject is not None:
             raise UsageError("a simulated subject sees simulated displays only: --display lcd, pwm_lcd or oled")
         with _browser(port, announce) as screen:
             viewing = _viewing(protocol, known, None)
+            screen.show(Picture())  # nothing but black while the room is looked at
             yield ScreenStage(screen, known, reached, viewing, time.monotonic, wall_clock=time.time), checks
     elif display in SIMULATED_DISPLAYS:
-        watcher = _watcher(display, subject)
+        watcher = _watcher(display, subject, protocol.spot.filter_density)
         with watcher.display:
             viewing = _viewing(protocol, known, _SIMULATED_PIXEL_MM)
             screen_before = ObservedScreen(watcher, seed)
@@ -161,14 +162,14 @@ def _browser(port: int, announce: Callable[[str], None]) -> AbstractContextManag
     return BrowserStimulus(port, announce=announce, start_timeout_s=START_TIMEOUT_S)
 
 
-def _watcher(display: str, subject: str | None) -> ObserverAtScreen:
+def _watcher(display: str, subject: str | None, filter_density: float) -> ObserverAtScreen:
     if subject is None:
         raise UsageError("a simulated display needs a simulated subject: --simulate steady, never, always or leaves")
     if subject not in _HABITS:
         raise UsageError(f"simulated subject {subject!r}: choose {', '.join(_HABITS)}")
     habits, leaves_after_s = _HABITS[subject]
     observer = Observer(Eye(), habits)
-    return ObserverAtScreen(observer, SimulatedDisplay(DISPLAYS[display]), leaves_after_s)
+    return ObserverAtScreen(observer, SimulatedDisplay(DISPLAYS[display]), leaves_after_s, filter_density)
 
 
 def _viewing(protocol: AdaptationProtocol, calibration: ScreenCalibration, otherwise_mm: float | None) -> Viewing:

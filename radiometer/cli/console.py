@@ -49,7 +49,9 @@ def significant(value: float, u: float) -> str:
     if not (math.isfinite(value) and math.isfinite(u)) or u <= 0:
         return f"{value:.5g}"
     decimals = 1 - math.floor(math.log10(u))
-    magnitude = math.floor(math.log10(abs(value))) if value else -decimals
+    if value == 0:
+        return f"{0.0:.{max(decimals, 0)}f}"
+    magnitude = math.floor(math.log10(abs(value)))
     if -4 <= magnitude < 6 and 0 <= decimals <= 9:
         return f"{value:.{decimals}f}"
     return f"{value:.{max(0, magnitude + decimals)}e}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
@@ -9,8 +11,12 @@ from typing import Any
 import pytest
 
 from radiometer.adaptation.controls import Controls
+from radiometer.adaptation.journal import Event, Journal
 from radiometer.adaptation.live_page import LivePage
+from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import read_protocol
+from radiometer.adaptation.run import run_test
+from radiometer.bench.adaptation import simulated_stage
 from simulators.subject import SubjectCurve
 from tests.system.chromium import Browser, headless
 
@@ -134,3 +140,40 @@ async def test_buttons_reach_the_run_and_a_browser_may_go(served: tuple[LivePage
     await browser.evaluate("document.getElementById('stop').click(); document.getElementById('stop').click()")
     await _wait_for_text(browser, "say", "stopping …")
     assert controls.stopped_by == "page"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(150)
+async def test_pause_and_stop_on_the_page_stand_in_the_journal(tmp_path: Path, browser: Browser) -> None:
+    """A run pauses where the page asked for it before it began, goes on, and ends: each by the page, in this order."""
+    classic = read_protocol("classic")
+    protocol = classic.model_copy(update={"end": classic.end.model_copy(update={"duration_min": 120.0})})
+    controls = Controls(linger_s=0.1)
+    stage = simulated_stage(protocol, "steady", seed=3)
+    with LivePage(protocol, controls) as page:
+
+        def watch(event: Event) -> None:
+            page.tell(event)
+            time.sleep(0.1 if event["kind"] == "trial" else 0.0)
+
+        def run() -> Outcome:
+            with Journal(tmp_path / "j") as journal:
+                return run_test(protocol, stage, journal, subject="S1", watch=watch, controls=controls)
+
+        await browser.command("Page.navigate", url=page.url)
+        await browser.wait_for("!document.getElementById('pause').disabled")
+        await browser.evaluate("document.getElementById('pause').click()")
+        await _wait_for_text(browser, "pause", "Resume")
+        running = asyncio.create_task(asyncio.to_thread(run))
+        await _wait_for_text(browser, "phase", "Paused")
+        await browser.evaluate("document.getElementById('pause').click()")
+        await browser.wait_for("Number(document.getElementById('found').textContent) > 2")
+        await browser.evaluate("document.getElementById('stop').click(); document.getElementById('stop').click()")
+        outcome = await running
+        await _wait_for_text(browser, "phase", "Over: stopped")
+    assert outcome.verdict is Verdict.STOPPED
+    with Journal(tmp_path / "j") as journal:
+        asked = [
+            (event["kind"], event["by"]) for event in journal.events if event["kind"] in ("pause", "resume", "stop")
+        ]
+    assert asked == [("pause", "page"), ("resume", "page"), ("stop", "page")]

@@ -54,9 +54,10 @@ def _run(file: Path, journal: Path, *, subject: str = "steady", dies_after: int 
             raise DeviceLost("the power failed")
 
     with (
-        open_screen_stage(read_protocol("screen-only"), file, display="oled", subject=subject, seed=7) as stage,
+        open_screen_stage(read_protocol("screen-only"), file, display="oled", subject=subject, seed=7) as opened,
         Journal(journal) as open_journal,
     ):
+        stage, _ = opened  # the age of the calibration is left out: it is another in every run
         return run_test(stage.protocol, stage, open_journal, subject="S1", seed=7, watch=watch)
 
 
@@ -91,7 +92,27 @@ def test_thresholds_are_the_simulated_eyes(oled: Path, tmp_path: Path) -> None:
     assert errors.std() < 1.8 * expected.std()
 
 
-@pytest.mark.parametrize("dies_after", [4, 5, 40, 111])
+def test_filter_before_an_lcd_lets_the_curve_go_on(tmp_path: Path) -> None:
+    """Its darkest level is above the cones' plateau: the curve ends at once, and behind density 2 it goes on."""
+    file = tmp_path / "lcd.yaml"
+    with open_screen_bench("lcd", seed=2) as bench:
+        calibrate_screen(bench, Options("lcd", LEVELS, ("blue",), repeats=2), lights()).write(file)
+    lowest, counts = [], []
+    for density in (0.0, 2.0):
+        protocol = read_protocol("screen-only")
+        protocol = protocol.model_copy(update={"spot": protocol.spot.model_copy(update={"filter_density": density})})
+        with (
+            open_screen_stage(protocol, file, display="lcd", subject="steady", seed=7) as (stage, _),
+            Journal(tmp_path / f"j{density}") as journal,
+        ):
+            outcome = run_test(stage.protocol, stage, journal, subject="S1", seed=7)
+        lowest.append(stage.protocol.spot.lowest_log10)
+        counts.append(len(outcome.thresholds_log10))
+    assert lowest[1] == pytest.approx(lowest[0] - 2.0)
+    assert counts[1] > 3 * counts[0]
+
+
+@pytest.mark.parametrize("dies_after", [3, 4, 40, 111])
 def test_run_taken_up_after_a_crash_has_the_same_events(oled: Path, tmp_path: Path, dies_after: int) -> None:
     """Before, just after and long after the bleach: the journal equals that of an undisturbed run."""
     _run(oled, tmp_path / "whole")
@@ -254,7 +275,7 @@ async def test_short_run_in_a_browser_is_journalled_with_its_presses(
     with contextlib.suppress(asyncio.CancelledError):
         await tapping
     with Journal(tmp_path / "j") as journal:
-        assert [event["kind"] for event in journal.events[:5]] == ["start", "stage", "room", "bleach", "dark"]
+        assert [event["kind"] for event in journal.events[:5]] == ["start", "stage", "bleach", "dark", "blink"]
         assert journal.events[-1]["verdict"] == outcome.verdict
         assert any(blink["presses_s"] for blink in journal.of_kind("blink"))
         assert journal.events[1]["pixel_mm"] == VIEWING.pixel_mm

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from radiometer.bench.screen import lights, open_photometer
 from radiometer.errors import UsageError
 from radiometer.screen import ScreenCalibration
 from radiometer.screen.calibration import LUMINANCE
@@ -129,3 +130,9 @@ def test_photometer_answers_as_psychopy_asks() -> None:
     assert photometer.getLum() == 160.0
     assert photometer.lastLum == 160.0
     assert photometer.OK
+
+
+def test_photometer_of_a_camera_reads_what_the_bench_shows() -> None:
+    """The bench's middle patch has 1.5·0.5^2.2 W/sr/m²; the lens is known to 1 %, of which three sigmas are allowed."""
+    with open_photometer() as photometer:
+        assert photometer.getLum() == pytest.approx(1.5 * 0.5**2.2 * lights()["grey"].photopic_lm_per_w, rel=0.03)
