@@ -25,6 +25,7 @@ from radiometer.devices.light_box import Radiance
 from radiometer.devices.retinal_safety import HazardFractions, refuse_unsafe
 from radiometer.errors import CalibrationError, MeasurementError, RadiometerError, SettingOutOfRange, UsageError
 from simulators.eye_kinetics import Eye
+from simulators.light_box import LightBoxTwin
 from simulators.observer import Habits, Observer
 from simulators.observer_at_box import ObserverAtBox
 
@@ -41,7 +42,7 @@ class BoxRequest:
         box: "sim", a serial number or a port; None for the only one that answers.
         calibration: Light calibration; the box's own where None.
         white: Spectrum of the bleaching light; what light there is in the room counts as of the same.
-        fixation_w_sr_m2: Radiance of the red mark; 0 for none.
+        fixation_w_sr_m2: Radiance of the red mark; the protocol's luminance where None, 0 for none.
         accept_stale: Go on with a calibration that is older than the protocol allows.
         measure_room: Measure the dark room with a camera.
         camera: Camera for that, by name; the bench's own where None.
@@ -54,7 +55,7 @@ class BoxRequest:
     box: str | None = None
     calibration: Path | None = None
     white: str = "white_led"
-    fixation_w_sr_m2: float = 0.0
+    fixation_w_sr_m2: float | None = None
     accept_stale: bool = False
     measure_room: bool = False
     camera: str | None = None
@@ -78,7 +79,6 @@ def open_box_stage(protocol: AdaptationProtocol, request: BoxRequest) -> Iterato
         raise UsageError(f"protocol {protocol.name} shows its spot on a screen; choose one for the light box")
     if request.subject is not None and request.box != SIMULATED:
         raise UsageError("a simulated subject can only sit before the simulated box: --box sim")
-    lights = box_lights(protocol, request)
     own = request.box == SIMULATED and request.calibration is None
     file = shipped_config(SIMULATED_CALIBRATION) if own else request.calibration
     with open_light_box(request.box, calibration=file) as opened:
@@ -86,44 +86,50 @@ def open_box_stage(protocol: AdaptationProtocol, request: BoxRequest) -> Iterato
             raise CalibrationError(
                 f"light box {opened.box.identity.serial} has no calibration: make one with `radiometer light calibrate`"
             )
-        if request.subject is not None:
-            seat_subject(opened, protocol, request.subject, request.seed)
+        if opened.twin is not None and request.subject is not None:
+            seat_subject(opened.twin, request.subject, request.seed, protocol.spot.filter_density)
+        lights = _lights(protocol, request, opened)
         clock = opened.box.link.line.now  # the clock that the button's times are given on
         stage = BoxStage(opened.box, lights, clock, opened.wait, None if opened.twin else time.time)
         yield stage, _checks(opened, lights, request, shipped=own)
 
 
-def box_lights(protocol: AdaptationProtocol, request: BoxRequest) -> BoxLights:
+def _lights(protocol: AdaptationProtocol, request: BoxRequest, opened: OpenedBox) -> BoxLights:
     """Return what the eye makes of the box's lights. Raises InputError for an unknown spectrum."""
     white, spot = spectrum(request.white), spectrum(f"line:{protocol.spot.peak_nm:g}")
+    mark_w_sr_m2 = request.fixation_w_sr_m2
+    if mark_w_sr_m2 is None:
+        known = opened.box.channels.get(FIXATION)
+        peak_nm = known.peak_nm if known and known.peak_nm else protocol.fixation.peak_nm
+        mark_w_sr_m2 = protocol.fixation.luminance_cd_m2 / luminous_efficacy_lm_per_w(spectrum(f"line:{peak_nm:g}"))
     return BoxLights(
         protocol,
         luminous_efficacy_lm_per_w(white, "photopic"),
         luminous_efficacy_lm_per_w(white, "scotopic"),
         luminous_efficacy_lm_per_w(spot, "scotopic"),
-        request.fixation_w_sr_m2,
+        mark_w_sr_m2,
     )
 
 
-def seat_subject(opened: OpenedBox, protocol: AdaptationProtocol, behaviour: str, seed: int) -> ObserverAtBox:
+def seat_subject(twin: LightBoxTwin, behaviour: str, seed: int, filter_density: float) -> ObserverAtBox:
     """Seat a simulated subject before a simulated box and return it.
 
     Args:
-        opened: The open simulated box.
-        protocol: States the filter before the spot.
+        twin: The simulated box.
         behaviour: "steady", "never" (presses), "always" (presses) or "leaves" (after 10 min).
         seed: Makes the answers.
+        filter_density: Optical density of the filter before the spot.
 
     Raises:
-        UsageError: If the behaviour is unknown or the box is not simulated.
+        UsageError: If the behaviour is unknown.
     """
     habits = {"steady": Habits(), "never": Habits(lapses=1.0, false_alarms=0.0), "always": Habits(), "leaves": Habits()}
-    if behaviour not in habits or opened.twin is None:
-        raise UsageError(f"simulated subject {behaviour!r}: choose {', '.join(habits)}, before --box sim")
+    if behaviour not in habits:
+        raise UsageError(f"simulated subject {behaviour!r}: choose {', '.join(habits)}")
     subject = ObserverAtBox(
         Observer(Eye(), habits[behaviour], np.random.default_rng(seed)),
-        opened.twin,
-        filter_density=protocol.spot.filter_density,
+        twin,
+        filter_density=filter_density,
         leaves_after_min=10.0 if behaviour == "leaves" else float("inf"),
         taps=behaviour == "always",
     )

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from radiometer.bench.box_adaptation import seat_subject
 from radiometer.bench.boxes import simulated_port_folder
-from radiometer.errors import OutputError
+from radiometer.errors import OutputError, UsageError
 from simulators.avr_box import AvrBox
 from simulators.light_box import LightBoxTwin, TwinSettings
 from simulators.line_faults import LineFaults
@@ -40,6 +41,8 @@ def served_box(
     corrupt: float = 0.0,
     drop: float = 0.0,
     seed: int = 0,
+    subject: str | None = None,
+    filter_density: float = 0.0,
 ) -> ServedBox:
     """Return a simulated light box ready to be served.
 
@@ -50,9 +53,12 @@ def served_box(
         clock_ppm: Rate of its clock above true time.
         corrupt: Probability that a byte on the line becomes another one.
         drop: Probability that a byte is lost.
-        seed: Makes the faults.
+        seed: Makes the faults, and the subject's answers.
+        subject: Simulated subject before it, as `seat_subject` knows them; it sees and presses in real time.
+        filter_density: Optical density of the filter before the spot.
 
     Raises:
+        UsageError: If a subject is to sit before the firmware, whose LEDs are not simulated, or is unknown.
         OutputError: If the link cannot be made.
         MissingLibrary: If simavr is asked for and not installed.
     """
@@ -62,11 +68,15 @@ def served_box(
     except OSError as error:
         raise OutputError(f"cannot make {place.parent}: {error.strerror or error}") from error
     faults_in, faults_out = (LineFaults(corrupt, drop, rng=np.random.default_rng((seed, way))) for way in (0, 1))
+    if firmware is not None and subject is not None:
+        raise UsageError("a simulated subject sees the LEDs of the twin, not of the firmware: leave out one of them")
     if firmware is not None:
         avr = AvrBox(firmware, serial)
         server = PtyServer(avr, place, faults_in, faults_out)
         return ServedBox(server, _locked(server, lambda pressed: avr.press(pressed=pressed)), lambda: None)
     twin = LightBoxTwin(TwinSettings(serial=serial, clock_ppm=clock_ppm))
+    if subject is not None:
+        seat_subject(twin, subject, seed, filter_density)
     server = PtyServer(WiredTwin(twin), place, faults_in, faults_out)
 
     def reset() -> None:

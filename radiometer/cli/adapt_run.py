@@ -45,7 +45,9 @@ def run(
     ] = None,
     bench: Annotated[Path | None, typer.Option(help="Bench file of that camera.")] = None,
     white: Annotated[str, typer.Option(help="Spectrum of the bleaching light.")] = "white_led",
-    fixation: Annotated[float, typer.Option(min=0.0, help="Radiance of the red mark in W·sr⁻¹·m⁻²; 0 for none.")] = 0.0,
+    fixation: Annotated[
+        float | None, typer.Option(min=0.0, help="Radiance of the red mark in W·sr⁻¹·m⁻²; the protocol's luminance.")
+    ] = None,
     simulate: Annotated[
         str | None,
         typer.Option(help="Simulated subject in simulated time: steady, never, always, leaves; also with --box sim."),

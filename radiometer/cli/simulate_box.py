@@ -29,7 +29,13 @@ def command(
     drop: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of bytes that the line loses.")] = 0.0,
     reset_every: Annotated[str | None, typer.Option(help="Restart the box this often, such as 30s.")] = None,
     press_every: Annotated[str | None, typer.Option(help="Press the button this often for 0.2 s.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Makes the line's faults.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Makes the line's faults and the subject's answers.")] = 0,
+    subject: Annotated[
+        str | None, typer.Option(help="Simulated subject before it, for `adapt run`: steady, never, always, leaves.")
+    ] = None,
+    filter_density: Annotated[
+        float, typer.Option(min=0.0, max=6.0, help="Density of the neutral filter between spot and subject.")
+    ] = 3.0,
 ) -> None:
     """Serve a simulated light box that any serial program can open, until stopped by Ctrl-C.
 
@@ -40,7 +46,17 @@ def command(
     from radiometer.bench.served_box import served_box
 
     periods = [parse_seconds(text, name) if text else None for text, name in _periods(reset_every, press_every)]
-    made = served_box(serial, link, firmware=firmware, clock_ppm=clock_ppm, corrupt=corrupt, drop=drop, seed=seed)
+    made = served_box(
+        serial,
+        link,
+        firmware=firmware,
+        clock_ppm=clock_ppm,
+        corrupt=corrupt,
+        drop=drop,
+        seed=seed,
+        subject=subject,
+        filter_density=filter_density,
+    )
     with made.server as server:
         print(server.port, flush=True)
         print(f"light box {serial} is served; stop with Ctrl-C", file=sys.stderr, flush=True)

@@ -12,6 +12,7 @@ import pytest
 from radiometer.adaptation.checks import Finding, judge_age, judge_room
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, read_protocol
 from radiometer.bench.box_adaptation import SIMULATED_CALIBRATION, BoxRequest, open_box_stage
+from radiometer.bench.served_box import served_box
 from radiometer.data.config_files import shipped_config
 from radiometer.data.light_calibration import LightCalibration
 from radiometer.errors import (
@@ -52,7 +53,7 @@ def refusal(protocol: AdaptationProtocol, request: BoxRequest | None = None) -> 
 @pytest.mark.parametrize("name", ["classic", "quick", "led-only", "questplus"])
 def test_shipped_protocols_are_within_the_limits_of_eye_and_box(name: str) -> None:
     """Every one for the box can be run on the reference box, the flash too; the journal gets the hazard fractions."""
-    (safety,) = findings(read_protocol(name), BoxRequest("sim", fixation_w_sr_m2=0.01))
+    (safety,) = findings(read_protocol(name), BoxRequest("sim"))
     assert safety.refusal is None
     assert 0 < safety.facts["blue_light"] < safety.facts["allowed_fraction"]
 
@@ -134,3 +135,19 @@ def test_simulated_subject_sits_before_the_simulated_box_only(quick: AdaptationP
     """No box is opened for the refusal."""
     with pytest.raises(UsageError, match="--box sim"), open_box_stage(quick, BoxRequest("LB1", subject="steady")):
         pass
+
+
+def test_red_mark_has_the_protocols_luminance(quick: AdaptationProtocol) -> None:
+    """0.1 cd/m² at the channel's 640 nm (119.5 lm/W, V = 0.175) unless a radiance is stated."""
+    with open_box_stage(quick, BoxRequest("sim")) as (stage, _):
+        assert stage.lights.fixation_w_sr_m2 == pytest.approx(0.1 / (683 * 0.175), rel=1e-3)
+    with open_box_stage(quick, BoxRequest("sim", fixation_w_sr_m2=0.0)) as (stage, _):
+        assert stage.lights.fixation_w_sr_m2 == 0.0
+
+
+def test_served_box_has_its_subject_before_the_twin_only(tmp_path: Path) -> None:
+    """The firmware in simavr has pins, no LEDs."""
+    with pytest.raises(UsageError, match="leave out one"):
+        served_box("TWIN0001", tmp_path / "port", firmware=tmp_path / "x.hex", subject="steady")
+    with pytest.raises(UsageError, match="choose steady"):
+        served_box("TWIN0001", tmp_path / "port", subject="asleep")
