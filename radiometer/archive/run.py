@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from radiometer.archive.jobs import Row, run_job
 from radiometer.archive.journal import ResultJournal
+from radiometer.archive.memory import keep_freed_memory
 from radiometer.archive.settings import JobSettings
 from radiometer.errors import DeviceNotFound, MissingLibrary
 
@@ -88,13 +89,14 @@ def _results(
         (path, settings, frozenset({known[str(path)]} if str(path) in known else ())) for path in captures
     ]
     if scheduler is None and workers == 0:
-        yield from ([run_job(*task)] for task in tasks)
+        yield from (_run_jobs([task]) for task in tasks)
         return
     with _client(scheduler, workers) as client:
         yield from _on_cluster(client, tasks)
 
 
 def _run_jobs(tasks: list[_Task]) -> list[list[Row]]:
+    keep_freed_memory()
     return [run_job(*task) for task in tasks]
 
 
