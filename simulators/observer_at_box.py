@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -26,7 +26,8 @@ class ObserverAtBox:
     """A subject in front of the simulated light box, with its hand on the button.
 
     What the box's bleaching light does to the eye follows from its luminance and time; before any bleach the eye is as
-    `observer` has it.
+    `observer` has it. False alarms come at random times, once in 1/`false_alarms` s on average, for nobody tells the
+    subject when a blink without light (a catch) is due.
 
     Attributes:
         observer: The subject.
@@ -55,9 +56,15 @@ class ObserverAtBox:
     def sit_down(self) -> None:
         """Begin to watch the box."""
         self.twin.watch = self._look
+        begin_s, habits = self.twin.time_s, self.observer.habits
+        self.observer.habits = replace(habits, false_alarms=0.0)
         if self.taps:
-            for time_s in np.arange(self.twin.time_s, self.twin.time_s + LONGEST_S, TAPPING_S):
-                self._press(float(time_s))
+            errors = np.arange(begin_s, begin_s + LONGEST_S, TAPPING_S)
+        else:
+            count = self.observer.rng.poisson(habits.false_alarms * LONGEST_S)
+            errors = np.sort(self.observer.rng.uniform(begin_s, begin_s + LONGEST_S, count))
+        for time_s in errors:
+            self._press(float(time_s))
 
     def _look(self) -> None:
         """See what has come on or gone off; press if the spot was noticed."""

@@ -22,6 +22,7 @@ class BoxLights:
         bleach_scotopic_lm_per_w: Its scotopic luminous efficacy.
         spot_scotopic_lm_per_w: That of the spot's light.
         fixation_w_sr_m2: Radiance of the fixation mark; 0 leaves it dark.
+        u_scale_log10: Standard uncertainty that all levels of the spot share, in log10 units.
     """
 
     protocol: AdaptationProtocol
@@ -29,6 +30,7 @@ class BoxLights:
     bleach_scotopic_lm_per_w: float
     spot_scotopic_lm_per_w: float
     fixation_w_sr_m2: float = 0.0
+    u_scale_log10: float = 0.0
 
     @property
     def bleach(self) -> Radiance:
@@ -87,9 +89,13 @@ class BoxStage:
         self._zero_s = self.clock() - time_s
         self._light_mark()
 
-    def facts(self) -> dict[str, str]:
+    def facts(self) -> dict[str, str | float]:
         """Return which box it is, for the journal. Raises DeviceError."""
-        return {"box": self.box.identity.serial, "firmware": self.box.identity.firmware}
+        return {
+            "box": self.box.identity.serial,
+            "firmware": self.box.identity.firmware,
+            "u_scale_log10": round(self.lights.u_scale_log10, 4),
+        }
 
     def health(self) -> dict[str, str]:
         """Return how the box is, for whoever watches. Raises DeviceError."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -102,12 +103,14 @@ def _lights(protocol: AdaptationProtocol, request: BoxRequest, opened: OpenedBox
         known = opened.box.channels.get(FIXATION)
         peak_nm = known.peak_nm if known and known.peak_nm else protocol.fixation.peak_nm
         mark_w_sr_m2 = protocol.fixation.luminance_cd_m2 / luminous_efficacy_lm_per_w(spectrum(f"line:{peak_nm:g}"))
+    spot_levels = opened.calibration.channels.get(protocol.spot.channel) if opened.calibration else None
     return BoxLights(
         protocol,
         luminous_efficacy_lm_per_w(white, "photopic"),
         luminous_efficacy_lm_per_w(white, "scotopic"),
         luminous_efficacy_lm_per_w(spot, "scotopic"),
         mark_w_sr_m2,
+        0.0 if spot_levels is None else spot_levels.common_u_rel / math.log(10.0),
     )
 
 

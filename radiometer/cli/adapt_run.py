@@ -34,7 +34,7 @@ def run(
     protocol: Annotated[str, typer.Argument(help="Protocol file, or the name of a shipped one (`adapt protocols`).")],
     subject: Annotated[str, typer.Option(help="Pseudonym of the subject.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Journal; SUBJECT-PROTOCOL.jsonl by default.")] = None,
-    csv: Annotated[Path | None, typer.Option(help="Thresholds for `adapt fit`; beside the journal by default.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Thresholds; beside the journal where they can be fitted.")] = None,
     box: Annotated[str | None, typer.Option(help="Light box: sim, a serial number or a port.")] = None,
     calibration: Annotated[Path | None, typer.Option(help="Light calibration; the box's own by default.")] = None,
     accept_stale: Annotated[
@@ -109,9 +109,13 @@ def run(
                 controls=controls,
                 checks=checks,
             )
-    table = csv or file.with_suffix(".csv")
-    write_text_atomic(table, outcome.to_csv())
+    table = csv or (file.with_suffix(".csv") if outcome.can_be_fitted else None)
+    if table is not None:
+        write_text_atomic(table, outcome.to_csv())
     _conclude(outcome, table, json=json)
+    shared = [event["u_scale_log10"] for event in journal.of_kind("stage") if event.get("u_scale_log10")]
+    if outcome.can_be_fitted and shared and not json:
+        note(f"fit with: radiometer adapt fit {table} --stimulus-u-log10 {shared[-1]:g}")
     if not outcome.can_be_fitted:
         raise typer.Exit(1)
 
@@ -171,7 +175,7 @@ def _on_screen(
         yield opened
 
 
-def _conclude(outcome: Outcome, table: Path, *, json: bool) -> None:
+def _conclude(outcome: Outcome, table: Path | None, *, json: bool) -> None:
     if json:
         result = {
             "verdict": str(outcome.verdict),
@@ -179,12 +183,13 @@ def _conclude(outcome: Outcome, table: Path, *, json: bool) -> None:
             "thresholds": len(outcome.times_min),
             "catches": outcome.catches,
             "false_presses": outcome.false_presses,
-            "csv": str(table),
+            "csv": None if table is None else str(table),
         }
         print(json_module.dumps(result, ensure_ascii=False))
         return
     console().print(f"{outcome.verdict}: {outcome.explanation}")
-    console().print(f"{len(outcome.times_min)} thresholds, {outcome.false_presses} false presses; wrote {table}")
+    wrote = "they stay in the journal (--csv writes them)" if table is None else f"wrote {table}"
+    console().print(f"{len(outcome.times_min)} thresholds, {outcome.false_presses} false presses; {wrote}")
 
 
 def protocols(json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False) -> None:

@@ -141,6 +141,7 @@ def test_red_mark_has_the_protocols_luminance(quick: AdaptationProtocol) -> None
     """0.1 cd/m² at the channel's 640 nm (119.5 lm/W, V = 0.175) unless a radiance is stated."""
     with open_box_stage(quick, BoxRequest("sim")) as (stage, _):
         assert stage.lights.fixation_w_sr_m2 == pytest.approx(0.1 / (683 * 0.175), rel=1e-3)
+        assert stage.facts()["u_scale_log10"] == pytest.approx(0.01127 / 2.3026, abs=1e-4)  # 1.127 % shared by all
     with open_box_stage(quick, BoxRequest("sim", fixation_w_sr_m2=0.0)) as (stage, _):
         assert stage.lights.fixation_w_sr_m2 == 0.0
 

@@ -96,3 +96,14 @@ def test_subject_presses_the_simulated_box_after_its_reaction_time():
     twin.advance(1.45)
     assert seat.answered == 1
     assert any(" D " in event for event in twin.events.values() if event.startswith("BT"))
+
+
+def test_false_alarms_at_the_box_come_as_often_as_they_should():
+    """In 3000 s of darkness at 0.01 per s the presses are Poisson of mean 30 (4 sigmas), and follow no light."""
+    twin = LightBoxTwin()
+    seat = ObserverAtBox(Observer(Eye(), Habits(false_alarms=0.01), np.random.default_rng(5)), twin)
+    seat.sit_down()
+    twin.advance(3000.0)
+    lines = [line.line for line in twin.emitted]
+    assert sum(b" BT D " in line for line in lines) == pytest.approx(30, abs=4 * math.sqrt(30))
+    assert seat.answered == 0
