@@ -59,9 +59,11 @@ def main() -> None:
     rows = "\n".join(f"| {name} | {100 * np.mean(hits):.1f} % |" for name, hits in held.items())
     found = np.array(errors)[np.isfinite(errors)]
     limits_min = 1.96 * math.sqrt(2) * float(np.std(found))
+    chance = 100 * math.sqrt(0.95 * 0.05 / wanted.subjects)
     error_min = found.std() / math.sqrt(found.size)
     body = (
-        f"{wanted.subjects} subjects, break found in {found.size}.\n\n"
+        f"{wanted.subjects} subjects, break found in {found.size}. A share of 95 % has a standard error of "
+        f"{chance:.1f} % here.\n\n"
         f"| parameter | 95 % intervals that hold the truth |\n|---|---|\n{rows}\n\n"
         f"Break: bias {found.mean():+.3f} min (standard error {error_min:.3f}), retest limits ±{limits_min:.2f} min "
         "from threshold scatter alone (published for people: ±2.1 min)."

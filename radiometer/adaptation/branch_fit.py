@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -15,6 +16,8 @@ from radiometer.errors import MeasurementError
 
 Array = NDArray[np.float64]
 HUBER: Final = 2.5  # residuals beyond so many robust standard deviations count less (Huber 1964)
+# What the weights leave of the mean square of normal residuals: E[min(1, k/|r|)·r²] = 1 − 2·Q(k).
+HUBER_CONSISTENCY: Final = 1.0 - math.erfc(HUBER / math.sqrt(2.0))
 REWEIGHTINGS: Final = 4
 REFINED: Final = 4
 _FAR: Final = 1e12
@@ -48,7 +51,7 @@ class BranchFit:
     @property
     def sigma(self) -> float:
         """Return the standard deviation of a threshold of weight 1, in log10 units."""
-        return float(np.sqrt(self.sum_of_squares / self.degrees_of_freedom))
+        return float(np.sqrt(self.sum_of_squares / (self.degrees_of_freedom * HUBER_CONSISTENCY)))
 
     def threshold(self, time_min: Array) -> Array:
         """Return fitted log10 thresholds at times in min."""

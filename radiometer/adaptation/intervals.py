@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize
 from scipy.stats import f as f_distribution
 
-from radiometer.adaptation.branch_fit import BranchFit, project, refine
+from radiometer.adaptation.branch_fit import HUBER_CONSISTENCY, BranchFit, project, refine
 
 Array = NDArray[np.float64]
+# Measured: over 500 simulated subjects (69 thresholds, 3 nonlinear parameters) the mean likelihood ratio of the truth
+# was 1.11 ± 0.03 of its limit, averaged over the 7 parameters; other subjects than those of the benchmark.
+BARTLETT: Final = 2.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,17 +41,20 @@ class Interval:
 def profile_interval(fit: BranchFit, name: str, confidence: float = 0.95) -> Interval:
     """Return the profile-likelihood interval of a parameter.
 
-    Values whose least sum of squares stays below S_min·(1 + F(1, n − p)/(n − p)).
+    Values whose least sum of squares stays below S_min + s²·F(1, n − p)·(1 + BARTLETT·k/n), k the number of nonlinear
+    parameters and s² the robust variance. The last factor is Bartlett's: at small n the likelihood ratio of a curved
+    model is larger on average than its limit.
 
     Args:
         fit: The fit.
         name: Name of the parameter.
         confidence: Probability of the interval.
 
-    Source: Bates and Watts 1988, Nonlinear Regression Analysis, section 6.1.
+    Source: Bates and Watts 1988, Nonlinear Regression Analysis, section 6.1; Bartlett 1937, Proc. R. Soc. A 160, 268.
     """
     dof = fit.degrees_of_freedom
-    limit = fit.sum_of_squares * (1 + float(f_distribution.ppf(confidence, 1, dof)) / dof)
+    factor = 1 + BARTLETT * len(fit.model.nonlinear) / fit.series.time_min.size
+    limit = fit.sum_of_squares + fit.sigma**2 * float(f_distribution.ppf(confidence, 1, dof)) * factor
     best = fit.values[name]
     scale = max(abs(best), 0.1) * 0.05
     return Interval(_end(fit, name, best, -scale, limit), _end(fit, name, best, scale, limit))
@@ -57,7 +63,7 @@ def profile_interval(fit: BranchFit, name: str, confidence: float = 0.95) -> Int
 def bootstrap_values(fit: BranchFit, draws: int, rng: np.random.Generator) -> list[dict[str, float]]:
     """Return the parameters of fits to the fitted curve plus redrawn residuals.
 
-    Residuals are drawn with replacement, scaled by √(n/(n − p)), at the fit's weights.
+    Residuals are drawn with replacement, scaled to the robust standard deviation, at the fit's weights.
 
     Args:
         fit: The fit.
@@ -69,7 +75,7 @@ def bootstrap_values(fit: BranchFit, draws: int, rng: np.random.Generator) -> li
     series, model = fit.series, fit.model
     curve = fit.threshold(series.time_min)
     residuals = np.sqrt(fit.weights) * (series.log_threshold - curve)
-    residuals = (residuals - residuals.mean()) * np.sqrt(residuals.size / fit.degrees_of_freedom)
+    residuals = (residuals - residuals.mean()) * np.sqrt(residuals.size / (fit.degrees_of_freedom * HUBER_CONSISTENCY))
     start = np.array([fit.values[name] for name in model.nonlinear])
     found = []
     for _ in range(draws):
