@@ -18,6 +18,7 @@ from radiometer.errors import MeasurementError
 
 SHALLOWEST_S2: Final = -0.03  # log10 units per min; a flatter line after the "break" is no rod branch
 EVIDENCE_AICC: Final = 4.0  # an evidence ratio of e² = 7 (Burnham and Anderson 2002, section 2.6)
+SETTLED_TAUS: Final = 1.5  # cones have gone 78 % of their way at the break; else rods alone are taken for both
 LEAST_ROD_FALL: Final = 0.5  # log10 units by which rods must go below the cones for a break to be one
 CRITERION_BELOW_PLATEAU: Final = 2.0
 GRID: Final = 2000
@@ -150,10 +151,13 @@ def makes_sense(fit: BranchFit) -> bool:
     if "break_min" not in values:
         return True
     seen = np.count_nonzero(times < values["break_min"]) >= 3 and np.count_nonzero(times > values["break_min"]) >= 3
+    settled = values["break_min"] >= SETTLED_TAUS * values["tau_min"]
     s3 = values.get("s3_slope_per_min", 0.0)
     at_break, at_end = fit.threshold(np.array([values["break_min"], times[-1]]))
     seen = seen and at_break - at_end >= LEAST_ROD_FALL
-    return bool(seen and values["s2_slope_per_min"] <= SHALLOWEST_S2 and values["s2_slope_per_min"] < s3 <= 0.05)
+    return bool(
+        seen and settled and values["s2_slope_per_min"] <= SHALLOWEST_S2 and values["s2_slope_per_min"] < s3 <= 0.05
+    )
 
 
 def derived_quantities(fit_values: Mapping[str, float], fit: BranchFit, criterion: float | None) -> dict[str, float]:

@@ -33,6 +33,12 @@ _STYLE: Final = (
 )
 
 
+def label_of(name: str, fit: AdaptationFit) -> str:
+    """Return the label of an estimate; a single branch may be the rods', so it is not called the cones'."""
+    label = LABELS.get(name, name)
+    return label if fit.has_break else label.removeprefix("Cone ").capitalize()
+
+
 def to_mapping(fit: AdaptationFit) -> dict[str, Any]:
     """Return what stands in the JSON."""
     return {
@@ -68,7 +74,7 @@ def curve_csv(fit: AdaptationFit) -> str:
 
 def write_page(fit: AdaptationFit, path: Path, title: str = "Dark adaptation") -> None:
     """Write a self-contained HTML page. Raises OutputError."""
-    rows = "".join(_row(name, estimate) for name, estimate in fit.estimates.items())
+    rows = "".join(_row(label_of(name, fit), estimate) for name, estimate in fit.estimates.items())
     models = "".join(
         f"<tr><td>{one.model.name}</td><td>{one.aicc - fit.chosen.aicc:+.1f}</td><td>{one.sigma:.3f}</td></tr>"
         for one in fit.tried
@@ -89,10 +95,9 @@ def write_page(fit: AdaptationFit, path: Path, title: str = "Dark adaptation") -
     )
 
 
-def _row(name: str, estimate: Estimate) -> str:
+def _row(label: str, estimate: Estimate) -> str:
     interval = estimate.profile or estimate.bootstrap
     shown = f"{interval.low:.3f} to {interval.high:.3f}" if interval else ""
-    label = LABELS.get(name, name)
     return (
         f"<tr><td>{label}</td><td>{estimate.value:.3f}</td><td>{estimate.u:.3f}</td><td>{shown}</td>"
         f"<td>{estimate.unit}</td></tr>"

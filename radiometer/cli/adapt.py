@@ -52,7 +52,7 @@ def fit(
     import numpy as np
 
     from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
-    from radiometer.adaptation.report import LABELS, curve_csv, to_mapping, write_page
+    from radiometer.adaptation.report import curve_csv, label_of, to_mapping, write_page
     from radiometer.adaptation.threshold_series import ThresholdSeries
     from radiometer.data.storage import write_text_atomic
 
@@ -70,7 +70,7 @@ def fit(
     for name, estimate in found.estimates.items():
         interval = estimate.profile or estimate.bootstrap
         shown = f"   {interval.low:.3f} to {interval.high:.3f} (95 %)" if interval else ""
-        out.print(f"{LABELS.get(name, name):<32} {estimate.value:9.3f} {estimate.unit:<10}{shown}")
+        out.print(f"{label_of(name, found):<32} {estimate.value:9.3f} {estimate.unit:<10}{shown}")
     note(f"model {found.chosen.model.name}; scatter of a threshold {found.chosen.sigma:.3f} log10 units")
     if found.criterion is not None:
         note(f"rod intercept at log10 threshold {found.criterion:.2f}")

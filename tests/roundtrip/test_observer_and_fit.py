@@ -126,3 +126,12 @@ def test_small_cohort_is_covered():
     share = np.mean([hit for hits in held.values() for hit in hits])
     assert share >= 0.95 - 3 * math.sqrt(0.95 * 0.05 / 112)
     assert abs(np.mean(errors)) < 3 * np.std(errors) / math.sqrt(16) + 0.1
+
+
+@pytest.mark.slow
+def test_change_of_the_rods_own_slope_is_no_rod_cone_break():
+    """After 2 min of 300 cd/m² rods lead from half a minute on: where S2 gives way to S3 no cones have settled."""
+    eye = eye_after_bleach(Eye(), 300.0, 120.0)
+    assert eye.break_min(453.0) < 1.0
+    found = fitted(Observer(eye, rng=np.random.default_rng(6)), 453.0)
+    assert not found.has_break, found.verdict
