@@ -23,7 +23,7 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.registry import EffectEntry
 
-_LARGEST_EFFICIENCY: Final = 1.0
+_SMALLEST, _LARGEST = 0.01, 1.0  # quantum efficiency
 _MARGIN_BITS: Final = 4.0  # stands for a full well that nobody declared: far above what the converter can show
 
 
@@ -65,11 +65,12 @@ def _base(state: FitState) -> CameraModel:
     for effect in state.effects:
         if isinstance(effect, ConversionGainError):
             responsivity /= 1.0 + effect.error_rel
-    efficiency = (camera.quantum_efficiency or TYPICAL_QUANTUM_EFFICIENCY) * responsivity
-    if efficiency > _LARGEST_EFFICIENCY:  # then the pixels must be larger, or the source brighter, than declared
-        grown = (camera.pixel_pitch_um or TYPICAL_PITCH_UM) * float(np.sqrt(efficiency / _LARGEST_EFFICIENCY))
-        camera = camera.model_copy(update={"pixel_pitch_um": grown})
-        efficiency = _LARGEST_EFFICIENCY
+    efficiency = camera.quantum_efficiency or TYPICAL_QUANTUM_EFFICIENCY
+    if any(value is not None for tile in state.design.tiles for value in tile.radiance):
+        # Beyond the bounds the pixels must be larger or smaller, or the light other, than declared.
+        fitted, efficiency = efficiency * responsivity, min(max(efficiency * responsivity, _SMALLEST), _LARGEST)
+        pitch = (camera.pixel_pitch_um or TYPICAL_PITCH_UM) * float(np.sqrt(fitted / efficiency))
+        camera = camera.model_copy(update={"pixel_pitch_um": pitch})
     camera = camera.model_copy(update={"quantum_efficiency": efficiency})
     return CameraModel.ideal(camera, header.lens, header.source.wavelength_nm or 550.0)
 
