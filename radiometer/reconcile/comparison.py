@@ -33,6 +33,7 @@ FAMILY: Final[dict[str, str]] = {
     "neighbour_y": "neighbour",
 }
 _CLIP_SIGMAS: Final = 5.0
+_ZERO_SIGMAS: Final = 4.0  # what is cut off below 0 moves a mean by 7e-6 of the noise
 _LIGHT_U_REL: Final = 3e-3  # how well the light of one tile is taken to be known where its variance hangs on it
 _FEW: Final = 1e-3  # share of clipped samples that does not count as clipping
 _SMALLEST_SIGMA_DN: Final = 0.4  # below it σ² + 1/12 no longer holds for rounded values
@@ -224,10 +225,10 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
     full_scale = design.header.camera.full_scale_dn
     inside = np.ones(seen.mean.shape, dtype=np.bool_)
     noise = np.where(np.isfinite(seen.variance), seen.variance, base.variance) + np.nan_to_num(base.fixed)
-    sigma = _CLIP_SIGMAS * np.sqrt(noise)
+    sigma, above_zero = _CLIP_SIGMAS * np.sqrt(noise), _ZERO_SIGMAS * np.sqrt(noise)
     # What is predicted to clip but was not seen to clip stays in: it is what a lower full well looks like.
-    inside &= (seen.mean - sigma > 0) & (seen.mean + sigma < full_scale) & (seen.high < _FEW) & (seen.low < _FEW)
-    inside &= base.mean - _CLIP_SIGMAS * np.sqrt(base.variance + base.fixed) > 0
+    inside &= (seen.mean - above_zero > 0) & (seen.mean + sigma < full_scale) & (seen.high < _FEW) & (seen.low < _FEW)
+    inside &= base.mean - _ZERO_SIGMAS * np.sqrt(base.variance + base.fixed) > 0
     free = inside & ~_at_the_knee(design, base)
     many = np.broadcast_to((design.frame_count > 1)[:, None], inside.shape)
     noisy = free & many & (np.nan_to_num(seen.variance) > 0) & (base.variance > _SMALLEST_SIGMA_DN**2)

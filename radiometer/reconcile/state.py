@@ -217,6 +217,8 @@ def first_state(
     model = replace(TileModel.of(design, images), given=given)
     layout = NuisanceLayout.of(design)
     values = np.zeros(layout.size)
+    if "black_dn" in layout.scalars:  # else darks would be predicted at zero, and left out as clipped for good
+        values[layout.scalars.index("black_dn")] = float(np.nanmin(seen.mean))
     rough = model.predict(layout.unpack(design, values))
     unclipped = (seen.high < 1e-3) & (seen.low < 1e-3)
     values[0] = rough_log_responsivity(design, seen.mean, rough, unclipped)
