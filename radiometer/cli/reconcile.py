@@ -62,15 +62,16 @@ def command(
         done.write_model(output, provisional=provisional) if output else None,
         done.write_report(report) if report else None,
     )
-    if plan:
-        done.write_plan(plan)
+    planned = str(plan) if plan and done.write_plan(plan) else None
     if json:
         print(result.to_json())
         return
     _show(result)
-    for path in (result.model, result.report, str(plan) if plan else None):
+    for path in (result.model, result.report, planned):
         if path:
             note(f"wrote {path}")
+    if plan and not planned:
+        note(f"no {plan}: no further capture of this kind would tell more")
 
 
 def _photographs(path: Path) -> Sequence[Frame] | None:
@@ -105,6 +106,8 @@ def _show(result: ReconcileResult) -> None:
     out.print(f"gap {result.gap_before:.3f} → {result.gap_after:.3f} ({result.gap_unit})")
     for number, effect in enumerate(result.effects, 1):
         _show_effect(number, effect)
+    if result.next_capture:
+        out.print(f"\nnext capture: {result.next_capture['description']}")
     for remark in result.extra.get("remarks", []):
         out.print(remark)
     _show_covariates(result)

@@ -16,6 +16,9 @@ from radiometer.errors import CaptureError
 
 Array = NDArray[np.float64]
 
+# Patterns of these names show the first pattern's patches in another surround.
+BRIGHT_SURROUND: Final = "bright_surround"
+DARK_SURROUND: Final = "dark_surround"
 GRID_COLUMNS: Final = 6
 GRID_ROWS: Final = 4
 SMALLEST_TILE_PX: Final = 6
@@ -96,8 +99,14 @@ class Design:
 
     @cached_property
     def patterns(self) -> tuple[str, ...]:
-        """Return the names of the patterns, also those that only frames mention."""
+        """Return the names of the patterns that were shown, also those that only frames mention."""
         return _patterns(self.header)
+
+    @cached_property
+    def same_patches(self) -> tuple[int, ...]:
+        """Return the patterns that show the first one's patches, itself among them; none where no other does."""
+        others = tuple(p for p, name in enumerate(self.patterns) if p and name in (BRIGHT_SURROUND, DARK_SURROUND))
+        return (0, *others) if others else ()
 
     def _column(self, name: str, missing: float = np.nan) -> Array:
         values = [getattr(capture.settings, name) for capture in self.captures]
@@ -248,7 +257,9 @@ def _capture(header: CaptureHeader, frames: Sequence[int]) -> Capture:
 
 
 def _patterns(header: CaptureHeader) -> tuple[str, ...]:
-    return tuple(dict.fromkeys((*header.patterns, *(frame.pattern for frame in header.frames))))
+    """Return the patterns that were shown, in the header's order."""
+    shown = dict.fromkeys(frame.pattern for frame in header.frames)
+    return tuple(dict.fromkeys((*(name for name in header.patterns if name in shown), *shown)))
 
 
 def _patch_tiles(header: CaptureHeader, shape: tuple[int, int]) -> tuple[Tile, ...]:

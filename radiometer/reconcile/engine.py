@@ -15,7 +15,7 @@ from radiometer.errors import CaptureError
 from radiometer.reconcile.design import Design
 from radiometer.reconcile.limits import limits
 from radiometer.reconcile.localise import Disagreement
-from radiometer.reconcile.next_capture import propose
+from radiometer.reconcile.next_capture import propose, propose_for_blind
 from radiometer.reconcile.parameters import fitted_parameters
 from radiometer.reconcile.result import CovariateGap, FittedParameter, FoundEffect, Place, ReconcileResult, Verdict
 from radiometer.reconcile.search import Search, Step, search
@@ -187,12 +187,15 @@ def _result(
 ) -> ReconcileResult:
     effects = _found(outcome)
     state = outcome.state
+    shown = limits(state, entries) if with_limits else {}
+    settled = any(effect.next_capture for effect in effects) or _verdict(outcome) is Verdict.EFFECTS_FOUND
     return ReconcileResult(
         verdict=_verdict(outcome),
         effects=effects,
+        next_capture=None if settled else propose_for_blind(state, entries, shown),
         gap_before=outcome.start.gap,
         gap_after=state.gap,
-        limits=limits(state, entries) if with_limits else {},
+        limits=shown,
         covariates=_by_covariate(outcome.first_tests, outcome.tests),
         tests=(len(outcome.tests), len(outcome.left)),
         repeatability=state.tau,

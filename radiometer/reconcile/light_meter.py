@@ -88,7 +88,7 @@ class MeterReconciled:
         )
         return str(path)
 
-    def write_plan(self, path: Path) -> None:
+    def write_plan(self, path: Path) -> bool:
         """Refuse: a light meter is read by hand.
 
         Raises:

@@ -15,7 +15,8 @@ from simulators.effects.catalogue import CatalogueEffect
 
 SIGMAS: Final = 5.0
 _BLIND: Final = 1e-6  # share of a change that must survive the nuisances
-_LARGEST_FACTOR: Final = 1e3  # times a start: beyond it the effect would be absurd
+_MILD: Final = 0.1  # share of the typical size at which the change is looked at …
+_LARGEST_FACTOR: Final = 500.0  # … and how often that may be taken: beyond it the effect would be absurd
 
 
 def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> dict[str, Limit]:
@@ -47,6 +48,7 @@ def _few(starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
 
 def _from_start(state: FitState, start: CatalogueEffect) -> Limit:
     name, unit = _main_parameter(type(start), start)
+    start = _milder(start, name)
     kept = tuple(effect for effect in state.effects if effect.name != start.name)
     reference = change_of(state, kept) if len(kept) < len(state.effects) else 0.0
     change = state.fit.followed(change_of(state, (*kept, start)) - reference)
@@ -63,7 +65,19 @@ def _from_start(state: FitState, start: CatalogueEffect) -> Limit:
     if start.name in _STEPWISE:  # it does not grow from nothing: what counts is whether this very form would show
         return Limit(_amplitude(start, name) if factor <= 1.0 else None, name, unit)
     amplitude = abs(_amplitude(start, name)) * factor
-    return Limit(float(amplitude) if amplitude > 0 else None, name, unit)
+    return Limit(float(amplitude) if 0 < amplitude <= _largest(start, name) else None, name, unit)
+
+
+def _milder(effect: CatalogueEffect, name: str) -> CatalogueEffect:
+    """Return the effect at a tenth of its size, where all that follows it is linear; as it is where it has no size."""
+    if effect.name in _STEPWISE or name not in effect.values() or np.ndim(effect.values()[name]):
+        return effect
+    return effect.with_parameters(**{name: value_of(effect, name) - (1.0 - _MILD) * _amplitude(effect, name)})
+
+
+def _largest(effect: CatalogueEffect, name: str) -> float:
+    """Return the largest amplitude that the parameter may have."""
+    return max((entry.high for entry in effect.parameters() if entry.name == name), default=float("inf"))
 
 
 def _is_variance(effect: CatalogueEffect) -> bool:

@@ -1,4 +1,7 @@
-"""The capture that tells rival explanations apart, chosen from a pool of settings by what each would predict.
+"""The capture that tells rival explanations apart, or opens the eye for what these data are blind to.
+
+Each rival is fitted to the data as they are; of a pool of settings the one is chosen under which most of them would
+then predict something else.
 
 Source: Box & Hill (1967), discrimination among mechanistic models, in the form of Buzzi-Ferraris & Forzatti (1983).
 """
@@ -6,32 +9,24 @@ Source: Box & Hill (1967), discrimination among mechanistic models, in the form 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from radiometer.data import CaptureHeader, FrameEntry
+from radiometer.data import FrameEntry
 from radiometer.data.storage import write_yaml_atomic
+from radiometer.reconcile.capture_pool import FRAMES, CapturePool
 from radiometer.reconcile.design import Array, Design
-from radiometer.reconcile.pattern_images import PatternImages
-from radiometer.reconcile.result import ReconcileResult
+from radiometer.reconcile.result import Limit, ReconcileResult
 from radiometer.reconcile.state import FitState, refit, with_effects
-from radiometer.reconcile.tile_model import Prediction, TileModel
 from simulators.effects.catalogue import CatalogueEffect
 
 FORMAT: Final = "radiometer-plan/1"
-BRIGHT: Final = "bright_surround"
-DARK: Final = "dark_surround"
-_FRAMES: Final = 4
-_PATCH_U_REL: Final = 3e-3  # how well a patch's radiance is known after a fit
-
-
-@dataclass(frozen=True, slots=True)
-class _Proposal:
-    frame: FrameEntry
-    chi2: float
+_TOLD_CHI2: Final = 30.0  # a pair that differs by more is told apart; still more is worth no more
+_REFITS: Final = 4
+_MOST_NAMED: Final = 6  # in a sentence
 
 
 def propose(state: FitState, chosen: CatalogueEffect, rivals: Sequence[CatalogueEffect]) -> dict[str, Any] | None:
@@ -43,129 +38,116 @@ def propose(state: FitState, chosen: CatalogueEffect, rivals: Sequence[Catalogue
         rivals: Other effects at parameters that fit about as well.
 
     Returns:
-        Settings, what they separate and the χ² expected of it; None where there is no rival.
+        Settings, what they separate and the χ² expected of it; None where there is no rival, or none that any capture
+        of the pool could tell apart.
     """
     if not rivals:
         return None
-    header, images = _pool(state)
-    design = Design.of(header, state.design.shape)
-    first = _predicted(state, design, images)
-    best: list[_Proposal] = []
-    for rival in rivals:
-        others = [e for e in state.effects if e.name != chosen.name]
-        second = _predicted(refit(with_effects(state, [*others, rival]), iterations=4), design, images)
-        best.append(_largest(header, _separation(state, design, first, second)))
-    proposal = min(best, key=lambda entry: entry.chi2)  # the pair that is hardest to tell apart decides
-    settings = proposal.frame.model_dump(mode="json", exclude_none=True, exclude={"file"})
-    return {
-        "description": _said(proposal.frame, chosen.name, [rival.name for rival in rivals]),
-        "frames": [settings | {"repeat": _FRAMES}],
-        "separates": [chosen.name, *[rival.name for rival in rivals]],
-        "expected_chi2": round(proposal.chi2, 1),
+    others = [effect for effect in state.effects if effect.name != chosen.name]
+    models = {r.name: refit(with_effects(state, [*others, r]), iterations=_REFITS) for r in rivals}
+    told = _best(state, models)
+    if told is None:
+        return None
+    frame, names, chi2 = told
+    apart = [chosen.name, *names]
+    return _advice(frame, f"tells {chosen.name} from {', '.join(names)}") | {
+        "separates": apart,
+        "expected_chi2": round(chi2, 1),
     }
 
 
-def write_plan(path: Path, result: ReconcileResult) -> None:
-    """Write the next captures as a plan.
+def propose_for_blind(
+    state: FitState, catalogue: Mapping[str, type[CatalogueEffect]], limits: Mapping[str, Limit]
+) -> dict[str, Any] | None:
+    """Return the capture that would show most of the effects that these data cannot see at all.
+
+    Each of them is put in at its typical size and the nuisances are fitted beside it: what stays invisible now must
+    show in the new capture.
+
+    Args:
+        state: The fitted model.
+        catalogue: Entries, by name.
+        limits: What these data would have shown.
+
+    Returns:
+        Settings and what they would open; None where nothing is blind or no capture of the pool helps.
+    """
+    blind = [name for name, limit in limits.items() if limit.amplitude is None and name in catalogue]
+    models = {}
+    for name in blind:
+        starts = catalogue[name].starts(state.model.context)
+        if starts:
+            added = with_effects(state, [*state.effects, starts[0]])
+            frozen = frozenset(range(state.parameters.size, added.parameters.size))
+            models[name] = refit(replace(added, frozen=frozen), iterations=_REFITS)
+    told = _best(state, models)
+    if told is None:
+        return None
+    frame, names, _ = told
+    shown = ", ".join(names[:_MOST_NAMED]) + (" and others" if len(names) > _MOST_NAMED else "")
+    return _advice(frame, f"would show {shown}") | {"opens": names}
+
+
+def _best(state: FitState, models: Mapping[str, FitState]) -> tuple[FrameEntry, list[str], float] | None:
+    """Return the capture that tells most models from the state, which of them, and the least χ² among those."""
+    if not models:
+        return None
+    pool = CapturePool.of(state)
+    expected = pool.predicted(state)
+    apart = np.stack([pool.separation(expected, pool.predicted(model)) for model in models.values()])
+    apart = np.nan_to_num(apart)
+    worth = np.minimum(apart, _TOLD_CHI2).sum(axis=0)
+    index = int(np.lexsort((apart.min(axis=0), worth))[-1])
+    told: Array = apart[:, index]
+    names = [name for name, chi2 in zip(models, told, strict=True) if chi2 >= _TOLD_CHI2]
+    if not names:
+        return None
+    return pool.frame(index), names, float(min(chi2 for chi2 in told if chi2 >= _TOLD_CHI2))
+
+
+def _advice(frame: FrameEntry, purpose: str) -> dict[str, Any]:
+    settings = frame.model_dump(mode="json", exclude_none=True, exclude={"file", "black_level_dn"})
+    return {"description": f"{_said(frame)}: {purpose}", "frames": [settings | {"repeat": FRAMES}]}
+
+
+def _said(frame: FrameEntry) -> str:
+    exposure_gain = f"{frame.exposure_s:.3g} s at {frame.gain_db:g} dB"
+    if frame.shutter == "closed":
+        return f"dark frames (cap on) of {exposure_gain}"
+    if frame.source_level == 0:
+        return f"frames with the source off of {exposure_gain}"
+    stop = f", f/{frame.f_number:.3g}" if frame.f_number else ""
+    return f"{exposure_gain}{stop}, source level {frame.source_level:g}, pattern {frame.pattern}"
+
+
+def write_plan(path: Path, result: ReconcileResult, design: Design) -> bool:
+    """Write the captures of this set and the next one as a plan, so that its frames can be reconciled by themselves.
+
+    Args:
+        path: File to write.
+        result: What was found.
+        design: The captures as they were.
+
+    Returns:
+        Whether there was anything to plan; without a proposal no file is written.
 
     Raises:
         OutputError: If the file cannot be written.
     """
     wanted = [effect.next_capture for effect in result.effects if effect.next_capture]
-    frames = [frame for capture in wanted for frame in capture.get("frames", [])]
-    reasons = [str(capture.get("description", "")) for capture in wanted]
-    write_yaml_atomic(path, {"format": FORMAT, "reasons": reasons, "frames": frames})
+    wanted += [result.next_capture] if result.next_capture else []
+    if not wanted:
+        return False
+    new = [dict(frame) for capture in wanted for frame in capture["frames"]]
+    reasons = [str(capture["description"]) for capture in wanted]
+    write_yaml_atomic(path, {"format": FORMAT, "reasons": reasons, "frames": [*_taken(design), *new]})
+    return True
 
 
-def _said(frame: FrameEntry, name: str, rivals: Sequence[str]) -> str:
-    if frame.shutter == "closed":
-        what = f"dark frames (cap on) of {frame.exposure_s:.3g} s at {frame.gain_db:g} dB"
-    elif frame.source_level == 0:
-        what = f"frames with the source off of {frame.exposure_s:.3g} s at {frame.gain_db:g} dB"
-    else:
-        stop = f" at f/{frame.f_number:.3g}" if frame.f_number else ""
-        what = (
-            f"{frame.exposure_s:.3g} s, {frame.gain_db:g} dB{stop}, source level {frame.source_level:g}, "
-            f"pattern {frame.pattern}"
-        )
-    return f"{what}: tells {name} from {', '.join(rivals)}"
-
-
-def _pool(state: FitState) -> tuple[CaptureHeader, PatternImages]:
-    """Return a header of settings to choose from, and the pictures of their patterns."""
-    design = state.design
-    images = _with_surrounds(design, state.model.images)
-    patterns = (*design.patterns, BRIGHT, DARK)
-    base = design.captures[int(np.argmax(_lit_score(design)))].settings
-    times = np.unique(np.quantile(design.exposure_s, [0.0, 0.25, 0.5, 0.75, 1.0]))
-    stops = np.unique(design.f_number)
-    frames = []
-    for t in times:
-        for gain in (0.0, 12.0):
-            frames.append(_frame(base, exposure_s=t, gain_db=gain, shutter="closed"))
-            frames.append(_frame(base, exposure_s=t, gain_db=gain, source_level=0.0))
-            for level in (1.0, 0.25):
-                frames.append(_frame(base, exposure_s=t, gain_db=gain, source_level=level))
-        for stop in (*stops, 2.0 * stops[-1]):
-            frames.append(_frame(base, exposure_s=t, f_number=float(stop)))
-        for pattern in patterns:
-            frames.append(_frame(base, exposure_s=t, pattern=pattern))
-    patches = tuple(_extended(patch, design.patterns[0]) for patch in design.header.patches)
-    return (
-        design.header.model_copy(update={"frames": tuple(frames), "patterns": patterns, "patches": patches}),
-        images,
-    )
-
-
-def _extended(patch: Any, first: str) -> Any:
-    known = patch.radiance_W_per_sr_m2
-    if not isinstance(known, Mapping) or first not in known:
-        return patch
-    extra = {BRIGHT: known[first], DARK: known[first]}
-    return patch.model_copy(update={"radiance_W_per_sr_m2": dict(known) | extra})
-
-
-def _lit_score(design: Design) -> Array:
-    return np.where(design.closed, -1.0, design.source_level)
-
-
-def _frame(base: Any, **changed: Any) -> FrameEntry:
-    return FrameEntry.of("", replace(base, **{"gain_db": 0.0, "timestamp_s": None, **changed}))
-
-
-def _with_surrounds(design: Design, images: PatternImages) -> PatternImages:
-    """Return the pictures with two more: the first pattern's patches in a bright and in a dark surround."""
-    picture = images.picture(0)
-    inside = np.zeros(picture.shape, dtype=np.bool_)
-    cell = images.cell_px
-    for number, tile in enumerate(design.tiles):
-        if number % 2 == 0:  # every other patch turns into surround where patches fill the picture
-            rows = slice(tile.y // cell, -(-(tile.y + tile.height) // cell))
-            inside[rows, tile.x // cell : -(-(tile.x + tile.width) // cell)] = True
-    pictures = [images.picture(p) for p in range(images.total.shape[0])]
-    pictures += [np.where(inside, picture, picture.max()), np.where(inside, picture, 0.0)]
-    total = np.stack(pictures)
-    return replace(images, total=total, weight=np.ones_like(total))
-
-
-def _predicted(state: FitState, design: Design, images: PatternImages) -> Prediction:
-    model = replace(TileModel.of(design, images), effects=state.effects, given=state.model.given)
-    old = state.nuisance
-    rows = np.concatenate([np.arange(old.log_radiance.shape[0]), [0, 0]])
-    return model.predict(replace(old, log_radiance=old.log_radiance[rows], slope=old.slope[rows]))
-
-
-def _separation(state: FitState, design: Design, first: Prediction, second: Prediction) -> Array:
-    """Return for each capture of the pool the χ² by which two predictions would differ."""
-    pixels = np.array([tile.width * tile.height for tile in design.tiles])
-    light = np.maximum(first.mean - np.nan_to_num(design.black_level_dn)[:, None], 0.0)
-    noise2 = first.variance / (pixels * _FRAMES) + (_PATCH_U_REL**2 + state.tau**2) * light**2
-    clipped = (first.mean > 0.95 * design.header.camera.full_scale_dn).any(axis=1)
-    means = np.sum((first.mean - second.mean) ** 2 / noise2, axis=1)
-    spreads = np.sum(np.log(first.variance / second.variance) ** 2 * pixels * (_FRAMES - 1) / 4.0, axis=1)
-    return np.where(clipped, 0.0, means + spreads)
-
-
-def _largest(header: CaptureHeader, chi2: Array) -> _Proposal:
-    index = int(np.argmax(chi2))
-    return _Proposal(header.frames[index], float(chi2[index]))
+def _taken(design: Design) -> list[dict[str, Any]]:
+    planned = ("exposure_s", "gain_db", "f_number", "source_level", "pattern", "shutter")
+    found = []
+    for capture in design.captures:
+        settings = {name: getattr(capture.settings, name) for name in planned}
+        found.append({k: v for k, v in settings.items() if v is not None} | {"repeat": len(capture.frames)})
+    return found

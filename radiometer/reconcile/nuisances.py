@@ -14,12 +14,14 @@ from radiometer.reconcile.tile_model import Nuisance, Prediction, TileModel
 
 _FREE_LOG: Final = 5.0  # prior standard deviation of the logarithm of what is unknown: e^±5
 _DEFAULT_U_REL: Final = 0.02  # of a radiance that is stated without an uncertainty
+_SAME_U_REL: Final = 5e-3  # by how much the same patch differs between patterns
 _STEP: Final = 1e-4
 _BRIGHT_SHARE: Final = 0.05  # of the brightest tile: enough to tell the responsivity roughly
 _FREE_RESPONSIVITY: Final = 50.0  # where no radiance is known its unit is arbitrary too
 _SCALARS: Final = ("log_responsivity", "log_gain", "log_read", "black_dn", "dark_e_per_s")
 _SCALAR_STEP: Final = {"black_dn": 1e-2, "dark_e_per_s": 1e-2}
 _SCALAR_PRIOR: Final = {"log_responsivity": _FREE_RESPONSIVITY, "black_dn": 1e4, "dark_e_per_s": 1e3}
+_STATED: Final = 1.0  # prior standard deviation below which a radiance counts as stated
 _LINEAR: Final = (-0.5, 1.0)  # relative errors of a radiance between which its factor is linear
 _FREE_SLOPE: Final = 3.0
 _FREE_TEXTURE: Final = 10.0
@@ -63,7 +65,10 @@ class NuisanceLayout:
         own = [_radiance_prior(design, p, k) for p in patterns for k in range(len(design.tiles))]
         # A patch's calibration error may be one and the same under all patterns, or not: each has its own part and
         # all have one in common.
-        prior += [*own, *own[: len(design.tiles)]]
+        common = own[: len(design.tiles)]
+        if design.same_patches:
+            common = [_FREE_LOG if design.tiles[k].radiance[0] is None else u for k, u in enumerate(common)]
+        prior += [*own, *common]
         if free_scene:
             count = len(patterns) * len(design.tiles)
             prior += [_FREE_SLOPE] * (2 * count) + [_FREE_TEXTURE] * len(design.tiles)
@@ -89,7 +94,7 @@ class NuisanceLayout:
         radiance, slope, texture = start.log_radiance, start.slope, start.texture
         index = list(self.patterns)
         if index:
-            radiance[index] = np.log(_light_factor(self._relative(values))[0])
+            radiance[index] = self._light(values)[0]
         if self.free_scene:
             at = self._common.stop
             count = 2 * len(index) * self.tiles
@@ -120,8 +125,7 @@ class NuisanceLayout:
         first = self._radiances.start
         self._spread(matrix, comparison, base, model.predict(moved), _STEP, first, _TILE_ROWS)
         if self.patterns:
-            factor, slope = _light_factor(self._relative(values))
-            matrix[:, self._radiances] *= (slope / factor).ravel()
+            matrix[:, self._radiances] *= self._light(values)[1].ravel()
             own = matrix[:, self._radiances].reshape(matrix.shape[0], len(self.patterns), self.tiles)
             matrix[:, self._common] = own.sum(axis=1)
         if self.free_scene:
@@ -142,15 +146,22 @@ class NuisanceLayout:
         own = matrix[:, self._radiances]
         if "log_gain" not in self.scalars:
             matrix[:, 0] = own.sum(axis=1)
-        factor, slope = _light_factor(self._relative(values))
-        own *= (slope / factor).ravel()
+        own *= self._light(values)[1].ravel()
         matrix[:, self._common] = own.reshape(-1, len(self.patterns), self.tiles).sum(axis=1)
         return matrix
 
-    def _relative(self, values: Array) -> Array:
-        """Return how far each patch's radiance is off, (patterns, tiles): its own part and that of all patterns."""
-        own = values[self._radiances].reshape(len(self.patterns), self.tiles)
-        return np.asarray(own + values[self._common])
+    def _light(self, values: Array) -> tuple[Array, Array]:
+        """Return ln of the factor on each patch's radiance, and its derivative, (patterns, tiles).
+
+        A patch is off by its own part and by that of all patterns. Where its radiance is stated the factor is 1 + x:
+        means are then linear in x, and what an effect had been mistaken for is given back at once when the effect
+        enters. Where it is free it is exp x, so that brighter patches and a lower responsivity are the same thing.
+        """
+        shape = (len(self.patterns), self.tiles)
+        relative = values[self._radiances].reshape(shape) + values[self._common]
+        stated = (self.prior[self._radiances].reshape(shape) < _STATED) & (self.prior[self._common] < _STATED)
+        factor, slope = _light_factor(relative)
+        return np.where(stated, np.log(factor), relative), np.where(stated, slope / factor, 1.0)
 
     def _rows(self, comparison: Comparison) -> int:
         """Return how many of the first entries can change at all: of known scenes the means and slopes alone."""
@@ -219,8 +230,7 @@ _FOLLOWING: Final = ("variance", "spatial")
 def _light_factor(relative: Array) -> tuple[Array, Array]:
     """Return the factor on a radiance that is off by so much, and its derivative.
 
-    It is 1 + x in the middle: means are then linear in x, and what an effect had been mistaken for is given back at
-    once when the effect enters. Beyond, it goes on as an exponential, so that it stays above zero.
+    It is 1 + x in the middle, and goes on as an exponential beyond, so that it stays above zero.
     """
     low, high = _LINEAR
     below, above = relative < low, relative > high
@@ -244,7 +254,7 @@ def _only_means(matrix: Array, comparison: Comparison, column: int) -> None:
 def _radiance_prior(design: Design, pattern: int, tile: int) -> float:
     known = design.tiles[tile].radiance[pattern]
     if known is None or known <= 0:
-        return _FREE_LOG
+        return _SAME_U_REL if pattern in design.same_patches else _FREE_LOG
     stated = design.tiles[tile].u_rel
     return max(stated, 1e-6) if stated is not None else _DEFAULT_U_REL
 

@@ -80,7 +80,7 @@ class PhotographsReconciled:
         )
         return str(path)
 
-    def write_plan(self, path: Path) -> None:
+    def write_plan(self, path: Path) -> bool:
         """Refuse: what would help is named in the result.
 
         Raises:

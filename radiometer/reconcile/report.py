@@ -57,6 +57,7 @@ def report_html(reconciled: Reconciled, title: str) -> str:
         f"<p>Gap {result.gap_before:.3f} → {result.gap_after:.3f} ({result.gap_unit}); {result.captures} captures, "
         f"{result.frames} frames, {result.tests[0]} tests, {result.tests[1]} significant in the end.</p>",
         *[_effect(effect) for effect in result.effects],
+        _following(result),
         "<h2>Residuals along each covariate, before and after</h2>",
         f"<img alt='residuals before and after' src='data:image/png;base64,{_residual_plot(reconciled)}'>",
         _covariate_table(result),
@@ -66,6 +67,12 @@ def report_html(reconciled: Reconciled, title: str) -> str:
         *[f"<p class='small'>Assumed: {html.escape(text)}.</p>" for text in result.assumptions],
     ]
     return "\n".join(parts) + "\n</html>\n"
+
+
+def _following(result: ReconcileResult) -> str:
+    if not result.next_capture:
+        return ""
+    return f"<p>Next capture: {html.escape(str(result.next_capture['description']))}</p>"
 
 
 def _effect(effect: FoundEffect) -> str:

@@ -159,6 +159,7 @@ class ReconcileResult:
         localisation: Where the starting model disagrees, the most significant first.
         calls: Tests of the starting model with p < 0.01, and tests in all.
         added: The effects of the final model beside the ideal chain.
+        next_capture: Where no rivals are to be told apart: the capture that would show what these data cannot.
         extra: Further entries of the JSON object.
     """
 
@@ -180,6 +181,7 @@ class ReconcileResult:
     localisation: tuple[Place, ...] = ()
     calls: tuple[int, int] = (0, 0)
     added: tuple[CatalogueEffect, ...] = ()
+    next_capture: Mapping[str, Any] | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def written(self, model: str | None, report: str | None) -> ReconcileResult:
@@ -205,6 +207,7 @@ class ReconcileResult:
             "repeatability_rel": self.repeatability,
             "captures": self.captures,
             "frames": self.frames,
+            "next_capture": dict(self.next_capture) if self.next_capture else None,
             "assumptions": list(self.assumptions),
             "model": self.model,
             "report": self.report,

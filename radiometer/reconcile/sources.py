@@ -33,8 +33,8 @@ class Done(Protocol):
         """Write the HTML report and return its name."""
         ...
 
-    def write_plan(self, path: Path) -> None:
-        """Write the next capture as a plan for `radiometer bracket`."""
+    def write_plan(self, path: Path) -> bool:
+        """Write the next capture as a plan for `radiometer bracket`, and tell whether there is one."""
         ...
 
 
@@ -64,11 +64,11 @@ class DoneCapture:
         write_report(path, self._reconciled, self._source.name)
         return str(path)
 
-    def write_plan(self, path: Path) -> None:
-        """Write the next capture as a plan."""
+    def write_plan(self, path: Path) -> bool:
+        """Write the captures of this set and the next one as a plan, and tell whether there is a next one."""
         from radiometer.reconcile.next_capture import write_plan
 
-        write_plan(path, self._reconciled.result)
+        return write_plan(path, self._reconciled.result, self._reconciled.outcome.state.design)
 
 
 def reconcile_source(

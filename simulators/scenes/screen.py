@@ -12,6 +12,9 @@ from radiometer.data.validation import ConfigSection
 from simulators.scenes.base import SceneImage
 from simulators.scenes.layout import per_pattern, refuse_outside, refuse_unknown_pattern
 
+# Drive of the surround in patterns that every screen can show: the patches of its first pattern stay as they are.
+SURROUNDS = {"bright_surround": 1.0, "dark_surround": 0.0}
+
 
 class ScreenPatch(ConfigSection):
     """A patch of the screen: where it appears on the sensor in pixels, and its drive or radiance.
@@ -46,7 +49,7 @@ class ScreenScene(ConfigSection):
     """A display with L(d) = L_peak·d^γ: patches on a uniform surround.
 
     `background` is the surround's drive, one number or one per pattern; pattern names come from the patches and
-    the background together.
+    the background together. `bright_surround` and `dark_surround` show the first pattern's patches in another one.
     """
 
     kind: Literal["screen"] = "screen"
@@ -63,14 +66,18 @@ class ScreenScene(ConfigSection):
 
     @property
     def patterns(self) -> tuple[str, ...]:
-        """Return all pattern names that occur, or "default"."""
+        """Return all pattern names that occur, or "default", and the first one's patches in other surrounds."""
+        return tuple(dict.fromkeys((*self._stated, *SURROUNDS)))
+
+    @property
+    def _stated(self) -> tuple[str, ...]:
         tables = [t for t in (self.background, *(p.drive for p in self.patches_px)) if isinstance(t, dict)]
         return tuple(dict.fromkeys(name for table in tables for name in table)) or ("default",)
 
     @model_validator(mode="after")
     def _patterns_complete(self) -> Self:
         for name, table in (("background", self.background), *((p.name, p.drive) for p in self.patches_px)):
-            missing = set(self.patterns) - set(table) if isinstance(table, dict) else None
+            missing = set(self._stated) - set(table) if isinstance(table, dict) else None
             if missing:
                 raise ValueError(f"{name}: states no drive for pattern {', '.join(sorted(missing))}")
         return self
@@ -78,10 +85,12 @@ class ScreenScene(ConfigSection):
     def render(self, width: int, height: int, pattern: str = "default") -> SceneImage:
         """Return radiance and drive at every pixel. Raises ConfigurationError where a patch is off the sensor."""
         refuse_unknown_pattern(pattern, self.patterns)
-        code = np.full((height, width), _drive(self.background, pattern), np.float32)
+        own = self._shown(pattern)
+        drive = _drive(self.background, pattern) if own == pattern else SURROUNDS[pattern]
+        code = np.full((height, width), drive, np.float32)
         for patch in self.patches_px:
             refuse_outside(patch.name, patch.patch, width, height)
-            code[patch.patch.slices] = self._drive_of(patch, pattern)
+            code[patch.patch.slices] = self._drive_of(patch, own)
         radiance = np.float32(self.peak_radiance_W_per_sr_m2) * code ** np.float32(self.gamma)
         return SceneImage(radiance, code, self.peak_radiance_W_per_sr_m2)
 
@@ -91,7 +100,7 @@ class ScreenScene(ConfigSection):
 
     def _described(self, patch: ScreenPatch) -> PatchDescription:
         radiance = {
-            pattern: self.peak_radiance_W_per_sr_m2 * self._drive_of(patch, pattern) ** self.gamma
+            pattern: self.peak_radiance_W_per_sr_m2 * self._drive_of(patch, self._shown(pattern)) ** self.gamma
             for pattern in self.patterns
         }
         return PatchDescription(
@@ -103,6 +112,10 @@ class ScreenScene(ConfigSection):
             radiance_W_per_sr_m2=per_pattern(radiance),
             u_rel=0.0,
         )
+
+    def _shown(self, pattern: str) -> str:
+        """Return the pattern whose patches are shown: its own, or the first one's in another surround."""
+        return pattern if pattern in self._stated else self._stated[0]
 
     def _drive_of(self, patch: ScreenPatch, pattern: str) -> float:
         if patch.radiance_W_per_sr_m2 is not None:
