@@ -84,6 +84,11 @@ class Journal:
                 f"({before['kind']} then, {event['kind']} now); options or program have changed, name another journal"
             )
 
+    @property
+    def upcoming(self) -> Event | None:
+        """Return the event that comes next in a run that is lived through again; None where the new begins."""
+        return self._past[0] if self._past else None
+
     def of_kind(self, kind: str) -> list[Event]:
         """Return the events of a kind, in order."""
         return [event for event in self.events if event["kind"] == kind]

@@ -24,6 +24,7 @@ from radiometer.errors import UsageError
 
 Watcher = Callable[[Event], None]
 SUBJECT: Final = "subject"
+SAME_TIME_S: Final = 1e-4  # to which the journal gives times
 LOOK_S: Final = 0.5  # how often a rest looks whether a pause is asked for, or a pause whether it is over
 
 
@@ -238,6 +239,7 @@ class _Run:
 
     def _pause_asked(self) -> bool:
         """Pause or stop if the subject or the operator asks for it, and tell whether the trial is off."""
+        self._ask_again()
         held_since_s = self.stage.long_press(self.protocol.watch.hold_to_pause_s)
         by = self.controls.paused_by if held_since_s is None else SUBJECT
         if by is not None and self.controls.stopped_by is None:
@@ -246,17 +248,33 @@ class _Run:
             self.note("stop", by=self.controls.stopped_by)
         return by is not None or self.controls.stopped_by is not None
 
+    def _ask_again(self) -> None:
+        """Ask for what the operator asked for at this moment of a run that is lived through again."""
+        before = self.journal.upcoming
+        if before is None or self.stage.now_s() < float(before["time_s"]) - SAME_TIME_S:
+            return
+        if before["kind"] == "pause" and before["by"] != SUBJECT:
+            self.controls.pause(before["by"])
+        elif before["kind"] == "resume":
+            self.controls.resume()
+        elif before["kind"] == "stop":
+            self.controls.stop(before["by"])
+
     def _pause(self, by: str, voids: int | None) -> None:
         """Wait in the dark until whoever asked for it, or the operator, goes on, or it takes too long."""
+        known = self.journal.upcoming is not None
         self.note("pause", by=by, voids=voids)
         begun_s = self._latest_s
         longest_s = 60 * self.protocol.watch.longest_pause_min
         if by == SUBJECT:
             self.controls.pause(by)
+        if known and self.journal.upcoming is None:  # a crash met the pause; whoever restarts wants to go on
+            self.controls.resume()
         while self.controls.paused_by is not None and self.controls.stopped_by is None:
             if self.stage.rest(LOOK_S) and by == SUBJECT:
                 self.controls.resume()
             self.controls.linger()
+            self._ask_again()
             if self.stage.now_s() - begun_s >= longest_s:
                 return
         if self.controls.stopped_by is None:

@@ -154,3 +154,35 @@ def test_controls_keep_the_first_who_asked() -> None:
     controls.stop()
     controls.resume()
     assert controls.stopped_by == "operator"
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_operators_wishes_are_lived_through_again(tmp_path: Path, stage: ScriptedStage, stopped: bool) -> None:
+    """A simulated run that is taken up pauses, goes on and stops where it did, without anybody at the keyboard."""
+    controls = Controls()
+    stage.at = {301.3: controls.pause, 362.2: controls.resume}
+    if stopped:
+        stage.at[500.0] = controls.stop
+    _run(tmp_path / "whole", stage, controls)
+    whole = (tmp_path / "whole").read_bytes()
+    (tmp_path / "cut").write_bytes(whole if stopped else whole[: whole.index(b'"resume"') + 2000])
+    again = ScriptedStage(eye, stage.protocol)
+    with Journal(tmp_path / "cut", relive=True) as journal:
+        run_test(again.protocol, again, journal, subject="A1", seed=3)
+    assert (tmp_path / "cut").read_bytes() == whole
+
+
+def test_run_that_died_in_a_pause_goes_on_when_lived_through_again(tmp_path: Path, stage: ScriptedStage) -> None:
+    """Whoever starts the program again wants to go on, in simulated time too."""
+    controls = Controls()
+    stage.at = {301.3: controls.pause, 362.2: controls.resume}
+    _run(tmp_path / "whole", stage, controls)
+    whole = (tmp_path / "whole").read_bytes()
+    cut = whole[: whole.index(b"\n", whole.index(b'"pause"')) + 1]
+    (tmp_path / "cut").write_bytes(cut)
+    again = ScriptedStage(eye, stage.protocol)
+    with Journal(tmp_path / "cut", relive=True) as journal:
+        outcome = run_test(again.protocol, again, journal, subject="A1", seed=3)
+    assert outcome.verdict is Verdict.COMPLETE
+    assert (tmp_path / "cut").read_bytes().startswith(cut)
+    assert journal.of_kind("resume")[0]["paused_s"] == 0.0
