@@ -21,6 +21,7 @@ EVIDENCE_AICC: Final = 4.0  # an evidence ratio of e² = 7 (Burnham and Anderson
 SETTLED_TAUS: Final = 1.5  # cones have gone 78 % of their way at the break; else rods alone are taken for both
 LEAST_ROD_FALL: Final = 0.5  # log10 units by which rods must go below the cones for a break to be one
 CRITERION_BELOW_PLATEAU: Final = 2.0
+SLACK_MIN: Final = 1.0  # a test that ends at its criterion has its last threshold just there
 GRID: Final = 2000
 
 Array = NDArray[np.float64]
@@ -70,7 +71,8 @@ class AdaptationFit:
         chosen: The simplest model near the least AICc among those that make sense.
         tried: All fits, also those left out.
         estimates: Parameters and derived quantities by name.
-        criterion: log10 threshold of the rod-intercept time; None without a rod branch.
+        criterion: log10 threshold of the rod-intercept time; None without a rod branch, or where one branch alone does
+            not cross it.
         verdict: What the curve shows, in words.
         request: How it was fitted.
     """
@@ -164,28 +166,44 @@ def derived_quantities(fit_values: Mapping[str, float], fit: BranchFit, criterio
     """Return final threshold, area under the curve and, with a rod branch, cone plateau and rod-intercept time.
 
     The area is that between the curve and its final threshold, from the first to the last threshold, in log10·min. The
-    intercept is where the S2 line, prolonged where needed, crosses the criterion.
+    intercept is where the S2 line, prolonged where needed, or a single branch crosses the criterion.
     """
     times = fit.series.time_min
     grid = np.linspace(times[0], times[-1], GRID)
     curve = fit.model.threshold(grid, dict(fit_values))
     final = float(curve[-1])
     derived = {"final_threshold": final, "area_log10_min": float(np.trapezoid(curve - final, grid))}
-    if criterion is not None and "break_min" in fit_values:
-        at_break = fit_values["plateau"] + fit_values["amplitude"] * math.exp(
-            -fit_values["break_min"] / fit_values["tau_min"]
-        )
-        slope = fit_values["s2_slope_per_min"]
-        derived["rod_intercept_min"] = (
-            fit_values["break_min"] + (criterion - at_break) / slope if slope < 0 else math.inf
-        )
+    if criterion is not None:
+        derived["rod_intercept_min"] = _crossing(fit_values, criterion)
     return derived
 
 
+def _crossing(values: Mapping[str, float], criterion: float) -> float:
+    """Return when S2, prolonged where needed, or a single branch crosses a criterion, in min; inf where never."""
+    if "break_min" not in values:
+        left = (criterion - values["plateau"]) / values["amplitude"] if values["amplitude"] else 0.0
+        return -values["tau_min"] * math.log(left) if left > 0 else math.inf
+    at_break = values["plateau"] + values["amplitude"] * math.exp(-values["break_min"] / values["tau_min"])
+    slope = values["s2_slope_per_min"]
+    return values["break_min"] + (criterion - at_break) / slope if slope < 0 else math.inf
+
+
+def _steepness(values: Mapping[str, float], criterion: float | None) -> float:
+    """Return how fast the threshold falls where it crosses a criterion, in log10 units per min."""
+    if "break_min" in values or criterion is None:
+        return abs(values.get("s2_slope_per_min", 0.0))
+    return abs(criterion - values["plateau"]) / values["tau_min"]
+
+
 def _criterion(fit: BranchFit, request: FitRequest) -> float | None:
-    if "break_min" not in fit.values:
+    """Return the criterion: a stated one also for a single branch that crosses it within the test."""
+    if "break_min" in fit.values:
+        return fit.values["plateau"] - CRITERION_BELOW_PLATEAU if request.criterion is None else request.criterion
+    if request.criterion is None:
         return None
-    return fit.values["plateau"] - CRITERION_BELOW_PLATEAU if request.criterion is None else request.criterion
+    times = fit.series.time_min
+    inside = times[0] < _crossing(fit.values, request.criterion) <= times[-1] + SLACK_MIN
+    return request.criterion if inside else None
 
 
 _UNITS: Final = {
@@ -210,7 +228,7 @@ def _derived_estimates(
 ) -> dict[str, Estimate]:
     values = derived_quantities(fit.values, fit, criterion)
     drawn = [derived_quantities(draw, fit, criterion) for draw in draws]
-    slope = abs(fit.values.get("s2_slope_per_min", 0.0))
+    slope = _steepness(fit.values, criterion)
     found = {}
     for name, value in values.items():
         boot = percentile_interval([one[name] for one in drawn], request.confidence) if drawn else None

@@ -115,7 +115,9 @@ def run(
     _conclude(outcome, table, json=json)
     shared = [event["u_scale_log10"] for event in journal.of_kind("stage") if event.get("u_scale_log10")]
     if outcome.can_be_fitted and shared and not json:
-        note(f"fit with: radiometer adapt fit {table} --stimulus-u-log10 {shared[-1]:g}")
+        met = chosen.end.criterion_log10
+        criterion = "" if met is None else f" --criterion {met:g}"
+        note(f"fit with: radiometer adapt fit {table} --stimulus-u-log10 {shared[-1]:g}{criterion}")
     if not outcome.can_be_fitted:
         raise typer.Exit(1)
 

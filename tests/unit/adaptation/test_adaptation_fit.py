@@ -83,6 +83,20 @@ def test_bootstrap_and_profile_agree():
     assert 0.6 < ratio < 1.5
 
 
+def test_rod_intercept_of_one_branch_is_where_it_crosses_a_stated_criterion():
+    """A quick test shows the rods alone: -4 + 3·exp(-t/6) meets -3 at 6·ln 3 min; -5 is met never, and not stated."""
+    times = np.arange(0.2, 7.0, 0.2)
+    noise = np.random.default_rng(3).normal(0, 0.1, times.size)
+    rods = ThresholdSeries(times, -4 + 3 * np.exp(-times / 6) + noise)
+    found = fit_adaptation(rods, FitRequest(criterion=-3.0, bootstrap_draws=60), np.random.default_rng(0))
+    assert not found.has_break
+    met = found.estimates["rod_intercept_min"]
+    assert abs(met.value - 6 * np.log(3)) < 3 * met.u
+    assert met.u < 0.5
+    never = fit_adaptation(rods, FitRequest(criterion=-5.0, bootstrap_draws=0), np.random.default_rng(0))
+    assert "rod_intercept_min" not in never.estimates
+
+
 def test_rod_intercept_is_where_s2_meets_the_criterion():
     """At a criterion of -3.0: 9 + (2 + 2·exp(-9/1.6))/0.24 min."""
     found = fit_adaptation(series(0.0), FitRequest(-3.0, bootstrap_draws=0), np.random.default_rng(0))
