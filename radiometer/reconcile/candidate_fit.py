@@ -15,7 +15,7 @@ from radiometer.reconcile.screening import Candidate
 from radiometer.reconcile.state import FitState
 from simulators.effects.catalogue import CatalogueEffect
 
-_ITERATIONS: Final = 14
+_ITERATIONS: Final = 25
 _CONVERGED: Final = 0.02
 _PROFILE_POINTS: Final = 61
 _PROFILE_SPANS: Final = (0.002, 0.0002)
@@ -28,11 +28,12 @@ class FittedCandidate:
     Attributes:
         effect: The effect.
         gain: χ² that it explains.
-        evidence: χ² that it explains in the statistic that must show it.
+        evidence: χ² that it explains in the statistics that must show it.
         parameters: Number of fitted parameters.
         flexible: Whether it is a flexible form.
         residual: Whitened residual with the effect, nuisances where they were; prior rows included.
         columns: −d(residual)/d(scaled parameter of the effect), prior rows included.
+        tries: Number of starts that the entry had.
     """
 
     effect: CatalogueEffect
@@ -42,6 +43,7 @@ class FittedCandidate:
     flexible: bool
     residual: Array
     columns: Array
+    tries: int = 1
 
     @property
     def name(self) -> str:
@@ -51,12 +53,12 @@ class FittedCandidate:
 
 def fit_candidate(state: FitState, candidate: Candidate) -> FittedCandidate:
     """Return the effect at the least χ², all nuisances and earlier effects following linearly."""
-    effect = candidate.effect
-    if effect.profiled:
-        effect = _profiled(state, effect)
-    best = _Trial.of(state, effect)
+    trials = [_Trial.of(state, start) for start in (candidate.effect, *candidate.others)]
+    best = min(trials, key=lambda trial: trial.cost)
+    if best.effect.profiled:
+        best = _Trial.of(state, _profiled(state, best.effect))
     damping = 1e-3
-    for _ in range(_ITERATIONS if effect.free() else 0):
+    for _ in range(_ITERATIONS if best.effect.free() else 0):
         columns = best.columns(state)
         better = None
         for _ in range(5):
@@ -137,15 +139,22 @@ def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandid
     fit = state.fit.extended(columns, best.residual)
     before = family_chi2(state, state.fit.projected)
     after = family_chi2(state, fit.projected)
-    block = best.effect.block
     rows = state.comparison.size
     stated = float(np.sum(state.fit.projected[rows:] ** 2) - np.sum(fit.projected[rows:] ** 2))
     gain = sum(before.values()) - sum(after.values()) + stated
-    evidence = before.get(block, 0.0) - after.get(block, 0.0)
-    if block == "mean":  # what the means say against the stated radiances stands in the prior rows
+    shown = (best.effect.block, *best.effect.also)
+    evidence = sum(before.get(block, 0.0) - after.get(block, 0.0) for block in shown)
+    if "mean" in shown:  # what the means say against the stated radiances stands in the prior rows
         evidence += stated
     return FittedCandidate(
-        best.effect, gain, evidence, candidate.parameters, candidate.flexible, best.residual, columns
+        best.effect,
+        gain,
+        evidence,
+        candidate.parameters,
+        candidate.flexible,
+        best.residual,
+        columns,
+        candidate.tries,
     )
 
 
@@ -179,5 +188,8 @@ def held_out_gain(state: FitState, residual: Array, columns: Array) -> float:
 
 
 def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
-    """Return the state with the effect in the model, not refitted yet."""
-    return replace(state, model=state.model.with_effects((*state.effects, effect)), frozen=frozenset())
+    """Return the state with the effect in the model, not refitted yet; one that repeats joins its like."""
+    effects = tuple(old.joined(effect) if old.name == effect.name else old for old in state.effects)
+    if all(old.name != effect.name for old in state.effects):
+        effects = (*effects, effect)
+    return replace(state, model=state.model.with_effects(effects), frozen=frozenset())

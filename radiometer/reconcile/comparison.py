@@ -21,8 +21,7 @@ from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.statistics import CaptureStatistics
 from radiometer.reconcile.tile_layout import tile_groups
 from radiometer.reconcile.tile_model import Prediction
-
-Mask = NDArray[np.bool_]
+from radiometer.reconcile.usable import Mask, usable_entries
 
 TILE_BLOCKS: Final = ("mean", "slope_x", "slope_y", "variance", "spatial", "neighbour_x", "neighbour_y", "first")
 CAPTURE_BLOCKS: Final = ("common", "row_temporal", "columns", "rows", "edge", "outliers")
@@ -32,11 +31,10 @@ FAMILY: Final[dict[str, str]] = {
     "neighbour_x": "neighbour",
     "neighbour_y": "neighbour",
 }
-_CLIP_SIGMAS: Final = 5.0
-_ZERO_SIGMAS: Final = 4.0  # what is cut off below 0 moves a mean by 7e-6 of the noise
+_FAIR_SHARE: Final = 0.05  # of the brightest tile's light
+_SINE_KURTOSIS: Final = -1.5  # excess kurtosis of a sine at a random phase
+_FEW_FRAMES: Final = 1.6  # by which few frames weaken it: of cube roots, by simulation of 2 to 15 frames
 _LIGHT_U_REL: Final = 3e-3  # how well the light of one tile is taken to be known where its variance hangs on it
-_FEW: Final = 1e-3  # share of clipped samples that does not count as clipping
-_SMALLEST_SIGMA_DN: Final = 0.4  # below it σ² + 1/12 no longer holds for rounded values
 _LARGEST_COMB_COUNT: Final = 1e5  # beyond it the honest shape of a histogram itself would show
 _COMB_SQUARES: Final = np.array([1.0 if period == 2 else 0.5 for period in COMB_PERIODS])  # mean of cos²(2πn/period)
 _FALSE_OUTLIERS: Final = 0.02  # expected in a capture without hot pixels; keeps the square root finite
@@ -66,16 +64,21 @@ class Comparison:
         seen: What was measured.
         usable: Which entries of each block count.
         deviation: Standard uncertainty of each entry (of its logarithm for variances).
-        whitener: (captures, tiles, tiles) inverse Cholesky factor of the means' covariance.
+        whiteners: Of the blocks whose tiles scatter together (`mean`, `first`): (captures, tiles, tiles) inverse
+            Cholesky factor of the covariance.
         cuts: Where each block lies in the vector.
+        flicker2: (captures,) relative variance from frame to frame of the accepted effects.
+        common_of_rows: (captures,) what 1 DN² of row noise adds to the ratio of the frame-common fluctuation.
     """
 
     design: Design
     seen: CaptureStatistics
     usable: Mapping[str, Mask]
     deviation: Mapping[str, Array]
-    whitener: Array
+    whiteners: Mapping[str, Array]
     cuts: Mapping[str, slice]
+    flicker2: Array
+    common_of_rows: Array
 
     @property
     def size(self) -> int:
@@ -84,16 +87,15 @@ class Comparison:
 
     def residual(self, prediction: Prediction) -> Array:
         """Return measured minus predicted, whitened; 0 where an entry does not count."""
-        pieces = [self._whitened_mean(self.seen.mean - prediction.mean)]
-        pieces += [self._tile_block(name, prediction) for name in TILE_BLOCKS[1:]]
+        pieces = [self._tile_block(name, prediction) for name in TILE_BLOCKS]
         pieces += [self._capture_block(name, prediction) for name in CAPTURE_BLOCKS]
         pieces.append(self._comb(prediction))
         return np.concatenate([piece.ravel() for piece in pieces])
 
     def whiten(self, block: str, values: Array) -> Array:
         """Return raw changes of a block (axes as the block, more may follow) in whitened units."""
-        if block == "mean":
-            return self._whitened_mean(values)
+        if block in self.whiteners:
+            return self._whitened(block, values)
         mask, sigma = self.usable[block], self.deviation[block]
         extra = (None,) * (values.ndim - mask.ndim)
         return np.where(mask[(..., *extra)], values / sigma[(..., *extra)], 0.0)
@@ -114,14 +116,16 @@ class Comparison:
         """Tell for each entry of the vector whether it counts."""
         return np.concatenate([self.usable[name].ravel() for name in self.cuts])
 
-    def _whitened_mean(self, values: Array) -> Array:
-        mask = self.usable["mean"]
+    def _whitened(self, block: str, values: Array) -> Array:
+        mask = self.usable[block]
         extra = (None,) * (values.ndim - 2)
         columns = np.where(mask[(..., *extra)], values, 0.0).reshape(*mask.shape, -1)
-        return np.asarray(np.matmul(self.whitener, columns).reshape(values.shape))
+        return np.asarray(np.matmul(self.whiteners[block], columns).reshape(values.shape))
 
     def _tile_block(self, name: str, prediction: Prediction) -> Array:
         seen, expected = getattr(self.seen, name), getattr(prediction, name)
+        if name in self.whiteners:
+            return self._whitened(name, seen - expected)
         mask, sigma = self.usable[name], self.deviation[name]
         if name in ("variance", "spatial"):
             difference = self._log_seen[name] - np.log(np.maximum(expected, 1e-12))
@@ -148,16 +152,44 @@ class Comparison:
             expected = _FALSE_OUTLIERS + np.maximum(prediction.outliers, 0.0)
             return np.where(mask, 2.0 * (np.sqrt(seen + 0.375) - np.sqrt(expected + 0.375)) / sigma, 0.0)
         if name == "common":
-            return self.common_scores(relative_flicker(prediction))
+            return self.common_scores(relative_flicker(prediction), prediction.row_variance)
         return np.where(mask, (self._log_seen[name] - np.log(self._excess(name, prediction))) / sigma, 0.0)
 
-    def common_scores(self, flicker2: Array) -> Array:
-        """Return the residual of the frame-common fluctuation for a relative variance of the light, (captures,)."""
-        mask, frames = self.usable["common"], self.design.frame_count
-        unit = np.where(np.isfinite(self.seen.common_unit), self.seen.common_unit, 1.0)
-        freedom = np.maximum(np.where(frames > 2, frames - 2.0, frames - 1.0), 1.0)
-        ratio = np.where(mask, self.seen.common, 1.0) / (1.0 + flicker2 / unit)
-        return np.where(mask, _normal_score(ratio, freedom), 0.0)
+    def common_scores(self, flicker2: Array, row_variance: Array) -> Array:
+        """Return the residual of the frame-common fluctuation for a relative variance of the light, (captures,).
+
+        Row noise does not quite average out over the rows, and counts with it (in DN²).
+        It is the normal score of the variance ratio. A least-squares fit of a variance inside a score is biased high
+        (by half for two degrees of freedom), so that about an accepted flicker the score is followed linearly in the
+        logarithm of the variance.
+        """
+        mask = self.usable["common"]
+        seen = np.where(mask, self.seen.common, 1.0)
+        by_rows = 1.0 + row_variance * self.common_of_rows
+        expected, accepted = by_rows + flicker2 / self._common_unit, by_rows + self.flicker2 / self._common_unit
+        if not self.flicker2.any():
+            return np.where(mask, _normal_score(seen / expected, self._common_freedom), 0.0)
+        spread = _score_spread(self._common_freedom)
+        slope = (1.0 - spread) / (3.0 * np.sqrt(spread))
+        scores = _normal_score(seen / accepted, self._common_freedom)
+        return np.where(mask, scores - slope * np.log(expected / accepted), 0.0)
+
+    @cached_property
+    def _common_unit(self) -> Array:
+        return np.where(np.isfinite(self.seen.common_unit), self.seen.common_unit, 1.0)
+
+    @cached_property
+    def _common_freedom(self) -> Array:
+        """Return how many degrees of freedom the variance of a capture's frames is worth.
+
+        n values of excess kurtosis κ give a variance of relative variance 2/(n − 1) + κ/n; a sine has κ = −1.5, of
+        which the cube root of few values feels less.
+        """
+        frames = self.design.frame_count
+        counted = np.maximum(np.where(frames > 2, frames - 1.0, frames), 2.0)
+        share = self.flicker2 / (self.flicker2 + self._common_unit)
+        kurtosis = _SINE_KURTOSIS * np.maximum(1.0 - _FEW_FRAMES / counted, 0.2)
+        return np.asarray(2.0 / (2.0 / (counted - 1.0) + kurtosis * share**2 / counted))
 
     def _excess(self, name: str, prediction: Prediction) -> Array:
         """Return what a variance ratio is expected to be: 1 without any common part."""
@@ -176,12 +208,13 @@ class Comparison:
 
 
 def relative_flicker(prediction: Prediction) -> Array:
-    """Return the relative variance that all light of a frame shares, (captures,), from the brightest tile."""
-    gain = prediction.gain[:, None]
-    bright = np.maximum(prediction.signal * gain, 1e-12)
-    brightest = np.argmax(bright, axis=1)
-    rows = np.arange(bright.shape[0])
-    return np.asarray(prediction.common_variance[rows, brightest] / bright[rows, brightest] ** 2)
+    """Return the relative variance that all light of a frame shares, (captures,).
+
+    Of the tiles with a fair share of the light the one that shows most counts: a full well shows none.
+    """
+    light = np.maximum(prediction.signal * prediction.gain[:, None], 1e-12)
+    fair = light >= _FAIR_SHARE * light.max(axis=1, keepdims=True)
+    return np.asarray(np.max(np.where(fair, prediction.common_variance / light**2, 0.0), axis=1))
 
 
 def compare(
@@ -216,51 +249,26 @@ def compare(
     for name in deviation:
         if name in floors:
             deviation[name] = np.hypot(deviation[name], floors[name])
-    whitener = _mean_whitener(design, deviation["mean"], mask["mean"], sensitivity, repeatability)
-    return Comparison(design, seen, mask, deviation, whitener, _cuts(design))
-
-
-def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) -> dict[str, Mask]:
-    """Return which entries of each block count: not clipped as measured or predicted, and with freedom left."""
-    full_scale = design.header.camera.full_scale_dn
-    inside = np.ones(seen.mean.shape, dtype=np.bool_)
-    noise = np.where(np.isfinite(seen.variance), seen.variance, base.variance) + np.nan_to_num(base.fixed)
-    sigma, above_zero = _CLIP_SIGMAS * np.sqrt(noise), _ZERO_SIGMAS * np.sqrt(noise)
-    # What is predicted to clip but was not seen to clip stays in: it is what a lower full well looks like.
-    inside &= (seen.mean - above_zero > 0) & (seen.mean + sigma < full_scale) & (seen.high < _FEW) & (seen.low < _FEW)
-    inside &= base.mean - _ZERO_SIGMAS * np.sqrt(base.variance + base.fixed) > 0
-    free = inside & ~_at_the_knee(design, base)
-    many = np.broadcast_to((design.frame_count > 1)[:, None], inside.shape)
-    noisy = free & many & (np.nan_to_num(seen.variance) > 0) & (base.variance > _SMALLEST_SIGMA_DN**2)
-    spread = free & (seen.spatial_dof > 4) & (seen.spatial > 0)
-    any_tile = inside.any(axis=1)
-    whole = many[:, 0]
-    return {
-        "mean": inside,
-        "slope_x": inside,
-        "slope_y": inside,
-        "variance": noisy,
-        "spatial": spread,
-        "neighbour_x": noisy & np.isfinite(seen.neighbour_x),
-        "neighbour_y": noisy & np.isfinite(seen.neighbour_y),
-        "first": inside & many,
-        "common": whole & np.isfinite(seen.common) & (base.signal.max(axis=1) > 0),
-        "row_temporal": whole & (seen.row_temporal_dof > 4) & (np.nan_to_num(seen.row_temporal) > 0),
-        "columns": (seen.columns_dof > 4) & (np.nan_to_num(seen.columns) > 0) & any_tile & design.uniform,
-        "rows": (seen.rows_dof > 4) & (np.nan_to_num(seen.rows) > 0) & any_tile & design.uniform,
-        "edge": np.isfinite(seen.edge_u) & any_tile,
-        "outliers": any_tile & design.uniform,
-        "comb": np.repeat((seen.comb_count > 500)[:, None], len(COMB_PERIODS), axis=1),
+    frames = design.frame_count
+    shares = {  # of what a frame's tiles share: in the mean of all frames, and in the first less the mean of the others
+        "mean": (repeatability.tau**2, 1.0 / frames),
+        "first": (0.0, 1.0 + 1.0 / np.maximum(frames - 1.0, 1.0)),
     }
+    whiteners = {
+        name: _whitener(design, deviation[name], mask[name], sensitivity, repeatability, *share)
+        for name, share in shares.items()
+    }
+    of_rows = _common_of_rows(design, seen, mask["mean"], sensitivity)
+    return Comparison(design, seen, mask, deviation, whiteners, _cuts(design), repeatability.flicker2, of_rows)
 
 
-def _at_the_knee(design: Design, base: Prediction) -> Mask:
-    """Tell where the declared full well just begins to bite: there the variance hangs on the light level."""
-    well = design.header.camera.full_well_e
-    if well is None:
-        return np.zeros(base.signal.shape, dtype=np.bool_)
-    sigma = np.sqrt(np.maximum(base.signal, 1.0))
-    return np.asarray(np.abs(base.signal - well) < _CLIP_SIGMAS * sigma)
+def _common_of_rows(design: Design, seen: CaptureStatistics, usable: Mask, sensitivity: Array) -> Array:
+    """Return w·O·w / (w·s) for the weights w = s·n/σ² of the tiles' light s and the overlap O of their rows."""
+    light = np.where(usable & (np.nan_to_num(seen.variance) > 0), sensitivity, 0.0)
+    weight = np.where(light > 0, light * seen.pixels / np.where(light > 0, seen.variance, 1.0), 0.0)
+    information = np.sum(weight * light, axis=1)
+    shaken = np.einsum("ci,ij,cj->c", weight, _row_overlap(design), weight)
+    return np.asarray(np.divide(shaken, information, out=np.zeros_like(shaken), where=information > 0))
 
 
 def _deviations(
@@ -279,12 +287,10 @@ def _deviations(
     kurtosis = np.clip(
         base.gain[:, None] ** 4 * np.maximum(base.signal, 0.0) / np.maximum(base.variance, 1e-12) ** 2, 0, 1
     )
-    # Flicker moves all tiles together; its diagonal times the number of tiles bounds that from above.
-    flicker = repeatability.flicker2[:, None] * sensitivity**2 * sensitivity.shape[1]
     # Neighbours that move together average out less: a tile's mean scatters more than its pixels' variance tells.
     white_x = base.neighbour_x - base.row_variance[:, None] / np.maximum(base.variance, 1e-30)
     together = np.maximum(1.0 + 2.0 * (white_x + base.neighbour_y), 0.5)
-    per_frame = noise * together / pixels + flicker
+    per_frame = noise * together / pixels
     first_share = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)
     beside_x, beside_y = _pair_shares(design)
     pairs = pixels * np.maximum(n - 1.0, 1.0)
@@ -308,16 +314,23 @@ def _deviations(
     }
 
 
-def _mean_whitener(
-    design: Design, deviation: Array, usable: Mask, sensitivity: Array, repeatability: Repeatability
+def _whitener(
+    design: Design,
+    deviation: Array,
+    usable: Mask,
+    sensitivity: Array,
+    repeatability: Repeatability,
+    tau2: float,
+    share: Array,
 ) -> Array:
-    common2 = repeatability.tau**2 + repeatability.flicker2 / design.frame_count
+    """Return the inverse Cholesky factors of each capture's covariance: pixel noise, light and row noise in common."""
+    common2 = tau2 + repeatability.flicker2 * share
     light = np.where(usable, sensitivity, 0.0)
     covariance = common2[:, None, None] * light[:, :, None] * light[:, None, :]
     if repeatability.row_variance.any():
-        shared = repeatability.row_variance / design.frame_count
         both = usable[:, :, None] & usable[:, None, :]
-        covariance = covariance + np.where(both, shared[:, None, None] * _row_overlap(design), 0.0)
+        rows = (repeatability.row_variance * share)[:, None, None] * _row_overlap(design)
+        covariance = covariance + np.where(both, rows, 0.0)
     index = np.arange(usable.shape[1])
     covariance[:, index, index] += np.where(usable, deviation**2, 1.0)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
@@ -371,5 +384,10 @@ def _normal_score(ratio: Array, dof: Array) -> Array:
 
     Source: Wilson & Hilferty (1931), the cube root of a chi-square variable is nearly normal.
     """
-    spread = 2.0 / (9.0 * dof)
+    spread = _score_spread(dof)
     return np.asarray((np.cbrt(np.maximum(ratio, 0.0)) - 1.0 + spread) / np.sqrt(spread))
+
+
+def _score_spread(dof: Array) -> Array:
+    """Return the variance of the cube root of χ²/dof; its mean lies that much below 1."""
+    return np.asarray(2.0 / (9.0 * dof))

@@ -14,7 +14,7 @@ from radiometer.reconcile.tile_model import Prediction, TileModel
 
 DEGREE: Final = 4
 _MOST_LEVELS: Final = 8  # a covariate with fewer distinct values is treated level by level
-_LEVELLED: Final = ("gain_db", "f_number", "source_level")
+_LEVELLED: Final = ("gain_db", "f_number", "source_level", "pattern")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +82,7 @@ def _of_captures(design: Design, prediction: Prediction) -> list[Covariate]:
         wide("temperature_C", warm if np.isfinite(warm).all() else np.zeros_like(level)),
         wide("source_level", design.source_level),
         wide("timestamp_s", design.timestamp_s),
+        wide("pattern", np.where(design.closed, 0, design.pattern_index).astype(np.float64)),
         wide("previous_frame", before),
     ]
 

@@ -43,7 +43,8 @@ def add_tiles(
 
     Returns:
         (tiles,) mean in DN, share at 0, share clipped, sum of products of horizontal and of vertical neighbours in
-        DN², and (tiles, height) sum of deviations along each row.
+        DN², and (tiles, height) sum of deviations along each row
+        of the pixels that count.
     """
     tiles, height, width = total.shape
     mean, low, high = np.zeros(tiles), np.zeros(tiles), np.zeros(tiles)
@@ -73,7 +74,7 @@ def add_tiles(
                 deviation = dn[y0 + i, x0 + j] - middle
                 total[k, i, j] += deviation
                 square[k, i, j] += deviation * deviation
-                along += deviation
+                along += deviation * good[y0 + i, x0 + j]
                 pair_x[k] += deviation * before
                 before = deviation
             rows[k, i] = along

@@ -15,6 +15,7 @@ from scipy.linalg import solve_triangular
 from radiometer.reconcile.design import Array
 
 _RIDGE = 1e-12  # relative; keeps a Cholesky factor regular
+_OWN_SHARE = 1e-4  # of a trend's square that the parameters must leave for it to be tested
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +155,7 @@ class LinearFit:
         gram = basis.T @ basis - part.T @ part
         right = basis.T @ self.projected[rows]
         values, vectors = np.linalg.eigh(gram)
-        kept = values > 1e-6
+        kept = values > _OWN_SHARE
         if not kept.any():
             return 0.0, 0
         return float(np.sum((vectors[:, kept].T @ right) ** 2 / values[kept])), int(kept.sum())

@@ -34,6 +34,7 @@ _CAPTURE_AXES: Final = (
     "temperature_C",
     "source_level",
     "timestamp_s",
+    "pattern",
     "previous_frame",
 )
 _TILE_AXES: Final = ("signal", "patch_level", "field_radius", "image_x", "image_y")

@@ -212,7 +212,7 @@ class NuisanceLayout:
             cut = comparison.cuts[block]
             if block == "mean":
                 change = np.where(comparison.usable["mean"], (moved.mean - base.mean) / step, 0.0)
-                values = comparison.whitener[captures] * change[captures][:, None, :]
+                values = comparison.whiteners["mean"][captures] * change[captures][:, None, :]
                 rows = cut.start + captures[:, None] * self.tiles + tiles
                 matrix[rows[:, :, None], own[:, None, :]] += values
                 continue

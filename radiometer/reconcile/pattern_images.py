@@ -13,7 +13,7 @@ from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.frame_kernels import coarse_cells
 from radiometer.units import gain_factor
 
-_COARSE_CELLS: Final = 96  # longer side of the coarse picture; stray light is smooth on that scale
+_COARSE_CELLS: Final = 192  # longer side of the coarse picture; stray light is smooth on that scale
 
 
 @dataclass(slots=True, eq=False)

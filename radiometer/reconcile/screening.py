@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -15,6 +15,7 @@ from radiometer.reconcile.start_pool import StartPool
 from radiometer.reconcile.state import FitState
 from simulators.effects.catalogue import CatalogueEffect
 
+_OTHER_STARTS: Final = 2  # of an entry that are kept for the fit beside the best
 _LARGEST_AMPLITUDE: Final = 300.0  # a start may be that much too small …
 _SMALLEST_CURVATURE: Final = 1e-9
 
@@ -28,19 +29,23 @@ class Candidate:
         gain: χ² that it would explain if it acted linearly.
         parameters: Number of its fitted parameters (one more where it acts without any).
         flexible: Whether it is a cover, a flexible form that takes up any equation of the effect.
+        others: Further starts that did about as well.
+        tries: Number of starts that the entry had: the more, the likelier one fits by chance.
     """
 
     effect: CatalogueEffect
     gain: float
     parameters: int
     flexible: bool = False
+    others: tuple[CatalogueEffect, ...] = ()
+    tries: int = 1
 
 
 def usable_catalogue(
     state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]
 ) -> dict[str, type[CatalogueEffect]]:
     """Return the entries that the data can speak about at all and that are not in the model yet."""
-    taken = {effect.name for effect in state.effects}
+    taken = {effect.name for effect in state.effects if not effect.repeats}
     return {n: kind for n, kind in catalogue.items() if n not in taken and kind.usable(state.model.context)}
 
 
@@ -57,13 +62,17 @@ def screen(
     pool = pool or StartPool()
     found: list[Candidate] = []
     for kind in usable_catalogue(state, catalogue).values():
-        found += _best(_rigid(state, pool.likeliest(state, kind)))
+        best = _best(_rigid(state, pool.likeliest(state, kind)))
+        found += [replace(candidate, tries=pool.count(kind)) for candidate in best]
         found += _best([_flexible(state, cover) for cover in kind.covers(state.model.context)])
     return sorted(found, key=lambda candidate: -candidate.gain)
 
 
 def _best(candidates: Sequence[Candidate]) -> list[Candidate]:
-    return [max(candidates, key=lambda candidate: candidate.gain)] if candidates else []
+    ranked = sorted(candidates, key=lambda candidate: -candidate.gain)
+    near = ranked[: 1 + _OTHER_STARTS]
+    others = [start for candidate in near for start in (candidate.effect, *candidate.others)]
+    return [replace(ranked[0], others=tuple(others[1:]))] if ranked else []
 
 
 def change_of(state: FitState, effects: Sequence[CatalogueEffect]) -> Array:
@@ -95,9 +104,22 @@ def _rigid(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate
     free = np.array([bool(effect.free()) for effect in starts])
     amplitude = np.where(free, amplitude, 1.0)  # what has no amplitude acts as it is or not at all
     gain = np.where(curvature > floor, 2.0 * amplitude * slope - amplitude**2 * curvature, 0.0)
+    scaled = (_scaled(effect, float(a)) for effect, a in zip(starts, amplitude, strict=True))
     return [
-        Candidate(effect, float(g), max(len(effect.free()), 1)) for effect, g in zip(starts, gain.tolist(), strict=True)
+        Candidate(effect, float(g), max(len(effect.free()), 1), others=others)
+        for effect, g, others in zip(starts, gain.tolist(), scaled, strict=True)
     ]
+
+
+def _scaled(effect: CatalogueEffect, amplitude: float) -> tuple[CatalogueEffect, ...]:
+    """Return the effect with its first parameter times the amplitude, and times its root, within bounds."""
+    if not effect.free() or "[" in effect.free()[0] or amplitude <= 0:
+        return ()
+    name = effect.free()[0]
+    known = next(entry for entry in effect.parameters() if entry.name == name)
+    value = float(getattr(effect, name))
+    wanted = {float(np.clip(value * factor, known.low, known.high)) for factor in (amplitude, amplitude**0.5)}
+    return tuple(effect.with_parameters(**{name: v}) for v in sorted(wanted))
 
 
 def _flexible(state: FitState, cover: CatalogueEffect) -> Candidate:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -13,7 +13,7 @@ from radiometer.reconcile.candidate_fit import FittedCandidate, accepted, fit_ca
 from radiometer.reconcile.localise import Disagreement, localise, significant, smooth_term
 from radiometer.reconcile.screening import Candidate, screen
 from radiometer.reconcile.start_pool import StartPool
-from radiometer.reconcile.state import FitState, refit, reweighted, with_effects, with_terms
+from radiometer.reconcile.state import FitState, refit, reweighted, settled, with_effects, with_terms
 from radiometer.reconcile.terms import LinearTerm
 from simulators.effects.catalogue import CatalogueEffect
 
@@ -21,6 +21,8 @@ MOST_STEPS: Final = 9
 _FITTED: Final = 7  # candidates that are fitted in each step
 _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _NEEDED_NATS: Final = 8.0
+_LATER_NATS: Final = 2.0
+_FEW_TRIES: Final = 2.0
 _KEPT_NATS: Final = 4.0  # an earlier name that brings less than this after a new one is dropped
 _EVIDENCE: Final = 8.0  # χ² that the statistic which must show the effect has to lose
 _RIVAL_NATS: Final = 5.0
@@ -125,13 +127,20 @@ def search(
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     loud = significant(tests)
     promising = _promising(screen(state, run.catalogue, run.pool), loud)
+    promising = [candidate for candidate in promising if candidate.effect.name not in run.refused]
     if not loud and not promising:
         return None
     fitted = sorted((fit_candidate(state, c) for c in promising[:_FITTED]), key=lambda f: -_penalised_chi2(f))
     judged = [(f, held_out_gain(state, f.residual, f.columns)) for f in fitted[:_JUDGED]]
-    chosen = _choose(_contenders(state, judged))
-    if chosen is not None and _convinces(state, chosen, loud):
-        return _named(state, chosen, judged, loud, run)
+    shown = [entry for entry in judged if _is_shown(*entry, later=bool(state.effects))]
+    while shown:
+        chosen = _choose(_contenders(state, shown))
+        if chosen is None or not _convinces(state, chosen, loud):
+            break
+        following = _named(state, chosen, judged, run)
+        if following is not None:
+            return following
+        shown = [entry for entry in shown if entry[0].name != chosen[0].name]
     return _unnamed(state, loud, judged, run) if loud else None
 
 
@@ -165,17 +174,24 @@ def _contenders(state: FitState, judged: list[tuple[FittedCandidate, float]]) ->
     if best < _HUGE_NATS or len(near) < 2:
         return judged
     base = state.evidence
-    return [(f, refit(reweighted(refit(accepted(state, f.effect)))).evidence - base) for f, _ in near]
+    return [(f, settled(refit(accepted(state, f.effect))).evidence - base) for f, _ in near]
 
 
 def _choose(judged: list[tuple[FittedCandidate, float]]) -> tuple[FittedCandidate, float] | None:
     return max(judged, key=_score) if judged else None
 
 
+def _is_shown(fitted: FittedCandidate, nats: float, *, later: bool) -> bool:
+    """Tell whether settings held out are predicted better, and in the statistic that must show the effect.
+
+    Of many starts one fits by chance, and beside an effect that is there already a further one is less likely.
+    """
+    needed = _NEEDED_NATS + _UNLIKELY_NATS.get(fitted.name, 0.0) + float(np.log(max(fitted.tries / _FEW_TRIES, 1.0)))
+    return nats >= needed + (_LATER_NATS if later else 0.0) and fitted.evidence >= _EVIDENCE
+
+
 def _convinces(state: FitState, chosen: tuple[FittedCandidate, float], loud: tuple[Disagreement, ...]) -> bool:
     fitted, nats = chosen
-    if nats < _NEEDED_NATS + _UNLIKELY_NATS.get(fitted.name, 0.0) or fitted.evidence < _EVIDENCE:
-        return False
     same = [test for test in loud if test.family == fitted.effect.block]
     if not same:
         return True
@@ -193,14 +209,22 @@ def _named(
     state: FitState,
     chosen: tuple[FittedCandidate, float],
     judged: list[tuple[FittedCandidate, float]],
-    loud: tuple[Disagreement, ...],
     run: _Run,
-) -> FitState:
+) -> FitState | None:
+    """Return the model with the chosen effect; None where, all refitted, it does not predict better after all."""
     fitted, nats = chosen
-    following = refit(reweighted(refit(accepted(state, fitted.effect))))
+    following = settled(refit(accepted(state, fitted.effect)))
+    if following.evidence - state.evidence < _KEPT_NATS:
+        run.refused.add(fitted.name)
+        return None
     rivals = tuple({f.name: f.effect for f, n in judged if _is_rival(f, n, chosen)}.values())
     gap_before = state.gap
-    run.steps.append(Step(fitted.name, fitted.effect.where, nats, gap_before, following.gap, rivals))
+    again = next((i for i, step in enumerate(run.steps) if step.name == fitted.name), None)
+    if again is None:
+        run.steps.append(Step(fitted.name, fitted.effect.where, nats, gap_before, following.gap, rivals))
+    else:
+        old = run.steps[again]
+        run.steps[again] = replace(old, gain_nats=old.gain_nats + nats, gap_after=following.gap)
     run.say(f"{fitted.name}: {nats:.1f} nats, gap {gap_before:.3f} → {following.gap:.3f}")
     return following
 

@@ -46,6 +46,10 @@ class StartPool:
             return self._best_flicker(state, starts)
         return starts
 
+    def count(self, kind: type[CatalogueEffect]) -> int:
+        """Return how many starts an entry has; 1 before they were asked for."""
+        return len(self._starts.get(kind.name, (None,)))
+
     def _best(self, state: FitState, starts: Starts, moves: Array, gram: Array, slope: Array) -> Starts:
         rise = moves @ slope
         curvature = np.einsum("sc,cd,sd->s", moves, gram, moves, optimize=True)
@@ -67,8 +71,9 @@ class StartPool:
             added = [np.asarray(start.common_variance(one, state.model.context)) for start in starts]
             self._moves[name] = np.stack([np.broadcast_to(v.reshape(-1), (captures,)) for v in added])
         here = relative_flicker(state.prediction)
-        base = state.comparison.common_scores(here)
-        moves = np.stack([base - state.comparison.common_scores(here + added) for added in self._moves[name]])
+        rows = state.prediction.row_variance
+        base = state.comparison.common_scores(here, rows)
+        moves = np.stack([base - state.comparison.common_scores(here + added, rows) for added in self._moves[name]])
         cut = state.comparison.cuts["common"]
         return self._best(state, starts, moves, np.eye(captures), state.fit.projected[cut])
 

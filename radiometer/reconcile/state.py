@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconcile.comparison import Comparison, Repeatability, compare, relative_flicker, usable_entries
+from radiometer.reconcile.comparison import Comparison, Repeatability, compare, relative_flicker
 from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.held_out import Groups, HeldOut, leave_one_group_out
 from radiometer.reconcile.linear import LinearFit, RowBlock
@@ -21,12 +21,15 @@ from radiometer.reconcile.repeatability import capture_scale, estimate_tau
 from radiometer.reconcile.statistics import CaptureStatistics
 from radiometer.reconcile.terms import LinearTerm, prior_rows
 from radiometer.reconcile.tile_model import Nuisance, Prediction, TileModel, Trace
+from radiometer.reconcile.usable import usable_entries
 from simulators.effects.catalogue import CatalogueEffect
 
 _ITERATIONS: Final = 25
 _CONVERGED: Final = 1e-3  # change of χ² below which an iteration ends the fit
 _FORM_FLOOR: Final = 0.005  # share of an accepted effect's own correction that its form is not trusted with
 _SENSITIVITY_STEP: Final = 1e-3
+_REWEIGHTINGS: Final = 3
+_SETTLED: Final = 0.02  # share of a parameter's size
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,10 +181,11 @@ class FitState:
     def evidence(self) -> float:
         """Return the held-out log density with the weights' determinants: comparable between different weights."""
         comparison = self.comparison
-        mean = float(np.sum(np.log(np.diagonal(comparison.whitener, axis1=1, axis2=2))))
-        others = [n for n in comparison.cuts if n != "mean"]
+        together = comparison.whiteners.values()
+        common = sum(float(np.sum(np.log(np.diagonal(whitener, axis1=1, axis2=2)))) for whitener in together)
+        others = [n for n in comparison.cuts if n not in comparison.whiteners]
         spread = sum(float(np.sum(np.log(comparison.deviation[n][comparison.usable[n]]))) for n in others)
-        return float(np.sum(self.held_out.log_density)) + mean - spread
+        return float(np.sum(self.held_out.log_density)) + common - spread
 
     @property
     def gap(self) -> float:
@@ -240,6 +244,16 @@ def reweighted(state: FitState) -> FitState:
     mask = state.comparison.usable
     again = _weighted(state.seen, state.model, state.layout, state.values, terms, tau, floors, mask)
     return replace(again, weights=np.concatenate([kept, np.zeros(sum(t.size for t in terms) - kept.size)]))
+
+
+def settled(state: FitState) -> FitState:
+    """Return the state refitted under weights of its own, until these no longer move the parameters."""
+    for _ in range(_REWEIGHTINGS):
+        before, state = state.parameters.values, refit(reweighted(state))
+        moved = np.abs(state.parameters.values - before) / state.parameters.scale
+        if not moved.size or float(moved.max()) < _SETTLED:
+            break
+    return state
 
 
 def with_terms(state: FitState, terms: Sequence[LinearTerm]) -> FitState:
@@ -317,8 +331,10 @@ def _weighted(
 
 def _estimate_tau(state: FitState) -> float:
     comparison = state.comparison
+    cut, whitener = comparison.cuts["mean"], comparison.whiteners["mean"]
+    unnamed = np.linalg.solve(whitener, state.term_residual[cut].reshape(*whitener.shape[:2], 1))[:, :, 0]
     scale, variance = capture_scale(
-        state.seen.mean - state.prediction.mean,
+        state.seen.mean - state.prediction.mean - unnamed,
         state.sensitivity,
         comparison.deviation["mean"],
         comparison.usable["mean"],

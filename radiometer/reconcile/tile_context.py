@@ -19,6 +19,7 @@ from radiometer.reconcile.pattern_images import PatternImages
 from simulators.effects.context import ExposureContext, FrameGeometry, Signal
 
 GAUSS_POINT: Final = 1.0 / math.sqrt(3.0)
+_DENSE: Final = 12  # points per side of a tile where light from elsewhere varies within it
 _POINTS: Final = ((-1, -1), (1, -1), (-1, 1), (1, 1))  # (x, y) signs
 
 
@@ -34,6 +35,7 @@ class BatchSettings:
     timestamp_s: Array
     source_level: Array
     is_dark: NDArray[np.bool_]
+    pattern: NDArray[np.str_]
 
     @classmethod
     def of(cls, design: Design) -> BatchSettings:
@@ -47,6 +49,7 @@ class BatchSettings:
             design.timestamp_s[:, None, None],
             design.source_level[:, None, None],
             design.closed[:, None, None],
+            np.array(design.patterns)[design.pattern_index][:, None, None],
         )
 
 
@@ -62,7 +65,7 @@ class PictureSurroundings:
         self._tiles = self._sampled([images.picture(p) for p in range(len(design.patterns))])
         self._norm = np.maximum(self._tiles.mean(axis=(1, 2)), 1e-30)
         self._mean = np.array([images.picture(p).mean() for p in range(len(design.patterns))]) / self._norm
-        self._reflected = self._sampled([self._turned(images.picture(p)) for p in range(len(design.patterns))])
+        self._reflected = self._smoothed([self._turned(images.picture(p)) for p in range(len(design.patterns))])
 
     def frame_mean(self, signal: Signal) -> Signal:
         """Return the mean over the whole frame, shape (captures, 1, 1)."""
@@ -73,7 +76,7 @@ class PictureSurroundings:
         key = round(radius_fraction, 6)
         if key not in self._spread:
             pictures = [_soft(self._images.picture(p), key) for p in range(len(self._design.patterns))]
-            self._spread[key] = self._sampled(pictures)
+            self._spread[key] = self._smoothed(pictures)
         return self._relative(signal, self._spread[key])
 
     def reflected(self, signal: Signal) -> Signal:
@@ -92,6 +95,19 @@ class PictureSurroundings:
         x, y = tile_points(self._design)
         cell = self._images.cell_px
         return np.stack([_bilinear(picture, (x + 0.5) / cell - 0.5, (y + 0.5) / cell - 0.5) for picture in pictures])
+
+    def _smoothed(self, pictures: list[Array]) -> Array:
+        """Return values at the tiles' points that have the mean and the least-squares slopes of each tile's pixels."""
+        x, y, u, v = _dense_points(self._design)
+        cell = self._images.cell_px
+        found = []
+        for picture in pictures:
+            values = _bilinear(picture, (x + 0.5) / cell - 0.5, (y + 0.5) / cell - 0.5)
+            rises = [values @ axis / float(axis @ axis) for axis in (u, v)]
+            signs = np.array(_POINTS, dtype=np.float64) * GAUSS_POINT
+            tilt = rises[0][:, None] * signs[:, 0] + rises[1][:, None] * signs[:, 1]
+            found.append(values.mean(axis=1)[:, None] + tilt)
+        return np.stack(found)
 
     def _turned(self, picture: Array) -> Array:
         centre = self._design.header.lens.principal_point_px
@@ -129,6 +145,15 @@ def tile_points(design: Design) -> tuple[Array, Array]:
     x = middle[:, :1] + half[:, :1] * signs[:, 0]
     y = middle[:, 1:] + half[:, 1:] * signs[:, 1]
     return x, y
+
+
+def _dense_points(design: Design) -> tuple[Array, Array, Array, Array]:
+    """Return image coordinates of a grid of points in each tile, (tiles, points), and their places −1 … 1 in it."""
+    steps = (2.0 * np.arange(_DENSE) + 1.0) / _DENSE - 1.0
+    v, u = (axis.ravel() for axis in np.meshgrid(steps, steps, indexing="ij"))
+    x = np.array([t.x + (t.width - 1) / 2 + 0.5 * t.width * u for t in design.tiles])
+    y = np.array([t.y + (t.height - 1) / 2 + 0.5 * t.height * v for t in design.tiles])
+    return x, y, u, v
 
 
 def tile_context(design: Design, images: PatternImages, previous: Array | None = None) -> TileContext:

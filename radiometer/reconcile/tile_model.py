@@ -273,7 +273,10 @@ class TileModel:
         mean, variance = tiles(final.mean), tiles(final.variance)
         lines = tiles(final.row_variance)
         columns, rows = tiles(final.fixed_column_variance), tiles(final.fixed_row_variance)
-        total = np.maximum(variance + lines, _SMALLEST_VARIANCE_DN2)
+        # A frame's mean is taken out of each tile, and with it what its rows have in common.
+        shared = np.broadcast_to(np.asarray(self.context.tile_height, dtype=np.float64)[..., 0], shape[:2])
+        within = lines * (1.0 - 1.0 / shared)
+        total = np.maximum(variance + within, _SMALLEST_VARIANCE_DN2)
         fixed = tiles(final.spatial_variance) + columns + rows
         rise_x, rise_y = _rise(final.mean)
         safe = np.maximum(total, 1e-30)
@@ -283,8 +286,8 @@ class TileModel:
             slope_y=rise_y,
             variance=total,
             spatial=total / self.design.frame_count[:, None] + fixed,
-            neighbour_x=(tiles(final.neighbour_x) + lines) / safe,
-            neighbour_y=tiles(final.neighbour_y) / safe,
+            neighbour_x=(tiles(final.neighbour_x) + within) / safe,
+            neighbour_y=(tiles(final.neighbour_y) - lines / shared) / safe,
             first=tiles(final.first_excess),
             common_variance=tiles(final.common_variance),
             row_variance=lines.mean(axis=1),

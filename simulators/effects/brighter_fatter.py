@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,13 +28,15 @@ class BrighterFatter(CatalogueEffect):
     unit_out = ELECTRONS
     where = "signal"
     block = "neighbour"
+    also = ("variance",)
     trials = (
         {"share": 0.005},
         {"share": 0.02},
     )
-    fitted = ("share",)
+    fitted = ("share", "edge_fill")
     settles = "neighbour correlation over a photon-transfer series"
     share: float = parameter(0.0, "1", 0.0, 0.1, source="at full well; below 1 % for small CMOS pixels")
+    edge_fill: float = parameter(0.2, "1", 0.0, 1.0, source="fill on both sides of an edge over the brightest patch's")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the signal of an even field: what leaves a pixel comes back."""
@@ -51,4 +53,6 @@ class BrighterFatter(CatalogueEffect):
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments of a tile whose pixels exchange charge."""
         share = self.share * np.clip(before.mean / well_e(context), 0.0, 1.2)
-        return exchange_moments(after, share, light=1.0)
+        mixed = exchange_moments(after, share, light=1.0)
+        edge = self.edge_fill * np.max(share, axis=(1, 2), keepdims=True)
+        return replace(mixed, edge_share=before.edge_share + edge)

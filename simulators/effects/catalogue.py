@@ -27,6 +27,7 @@ class CatalogueEffect(Effect):
         where: Covariate along which it shows, by its name in result files.
         block: Statistic that must improve when the effect is there: mean, slope, variance, spatial, neighbour,
             first, common, row_temporal, columns, rows, edge, outliers or comb.
+        also: Further statistics that count as its evidence.
         trials: Sets of parameters from which the search starts, the likeliest first.
         fitted: Parameters that are fitted; the others keep their trial's value.
         settles: The capture that separates the effect from its likenesses, as advice to the user.
@@ -34,10 +35,12 @@ class CatalogueEffect(Effect):
 
     where: ClassVar[str]
     block: ClassVar[str] = "mean"
+    also: ClassVar[tuple[str, ...]] = ()
     trials: ClassVar[tuple[Mapping[str, float], ...]]
     fitted: ClassVar[tuple[str, ...]]
     settles: ClassVar[str] = ""
     profiled: ClassVar[str] = ""  # a parameter that is searched on a dense grid, for the fit is not smooth in it
+    repeats: ClassVar[bool] = False  # whether it may act more than once (several wrong labels); `joined` makes it one
     proportional: ClassVar[bool] = False  # whether a fixed pattern grows with the light
 
     @classmethod
@@ -53,6 +56,14 @@ class CatalogueEffect(Effect):
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit; `name[2]` is the third entry of a table."""
         return self.fitted
+
+    def joined(self, other: CatalogueEffect) -> CatalogueEffect:
+        """Return one effect that does what this and another of its kind do.
+
+        Raises:
+            NotImplementedError: If the effect does not repeat.
+        """
+        raise NotImplementedError(f"{self.name} does not repeat")
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
         """Return the moments after the effect by linear propagation; statistics of tiles by `tile`."""

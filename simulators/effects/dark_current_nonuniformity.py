@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
+from scipy.stats import norm
 
 from simulators.effects.base import ELECTRONS, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, warmer_k
 from simulators.effects.context import ExposureContext, Signal
+from simulators.effects.tile_moments import TileMoments
 
 
 @dataclass(frozen=True)
 class DarkCurrentNonuniformity(CatalogueEffect):
     """Adds to each pixel a fixed share of thermal electrons: S grows by p·t·2^((T − T₀)/T_d), p varies by s.
 
-    The pattern is log-normal less its mean: a few pixels leak much more than the others.
+    The pattern is log-normal less its mean: a few pixels leak much more than the others, and stand out as hot pixels.
+    These are left out of a tile's mean and no pixel leaks less than nothing, so that the mean moves by a share m of s.
 
     Source: EMVA Standard 1288, release 4.0, DCNU; the tail as seen in CMOS datasheets.
     """
@@ -33,15 +36,19 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         {"sigma_e_per_s": 1.0},
         {"sigma_e_per_s": 10.0},
     )
-    fitted = ("sigma_e_per_s",)
+    fitted = ("sigma_e_per_s", "mean_share", "shape")
     settles = "dark frames at two long exposures"
     sigma_e_per_s: float = parameter(0.0, "e- s-1", 0.0, 100000.0, source="engineering prior; refined on a real rig")
     reference_C: float = parameter(25.0, "°C", -100.0, 150.0, source="temperature that the figure holds at")  # noqa: N815
     doubling_K: float = parameter(7.0, "K", 2.0, 30.0, source="silicon: 6 to 8 K")  # noqa: N815
+    mean_share: float = parameter(
+        0.0, "1", -0.5, 0.5, source="what clipping at zero and masked pixels leave of the mean"
+    )
+    shape: float = parameter(0.5, "1", 0.1, 1.2, source="standard deviation of the leak's logarithm; CMOS: 0.3 to 0.8")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal unchanged: the pattern averages to zero."""
-        return signal
+        """Return the signal of the pixels that count."""
+        return cast(Signal, (signal + self.mean_share * self.electrons(context)).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
         """Return 1."""
@@ -49,12 +56,29 @@ class DarkCurrentNonuniformity(CatalogueEffect):
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         """Return the signal with this camera's pattern of leaks; never below zero."""
-        shape = 0.5
-        tail = np.exp(shape * context.fixed_rng(self.name).standard_normal(signal.shape))
-        average, spread = math.exp(shape**2 / 2), math.sqrt((math.exp(shape**2) - 1.0) * math.exp(shape**2))
-        pattern = (tail - average) / spread
-        leaked = np.maximum(signal + pattern * self.electrons(context), 0.0)
+        tail = np.exp(self.shape * context.fixed_rng(self.name).standard_normal(signal.shape))
+        average, spread = self._lognormal()
+        leaked = np.maximum(signal + (tail - average) / spread * self.electrons(context), 0.0)
         return cast(Signal, leaked.astype(signal.dtype))
+
+    def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
+        """Return the moments with the number of pixels that stand out by more than 6 robust sigmas."""
+        frames: Any = getattr(context, "frames", 1.0)
+        read2 = (context.camera.read_noise_e or 3.0) ** 2
+        noise2 = (np.maximum(before.mean, 0.0) + read2) / frames + before.spatial_variance
+        pattern = np.maximum(self.electrons(context), 1e-12)
+        _, spread = self._lognormal()
+        robust2 = np.square(self.shape / spread * pattern)  # what the median deviation of the body tells
+        limit = 6.0 * np.sqrt(noise2 + robust2) / pattern
+        above = norm.sf(np.log(1.0 + spread * limit) / self.shape)
+        pixels: Any = getattr(context, "tile_pixels", 1.0)
+        count = (above * pixels).mean(axis=2, keepdims=True).sum(axis=1, keepdims=True)
+        return replace(after, outliers=before.outliers + count)
+
+    def _lognormal(self) -> tuple[float, float]:
+        """Return mean and standard deviation of the leak over its median."""
+        square = self.shape**2
+        return math.exp(square / 2), math.sqrt((math.exp(square) - 1.0) * math.exp(square))
 
     def spatial_variance(self, signal: Signal, context: ExposureContext) -> Any:
         """Return the pattern's variance in e-²."""

@@ -28,6 +28,7 @@ class Defocus(CatalogueEffect):
     where = "f_number"
     block = "edge"
     trials = (
+        {"sigma_f1_px": 1.0},
         {"sigma_f1_px": 2.0},
         {"sigma_f1_px": 6.0},
     )

@@ -27,6 +27,8 @@ class PsfBlur(CatalogueEffect):
     where = "image_x"
     block = "edge"
     trials = (
+        {"sigma_px": 0.25},
+        {"sigma_px": 0.35},
         {"sigma_px": 0.5},
         {"sigma_px": 1.0},
     )

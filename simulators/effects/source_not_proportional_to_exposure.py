@@ -26,6 +26,8 @@ class SourceNotProportionalToExposure(Scaling):
     where = "exposure_s"
     block = "mean"
     trials = (
+        {"droop_rel": 0.02, "tau_s": 0.0003},
+        {"droop_rel": -0.02, "tau_s": 0.0003},
         {"droop_rel": 0.02, "tau_s": 0.001},
         {"droop_rel": 0.02, "tau_s": 0.01},
         {"droop_rel": 0.02, "tau_s": 0.1},

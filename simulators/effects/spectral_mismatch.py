@@ -1,18 +1,24 @@
-"""A channel of the source for which the camera responds differently."""
+"""Channels of the source for which the camera responds differently than assumed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
 
 from simulators.effects.base import RADIANCE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
+CHANNELS: Final = ("red", "green", "blue")
+
 
 @dataclass(frozen=True)
 class SpectralMismatch(Scaling):
-    """Scales the share of light that one channel gives: L' = L·(1 + e·share).
+    """Scales the light of each channel shown alone: L' = L·(1 + e_c) for the patterns named red, green and blue.
+
+    Light of all channels together is what the responsivity was stated for and stays.
 
     Source: a responsivity stated for one spectrum and used for another.
     """
@@ -21,21 +27,28 @@ class SpectralMismatch(Scaling):
     stage = Stage.SOURCE
     unit_in = RADIANCE
     unit_out = RADIANCE
-    where = "source_level"
+    where = "pattern"
     block = "mean"
     trials = (
-        {"error_rel": 0.05},
-        {"error_rel": -0.05},
+        {"red_rel": 0.02, "green_rel": 0.0, "blue_rel": -0.02},
+        {"red_rel": 0.02, "green_rel": 0.0, "blue_rel": 0.02},
+        {"red_rel": -0.02, "green_rel": 0.0, "blue_rel": 0.02},
+        {"red_rel": -0.02, "green_rel": 0.0, "blue_rel": -0.02},
     )
-    fitted = ("error_rel",)
+    fitted = ("red_rel", "green_rel", "blue_rel")
     settles = "each channel of the source alone"
-    error_rel: float = parameter(0.0, "1", -0.9, 5.0, source="engineering prior; refined on a real rig")
+    red_rel: float = parameter(0.0, "1", -0.9, 5.0, source="engineering prior; refined on a real rig")
+    green_rel: float = parameter(0.0, "1", -0.9, 5.0, source="engineering prior; refined on a real rig")
+    blue_rel: float = parameter(0.0, "1", -0.9, 5.0, source="engineering prior; refined on a real rig")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the factor; the channel's share of the light stands in `context.extra`."""
-        return 1.0 + self.error_rel * context.extra.get("channel_share", 0.0)
+        """Return the factor of the channel that the pattern shows; 1 for all other patterns."""
+        shown = np.asarray(context.settings.pattern)
+        errors = (self.red_rel, self.green_rel, self.blue_rel)
+        return 1.0 + sum(np.where(shown == c, e, 0.0) for c, e in zip(CHANNELS, errors, strict=True))
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether the share of a channel is known."""
-        return "channel_share" in context.extra
+        """Tell whether each channel is shown alone, and something else beside them."""
+        shown = set(np.unique(np.asarray(context.settings.pattern)).tolist())
+        return shown.issuperset(CHANNELS) and len(shown) > len(CHANNELS)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
+
+import numpy as np
 
 from simulators.effects.base import IRRADIANCE, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.surroundings import surroundings_of
+from simulators.effects.tile_moments import TileMoments
 
 
 @dataclass(frozen=True)
@@ -31,10 +34,13 @@ class StrayLightKernel(CatalogueEffect):
         {"share": 0.01, "radius": 0.2},
         {"share": 0.01, "radius": 0.3},
     )
-    fitted = ("share",)
+    fitted = ("share", "radius", "edge_share")
     settles = "one bright patch with several sizes of surround"
     share: float = parameter(0.0, "1", -0.05, 0.5, source="engineering prior; refined on a real rig")
-    radius: float = parameter(0.1, "1", 0.01, 1.0, source="sigma as a fraction of the longer side")
+    radius: float = parameter(0.1, "1", 0.02, 1.0, source="sigma as a fraction of the longer side")
+    edge_share: float = parameter(
+        0.05, "1", 0.0, 0.1, source="part of the wing in the last line before an edge, over the patch's own mean"
+    )
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return irradiance with the scattered light."""
@@ -44,3 +50,7 @@ class StrayLightKernel(CatalogueEffect):
     def slope(self, signal: Signal, context: ExposureContext) -> float:
         """Return 1 − v."""
         return 1.0 - self.share
+
+    def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
+        """Return the moments with what the wing carries across an edge, which hangs on where the patch ends."""
+        return replace(after, edge_share=before.edge_share + np.full((1, 1, 1), self.share * self.edge_share))

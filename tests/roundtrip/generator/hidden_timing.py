@@ -30,9 +30,9 @@ def exposure_quantisation(world: World, rng: np.random.Generator, scale: float) 
 
 @entry("reciprocity_failure", "exposure_s")
 def reciprocity_failure(world: World, rng: np.random.Generator, scale: float) -> Truth:
-    """Let the response go as t to the power 1.003, equal at 1 ms."""
+    """Let the response to light go as t to the power 1.003, equal at 1 ms; the dark current keeps the clock's time."""
     power = sign(rng) * 0.003 * scale
-    world.exposure.append(lambda t, shot: t * (t / 1e-3) ** power)
+    world.electrons.append(lambda expected, rate, shot, before: expected * (shot.setting.exposure_s / 1e-3) ** power)
     return {"p": power}
 
 

@@ -83,7 +83,7 @@ def test_compiled_sums_agree_with_numpy() -> None:
             np.mean(tile >= 4000),
             np.sum(deviation[:, 1:] * deviation[:, :-1]),
             np.sum(deviation[1:] * deviation[:-1]),
-            deviation.sum(axis=1),
+            (deviation * counted).sum(axis=1),
         )
         for value, wanted in zip(found, expected, strict=True):
             np.testing.assert_allclose(value[k], wanted, rtol=1e-9, atol=1e-9)

@@ -40,7 +40,7 @@ def _context(frame: int = 0) -> ExposureContext:
         quantum_efficiency=0.6,
     )
     geometry = FrameGeometry.of_image(WIDTH, HEIGHT)
-    settings = FrameSettings(1 / 60, 6.0, 5.6, 64.0, 40.0, 60.0, 0.8)
+    settings = FrameSettings(1 / 60, 6.0, 5.6, 64.0, 40.0, 60.0, 0.8, pattern="red")
     lens = LensDescription(focal_length_mm=16.0, f_number=5.6)
     return ExposureContext(
         settings,
@@ -52,7 +52,6 @@ def _context(frame: int = 0) -> ExposureContext:
         previous_e=np.full((HEIGHT, WIDTH), 4000.0),
         frame_index=frame,
         device_seed=5,
-        extra={"channel_share": 0.3},
     )
 
 

@@ -1,0 +1,86 @@
+"""Which statistics count: not clipped, with freedom left, and not formed by the spacing of the codes."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.reconcile.capture_sums import COMB_PERIODS
+from radiometer.reconcile.design import Design
+from radiometer.reconcile.statistics import CaptureStatistics
+from radiometer.reconcile.tile_model import Prediction
+
+Mask = NDArray[np.bool_]
+
+_CLIP_SIGMAS: Final = 5.0
+_ZERO_SIGMAS: Final = 4.0  # what is cut off below 0 moves a mean by 7e-6 of the noise
+_FEW: Final = 1e-3  # share of clipped samples that does not count as clipping
+_SMALLEST_SIGMA_DN: Final = 0.4  # below it σ² + 1/12 no longer holds for rounded values
+_FEWEST_CODES: Final = 500  # samples that a histogram needs
+_CLEAR_COMB: Final = 0.5  # amplitude from which a spacing of codes is beyond doubt
+_FINE_NOISE: Final = 0.5  # standard deviation over code spacing that statistics need to be nearly normal
+
+
+def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) -> dict[str, Mask]:
+    """Return which entries of each block count: not clipped as measured or predicted, and with freedom left."""
+    full_scale = design.header.camera.full_scale_dn
+    inside = np.ones(seen.mean.shape, dtype=np.bool_)
+    noise = np.where(np.isfinite(seen.variance), seen.variance, base.variance) + np.nan_to_num(base.fixed)
+    sigma, above_zero = _CLIP_SIGMAS * np.sqrt(noise), _ZERO_SIGMAS * np.sqrt(noise)
+    # What is predicted to clip but was not seen to clip stays in: it is what a lower full well looks like.
+    inside &= (seen.mean - above_zero > 0) & (seen.mean + sigma < full_scale) & (seen.high < _FEW) & (seen.low < _FEW)
+    inside &= base.mean - _ZERO_SIGMAS * np.sqrt(base.variance + base.fixed) > 0
+    step = _seen_step(seen)
+    fine = base.variance > (_FINE_NOISE * step) ** 2 if step > 1 else np.ones_like(inside)
+    inside &= fine
+    free = inside & ~_at_the_knee(design, base)
+    many = np.broadcast_to((design.frame_count > 1)[:, None], inside.shape)
+    noisy = free & many & (np.nan_to_num(seen.variance) > 0) & (base.variance > _SMALLEST_SIGMA_DN**2)
+    spread = free & (seen.spatial_dof > 4) & (seen.spatial > 0)
+    any_tile = inside.any(axis=1)
+    calm = base.variance > step**2 if step > 1 else fine  # lines of pixels feel the spacing sooner
+    whole = many[:, 0] & calm.all(axis=1)
+    patched = any_tile & calm.all(axis=1) & design.uniform
+    dividing = np.array([step == 1 or step % period == 0 for period in COMB_PERIODS])
+    return {
+        "mean": inside,
+        "slope_x": inside,
+        "slope_y": inside,
+        "variance": noisy,
+        "spatial": spread,
+        "neighbour_x": noisy & np.isfinite(seen.neighbour_x),
+        "neighbour_y": noisy & np.isfinite(seen.neighbour_y),
+        "first": inside & many,
+        "common": whole & np.isfinite(seen.common) & (base.signal.max(axis=1) > 0),
+        "row_temporal": whole & (seen.row_temporal_dof > 4) & (np.nan_to_num(seen.row_temporal) > 0),
+        "columns": patched & (seen.columns_dof > 4) & (np.nan_to_num(seen.columns) > 0),
+        "rows": patched & (seen.rows_dof > 4) & (np.nan_to_num(seen.rows) > 0),
+        "edge": np.isfinite(seen.edge_u) & any_tile,
+        "outliers": patched,
+        "comb": (seen.comb_count > _FEWEST_CODES)[:, None] & dividing,
+    }
+
+
+def _seen_step(seen: CaptureStatistics) -> int:
+    """Return the spacing of codes as far as the histograms tell it, 1 where all codes occur.
+
+    Where it is wide, noise below half of it leaves nothing normal of a tile, and periods that do not divide it show
+    the shape of an honest histogram at an alias.
+    """
+    many = seen.comb_count > _FEWEST_CODES
+    if not many.any():
+        return 1
+    shown = np.median(seen.comb[many], axis=0) > _CLEAR_COMB
+    return math.lcm(*(period for period, clear in zip(COMB_PERIODS, shown, strict=True) if clear))
+
+
+def _at_the_knee(design: Design, base: Prediction) -> Mask:
+    """Tell where the declared full well just begins to bite: there the variance hangs on the light level."""
+    well = design.header.camera.full_well_e
+    if well is None:
+        return np.zeros(base.signal.shape, dtype=np.bool_)
+    sigma = np.sqrt(np.maximum(base.signal, 1.0))
+    return np.asarray(np.abs(base.signal - well) < _CLIP_SIGMAS * sigma)
