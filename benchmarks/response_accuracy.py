@@ -1,4 +1,4 @@
-"""Accuracy and speed of the response methods beside OpenCV and colour-hdri, in one run on the same stacks.
+"""Accuracy and speed of the response methods beside OpenCV, colour-hdri and pfstools, in one run on the same stacks.
 
     python -m benchmarks response_accuracy
 
@@ -10,9 +10,13 @@ Peers that are not installed are left out and said to be.
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -75,6 +79,32 @@ def colour_hdri_debevec() -> Peer | None:
     return recover
 
 
+def pfstools_robertson() -> Peer | None:
+    if not (shutil.which("pfshdrcalibrate") and shutil.which("pfsinhdrgen")):
+        return None
+
+    def recover(bracket: Bracket) -> Array:
+        with tempfile.TemporaryDirectory() as name:
+            folder, lines = Path(name), []
+            for number, frame in enumerate(bracket):
+                cv2.imwrite(str(folder / f"{number}.ppm"), np.repeat(frame.dn[..., None], 3, axis=2))
+                lines.append(f"{number}.ppm {1.0 / frame.settings.exposure_s} 1 100\n")
+            (folder / "stack.hdrgen").write_text("".join(lines))
+            pipe = "pfsinhdrgen stack.hdrgen | pfshdrcalibrate -c robertson -b 8 -s curve.m > merged.pfs"
+            subprocess.run(pipe, shell=True, cwd=folder, check=True, capture_output=True)
+            rows = [line.split() for line in (folder / "curve.m").read_text().splitlines() if line[:1] != "#"]
+        green = np.array([row for row in rows if row][256:512], dtype=np.float64)
+        return np.log(10.0) * green[:, 0]
+
+    return recover
+
+
+def cpu_seconds() -> float:
+    """Return the processor time of this process and of those that it waited for."""
+    spent = os.times()
+    return time.process_time() + spent.children_user + spent.children_system
+
+
 def peers() -> Iterator[tuple[str, Peer]]:
     yield "OpenCV CalibrateDebevec, 70 samples", opencv(lambda: cv2.createCalibrateDebevec(70))
     yield "OpenCV CalibrateDebevec, 500 samples", opencv(lambda: cv2.createCalibrateDebevec(500))
@@ -82,6 +112,9 @@ def peers() -> Iterator[tuple[str, Peer]]:
     other = colour_hdri_debevec()
     if other is not None:
         yield SLOW_PEERS[0], other
+    program = pfstools_robertson()
+    if program is not None:
+        yield "pfstools pfshdrcalibrate (Robertson)", program
 
 
 def stacks(bit_depth: int) -> Iterator[tuple[int, Bracket, slice, Array]]:
@@ -98,14 +131,14 @@ def measure(bit_depth: int, others: list[tuple[str, Peer]]) -> dict[str, Tally]:
     for seed, stack, inner, truth in stacks(bit_depth):
         for name, method in METHODS.items():
             tally = tallies.setdefault(f"radiometer {name}", Tally())
-            started = time.process_time()
+            started = cpu_seconds()
             try:
                 estimate = method([stack])
             except Exception as error:  # noqa: BLE001 (a failure is a figure of the table)
                 print(f"{name} failed on curve {seed}: {error}")
                 tally.errors.append(float("nan"))
                 continue
-            tally.seconds.append(time.process_time() - started)
+            tally.seconds.append(cpu_seconds() - started)
             tally.errors.append(rms_error(estimate.curve.log_exposure[inner], truth))
             tally.squares.append(square_over_u(estimate.curve, inner, truth))
             if estimate.stability is not None:
@@ -114,9 +147,9 @@ def measure(bit_depth: int, others: list[tuple[str, Peer]]) -> dict[str, Tally]:
             if name in SLOW_PEERS and seed % 20:
                 continue
             tally = tallies.setdefault(name, Tally())
-            started = time.process_time()
+            started = cpu_seconds()
             curve = peer(stack)
-            tally.seconds.append(time.process_time() - started)
+            tally.seconds.append(cpu_seconds() - started)
             tally.errors.append(rms_error(curve[inner], truth))
     return tallies
 
@@ -147,7 +180,8 @@ HEADER = (
 
 def main() -> None:
     others = list(peers())
-    missing = "" if any(name.startswith("colour") for name, _ in others) else "\ncolour-hdri is not installed.\n"
+    absent = [peer for peer in ("colour-hdri", "pfstools") if not any(name.startswith(peer) for name, _ in others)]
+    missing = f"\n\nNot installed, so not compared: {', '.join(absent)}." if absent else ""
     source = "the DoRF curves" if DORF.exists() else "parametric curves (the DoRF set is absent)"
     count = sum(1 for _ in stacks(8))
     parts = [f"rms error of ln H over 5–95 % of the digital numbers, free offset taken out, over {count} of {source}."]
