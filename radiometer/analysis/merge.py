@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis import merge_kernels
 from radiometer.analysis.merge_defects import repair_defects
-from radiometer.analysis.merge_finish import FIRST_POWER, finish_linear
+from radiometer.analysis.merge_finish import finish_linear
 from radiometer.analysis.merge_finish_curved import finish_curved
 from radiometer.analysis.merge_frames import FrameTerms, frame_terms
 from radiometer.analysis.merge_lens import lens_factor_sr, relative_sensitivity
-from radiometer.analysis.merge_situation import Situation, common_u_rel, flat_field_for, situation_of
+from radiometer.analysis.merge_situation import common_u_rel, flat_field_for, situation_of
+from radiometer.analysis.merge_sums import FRAMES_PER_PLANE, MergeSample, MergeSums
 from radiometer.analysis.merge_tables import MergeTables, merge_tables
 from radiometer.data import Bracket, Calibration, CameraDescription, Frame, LensDescription, Provenance, RadianceMap
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
@@ -34,8 +34,8 @@ def merge(
 ) -> RadianceMap:
     """Return radiance in W·sr⁻¹·m⁻² (relative without a calibration) and its standard uncertainty for every pixel.
 
-    A Bracket is merged block by block; any other iterable is taken one frame at a time, each released before the
-    next is asked for, with dark frames before light ones.
+    A Bracket is merged block by block; any other iterable is taken one frame at a time, two frames (five of 8 bits)
+    being held at most, with dark frames before light ones.
 
     Args:
         frames: Frames of one unmoving scene, 1 to 64 light ones, in any order of exposure.
@@ -56,7 +56,10 @@ def merge(
 
 
 class StreamingMerge:
-    """Merges frames as they arrive; holds four numbers and a few bits per pixel, and no frame.
+    """Merges frames as they arrive; holds sums per pixel and the frames of a small batch.
+
+    A batch goes through the sums in one pass over the memory, which is what takes the time. It is as large as leaves
+    the whole under three planes of 32 bits beyond the result, up to 32 frames (four planes for more).
 
     Args:
         camera: The camera in use.
@@ -74,12 +77,11 @@ class StreamingMerge:
         self._terms: list[FrameTerms] = []
         self._dark: list[Frame] = []
         self._shape: tuple[int, int] | None = None
-        self._sums: list[NDArray[np.float32]] = []
-        self._bits: NDArray[Any] = np.zeros(0, np.uint32)
-        self._mask: NDArray[np.uint8] = np.zeros(0, np.uint8)
+        self._sums: MergeSums | None = None
+        self._pending: list[MergeSample] = []
 
     def add(self, frame: Frame) -> None:
-        """Take a frame in; it may be released afterwards.
+        """Take a frame in; its pixels are read now or with one of the next frames, and must stay as they are.
 
         Raises:
             MeasurementError: If it does not belong to the frames before it.
@@ -90,29 +92,9 @@ class StreamingMerge:
                 raise MeasurementError("a dark frame came after light ones; give dark frames first")
             self._dark.append(frame)
             return
-        terms = self._new_terms(frame)
-        if not self._sums:
-            size = frame.dn.size
-            self._sums = [np.zeros(size, np.float32) for _ in range(3)]
-            self._bits, self._mask = np.zeros(size, np.uint32), np.zeros(size, np.uint8)
-        if len(self._terms) > 32 and self._bits.dtype == np.uint32:
-            self._bits = self._bits.astype(np.uint64)
-        dn, table = np.ascontiguousarray(frame.dn).ravel(), _table(self._situation, terms)
-        index, linear = len(self._terms) - 1, self._situation.model.linear
-        _for_blocks(
-            dn.size,
-            frame.shape[1],
-            lambda start, stop: _accumulate(
-                dn[start:stop],
-                table,
-                terms,
-                self._terms[0].exposure,
-                index,
-                start,
-                self._view(start, stop),
-                linear=linear,
-            ),
-        )
+        self._pending.append(self._sample(frame))
+        if len(self._pending) >= self._batch_size(frame) or len(self._terms) % FRAMES_PER_PLANE == 0:
+            self._take_in()
 
     def result(self) -> RadianceMap:
         """Return the radiance map of the frames taken in; nothing can be added afterwards.
@@ -120,54 +102,68 @@ class StreamingMerge:
         Raises:
             MeasurementError: If there was no light frame.
         """
-        tables = self._tables()
-        first, second, squares = self._sums
-        shape = self._known_shape()
+        tables, shape = self._tables(), self._known_shape()
+        if self._pending:
+            self._take_in()
+        sums, self._sums = self._known_sums(), None
         _for_blocks(
-            first.size,
+            sums.first.size,
             shape[1],
             lambda start, stop: self._finish(
-                tables, start, self._view(start, stop), first[start:stop], second[start:stop]
+                tables, start, sums.part(start, stop), sums.first[start:stop], sums.second[start:stop]
             ),
         )
-        self._sums = []
-        del squares
-        return self._map(first, second, self._mask)
+        return self._map(sums.first, sums.second, sums.mask)
 
     def merge_bracket(self, bracket: Bracket) -> RadianceMap:
         """Return the radiance map of a bracket in memory, block by block."""
         for dark in bracket.dark_frames:
             self.add(dark)
-        flat, tables_of = [], []
+        samples = []
         for frame in bracket:
             self._refuse_misfit(frame)
-            terms = self._new_terms(frame)
-            flat.append(np.ascontiguousarray(frame.dn).ravel())
-            tables_of.append(_table(self._situation, terms))
-        tables, size = self._tables(), flat[0].size
+            samples.append(self._sample(frame))
+        tables, size = self._tables(), samples[0].dn.size
         radiance, u_radiance = np.empty(size, np.float32), np.empty(size, np.float32)
         mask = np.zeros(size, np.uint8)
-        linear = self._situation.model.linear
-        kind = np.uint32 if len(flat) <= 32 else np.uint64
 
         def block(start: int, stop: int) -> None:
-            sums = np.zeros((3, stop - start), np.float32)
-            view = (sums[0], sums[1], sums[2], np.zeros(stop - start, kind), mask[start:stop])
-            for index, (dn, terms, table) in enumerate(zip(flat, self._terms, tables_of, strict=True)):
-                _accumulate(dn[start:stop], table, terms, self._terms[0].exposure, index, start, view, linear=linear)
-            self._finish(tables, start, view, radiance[start:stop], u_radiance[start:stop])
+            sums = MergeSums.zeros(stop - start, len(samples))
+            sums.add(samples, start, self._terms[0].exposure)
+            self._finish(tables, start, sums, radiance[start:stop], u_radiance[start:stop])
+            mask[start:stop] = sums.mask
 
         _for_blocks(size, bracket.shape[1], block)
         return self._map(radiance, u_radiance, mask)
 
-    def _new_terms(self, frame: Frame) -> FrameTerms:
+    def _batch_size(self, frame: Frame) -> int:
+        """Return how many frames leave sums and batch under three planes of 32 bits beyond the result, at least 1."""
+        planes = (len(self._terms) - 1) // FRAMES_PER_PLANE + 1
+        room = 3 * 4 - 4 - 2 * planes  # bytes per pixel, less Σx² and the bits of the frames used
+        return max(1, (room - 1) // frame.dn.itemsize)
+
+    def _take_in(self) -> None:
+        """Add the frames of the batch to the sums and release them."""
+        sums = self._sums = self._sums or MergeSums.zeros(self._pending[0].dn.size, 0)
+        sums.make_room(len(self._terms))
+        batch, self._pending = self._pending, []
+        reference = self._terms[0].exposure
+        _for_blocks(
+            sums.first.size,
+            self._known_shape()[1],
+            lambda start, stop: sums.part(start, stop).add(batch, start, reference),
+        )
+
+    def _sample(self, frame: Frame) -> MergeSample:
         if len(self._terms) == MOST_FRAMES:
             raise MeasurementError(f"more than {MOST_FRAMES} frames; merge fewer, or average repeats first")
         terms = frame_terms(frame.settings, self._situation, self._dark, through_lens=self._through_lens)
         if self._terms and frame.settings.source_level != self._terms[0].settings.source_level:
             raise MeasurementError("the frames were taken at different source levels; merge those of one level")
         self._terms.append(terms)
-        return terms
+        model = self._situation.model
+        table = None if model.linear and terms.dark.size == 1 else model.table(frame.settings).astype(np.float32)
+        return MergeSample(np.ascontiguousarray(frame.dn).ravel(), terms, table, len(self._terms) - 1)
 
     def _refuse_misfit(self, frame: Frame) -> None:
         self._shape = self._shape or frame.shape
@@ -187,9 +183,10 @@ class StreamingMerge:
             raise MeasurementError("there is no frame with the shutter open; capture at least one")
         return self._shape
 
-    def _view(self, start: int, stop: int) -> tuple[NDArray[Any], ...]:
-        a, b, c = self._sums
-        return a[start:stop], b[start:stop], c[start:stop], self._bits[start:stop], self._mask[start:stop]
+    def _known_sums(self) -> MergeSums:
+        if self._sums is None:
+            raise MeasurementError("the result was handed out already; start a new merge")
+        return self._sums
 
     def _tables(self) -> MergeTables:
         self._known_shape()
@@ -199,11 +196,12 @@ class StreamingMerge:
         self,
         tables: MergeTables,
         start: int,
-        view: tuple[NDArray[Any], ...],
+        sums: MergeSums,
         radiance: NDArray[np.float32],
         u_radiance: NDArray[np.float32],
     ) -> None:
         factor = self._factor(start, radiance.size)
+        view = (sums.first, sums.second, sums.squares, sums.patterns(), sums.mask)
         if tables.curved is None:
             finish_linear(*view, *tables.common, factor, radiance, u_radiance)
         else:
@@ -241,33 +239,6 @@ class StreamingMerge:
                 parameters={"frames": len(self._terms), "dark_frames": len(self._dark)},
             ),
         )
-
-
-def _table(situation: Situation, terms: FrameTerms) -> NDArray[np.float32]:
-    return situation.model.table(terms.settings).astype(np.float32)
-
-
-def _accumulate(
-    dn: NDArray[Any],
-    table: NDArray[np.float32],
-    terms: FrameTerms,
-    reference: float,
-    index: int,
-    start: int,
-    view: tuple[NDArray[Any], ...],
-    *,
-    linear: bool,
-) -> None:
-    number, bits = dn.dtype.type, view[3].dtype.type
-    low, high = number(terms.low_dn), number(min(terms.high_dn, np.iinfo(dn.dtype).max))
-    relative, bit = terms.exposure / reference, bits(1 << index)
-    exposure, weight = np.float32(relative), np.float32(relative**FIRST_POWER)
-    dark = terms.dark if terms.dark.size == 1 else terms.dark[start : start + dn.size]
-    if linear and dark.size == 1:
-        offset, inverse = np.float32(terms.black_dn + terms.gain * float(dark[0])), np.float32(1.0 / terms.gain)
-        merge_kernels.add_linear(dn, offset, inverse, low, high, exposure, weight, bit, *view)
-    else:
-        merge_kernels.add_table(dn, table, dark, low, high, exposure, weight, bit, *view)
 
 
 def _for_blocks(size: int, width: int, work: Any) -> None:

@@ -62,6 +62,52 @@ def add_linear(
 
 
 @compiled
+def add_linear_pair(
+    dn_a: Any,
+    dn_b: Any,
+    constants: Any,
+    limits: Any,
+    bits_ab: Any,
+    first: Any,
+    second: Any,
+    squares: Any,
+    bits: Any,
+    mask: Any,
+) -> None:  # pragma: no cover (compiled)
+    """Add two frames of a linear sensor, one after the other, in one pass over the sums.
+
+    Args:
+        dn_a: Digital numbers of the one frame.
+        dn_b: Digital numbers of the other, of the same type.
+        constants: Offset, 1/gain, exposure and weight of both as in `add_linear`, float32, shape (2, 4).
+        limits: Lowest digital number used and the one from which the frame clips, of the type of `dn_a`, shape (2, 2).
+        bits_ab: Bits of both frames, of the type of `bits`, shape (2,).
+        first: Σw·x, float32, added to.
+        second: Σt·x, float32, added to.
+        squares: Σx², float32, added to.
+        bits: Frames used in each pixel, added to.
+        mask: Clipping seen in each pixel, added to.
+    """
+    offset_a, inverse_a, exposure_a, weight_a = constants[0]
+    offset_b, inverse_b, exposure_b, weight_b = constants[1]
+    low_a, high_a, low_b, high_b = limits[0, 0], limits[0, 1], limits[1, 0], limits[1, 1]
+    bit_a, bit_b, none = bits_ab[0], bits_ab[1], bits.dtype.type(0)
+    for i in range(dn_a.size):
+        a, b = dn_a[i], dn_b[i]
+        used_a = (a >= low_a) & (a < high_a)
+        used_b = (b >= low_b) & (b < high_b)
+        x_a = (np.float32(a) - offset_a) * inverse_a if used_a else np.float32(0.0)
+        x_b = (np.float32(b) - offset_b) * inverse_b if used_b else np.float32(0.0)
+        first[i] = (first[i] + weight_a * x_a) + weight_b * x_b
+        second[i] = (second[i] + exposure_a * x_a) + exposure_b * x_b
+        squares[i] = (squares[i] + x_a * x_a) + x_b * x_b
+        bits[i] |= (bit_a if used_a else none) | (bit_b if used_b else none)
+        seen_a = CLIPPED_HIGH if a >= high_a else (CLIPPED_LOW if a < low_a else np.uint8(0))
+        seen_b = CLIPPED_HIGH if b >= high_b else (CLIPPED_LOW if b < low_b else np.uint8(0))
+        mask[i] |= seen_a | seen_b
+
+
+@compiled
 def add_table(
     dn: Any,
     table: Any,
