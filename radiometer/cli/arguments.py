@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from fractions import Fraction
+from typing import Final
 
 from radiometer.data.reading import Patch
 from radiometer.errors import UsageError
@@ -57,3 +59,49 @@ def parse_bounds(text: str, option: str) -> tuple[float, float]:
     if not 0.0 < low < high < math.inf:
         raise UsageError(f"{option} {text!r}: needs 0 < LOW < HIGH")
     return low, high
+
+
+ISO_HELP: Final = "Photographs: ISO speed stated as STATED is really REAL, such as 200=136; may be repeated."
+
+
+def parse_measured_iso(words: Sequence[str] | None) -> dict[float, float]:
+    """Return measured ISO speeds by stated ones from words such as "200=136".
+
+    Raises:
+        UsageError: If a word is not two numbers above 0, or a speed is given twice.
+    """
+    return _pairs(words, "--measured-iso", "STATED=REAL with speeds above 0, such as 200=136", 0.0)
+
+
+def parse_known_ratios(words: Sequence[str] | None, methods: Sequence[str]) -> dict[int, float]:
+    """Return known exposure ratios by the index of the pair of frames, from words such as "3=2.0".
+
+    Raises:
+        UsageError: If a word is no whole number and ratio above 1, a pair is given twice, or no method takes ratios.
+    """
+    from radiometer.analysis.response_methods import RATIO_METHODS
+
+    expected = "PAIR=RATIO with a whole number from 0 and a ratio above 1, such as 3=2.0"
+    found = _pairs(words, "--known-ratio", expected, 1.0)
+    if found and not set(methods) & set(RATIO_METHODS):
+        raise UsageError(
+            f"--known-ratio is for methods that find the ratios themselves: --method {' or '.join(RATIO_METHODS)}"
+        )
+    if any(pair != int(pair) or pair < 0 for pair in found):
+        raise UsageError(f"--known-ratio: expected {expected}")
+    return {int(pair): ratio for pair, ratio in found.items()}
+
+
+def _pairs(words: Sequence[str] | None, option: str, expected: str, above: float) -> dict[float, float]:
+    found: dict[float, float] = {}
+    for word in words or ():
+        try:
+            key, value = (float(part) for part in word.split("="))
+        except ValueError as error:
+            raise UsageError(f"{option} {word!r}: expected {expected}") from error
+        if not (0.0 <= key < math.inf and above < value < math.inf):
+            raise UsageError(f"{option} {word!r}: expected {expected}")
+        if key in found:
+            raise UsageError(f"{option} {word!r}: {key:g} is given twice")
+        found[key] = value
+    return found

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from radiometer.cli.arguments import parse_patch, parse_seconds
+from radiometer.cli.calibrate_range import with_dynamic_range
 from radiometer.cli.calibrate_report import calibration_report, show_report
 from radiometer.errors import UsageError
 
@@ -47,6 +48,13 @@ def command(
     exposure: Annotated[str | None, typer.Option(help="Its exposure time, such as 1/125.")] = None,
     iso: Annotated[float | None, typer.Option(help="Its ISO speed as really measured.")] = None,
     reference_dn: Annotated[float | None, typer.Option(help="Pixel value it came out at; half of full scale.")] = None,
+    dynamic_range: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="M,TIME[,LANDED]: the region at pixel value M of the reference photograph lands on the reference "
+            "value (or on LANDED) at TIME; once per region. Puts the exponent of the curve right."
+        ),
+    ] = None,
     as_printed: Annotated[
         bool, typer.Option("--as-printed", help="Take settings at face value, not as stops.")
     ] = False,
@@ -77,6 +85,7 @@ def command(
     if out is None:
         raise UsageError("-o FILE is missing: say where to write the calibration")
     curve = ResponseCurve.read(response) if response else None
+    curve, ranged = with_dynamic_range(curve, dynamic_range, exposure, reference_dn, as_printed=as_printed)
     source_stated = radiance is not None or luminance is not None
     seen = _seen(capture, camera, bench, patch, patch_needed=source_stated or meter_k is None)
     meter_wanted = _meter_settings(meter_k, f_number, exposure, iso, as_printed=as_printed)
@@ -105,7 +114,7 @@ def command(
     inputs = tuple(str(path.name) for path in (capture, response, camera_file, flat) if path)
     calibration = make.scaled_calibration(base, chosen, inputs, other)
     calibration.write(out)
-    report = calibration_report(calibration, scales, meter, out)
+    report = calibration_report(calibration, scales, meter, out, ranged)
     print(json_module.dumps(report, ensure_ascii=False)) if json else show_report(report, calibration)
 
 

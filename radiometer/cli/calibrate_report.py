@@ -9,11 +9,16 @@ from radiometer.cli.console import console, significant
 
 if TYPE_CHECKING:
     from radiometer.analysis.absolute_calibration import MeterReading
+    from radiometer.analysis.response_dynamic_range import DynamicRange
     from radiometer.data import Calibration, Scale
 
 
 def calibration_report(
-    calibration: Calibration, scales: list[Scale], meter: MeterReading | None, out: Path
+    calibration: Calibration,
+    scales: list[Scale],
+    meter: MeterReading | None,
+    out: Path,
+    ranged: DynamicRange | None = None,
 ) -> dict[str, Any]:
     """Return the report as the mapping that --json prints."""
     from radiometer.analysis import absolute, photometry
@@ -35,6 +40,8 @@ def calibration_report(
             "radiance": {"value": radiance, "u": radiance * absolute.METER_U_REL, "unit": "W sr-1 m-2"},
             "thesis_spectral_radiance": {"value": thesis, "unit": "W sr-1 m-2 um-1"},
         }
+    if ranged is not None:
+        report["dynamic_range"] = ranged.to_mapping()
     if calibration.flat_field is not None:
         report["flat_field"] = calibration.flat_field.model_dump(mode="json")
     if len(scales) == 2:
@@ -63,6 +70,12 @@ def show_report(report: dict[str, Any], calibration: Calibration) -> None:
             )
         thesis = metered["thesis_spectral_radiance"]["value"]
         out.print(f"thesis     {thesis:.4f} W·sr⁻¹·m⁻²·µm⁻¹  (equation 2.10: a spectral radiance, for comparison only)")
+    if ranged := report.get("dynamic_range"):
+        exponent, u = ranged["exponent"], ranged["u_exponent"]
+        out.print(
+            f"exponent   {significant(exponent, u)} ± {2 * u:.2g} (k = 2) of the curve, by {len(ranged['points'])} "
+            f"regions brought to {ranged['reference_dn']:g} DN"
+        )
     if ratio := report.get("meter_over_source"):
         out.print(f"meter over source  {significant(ratio['value'], ratio['u'])} ± {2 * ratio['u']:.2g} (k = 2)")
     if flat := report.get("flat_field"):

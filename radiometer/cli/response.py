@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,8 +15,9 @@ from radiometer.analysis.exports_curves import CURVE_SUFFIXES, write_curves
 from radiometer.analysis.response_compare import compare_methods
 from radiometer.analysis.response_estimate import ResponseEstimate, median_uncertainty
 from radiometer.analysis.response_labels import refuse_lying_labels
-from radiometer.analysis.response_methods import DEFAULT_METHOD, METHODS, method_names
+from radiometer.analysis.response_methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, method_names
 from radiometer.bench.sources import open_brackets
+from radiometer.cli.arguments import ISO_HELP, parse_known_ratios, parse_measured_iso
 from radiometer.cli.console import note, progress_bar
 from radiometer.cli.response_plot import check_plot_name, draw_responses
 from radiometer.data import Bracket
@@ -24,6 +25,10 @@ from radiometer.errors import MeasurementError, OutputError, UsageError
 
 _CURVE_SUFFIXES = (".csv", ".yaml", ".yml", *CURVE_SUFFIXES)
 _METHOD_HELP = f"Method: {', '.join(METHODS)}, or all."
+_RATIO_HELP = (
+    "Exposure of frame PAIR+1 over that of frame PAIR (0: the two shortest), for methods that find ratios themselves; "
+    "fixes the exponent in place of the stated times; may be repeated."
+)
 _CHANNEL_HELP = "Channel of colour photographs: luminance, red, green, blue, or each (one curve per colour)."
 
 Report = Callable[[int, int], None]
@@ -43,6 +48,8 @@ def command(
     ] = None,
     channel: Annotated[str, typer.Option("--channel", help=_CHANNEL_HELP)] = "luminance",
     method: Annotated[str, typer.Option("--method", help=_METHOD_HELP)] = DEFAULT_METHOD,
+    known_ratio: Annotated[list[str] | None, typer.Option("--known-ratio", metavar="PAIR=RATIO", help=_RATIO_HELP)] = None,
+    measured_iso: Annotated[list[str] | None, typer.Option("--measured-iso", metavar="STATED=REAL", help=ISO_HELP)] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> None:
     """Recover the camera response g(M) = ln H from brackets of exposures, with its uncertainty.
@@ -50,10 +57,11 @@ def command(
     Several PATHs are fitted jointly: one camera, one response.
     """
     names = method_names(method)
+    ratios = parse_known_ratios(known_ratio, names)
     picture = _plot_path(plot, output)
     _check_targets(output, picture)
     started = time.monotonic()
-    estimates = [estimate for brackets in _read(paths, channel).values() for estimate in _recover(brackets, names)]
+    estimates = [estimate for brackets in _read(paths, channel, parse_measured_iso(measured_iso)).values() for estimate in _recover(brackets, names, ratios)]
     files = _write(estimates, output) if output is not None else []
     if picture is not None:
         draw_responses(estimates, picture)
@@ -105,24 +113,29 @@ def _check_targets(output: Path | None, picture: Path | None) -> None:
             raise OutputError(f"cannot write {target}: the folder {target.parent} does not exist")
 
 
-def _read(paths: Sequence[Path], channel: str) -> dict[str, list[Bracket]]:
+def _read(paths: Sequence[Path], channel: str, measured_iso: Mapping[float, float]) -> dict[str, list[Bracket]]:
     """Return the brackets of all paths by colour channel."""
     found: dict[str, list[Bracket]] = {}
     for path in paths:
         with _bar(f"reading {path.name}") as report:
-            brackets = open_brackets(path, channel, report=report)
+            brackets = open_brackets(path, channel, report=report, measured_iso=measured_iso)
         for bracket in brackets:
             refuse_lying_labels(bracket)
             found.setdefault(str(bracket.frames[0].extra.get("channel", "mono")), []).append(bracket)
     return found
 
 
-def _recover(brackets: Sequence[Bracket], names: Sequence[str]) -> Iterator[ResponseEstimate]:
+def _recover(
+    brackets: Sequence[Bracket], names: Sequence[str], known_ratios: Mapping[int, float]
+) -> Iterator[ResponseEstimate]:
     with _bar("recovering the response") as report:
         for done, name in enumerate(names):
             report(done, len(names))
             try:
-                yield METHODS[name](brackets)
+                if name in RATIO_METHODS and known_ratios:
+                    yield RATIO_METHODS[name](brackets, known_ratios=known_ratios)
+                else:
+                    yield METHODS[name](brackets)
             except MeasurementError as error:
                 if len(names) == 1 or name == DEFAULT_METHOD:
                     raise
