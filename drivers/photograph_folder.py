@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
 from drivers.photograph_pixels import CHANNELS, IMAGE_SUFFIXES, RAW_SUFFIXES, Photograph, read_photograph
 from drivers.photograph_times import LIST_NAMES, PhotographSettings, find_list, read_exif, read_list
 from radiometer.data import Bracket, Frame, FrameSettings
+from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.errors import CaptureError, UsageError
 
 CHANNEL_CHOICES: Final = (*CHANNELS, "luminance", "each")
@@ -23,27 +23,36 @@ class PhotographFolder:
     Attributes:
         path: The folder.
         settings: Settings by file name, in the order of the names.
+        speeds: What is known of the camera's ISO speeds.
     """
 
     path: Path
     settings: dict[str, PhotographSettings]
+    speeds: IsoSpeeds = field(default_factory=IsoSpeeds)
 
     @classmethod
-    def open(cls, path: Path) -> PhotographFolder:
+    def open(cls, path: Path, speeds: IsoSpeeds | None = None) -> PhotographFolder:
         """Return the folder after checking that it holds photographs and that each has an exposure time.
 
         Times come from a list (exposures.txt, exposures.csv or image_list.txt) where there is one, else from EXIF.
         Where a list is present only the files that it names are used.
 
+        Args:
+            path: The folder.
+            speeds: What is known of the camera's ISO speeds beyond what it states.
+
         Raises:
             CaptureError: If the folder is missing or empty, a time is missing, or the f-number changes.
+            UsageError: If a speed was measured that no photograph states.
         """
         if not path.is_dir():
             raise CaptureError(f"{path} is not a folder; give a folder of photographs or a capture set")
         listed = find_list(path)
         settings = _from_list(path, listed) if listed else _from_exif(path)
         _refuse_changing_aperture(path, settings)
-        return cls(path, settings)
+        known = speeds or IsoSpeeds()
+        known.refuse_unstated(str(path), {one.iso for one in settings.values() if one.iso})
+        return cls(path, settings, known)
 
     def brackets(self, channel: str = "luminance", report: Callable[[int, int], None] | None = None) -> list[Bracket]:
         """Return one bracket of the wanted channel, or three (red, green, blue) for "each".
@@ -76,8 +85,8 @@ class PhotographFolder:
 
     def _frame(self, name: str, photograph: Photograph, channel: str) -> Frame:
         known = self.settings[name]
-        speeds = [s.iso for s in self.settings.values() if s.iso]
-        gain_db = 20.0 * math.log10(known.iso / min(speeds)) if known.iso else 0.0
+        stated = [s.iso for s in self.settings.values() if s.iso]
+        gain_db = self.speeds.gain_db(known.iso, stated) if known.iso else 0.0
         settings = FrameSettings(
             exposure_s=known.exposure_s,
             gain_db=gain_db + known.gain_db,
@@ -90,11 +99,19 @@ class PhotographFolder:
             "channel": channel,
             "nominal_exposure_s": known.nominal_exposure_s,
         }
+        if known.iso:
+            extra["iso_stated"] = known.iso
+            if known.iso in self.speeds.measured:
+                extra["iso_measured"] = self.speeds.measured[known.iso]
         return Frame(photograph.plane(channel), photograph.bit_depth, settings, extra=extra)
 
 
 def read_photographs(
-    path: Path, channel: str = "luminance", *, report: Callable[[int, int], None] | None = None
+    path: Path,
+    channel: str = "luminance",
+    *,
+    report: Callable[[int, int], None] | None = None,
+    speeds: IsoSpeeds | None = None,
 ) -> list[Bracket]:
     """Return the brackets of a folder of photographs.
 
@@ -102,12 +119,13 @@ def read_photographs(
         path: Folder of JPEG, PNG, TIFF or camera raw files.
         channel: "luminance", "red", "green", "blue", or "each" for the three of them.
         report: Called with (files read, files in all) as the work goes on.
+        speeds: What is known of the camera's ISO speeds beyond what it states.
 
     Raises:
         CaptureError: If the folder or a file in it cannot be used; the message names it.
-        UsageError: If there is no such channel.
+        UsageError: If there is no such channel, or a speed was measured that no photograph states.
     """
-    return PhotographFolder.open(path).brackets(channel, report)
+    return PhotographFolder.open(path, speeds).brackets(channel, report)
 
 
 def image_files(path: Path) -> list[str]:

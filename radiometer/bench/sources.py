@@ -10,11 +10,16 @@ from drivers.photograph_folder import image_files, read_photographs
 from drivers.photograph_times import find_list
 from radiometer.data import Bracket, CaptureSet, Frame
 from radiometer.data.capture_set import HEADER_NAME
+from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.errors import CaptureError
 
 
 def open_brackets(
-    path: Path, channel: str = "luminance", *, report: Callable[[int, int], None] | None = None
+    path: Path,
+    channel: str = "luminance",
+    *,
+    report: Callable[[int, int], None] | None = None,
+    speeds: IsoSpeeds | None = None,
 ) -> list[Bracket]:
     """Return the brackets in a capture set or a folder of photographs.
 
@@ -25,16 +30,18 @@ def open_brackets(
         path: Folder with `capture.yaml`, or with photographs whose times are in EXIF or in a list beside them.
         channel: "luminance", "red", "green", "blue" or "each"; grey frames have one channel whatever is asked.
         report: Called with (files read, files in all) as the work goes on.
+        speeds: Photographs: what is known of the camera's ISO speeds beyond what it states.
 
     Raises:
         CaptureError: If the folder is missing, empty, unfinished or inconsistent.
-        UsageError: If there is no such channel.
+        UsageError: If there is no such channel, or ISO speeds were given for frames that have none.
     """
     if not path.exists():
         raise CaptureError(f"{path} does not exist; give a capture set or a folder of photographs")
     if not path.is_dir():
         raise CaptureError(f"{path} is not a folder; give a capture set or a folder of photographs")
     if (path / HEADER_NAME).exists():
+        (speeds or IsoSpeeds()).refuse_unstated(str(path), set())
         return _capture_brackets(CaptureSet.read(path), report)
     if (path / "frames").is_dir() and not image_files(path):
         CaptureSet.read(path)  # raises: the capture was not finished
@@ -42,7 +49,7 @@ def open_brackets(
         raise CaptureError(f"{path} is empty; give a capture set or a folder of photographs")
     if not image_files(path) and find_list(path) is None:
         raise CaptureError(f"{path} holds neither {HEADER_NAME} nor photographs; give a capture set or photographs")
-    return read_photographs(path, channel, report=report)
+    return read_photographs(path, channel, report=report, speeds=speeds)
 
 
 def _capture_brackets(capture: CaptureSet, report: Callable[[int, int], None] | None) -> list[Bracket]:

@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from radiometer.data.reading import Patch
 from radiometer.errors import UsageError
+
+if TYPE_CHECKING:
+    from radiometer.data import Calibration
+    from radiometer.data.iso_speeds import IsoSpeeds
 
 
 def parse_patch(text: str) -> Patch:
@@ -71,6 +75,20 @@ def parse_measured_iso(words: Sequence[str] | None) -> dict[float, float]:
         UsageError: If a word is not two numbers above 0, or a speed is given twice.
     """
     return _pairs(words, "--measured-iso", "STATED=REAL with speeds above 0, such as 200=136", 0.0)
+
+
+def parse_iso_speeds(words: Sequence[str] | None, calibration: Calibration | None) -> IsoSpeeds:
+    """Return the ISO speeds that were measured, beside the one at which a calibration's scale holds.
+
+    Raises:
+        UsageError: If a word is not two numbers above 0, or a speed is given twice.
+    """
+    from radiometer.data.iso_speeds import IsoSpeeds
+
+    measured = parse_measured_iso(words)
+    if calibration is None:
+        return IsoSpeeds(measured)
+    return IsoSpeeds(measured, calibration.scale.iso, calibration.scale.iso_stated)
 
 
 def parse_known_ratios(words: Sequence[str] | None, methods: Sequence[str]) -> dict[int, float]:

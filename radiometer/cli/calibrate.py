@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from radiometer.cli.arguments import parse_patch, parse_seconds
+from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch, parse_seconds
 from radiometer.cli.calibrate_range import with_dynamic_range
 from radiometer.cli.calibrate_report import calibration_report, show_report
+from radiometer.cli.iso_record import at_iso, is_photographs, reference_iso
+from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    capture: Annotated[Path | None, typer.Argument(help="Capture set of the known source.")] = None,
+    capture: Annotated[Path | None, typer.Argument(help="Capture set or photographs of the known source.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Calibration file to write.")] = None,
     response: Annotated[Path | None, typer.Option(help="Response curve; linear above black without one.")] = None,
     patch: Annotated[
@@ -46,7 +48,11 @@ def command(
     k_u_rel: Annotated[float, typer.Option(min=0.0, help="Relative u of K beyond the meter's ±1/6 stop.")] = 0.0,
     f_number: Annotated[float | None, typer.Option(help="f-number of the reference photograph.")] = None,
     exposure: Annotated[str | None, typer.Option(help="Its exposure time, such as 1/125.")] = None,
-    iso: Annotated[float | None, typer.Option(help="Its ISO speed as really measured.")] = None,
+    iso: Annotated[
+        float | None, typer.Option(help="Its ISO speed: as really measured, or stated (--measured-iso).")
+    ] = None,
+    measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
+    channel: Annotated[str, typer.Option(help="Of colour photographs: luminance, red, green or blue.")] = "luminance",
     reference_dn: Annotated[float | None, typer.Option(help="Pixel value it came out at; half of full scale.")] = None,
     dynamic_range: Annotated[
         list[str] | None,
@@ -87,8 +93,11 @@ def command(
     curve = ResponseCurve.read(response) if response else None
     curve, ranged = with_dynamic_range(curve, dynamic_range, exposure, reference_dn, as_printed=as_printed)
     source_stated = radiance is not None or luminance is not None
-    seen = _seen(capture, camera, bench, patch, patch_needed=source_stated or meter_k is None)
-    meter_wanted = _meter_settings(meter_k, f_number, exposure, iso, as_printed=as_printed)
+    measured = parse_measured_iso(measured_iso)
+    real_iso = measured.get(iso, iso) if iso is not None else None
+    speeds = IsoSpeeds(measured, real_iso, iso if iso in measured else None)
+    seen = _seen(capture, camera, bench, patch, channel, speeds, patch_needed=source_stated or meter_k is None)
+    meter_wanted = _meter_settings(meter_k, f_number, exposure, real_iso, as_printed=as_printed)
     source = _known_source(seen, radiance, luminance, u_rel, spectrum)
     if source is None and meter_wanted is None:
         raise UsageError("give --radiance or --luminance of a known source, or --luminance-meter-k with its settings")
@@ -104,11 +113,12 @@ def command(
     scales: list[Scale] = []
     meter: MeterReading | None = None
     if source is not None and seen is not None and seen.patch is not None:
-        scales.append(make.scale_by_source(base, seen.bracket, seen.patch, source))
+        known = make.scale_by_source(base, seen.bracket, seen.patch, source)
+        scales.append(at_iso(known, *reference_iso(seen.bracket, speeds)))
     if meter_wanted is not None and meter_k is not None:
         dn = reference_dn if reference_dn is not None else description.full_scale_dn // 2
         meter = make.MeterReading(meter_k, meter_wanted, dn, k_u_rel)
-        scales.append(make.scale_by_meter(base, meter))
+        scales.append(at_iso(make.scale_by_meter(base, meter), speeds.reference, speeds.reference_stated))
     chosen = min(scales, key=lambda scale: scale.u_rel)
     other = next((scale for scale in scales if scale is not chosen), None)
     inputs = tuple(str(path.name) for path in (capture, response, camera_file, flat) if path)
@@ -130,15 +140,37 @@ class _Seen:
 
 
 def _seen(
-    capture: Path | None, camera: str | None, bench: Path | None, patch: str | None, *, patch_needed: bool
+    capture: Path | None,
+    camera: str | None,
+    bench: Path | None,
+    patch: str | None,
+    channel: str,
+    speeds: IsoSpeeds,
+    *,
+    patch_needed: bool,
 ) -> _Seen | None:
     if capture is not None and camera is not None:
         raise UsageError("give a capture set or --camera, not both")
+    if capture is not None and is_photographs(capture):
+        return _seen_in_photographs(capture, patch, channel, speeds, needed=patch_needed)
     if capture is not None:
         return _seen_in_capture(capture, patch, needed=patch_needed)
     if camera is not None or bench is not None:
         return _seen_by_camera(camera, bench, patch)
     return None
+
+
+def _seen_in_photographs(path: Path, patch: str | None, channel: str, speeds: IsoSpeeds, *, needed: bool) -> _Seen:
+    from radiometer.bench.sources import open_brackets
+    from radiometer.data import CameraDescription, LensDescription
+
+    if patch is None and needed:
+        raise UsageError("--patch is missing: say where in the photographs the known source is (X,Y,W,H)")
+    if channel == "each":
+        raise UsageError("--channel each: a calibration holds one channel; give luminance, red, green or blue")
+    bracket = open_brackets(path, channel, speeds=speeds)[0]
+    where = parse_patch(patch) if patch else None
+    return _Seen(bracket, where, CameraDescription(bit_depth=bracket.bit_depth), LensDescription(), None)
 
 
 def _seen_in_capture(capture: Path, patch: str | None, *, needed: bool) -> _Seen:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import itertools
+import json as json_module
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from radiometer.cli.arguments import parse_patch
+from radiometer.cli.arguments import ISO_HELP, parse_iso_speeds, parse_patch
 from radiometer.cli.console import console, note, progress_bar, significant
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
     from radiometer.bench.instrument import Instrument
-    from radiometer.data import Reading
+    from radiometer.data import Patch, Reading
 
 _FLAG_MEANING = {
     "saturated": "pixels clip even in the shortest exposure: the value is a lower bound",
@@ -34,6 +35,9 @@ def command(
     calibration: Annotated[Path | None, typer.Option(help="Calibration file; the bench's by default.")] = None,
     uncalibrated: Annotated[bool, typer.Option("--uncalibrated", help="Use no calibration: relative values.")] = False,
     bench: Annotated[Path | None, typer.Option(help="Bench file; the simulated bench by default.")] = None,
+    photographs: Annotated[Path | None, typer.Option(help="Folder of photographs to read instead of a camera.")] = None,
+    channel: Annotated[str, typer.Option(help="Of colour photographs: luminance, red, green or blue.")] = "luminance",
+    measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
     spectrum: Annotated[str | None, typer.Option(help="Spectrum assumed for the luminance.")] = None,
     u_rel: Annotated[float | None, typer.Option(help="Repeat until noise is below this relative u (k = 1).")] = None,
     repeat: Annotated[int, typer.Option(min=1, help="Number of readings.")] = 1,
@@ -49,9 +53,25 @@ def command(
     """
     if calibration and uncalibrated:
         raise UsageError("--calibration and --uncalibrated exclude each other")
+    wanted = parse_patch(patch) if patch else None
+    if photographs is not None or measured_iso:
+        if photographs is None or camera or bench:
+            raise UsageError("--photographs takes the place of --camera and --bench; --measured-iso belongs to it")
+        reading = _photographed(
+            photographs, wanted, calibration, channel, measured_iso, spectrum, relative=uncalibrated
+        )
+        said = reading.provenance
+        if json:
+            iso = said.parameters.get("iso", []) if said else []
+            whole = {**reading.to_mapping(), "iso": iso, "assumptions": list(said.assumptions) if said else []}
+            print(json_module.dumps(whole, ensure_ascii=False, allow_nan=False), flush=True)
+        else:
+            for assumption in said.assumptions if said else ():
+                note(f"assumed: {assumption}")
+            _show(reading, budget=budget)
+        return
     from radiometer.bench.assembly import open_instrument
 
-    wanted = parse_patch(patch) if patch else None
     with open_instrument(
         bench, camera, wanted, calibration, uncalibrated=uncalibrated, spectrum=spectrum
     ) as instrument:
@@ -66,6 +86,33 @@ def command(
                 _show(reading, budget=budget)
             if watch or number < repeat:
                 time.sleep(max(0.0, every - (time.monotonic() - begun)))
+
+
+def _photographed(
+    path: Path,
+    patch: Patch | None,
+    calibration: Path | None,
+    channel: str,
+    measured_iso: list[str] | None,
+    spectrum: str | None,
+    *,
+    relative: bool,
+) -> Reading:
+    """Return the reading of a patch in a folder of photographs."""
+    from radiometer.analysis.patch_reading import read_patch
+    from radiometer.bench.sources import open_brackets
+    from radiometer.cli.iso_record import with_iso_in_reading
+    from radiometer.data import Calibration, CameraDescription, LensDescription
+
+    if patch is None or channel == "each":
+        raise UsageError("--photographs needs --patch X,Y,W,H, and one channel: luminance, red, green or blue")
+    if calibration is None and not relative:
+        raise UsageError("--photographs needs --calibration (or --uncalibrated for relative values)")
+    known = Calibration.read(calibration) if calibration else None
+    bracket = open_brackets(path, channel, speeds=parse_iso_speeds(measured_iso, known))[0]
+    camera = known.camera if known else CameraDescription(bit_depth=bracket.bit_depth)
+    lens = LensDescription(f_number=bracket.frames[0].settings.f_number)
+    return with_iso_in_reading(read_patch(bracket, patch, known, camera, lens, spectrum=spectrum), bracket)
 
 
 def _one(instrument: Instrument, number: int, u_rel: float | None, *, shown: bool) -> Reading:

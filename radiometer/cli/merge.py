@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from radiometer.cli.arguments import parse_bounds
+from radiometer.cli.arguments import ISO_HELP, parse_bounds, parse_iso_speeds
 from radiometer.cli.console import console, progress_bar
+from radiometer.cli.iso_record import with_iso_in_map
 from radiometer.errors import CaptureError, UsageError
 
 if TYPE_CHECKING:
     from radiometer.analysis.exports import Picture
     from radiometer.data import Calibration, CaptureSet, Frame, RadianceMap, ResponseCurve
+    from radiometer.data.iso_speeds import IsoSpeeds
 
 
 def command(
@@ -31,6 +33,7 @@ def command(
         str, typer.Option(help="Of colour photographs: luminance, red, green, blue or each.")
     ] = "luminance",
     pattern: Annotated[str | None, typer.Option(help="Displayed pattern of the capture set; the first.")] = None,
+    measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
     luminance: Annotated[bool, typer.Option("--luminance", help="Write cd·m⁻² instead of W·sr⁻¹·m⁻².")] = False,
     spectrum: Annotated[str | None, typer.Option(help="Spectrum for the luminance; the calibration's.")] = None,
     scale: Annotated[str | None, typer.Option(help="LOW,HIGH of the false colours; the picture's.")] = None,
@@ -51,7 +54,8 @@ def command(
     writers = [(file, writer_for(file)) for file in out]
     bounds = parse_bounds(scale, "--scale") if scale else None
     known = _calibration(calibration)
-    maps = _maps(path, known, _curves(response), channel, pattern)
+    speeds = parse_iso_speeds(measured_iso, known)
+    maps = _maps(path, known, _curves(response), channel, pattern, speeds)
     if luminance:
         chosen = spectrum_of(spectrum or (known.spectrum if known else "equal_energy"))
         maps = {name: in_luminance(found, chosen) for name, found in maps.items()}
@@ -80,19 +84,25 @@ def _curves(paths: list[Path] | None) -> dict[str, ResponseCurve]:
 
 
 def _maps(
-    path: Path, calibration: Calibration | None, curves: dict[str, ResponseCurve], channel: str, pattern: str | None
+    path: Path,
+    calibration: Calibration | None,
+    curves: dict[str, ResponseCurve],
+    channel: str,
+    pattern: str | None,
+    speeds: IsoSpeeds,
 ) -> dict[str, RadianceMap]:
     from radiometer.data.capture_set import HEADER_NAME
 
     if not path.is_dir():
         raise CaptureError(f"{path} does not exist or is no folder; give a capture set or a folder of photographs")
     if (path / HEADER_NAME).exists():
+        speeds.refuse_unstated(str(path), set())
         return {"mono": _merge_capture(path, calibration, curves, pattern)}
     if calibration is None and not curves:
         raise UsageError(
             "photographs are not linear: give --response, recovered with `radiometer response`, or --calibration"
         )
-    return _merge_photographs(path, calibration, curves, channel)
+    return _merge_photographs(path, calibration, curves, channel, speeds)
 
 
 def _merge_capture(
@@ -128,7 +138,11 @@ def _frames(capture: CaptureSet, pattern: str | None, step: Any) -> Iterator[Fra
 
 
 def _merge_photographs(
-    path: Path, calibration: Calibration | None, curves: dict[str, ResponseCurve], channel: str
+    path: Path,
+    calibration: Calibration | None,
+    curves: dict[str, ResponseCurve],
+    channel: str,
+    speeds: IsoSpeeds,
 ) -> dict[str, RadianceMap]:
     from radiometer.analysis.merge import merge
     from radiometer.bench.sources import open_brackets
@@ -137,7 +151,7 @@ def _merge_photographs(
     with progress_bar() as bar:
         task = bar.add_task("reading", total=None)
         brackets = open_brackets(
-            path, channel, report=lambda done, total: bar.update(task, completed=done, total=total)
+            path, channel, report=lambda done, total: bar.update(task, completed=done, total=total), speeds=speeds
         )
     maps: dict[str, RadianceMap] = {}
     for bracket in brackets:
@@ -145,7 +159,7 @@ def _merge_photographs(
         camera = calibration.camera if calibration else CameraDescription(bit_depth=bracket.bit_depth)
         black_dn = bracket.frames[0].settings.black_level_dn or 0.0
         known = calibration or _relative(curves, name, camera, LensDescription(), black_dn)
-        maps[name] = merge(bracket, camera, LensDescription(), known)
+        maps[name] = with_iso_in_map(merge(bracket, camera, LensDescription(), known), bracket)
     return maps
 
 
@@ -192,6 +206,7 @@ def _report(picture: Picture, out: list[Path]) -> dict[str, Any]:
         "median_u_rel": noise,
         "u_rel_common": found.u_rel_common,
         "pixels": {"good": int(np.count_nonzero(found.mask == 0)), **counts},
+        "iso": found.provenance.parameters.get("iso", []),
         "assumptions": list(found.provenance.assumptions),
     }
 

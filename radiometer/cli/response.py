@@ -19,8 +19,10 @@ from radiometer.analysis.response_methods import DEFAULT_METHOD, METHODS, RATIO_
 from radiometer.bench.sources import open_brackets
 from radiometer.cli.arguments import ISO_HELP, parse_known_ratios, parse_measured_iso
 from radiometer.cli.console import note, progress_bar
+from radiometer.cli.iso_record import with_iso_speeds
 from radiometer.cli.response_plot import check_plot_name, draw_responses
 from radiometer.data import Bracket
+from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.errors import MeasurementError, OutputError, UsageError
 
 _CURVE_SUFFIXES = (".csv", ".yaml", ".yml", *CURVE_SUFFIXES)
@@ -48,8 +50,12 @@ def command(
     ] = None,
     channel: Annotated[str, typer.Option("--channel", help=_CHANNEL_HELP)] = "luminance",
     method: Annotated[str, typer.Option("--method", help=_METHOD_HELP)] = DEFAULT_METHOD,
-    known_ratio: Annotated[list[str] | None, typer.Option("--known-ratio", metavar="PAIR=RATIO", help=_RATIO_HELP)] = None,
-    measured_iso: Annotated[list[str] | None, typer.Option("--measured-iso", metavar="STATED=REAL", help=ISO_HELP)] = None,
+    known_ratio: Annotated[
+        list[str] | None, typer.Option("--known-ratio", metavar="PAIR=RATIO", help=_RATIO_HELP)
+    ] = None,
+    measured_iso: Annotated[
+        list[str] | None, typer.Option("--measured-iso", metavar="STATED=REAL", help=ISO_HELP)
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> None:
     """Recover the camera response g(M) = ln H from brackets of exposures, with its uncertainty.
@@ -58,10 +64,13 @@ def command(
     """
     names = method_names(method)
     ratios = parse_known_ratios(known_ratio, names)
+    speeds = IsoSpeeds(parse_measured_iso(measured_iso))
     picture = _plot_path(plot, output)
     _check_targets(output, picture)
     started = time.monotonic()
-    estimates = [estimate for brackets in _read(paths, channel, parse_measured_iso(measured_iso)).values() for estimate in _recover(brackets, names, ratios)]
+    found = _read(paths, channel, speeds)
+    estimates = [estimate for brackets in found.values() for estimate in _recover(brackets, names, ratios)]
+    estimates = [with_iso_speeds(estimate, *found.values()) for estimate in estimates]
     files = _write(estimates, output) if output is not None else []
     if picture is not None:
         draw_responses(estimates, picture)
@@ -113,12 +122,12 @@ def _check_targets(output: Path | None, picture: Path | None) -> None:
             raise OutputError(f"cannot write {target}: the folder {target.parent} does not exist")
 
 
-def _read(paths: Sequence[Path], channel: str, measured_iso: Mapping[float, float]) -> dict[str, list[Bracket]]:
+def _read(paths: Sequence[Path], channel: str, speeds: IsoSpeeds) -> dict[str, list[Bracket]]:
     """Return the brackets of all paths by colour channel."""
     found: dict[str, list[Bracket]] = {}
     for path in paths:
         with _bar(f"reading {path.name}") as report:
-            brackets = open_brackets(path, channel, report=report, measured_iso=measured_iso)
+            brackets = open_brackets(path, channel, report=report, speeds=speeds)
         for bracket in brackets:
             refuse_lying_labels(bracket)
             found.setdefault(str(bracket.frames[0].extra.get("channel", "mono")), []).append(bracket)

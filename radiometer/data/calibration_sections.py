@@ -26,6 +26,8 @@ class Scale(FileSection):
         reference: What it was compared with, in words.
         spectrum: Spectrum of what it was compared with; None where it is the calibration's.
         budget: Relative standard uncertainties that `u_rel` is made up from, by name.
+        iso: ISO speed as really measured, or as stated where that is all, at which the gain of photographs is 0 dB.
+        iso_stated: That speed as the camera states it; None where unknown.
         unit: Of the value, for people.
     """
 
@@ -37,6 +39,8 @@ class Scale(FileSection):
     reference: str = ""
     spectrum: str | None = None
     budget: dict[str, float] = Field(default_factory=dict)
+    iso: float | None = Field(None, gt=0)
+    iso_stated: float | None = Field(None, gt=0)
     unit: str = "J m-2 per unit of signal"
 
 
