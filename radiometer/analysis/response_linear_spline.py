@@ -48,7 +48,7 @@ def solve_linear_spline(samples: ResponseSamples) -> ResponseEstimate:
     """Recover the response from gathered samples; see `recover_response_linear_spline`."""
     black = _black(samples)
     curve, normal, solution = _solve(samples, black)
-    thirds = [_solve(samples.third(k), black, solution.smoothing)[0] for k in range(3)]
+    thirds = [_solve(samples.third(k), black, solution.smoothing, of_pixels=True)[0] for k in range(3)]
     residual = normal.residuals(solution.coefficients)
     deviation = _spline(samples, np.arange(1 << samples.bit_depth, dtype=np.float64)) @ solution.coefficients
     low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
@@ -101,7 +101,7 @@ def _spline(samples: ResponseSamples, dn: Array) -> sp.csr_array:
 
 
 def _solve(
-    samples: ResponseSamples, black: float, smoothing: float | None = None
+    samples: ResponseSamples, black: float, smoothing: float | None = None, *, of_pixels: bool = False
 ) -> tuple[ResponseCurve, NormalEquations, PenalisedSolution]:
     normal = _normal(samples, black)
     every = np.arange(1 << samples.bit_depth, dtype=np.float64)
@@ -112,6 +112,10 @@ def _solve(
     meat = normal.robust_meat(solution.coefficients)
     from_middle = basis.toarray() - middle
     covariance = solution.inverse @ meat @ solution.inverse
+    if not of_pixels:
+        # Bayesian share of the penalty: what smoothing may have bent. Parts of the pixels share it.
+        bend = solution.inverse - solution.inverse @ normal.matrix @ solution.inverse
+        covariance = covariance + solution.residual_variance * bend
     u = np.sqrt(np.maximum(np.einsum("ij,ij->i", from_middle @ covariance, from_middle), 0.0))
     g = np.log(np.maximum(every - black, 0.25)) + basis @ solution.coefficients
     curve = finished_curve(

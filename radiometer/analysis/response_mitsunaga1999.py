@@ -28,6 +28,8 @@ _ORDERS = range(1, 11)
 # Held-out errors within this factor of the least count as equal; the lowest order of them is taken.
 _AS_GOOD = 1.02
 _LEAST_PART = 0.02
+# Relative residual above which a polynomial does not describe the response.
+_GOOD_FIT = 0.03
 # Exposure, relative to that of the middle value, below which read noise and misfit outweigh shot noise.
 _DARK = 0.1
 # Weight of the row that holds the product of all ratios: firm beside the data, not singular.
@@ -85,7 +87,8 @@ def solve_mitsunaga1999(
         return np.concatenate([_log_curve(inner.coefficients, size), inner.log_ratios])
 
     u = jackknife(samples, values)
-    total = np.hypot(u[:size], _misfit(pairs, order, gauge, size))
+    misfit, ratio_misfit = _misfit(pairs, order, gauge, size)
+    total = np.hypot(u[:size], misfit)
     curve = _curve(samples, fit.coefficients, total, order)
     thirds = [
         _curve(part, _fit(_Pairs.of(part, start, pairs.frames), order, gauge).coefficients, u[:size] * 3**0.5, order)
@@ -102,8 +105,9 @@ def solve_mitsunaga1999(
         smoothing=float(order),
         stability=compare_thirds(thirds),
         exposure_ratios=ratios,
-        u_exposure_ratios=ratios * u[size:],
+        u_exposure_ratios=ratios * np.hypot(u[size:], ratio_misfit),
         gauge=f"g(M_mid) = 0; exponent γ fixed by {gauge.text}",
+        notes=_notes(fit.residual_rms),
         details={"order": order, "chebyshev_coefficients": [float(c) for c in fit.coefficients]},
     )
 
@@ -255,12 +259,23 @@ def _best_order(pairs: _Pairs, gauge: _Gauge) -> int:
     return min(order for order, error in errors.items() if error <= least * _AS_GOOD)
 
 
-def _misfit(pairs: _Pairs, order: int, gauge: _Gauge, size: int) -> Array:
-    """Return how far the curves of the neighbouring orders lie away: what a polynomial of this order cannot tell."""
-    here = _log_curve(_fit(pairs, order, gauge).coefficients, size)
-    near = [o for o in (order - 2, order - 1, order + 1, order + 2) if o >= 1]
-    gaps = [np.abs(_log_curve(_fit(pairs, o, gauge).coefficients, size) - here) for o in near]
-    return np.asarray(np.max(gaps, axis=0))
+def _misfit(pairs: _Pairs, order: int, gauge: _Gauge, size: int) -> tuple[Array, Array]:
+    """Return how far curve and ln ratios of the neighbouring orders lie away: what one order's polynomial cannot tell."""
+    here = _fit(pairs, order, gauge)
+    near = [_fit(pairs, o, gauge) for o in (order - 2, order - 1, order + 1, order + 2) if o >= 1]
+    curve = _log_curve(here.coefficients, size)
+    of_curve = [np.abs(_log_curve(fit.coefficients, size) - curve) for fit in near]
+    of_ratios = [np.abs(fit.log_ratios - here.log_ratios) for fit in near]
+    return np.asarray(np.max(of_curve, axis=0)), np.asarray(np.max(of_ratios, axis=0))
+
+
+def _notes(residual_rms: float) -> tuple[str, ...]:
+    if residual_rms <= _GOOD_FIT:
+        return ()
+    return (
+        f"no polynomial up to order {_ORDERS[-1]} follows this response: the frames disagree by {100 * residual_rms:.1f} % "
+        "through the best one, and ratios recovered beside it may be off by as much; use auto",
+    )
 
 
 def _rises(coefficients: Array, pairs: _Pairs) -> bool:
