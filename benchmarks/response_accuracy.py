@@ -194,8 +194,8 @@ def main() -> None:
         worst = ratio_errors(bit_depth)
         parts.append(
             f"Mitsunaga–Nayar, one of eight ratios known, {bit_depth} bits: largest error of the other seven "
-            f"{100 * np.median(worst):.3f} % (median of the stacks), {100 * worst.max():.3f} % (worst); beyond 0.5 % on "
-            f"{int(np.sum(worst > 0.005))} of {worst.size}."
+            f"{100 * np.median(worst):.3f} % (median of the stacks), {100 * worst.max():.3f} % (worst); beyond "
+            f"0.5 % on {int(np.sum(worst > 0.005))} of {worst.size}."
         )
         print(parts[-1], flush=True)
     write_section(

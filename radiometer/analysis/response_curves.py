@@ -13,6 +13,8 @@ from radiometer.data.provenance import Provenance
 from radiometer.data.response_curve import ResponseCurve
 
 Array = NDArray[np.float64]
+# An end of a curve that is less certain than this, in ln H, is called extrapolated.
+_UNDETERMINED_U = 0.1
 
 
 def supported_range(samples: ResponseSamples) -> tuple[int, int]:
@@ -44,13 +46,15 @@ def finished_curve(
         black_dn: Digital number of black.
     """
     inside = rising(log_exposure, u_log_exposure, valid_dn, black_dn)
-    at_edge = u_log_exposure[np.clip(np.arange(inside.size), *valid_dn)]
+    # Where the fit fell and had to be levelled, it is no better known than by how much.
+    levelled = np.hypot(u_log_exposure, np.abs(inside - log_exposure))
+    at_edge = levelled[np.clip(np.arange(inside.size), *valid_dn)]
     u = np.hypot(at_edge, _extrapolation(inside, valid_dn))
     middle = inside.size // 2
     return ResponseCurve(
         inside - inside[middle],
         u,
-        valid_dn=valid_dn,
+        valid_dn=_determined(u, valid_dn),
         channel=channel,
         provenance=Provenance(method, assumptions=assumptions, parameters=parameters or {}),
     )
@@ -78,6 +82,14 @@ def rising(log_exposure: Array, u: Array, valid_dn: tuple[int, int], black_dn: i
     curve[:low] = core[0] - max(power, 1e-9) * (height[low] - height[:low])
     curve[high + 1 :] = core[-1] + _slope(core[-span - 1 :]) * np.arange(1, curve.size - high)
     return curve
+
+
+def _determined(u: Array, valid_dn: tuple[int, int]) -> tuple[int, int]:
+    """Return the supported range without ends where a few stray data leave the curve undetermined."""
+    low, high = valid_dn
+    limit = max(_UNDETERMINED_U, 10.0 * float(np.median(u[low : high + 1])))
+    known = low + np.flatnonzero(u[low : high + 1] <= limit)
+    return int(known[0]), max(int(known[-1]), int(known[0]) + 1)
 
 
 def _slope(piece: Array) -> float:

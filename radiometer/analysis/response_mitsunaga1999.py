@@ -260,7 +260,7 @@ def _best_order(pairs: _Pairs, gauge: _Gauge) -> int:
 
 
 def _misfit(pairs: _Pairs, order: int, gauge: _Gauge, size: int) -> tuple[Array, Array]:
-    """Return how far curve and ln ratios of the neighbouring orders lie away: what one order's polynomial cannot tell."""
+    """Return how far curve and ln ratios of the neighbouring orders lie away: what this order cannot tell."""
     here = _fit(pairs, order, gauge)
     near = [_fit(pairs, o, gauge) for o in (order - 2, order - 1, order + 1, order + 2) if o >= 1]
     curve = _log_curve(here.coefficients, size)
@@ -273,8 +273,8 @@ def _notes(residual_rms: float) -> tuple[str, ...]:
     if residual_rms <= _GOOD_FIT:
         return ()
     return (
-        f"no polynomial up to order {_ORDERS[-1]} follows this response: the frames disagree by {100 * residual_rms:.1f} % "
-        "through the best one, and ratios recovered beside it may be off by as much; use auto",
+        f"no polynomial up to order {_ORDERS[-1]} follows this response: the frames disagree by "
+        f"{100 * residual_rms:.1f} % through the best one, and the ratios may be off by as much; use auto",
     )
 
 
