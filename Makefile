@@ -44,13 +44,14 @@ bench: $(VENV)/.ready-test  ## Run the long benchmarks and rewrite the tables in
 soak: $(VENV)/.ready-test  ## Run the daemon for an hour and watch its memory
 	$(BIN)/python -m benchmarks --soak
 
-calibration: $(VENV)/.ready-run  ## Calibrate the simulated bench anew: response from a chart, scale from a known source
+calibration: $(VENV)/.ready-run  ## Calibrate the simulated bench and box anew: response from a chart, scale from a known source, levels
 	rm -rf out/chart out/reference
 	$(BIN)/radiometer bracket out/chart --bench configs/bench-simulated-chart.yaml --stops 1 --from 500us --to 256ms
 	$(BIN)/radiometer response out/chart -o out/response.yaml --plot out/response.png
 	$(BIN)/radiometer bracket out/reference --bench configs/bench-simulated-reference.yaml --patch 708,520,200,200 --repeat 4
 	$(BIN)/radiometer calibrate out/reference --response out/response.yaml --patch 708,520,200,200 --radiance 1.0 \
 	  --u-rel 0.005 --spectrum white_led --validity-days 3650 -o configs/calibrations/simulated.yaml
+	$(BIN)/radiometer light calibrate --box sim --seed 1 -o configs/calibrations/simulated-box.yaml
 
 firmware:  ## Build the light box's firmware and print its size
 	$(call install_packages,gcc-avr avr-libc make)
