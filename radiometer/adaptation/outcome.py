@@ -84,7 +84,7 @@ def outcome_of(journal: Journal, verdict: Verdict, protocol: AdaptationProtocol)
     if not journal.events:
         raise InputError(f"{journal.path}: holds no test")
     trials = counting_trials(journal)
-    if _too_many_false(trials, protocol):
+    if too_many_false(trials, protocol):
         verdict = Verdict.UNRELIABLE
     found = [t for t in trials if t["threshold"] is not None]
     return Outcome(
@@ -98,7 +98,7 @@ def outcome_of(journal: Journal, verdict: Verdict, protocol: AdaptationProtocol)
     )
 
 
-def _too_many_false(trials: list[Event], protocol: AdaptationProtocol) -> bool:
+def too_many_false(trials: list[Event], protocol: AdaptationProtocol) -> bool:
     """Tell whether a larger share than the protocol allows of the catches, or of all trials, had false presses."""
     catches = [t for t in trials if t["catch"]]
     caught = sum(bool(t["false_press"]) for t in catches)

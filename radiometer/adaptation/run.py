@@ -17,13 +17,14 @@ from radiometer.adaptation.checks import Check
 from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.journal import FORMAT, REFUSED, Event, Journal
 from radiometer.adaptation.methods import Method, begin
-from radiometer.adaptation.outcome import Outcome, Verdict, counting_trials, outcome_of
+from radiometer.adaptation.outcome import Outcome, Verdict, counting_trials, outcome_of, too_many_false
 from radiometer.adaptation.protocol import AdaptationProtocol, LimitsMethod, SteadyBleach
 from radiometer.adaptation.stage import DescribedStage, Stage, SteppedStage
 from radiometer.errors import UsageError
 
 Watcher = Callable[[Event], None]
 SUBJECT: Final = "subject"
+HOPELESS: Final = 15  # trials without one threshold, but with false presses, after which the test is over
 SAME_TIME_S: Final = 1e-4  # to which the journal gives times
 LOOK_S: Final = 0.5  # how often a rest looks whether a pause is asked for, or a pause whether it is over
 
@@ -294,10 +295,13 @@ class _Run:
     def _verdict(self) -> Verdict | None:
         if self.journal.of_kind("stop"):
             return Verdict.STOPPED
-        tries = [t for t in counting_trials(self.journal) if not t["catch"]]
+        trials = counting_trials(self.journal)
+        tries = [t for t in trials if not t["catch"]]
         found = [t["threshold"] for t in tries if t["threshold"] is not None]
         if self._paused:
             return Verdict.LEFT if found else Verdict.NO_RESPONSE
+        if not found and len(trials) >= HOPELESS and too_many_false(trials, self.protocol):
+            return Verdict.UNRELIABLE
         recent = tries[-self.protocol.watch.absent_after :]
         if len(recent) == self.protocol.watch.absent_after and all(map(self._fruitless, recent)):
             return _why_fruitless(recent, known=bool(found))
