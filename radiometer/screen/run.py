@@ -6,6 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from radiometer.screen.calibration import ChannelCurve
 from radiometer.screen.drift import Drift
 from radiometer.screen.meter import Meter, ScreenReading
 from radiometer.screen.plan import Step
+
+
+LEAST_CONTRAST: Final = 1.5  # white over black; a screen in a lit room still has more
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +78,7 @@ def measure_steps(
 
     Raises:
         DeviceError: If display or camera fail.
-        MeasurementError: If a reading is clipped.
+        MeasurementError: If a reading is clipped, or white is hardly brighter than black.
     """
     done: list[Measured] = []
     for step in plan:
@@ -86,9 +90,22 @@ def measure_steps(
                 "put a grey filter before the lens"
             )
         done.append(Measured(step, readings))
+        if len(done) == 2:
+            _require_contrast(done)
         if progress:
             progress(len(done), len(plan), step)
     return done
+
+
+def _require_contrast(references: Sequence[Measured]) -> None:
+    """Refuse to go on where white and black, which a plan begins with, look alike: something else is looked at."""
+    levels = {entry.step.purpose: entry.mean.radiance for entry in references}
+    white, black = levels.get("white"), levels.get("black")
+    if white is not None and black is not None and white < LEAST_CONTRAST * black:
+        raise MeasurementError(
+            f"white is {white:.3g} and black {black:.3g} W·sr⁻¹·m⁻²: the camera does not see the patches; check that "
+            "it looks at them (--patch), and that the room is dark"
+        )
 
 
 def curves_of(

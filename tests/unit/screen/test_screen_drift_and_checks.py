@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from radiometer.devices import DisplayPatch
 from radiometer.errors import MeasurementError
 from radiometer.screen.checks import Uniformity, additivity, judge_flicker, wait_until_steady
 from radiometer.screen.drift import Drift
 from radiometer.screen.meter import ScreenReading
-from radiometer.screen.plan import Step
-from radiometer.screen.run import Light, Measured, curves_of
+from radiometer.screen.plan import Step, make_plan
+from radiometer.screen.run import Light, Measured, curves_of, measure_steps
 
 
 def _reading(value: float, time_s: float = 0.0, u: float = 1e-4) -> ScreenReading:
@@ -107,3 +108,20 @@ def test_without_references_there_is_no_curve() -> None:
     """The drift must be known."""
     with pytest.raises(MeasurementError, match="white references"):
         curves_of([Measured(Step("grey", 0), (_reading(0.0),))], {})
+
+
+def test_camera_that_looks_elsewhere_is_found_out_at_once() -> None:
+    """White and black that read alike end the measurement after these two, with the way out."""
+    shown: list[DisplayPatch] = []
+
+    class Elsewhere:
+        def show(self, patch: DisplayPatch) -> None:
+            shown.append(patch)
+
+        def read(self) -> ScreenReading:
+            return _reading(0.3)
+
+    looked, plan = Elsewhere(), make_plan((0, 128, 255), ("grey",), np.random.default_rng(1))
+    with pytest.raises(MeasurementError, match="does not see the patches"):
+        measure_steps(looked, looked, plan)  # type: ignore[arg-type]
+    assert len(shown) == 2
