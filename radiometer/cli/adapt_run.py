@@ -173,8 +173,16 @@ def _on_screen(
         room=partial(room_by_camera, protocol, request.camera, request.bench, request.white)
         if request.measure_room
         else None,
-    ) as opened:
-        yield opened
+    ) as (stage, checks):
+        for warning in stage.screen.warnings():
+            note(f"warning: {warning}")
+        asked, shown = protocol.spot, stage.protocol.spot
+        if (shown.lowest_log10, shown.highest_log10) != (asked.lowest_log10, asked.highest_log10):
+            note(
+                f"the {asked.channel} spot goes from {shown.lowest_log10:.2f} to {shown.highest_log10:.2f} log10 scotopic "
+                f"cd/m² on this screen; the protocol asks for {asked.lowest_log10:g} to {asked.highest_log10:g}"
+            )
+        yield stage, checks
 
 
 def _conclude(outcome: Outcome, table: Path | None, *, json: bool) -> None:

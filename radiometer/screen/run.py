@@ -17,7 +17,6 @@ from radiometer.screen.drift import Drift
 from radiometer.screen.meter import Meter, ScreenReading
 from radiometer.screen.plan import Step
 
-
 LEAST_CONTRAST: Final = 1.5  # white over black; a screen in a lit room still has more
 
 

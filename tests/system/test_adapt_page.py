@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from radiometer.adaptation.controls import Controls
@@ -114,6 +115,29 @@ async def test_nothing_on_the_page_is_green_or_blue(served: tuple[LivePage, Cont
     assert brightest[..., 1:].max() == 0
     assert brightest[..., 0].max() > picture[..., 0].max()
     assert await browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(150)
+async def test_every_prompt_has_tones_of_its_own(served: tuple[LivePage, Controls], browser: Browser) -> None:
+    """Rendered without a loudspeaker, each prompt sounds, stays below half of full scale, and differs from the others.
+
+    A single tone of 392 Hz crosses zero upwards once in each of its periods: 0.12 s of it do so 47 times.
+    """
+    page, _ = served
+    await browser.command("Page.navigate", url=page.url)
+    await browser.wait_for("now !== null")
+    crossings = {}
+    for name in ("bleach", "dark", "mark", "threshold", "pause", "resume", "end"):
+        script = (
+            "(async () => { const context = new OfflineAudioContext(1, 48000, 48000); "
+            f"play(context, {name!r}); return Array.from((await context.startRendering()).getChannelData(0)); }})()"
+        )
+        wave = np.array(await browser.evaluate(script))
+        assert 0.1 < np.abs(wave).max() < 0.5
+        crossings[name] = int(np.sum((wave[:-1] <= 0) & (wave[1:] > 0)))
+    assert crossings["threshold"] == pytest.approx(392 * 0.12, abs=2)
+    assert len(set(crossings.values())) == len(crossings)
 
 
 @pytest.mark.slow

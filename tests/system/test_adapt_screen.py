@@ -196,6 +196,9 @@ MARK = VIEWING.ellipse(-4.0, 0.6, (60, 0, 0))
 async def test_browser_shows_exactly_the_codes_asked_for(shown: tuple[BrowserStimulus, Browser]) -> None:
     """Field, mark and spot stand on the composed screen to the code, the spot in its place and size to a pixel."""
     screen, browser = shown
+    waiting = await browser.picture()
+    assert waiting[..., 0].max() > 50
+    assert waiting[..., 1:].max() == 0  # what is read before the test, in the dark room, is red alone
     await asyncio.to_thread(screen.show, Picture((187, 187, 187)))
     assert np.unique(await browser.picture()).tolist() == [187]
     for code in (1, 2, 37, 128, 255):
