@@ -179,8 +179,9 @@ def _on_screen(
         asked, shown = protocol.spot, stage.protocol.spot
         if (shown.lowest_log10, shown.highest_log10) != (asked.lowest_log10, asked.highest_log10):
             note(
-                f"the {asked.channel} spot goes from {shown.lowest_log10:.2f} to {shown.highest_log10:.2f} log10 scotopic "
-                f"cd/m² on this screen; the protocol asks for {asked.lowest_log10:g} to {asked.highest_log10:g}"
+                f"the {asked.channel} spot goes from {shown.lowest_log10:.2f} to {shown.highest_log10:.2f} log10 "
+                f"scotopic cd/m² on this screen; {protocol.name} asks for {asked.lowest_log10:g} to "
+                f"{asked.highest_log10:g}"
             )
         yield stage, checks
 
