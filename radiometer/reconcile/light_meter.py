@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
-from radiometer.errors import InputError, OutputError
+from radiometer.errors import InputError
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.units import exact_exposure_s, exact_f_number
@@ -89,12 +89,8 @@ class MeterReconciled:
         return str(path)
 
     def write_plan(self, path: Path) -> bool:
-        """Refuse: a light meter is read by hand.
-
-        Raises:
-            OutputError: Always.
-        """
-        raise OutputError(f"{path}: a light-meter table has no capture plan; the remarks say which readings would help")
+        """Write nothing: a light meter is read by hand; the remarks say which readings would help."""
+        return False
 
 
 def read_meter_table(path: Path) -> tuple[MeterRow, ...]:

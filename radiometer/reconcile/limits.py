@@ -70,7 +70,8 @@ def _from_start(state: FitState, start: CatalogueEffect) -> Limit:
 
 def _milder(effect: CatalogueEffect, name: str) -> CatalogueEffect:
     """Return the effect at a tenth of its size, where all that follows it is linear; as it is where it has no size."""
-    if effect.name in _STEPWISE or name not in effect.values() or np.ndim(effect.values()[name]):
+    fixed = effect.name in _STEPWISE or effect.block == "edge"  # a narrow blur does not reach the next pixel at all
+    if fixed or name not in effect.values() or np.ndim(effect.values()[name]):
         return effect
     return effect.with_parameters(**{name: value_of(effect, name) - (1.0 - _MILD) * _amplitude(effect, name)})
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from radiometer.data import Frame
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
-from radiometer.errors import CaptureError, OutputError
+from radiometer.errors import CaptureError
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.units import exact_exposure_s
@@ -34,6 +34,7 @@ _KNOTS: Final = 18
 _USED: Final = (0.04, 0.96)  # share of full scale between which a value tells the exposure
 _NEEDED_NATS: Final = 10.0
 _SMALLEST_LABEL_ERROR: Final = 0.08  # ln; an eighth of a stop: below it rounding and drift explain it
+_LABEL: Final = "exposure_label_error"
 _WHITE: Final = 1.6  # gap above which something stays unexplained
 
 
@@ -81,12 +82,8 @@ class PhotographsReconciled:
         return str(path)
 
     def write_plan(self, path: Path) -> bool:
-        """Refuse: what would help is named in the result.
-
-        Raises:
-            OutputError: Always.
-        """
-        raise OutputError(f"{path}: photographs have no capture plan; take the questioned exposure again")
+        """Write nothing: photographs are taken by hand; the result names the exposure to take again."""
+        return False
 
 
 def reconcile_photographs(frames: Sequence[Frame]) -> PhotographsReconciled:
@@ -165,6 +162,8 @@ def _judge(stack: _Stack, printed: Array, exact: Array, names: Sequence[str]) ->
         now = error
     offsets = _offsets(stack, log_t, wrong)
     log_t[wrong] += offsets
+    labels = iter(wrong)
+    effects = [_with_ratio(e, stack, log_t[next(labels)]) if e.name == _LABEL else e for e in effects]
     return _result(stack, effects, (first, now, best_possible), len(names)), log_t
 
 
@@ -217,7 +216,7 @@ def _label(stack: _Stack, index: int, offset: float, errors: tuple[float, float,
     advice = {"description": f"take the exposure of {name} again, or read its EXIF record"}
     nats = _nats(stack, before, after)
     return FoundEffect(
-        "exposure_label_error",
+        _LABEL,
         parameters,
         "exposure_s",
         before / best,
@@ -227,6 +226,13 @@ def _label(stack: _Stack, index: int, offset: float, errors: tuple[float, float,
         nats,
         "exposure ratios",
     )
+
+
+def _with_ratio(effect: FoundEffect, stack: _Stack, log_t: float) -> FoundEffect:
+    """Return a wrong label with its ratio as it came out in the end: other effects found later move it."""
+    label, old = effect.parameters["label_s"], effect.parameters["ratio"]
+    ratio = replace(old, value=math.exp(log_t) / label.value)
+    return replace(effect, parameters={"label_s": label, "ratio": ratio})
 
 
 def _nats(stack: _Stack, before: float, after: float) -> float:

@@ -19,6 +19,25 @@ from radiometer.reconcile.state import FitState
 
 _PANELS: Final = 6
 _BINS: Final = 14
+# Covariates drawn on a logarithmic axis, and what stands at the others.
+_AXES: Final = {
+    "exposure_s": ("exposure in s", True),
+    "f_number": ("f-number", True),
+    "signal": ("signal in e-", True),
+    "patch_level": ("radiance of the patch in W·sr⁻¹·m⁻²", True),
+    "previous_frame": ("signal of the capture before in e-, plus 1", True),
+}
+_PLAIN: Final = {
+    "gain_db": "gain in dB",
+    "temperature_C": "sensor temperature in °C",
+    "timestamp_s": "time in s",
+    "source_level": "source level",
+    "image_x": "column in pixels",
+    "image_y": "row in pixels",
+    "field_radius": "field radius (1 in the corner)",
+}
+_LISTED_PLACES: Final = 5
+_WEAK_NATS: Final = 10.0
 _STYLE: Final = """
 body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#1a1a1a}
 table{border-collapse:collapse;margin:1rem 0}td,th{padding:.2rem .8rem;text-align:right;border-bottom:1px solid #ddd}
@@ -58,7 +77,9 @@ def report_html(reconciled: Reconciled, title: str) -> str:
         f"{result.frames} frames, {result.tests[0]} tests, {result.tests[1]} significant in the end.</p>",
         *[_effect(effect) for effect in result.effects],
         _following(result),
+        _places(result),
         "<h2>Residuals along each covariate, before and after</h2>",
+        "<p class='small'>Means of patches, of one setting or of neighbouring settings.</p>",
         f"<img alt='residuals before and after' src='data:image/png;base64,{_residual_plot(reconciled)}'>",
         _covariate_table(result),
         "<h2>What these data would have shown</h2>",
@@ -67,6 +88,18 @@ def report_html(reconciled: Reconciled, title: str) -> str:
         *[f"<p class='small'>Assumed: {html.escape(text)}.</p>" for text in result.assumptions],
     ]
     return "\n".join(parts) + "\n</html>\n"
+
+
+def _places(result: ReconcileResult) -> str:
+    """Return where the starting model disagrees, found without the catalogue."""
+    rows = "".join(
+        f"<tr><td>{html.escape(place.block)}</td><td>{html.escape(place.covariate)}</td>"
+        f"<td>{html.escape(place.form)}</td><td>{place.score:.1f}</td><td>{place.p_value:.2g}</td></tr>"
+        for place in result.localisation[:_LISTED_PLACES]
+    )
+    head = "<tr><th>statistic</th><th>along</th><th>form</th><th>χ²</th><th>p</th></tr>"
+    note = "<p class='small'>Found without the catalogue: trends of the starting model's residuals.</p>"
+    return f"<h2>Where they disagreed at first</h2><table>{head}{rows}</table>{note}"
 
 
 def _following(result: ReconcileResult) -> str:
@@ -84,10 +117,16 @@ def _effect(effect: FoundEffect) -> str:
     rivals = f"<p>These data cannot tell it from {', '.join(effect.alternatives)}.</p>" if effect.alternatives else ""
     following = effect.next_capture.get("description", "") if effect.next_capture else ""
     advice = f"<p>Next capture: {html.escape(str(following))}</p>" if following else ""
+    weak = " (weak: repeat the captures)" if effect.gain_nats < _WEAK_NATS else ""
+    closest = (
+        f"<p>Closest entry: {html.escape(effect.closest[0])}, which explains {100 * effect.closest[1]:.0f} % of it.</p>"
+        if effect.closest
+        else ""
+    )
     return (
         f"<h2>{html.escape(effect.name)}{' (provisional)' if effect.provisional else ''}</h2>"
         f"<p>Along {html.escape(effect.where)}, seen in the {html.escape(effect.block)}: gap {effect.gap_before:.3f} → "
-        f"{effect.gap_after:.3f}, {effect.gain_nats:.0f} nats.</p><table>{rows}</table>{rivals}{advice}"
+        f"{effect.gap_after:.3f}, {effect.gain_nats:.0f} nats{weak}.</p><table>{rows}</table>{closest}{rivals}{advice}"
     )
 
 
@@ -124,14 +163,26 @@ def _residual_plot(reconciled: Reconciled) -> str:
             x, y, u = _profile(state, name)
             axis.errorbar(x, y, u, fmt="o", ms=3, lw=1, color=colour, label=label)
         axis.axhline(0.0, color="#888", lw=0.8)
-        axis.set_xlabel(name)
-        axis.set_ylabel("mean / sigma")
+        label, logarithmic = _AXES.get(name, (_PLAIN.get(name, name), False))
+        if logarithmic:
+            axis.set_xscale("log")
+        axis.set_xlabel(label)
+        axis.set_ylabel("measured − predicted, in σ")
         axis.legend(frameon=False, fontsize=8)
     for axis in axes[len(names) :]:
         axis.set_visible(False)
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=90)
     return base64.b64encode(stream.getvalue()).decode("ascii")
+
+
+def _in_units(name: str, value: Array) -> Array:
+    """Return values of a covariate as people read them; the tests use logarithms of most."""
+    if name == "f_number":
+        return np.asarray(2.0**value)
+    if name == "signal":
+        return np.asarray(np.maximum(10.0**value - 10.0, 1.0))
+    return np.asarray(10.0**value if name in _AXES else value)
 
 
 def _most_telling(result: ReconcileResult) -> list[str]:
@@ -146,10 +197,14 @@ def _profile(state: FitState, name: str) -> tuple[Array, Array, Array]:
     deviation = np.hypot(state.comparison.deviation["mean"], state.tau * state.sensitivity)
     standardised = ((state.seen.mean - state.prediction.mean) / deviation)[usable]
     value = axis.value[usable]
-    edges = np.unique(np.quantile(value, np.linspace(0, 1, _BINS + 1)))
-    place = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, max(len(edges) - 2, 0))
-    groups = [g for g in range(max(len(edges) - 1, 1)) if np.any(place == g)]
-    x = np.array([value[place == g].mean() for g in groups])
+    levels = np.unique(np.round(value, 6))
+    if levels.size <= _BINS:  # every setting has a point of its own
+        place = np.argmin(np.abs(value[:, None] - levels), axis=1)
+    else:
+        edges = np.unique(np.quantile(value, np.linspace(0, 1, _BINS + 1)))
+        place = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, max(len(edges) - 2, 0))
+    groups = np.unique(place)
+    x = _in_units(name, np.array([value[place == g].mean() for g in groups]))
     y = np.array([standardised[place == g].mean() for g in groups])
     u = np.array([1.0 / np.sqrt(np.sum(place == g)) for g in groups])
     return x, y, u
