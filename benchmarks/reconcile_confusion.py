@@ -113,8 +113,9 @@ def main() -> None:
     kept = [r for r in read(options.results) if r["key"] in keys]
     page = f"{len(kept)} of {len(wanted)} runs are done.\n\n{report(kept)}"
     print(page)
-    if kinds == KINDS and not only:
+    if not only:
         command = f"python -m benchmarks.reconcile_confusion --seeds {options.seeds} --first-seed {options.first_seed}"
+        command += f" --kinds {options.kinds}" if kinds != KINDS else ""
         command += f" --sample {options.sample}" if options.sample else ""
         write_section("reconcile_confusion", "Reconcile: confusion matrix on hidden effects", command, page)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -56,7 +57,23 @@ def fit_candidate(state: FitState, candidate: Candidate) -> FittedCandidate:
     trials = [_Trial.of(state, start) for start in (candidate.effect, *candidate.others)]
     best = min(trials, key=lambda trial: trial.cost)
     if best.effect.profiled:
-        best = _Trial.of(state, _profiled(state, best.effect))
+        best = _descended(state, _Trial.of(state, _profiled(state, best.effect)))
+    else:
+        best = min((_descended(state, trial) for trial in _variants(trials)), key=lambda trial: trial.cost)
+    return _judged(state, best, candidate)
+
+
+def _variants(trials: Sequence[_Trial]) -> list[_Trial]:
+    """Return the best trial of each variant: starts that differ in what is not fitted must each be fitted."""
+    found: dict[tuple[object, ...], _Trial] = {}
+    for trial in sorted(trials, key=lambda trial: trial.cost):
+        free = {name.split("[")[0] for name in trial.effect.free()}
+        found.setdefault(tuple(v for k, v in trial.effect.values().items() if k not in free), trial)
+    return list(found.values())
+
+
+def _descended(state: FitState, best: _Trial) -> _Trial:
+    """Return the trial at the least χ² by damped Gauss–Newton steps."""
     damping = 1e-3
     for _ in range(_ITERATIONS if best.effect.free() else 0):
         columns = best.columns(state)
@@ -72,7 +89,7 @@ def fit_candidate(state: FitState, candidate: Candidate) -> FittedCandidate:
         gained, best = best.cost - better.cost, better
         if gained < _CONVERGED:
             break
-    return _judged(state, best, candidate)
+    return best
 
 
 @dataclass(frozen=True, eq=False)

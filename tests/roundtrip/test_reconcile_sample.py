@@ -36,6 +36,14 @@ def test_hidden_effect_is_named_first(name: str) -> None:
     assert answer.gap_after < answer.gap_before
 
 
+@pytest.mark.parametrize("name", ["mains_ripple", "brighter_fatter"])
+def test_hidden_effect_is_named_alone(name: str) -> None:
+    """What several statistics show (flicker in first frames, charge at edges) is one name, and nothing stays."""
+    answer = _ask(make_session(name, camera_seed=1000))
+    assert str(answer.verdict) == "effects_found"
+    assert [e.name for e in answer.effects] == [name]
+
+
 def test_found_effect_shrinks_the_gap_of_a_fresh_session() -> None:
     """With what was found frozen, another session of the same rig is met to a reduced chi-square of 1.05."""
     answer = _ask(make_session("exposure_time_offset", camera_seed=4))
