@@ -25,6 +25,7 @@ from simulators.effects.catalogue import CatalogueEffect
 
 FORMAT: Final = "radiometer-plan/1"
 _TOLD_CHI2: Final = 30.0  # a pair that differs by more is told apart; still more is worth no more
+_HELPS_CHI2: Final = 4.0  # by so much a capture still helps where none does more
 _REFITS: Final = 4
 _MOST_NAMED: Final = 6  # in a sentence
 
@@ -45,7 +46,7 @@ def propose(state: FitState, chosen: CatalogueEffect, rivals: Sequence[Catalogue
         return None
     others = [effect for effect in state.effects if effect.name != chosen.name]
     models = {r.name: refit(with_effects(state, [*others, r]), iterations=_REFITS) for r in rivals}
-    told = _best(state, models)
+    told = _best(state, models) or _best(state, models, _HELPS_CHI2)
     if told is None:
         return None
     frame, names, chi2 = told
@@ -88,7 +89,9 @@ def propose_for_blind(
     return _advice(frame, f"would show {shown}") | {"opens": names}
 
 
-def _best(state: FitState, models: Mapping[str, FitState]) -> tuple[FrameEntry, list[str], float] | None:
+def _best(
+    state: FitState, models: Mapping[str, FitState], enough: float = _TOLD_CHI2
+) -> tuple[FrameEntry, list[str], float] | None:
     """Return the capture that tells most models from the state, which of them, and the least χ² among those."""
     if not models:
         return None
@@ -99,10 +102,10 @@ def _best(state: FitState, models: Mapping[str, FitState]) -> tuple[FrameEntry, 
     worth = np.minimum(apart, _TOLD_CHI2).sum(axis=0)
     index = int(np.lexsort((apart.min(axis=0), worth))[-1])
     told: Array = apart[:, index]
-    names = [name for name, chi2 in zip(models, told, strict=True) if chi2 >= _TOLD_CHI2]
+    names = [name for name, chi2 in zip(models, told, strict=True) if chi2 >= enough]
     if not names:
         return None
-    return pool.frame(index), names, float(min(chi2 for chi2 in told if chi2 >= _TOLD_CHI2))
+    return pool.frame(index), names, float(min(chi2 for chi2 in told if chi2 >= enough))
 
 
 def _advice(frame: FrameEntry, purpose: str) -> dict[str, Any]:

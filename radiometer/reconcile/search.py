@@ -252,7 +252,8 @@ def _unnamed(
     (test, nats), term = found, smooth_term(state, found[0])
     old = tuple(t for t in state.terms if t.is_smooth)
     following = refit(reweighted(refit(with_terms(state, (*old, term)))))
-    best = max(judged, key=lambda entry: entry[1], default=None)
+    fitting = [entry for entry in judged if entry[0].effect.block == test.family]
+    best = max(fitting, key=lambda entry: entry[1], default=None)
     closest = (best[0].name, float(np.clip(best[1] / max(nats, 1e-9), 0.0, 1.0))) if best else None
     run.steps.append(Step("unnamed", test.where, nats, state.gap, following.gap, closest=closest, block=test.family))
     run.say(f"unnamed {term.name}: {nats:.1f} nats, gap {state.gap:.3f} → {following.gap:.3f}")
