@@ -79,7 +79,7 @@ def _ask_scpi(daemon: DaemonProcess) -> None:
     value, _ = daemon.ask("READ?").split(",")
     if not 0.5 < float(value) < 1.5:
         raise ValueError(value)
-    if not daemon.ask("NONSENSE\nSYST:ERR?").startswith("-113"):
+    if not daemon.ask("*CLS\nNONSENSE\nSYST:ERR?").startswith("-113"):
         raise ValueError("the error queue")
 
 
