@@ -37,11 +37,13 @@ class Ascent:
         spot: The spot's levels.
         method: Its settings.
         last: Threshold before, log10; None at the start, where the ascent begins near the top.
+        shift: Part of a step, 0 to 1, by which it begins lower.
     """
 
     spot: Spot
     method: LimitsMethod
     last: float | None = None
+    shift: float = 0.0
     threshold: float | None = None
     exhausted: bool = False
     u_log10: float | None = None
@@ -49,7 +51,8 @@ class Ascent:
     _missed: bool = False
 
     def __post_init__(self) -> None:
-        self.level = _start(self.spot, self.last, self.method.start_below_log10)
+        below = self.method.start_below_log10 + self.shift * self.method.step_log10
+        self.level = _start(self.spot, self.last, below)
 
     def answer(self, *, seen: bool) -> None:
         """Take the answer to the blink at `level` and go on."""
@@ -77,6 +80,7 @@ class Staircase:
     spot: Spot
     method: StaircaseMethod
     last: float | None = None
+    shift: float = 0.0
     threshold: float | None = None
     exhausted: bool = False
     u_log10: float | None = None
@@ -85,7 +89,8 @@ class Staircase:
     _went_up: bool | None = None
 
     def __post_init__(self) -> None:
-        self.level = _start(self.spot, self.last, self.method.start_below_log10)
+        below = self.method.start_below_log10 + self.shift * self.method.step_log10
+        self.level = _start(self.spot, self.last, below)
 
     def answer(self, *, seen: bool) -> None:
         """Take the answer to the blink at `level` and go on."""
@@ -106,11 +111,26 @@ class Staircase:
         self.level = min(max(moved, self.spot.lowest_log10), self.spot.highest_log10)
 
 
-def begin(spot: Spot, method: LimitsMethod | StaircaseMethod | QuestPlusMethod, last: float | None) -> Method:
-    """Return the search for the next threshold, begun near the last one. Raises MissingLibrary for QUEST+."""
+def begin(
+    spot: Spot, method: LimitsMethod | StaircaseMethod | QuestPlusMethod, last: float | None, shift: float = 0.0
+) -> Method:
+    """Return the search for the next threshold, begun near the last one.
+
+    Args:
+        spot: The spot's levels.
+        method: Which search, and its settings.
+        last: Threshold before, log10; None at the start.
+        shift: Part of a step, 0 to 1, by which limits and staircase begin lower. By chance from threshold to threshold,
+            it keeps them from lying on one grid of levels, where errors of neighbours go together.
+
+    Raises:
+        MissingLibrary: For QUEST+ without its library.
+    """
     if isinstance(method, LimitsMethod):
-        return Ascent(spot, method, last)
-    return Staircase(spot, method, last) if isinstance(method, StaircaseMethod) else QuestPlusSearch(spot, method, last)
+        return Ascent(spot, method, last, shift)
+    if isinstance(method, StaircaseMethod):
+        return Staircase(spot, method, last, shift)
+    return QuestPlusSearch(spot, method, last)
 
 
 def _start(spot: Spot, last: float | None, below: float) -> float:

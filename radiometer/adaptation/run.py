@@ -165,7 +165,7 @@ class _Run:
         if rng.random() < self.protocol.watch.catch_share:
             self._catch(number, int(rng.integers(2, 5)))
         else:
-            self._threshold(number)
+            self._threshold(number, shift=rng.random())
 
     def _rest_between(self) -> bool:
         """Let the time between two trials pass, and tell whether a pause came."""
@@ -197,8 +197,8 @@ class _Run:
         pressed = any(blink["presses_s"] for blink in self._blinks)
         self.note("trial", catch=True, false_press=pressed, threshold=None)
 
-    def _threshold(self, number: int) -> None:
-        search = begin(self.protocol.spot, self.protocol.method, self._last())
+    def _threshold(self, number: int, shift: float) -> None:
+        search = begin(self.protocol.spot, self.protocol.method, self._last(), shift)
         for blink in self._blinks:
             search.answer(seen=bool(blink["presses_s"]))
         while not self._over(search):

@@ -45,6 +45,19 @@ def test_thresholds_follow_the_eye(tmp_path: Path, name: str, tolerance: float) 
     assert max(map(abs, errors)) < tolerance + 0.1  # the curve itself moves by up to 0.1 within a trial
 
 
+def test_thresholds_do_not_share_one_grid_of_levels(tmp_path: Path) -> None:
+    """An eye of constant, sharp threshold: what limits find is spread evenly over one step above it, from 0 to 0.1."""
+    outcome = _run(
+        tmp_path, ScriptedStage(lambda level, _: level is not None and level >= -1.0, read_protocol("classic"))
+    )
+    above = np.array(outcome.thresholds_log10) + 1.0
+    assert above.min() >= 0.0
+    assert above.max() < 0.1
+    count = above.size
+    assert abs(above.mean() - 0.05) < 4 * 0.1 / math.sqrt(12 * count)
+    assert abs(np.corrcoef(above[:-1], above[1:])[0, 1]) < 4 / math.sqrt(count)
+
+
 def test_classic_runs_its_whole_time_and_quick_ends_at_its_criterion(tmp_path: Path) -> None:
     """40 min, and the moment when the threshold is below -3."""
     whole = _run(tmp_path, ScriptedStage(eye, read_protocol("classic")), "a")
