@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.merge_defects import repair_defects
-from radiometer.analysis.merge_finish import finish_linear
-from radiometer.analysis.merge_finish_curved import finish_curved
+from radiometer.analysis.merge_finish import finish
 from radiometer.analysis.merge_frames import FrameTerms, frame_terms
 from radiometer.analysis.merge_lens import lens_factor_sr, relative_sensitivity
 from radiometer.analysis.merge_situation import common_u_rel, flat_field_for, situation_of
 from radiometer.analysis.merge_sums import FRAMES_PER_PLANE, MergeSample, MergeSums
-from radiometer.analysis.merge_tables import MergeTables, merge_tables
+from radiometer.analysis.merge_tables import merge_tables
 from radiometer.data import Bracket, Calibration, CameraDescription, Frame, LensDescription, Provenance, RadianceMap
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.errors import MeasurementError
 
 MOST_FRAMES = 64
-_BLOCK_PIXELS = 1 << 15  # sums of a block stay in a core's second-level cache
+_BLOCK_PIXELS = 1 << 15  # a block's sums stay in a core's second-level cache
+_PARTS_PER_CORE = 4  # few, because each costs the interpreter's lock; several, because cores are not equally fast
 
 
 def merge(
@@ -34,8 +33,8 @@ def merge(
 ) -> RadianceMap:
     """Return radiance in W·sr⁻¹·m⁻² (relative without a calibration) and its standard uncertainty for every pixel.
 
-    A Bracket is merged block by block; any other iterable is taken one frame at a time, two frames (five of 8 bits)
-    being held at most, with dark frames before light ones.
+    Frames of a Bracket are all in memory and go through the sums at once, block by block; of any other iterable two
+    frames (five of 8 bits) are held at most. Dark frames come before light ones.
 
     Args:
         frames: Frames of one unmoving scene, 1 to 64 light ones, in any order of exposure.
@@ -79,6 +78,7 @@ class StreamingMerge:
         self._shape: tuple[int, int] | None = None
         self._sums: MergeSums | None = None
         self._pending: list[MergeSample] = []
+        self._finished = False
 
     def add(self, frame: Frame) -> None:
         """Take a frame in; its pixels are read now or with one of the next frames, and must stay as they are.
@@ -102,39 +102,34 @@ class StreamingMerge:
         Raises:
             MeasurementError: If there was no light frame.
         """
-        tables, shape = self._tables(), self._known_shape()
-        if self._pending:
-            self._take_in()
-        sums, self._sums = self._known_sums(), None
-        _for_blocks(
-            sums.first.size,
-            shape[1],
-            lambda start, stop: self._finish(
-                tables, start, sums.part(start, stop), sums.first[start:stop], sums.second[start:stop]
-            ),
-        )
+        shape, tables = self._known_shape(), merge_tables(self._terms, self._situation.model)
+        sums, batch = self._known_sums(), self._pending
+        self._sums, self._pending, self._finished = None, [], True
+        reference = self._terms[0].exposure
+
+        def work(start: int, stop: int) -> None:
+            for begin, end in _blocks(start, stop, shape[1]):
+                part = sums.part(begin, end)
+                part.add(batch, begin, reference)
+                # The sums make room for the result.
+                image = self._factor(begin, end - begin), part.first, part.second
+                finish(part.first, part.second, part.squares, part.patterns(), part.mask, *tables.arguments, *image)
+
+        _on_all_cores(shape, work)
         return self._map(sums.first, sums.second, sums.mask)
 
     def merge_bracket(self, bracket: Bracket) -> RadianceMap:
-        """Return the radiance map of a bracket in memory, block by block."""
+        """Return the radiance map of a bracket in memory, every pixel's sums made and used up at once.
+
+        Raises:
+            MeasurementError: If frames do not belong together.
+        """
         for dark in bracket.dark_frames:
             self.add(dark)
-        samples = []
         for frame in bracket:
             self._refuse_misfit(frame)
-            samples.append(self._sample(frame))
-        tables, size = self._tables(), samples[0].dn.size
-        radiance, u_radiance = np.empty(size, np.float32), np.empty(size, np.float32)
-        mask = np.zeros(size, np.uint8)
-
-        def block(start: int, stop: int) -> None:
-            sums = MergeSums.zeros(stop - start, len(samples))
-            sums.add(samples, start, self._terms[0].exposure)
-            self._finish(tables, start, sums, radiance[start:stop], u_radiance[start:stop])
-            mask[start:stop] = sums.mask
-
-        _for_blocks(size, bracket.shape[1], block)
-        return self._map(radiance, u_radiance, mask)
+            self._pending.append(self._sample(frame))
+        return self.result()
 
     def _batch_size(self, frame: Frame) -> int:
         """Return how many frames leave sums and batch under three planes of 32 bits beyond the result, at least 1."""
@@ -144,15 +139,9 @@ class StreamingMerge:
 
     def _take_in(self) -> None:
         """Add the frames of the batch to the sums and release them."""
-        sums = self._sums = self._sums or MergeSums.zeros(self._pending[0].dn.size, 0)
-        sums.make_room(len(self._terms))
+        sums, reference = self._known_sums(), self._terms[0].exposure
         batch, self._pending = self._pending, []
-        reference = self._terms[0].exposure
-        _for_blocks(
-            sums.first.size,
-            self._known_shape()[1],
-            lambda start, stop: sums.part(start, stop).add(batch, start, reference),
-        )
+        _on_all_cores(self._known_shape(), lambda start, stop: sums.part(start, stop).add(batch, start, reference))
 
     def _sample(self, frame: Frame) -> MergeSample:
         if len(self._terms) == MOST_FRAMES:
@@ -184,28 +173,13 @@ class StreamingMerge:
         return self._shape
 
     def _known_sums(self) -> MergeSums:
-        if self._sums is None:
+        """Return the sums, made when they are needed first, with room for all frames so far."""
+        if self._finished:
             raise MeasurementError("the result was handed out already; start a new merge")
+        height, width = self._known_shape()
+        self._sums = self._sums or MergeSums.zeros(height * width)
+        self._sums.make_room(len(self._terms))
         return self._sums
-
-    def _tables(self) -> MergeTables:
-        self._known_shape()
-        return merge_tables(self._terms, self._situation.model)
-
-    def _finish(
-        self,
-        tables: MergeTables,
-        start: int,
-        sums: MergeSums,
-        radiance: NDArray[np.float32],
-        u_radiance: NDArray[np.float32],
-    ) -> None:
-        factor = self._factor(start, radiance.size)
-        view = (sums.first, sums.second, sums.squares, sums.patterns(), sums.mask)
-        if tables.curved is None:
-            finish_linear(*view, *tables.common, factor, radiance, u_radiance)
-        else:
-            finish_curved(*view, *tables.common, tables.gains, *tables.curved, factor, radiance, u_radiance)
 
     def _factor(self, start: int, size: int) -> NDArray[np.float32]:
         """Return radiance per rate of a block of whole rows; one number where it is the same everywhere."""
@@ -241,14 +215,18 @@ class StreamingMerge:
         )
 
 
-def _for_blocks(size: int, width: int, work: Any) -> None:
-    """Call work(start, stop) for blocks of whole rows, on all cores."""
-    rows = max(1, _BLOCK_PIXELS // width)
-    bounds = list(_blocks(size, rows * width))
-    with ThreadPoolExecutor(max_workers=max(1, os.cpu_count() or 1)) as pool:
-        list(pool.map(lambda pair: work(*pair), bounds))
+def _on_all_cores(shape: tuple[int, int], work: Callable[[int, int], None]) -> None:
+    """Call work(start, stop) for parts of whole rows that make up the picture, on all cores."""
+    height, width = shape
+    cores = os.cpu_count() or 1
+    rows = -(-height // (cores * _PARTS_PER_CORE)) * width
+    parts = [(start, min(start + rows, height * width)) for start in range(0, height * width, rows)]
+    with ThreadPoolExecutor(max_workers=cores) as pool:
+        list(pool.map(lambda part: work(*part), parts))
 
 
-def _blocks(size: int, step: int) -> Iterator[tuple[int, int]]:
-    for start in range(0, size, step):
-        yield start, min(start + step, size)
+def _blocks(start: int, stop: int, width: int) -> Iterator[tuple[int, int]]:
+    """Yield the bounds of blocks of whole rows."""
+    step = max(1, _BLOCK_PIXELS // width) * width
+    for begin in range(start, stop, step):
+        yield begin, min(begin + step, stop)

@@ -15,7 +15,7 @@ def compiled(function: Callable[..., ResultT]) -> Callable[..., ResultT]:
 
     Where neither place can be written (a read-only installation without a home), it is compiled anew in each process.
     """
-    options = {"nogil": True, "error_model": "numpy"}
+    options = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
     try:
         done: Callable[..., ResultT] = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # numba found no place for its cache

@@ -42,7 +42,7 @@ def add_linear(
         low: Lowest digital number that is used.
         high: Digital number from which the frame clips.
         exposure: Relative exposure t, float32.
-        weight: t to the power `merge_finish.FIRST_POWER`, float32.
+        weight: t to the power `merge_records.FIRST_POWER`, float32.
         bit: Bit of this frame, of the type of `bits`.
         first: Σw·x, float32, added to.
         second: Σt·x, float32, added to.
@@ -132,7 +132,7 @@ def add_table(
         low: Lowest digital number that is used.
         high: Digital number from which the frame clips.
         exposure: Relative exposure t, float32.
-        weight: t to the power `merge_finish.FIRST_POWER`, float32.
+        weight: t to the power `merge_records.FIRST_POWER`, float32.
         bit: Bit of this frame.
         first: Σw·x, float32, added to.
         second: Σt·x, float32, added to.

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis import merge_kernels
-from radiometer.analysis.merge_finish import FIRST_POWER
 from radiometer.analysis.merge_frames import FrameTerms
+from radiometer.analysis.merge_records import FIRST_POWER
 
 FRAMES_PER_PLANE: Final = 16
 
@@ -78,12 +78,10 @@ class MergeSums:
     planes: list[NDArray[np.uint16]] = field(default_factory=list)
 
     @classmethod
-    def zeros(cls, size: int, frames: int) -> MergeSums:
-        """Return empty sums of `size` pixels with room for `frames` frames."""
+    def zeros(cls, size: int) -> MergeSums:
+        """Return empty sums of `size` pixels without room for any frame's bit."""
         first, second, squares = (np.zeros(size, np.float32) for _ in range(3))
-        sums = cls(first, second, squares, np.zeros(size, np.uint8))
-        sums.make_room(frames)
-        return sums
+        return cls(first, second, squares, np.zeros(size, np.uint8))
 
     def make_room(self, frames: int) -> None:
         """Make sure that the bits of `frames` frames can be kept."""
