@@ -47,6 +47,7 @@ class CaptureSums:
         high: (tiles,) the same at full scale.
         side_lines: (sides, lines) sum of the means of the lines across each patch's side.
         histogram: Counts of digital numbers over the tiles whose histogram must be smooth.
+        occurring: Digital numbers that occur in any tile.
     """
 
     groups: Sequence[TileGroup]
@@ -62,6 +63,7 @@ class CaptureSums:
     high: Array
     side_lines: Array
     histogram: Array
+    occurring: Mask
 
     @classmethod
     def start(cls, groups: Sequence[TileGroup], sides: PatchSides, tiles: int, defects: Mask) -> CaptureSums:
@@ -81,6 +83,7 @@ class CaptureSums:
             np.zeros(tiles),
             np.zeros((sides.tile.size, LINES)),
             np.zeros(0),
+            np.zeros(0, dtype=np.bool_),
         )
 
     def add(self, frame: Frame) -> None:
@@ -100,6 +103,7 @@ class CaptureSums:
                 self.total[number],
                 self.square[number],
                 self.histogram,
+                self.occurring,
             )
             self.low[index] += low
             self.high[index] += high
@@ -110,8 +114,10 @@ class CaptureSums:
         self.side_lines += self.sides.means(frame.dn)
 
     def _make_room(self, codes: int) -> None:
-        if self.histogram.size < codes:
-            self.histogram = np.concatenate([self.histogram, np.zeros(codes - self.histogram.size)])
+        more = codes - self.histogram.size
+        if more > 0:
+            self.histogram = np.pad(self.histogram, (0, more))
+            self.occurring = np.pad(self.occurring, (0, more))
 
     def finish(self, black_dn: float) -> tuple[dict[str, Array | float], Mask]:
         """Return the statistics of the capture by name, and the map of its outlying pixels.
@@ -123,28 +129,33 @@ class CaptureSums:
         out = {name: np.full(tiles, np.nan) for name in _PER_TILE}
         outlying = np.zeros(self.defects.shape, dtype=np.bool_)
         means = np.array(self.frame_means)
-        residuals = []
+        spacing_dn = _code_spacing(self.occurring)
+        residuals, counting = [], []
         for number, group in enumerate(self.groups):
-            residuals.append(self._finish_group(number, group, means, out, outlying))
+            residual, good = self._finish_group(number, group, means, spacing_dn, out, outlying)
+            residuals.append(residual)
+            counting.append(good)
         out["low"], out["high"] = self.low / n, self.high / n
         out["first"] = means[0] - means[1:].mean(axis=0) if n > 1 else np.full(tiles, np.nan)
         result: dict[str, Array | float] = dict(out)
         result["outliers"] = float(outlying.sum())
         free = (out["low"] == 0) & (out["high"] == 0)  # a clipped tile has hardly any noise and would outweigh all
-        result |= row_temporal_profile(self.groups, self.row_sums, np.where(free, out["variance"], np.nan))
-        result |= fixed_profile(self.groups, residuals, np.where(free, out["spatial"], np.nan))
+        variance, spatial = (np.where(free, out[name], np.nan) for name in ("variance", "spatial"))
+        known = [group.cut(~self.defects) for group in self.groups]
+        result |= row_temporal_profile(self.groups, self.row_sums, variance, known)
+        result |= fixed_profile(self.groups, residuals, spatial, counting)
         result |= _common_fluctuation(means, out, black_dn)
         result["side_lines"] = self.side_lines / n
         result |= _comb(self.histogram)
         return result, outlying
 
     def _finish_group(
-        self, number: int, group: TileGroup, means: Array, out: dict[str, Array], outlying: Mask
-    ) -> Array:
+        self, number: int, group: TileGroup, means: Array, spacing_dn: float, out: dict[str, Array], outlying: Mask
+    ) -> tuple[Array, Mask]:
         n = means.shape[0]
         good = group.cut(~self.defects)
         picture = self.total[number] / n
-        outside = _outlying(picture, group)
+        outside = _outlying(picture, group, spacing_dn)
         for tile, spots in zip(group.tiles, outside, strict=True):
             outlying[tile.slices] |= spots
         good = good * ~outside  # known defects and what stands out here
@@ -163,7 +174,7 @@ class CaptureSums:
         out["variance_dof"][index] = (n - 1) * (pixels - 1)
         if n > 1:
             self._temporal(number, group, good, out, n)
-        return np.asarray(residual)
+        return np.asarray(residual), np.asarray(good)
 
     def _temporal(self, number: int, group: TileGroup, good: Array, out: dict[str, Array], n: int) -> None:
         total, index = self.total[number], group.index
@@ -195,27 +206,35 @@ _PER_TILE: Final = (
 )
 
 
-def _outlying(picture: Array, group: TileGroup) -> Mask:
+def _code_spacing(occurring: Mask) -> float:
+    """Return the distance of the codes that occur, in DN; 1 where there is but one."""
+    codes = np.flatnonzero(occurring)
+    return float(np.gcd.reduce(np.diff(codes))) if codes.size > 1 else 1.0
+
+
+def _outlying(picture: Array, group: TileGroup, spacing_dn: float) -> Mask:
     """Tell which pixels lie far off the quadratic surface through their tile, by a robust sigma.
 
     A hot pixel bends the surface: after a first look those that stand out are put at the middle and the surface is
-    laid anew.
+    laid anew. Where the noise hides below the spacing of the codes, most pixels show one code and the median
+    deviation tells no sigma: the neighbouring code is no outlier.
     """
     flat = picture.reshape(len(group.tiles), -1)
     step = _stride(flat.shape[1], group.width)
     flat = flat - np.median(flat[:, ::step], axis=1, keepdims=True)
-    far = _far(flat, step)
+    far = _far(flat, step, spacing_dn)
     for _ in range(2):
         calm = np.where(far, 0.0, flat)
-        far = _far(flat - (calm @ group.trend) @ group.trend.T, step)
+        far = _far(flat - (calm @ group.trend) @ group.trend.T, step, spacing_dn)
     return far.reshape(picture.shape)
 
 
-def _far(residual: Array, step: int) -> Mask:
+def _far(residual: Array, step: int, spacing_dn: float) -> Mask:
     some = residual[:, ::step]
     centre = np.median(some, axis=1, keepdims=True)
     sigma = _MAD_TO_SIGMA * np.median(np.abs(some - centre), axis=1, keepdims=True)
-    return np.asarray(np.abs(residual - centre) > OUTLIER_SIGMAS * np.where(sigma > 0, sigma, np.inf))
+    limit = np.maximum(OUTLIER_SIGMAS * np.where(sigma > 0, sigma, np.inf), spacing_dn)
+    return np.asarray(np.abs(residual - centre) > limit)
 
 
 def _stride(pixels: int, width: int) -> int:

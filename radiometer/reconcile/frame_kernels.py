@@ -27,6 +27,7 @@ def add_tiles(
     total: Array,
     square: Array,
     histogram: Array,
+    occurring: NDArray[np.bool_],
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Add one frame to the sums of all tiles of one size.
 
@@ -40,6 +41,7 @@ def add_tiles(
         total: (tiles, height, width) sum of deviations from the tile's mean in DN; this frame is added.
         square: Same shape, sum of their squares; this frame is added.
         histogram: Counts of digital numbers over smooth tiles, longer than the largest one; this frame is added.
+        occurring: Digital numbers that occur in any tile, as long; this frame is added.
 
     Returns:
         (tiles,) mean in DN, share at 0, share clipped, sum of products of horizontal and of vertical neighbours in
@@ -85,6 +87,7 @@ def add_tiles(
         for code in range(smallest, largest + 1):
             if smooth:
                 histogram[code] += counts[code]
+            occurring[code] |= counts[code] > 0
             counts[code] = 0
     return mean, low, high, pair_x, pair_y, rows
 

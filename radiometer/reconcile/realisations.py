@@ -21,6 +21,8 @@ from radiometer.reconcile.tile_model import Prediction
 from simulators.effects.catalogue import CatalogueEffect
 
 _EDGES: Final = 5.0  # √(number of edges that average out), few to be safe
+_TREND_TERMS: Final = 3  # of a tile's lines: constant, slope and curvature are taken out
+_SMALLEST_SHARE: Final = 1e-6
 _FIXED_BLOCKS: Final = ("spatial", "columns", "rows")
 
 
@@ -37,8 +39,11 @@ def realisation_terms(
     for name, wanted in (("proportional", proportional), ("additive", additive)):
         if wanted:
             terms += _offset_terms(name, prediction, pixels, design)
-    terms.append(_spread_term(seen, design))
-    terms += [_line_spread_term(name, seen) for name in ("columns", "rows")]
+    terms.append(_spread_term(seen))
+    for name in ("columns", "rows"):
+        terms.append(_line_spread_term(name, seen))
+        if additive and float(np.max(_lines(name, prediction))) > 0:
+            terms += [_own_line_spread_term(name, seen), _tile_line_spread_term(name, design)]
     return tuple(terms)
 
 
@@ -127,11 +132,14 @@ def _edge_builder(name: str) -> ColumnBuilder:
     return build
 
 
-def _spread_term(seen: CaptureStatistics, design: Design) -> LinearTerm:
+def _spread_term(seen: CaptureStatistics) -> LinearTerm:
+    """Return the term for the chance spread of each tile's own pixels: a white pattern's, and its product with lines'."""
     freedom = np.maximum(np.nanmedian(seen.spatial_dof, axis=0), 2.0)
 
     def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
-        share = prediction.fixed / np.maximum(prediction.spatial, 1e-30)
+        lines = prediction.fixed_row_variance + prediction.fixed_column_variance
+        white = np.maximum(prediction.fixed - lines[:, None], 0.0)
+        share = np.sqrt(white * (white + 2.0 * lines[:, None])) / np.maximum(prediction.spatial, 1e-30)
         captures, tiles = share.shape
         raw = np.zeros((captures, tiles, tiles))
         raw[:, np.arange(tiles), np.arange(tiles)] = share
@@ -140,16 +148,53 @@ def _spread_term(seen: CaptureStatistics, design: Design) -> LinearTerm:
     return LinearTerm("pattern spread", build, np.sqrt(2.0 / freedom))
 
 
+def _lines(block: str, prediction: Prediction) -> Array:
+    """Return the variance of a pattern of columns or rows in DN², (captures,)."""
+    return prediction.fixed_column_variance if block == "columns" else prediction.fixed_row_variance
+
+
+def _tile_line_spread_term(block: str, design: Design) -> LinearTerm:
+    """Return the term for the chance spread of the few lines that cross each tile; tiles side by side share them."""
+    rows, columns = shared_lines(design)
+    number = np.array([tile.height if block == "rows" else tile.width for tile in design.tiles], dtype=np.float64)
+    shared = rows if block == "rows" else columns
+    free = np.maximum(number - _TREND_TERMS, 1.0)
+    values, vectors = np.linalg.eigh(2.0 * shared / _outer(free))
+    kept = values > _SMALLEST_SHARE * values.max()
+    root = vectors[:, kept] * np.sqrt(values[kept])
+
+    def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
+        share = _lines(block, prediction)[:, None] / np.maximum(prediction.spatial, 1e-30)
+        return _placed(comparison, "spatial", comparison.whiten("spatial", share[:, :, None] * root[None]))
+
+    return LinearTerm(f"spread of {block} in tiles", build, np.ones(root.shape[1]))
+
+
+def _own_line_spread_term(block: str, seen: CaptureStatistics) -> LinearTerm:
+    """Return the term for the chance spread of all lines of a pattern of lines, alike in every capture."""
+    weight = getattr(seen, f"{block}_weight")
+
+    def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
+        excess = _lines(block, prediction) * weight
+        return _placed(comparison, block, comparison.whiten(block, (excess / (1.0 + excess))[:, None]))
+
+    return LinearTerm(f"spread of {block}", build, np.array([_chance_spread(block, seen)]))
+
+
 def _line_spread_term(block: str, seen: CaptureStatistics) -> LinearTerm:
     """Return the term for the chance spread of a white pattern's own row or column means, alike in every capture."""
-    dof = getattr(seen, f"{block}_dof")
 
     def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
         share = (prediction.fixed / np.maximum(prediction.spatial, 1e-30)).mean(axis=1)
         return _placed(comparison, block, comparison.whiten(block, share[:, None]))
 
-    spread = float(np.sqrt(2.0 / max(float(np.median(dof[dof > 0])) if (dof > 0).any() else 2.0, 2.0)))
-    return LinearTerm(f"pattern {block} spread", build, np.array([spread]))
+    return LinearTerm(f"pattern {block} spread", build, np.array([_chance_spread(block, seen)]))
+
+
+def _chance_spread(block: str, seen: CaptureStatistics) -> float:
+    """Return the relative standard deviation of a variance of so many lines."""
+    dof = getattr(seen, f"{block}_dof")
+    return float(np.sqrt(2.0 / max(float(np.median(dof[dof > 0])) if (dof > 0).any() else 2.0, 2.0)))
 
 
 def _placed(comparison: Comparison, block: str, whitened: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -10,13 +11,16 @@ import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
 from radiometer.errors import CaptureError
+from radiometer.reconcile.capture_sums import CaptureSums
 from radiometer.reconcile.design import Design, group_captures
 from radiometer.reconcile.edges import edge_shares
 from radiometer.reconcile.frame_kernels import add_tiles, coarse_cells
 from radiometer.reconcile.localise import localise, significant
-from radiometer.reconcile.state import FitState, first_state
+from radiometer.reconcile.parameters import fitted_parameters
+from radiometer.reconcile.state import FitState, first_state, refit, settled, with_effects
 from radiometer.reconcile.statistics import frame_reader, reduce_frames
-from radiometer.reconcile.tile_layout import LINES, PatchSides
+from radiometer.reconcile.tile_layout import LINES, PatchSides, patch_sides, tile_groups
+from simulators.effects.row_pattern import RowPattern
 
 
 def _state(captured: Any) -> FitState:
@@ -72,8 +76,9 @@ def test_compiled_sums_agree_with_numpy() -> None:
     good[5, 5] = False
     corners = [(2, 3), (9, 12)]
     total, square, histogram = np.zeros((2, 8, 9)), np.zeros((2, 8, 9)), np.zeros(4096)
+    occurring = np.zeros(4096, dtype=np.bool_)
     top, left = (np.array(values, dtype=np.intp) for values in zip(*corners, strict=True))
-    found = add_tiles(dn, good, top, left, 4000.0, 2.6, total, square, histogram)
+    found = add_tiles(dn, good, top, left, 4000.0, 2.6, total, square, histogram, occurring)
     for k, (y, x) in enumerate(corners):
         tile, counted = dn[y : y + 8, x : x + 9].astype(float), good[y : y + 8, x : x + 9]
         deviation = tile - tile[counted].mean()
@@ -90,7 +95,8 @@ def test_compiled_sums_agree_with_numpy() -> None:
         np.testing.assert_allclose(total[k], deviation, atol=1e-9)
         np.testing.assert_allclose(square[k], deviation**2, rtol=1e-9)
     assert histogram.sum() == 0, "both tiles hold a clipped sample"
-    add_tiles(dn, good, top[1:] - 9, left[1:] + 6, 4000.0, 2.6, total[1:], square[1:], histogram)
+    assert set(np.flatnonzero(occurring)) == {int(v) for y, x in corners for v in dn[y : y + 8, x : x + 9].ravel()}
+    add_tiles(dn, good, top[1:] - 9, left[1:] + 6, 4000.0, 2.6, total[1:], square[1:], histogram, occurring)
     np.testing.assert_array_equal(histogram, np.bincount(dn[0:8, 18:27].ravel(), minlength=4096))
 
 
@@ -181,3 +187,44 @@ def test_disagreement_is_found_along_its_covariate(
     """The leading test names statistic and covariate without knowing any effect."""
     found = significant(localise(_state(make_capture(seed=2, **hidden))))
     assert (found[0].block, found[0].where) == (block, where)
+
+
+def test_noise_below_the_spacing_of_codes_makes_no_defects(make_capture: Callable[..., Any]) -> None:
+    """Codes in steps of 4 over dark noise of 0.9 DN: a pixel at the neighbouring code is no outlier."""
+    captured = make_capture(plan=[{"t": 1e-4, "shutter": "closed"}, {"t": 1.0, "shutter": "closed"}, {"t": 3e-3}])
+    coarse = [dataclasses.replace(frame, dn=frame.dn - frame.dn % 4) for frame in captured.frames]
+    design = Design.of(captured.header, coarse[0].shape)
+    seen, _ = reduce_frames(design, frame_reader(coarse))
+    assert seen.outliers.tolist() == [0.0, 0.0, 0.0]
+    assert seen.pixels.sum() == 3 * sum(tile.width * tile.height for tile in design.tiles)
+
+
+def test_masked_pixels_leave_row_and_column_ratios_at_one(make_capture: Callable[..., Any]) -> None:
+    """A fifth of all pixels is masked: the ratios of line means still expect 1, mean of 3 × 12 ratios within 4 sigma."""
+    captured = make_capture(plan=[{"t": 1e-4, "shutter": "closed", "g": 12.0}] * 3 * 4)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    groups, sides = tile_groups(design), patch_sides(design)
+    masked = np.random.default_rng(3).random(design.shape) < 0.2
+    ratios, u_rel = [], []
+    for capture in design.captures:
+        sums = CaptureSums.start(groups, sides, len(design.tiles), masked)
+        for index in capture.frames:
+            sums.add(captured.frames[index])
+        found, _ = sums.finish(64.0)
+        for name in ("row_temporal", "rows", "columns"):
+            ratios.append(found[name])
+            u_rel.append(2.0 / found[f"{name}_dof"])
+    sigma = float(np.sqrt(np.mean(u_rel) / len(ratios)))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=4.0 * sigma)
+
+
+def test_row_pattern_is_known_no_better_than_so_few_rows_allow(make_capture: Callable[..., Any]) -> None:
+    """64 rows tell a standard deviation to 1/√128 at best: the reported one is no smaller, the truth within 3 of it."""
+    sigma_e = 0.6
+    rows = sigma_e * np.random.default_rng(11).standard_normal((64, 1))
+    state = _state(make_capture(extra_dn=lambda setting: rows / 2.6 * 10 ** (setting["g"] / 20)))
+    found = settled(refit(with_effects(state, [RowPattern(sigma_e)])))
+    entry = fitted_parameters(found)["row_pattern"]["sigma_e"]
+    assert entry.u is not None
+    assert entry.u / entry.value > 1.0 / np.sqrt(128.0)
+    assert entry.value == pytest.approx(sigma_e, abs=3.0 * entry.u)
