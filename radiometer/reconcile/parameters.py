@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.result import FittedParameter
@@ -70,6 +71,11 @@ class EffectParameters:
         kept = np.clip(wanted, self.low, self.high) if self.size else wanted
         stopped = tuple(i for i in range(self.size) if abs(kept[i] - wanted[i]) > _AT_BOUND * self.scale[i])
         return self.replaced(kept), stopped
+
+    def on_bounds(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return which parameters stand on their lower and which on their upper bound."""
+        span = _AT_BOUND * self.scale
+        return self.values - self.low <= span, self.high - self.values <= span
 
     def replaced(self, values: Array) -> tuple[CatalogueEffect, ...]:
         """Return the effects with these parameter values."""

@@ -43,7 +43,7 @@ def realisation_terms(
     for name in ("columns", "rows"):
         terms.append(_line_spread_term(name, seen))
         if additive and float(np.max(_lines(name, prediction))) > 0:
-            terms += [_own_line_spread_term(name, seen), _tile_line_spread_term(name, design)]
+            terms.append(_tile_line_spread_term(name, seen, design))
     return tuple(terms)
 
 
@@ -153,32 +153,27 @@ def _lines(block: str, prediction: Prediction) -> Array:
     return prediction.fixed_column_variance if block == "columns" else prediction.fixed_row_variance
 
 
-def _tile_line_spread_term(block: str, design: Design) -> LinearTerm:
-    """Return the term for the chance spread of the few lines that cross each tile; tiles side by side share them."""
+def _tile_line_spread_term(block: str, seen: CaptureStatistics, design: Design) -> LinearTerm:
+    """Return the term for the chance spread of the few lines of a pattern that cross each tile, alike in every capture.
+
+    Tiles side by side share it, and the spread of all lines is the mean of the tiles'.
+    """
     rows, columns = shared_lines(design)
     number = np.array([tile.height if block == "rows" else tile.width for tile in design.tiles], dtype=np.float64)
-    shared = rows if block == "rows" else columns
     free = np.maximum(number - _TREND_TERMS, 1.0)
-    values, vectors = np.linalg.eigh(2.0 * shared / _outer(free))
+    values, vectors = np.linalg.eigh(2.0 * (rows if block == "rows" else columns) / _outer(free))
     kept = values > _SMALLEST_SHARE * values.max()
     root = vectors[:, kept] * np.sqrt(values[kept])
-
-    def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
-        share = _lines(block, prediction)[:, None] / np.maximum(prediction.spatial, 1e-30)
-        return _placed(comparison, "spatial", comparison.whiten("spatial", share[:, :, None] * root[None]))
-
-    return LinearTerm(f"spread of {block} in tiles", build, np.ones(root.shape[1]))
-
-
-def _own_line_spread_term(block: str, seen: CaptureStatistics) -> LinearTerm:
-    """Return the term for the chance spread of all lines of a pattern of lines, alike in every capture."""
     weight = getattr(seen, f"{block}_weight")
 
     def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
-        excess = _lines(block, prediction) * weight
-        return _placed(comparison, block, comparison.whiten(block, (excess / (1.0 + excess))[:, None]))
+        lines = _lines(block, prediction)
+        share = lines[:, None] / np.maximum(prediction.spatial, 1e-30)
+        of_tiles = comparison.whiten("spatial", share[:, :, None] * root)
+        of_all = (lines * weight / (1.0 + lines * weight))[:, None] * root.mean(axis=0)
+        return _placed(comparison, "spatial", of_tiles) + _placed(comparison, block, comparison.whiten(block, of_all))
 
-    return LinearTerm(f"spread of {block}", build, np.array([_chance_spread(block, seen)]))
+    return LinearTerm(f"spread of {block} in tiles", build, np.ones(root.shape[1]))
 
 
 def _line_spread_term(block: str, seen: CaptureStatistics) -> LinearTerm:

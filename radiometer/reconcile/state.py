@@ -153,6 +153,13 @@ class FitState:
         followers = self.layout.followers(self.model, self.comparison, self.values, self.prediction)
         return LinearFit.of(self.residual, self.nuisance_jacobian, effects, RowBlock.of(followers))
 
+    def effect_step(self, step: Array) -> Array:
+        """Return the effects' part of a step of the whole fit, 0 for parameters that are frozen."""
+        scaled = np.zeros(self.parameters.size)
+        free = [i for i in range(scaled.size) if i not in self.frozen]
+        scaled[free] = step[self.layout.size + self.weights.size :]
+        return scaled
+
     @cached_property
     def _term_prior(self) -> Array:
         return np.concatenate([term.prior for term in self.terms]) if self.terms else np.zeros(0)
@@ -269,16 +276,40 @@ def with_effects(state: FitState, effects: Sequence[CatalogueEffect]) -> FitStat
 
 
 def refit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
-    """Return the state at the least χ² over nuisances, term weights and effect parameters (damped Gauss–Newton)."""
+    """Return the state at the least χ² over nuisances, term weights and effect parameters (damped Gauss–Newton).
+
+    Parameters that come frozen within their bounds stay so.
+    """
+    on_low, on_high = state.parameters.on_bounds()
+    fixed = state.frozen - frozenset(np.flatnonzero(on_low | on_high).tolist())
+    state = _held_at_bounds(state, fixed)
     for _ in range(iterations):
         following = _improved(state)
         if following is None:
             return state
         gained = state.cost - following.cost
-        state = following
+        state = _held_at_bounds(following, fixed)
         if gained < _CONVERGED:
             break
     return state
+
+
+def _held_at_bounds(state: FitState, fixed: frozenset[int]) -> FitState:
+    """Return the state with those effect parameters frozen that stand on a bound and would leave it, and the fixed.
+
+    Were they free, the linearised fit would take up beyond the bound what the model cannot, and hide it.
+    """
+    on_low, on_high = state.parameters.on_bounds()
+    held = fixed
+    while True:
+        state = state if state.frozen == held else replace(state, frozen=held)
+        if not (on_low | on_high).any():
+            return state
+        step = state.effect_step(state.fit.step)
+        more = held | frozenset(np.flatnonzero((on_low & (step < 0)) | (on_high & (step > 0))).tolist())
+        if more == held:
+            return state
+        held = more
 
 
 def _improved(state: FitState) -> FitState | None:
@@ -294,10 +325,7 @@ def _improved(state: FitState) -> FitState | None:
 
 def _moved(state: FitState, step: Array) -> FitState:
     m, k = state.layout.size, state.weights.size
-    scaled = np.zeros(state.parameters.size)
-    free = [i for i in range(scaled.size) if i not in state.frozen]
-    scaled[free] = step[m + k :]
-    effects, at_bound = state.parameters.moved(scaled)
+    effects, at_bound = state.parameters.moved(state.effect_step(step))
     return replace(
         state,
         values=state.values + step[:m],

@@ -20,6 +20,7 @@ from radiometer.reconcile.parameters import fitted_parameters
 from radiometer.reconcile.state import FitState, first_state, refit, settled, with_effects
 from radiometer.reconcile.statistics import frame_reader, reduce_frames
 from radiometer.reconcile.tile_layout import LINES, PatchSides, patch_sides, tile_groups
+from simulators.effects.black_level_drift import BlackLevelDrift
 from simulators.effects.row_pattern import RowPattern
 
 
@@ -201,7 +202,7 @@ def test_noise_below_the_spacing_of_codes_makes_no_defects(make_capture: Callabl
 
 def test_masked_pixels_leave_row_and_column_ratios_at_one(make_capture: Callable[..., Any]) -> None:
     """A fifth of all pixels is masked: the ratios of line means still expect 1, mean of 3 × 12 ratios within 4 sigma."""
-    captured = make_capture(plan=[{"t": 1e-4, "shutter": "closed", "g": 12.0}] * 3 * 4)
+    captured = make_capture(plan=[{"t": 1e-4, "shutter": "closed", "g": 12.0}] * 12)
     design = Design.of(captured.header, captured.frames[0].shape)
     groups, sides = tile_groups(design), patch_sides(design)
     masked = np.random.default_rng(3).random(design.shape) < 0.2
@@ -228,3 +229,11 @@ def test_row_pattern_is_known_no_better_than_so_few_rows_allow(make_capture: Cal
     assert entry.u is not None
     assert entry.u / entry.value > 1.0 / np.sqrt(128.0)
     assert entry.value == pytest.approx(sigma_e, abs=3.0 * entry.u)
+
+
+def test_parameter_on_its_bound_hides_nothing(make_capture: Callable[..., Any]) -> None:
+    """A drift with temperature cannot stand for a constant offset, however far its reference: the tests say so."""
+    state = _state(make_capture(extra_dn=lambda setting: 4.0))
+    found = settled(refit(with_effects(state, [BlackLevelDrift(0.1, -20.0)])))
+    assert found.parameters.on_bounds()[0].any(), "the reference temperature runs to its bound"
+    assert ("mean", "temperature_C") in {(test.block, test.where) for test in significant(localise(found))}
