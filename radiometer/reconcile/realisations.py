@@ -133,7 +133,7 @@ def _edge_builder(name: str) -> ColumnBuilder:
 
 
 def _spread_term(seen: CaptureStatistics) -> LinearTerm:
-    """Return the term for the chance spread of each tile's own pixels: a white pattern's, and its product with lines'."""
+    """Return the term for the chance spread of each tile's own pixels, alone and times that of lines."""
     freedom = np.maximum(np.nanmedian(seen.spatial_dof, axis=0), 2.0)
 
     def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:

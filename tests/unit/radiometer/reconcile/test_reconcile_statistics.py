@@ -201,7 +201,7 @@ def test_noise_below_the_spacing_of_codes_makes_no_defects(make_capture: Callabl
 
 
 def test_masked_pixels_leave_row_and_column_ratios_at_one(make_capture: Callable[..., Any]) -> None:
-    """A fifth of all pixels is masked: the ratios of line means still expect 1, mean of 3 × 12 ratios within 4 sigma."""
+    """A fifth of all pixels is masked: the mean of 3 × 12 ratios of line means is 1 within 4 sigma."""
     captured = make_capture(plan=[{"t": 1e-4, "shutter": "closed", "g": 12.0}] * 12)
     design = Design.of(captured.header, captured.frames[0].shape)
     groups, sides = tile_groups(design), patch_sides(design)
