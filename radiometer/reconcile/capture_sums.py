@@ -141,7 +141,7 @@ class CaptureSums:
         result["outliers"] = float(outlying.sum())
         free = (out["low"] == 0) & (out["high"] == 0)  # a clipped tile has hardly any noise and would outweigh all
         variance, spatial = (np.where(free, out[name], np.nan) for name in ("variance", "spatial"))
-        known = [group.cut(~self.defects) for group in self.groups]
+        known = [group.cut(~self.defects).astype(np.bool_) for group in self.groups]
         result |= row_temporal_profile(self.groups, self.row_sums, variance, known)
         result |= fixed_profile(self.groups, residuals, spatial, counting)
         result |= _common_fluctuation(means, out, black_dn)

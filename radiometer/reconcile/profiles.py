@@ -50,7 +50,8 @@ def fixed_profile(
         spatial: (tiles,) variance of the time mean from pixel to pixel in DN².
         counting: Per group, the pixels that count, same shape; residuals are 0 elsewhere.
     """
-    columns, rows = [], []
+    columns: list[_Piece] = []
+    rows: list[_Piece] = []
     for group, residual, good in zip(groups, residuals, counting, strict=True):
         for found, lines, across in ((columns, group.columns, 1), (rows, group.rows, 2)):
             sums, pixels = residual.sum(axis=across)[..., None], good.sum(axis=across)
