@@ -12,7 +12,7 @@ import numpy as np
 from tests.roundtrip.generator import session  # noqa: F401  (fills the registry)
 from tests.roundtrip.generator.registry import ENTRIES, OUTSIDERS, VARIANTS
 
-KINDS = ("null", "single", "weak", "pair", "variant", "outsider", "removed", "unknown")
+KINDS = ("null", "single", "weak", "pair", "variant", "outsider", "removed", "unknown", "plain", "plain_unknown")
 # Pairs of which one hides or imitates the other outright, with this plan: the same light, codes or charge twice.
 INSEPARABLE = (
     {"missing_codes", "reduced_bit_depth"},
@@ -23,6 +23,10 @@ INSEPARABLE = (
     {"natural_vignetting", "angle_dependence"},
     {"mechanical_vignetting", "angle_dependence"},
 )
+
+
+# Every entry but the one that stands in the labels themselves: a bracket has no printed stops.
+PLAIN = [n for n, hidden in ENTRIES.items() if hidden.plan != "printed"]
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,10 @@ def tasks(kinds: tuple[str, ...], seeds: int, *, first_seed: int = 0) -> Iterato
         "outsider": lambda: _each("outsider", list(OUTSIDERS), seeds, first_seed),
         "removed": lambda: _removed(max(1, seeds // 2), first_seed),
         "unknown": lambda: _each("unknown", visible(), max(1, seeds // 4), first_seed, known_patches=False),
+        "plain": lambda: _each("plain", PLAIN, max(1, seeds // 4), first_seed, plan="bracket"),
+        "plain_unknown": lambda: _each(
+            "plain_unknown", PLAIN, max(1, seeds // 4), first_seed, plan="bracket", known_patches=False
+        ),
     }
     return itertools.chain.from_iterable(makers[kind]() for kind in kinds)
 

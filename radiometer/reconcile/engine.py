@@ -15,9 +15,17 @@ from radiometer.errors import CaptureError
 from radiometer.reconcile.design import Design
 from radiometer.reconcile.limits import limits
 from radiometer.reconcile.localise import Disagreement
-from radiometer.reconcile.next_capture import propose, propose_for_blind
+from radiometer.reconcile.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconcile.parameters import fitted_parameters
-from radiometer.reconcile.result import CovariateGap, FittedParameter, FoundEffect, Place, ReconcileResult, Verdict
+from radiometer.reconcile.result import (
+    CovariateGap,
+    FittedParameter,
+    FoundEffect,
+    Limit,
+    Place,
+    ReconcileResult,
+    Verdict,
+)
 from radiometer.reconcile.search import Search, Step, search
 from radiometer.reconcile.starting_model import adopted
 from radiometer.reconcile.state import FitState, first_state
@@ -192,7 +200,7 @@ def _result(
     return ReconcileResult(
         verdict=_verdict(outcome),
         effects=effects,
-        next_capture=None if settled else propose_for_blind(state, entries, shown),
+        next_capture=None if settled else _further(state, entries, shown, effects),
         gap_before=outcome.start.gap,
         gap_after=state.gap,
         limits=shown,
@@ -207,6 +215,16 @@ def _result(
         frames=frames,
         seconds=time.monotonic() - begun,
     )
+
+
+def _further(
+    state: FitState,
+    entries: Mapping[str, type[CatalogueEffect]],
+    shown: Mapping[str, Limit],
+    effects: Sequence[FoundEffect],
+) -> dict[str, Any] | None:
+    places = [(effect.where, effect.block) for effect in effects if effect.name == "unnamed"]
+    return propose_for_unnamed(state, entries, places) or propose_for_blind(state, entries, shown)
 
 
 def _verdict(outcome: Search) -> Verdict:

@@ -14,6 +14,7 @@ from radiometer.reconcile.state import FitState
 from simulators.effects.catalogue import CatalogueEffect
 
 SIGMAS: Final = 5.0
+NEUTRAL: Final[Mapping[str, float]] = {"gamma": 1.0, "ratio": 1.0}  # parameters that do nothing at another value than 0
 _BLIND: Final = 1e-6  # share of a change that must survive the nuisances
 _MILD: Final = 0.1  # share of the typical size at which the change is looked at …
 _LARGEST_FACTOR: Final = 500.0  # … and how often that may be taken: beyond it the effect would be absurd
@@ -114,4 +115,4 @@ def _amplitude(effect: CatalogueEffect, name: str) -> float:
     if name not in effect.values():
         return 1.0
     value = value_of(effect, name)
-    return value - {"gamma": 1.0, "ratio": 1.0}.get(name, 0.0)
+    return value - NEUTRAL.get(name, 0.0)

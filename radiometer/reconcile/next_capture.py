@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,14 +20,19 @@ from radiometer.data import FrameEntry
 from radiometer.data.storage import write_yaml_atomic
 from radiometer.reconcile.capture_pool import FRAMES, CapturePool
 from radiometer.reconcile.design import Array, Design
+from radiometer.reconcile.limits import NEUTRAL
 from radiometer.reconcile.result import Limit, ReconcileResult
-from radiometer.reconcile.state import FitState, refit, with_effects
+from radiometer.reconcile.state import FitState, refit, with_effects, with_terms
 from simulators.effects.catalogue import CatalogueEffect
 
 FORMAT: Final = "radiometer-plan/1"
 _TOLD_CHI2: Final = 30.0  # a pair that differs by more is told apart; still more is worth no more
 _HELPS_CHI2: Final = 4.0  # by so much a capture still helps where none does more
 _REFITS: Final = 4
+_WELL_BELOW: Final = 0.5
+_STARTS: Final = 4  # of an entry, that are fitted
+_EXPLAINS: Final = 0.3  # of what the best entry explains: below it an entry is no cause of a disagreement
+_LIKELY: Final[Mapping[str, float]] = {"veiling_glare": 6.0}  # every lens has some
 _MOST_NAMED: Final = 6  # in a sentence
 
 
@@ -57,10 +63,59 @@ def propose(state: FitState, chosen: CatalogueEffect, rivals: Sequence[Catalogue
     }
 
 
+def propose_for_unnamed(
+    state: FitState, catalogue: Mapping[str, type[CatalogueEffect]], places: Sequence[tuple[str, str]]
+) -> dict[str, Any] | None:
+    """Return the capture that would tell apart what could lie behind a disagreement without a name.
+
+    Each entry that acts along the covariate is fitted in place of the empirical term. A setting by itself cannot be
+    foretold by the others, so that a new setting is asked for: there the entries, and no effect at all, must differ.
+
+    Args:
+        state: The fitted model.
+        catalogue: Entries, by name.
+        places: Covariate and statistic of what has no name, the first first.
+
+    Returns:
+        Settings and what they separate; None where no entry acts there or no capture of the pool helps.
+    """
+    plain = with_terms(state, ())
+    nothing = refit(plain, iterations=_REFITS)
+    present = {effect.name for effect in (*state.effects, *state.model.given)}
+    for where, block in dict.fromkeys(places):
+        models = {}
+        for name, kind in catalogue.items():
+            acts = (kind.where, kind.block) == (where, block) and kind.usable(state.model.context)
+            if acts and name not in present:
+                starts = kind.starts(state.model.context)[:_STARTS]
+                fitted = [refit(with_effects(plain, [*state.effects, start]), iterations=_REFITS) for start in starts]
+                models[name] = min(fitted, key=lambda model: model.cost, default=nothing)
+        told = _farthest(nothing, models)
+        if told is not None:
+            frame, names = told
+            return _advice(frame, f"shows which of {', '.join(names)} it is, if any") | {"separates": names}
+    return None
+
+
+def _farthest(nothing: FitState, models: Mapping[str, FitState]) -> tuple[FrameEntry, list[str]] | None:
+    """Return the new setting in which models that explain something differ most, from none and from each other."""
+    gained = {name: nothing.cost - model.cost for name, model in models.items()}
+    largest = max(gained.values(), default=0.0)
+    names = [name for name, gain in gained.items() if gain > max(_EXPLAINS * largest, _HELPS_CHI2)]
+    if not names:
+        return None
+    pool = CapturePool.of(nothing)
+    expected = [pool.predicted(model) for model in (nothing, *(models[name] for name in names))]
+    pairs = [pool.separation(a, b) for a, b in combinations(expected, 2)]
+    worth = np.minimum(np.nan_to_num(np.stack(pairs)), _TOLD_CHI2).sum(axis=0) * pool.is_new
+    index = int(np.argmax(worth))
+    return (pool.frame(index), names) if worth[index] > _HELPS_CHI2 else None
+
+
 def propose_for_blind(
     state: FitState, catalogue: Mapping[str, type[CatalogueEffect]], limits: Mapping[str, Limit]
 ) -> dict[str, Any] | None:
-    """Return the capture that would show most of the effects that these data cannot see at all.
+    """Return the capture that would show most of the effects that these data cannot see at their usual size.
 
     Each of them is put in at its typical size and the nuisances are fitted beside it: what stays invisible now must
     show in the new capture.
@@ -73,11 +128,11 @@ def propose_for_blind(
     Returns:
         Settings and what they would open; None where nothing is blind or no capture of the pool helps.
     """
-    blind = [name for name, limit in limits.items() if limit.amplitude is None and name in catalogue]
+    able = CapturePool.of(state).context
     models = {}
-    for name in blind:
-        starts = catalogue[name].starts(state.model.context)
-        if starts:
+    for name, limit in limits.items():
+        starts = catalogue[name].starts(state.model.context) if name in catalogue else ()
+        if starts and catalogue[name].usable(able) and not _would_show(limit, starts[0]):
             added = with_effects(state, [*state.effects, starts[0]])
             frozen = frozenset(range(state.parameters.size, added.parameters.size))
             models[name] = refit(replace(added, frozen=frozen), iterations=_REFITS)
@@ -87,6 +142,14 @@ def propose_for_blind(
     frame, names, _ = told
     shown = ", ".join(names[:_MOST_NAMED]) + (" and others" if len(names) > _MOST_NAMED else "")
     return _advice(frame, f"would show {shown}") | {"opens": names}
+
+
+def _would_show(limit: Limit, typical: CatalogueEffect) -> bool:
+    """Tell whether the limit lies well below an effect's typical size."""
+    value = typical.values().get(limit.parameter)
+    if limit.amplitude is None or limit.parameter not in typical.free() or value is None:
+        return limit.amplitude is not None
+    return limit.amplitude < _WELL_BELOW * abs(float(value) - NEUTRAL.get(limit.parameter, 0.0))
 
 
 def _best(
@@ -99,7 +162,8 @@ def _best(
     expected = pool.predicted(state)
     apart = np.stack([pool.separation(expected, pool.predicted(model)) for model in models.values()])
     apart = np.nan_to_num(apart)
-    worth = np.minimum(apart, _TOLD_CHI2).sum(axis=0)
+    weight = np.array([_LIKELY.get(name, 1.0) for name in models])
+    worth = weight @ np.minimum(apart, _TOLD_CHI2)
     index = int(np.lexsort((apart.min(axis=0), worth))[-1])
     told: Array = apart[:, index]
     names = [name for name, chi2 in zip(models, told, strict=True) if chi2 >= enough]

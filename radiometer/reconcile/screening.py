@@ -68,6 +68,11 @@ def screen(
     return sorted(found, key=lambda candidate: -candidate.gain)
 
 
+def best_start(state: FitState, starts: Sequence[CatalogueEffect]) -> Candidate | None:
+    """Return the start that would explain most; None where there is none."""
+    return next(iter(_best(_rigid(state, starts))), None)
+
+
 def _best(candidates: Sequence[Candidate]) -> list[Candidate]:
     ranked = sorted(candidates, key=lambda candidate: -candidate.gain)
     near = ranked[: 1 + _OTHER_STARTS]

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from radiometer.reconcile.candidate_fit import FittedCandidate, accepted, fit_candidate, held_out_gain
 from radiometer.reconcile.localise import Disagreement, localise, significant, smooth_term
+from radiometer.reconcile.rivals import PARAMETER_NATS, rivals_of
 from radiometer.reconcile.screening import Candidate, screen
 from radiometer.reconcile.start_pool import StartPool
 from radiometer.reconcile.state import FitState, refit, reweighted, settled, with_effects, with_terms
@@ -25,9 +26,7 @@ _LATER_NATS: Final = 2.0
 _FEW_TRIES: Final = 2.0
 _KEPT_NATS: Final = 4.0  # an earlier name that brings less than this after a new one is dropped
 _EVIDENCE: Final = 8.0  # χ² that the statistic which must show the effect has to lose
-_RIVAL_NATS: Final = 5.0
 _FLEXIBLE_NATS: Final = 5.0  # a flexible form must beat the rigid one by so much
-_PARAMETER_NATS: Final = 3.0
 _NEEDED_SMOOTH_NATS: Final = 3.0
 _SMOOTHS_TRIED: Final = 4
 _HUGE_NATS: Final = 2000.0
@@ -156,7 +155,7 @@ def _penalised_chi2(fitted: FittedCandidate) -> float:
 
 
 def _penalty(fitted: FittedCandidate) -> float:
-    return _PARAMETER_NATS * fitted.parameters + _UNLIKELY_NATS.get(fitted.name, 0.0)
+    return PARAMETER_NATS * fitted.parameters + _UNLIKELY_NATS.get(fitted.name, 0.0)
 
 
 def _score(entry: tuple[FittedCandidate, float]) -> float:
@@ -217,7 +216,7 @@ def _named(
     if following.evidence - state.evidence < _KEPT_NATS:
         run.refused.add(fitted.name)
         return None
-    rivals = tuple({f.name: f.effect for f, n in judged if _is_rival(f, n, chosen)}.values())
+    rivals = rivals_of(state, chosen, judged, run.catalogue)
     gap_before = state.gap
     again = next((i for i, step in enumerate(run.steps) if step.name == fitted.name), None)
     if again is None:
@@ -227,14 +226,6 @@ def _named(
         run.steps[again] = replace(old, gain_nats=old.gain_nats + nats, gap_after=following.gap)
     run.say(f"{fitted.name}: {nats:.1f} nats, gap {gap_before:.3f} → {following.gap:.3f}")
     return following
-
-
-def _is_rival(other: FittedCandidate, nats: float, chosen: tuple[FittedCandidate, float]) -> bool:
-    """Tell whether the data cannot tell another entry from the chosen one; more freedom earns it nothing."""
-    if other.name == chosen[0].name:
-        return False
-    richer = other.parameters > chosen[0].parameters
-    return nats > chosen[1] - _RIVAL_NATS and (not richer or nats > chosen[1] + _PARAMETER_NATS)
 
 
 def _unnamed(

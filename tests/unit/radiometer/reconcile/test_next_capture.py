@@ -82,3 +82,18 @@ def test_screen_shows_its_patches_in_other_surrounds() -> None:
         assert radiance[0, 0] == pytest.approx(surround)
     (described,) = scene.patches(10, 10)
     assert described.radiance("dark_surround") == pytest.approx(0.5)
+
+
+def _shaded(make_capture: Callable[..., Any]) -> Reconciled:
+    y, x = np.mgrid[:64, :96]
+    shade = 1.0 - 0.04 * (((x - 47.5) / 47.5) ** 2 + ((y - 31.5) / 47.5) ** 2)
+    captured = make_capture(seed=23, plan=[*BRACKET, *DARKS], picture=lambda image, s: image * shade)
+    return examine(captured.header, frame_reader(captured.frames), captured.frames[0].shape)
+
+
+def test_shading_at_one_f_number_may_be_any_that_would_change_with_it(make_capture: Callable[..., Any]) -> None:
+    """Without a second f-number a shading that grows with the aperture looks the same; a second one is asked for."""
+    (effect,) = _shaded(make_capture).result.effects
+    assert {"mechanical_vignetting", "angle_dependence"} & {effect.name, *effect.alternatives}
+    assert effect.next_capture is not None
+    assert effect.next_capture["frames"][0]["f_number"] != 4.0

@@ -1,0 +1,59 @@
+"""Which other entries explain the data about as well as the one that was chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from radiometer.reconcile.candidate_fit import FittedCandidate, fit_candidate, held_out_gain
+from radiometer.reconcile.screening import best_start
+from radiometer.reconcile.state import FitState
+from simulators.effects.catalogue import CatalogueEffect
+
+RIVAL_NATS: Final = 5.0
+PARAMETER_NATS: Final = 3.0
+_SAME_GAIN: Final = 0.8  # of the chosen one's, below which an entry is not fitted
+
+Judged = tuple[FittedCandidate, float]
+
+
+def rivals_of(
+    state: FitState, chosen: Judged, judged: Sequence[Judged], catalogue: Mapping[str, type[CatalogueEffect]]
+) -> tuple[CatalogueEffect, ...]:
+    """Return the effects, at their best parameters, that the data cannot tell from the chosen one.
+
+    Args:
+        state: The model without the chosen one.
+        chosen: The chosen one with its gain in nats.
+        judged: Others that were fitted and judged, with theirs.
+        catalogue: All entries. Those that were not tried, because the setting that marks them does not vary, may
+            act like the chosen one for that very reason: a blur that grows with the aperture at one f-number.
+    """
+    everything = (*judged, *_unvaried(state, chosen, catalogue))
+    return tuple({f.name: f.effect for f, nats in everything if _is_rival(f, nats, chosen)}.values())
+
+
+def _is_rival(other: FittedCandidate, nats: float, chosen: Judged) -> bool:
+    """Tell whether another entry predicts about as well; each further parameter must be paid for.
+
+    One with more parameters of which one lies on its bound is the chosen one's likeness in a limit: a wing as wide as
+    the picture is a veil.
+    """
+    further = max(other.parameters - chosen[0].parameters, 0)
+    if other.name == chosen[0].name or (further and other.columns.shape[1] < other.parameters):
+        return False
+    return nats - PARAMETER_NATS * further > chosen[1] - RIVAL_NATS
+
+
+def _unvaried(state: FitState, chosen: Judged, catalogue: Mapping[str, type[CatalogueEffect]]) -> list[Judged]:
+    context = state.model.context
+    present = {effect.name for effect in (*state.effects, *state.model.given)}
+    found = []
+    for name, kind in catalogue.items():
+        if name in present or kind.block != chosen[0].effect.block or kind.usable(context):
+            continue
+        start = best_start(state, kind.starts(context))
+        if start is not None and start.gain > _SAME_GAIN * chosen[0].gain:
+            fitted = fit_candidate(state, start)
+            found.append((fitted, held_out_gain(state, fitted.residual, fitted.columns)))
+    return found
