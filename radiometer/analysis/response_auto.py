@@ -17,17 +17,11 @@ from radiometer.analysis.response_noise import LogNoise, fit_log_noise
 from radiometer.analysis.response_noise_shift import ASSUMPTION, mean_exposure_dn
 from radiometer.analysis.response_samples import ResponseSamples, gather_samples
 from radiometer.analysis.response_threads import on_one_blas_thread
+from radiometer.analysis.response_weights import group_residual, noise_of, row_variance, slope_at, value_at
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 
 Array = NDArray[np.float64]
-
-# Hat weight from which a row counts in full: 5 % of the range away from black and from saturation.
-_FULLY_TRUSTED_HAT = 0.1
-# Exposures nearer to each other than this, in ln t, count as repeats of one.
-_LEAST_STEP = 0.1
-# What the spline itself can be off by in ln H.
-_LEAST_U_LOG = 1e-4
 
 METHOD = "auto"
 # One λ stands for the whole curve, but real responses are rougher in some places (near black above all) than on
@@ -142,14 +136,14 @@ def _fit(
     limits = samples.limits
     shifted = mean_exposure_dn(samples.dn, samples.variance, start, limits)
     dn = np.clip(shifted, limits.black_dn, limits.saturated_dn)
-    found = noise or _noise_of(samples, dn, start)
-    fit = fit_response(samples, dn, _variance(samples, dn, start, found), time_spread=time_spread)
+    found = noise or noise_of(samples, dn, start)
+    fit = fit_response(samples, dn, row_variance(samples, dn, start, found), time_spread=time_spread)
     if noise is None and fit.time_spread:
         # Wrong times looked like noise before: take the noise from what is left, and fit once more.
         g = _values(samples, fit.coefficients)
         left = fit.normal.residuals(fit.solution)
-        found = fit_log_noise(left, fit.leverage(), _at(g, dn), slope_at(g, dn, samples), samples.pixels)
-        fit = fit_response(samples, dn, _variance(samples, dn, g, found), time_spread=fit.time_spread)
+        found = fit_log_noise(left, fit.leverage(), value_at(g, dn), slope_at(g, dn, samples), samples.pixels)
+        fit = fit_response(samples, dn, row_variance(samples, dn, g, found), time_spread=fit.time_spread)
     basis = ValueBasis(samples.bit_depth, limits)
     from_middle = basis.all_values().toarray()
     from_middle -= from_middle[from_middle.shape[0] // 2].copy()
@@ -170,63 +164,14 @@ def _values(samples: ResponseSamples, coefficients: Array) -> Array:
     return rising(g, np.ones_like(g), supported_range(samples), samples.limits.black_dn)
 
 
-def _noise_of(samples: ResponseSamples, dn: Array, log_exposure: Array) -> LogNoise:
-    """Return the noise behind the residuals of a first curve, every group's ln E at its hat-weighted mean."""
-    weight = (hat_weight(dn, samples.limits) ** 2 + 1e-6) * samples.pixels
-    residual, own = _group_residual(samples, _at(log_exposure, dn), weight)
-    return fit_log_noise(
-        residual, np.clip(own, 0.0, 0.9), _at(log_exposure, dn), slope_at(log_exposure, dn, samples), samples.pixels
-    )
-
-
-def _group_residual(samples: ResponseSamples, log_exposure: Array, weight: Array) -> tuple[Array, Array]:
-    """Return ln H − ln t − ln E of every row, and the row's share in its group's ln E."""
-    starts = np.flatnonzero(np.diff(samples.group, prepend=-1))
-    total = np.add.reduceat(weight, starts)
-    log_radiance = log_exposure - samples.log_time
-    mean = np.add.reduceat(weight * log_radiance, starts) / total
-    return log_radiance - mean[samples.group], weight / total[samples.group]
-
-
 def _above_black(samples: ResponseSamples, log_exposure: Array) -> ResponseSamples:
     """Return the rows whose predicted value is clear of black, groups with one such row left out."""
     weight = (hat_weight(samples.dn, samples.limits) ** 2 + 1e-6) * samples.pixels
-    log_h = _at(log_exposure, samples.dn)
-    predicted_log_h = log_h - _group_residual(samples, log_h, weight)[0]
+    log_h = value_at(log_exposure, samples.dn)
+    predicted_log_h = log_h - group_residual(samples, log_h, weight)[0]
     predicted_dn = np.interp(predicted_log_h, log_exposure, np.arange(log_exposure.size))
     keep = predicted_dn > samples.limits.black_dn + _LEAST_PREDICTED_DN
     return samples.kept(keep)
-
-
-def _variance(samples: ResponseSamples, dn: Array, log_exposure: Array, noise: LogNoise) -> Array:
-    """Return the variance of ln H of every row, with what the model of noise and curve leaves out.
-
-    Close to black and saturation the clipped side of the noise is missing from the means, which no variance
-    describes: rows fade out there. Nowhere is a mean trusted beyond the truth of the spline itself.
-    """
-    expected = noise.variance(_at(log_exposure, dn), slope_at(log_exposure, dn, samples), samples.pixels)
-    fade = np.clip(hat_weight(dn, samples.limits) / _FULLY_TRUSTED_HAT, 1e-3, 1.0) ** 2
-    return np.asarray((expected + _LEAST_U_LOG**2) / fade)
-
-
-def slope_at(log_exposure: Array, dn: Array, samples: ResponseSamples) -> Array:
-    """Return g' in 1/DN at digital numbers, over half an exposure step to either side.
-
-    A wave of one step's period, which the data cannot see, drops out: were it in the slope, and so in the weights, it
-    would give weight to what agrees with it and feed itself.
-    """
-    limits = samples.limits
-    ends = _at(log_exposure, np.array([limits.black_dn, limits.saturated_dn], dtype=np.float64))
-    step = max(float(np.median(np.diff(np.unique(samples.frame_log_time)))), _LEAST_STEP)
-    here = _at(log_exposure, dn)
-    low, high = np.maximum(here - 0.5 * step, ends[0]), np.minimum(here + 0.5 * step, ends[1])
-    numbers = np.arange(log_exposure.size)
-    rise = np.interp(high, log_exposure, numbers) - np.interp(low, log_exposure, numbers)
-    return np.asarray(np.maximum((high - low) / np.maximum(rise, 1e-9), 1e-9))
-
-
-def _at(log_exposure: Array, dn: Array) -> Array:
-    return np.asarray(np.interp(dn, np.arange(log_exposure.size), log_exposure))
 
 
 def _log_time_errors(fit: ResponseFit, log_time: Array) -> Array:

@@ -77,15 +77,15 @@ def solve_debevec1997(samples: ResponseSamples, *, smoothing: float | None = Non
     )
 
 
-def curve_debevec1997(samples: ResponseSamples) -> ResponseCurve:
+def curve_debevec1997(samples: ResponseSamples, *, smoothing: float | None = None) -> ResponseCurve:
     """Return the curve alone, for methods that start from it: from values clear of black and saturation.
 
     A plateau close to white (film, some tone curves) would bend the whole curve by a wave of one stop's period.
     """
     try:
-        return _solve(samples.kept(hat_weight(samples.dn, samples.limits) > _CLEAR_HAT), None)[0]
+        return _solve(samples.kept(hat_weight(samples.dn, samples.limits) > _CLEAR_HAT), smoothing)[0]
     except MeasurementError:  # too few values for that luxury
-        return _solve(samples, None)[0]
+        return _solve(samples, smoothing)[0]
 
 
 def without_noise_shift(samples: ResponseSamples, first: ResponseCurve) -> ResponseSamples:

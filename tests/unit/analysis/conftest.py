@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
 
@@ -31,11 +32,18 @@ def _tone_curve(seed: int) -> Response:
     return response
 
 
+# Exposure and value of a curve with kinks and near-plateaus, as some films and enhanced pictures have.
+_KINKS = PchipInterpolator(
+    [0.0, 0.04, 0.07, 0.09, 0.15, 0.21, 0.26, 0.35, 0.42, 0.60, 1.0],
+    [0.0, 0.23, 0.33, 0.37, 0.52, 0.58, 0.60, 0.72, 0.74, 0.89, 1.0],
+)
+
 RESPONSES: dict[str, Response] = {
     **{f"tone{seed}": _tone_curve(seed) for seed in range(8)},
     "gamma": lambda exposure: exposure ** (1 / 2.2),
     "linear": lambda exposure: exposure,
     "sigmoid": _sigmoid,
+    "kinked": _KINKS,
 }
 
 

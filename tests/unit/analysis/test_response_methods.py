@@ -51,6 +51,19 @@ def test_mitsunaga_recovers_ratios_from_one(make_stack, bit_depth):
     assert "known ratio of pair 0" in estimate.gauge
 
 
+@pytest.mark.parametrize("bit_depth", [8, 12])
+def test_mitsunaga_recovers_ratios_where_no_polynomial_of_the_values_fits(make_stack, bit_depth):
+    """Kinks and near-plateaus, stated times wrong by up to 15 %: within 0.5 %, and within 4 of the stated sigmas."""
+    true = np.array([2.0, 1.8, 2.1, 2.0, 2.3, 2.0, 1.9, 2.0])
+    factors = {i + 1: float(f) for i, f in enumerate(np.cumprod(true / 2.0))}
+    bracket = make_stack("kinked", bit_depth=bit_depth, time_errors=factors)
+    estimate = recover_response_mitsunaga1999(bracket, known_ratios={3: 2.0})
+    assert estimate.exposure_ratios == pytest.approx(true, rel=0.005)
+    unknown = np.arange(8) != 3
+    error = (estimate.exposure_ratios - true)[unknown]
+    assert np.all(np.abs(error) < 4.0 * estimate.u_exposure_ratios[unknown])
+
+
 def test_mitsunaga_says_how_the_exponent_is_fixed(make_stack):
     """Without a known ratio the product of the stated times fixes γ, and the result says so."""
     estimate = recover_response_mitsunaga1999(make_stack("gamma", bit_depth=8))
