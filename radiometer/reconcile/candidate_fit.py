@@ -35,6 +35,7 @@ class FittedCandidate:
         residual: Whitened residual with the effect, nuisances where they were; prior rows included.
         columns: −d(residual)/d(scaled parameter of the effect), prior rows included.
         tries: Number of starts that the entry had.
+        overrated: Nats that the scores of the frame-common fluctuation promise beyond its exact likelihood.
     """
 
     effect: CatalogueEffect
@@ -45,6 +46,7 @@ class FittedCandidate:
     residual: Array
     columns: Array
     tries: int = 1
+    overrated: float = 0.0
 
     @property
     def name(self) -> str:
@@ -163,16 +165,27 @@ def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandid
     evidence = sum(before.get(block, 0.0) - after.get(block, 0.0) for block in shown)
     if "mean" in shown:  # what the means say against the stated radiances stands in the prior rows
         evidence += stated
+    overrated = _overrated(state, best.effect, before["common"] - after["common"])
     return FittedCandidate(
         best.effect,
-        gain,
-        evidence,
+        gain - 2.0 * overrated,
+        evidence - 2.0 * overrated,
         candidate.parameters,
         candidate.flexible,
         best.residual,
         columns,
         candidate.tries,
+        overrated,
     )
+
+
+def _overrated(state: FitState, effect: CatalogueEffect, promised: float) -> float:
+    """Return by how many nats the normal scores of few frames' fluctuation flatter a variance that is fitted to them."""
+    if promised <= 0:
+        return 0.0
+    predicted = state.predicted_with((*state.effects, effect))
+    exact = state.comparison.common_deviance(state.prediction) - state.comparison.common_deviance(predicted)
+    return max(promised - exact, 0.0) / 2.0
 
 
 def _off_bounds(effect: CatalogueEffect, columns: Array) -> Array:
@@ -190,6 +203,11 @@ def family_chi2(state: FitState, residual: Array) -> dict[str, float]:
         family = FAMILY.get(name, name)
         found[family] = found.get(family, 0.0) + float(np.sum(residual[cut] ** 2))
     return found
+
+
+def judged_gain(state: FitState, fitted: FittedCandidate) -> float:
+    """Return by how many nats a fitted effect improves the prediction of held-out settings."""
+    return held_out_gain(state, fitted.residual, fitted.columns) - fitted.overrated
 
 
 def held_out_gain(state: FitState, residual: Array, columns: Array) -> float:

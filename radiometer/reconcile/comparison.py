@@ -174,6 +174,14 @@ class Comparison:
         scores = _normal_score(seen / accepted, self._common_freedom)
         return np.where(mask, scores - slope * np.log(expected / accepted), 0.0)
 
+    def common_deviance(self, prediction: Prediction) -> float:
+        """Return the deviance of the frame-common fluctuation: −2·ln of its exact likelihood but for a constant."""
+        mask, dof = self.usable["common"], self._common_freedom
+        by_rows = 1.0 + prediction.row_variance * self.common_of_rows
+        expected = by_rows + relative_flicker(prediction) / self._common_unit
+        seen = np.where(mask, self.seen.common, 1.0)
+        return float(np.sum(np.where(mask, dof * (seen / expected + np.log(expected)), 0.0)))
+
     @cached_property
     def _common_unit(self) -> Array:
         return np.where(np.isfinite(self.seen.common_unit), self.seen.common_unit, 1.0)

@@ -231,8 +231,15 @@ def _verdict(outcome: Search) -> Verdict:
     named = bool(outcome.state.effects)
     unnamed = bool(outcome.left) or any(step.name == "unnamed" for step in outcome.steps)
     if named:
-        return Verdict.INCOMPLETE if unnamed else Verdict.EFFECTS_FOUND
+        return Verdict.INCOMPLETE if unnamed or _strained(outcome.state) else Verdict.EFFECTS_FOUND
     return Verdict.UNNAMED if unnamed else Verdict.AGREES
+
+
+def _strained(state: FitState) -> list[str]:
+    """Return what parameters would leave their physical range: their entry is bent to fit something that it is not."""
+    own = state.parameters
+    ends = [index for index in sorted(state.frozen) if own.values[index] != 0.0]
+    return [f"{own.names[index]} of {own.effects[own.owner[index]].name}" for index in ends]
 
 
 def _found(outcome: Search) -> tuple[FoundEffect, ...]:
@@ -329,7 +336,7 @@ def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:
 
 def _assumptions(state: FitState) -> tuple[str, ...]:
     camera = state.design.header.camera
-    said = []
+    said = [f"{name} ran to the end of its range: what the data hold is not quite that" for name in _strained(state)]
     for key, text in (
         ("conversion_gain_e_per_dn", "the conversion gain is not declared: it was fitted from the noise"),
         ("read_noise_e", "the read noise is not declared: it was fitted"),

@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2
 
-from radiometer.reconcile.candidate_fit import FittedCandidate, accepted, fit_candidate, held_out_gain
+from radiometer.reconcile.candidate_fit import FittedCandidate, accepted, fit_candidate, held_out_gain, judged_gain
 from radiometer.reconcile.localise import Disagreement, localise, significant, smooth_term
+from radiometer.reconcile.plain_trends import TRENDS
 from radiometer.reconcile.rivals import PARAMETER_NATS, rivals_of
 from radiometer.reconcile.screening import Candidate, screen
 from radiometer.reconcile.start_pool import StartPool
@@ -35,7 +36,7 @@ _SMOOTH_SHARE: Final = 0.8
 _SMOOTH_NATS: Final = 8.0
 # Entries that physics does not expect, or that can imitate others by their freedom, must be that much better.
 _UNLIKELY_NATS: Final[Mapping[str, float]] = {
-    "reciprocity_failure": 3.0,
+    "reciprocity_failure": 5.0,
     "source_not_proportional_to_exposure": 3.0,
     "exposure_label_error": 6.0,
     "shutter_dead_time": 2.0,
@@ -130,7 +131,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     if not loud and not promising:
         return None
     fitted = sorted((fit_candidate(state, c) for c in promising[:_FITTED]), key=lambda f: -_penalised_chi2(f))
-    judged = [(f, held_out_gain(state, f.residual, f.columns)) for f in fitted[:_JUDGED]]
+    judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
     shown = [entry for entry in judged if _is_shown(*entry, later=bool(state.effects))]
     while shown:
         chosen = _choose(_contenders(state, shown))
@@ -163,14 +164,17 @@ def _score(entry: tuple[FittedCandidate, float]) -> float:
     return nats - _penalty(fitted) - (_FLEXIBLE_NATS if fitted.flexible else 0.0)
 
 
-def _contenders(state: FitState, judged: list[tuple[FittedCandidate, float]]) -> list[tuple[FittedCandidate, float]]:
+def _contenders(
+    state: FitState, judged: list[tuple[FittedCandidate, float]], fewest: int = 1
+) -> list[tuple[FittedCandidate, float]]:
     """Return the candidates, those of a very large and nearly equal gain judged anew after a full fit of each.
 
-    Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges.
+    Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges. With fewer
+    than `fewest` left all are returned as they came.
     """
     best = max((nats for _, nats in judged), default=0.0)
     near = [entry for entry in judged if entry[1] > best - _NEAR_SHARE * best]
-    if best < _HUGE_NATS or len(near) < 2:
+    if best < _HUGE_NATS or len(near) < max(fewest, 2):
         return judged
     base = state.evidence
     return [(f, settled(refit(accepted(state, f.effect))).evidence - base) for f, _ in near]
@@ -191,11 +195,24 @@ def _is_shown(fitted: FittedCandidate, nats: float, *, later: bool) -> bool:
 
 def _convinces(state: FitState, chosen: tuple[FittedCandidate, float], loud: tuple[Disagreement, ...]) -> bool:
     fitted, nats = chosen
+    if any(_beats(state, kind, chosen) for kind in TRENDS if kind.block == fitted.effect.block):
+        return False
     same = [test for test in loud if test.family == fitted.effect.block]
     if not same:
         return True
     smooth = _smooth_gain(state, same[0])
     return nats >= _SMOOTH_SHARE * smooth or nats >= smooth - _SMOOTH_NATS
+
+
+def _beats(state: FitState, kind: type[CatalogueEffect], chosen: tuple[FittedCandidate, float]) -> bool:
+    """Tell whether a plain trend of no more freedom than the chosen effect predicts better than it."""
+    starts = kind.starts(state.model.context)
+    if len(kind.fitted) > chosen[0].parameters:
+        return False
+    plain = fit_candidate(state, Candidate(starts[0], 0.0, len(kind.fitted), others=starts[1:]))
+    (_, named), (_, trend) = _contenders(state, [chosen, (plain, judged_gain(state, plain))], fewest=2)
+    spared = PARAMETER_NATS * (chosen[0].parameters - plain.parameters)
+    return trend + spared > named + _SMOOTH_NATS
 
 
 def _smooth_gain(state: FitState, test: Disagreement) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 
@@ -15,9 +15,11 @@ from simulators.effects.tile_moments import TileMoments
 
 @dataclass(frozen=True)
 class ImageLag(CatalogueEffect):
-    """Adds a share of what the pixel held in the frame before: S' = S + l·S_prev.
+    """Adds a share of what the pixel held in the frame before: S' = S + l·S_prev, or less where traps fill up.
 
-    Source: incomplete charge transfer; typical 0.01 to 0.5 %.
+    Traps that hold no more than 1/c electrons release (1 − exp(−c·l·S_prev))/c; c = 0 is the plain share.
+
+    Source: incomplete charge transfer; typical 0.01 to 0.5 %. Traps: first-order filling.
     """
 
     name = "image_lag"
@@ -34,10 +36,20 @@ class ImageLag(CatalogueEffect):
     fitted = ("share",)
     settles = "a bright capture followed at once by dark frames"
     share: float = parameter(0.0, "1", -0.2, 0.2, source="engineering prior; refined on a real rig")
+    fullness_per_e: float = parameter(0.0, "e-1", 0.0, 10.0, source="1 over the electrons that the traps hold")
+
+    @classmethod
+    def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the form whose traps fill up."""
+        return (cls(share=0.002, fullness_per_e=0.05),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the share, and the traps' fullness where they fill up."""
+        return ("share", "fullness_per_e") if self.fullness_per_e > 0 else ("share",)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the electrons with what was left behind."""
-        return cast(Signal, (signal + self.share * self._left(signal, context)).astype(signal.dtype))
+        return cast(Signal, (signal + self._left(signal, context)).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
         """Return 1, for the share of the own signal is far below it."""
@@ -46,10 +58,21 @@ class ImageLag(CatalogueEffect):
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with the first frame's difference from the others."""
         previous = np.zeros(1) if context.previous_e is None else context.previous_e
-        return replace(after, first_excess=before.first_excess + self.share * (previous - before.mean))
+        return replace(
+            after,
+            first_excess=before.first_excess + self._released(previous, context) - self._released(before.mean, context),
+        )
 
     def _left(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return what the frame before held; over a capture of n frames n − 1 of them follow one of their own kind."""
+        """Return what is left of the frame before; over a capture of n frames n − 1 of them follow one of their kind."""
         previous = np.zeros(1, dtype=signal.dtype) if context.previous_e is None else context.previous_e
         frames: Any = getattr(context, "frames", None)
-        return previous if frames is None else (previous + (frames - 1.0) * signal) / frames
+        if frames is None:
+            return self._released(previous, context)
+        return (self._released(previous, context) + (frames - 1.0) * self._released(signal, context)) / frames
+
+    def _released(self, held: Any, context: ExposureContext) -> Any:
+        """Return the electrons that a frame leaves to the next; no pixel holds more than its full well."""
+        well = context.camera.full_well_e
+        lag = self.share * (held if well is None else np.minimum(held, well))
+        return lag if self.fullness_per_e <= 0 else -np.expm1(-self.fullness_per_e * lag) / self.fullness_per_e

@@ -1,0 +1,65 @@
+"""Plain trends that hold a name to account: what no more freedom than an entry's explains better is not that entry.
+
+They are fitted like effects, in all statistics at once, but belong to no catalogue: where one of them wins, the
+disagreement stays unnamed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from simulators.effects.base import DIGITAL_NUMBER, IRRADIANCE, Stage, parameter
+from simulators.effects.catalogue import CatalogueEffect, Offset, Scaling
+from simulators.effects.context import ExposureContext
+
+
+@dataclass(frozen=True)
+class ConstantTrend(Offset):
+    """Adds the same to every digital number: y' = y + b.
+
+    Source: the constant term of any trend.
+    """
+
+    name = "constant_trend"
+    stage = Stage.READOUT
+    unit_in = DIGITAL_NUMBER
+    unit_out = DIGITAL_NUMBER
+    where = "signal"
+    block = "mean"
+    trials = ({"offset_dn": 1.0}, {"offset_dn": -1.0})
+    fitted = ("offset_dn",)
+    offset_dn: float = parameter(0.0, "DN", -4096.0, 4096.0, source="free")
+
+    def offset(self, context: ExposureContext) -> float:
+        """Return b in DN."""
+        return self.offset_dn
+
+
+@dataclass(frozen=True)
+class RadialTrend(Scaling):
+    """Scales light by a polynomial of the field radius: E' = E·(1 + a₂·ρ² + a₄·ρ⁴).
+
+    Source: the first even terms of any curve about the lens's axis.
+    """
+
+    name = "radial_trend"
+    stage = Stage.OPTICS
+    unit_in = IRRADIANCE
+    unit_out = IRRADIANCE
+    where = "field_radius"
+    block = "slope"
+    trials = ({"a2": -0.03}, {"a2": 0.03})
+    fitted = ("a2", "a4")
+    a2: float = parameter(0.0, "1", -1.0, 1.0, source="free")
+    a4: float = parameter(0.0, "1", -1.0, 1.0, source="free")
+
+    def factor(self, context: ExposureContext) -> Any:
+        """Return the polynomial."""
+        rho2 = np.square(context.geometry.field_radius())
+        return np.maximum(1.0 + self.a2 * rho2 + self.a4 * rho2**2, 0.01)
+
+
+TRENDS: Final[tuple[type[CatalogueEffect], ...]] = (ConstantTrend, RadialTrend)
