@@ -35,6 +35,7 @@ class FittedCandidate:
         residual: Whitened residual with the effect, nuisances where they were; prior rows included.
         columns: −d(residual)/d(scaled parameter of the effect), prior rows included.
         tries: Number of starts that the entry had.
+        stated: χ² that it explains in the stated radiances alone.
         overrated: Nats that the scores of the frame-common fluctuation promise beyond its exact likelihood.
     """
 
@@ -46,6 +47,7 @@ class FittedCandidate:
     residual: Array
     columns: Array
     tries: int = 1
+    stated: float = 0.0
     overrated: float = 0.0
 
     @property
@@ -175,12 +177,13 @@ def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandid
         best.residual,
         columns,
         candidate.tries,
+        stated,
         overrated,
     )
 
 
 def _overrated(state: FitState, effect: CatalogueEffect, promised: float) -> float:
-    """Return by how many nats the normal scores of few frames' fluctuation flatter a variance that is fitted to them."""
+    """Return by how many nats the normal scores of few frames' fluctuation flatter a variance fitted to them."""
     if promised <= 0:
         return 0.0
     predicted = state.predicted_with((*state.effects, effect))

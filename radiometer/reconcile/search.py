@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from radiometer.reconcile.candidate_fit import FittedCandidate, accepted, fit_candidate, held_out_gain, judged_gain
-from radiometer.reconcile.localise import Disagreement, localise, significant, smooth_term
+from radiometer.reconcile.localise import SIGNIFICANT, Disagreement, localise, significant, smooth_term
 from radiometer.reconcile.plain_trends import TRENDS
 from radiometer.reconcile.rivals import PARAMETER_NATS, rivals_of
 from radiometer.reconcile.screening import Candidate, screen
@@ -28,6 +28,8 @@ _FEW_TRIES: Final = 2.0
 _KEPT_NATS: Final = 4.0  # an earlier name that brings less than this after a new one is dropped
 _EVIDENCE: Final = 8.0  # χ² that the statistic which must show the effect has to lose
 _FLEXIBLE_NATS: Final = 5.0  # a flexible form must beat the rigid one by so much
+_STATED_NATS: Final = 6.0  # more where stated radiances carry the evidence: measured once, their errors go together
+_STATED_SHARE: Final = 0.5
 _NEEDED_SMOOTH_NATS: Final = 3.0
 _SMOOTHS_TRIED: Final = 4
 _HUGE_NATS: Final = 2000.0
@@ -126,13 +128,15 @@ def search(
 
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     loud = significant(tests)
-    promising = _promising(screen(state, run.catalogue, run.pool), loud)
+    screened = screen(state, run.catalogue, run.pool)
+    limit = float(np.log(SIGNIFICANT / max(len(screened), 1)))
+    promising = _promising(screened, limit, loud)
     promising = [candidate for candidate in promising if candidate.effect.name not in run.refused]
     if not loud and not promising:
         return None
     fitted = sorted((fit_candidate(state, c) for c in promising[:_FITTED]), key=lambda f: -_penalised_chi2(f))
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
-    shown = [entry for entry in judged if _is_shown(*entry, later=bool(state.effects))]
+    shown = [entry for entry in judged if _is_shown(*entry, limit, later=bool(state.effects))]
     while shown:
         chosen = _choose(_contenders(state, shown))
         if chosen is None or not _convinces(state, chosen, loud):
@@ -144,11 +148,10 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     return _unnamed(state, loud, judged, run) if loud else None
 
 
-def _promising(candidates: list[Candidate], loud: tuple[Disagreement, ...]) -> list[Candidate]:
-    """Return candidates whose gain is significant among all that were tried."""
-    limit = np.log(0.01 / max(len(candidates), 1))
+def _promising(candidates: list[Candidate], limit: float, loud: tuple[Disagreement, ...]) -> list[Candidate]:
+    """Return candidates whose gain is significant among all that were tried, or may yet become so."""
     slack = 0.5 if loud else 1.0  # a start far from the best parameters shows only part of its gain
-    return [c for c in candidates if chi2.logsf(max(c.gain, 1e-9), c.parameters) < slack * limit]
+    return [c for c in candidates if _log_chance(c.gain, c.parameters) < slack * limit]
 
 
 def _penalised_chi2(fitted: FittedCandidate) -> float:
@@ -184,13 +187,21 @@ def _choose(judged: list[tuple[FittedCandidate, float]]) -> tuple[FittedCandidat
     return max(judged, key=_score) if judged else None
 
 
-def _is_shown(fitted: FittedCandidate, nats: float, *, later: bool) -> bool:
-    """Tell whether settings held out are predicted better, and in the statistic that must show the effect.
+def _log_chance(gain: float, parameters: int) -> float:
+    """Return ln of the chance that so many idle parameters gain so much χ²."""
+    return float(chi2.logsf(max(gain, 1e-9), parameters))
 
-    Of many starts one fits by chance, and beside an effect that is there already a further one is less likely.
+
+def _is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool) -> bool:
+    """Tell whether settings held out are predicted better, beyond chance, and in the statistic that must show it.
+
+    Of many starts one fits by chance, and beside an effect that is there already a further one is less likely. The
+    radiances of patches are stated once: an error of their measurement that goes with the level looks like an effect.
     """
     needed = _NEEDED_NATS + _UNLIKELY_NATS.get(fitted.name, 0.0) + float(np.log(max(fitted.tries / _FEW_TRIES, 1.0)))
-    return nats >= needed + (_LATER_NATS if later else 0.0) and fitted.evidence >= _EVIDENCE
+    needed += _STATED_NATS if fitted.stated > _STATED_SHARE * fitted.gain else 0.0
+    beyond_chance = _log_chance(fitted.gain, fitted.parameters) < limit
+    return beyond_chance and nats >= needed + (_LATER_NATS if later else 0.0) and fitted.evidence >= _EVIDENCE
 
 
 def _convinces(state: FitState, chosen: tuple[FittedCandidate, float], loud: tuple[Disagreement, ...]) -> bool:

@@ -64,7 +64,7 @@ class ImageLag(CatalogueEffect):
         )
 
     def _left(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return what is left of the frame before; over a capture of n frames n − 1 of them follow one of their kind."""
+        """Return what is left of the frame before; n − 1 of a capture's n frames follow one of their kind."""
         previous = np.zeros(1, dtype=signal.dtype) if context.previous_e is None else context.previous_e
         frames: Any = getattr(context, "frames", None)
         if frames is None:
