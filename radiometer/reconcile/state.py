@@ -9,8 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconcile.comparison import Comparison, Repeatability, compare, relative_flicker
+from radiometer.reconcile.comparison import Comparison, compare, relative_flicker
 from radiometer.reconcile.design import Array, Design
+from radiometer.reconcile.form_floors import form_floors
 from radiometer.reconcile.held_out import Groups, HeldOut, leave_one_group_out
 from radiometer.reconcile.linear import LinearFit, RowBlock
 from radiometer.reconcile.nuisances import NuisanceLayout, rough_log_responsivity
@@ -18,6 +19,7 @@ from radiometer.reconcile.parameters import EffectParameters
 from radiometer.reconcile.pattern_images import PatternImages
 from radiometer.reconcile.realisations import realisation_terms
 from radiometer.reconcile.repeatability import capture_scale, estimate_tau
+from radiometer.reconcile.scatter import Repeatability
 from radiometer.reconcile.statistics import CaptureStatistics
 from radiometer.reconcile.terms import LinearTerm, prior_rows
 from radiometer.reconcile.tile_model import Nuisance, Prediction, TileModel, Trace
@@ -26,7 +28,6 @@ from simulators.effects.catalogue import CatalogueEffect
 
 _ITERATIONS: Final = 25
 _CONVERGED: Final = 1e-3  # change of χ² below which an iteration ends the fit
-_FORM_FLOOR: Final = 0.005  # share of an accepted effect's own correction that its form is not trusted with
 _SENSITIVITY_STEP: Final = 1e-3
 _REWEIGHTINGS: Final = 3
 _SETTLED: Final = 0.02  # share of a parameter's size
@@ -247,7 +248,7 @@ def reweighted(state: FitState) -> FitState:
         *smooth,
         *realisation_terms((*state.model.given, *state.effects), state.prediction, state.seen, state.design),
     )
-    floors = form_floors(state)
+    floors = form_floors(state.model, state.nuisance, state.prediction)
     mask = state.comparison.usable
     again = _weighted(state.seen, state.model, state.layout, state.values, terms, tau, floors, mask)
     return replace(again, weights=np.concatenate([kept, np.zeros(sum(t.size for t in terms) - kept.size)]))
@@ -377,23 +378,3 @@ def _kept_weights(state: FitState, smooth: tuple[LinearTerm, ...]) -> Array:
             kept.append(state.weights[at : at + term.size])
         at += term.size
     return np.concatenate(kept) if kept else np.zeros(0)
-
-
-def form_floors(state: FitState) -> dict[str, Array]:
-    """Return per block the uncertainty of the accepted effects' form: a share of each one's own correction."""
-    floors: dict[str, Array] = {}
-    everything = (*state.model.given, *state.effects)
-    for index in range(len(everything)):
-        without = tuple(effect for i, effect in enumerate(everything) if i != index)
-        other = replace(state.model, given=(), effects=without).predict(state.nuisance)
-        for name, change in _corrections(state.prediction, other).items():
-            floors[name] = np.hypot(floors.get(name, 0.0), _FORM_FLOOR * change)
-    return floors
-
-
-def _corrections(with_it: Prediction, without: Prediction) -> dict[str, Array]:
-    plain = ("mean", "slope_x", "slope_y", "neighbour_x", "neighbour_y", "first", "edge")
-    found = {name: np.abs(getattr(with_it, name) - getattr(without, name)) for name in plain}
-    for name in ("variance", "spatial"):
-        found[name] = np.abs(np.log(getattr(with_it, name) / getattr(without, name)))
-    return found

@@ -1,0 +1,146 @@
+"""How far each statistic of a model that is right would scatter: standard uncertainties and joint covariances."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.special import polygamma
+
+from radiometer.reconcile.capture_sums import COMB_PERIODS
+from radiometer.reconcile.design import Array, Design
+from radiometer.reconcile.statistics import CaptureStatistics
+from radiometer.reconcile.tile_layout import tile_groups
+from radiometer.reconcile.tile_model import Prediction
+from radiometer.reconcile.usable import Mask
+
+_LARGEST_COMB_COUNT: Final = 1e5  # beyond it the honest shape of a histogram itself would show
+_COMB_SQUARES: Final = np.array([1.0 if period == 2 else 0.5 for period in COMB_PERIODS])  # mean of cos²(2πn/period)
+
+
+@dataclass(frozen=True, slots=True)
+class Repeatability:
+    """How far the light differs from one capture to the next, and from one frame to the next.
+
+    Attributes:
+        tau: Relative standard deviation from capture to capture.
+        flicker2: (captures,) relative variance from frame to frame that an accepted effect predicts.
+        row_variance: (captures,) row noise that an accepted effect predicts, in DN².
+    """
+
+    tau: float
+    flicker2: Array
+    row_variance: Array
+
+
+def standard_uncertainties(
+    design: Design,
+    seen: CaptureStatistics,
+    base: Prediction,
+    usable: Mapping[str, Mask],
+    sensitivity: Array,
+    repeatability: Repeatability,
+) -> dict[str, Array]:
+    """Return the standard uncertainty of every entry by block, of variances that of the logarithm.
+
+    Args:
+        design: Captures and tiles.
+        seen: What was measured; its own scatter from frame to frame gives the weights.
+        base: Prediction, for what a measurement of few frames cannot tell.
+        usable: Which entries count.
+        sensitivity: (captures, tiles) d(mean)/d(log light) in DN.
+        repeatability: Capture-to-capture and frame-to-frame scatter.
+    """
+    n = design.frame_count[:, None]
+    noise = np.where(usable["variance"], seen.variance, base.variance)
+    pixels = np.maximum(seen.pixels, 1.0)
+    # A tile's time mean scatters from pixel to pixel by `spatial`; its slope's error follows from that.
+    lengths = _slope_lengths(design)
+    kurtosis = np.clip(
+        base.gain[:, None] ** 4 * np.maximum(base.signal, 0.0) / np.maximum(base.variance, 1e-12) ** 2, 0, 1
+    )
+    # Neighbours that move together average out less: a tile's mean scatters more than its pixels' variance tells.
+    white_x = base.neighbour_x - base.row_variance[:, None] / np.maximum(base.variance, 1e-30)
+    together = np.maximum(1.0 + 2.0 * (white_x + base.neighbour_y), 0.5)
+    per_frame = noise * together / pixels
+    first_share = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)
+    beside_x, beside_y = _pair_shares(design)
+    pairs = pixels * np.maximum(n - 1.0, 1.0)
+    counts = np.minimum(np.maximum(seen.comb_count, 1.0), _LARGEST_COMB_COUNT)[:, None]
+    return {
+        "mean": np.sqrt(noise * together / (pixels * n)),
+        "slope_x": np.sqrt(noise * together / n) / lengths[0],
+        "slope_y": np.sqrt(noise * together / n) / lengths[1],
+        "variance": np.sqrt(log_variance(seen.variance_dof) + kurtosis / (pixels * n)),
+        "spatial": np.sqrt(log_variance(seen.spatial_dof)),
+        "neighbour_x": 1.0 / np.sqrt(beside_x * pairs),
+        "neighbour_y": 1.0 / np.sqrt(beside_y * pairs),
+        "first": np.sqrt(per_frame * first_share),
+        "common": np.ones(len(design.captures)),
+        "row_temporal": np.sqrt(log_variance(seen.row_temporal_dof)),
+        "columns": np.sqrt(log_variance(seen.columns_dof)),
+        "rows": np.sqrt(log_variance(seen.rows_dof)),
+        "edge": np.where(np.isfinite(seen.edge_u), seen.edge_u, 1.0),
+        "outliers": np.ones(len(design.captures)),
+        "comb": np.sqrt(_COMB_SQUARES / counts),
+    }
+
+
+def whitener(
+    design: Design,
+    deviation: Array,
+    usable: Mask,
+    sensitivity: Array,
+    repeatability: Repeatability,
+    tau2: float,
+    share: Array,
+) -> Array:
+    """Return the inverse Cholesky factors of each capture's covariance: pixel noise, light and row noise in common."""
+    common2 = tau2 + repeatability.flicker2 * share
+    light = np.where(usable, sensitivity, 0.0)
+    covariance = common2[:, None, None] * light[:, :, None] * light[:, None, :]
+    if repeatability.row_variance.any():
+        both = usable[:, :, None] & usable[:, None, :]
+        rows = (repeatability.row_variance * share)[:, None, None] * _row_overlap(design)
+        covariance = covariance + np.where(both, rows, 0.0)
+    index = np.arange(usable.shape[1])
+    covariance[:, index, index] += np.where(usable, deviation**2, 1.0)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def common_of_rows(design: Design, seen: CaptureStatistics, usable: Mask, sensitivity: Array) -> Array:
+    """Return w·O·w / (w·s) for the weights w = s·n/σ² of the tiles' light s and the overlap O of their rows."""
+    light = np.where(usable & (np.nan_to_num(seen.variance) > 0), sensitivity, 0.0)
+    weight = np.where(light > 0, light * seen.pixels / np.where(light > 0, seen.variance, 1.0), 0.0)
+    information = np.sum(weight * light, axis=1)
+    shaken = np.einsum("ci,ij,cj->c", weight, _row_overlap(design), weight)
+    return np.asarray(np.divide(shaken, information, out=np.zeros_like(shaken), where=information > 0))
+
+
+def _row_overlap(design: Design) -> Array:
+    """Return how much of the row noise two tiles share: 1/height on the diagonal."""
+    top = np.array([tile.y for tile in design.tiles])
+    height = np.array([tile.height for tile in design.tiles])
+    bottom = top + height
+    common = np.minimum(bottom[:, None], bottom) - np.maximum(top[:, None], top)
+    return np.asarray(np.maximum(common, 0) / (height[:, None] * height))
+
+
+def _pair_shares(design: Design) -> tuple[Array, Array]:
+    """Return the number of horizontal and of vertical neighbours in each tile over that of its pixels."""
+    width, height = (np.array([getattr(tile, n) for tile in design.tiles]) for n in ("width", "height"))
+    return 1.0 - 1.0 / width, 1.0 - 1.0 / height
+
+
+def _slope_lengths(design: Design) -> tuple[Array, Array]:
+    x, y = np.empty(len(design.tiles)), np.empty(len(design.tiles))
+    for group in tile_groups(design):
+        x[group.index], y[group.index] = group.slope_norm
+    return x, y
+
+
+def log_variance(dof: Array) -> Array:
+    """Return Var[ln s²] for a variance estimated with so many degrees of freedom."""
+    return np.asarray(polygamma(1, np.maximum(dof, 1.0) / 2.0))
