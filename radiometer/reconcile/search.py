@@ -19,7 +19,7 @@ from radiometer.reconcile.state import FitState, refit, reweighted, settled, wit
 from radiometer.reconcile.terms import LinearTerm
 from simulators.effects.catalogue import CatalogueEffect
 
-MOST_STEPS: Final = 9
+MOST_STEPS: Final = 7
 _FITTED: Final = 7  # candidates that are fitted in each step
 _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _NEEDED_NATS: Final = 8.0

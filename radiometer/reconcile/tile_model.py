@@ -114,7 +114,7 @@ class TileModel:
         """Return the ideal camera."""
         radiance = scene_radiance(design, images)
         model = cls(design, tile_context(design, images), radiance, images)
-        return replace(model, context=replace(model.context, previous_e=model._previous_signal()))
+        return replace(model, context=replace(model.context, previous_e=model._previous_signal(Nuisance.start(design))))
 
     def with_effects(self, effects: Sequence[CatalogueEffect]) -> TileModel:
         """Return the model with exactly these effects."""
@@ -242,15 +242,16 @@ class TileModel:
         return np.asarray((per_second * self.design.exposure_s)[:, None, None])
 
     def _lagging(self, nuisance: Nuisance) -> TileModel:
-        """Return the model whose previous frames hold what the fitted responsivity makes of their light."""
-        if not any(effect.name == "image_lag" for effect in (*self.given, *self.effects)):
+        """Return the model whose previous frames hold what all its effects and nuisances make of their light."""
+        if not any(effect.name == _LAG for effect in (*self.given, *self.effects)):
             return self
-        previous = np.asarray(self.context.previous_e) * float(np.exp(nuisance.log_responsivity))
+        effects, given = (tuple(e for e in some if e.name != _LAG) for some in (self.effects, self.given))
+        previous = replace(self, effects=effects, given=given)._previous_signal(nuisance)
         return replace(self, context=replace(self.context, previous_e=previous))
 
-    def _previous_signal(self) -> Array:
+    def _previous_signal(self, nuisance: Nuisance) -> Array:
         """Return the light that the frame before each capture held, in electrons, (captures, tiles, 1)."""
-        signal = self.trace(Nuisance.start(self.design)).light.mean.mean(axis=2)
+        signal = self.trace(nuisance).light.mean.mean(axis=2)
         order = np.argsort([capture.frames[0] for capture in self.design.captures])
         before = np.zeros_like(signal)
         before[order[1:]] = signal[order[:-1]]
@@ -319,6 +320,7 @@ class Trace:
     prediction: Prediction
 
 
+_LAG: Final = "image_lag"
 _LIGHT_LINKS: Final = 4  # links that the light passes before it is electrons
 _LINK_OF_STAGE: Final = {
     Stage.SOURCE: 0,

@@ -66,6 +66,14 @@ def test_effect_left_out_of_the_catalogue_gets_no_confident_false_name(make_capt
     assert "temperature_C" in [effect.where for effect in result.effects]
 
 
+def test_constant_offset_without_its_entry_is_no_other_entry(make_capture: Callable[..., Any]) -> None:
+    """A gamma with helpers imitates an offset: a plain constant of no more freedom does better, so nothing is named."""
+    captured = make_capture(seed=13, extra_dn=lambda s: -1.5)
+    result = reconcile(captured.header, captured.frames, without=("black_level_offset",), with_limits=False)
+    assert [effect.name for effect in result.effects] == ["unnamed"]
+    assert result.verdict is Verdict.UNNAMED
+
+
 def test_command_writes_json_model_and_report(
     make_capture: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -12,6 +12,7 @@ from simulators.camera_model import CameraModel
 from simulators.effects.base import Stage
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.effects.image_lag import ImageLag
 from simulators.effects.registry import EFFECTS
 
 CATALOGUE = {name: kind for name, kind in EFFECTS.items() if issubclass(kind, CatalogueEffect)}
@@ -124,3 +125,16 @@ def test_dead_time_spares_the_first_frame() -> None:
     first, second = (effect.mean(signal, replace(_context(), frame_index=i)).mean() for i in (0, 1))
     assert first == 1.0
     assert second == pytest.approx(1 - 1e-4 * 60)
+
+
+def test_lag_of_traps_fills_up_and_no_pixel_leaves_more_than_its_well() -> None:
+    """Traps of 20 electrons release 20·(1 − exp(−l·S/20)); a frame beyond full well leaves what the well held."""
+    well = _context().camera.full_well_e
+    assert well is not None
+    held = np.array([[500.0, 5000.0, 2.0 * well]])
+    context = replace(_context(), previous_e=held)
+    nothing = np.zeros((1, 3))
+    plain = ImageLag(share=0.002).mean(nothing, context)
+    np.testing.assert_allclose(plain, [[1.0, 10.0, 0.002 * well]])
+    filling = ImageLag(share=0.002, fullness_per_e=1 / 20).mean(nothing, context)
+    np.testing.assert_allclose(filling, 20.0 * (1.0 - np.exp(-plain / 20.0)))
