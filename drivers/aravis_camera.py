@@ -193,6 +193,7 @@ class AravisCamera:
             _LOG.info("camera did not say goodbye", camera=self._label, reason=str(error))
         finally:
             _held.discard(session.opened_by)
+            session.features.close()
             if session.is_lost():
                 drop_in_background(session.camera)
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import structlog
 
+from drivers.call_thread import CallThread
 from drivers.camera_quirks import CameraQuirks, quirks_for
 from drivers.farewell import drop_in_background
 from drivers.feature_access import FeatureAccess, translated
@@ -125,10 +127,9 @@ class CameraSession:
         return True
 
     def release(self) -> None:
-        """Give up control; the camera may be gone already."""
-        device = self.camera.get_device()
+        """Give up control; the camera may be gone already. Raises DeviceError if it refuses."""
         if self.camera.is_gv_device() and not self.is_lost():
-            self.features.call(device.leave_control)
+            self.features.call(self.camera.get_device().leave_control)
 
 
 def open_session(
@@ -144,16 +145,18 @@ def open_session(
     camera = _new_camera(aravis, library_error, identity)
     known = _completed(camera, identity, library_error)
     name = f"camera {known.vendor} {known.model} {known.serial}"
-    features = FeatureAccess(camera, name, library_error)
     if camera.is_gv_device() and not camera.get_device().is_controller():
         raise DeviceInUse(f"{name} is in use by another program; close that program and try again")
+    features = FeatureAccess(camera, name, library_error, _call_thread(camera, name))
     try:
         return _controlled_session(aravis, features, camera, known, identity.device_id, preset)
     except BaseException:
         if features.lost.is_set():
             drop_in_background(camera)
         elif camera.is_gv_device():
-            camera.get_device().leave_control()
+            with suppress(DeviceError):
+                features.call(camera.get_device().leave_control)
+        features.close()
         raise
 
 
@@ -186,6 +189,14 @@ def _controlled_session(
         settings=settings,
         capabilities=access.capabilities(settings.pixel_format),
     )
+
+
+def _call_thread(camera: Any, name: str) -> CallThread | None:
+    """Return the thread for a camera that can be asked past the library whether it is there."""
+    if not camera.is_gv_device():
+        return None
+    address = gige_address(camera)
+    return CallThread(name, lambda: not answers(address))
 
 
 def gige_address(camera: Any) -> str:

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, Final, TypeVar
 
+from drivers.call_thread import CallThread
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost
 
 _Result = TypeVar("_Result")
@@ -23,30 +24,51 @@ class FeatureAccess:
         camera: An `Aravis.Camera`.
         name: How messages call the camera.
         library_error: The exception class of the library, `GLib.Error`.
+        thread: Where calls run that may wait for the camera; None to run them where they are asked for.
 
     Attributes:
         lost: Set once the camera did not answer, so that nobody waits for it again.
     """
 
-    def __init__(self, camera: Any, name: str, library_error: type[Exception]) -> None:
+    def __init__(
+        self, camera: Any, name: str, library_error: type[Exception], thread: CallThread | None = None
+    ) -> None:
         self.lost = threading.Event()
         self._camera = camera
+        self._thread = thread
         self._name = name
         self._library_error = library_error
 
     def call(self, method: Callable[..., _Result], *arguments: Any) -> _Result:
-        """Return `method(*arguments)`.
+        """Return `method(*arguments)`, which may wait for the camera.
 
         Raises:
             DeviceLost: If the camera did not answer.
             DeviceInUse: If another program controls it.
             DeviceError: For anything else that the library reports.
         """
+        if self._thread is None:
+            return self.call_here(method, *arguments)
+        try:
+            return self._thread.run(method, *arguments)
+        except self._library_error as error:
+            raise self._noted(error) from error
+        except DeviceLost:
+            self.lost.set()
+            raise
+
+    def call_here(self, method: Callable[..., _Result], *arguments: Any) -> _Result:
+        """Return `method(*arguments)`, which needs nothing from the camera. Raises what `call` raises."""
         try:
             return method(*arguments)
         except self._library_error as error:
             # No local name for it: an exception that its own frame holds keeps the camera alive as garbage.
             raise self._noted(error) from error
+
+    def close(self) -> None:
+        """Let the thread of the calls end."""
+        if self._thread is not None:
+            self._thread.close()
 
     def _noted(self, error: Exception) -> DeviceError:
         """Return the project's error, having taken note of a camera that is gone."""

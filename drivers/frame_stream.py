@@ -126,9 +126,11 @@ class FrameStream:
                 self._features.call(self._camera.stop_acquisition)
         finally:
             self._add_statistics()
-            stream, self._stream = self._stream, None
+            held, self._stream = [self._stream], None
             if self._is_lost():
-                drop_in_background(stream)
+                drop_in_background(*held)
+            else:
+                self._features.call(held.clear)  # its end says goodbye to the camera
 
     def next_frame(self, deadline_s: float, trigger: Callable[[], None] | None = None) -> RawFrame | None:
         """Return the next complete frame; None if nothing came within the deadline or the camera is gone.
@@ -193,7 +195,7 @@ class FrameStream:
         if self._chunk_parser is None or not buffer.has_chunks():
             return {}
         read = self._chunk_parser.get_float_value
-        return {name: float(self._features.call(read, buffer, f"Chunk{name}")) for name in self._chunk_names}
+        return {name: float(self._features.call_here(read, buffer, f"Chunk{name}")) for name in self._chunk_names}
 
     def _add_statistics(self) -> None:
         names = {self._stream.get_info_name(i) for i in range(self._stream.get_n_infos())}
