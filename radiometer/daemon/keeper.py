@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+import traceback
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -215,7 +216,7 @@ class DeviceKeeper:
     ) -> _T:
         """Run a call on the device's thread; say so where it takes far longer than it should."""
         started = self._call_began = time.monotonic()
-        future = asyncio.get_running_loop().run_in_executor(self._thread, call, *arguments)
+        future = asyncio.get_running_loop().run_in_executor(self._thread, _holding_nothing, call, *arguments)
         usual = self._usual_s.get(name, _FIRST_CALL_S) if usual_s is None else usual_s
         await self._tell_if_late(future, name, started, started + self._times.overdue_s + 1.5 * usual)
         try:
@@ -248,3 +249,19 @@ class DeviceKeeper:
         if self.state is DeviceState.OVERDUE:
             self.state = DeviceState.READY
             self._alarms.clear(self.name, f"{self.name} answers again")
+
+
+def _holding_nothing(call: Callable[..., _T], *arguments: object) -> _T:
+    """Return what a call returns; what it raises keeps none of its variables alive.
+
+    The event loop holds an error until the next garbage collection, and with it all that the call had in hand. A
+    camera that ends only then says goodbye to whatever answers at its address by that time, and waits for seconds.
+    """
+    try:
+        return call(*arguments)
+    except BaseException as error:
+        told: BaseException | None = error
+        while told is not None:
+            traceback.clear_frames(told.__traceback__)
+            told = told.__cause__ or told.__context__
+        raise
