@@ -11,6 +11,7 @@ import structlog
 
 from drivers.farewell import drop_in_background
 from drivers.feature_access import FeatureAccess
+from drivers.host_checks import socket_buffer_limit
 from radiometer.devices import AcquisitionCounts
 from radiometer.errors import DeviceError, DeviceTimeout
 
@@ -107,6 +108,8 @@ class FrameStream:
         """Open a stream channel, hand it buffers and start the acquisition. Raises DeviceError."""
         call = self._features.call
         payload = call(self._camera.get_payload)
+        if self._camera.is_gv_device():
+            self._camera.gv_set_stream_options(self._socket_kind(payload))
         self._stream = call(self._camera.create_stream, None, None)
         if self._stream is None:
             raise DeviceError(f"{self._name}: no stream channel could be opened; another program may hold it")
@@ -161,12 +164,31 @@ class FrameStream:
         )
 
     def _pop(self, deadline_s: float) -> Any:
-        end = time.monotonic() + deadline_s
+        end, ignored = time.monotonic() + deadline_s, None
         while (left := end - time.monotonic()) > 0 and not self._is_lost():
             buffer = self._stream.timeout_pop_buffer(int(min(left, _POLL_S) * 1e6) + 1)
             if buffer is not None:
                 return buffer
+            before, ignored = ignored, self._ignored_packets()
+            if before is not None and ignored > before:
+                _LOG.info("stream misled by a packet that is not the camera's", camera=self._name)
+                break
         return None
+
+    def _socket_kind(self, payload_bytes: int) -> Any:
+        """Return the library's option: packet sockets only where an ordinary socket cannot hold a frame.
+
+        Packets of other programs that come before the library's packet socket has its filter count as a frame of the
+        camera with a wild number, and up to 100 good frames after it as late ones.
+        """
+        options = self._aravis.GvStreamOption
+        return options.PACKET_SOCKET_DISABLED if payload_bytes <= socket_buffer_limit() else options.NONE
+
+    def _ignored_packets(self) -> int:
+        """Return how many packets a stream without a frame so far has ignored; they grow where it is misled."""
+        counts = self._counts()
+        has_frames = counts.get("n_completed_buffers", 0) + counts.get("n_failures", 0)
+        return 0 if has_frames else counts.get("n_ignored_packets", 0)
 
     def _accept(self, buffer: Any) -> RawFrame | None:
         frame_id = int(buffer.get_frame_id())
@@ -198,14 +220,14 @@ class FrameStream:
         return {name: float(self._features.call_here(read, buffer, f"Chunk{name}")) for name in self._chunk_names}
 
     def _add_statistics(self) -> None:
-        names = {self._stream.get_info_name(i) for i in range(self._stream.get_n_infos())}
+        counts = self._counts()
+        self._tally.underruns += counts.get("n_underruns", 0)
+        self._tally.resent_packets += counts.get("n_resent_packets", 0)
+        self._tally.missing_packets += counts.get("n_missing_packets", 0)
 
-        def info(name: str) -> int:
-            return int(self._stream.get_info_uint64_by_name(name)) if name in names else 0
-
-        self._tally.underruns += info("n_underruns")
-        self._tally.resent_packets += info("n_resent_packets")
-        self._tally.missing_packets += info("n_missing_packets")
+    def _counts(self) -> dict[str, int]:
+        names = [self._stream.get_info_name(i) for i in range(self._stream.get_n_infos())]
+        return {name: int(self._stream.get_info_uint64_by_name(name)) for name in names if name.startswith("n_")}
 
 
 def missed_between(last_id: int | None, frame_id: int) -> int:

@@ -87,12 +87,17 @@ def check_network(root: Path) -> list[Finding]:
 
 def check_socket_buffers(root: Path) -> Finding:
     """Return whether the kernel can hold a full frame that arrives in one burst."""
-    limit = int(_text(root / "proc/sys/net/core/rmem_max") or 0)
+    limit = socket_buffer_limit(root)
     shown = f"sockets may buffer {limit / 1e6:.1f} MB; a full 12-bit frame has {FRAME_BYTES / 1e6:.1f} MB"
     cure = f"sysctl -w net.core.rmem_max={WANTED_BUFFER_BYTES} (keep it in /etc/sysctl.d/90-camera.conf)"
     if limit >= FRAME_BYTES:
         return Finding("socket buffers", Health.OK, shown)
     return Finding("socket buffers", Health.WARNING, f"{shown}: packets of GigE cameras get lost", cure)
+
+
+def socket_buffer_limit(root: Path = Path("/")) -> int:
+    """Return how many bytes a program may have the kernel hold for a socket; 0 where that is not known."""
+    return int(_text(root / "proc/sys/net/core/rmem_max") or 0)
 
 
 def _interface_finding(name: str, mtu: int) -> Finding:

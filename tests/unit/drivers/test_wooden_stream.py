@@ -58,12 +58,13 @@ class WoodenStream:
 
     def __init__(self, buffers: list[WoodenBuffer]) -> None:
         self.infos = {"n_underruns": 2, "n_resent_packets": 5, "n_missing_packets": 7}
-        self.buffers, self.pushed = list(buffers), []
+        self.buffers, self.pushed, self.asked = list(buffers), [], 0
 
     def push_buffer(self, buffer: object) -> None:
         self.pushed.append(buffer)
 
     def timeout_pop_buffer(self, _timeout_us: int) -> WoodenBuffer | None:
+        self.asked += 1
         return self.buffers.pop(0) if self.buffers else None
 
     def get_n_infos(self) -> int:
@@ -82,6 +83,9 @@ class WoodenCamera:
 
     def get_payload(self) -> int:
         return 4
+
+    def is_gv_device(self) -> bool:
+        return False
 
     def create_stream(self, _callback: None, _data: None) -> WoodenStream:
         return self.stream
@@ -138,6 +142,34 @@ def test_nothing_within_the_deadline_is_none(started):
     _, tally, stream = started()
     assert stream.next_frame(0.05) is None
     assert tally.timeouts == 1
+
+
+def test_a_stream_that_ignores_all_that_comes_is_not_waited_for(started):
+    """A stray packet makes the library take the camera's frames for late ones: that ends the wait at once."""
+    camera, tally, stream = started()
+    wooden = camera.stream
+    wooden.infos = {"n_completed_buffers": 0, "n_failures": 0, "n_ignored_packets": 2}  # strays before the filter
+
+    def pop(_timeout_us: int) -> None:
+        wooden.asked += 1
+        wooden.infos["n_ignored_packets"] += 3 * (wooden.asked > 4)  # the first frame comes, and is ignored
+
+    wooden.timeout_pop_buffer = pop
+    assert stream.next_frame(60.0) is None
+    assert (wooden.asked, tally.timeouts) == (5, 1)
+
+
+@pytest.mark.parametrize(("limit_bytes", "kind"), [(3, "packet socket"), (4, "ordinary socket")])
+def test_an_ordinary_socket_is_preferred_where_it_holds_a_frame(library_error, monkeypatch, limit_bytes, kind):
+    """The library's packet socket, which strangers' packets mislead, is kept for frames too large for another."""
+    camera, chosen = WoodenCamera([]), []
+    camera.is_gv_device, camera.gv_set_stream_options = lambda: True, chosen.append
+    monkeypatch.setattr("drivers.frame_stream.socket_buffer_limit", lambda: limit_bytes)
+    aravis = SimpleNamespace(
+        **vars(ARAVIS), GvStreamOption=SimpleNamespace(NONE="packet socket", PACKET_SOCKET_DISABLED="ordinary socket")
+    )
+    FrameStream(aravis, camera, FeatureAccess(camera, "camera W1", library_error), "camera W1", Tally()).start()
+    assert chosen == [kind]
 
 
 def test_each_attempt_is_triggered_anew(started):
