@@ -25,7 +25,7 @@ from radiometer.reconcile.tile_model import Prediction
 MULTIPLICATIVE: Final = "multiplicative"
 ADDITIVE: Final = "additive"
 ADDITIVE_GAIN: Final = "additive × gain"
-SIGNIFICANT: Final = 0.01  # chance of any false alarm among all tests of one pass
+SIGNIFICANT: Final = 0.005  # chance of any false alarm among all tests of one pass; a search makes two or more
 
 _CAPTURE_AXES: Final = (
     "exposure_s",
@@ -112,7 +112,7 @@ def localise(state: FitState) -> tuple[Disagreement, ...]:
 
 
 def significant(tests: Sequence[Disagreement]) -> tuple[Disagreement, ...]:
-    """Return the tests that stand out at the 1 % level after Bonferroni's correction."""
+    """Return the tests that stand out at the level of `SIGNIFICANT` after Bonferroni's correction."""
     limit = np.log(SIGNIFICANT / max(len(tests), 1))
     return tuple(test for test in tests if test.log_p < limit)
 
