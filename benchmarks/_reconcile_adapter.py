@@ -10,9 +10,11 @@ from radiometer.reconcile.result import ReconcileResult
 from tests.roundtrip.generator.session import Session
 
 
-def ask(session: Session, without: tuple[str, ...] = ()) -> tuple[dict[str, Any], ReconcileResult]:
+def ask(
+    session: Session, without: tuple[str, ...] = (), *, with_limits: bool = False
+) -> tuple[dict[str, Any], ReconcileResult]:
     """Return the finder's answer to a session as JSON and as it is; it sees header and frames, never the truth."""
-    found = reconcile(session.header, list(session.frames()), without=without, with_limits=False)
+    found = reconcile(session.header, list(session.frames()), without=without, with_limits=with_limits)
     return found.to_mapping(), found
 
 

@@ -57,6 +57,24 @@ PARAMETERS: dict[str, tuple[tuple[str, str, float], ...]] = {
 }
 
 
+# What a limit is the size of: parameter of the truth and factor, beside the first of PARAMETERS.
+SIZES: dict[str, tuple[str, float]] = {name: (pairs[0][0], pairs[0][2]) for name, pairs in PARAMETERS.items()} | {
+    "dark_current": ("rate_e_per_s", 1.0),
+    "dark_current_clamped": ("rate_e_per_s", 1.0),
+    "dark_current_nonuniformity": ("sigma_e_per_s", 1.0),
+    "source_warmup_drift": ("amplitude", 1.0),
+    "reciprocity_failure": ("p", 1.0),
+    "shutter_dead_time": ("dead_s", 1.0),
+    "display_gamma_error": ("exponent_error", 1.0),
+    "pwm_flicker": ("depth", 1.0),
+    "rolling_shutter_banding": ("depth", 1.0),
+    "source_not_proportional_to_exposure": ("excess", 1.0),
+    "stray_light_kernel": ("fraction", 1.0),
+    "ambient_light_leak": ("fraction", 15.708),  # of 5 W·sr⁻¹·m⁻², as irradiance: π·L
+}
+del SIZES["gamma_enabled"], SIZES["full_well_saturation"]  # their parameters do nothing at another value than 0
+
+
 def judge(answer: dict[str, Any], hidden: tuple[str, ...], without: tuple[str, ...] = ()) -> dict[str, Any]:
     """Return what is right and wrong about an answer.
 
@@ -97,6 +115,43 @@ def judge(answer: dict[str, Any], hidden: tuple[str, ...], without: tuple[str, .
         "place3": in_place,
         "missed": answer["verdict"] == "agrees",
     }
+
+
+def honesty(answer: dict[str, Any], hidden: str, truth: dict[str, Any]) -> str:
+    """Return in one word how an answer to data that may not tell is to be judged.
+
+    Args:
+        answer: The documented JSON object, limits included.
+        hidden: Name of what was hidden.
+        truth: Its true parameters.
+
+    Returns:
+        named; rival: the truth stands among the alternatives of the one name given; provisional: incomplete or
+        unnamed; blind: agrees, with a limit of null; below: agrees, at a size up to the limit; near: agrees, up to
+        twice the limit; missed: agrees beyond that; agrees: agrees, at a size that cannot be compared; wrong.
+    """
+    effects, verdict = answer["effects"], answer["verdict"]
+    if verdict == "agrees":
+        return _below(answer["limits"].get(hidden), hidden, truth)
+    if verdict != "effects_found":
+        return "provisional"
+    right = _names(everything()[hidden])
+    if all(effect["name"] in right for effect in effects):
+        return "named"
+    told = all(right & {effect["name"], *effect["alternatives"]} for effect in effects)
+    return "rival" if told and len(effects) == 1 else "wrong"
+
+
+def _below(limit: float | None, hidden: str, truth: dict[str, Any]) -> str:
+    if limit is None:
+        return "blind"
+    if hidden not in SIZES:
+        return "agrees"
+    mine, factor = SIZES[hidden]
+    if "reference_C" in truth and "per_s" in mine:  # limits hold at 25 °C
+        factor *= 2.0 ** ((25.0 - truth["reference_C"]) / truth.get("doubling_K", 7.0))
+    ratio = abs(float(truth[mine])) * factor / limit
+    return "below" if ratio <= 1.0 else "near" if ratio <= 2.0 else "missed"
 
 
 def _names(hidden: Hidden) -> set[str]:

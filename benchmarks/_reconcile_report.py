@@ -27,6 +27,44 @@ def report(results: list[Result]) -> str:
     return "\n\n".join(p for p in parts if p)
 
 
+HONESTY = {
+    "named": "named rightly (its rivals, if any, beside it)",
+    "rival": "another name, the right one among its alternatives",
+    "provisional": "incomplete or unnamed: the names are provisional",
+    "blind": "agrees, and the limit is null: these data cannot see it",
+    "below": "agrees, at a size up to its limit",
+    "near": "agrees, at a size between its limit and twice it",
+    "agrees": "agrees, at a size that cannot be compared with its limit",
+    "missed": "agrees, at more than twice its limit",
+    "wrong": "confidently wrong",
+}
+
+
+def plain_report(results: list[Result]) -> str:
+    """Return the table of what plain brackets can tell, in Markdown."""
+    parts = [
+        "Twelve exposures of one chart, twice each, and four darks; each entry hidden once in each kind, at once to "
+        "twice its smallest realistic size.",
+        "| answer | patches stated | patches unknown |\n|---|---|---|",
+    ]
+    kinds = ("plain", "plain_unknown")
+    fine = {k: [r for r in results if r["kind"] == k and "error" not in r] for k in kinds}
+    for word, meaning in HONESTY.items():
+        counts = [f"{sum(r['honesty'] == word for r in fine[k])}/{len(fine[k])}" for k in kinds]
+        parts[-1] += f"\n| {meaning} | {counts[0]} | {counts[1]} |"
+    for k, said in zip(kinds, ("stated", "unknown"), strict=True):
+        listed = "; ".join(_told(r) for r in fine[k] if r["honesty"] not in ("named", "blind", "below"))
+        parts.append(f"Patches {said}, what was neither named nor beyond these data: {listed or 'nothing'}.")
+    crashed = [r for r in results if "error" in r]
+    parts += [f"* `{r['key']}` ended in an error: {r['error']}" for r in crashed]
+    return "\n\n".join(parts)
+
+
+def _told(result: Result) -> str:
+    said = " + ".join(e["name"] if e["name"] != "unnamed" else f"? ({e['where']})" for e in result["effects"])
+    return f"{result['names'][0]} ({result['honesty']}: {said or 'agrees'})"
+
+
 def _is(name: str) -> Callable[[Result], bool]:
     return lambda r: bool(r["judged"][name])
 

@@ -20,14 +20,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks import _reconcile_adapter as finder
-from benchmarks._reconcile_judge import judge, parameters
-from benchmarks._reconcile_report import report
+from benchmarks._reconcile_judge import honesty, judge, parameters
+from benchmarks._reconcile_report import plain_report, report
 from benchmarks._reconcile_tasks import KINDS, Task, tasks
 from benchmarks._sections import write_section
 from tests.roundtrip.generator.registry import everything
 from tests.roundtrip.generator.session import make_session
 
 RESULTS = Path("out") / "reconcile_confusion.jsonl"
+PLAIN_SECTION = ("reconcile_plain", "Reconcile: every entry in a plain bracket")
 FRESH = 500_000  # added to the seed of the fresh session
 
 
@@ -47,7 +48,8 @@ def run_task(task: Task) -> dict[str, Any]:
 def _run(task: Task) -> dict[str, Any]:
     options = {"camera_seed": task.seed, "known_patches": task.known_patches, "plan": task.plan, "factor": task.scale}
     session = make_session(*task.names, **options)
-    answer, found = finder.ask(session, task.without)
+    plain = task.kind.startswith("plain")
+    answer, found = finder.ask(session, task.without, with_limits=plain)
     result = {
         "judged": judge(answer, task.names, task.without),
         "parameters": parameters(answer, session.truth),
@@ -57,6 +59,8 @@ def _run(task: Task) -> dict[str, Any]:
         "null_tests": answer["null_tests"],
         "finder_s": answer["seconds"],
     }  # fmt: skip
+    if plain:
+        result["honesty"] = honesty(answer, task.names[0], session.truth[task.names[0]])
     if task.kind in ("single", "variant") and result["judged"]["names"] and _repeats(task):
         fresh = make_session(*task.names, session_seed=task.seed + FRESH, **options)
         result["fresh"] = dict(zip(("before", "after"), finder.gaps_of(found, fresh), strict=True))
@@ -101,6 +105,7 @@ def main() -> None:
     parser.add_argument("--report-only", action="store_true")
     options = parser.parse_args()
     kinds = tuple(options.kinds.split(","))
+    plain = all(kind.startswith("plain") for kind in kinds)
     wanted = list(tasks(kinds, options.seeds, first_seed=options.first_seed))
     if options.sample:
         order = np.random.default_rng(options.first_seed).permutation(len(wanted))
@@ -111,13 +116,16 @@ def main() -> None:
         run_all(wanted, options.results, options.jobs)
     keys = {t.key for t in wanted}
     kept = [r for r in read(options.results) if r["key"] in keys]
-    page = f"{len(kept)} of {len(wanted)} runs are done.\n\n{report(kept)}"
+    page = f"{len(kept)} of {len(wanted)} runs are done.\n\n{plain_report(kept) if plain else report(kept)}"
     print(page)
     if not only:
         command = f"python -m benchmarks.reconcile_confusion --seeds {options.seeds} --first-seed {options.first_seed}"
         command += f" --kinds {options.kinds}" if kinds != KINDS else ""
         command += f" --sample {options.sample}" if options.sample else ""
-        write_section("reconcile_confusion", "Reconcile: confusion matrix on hidden effects", command, page)
+        name, title = (
+            PLAIN_SECTION if plain else ("reconcile_confusion", "Reconcile: confusion matrix on hidden effects")
+        )
+        write_section(name, title, command, page)
 
 
 if __name__ == "__main__":

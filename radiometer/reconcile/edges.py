@@ -13,7 +13,7 @@ from radiometer.reconcile.tile_layout import PatchSides
 _LEAVES: Final = 0.2  # share of the largest deviation at which a line is no longer the patch
 _OUTLYING: Final = 4.0  # sigmas from the median of all sides
 _OUTLYING_SHARE: Final = 0.1
-_SHARPEST: Final = 5e-4  # a blur of 0.26 px: what a border that is not quite straight does by itself
+SHARPEST: Final = 5e-4  # a blur of 0.26 px: what a border that is not quite straight does by itself
 _WIDE: Final = 0.15  # a wide blur reaches beyond narrow surrounds, so that its share is less certain
 _CALM: Final = 0.03  # largest deviation of the line before the last, in shares of the step
 _FALLS: Final = 0.5  # a blur that leaves the line before the last calm falls off from line to line by more than this
@@ -71,7 +71,7 @@ def _agreed(before: Array, whole: Array, noise: Array) -> tuple[float, float]:
     if information <= 0:
         return 0.0, np.inf
     share = float(np.sum(single[kept] / sigma[kept] ** 2)) / information
-    return share, float(np.sqrt(1.0 / information + _SHARPEST**2 + (_WIDE * share**2) ** 2))
+    return share, float(np.sqrt(1.0 / information + SHARPEST**2 + (_WIDE * share**2) ** 2))
 
 
 def _positions(

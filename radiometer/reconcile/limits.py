@@ -3,92 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from radiometer.reconcile.parameters import fitted_parameters, value_of
+from radiometer.reconcile.design import Array
+from radiometer.reconcile.edges import SHARPEST
+from radiometer.reconcile.parameters import value_of
 from radiometer.reconcile.result import Limit
 from radiometer.reconcile.screening import change_of
-from radiometer.reconcile.state import FitState
+from radiometer.reconcile.state import FitState, with_effects
 from simulators.effects.catalogue import CatalogueEffect
 
 SIGMAS: Final = 5.0
 NEUTRAL: Final[Mapping[str, float]] = {"gamma": 1.0, "ratio": 1.0}  # parameters that do nothing at another value than 0
 _BLIND: Final = 1e-6  # share of a change that must survive the nuisances
-_MILD: Final = 0.1  # share of the typical size at which the change is looked at …
-_LARGEST_FACTOR: Final = 500.0  # … and how often that may be taken: beyond it the effect would be absurd
-
-
-def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> dict[str, Limit]:
-    """Return the amplitude of every entry that these data would have shown at five sigma, by name."""
-    return {name: _limit(state, name, kind) for name, kind in sorted(catalogue.items())}
-
-
-def _limit(state: FitState, name: str, kind: type[CatalogueEffect]) -> Limit:
-    blind = Limit(None, *_main_parameter(kind, None))
-    if not kind.usable(state.model.context):
-        return blind
-    own = fitted_parameters(state).get(name)
-    if own is not None:
-        known = own.get(blind.parameter)
-        return blind if known is None or not known.u else Limit(SIGMAS * known.u, blind.parameter, blind.unit)
-    found = [_from_start(state, start) for start in _few(kind.starts(state.model.context))]
-    seen = [limit for limit in found if limit.amplitude is not None]
-    if not seen:
-        return blind
-    mildest = max if name in _MILD_WHEN_LARGE else min
-    return mildest(seen, key=lambda limit: abs(limit.amplitude or 0.0))
-
-
-def _few(starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
-    """Return a few starts spread over all: the smallest and some others."""
-    step = max(1, len(starts) // 6)
-    return starts[::step]
-
-
-def _from_start(state: FitState, start: CatalogueEffect) -> Limit:
-    name, unit = _main_parameter(type(start), start)
-    start = _milder(start, name)
-    kept = tuple(effect for effect in state.effects if effect.name != start.name)
-    reference = change_of(state, kept) if len(kept) < len(state.effects) else 0.0
-    change = state.fit.followed(change_of(state, (*kept, start)) - reference)
-    part = state.fit.half(state.fit.pull(change))
-    whole = float(change @ change)
-    information = whole - float(part @ part)
-    if information <= _BLIND * whole or information <= 0:
-        return Limit(None, name, unit)
-    factor = SIGMAS / float(np.sqrt(information))
-    if _is_variance(start):
-        factor = float(np.sqrt(factor))  # a standard deviation acts by its square
-    if factor > _LARGEST_FACTOR:
-        return Limit(None, name, unit)
-    if start.name in _STEPWISE:  # it does not grow from nothing: what counts is whether this very form would show
-        return Limit(_amplitude(start, name) if factor <= 1.0 else None, name, unit)
-    amplitude = abs(_amplitude(start, name)) * factor
-    return Limit(float(amplitude) if 0 < amplitude <= _largest(start, name) else None, name, unit)
-
-
-def _milder(effect: CatalogueEffect, name: str) -> CatalogueEffect:
-    """Return the effect at a tenth of its size, where all that follows it is linear; as it is where it has no size."""
-    fixed = effect.name in _STEPWISE or effect.block == "edge"  # a narrow blur does not reach the next pixel at all
-    if fixed or name not in effect.values() or np.ndim(effect.values()[name]):
-        return effect
-    return effect.with_parameters(**{name: value_of(effect, name) - (1.0 - _MILD) * _amplitude(effect, name)})
-
-
-def _largest(effect: CatalogueEffect, name: str) -> float:
-    """Return the largest amplitude that the parameter may have."""
-    return max((entry.high for entry in effect.parameters() if entry.name == name), default=float("inf"))
-
-
-def _is_variance(effect: CatalogueEffect) -> bool:
-    return effect.name in _SQUARED
-
-
-_MILD_WHEN_LARGE: Final = frozenset(("full_well_saturation", "soft_saturation"))
+_LARGEST_FACTOR: Final = 50.0  # times the typical size, beyond which the effect would be absurd
+_LOOKS: Final = 12
+_STRIDE: Final = 30.0  # largest factor from one look to the next
+_CLOSE: Final = 0.1  # of ln χ²
+_NOTHING: Final = 1e-6  # a χ² that stands for none
+_MOST_FLOOR: Final = 0.999  # share of a border's uncertainty that its floor may be
+_MILD_WHEN_LARGE: Final = frozenset(("full_well_saturation", "soft_saturation", "adc_saturation"))
 _STEPWISE: Final = _MILD_WHEN_LARGE | {"exposure_quantisation", "missing_codes", "nominal_settings"}
-_SQUARED: Final = frozenset(
+_SQUARED: Final = frozenset(  # a standard deviation acts by its square
     (
         "excess_read_noise",
         "column_pattern",
@@ -102,6 +41,122 @@ _SQUARED: Final = frozenset(
         "rolling_shutter_banding",
     )
 )
+
+
+def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> dict[str, Limit]:
+    """Return the amplitude of every entry that these data would have shown at five sigma, by name."""
+    return {name: _limit(state, name, kind) for name, kind in sorted(catalogue.items())}
+
+
+def _limit(state: FitState, name: str, kind: type[CatalogueEffect]) -> Limit:
+    blind = Limit(None, *_main_parameter(kind, None))
+    if not kind.usable(state.model.context):
+        return blind
+    here = tuple(effect for effect in state.effects if effect.name == name)
+    if here:  # what is named already: how small could it have been?
+        state = with_effects(state, [effect for effect in state.effects if effect.name != name])
+    starts = here or _few(kind.starts(state.model.context))
+    found = [_Grown.of(state, start) for start in starts]
+    seen = [grown.limit() for grown in found if grown.information > 0 and grown.size]
+    known = [limit for limit in seen if limit.amplitude is not None]
+    if not known:
+        return blind
+    mildest = max if name in _MILD_WHEN_LARGE else min
+    return mildest(known, key=lambda limit: abs(limit.amplitude or 0.0))
+
+
+def _few(starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
+    """Return a few starts spread over all: the smallest and some others."""
+    step = max(1, len(starts) // 6)
+    return starts[::step]
+
+
+@dataclass(frozen=True, eq=False)
+class _Grown:
+    """An effect at one size, and the χ² by which it would stand out there.
+
+    Attributes:
+        state: The model without it.
+        effect: The effect.
+        parameter: The parameter that is its size.
+        unit: Its unit.
+        information: χ² that it would bring, all nuisances and other effects following.
+    """
+
+    state: FitState
+    effect: CatalogueEffect
+    parameter: str
+    unit: str
+    information: float
+
+    @classmethod
+    def of(cls, state: FitState, effect: CatalogueEffect) -> _Grown:
+        """Return the effect with its χ²."""
+        parameter, unit = _main_parameter(type(effect), effect)
+        return cls(state, effect, parameter, unit, _information(state, effect))
+
+    @property
+    def size(self) -> float:
+        """Return how far the parameter lies from doing nothing."""
+        return _amplitude(self.effect, self.parameter)
+
+    def limit(self) -> Limit:
+        """Return the size of five sigma, looked for where the effect has that size: few grow in proportion."""
+        if self.effect.name in _STEPWISE or self.parameter not in self.effect.values():
+            # It does not grow from nothing: what counts is whether this very form would show.
+            shown = self.information >= SIGMAS**2
+            return Limit(self.size if shown else None, self.parameter, self.unit)
+        below, above, near = None, None, self
+        for _ in range(_LOOKS):
+            if abs(np.log(max(near.information, _NOTHING) / SIGMAS**2)) < _CLOSE:
+                return Limit(abs(near.size), self.parameter, self.unit)
+            below, above = (below, near) if near.information > SIGMAS**2 else (near, above)
+            other = near._times(_next_size(below, above) / near.size)
+            if other is None or abs(other.size) > _LARGEST_FACTOR * abs(self.size):
+                break
+            near = other
+        return Limit(None, self.parameter, self.unit)
+
+    def _times(self, factor: float) -> _Grown | None:
+        """Return the effect with its size times a factor; None beyond the parameter's bounds."""
+        known = next(entry for entry in self.effect.parameters() if entry.name == self.parameter)
+        value = value_of(self.effect, self.parameter) + (factor - 1.0) * self.size
+        if not known.low <= value <= known.high or value_of(self.effect, self.parameter) == value:
+            return None
+        return _Grown.of(self.state, self.effect.with_parameters(**{self.parameter: value}))
+
+
+def _next_size(below: _Grown | None, above: _Grown | None) -> float:
+    """Return where to look next for five sigma: between the two sizes in logarithms, or further on from one."""
+    if below is None or above is None:
+        known = below or above
+        assert known is not None
+        power = 0.25 if known.effect.name in _SQUARED else 0.5
+        factor = (SIGMAS**2 / max(known.information, _NOTHING)) ** power
+        return known.size * float(np.clip(factor * (0.9 if below is None else 1.1), 1.0 / _STRIDE, _STRIDE))
+    low, high = (np.log(max(grown.information, _NOTHING) / SIGMAS**2) for grown in (below, above))
+    share = float(np.clip(-low / (high - low), 0.1, 0.9))
+    return float(below.size * (above.size / below.size) ** share)
+
+
+def _information(state: FitState, effect: CatalogueEffect) -> float:
+    change = state.fit.followed(change_of(state, (*state.effects, effect)))
+    part = state.fit.half(state.fit.pull(change))
+    whole = float(change @ change)
+    information = whole - float(part @ part)
+    if information <= _BLIND * whole or information <= 0:
+        return 0.0
+    return max(information + _edge_in_common(state, change), 0.0)
+
+
+def _edge_in_common(state: FitState, change: Array) -> float:
+    """Return what χ² loses because the floor of the borders' uncertainty is the same in all captures."""
+    cut, deviation = state.comparison.cuts["edge"], state.comparison.deviation["edge"]
+    moved = change[cut]
+    floor = np.where(state.comparison.usable["edge"], np.minimum(SHARPEST / deviation, _MOST_FLOOR), 0.0)
+    own = 1.0 - floor**2
+    together = float(np.sum(moved * floor / own)) ** 2 / (1.0 + float(np.sum(floor**2 / own)))
+    return float(np.sum(moved**2 / own)) - together - float(moved @ moved)
 
 
 def _main_parameter(kind: type[CatalogueEffect], start: CatalogueEffect | None) -> tuple[str, str]:

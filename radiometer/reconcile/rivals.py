@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+import numpy as np
+
 from radiometer.reconcile.candidate_fit import FittedCandidate, fit_candidate, held_out_gain
 from radiometer.reconcile.screening import best_start
 from radiometer.reconcile.state import FitState
@@ -13,6 +15,7 @@ from simulators.effects.catalogue import CatalogueEffect
 RIVAL_NATS: Final = 5.0
 PARAMETER_NATS: Final = 3.0
 _SAME_GAIN: Final = 0.8  # of the chosen one's, below which an entry is not fitted
+_LEFT: Final = 1e-4  # share of what an entry does that the nuisances must leave
 
 Judged = tuple[FittedCandidate, float]
 
@@ -55,5 +58,13 @@ def _unvaried(state: FitState, chosen: Judged, catalogue: Mapping[str, type[Cata
         start = best_start(state, kind.starts(context))
         if start is not None and start.gain > _SAME_GAIN * chosen[0].gain:
             fitted = fit_candidate(state, start)
-            found.append((fitted, held_out_gain(state, fitted.residual, fitted.columns)))
+            if not _is_absorbed(state, fitted):
+                found.append((fitted, held_out_gain(state, fitted.residual, fitted.columns)))
     return found
+
+
+def _is_absorbed(state: FitState, fitted: FittedCandidate) -> bool:
+    """Tell whether the nuisances take up all that an entry does: it is nobody's rival, whatever is left of it fits."""
+    part = state.fit.half(state.fit.pull(fitted.columns))
+    whole = np.sum(fitted.columns**2, axis=0)
+    return bool(np.all(whole - np.sum(part**2, axis=0) < _LEFT * np.maximum(whole, 1e-12)))
