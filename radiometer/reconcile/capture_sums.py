@@ -119,11 +119,12 @@ class CaptureSums:
             self.histogram = np.pad(self.histogram, (0, more))
             self.occurring = np.pad(self.occurring, (0, more))
 
-    def finish(self, black_dn: float) -> tuple[dict[str, Array | float], Mask]:
+    def finish(self, black_dn: float, *, structured: bool = False) -> tuple[dict[str, Array | float], Mask]:
         """Return the statistics of the capture by name, and the map of its outlying pixels.
 
         Args:
             black_dn: Stated black level in DN; NaN where unknown.
+            structured: Whether the tiles show a scene rather than even light: nothing in them is outlying.
         """
         n, tiles = len(self.frame_means), self.pair_x.size
         out = {name: np.full(tiles, np.nan) for name in _PER_TILE}
@@ -132,7 +133,9 @@ class CaptureSums:
         spacing_dn = _code_spacing(self.occurring)
         residuals, counting = [], []
         for number, group in enumerate(self.groups):
-            residual, good = self._finish_group(number, group, means, spacing_dn, out, outlying)
+            residual, good = self._finish_group(
+                number, group, means, np.inf if structured else spacing_dn, out, outlying
+            )
             residuals.append(residual)
             counting.append(good)
         out["low"], out["high"] = self.low / n, self.high / n

@@ -124,7 +124,8 @@ def reduce_frames(
             done += 1
             if progress is not None:
                 progress(done)
-        collected[number], outlying = sums.finish(design.black_level_dn[number])
+        structured = not design.uniform and design.source_level[number] > 0
+        collected[number], outlying = sums.finish(design.black_level_dn[number], structured=structured)
         if design.closed[number]:
             defects = defects | outlying
     names = [entry.name for entry in fields(CaptureStatistics)]

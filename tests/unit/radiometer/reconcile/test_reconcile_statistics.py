@@ -126,7 +126,7 @@ def test_dark_gap_before_a_bright_neighbour_is_no_blur() -> None:
 
 
 def test_hot_pixel_in_a_dark_is_left_out_everywhere() -> None:
-    """One defect of 3000 DN moves no tile mean, in the dark capture or in a lit one; it counts in both."""
+    """One defect of 3000 DN moves no tile mean, dark or lit; it counts in the dark, for a scene may hold anything."""
     rng = np.random.default_rng(3)
     frames = []
     for shutter in ("open", "closed"):
@@ -140,7 +140,23 @@ def test_hot_pixel_in_a_dark_is_left_out_everywhere() -> None:
     seen, _ = reduce_frames(design, frame_reader(frames))
     sigma_of_a_tile_mean = 2.1 / np.sqrt(12 * 12)
     np.testing.assert_allclose(seen.mean[0], 500, atol=5 * sigma_of_a_tile_mean)
-    assert seen.outliers.tolist() == [1.0, 1.0]
+    assert seen.outliers.tolist() == [0.0, 1.0]
+
+
+def test_structure_of_an_unknown_scene_is_no_outlier() -> None:
+    """Without patches a tile that holds a bright spot keeps it at every exposure: its mean grows with the exposure."""
+    rng = np.random.default_rng(4)
+    scene = np.full((48, 72), 100.0)
+    scene[2:5, 2:5] = 900.0
+    frames = [
+        Frame(np.rint(rng.poisson(scene * t) + 64.0).astype(np.uint16), 12, FrameSettings(t)) for t in (0.5, 1.0, 2.0)
+    ]
+    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
+    design = Design.of(CaptureHeader(camera=CameraDescription(bit_depth=12), frames=entries), (48, 72))
+    seen, _ = reduce_frames(design, frame_reader(frames))
+    expected = scene[:12, :12].mean()
+    sigma = np.sqrt(expected * 2.0 / 144)
+    np.testing.assert_allclose(seen.mean[:, 0] - 64.0, expected * np.array([0.5, 1.0, 2.0]), atol=5 * sigma)
 
 
 def test_frames_of_another_size_are_refused(make_capture: Callable[..., Any]) -> None:
