@@ -14,7 +14,8 @@ from benchmarks._daemon import DaemonProcess
 from benchmarks._sections import write_section
 from radiometer.daemon.scpi.table import command_table
 
-LINES = 100_000
+LINES = 200_000
+_LOOKS = 5  # at the memory, evenly from beginning to end
 _BATCH = 50
 _ALPHABET = b"*:;,?#'\"()@ \t\r\x00\x7f\xff0123456789eE+-.ABCDSENSRADLUMIEXPimgTRAC"
 _REQUESTS = (
@@ -36,9 +37,7 @@ class FuzzResult:
     crashes: int
     unanswered: int
     unexpected: int
-    memory_before_mb: float
-    memory_half_mb: float
-    memory_after_mb: float
+    memory_mb: list[float]
 
 
 def run(lines: int, seed: int = 1) -> FuzzResult:
@@ -54,12 +53,10 @@ def run(lines: int, seed: int = 1) -> FuzzResult:
         for _ in range(40):  # memory of a daemon that has been used, before anything hostile
             daemon.ask("READ?")
             daemon.get("/status")
-        before = daemon.resident_bytes()
-        pid = daemon.pid
-        half = before
+        memory_mb, pid = [daemon.resident_bytes() / 1e6], daemon.pid
         for position in range(0, lines // 2, _BATCH):
-            if position >= lines // 4 and half == before:
-                half = daemon.resident_bytes()
+            if position >= len(memory_mb) * lines // 2 // (_LOOKS - 1):
+                memory_mb.append(daemon.resident_bytes() / 1e6)
             _throw(daemon.scpi_port, b"".join(_line(rng, examples) + b"\n" for _ in range(_BATCH)))
             for _ in range(_BATCH):
                 _throw(daemon.http_port, _mutated(rng, rng.choice(_REQUESTS)))
@@ -67,7 +64,7 @@ def run(lines: int, seed: int = 1) -> FuzzResult:
                 unanswered += not _answers(daemon)
         unanswered += not _answers(daemon)
         crashes = int(daemon.process is None or daemon.process.poll() is not None or daemon.pid != pid)
-        after = daemon.resident_bytes()
+        memory_mb.append(daemon.resident_bytes() / 1e6)
         unexpected = sum("unexpected error" in line for line in daemon.lines)
     return FuzzResult(
         lines // 2,
@@ -76,9 +73,7 @@ def run(lines: int, seed: int = 1) -> FuzzResult:
         crashes,
         unanswered,
         unexpected,
-        before / 1e6,
-        half / 1e6,
-        after / 1e6,
+        memory_mb,
     )
 
 
@@ -133,13 +128,12 @@ def _answers(daemon: DaemonProcess) -> bool:
 
 def main() -> None:
     result = run(LINES)
+    memory = ", ".join(f"{value:.0f}" for value in result.memory_mb)
     body = (
-        "| SCPI lines | HTTP requests | time | crashes | probes unanswered | unexpected errors logged | memory before |"
-        " half-way | after |\n|---|---|---|---|---|---|---|---|---|\n"
+        "| SCPI lines | HTTP requests | time | crashes | probes unanswered | unexpected errors logged |"
+        f" memory at {_LOOKS} even steps in MB |\n|---|---|---|---|---|---|---|\n"
         f"| {result.scpi_lines} | {result.http_requests} | {result.seconds:.0f} s | {result.crashes} |"
-        f" {result.unanswered} | {result.unexpected} | {result.memory_before_mb:.0f} MB |"
-        f" {result.memory_half_mb:.0f} MB |"
-        f" {result.memory_after_mb:.0f} MB |\n"
+        f" {result.unanswered} | {result.unexpected} | {memory} |\n"
     )
     print(body)
     write_section("daemon-fuzz", "Daemon fuzzed", "python -m benchmarks daemon_fuzz", body)

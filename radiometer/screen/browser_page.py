@@ -1,0 +1,107 @@
+"""A page that somebody opens in a browser: served, waited for, asked, and judged by what it says of itself."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, Self
+
+from radiometer.errors import DeviceError
+from radiometer.screen.page_server import PageServer
+
+
+class BrowserPage:
+    """Serves a page between `open()` and `close()`.
+
+    Args:
+        server: Serves the page; not started yet.
+        what: What the page is, for messages.
+        announce: Called with the address once it is served; opens a browser or prints it.
+        page_timeout_s: How long to wait for a browser to open it.
+        start_timeout_s: How long to wait for somebody to press Start; None where nothing is to be waited for.
+    """
+
+    def __init__(
+        self,
+        server: PageServer,
+        what: str,
+        announce: Callable[[str], None],
+        page_timeout_s: float,
+        start_timeout_s: float | None,
+    ) -> None:
+        self._server, self._what, self._announce = server, what, announce
+        self._page_timeout_s, self._start_timeout_s = page_timeout_s, start_timeout_s
+        self._numbers = itertools.count(1)
+        self._open = False
+
+    @property
+    def url(self) -> str:
+        """Return the address of the page. Raises DeviceError unless open."""
+        return self._server.url
+
+    @property
+    def acknowledged(self) -> dict[str, Any]:
+        """Return what the page last said of itself, such as its size, its zoom and what it read back."""
+        return dict(self._server.conditions)
+
+    def open(self) -> None:
+        """Serve the page and wait until a browser has opened it. Raises DeviceInUse, DeviceTimeout, DeviceError."""
+        if self._open:
+            raise DeviceError(f"{self._what} is served already; close it first")
+        self._server.start()
+        self._open = True
+        self._announce(self._server.url)
+        try:
+            self._server.wait_for_page(self._page_timeout_s)
+            if self._start_timeout_s is not None:
+                self._server.wait_for_start(self._start_timeout_s)
+        except DeviceError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Stop serving; closing twice does nothing."""
+        if self._open:
+            self._open = False
+            self._server.stop()
+
+    def warnings(self) -> list[str]:
+        """Return what on the page's side may falsify what is shown."""
+        return page_warnings(self._server.conditions)
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _ask(self, order: Mapping[str, Any], timeout_s: float) -> dict[str, Any]:
+        """Return the page's answer to an order. Raises DeviceTimeout, DeviceLost, DeviceError."""
+        return self._server.ask({**order, "sequence": next(self._numbers)}, timeout_s)
+
+
+def page_warnings(seen: Mapping[str, Any]) -> list[str]:
+    """Return what is wrong with a page by what it says of itself."""
+    checks = (
+        (not seen.get("fullscreen", False), "the page is not full screen: press F11"),
+        (seen.get("zoom", 1) != 1, "the page is zoomed in: reset it to 100 %"),
+        (float(seen.get("pixelRatio", 1)) % 1 != 0, "page or desktop is zoomed to parts of pixels: set both to 100 %"),
+        (seen.get("hdr", False), "the screen runs in HDR: its levels are mapped before they are shown"),
+        (seen.get("forcedColours", False), "high-contrast colours are on"),
+        (not seen.get("visible", True), "the page is hidden behind another window"),
+        (seen.get("colourDepth", 24) < 24, "the screen shows fewer than 8 bits per channel"),
+    )
+    return [text for wrong, text in checks if wrong]
+
+
+def require_shown(seen: object, wanted: object) -> None:
+    """Raise DeviceError unless the page read back the levels that it was told to show."""
+    if seen != wanted:
+        raise DeviceError(
+            f"the browser shows {seen} where {wanted} was asked for; switch off colour filters, "
+            "dark-mode extensions and forced colours"
+        )
