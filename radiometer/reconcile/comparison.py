@@ -8,7 +8,7 @@ prediction under test, so that two models compared on one `Comparison` differ in
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -40,6 +40,7 @@ _FAIR_SHARE: Final = 0.05  # of the brightest tile's light
 _SINE_KURTOSIS: Final = -1.5  # excess kurtosis of a sine at a random phase
 _FEW_FRAMES: Final = 1.6  # by which few frames weaken it: of cube roots, by simulation of 2 to 15 frames
 _LIGHT_U_REL: Final = 3e-3  # how well the light of one tile is taken to be known where its variance hangs on it
+_WANDERS: Final = 61  # relative variances tried, ten to a decade
 _FALSE_OUTLIERS: Final = 0.02  # expected in a capture without hot pixels; keeps the square root finite
 
 
@@ -56,6 +57,7 @@ class Comparison:
             Cholesky factor of the covariance.
         cuts: Where each block lies in the vector.
         flicker2: (captures,) relative variance from frame to frame of the accepted effects.
+        wander2: The same of the source itself, whatever the exposure; 0 where its reproducibility is stated.
         common_of_rows: (captures,) what 1 DN² of row noise adds to the ratio of the frame-common fluctuation.
     """
 
@@ -66,6 +68,7 @@ class Comparison:
     whiteners: Mapping[str, Array]
     cuts: Mapping[str, slice]
     flicker2: Array
+    wander2: float
     common_of_rows: Array
 
     @property
@@ -153,8 +156,8 @@ class Comparison:
         """
         mask = self.usable["common"]
         seen = np.where(mask, self.seen.common, 1.0)
-        by_rows = 1.0 + row_variance * self.common_of_rows
-        expected, accepted = by_rows + flicker2 / self._common_unit, by_rows + self.flicker2 / self._common_unit
+        steady = 1.0 + row_variance * self.common_of_rows + self.wander2 / self._common_unit
+        expected, accepted = steady + flicker2 / self._common_unit, steady + self.flicker2 / self._common_unit
         if not self.flicker2.any():
             return np.where(mask, _normal_score(seen / expected, self._common_freedom), 0.0)
         spread = _score_spread(self._common_freedom)
@@ -165,8 +168,8 @@ class Comparison:
     def common_deviance(self, prediction: Prediction) -> float:
         """Return the deviance of the frame-common fluctuation: −2·ln of its exact likelihood but for a constant."""
         mask, dof = self.usable["common"], self._common_freedom
-        by_rows = 1.0 + prediction.row_variance * self.common_of_rows
-        expected = by_rows + relative_flicker(prediction) / self._common_unit
+        steady = 1.0 + prediction.row_variance * self.common_of_rows
+        expected = steady + (relative_flicker(prediction) + self.wander2) / self._common_unit
         seen = np.where(mask, self.seen.common, 1.0)
         return float(np.sum(np.where(mask, dof * (seen / expected + np.log(expected)), 0.0)))
 
@@ -245,6 +248,10 @@ def compare(
     for name in deviation:
         if name in floors:
             deviation[name] = np.hypot(deviation[name], floors[name])
+    of_rows = common_of_rows(design, seen, mask["mean"], sensitivity)
+    plain = Comparison(design, seen, mask, deviation, {}, _cuts(design), repeatability.flicker2, 0.0, of_rows)
+    plain = replace(plain, wander2=_steady_wander2(plain, base))
+    repeatability = replace(repeatability, flicker2=repeatability.flicker2 + plain.wander2)
     frames = design.frame_count
     shares = {  # of what a frame's tiles share: in the mean of all frames, and in the first less the mean of the others
         "mean": (repeatability.tau**2, 1.0 / frames),
@@ -254,8 +261,19 @@ def compare(
         name: whitener(design, deviation[name], mask[name], sensitivity, repeatability, *share)
         for name, share in shares.items()
     }
-    of_rows = common_of_rows(design, seen, mask["mean"], sensitivity)
-    return Comparison(design, seen, mask, deviation, whiteners, _cuts(design), repeatability.flicker2, of_rows)
+    return replace(plain, whiteners=whiteners)
+
+
+def _steady_wander2(plain: Comparison, base: Prediction) -> float:
+    """Return the relative variance by which the source wanders from frame to frame, whatever the exposure.
+
+    It is the likeliest one, within the four decades that a lamp may have; 0 where the header says how reproducible the
+    source is.
+    """
+    if plain.design.header.source.reproducibility_u_rel is not None or not plain.usable["common"].any():
+        return 0.0
+    tried = [replace(plain, wander2=wander2) for wander2 in (0.0, *np.geomspace(1e-9, 1e-3, _WANDERS).tolist())]
+    return min(tried, key=lambda comparison: comparison.common_deviance(base)).wander2
 
 
 def _cuts(design: Design) -> dict[str, slice]:

@@ -75,4 +75,7 @@ class ImageLag(CatalogueEffect):
         """Return the electrons that a frame leaves to the next; no pixel holds more than its full well."""
         well = context.camera.full_well_e
         lag = self.share * (held if well is None else np.minimum(held, well))
-        return lag if self.fullness_per_e <= 0 else -np.expm1(-self.fullness_per_e * lag) / self.fullness_per_e
+        if self.fullness_per_e <= 0:
+            return lag
+        filled = -np.expm1(-self.fullness_per_e * np.maximum(lag, 0.0)) / self.fullness_per_e
+        return np.where(lag > 0, filled, lag)

@@ -253,3 +253,18 @@ def test_parameter_on_its_bound_hides_nothing(make_capture: Callable[..., Any]) 
     found = settled(refit(with_effects(state, [BlackLevelDrift(0.1, -20.0)])))
     assert found.parameters.on_bounds()[0].any(), "the reference temperature runs to its bound"
     assert ("mean", "temperature_C") in {(test.block, test.where) for test in significant(localise(found))}
+
+
+def test_source_of_unknown_reproducibility_may_wander(make_capture: Callable[..., Any]) -> None:
+    """Light that differs by 0.3 % from frame to frame at all exposures: taken up where nothing is stated, else seen."""
+    rng = np.random.default_rng(21)
+    plan = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 12) for _ in range(3)]
+    captured = make_capture(plan=plan, picture=lambda image, setting: image * (1.0 + 0.003 * rng.standard_normal()))
+    stated = _state(captured)
+    source = captured.header.source.model_copy(update={"reproducibility_u_rel": None})
+    header = captured.header.model_copy(update={"source": source})
+    unstated = _state(dataclasses.replace(captured, header=header))
+    assert "common" in {test.block for test in significant(localise(stated))}
+    assert "common" not in {test.block for test in significant(localise(unstated))}
+    freedom = 2 * len(plan)  # of four frames the first has a statistic of its own
+    assert np.sqrt(unstated.comparison.wander2) == pytest.approx(0.003, rel=4.0 / np.sqrt(2.0 * freedom))
