@@ -9,11 +9,19 @@ from typing import Final
 
 import numpy as np
 
+from radiometer.reconcile.chain_steps import (
+    LIGHT_LINKS,
+    link_of,
+    rise_of,
+    scaled,
+    textured,
+    tilt_of,
+    with_shot_noise,
+)
 from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.pattern_images import PatternImages
-from radiometer.reconcile.tile_context import GAUSS_POINT, TileContext, scene_radiance, tile_context
+from radiometer.reconcile.tile_context import TileContext, scene_radiance, tile_context
 from radiometer.units import photon_energy_j
-from simulators.effects.base import ELECTRONS, Stage
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import Signal
 from simulators.effects.full_well_saturation import FullWellSaturation
@@ -25,6 +33,7 @@ TYPICAL_READ_NOISE_E: Final = 5.0
 TYPICAL_QUANTUM_EFFICIENCY: Final = 0.5
 TYPICAL_PITCH_UM: Final = 4.5
 _SMALLEST_VARIANCE_DN2: Final = 1e-3  # a value that always rounds or clips to one code has none
+_LAG: Final = "image_lag"
 _WELL_SHARE: Final = 0.6  # below it the well is never felt
 
 
@@ -137,11 +146,11 @@ class TileModel:
         """
         old, new = self.effects, tuple(effects)
         shared = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(old, new, strict=False)))
-        links = [_link_of(effect) for effect in (*old[shared:], *new[shared:])]
+        links = [link_of(effect) for effect in (*old[shared:], *new[shared:])]
         if not links:
             return trace.prediction
         first = min(links)
-        light = trace.light if first > _LIGHT_LINKS else None
+        light = trace.light if first > LIGHT_LINKS else None
         return self.with_effects(new)._run(trace.nuisance, first, trace.between[: first + 1], light).prediction
 
     # ---- the chain, link by link ---------------------------------------------------------------------------
@@ -154,7 +163,7 @@ class TileModel:
         links = model._links(nuisance, gain)
         passed = list(between) or [model._scene(nuisance)]
         for number in range(first, len(links)):
-            if number == _LIGHT_LINKS:
+            if number == LIGHT_LINKS:
                 light = passed[-1]
             passed.append(links[number](passed[-1]))
         assert light is not None
@@ -163,24 +172,24 @@ class TileModel:
     def _scene(self, nuisance: Nuisance) -> TileMoments:
         scene = (self.radiance * np.exp(nuisance.log_radiance))[self.design.pattern_index]
         slopes = nuisance.slope[self.design.pattern_index]
-        points = _tilt(slopes[:, 0], slopes[:, 1]) if nuisance.slope.any() else 1.0
+        points = tilt_of(slopes[:, 0], slopes[:, 1]) if nuisance.slope.any() else 1.0
         return TileMoments.exactly(scene[:, :, None] * np.ones(4) * points * self.context.settings.source_level)
 
     def _links(self, nuisance: Nuisance, gain: Array) -> tuple[Callable[[TileMoments], TileMoments], ...]:
-        """Return what happens to the light, in order; effects act in the links that `_link_of` numbers."""
+        """Return what happens to the light, in order; effects act in the links that `link_of` numbers."""
         settings = self.context.settings
         open_s = np.where(settings.is_dark, 0.0, settings.exposure_s)
         sensitivity = self._quantum_efficiency() * float(np.exp(nuisance.log_responsivity))
         return (
             lambda moments: self._apply(moments, 0),
-            lambda moments: self._apply(_scaled(moments, self._lens_factor()), 1),
-            lambda moments: self._apply(_scaled(moments, open_s), 2),
-            lambda moments: _scaled(self._apply(_scaled(moments, self._photons_per_exposure()), 3), sensitivity),
-            lambda moments: self._apply(_textured(moments, nuisance), 4),
-            lambda moments: self._apply(_with_shot_noise(moments, self._dark_e(nuisance)), 5),
+            lambda moments: self._apply(scaled(moments, self._lens_factor()), 1),
+            lambda moments: self._apply(scaled(moments, open_s), 2),
+            lambda moments: scaled(self._apply(scaled(moments, self._photons_per_exposure()), 3), sensitivity),
+            lambda moments: self._apply(textured(moments, nuisance.texture), 4),
+            lambda moments: self._apply(with_shot_noise(moments, self._dark_e(nuisance)), 5),
             lambda moments: self._full(self._apply(moments, 6)),
             lambda moments: self._apply(self._with_read_noise(moments, nuisance), 7),
-            lambda moments: self._apply(_scaled(moments, gain[:, None, None]), 8),
+            lambda moments: self._apply(scaled(moments, gain[:, None, None]), 8),
             lambda moments: self._apply(self._on_black(moments, nuisance), 9),
             lambda moments: self._apply(replace(moments, variance=moments.variance + 1.0 / 12.0), 10),
         )
@@ -204,7 +213,7 @@ class TileModel:
 
     def _apply(self, moments: TileMoments, link: int) -> TileMoments:
         for effect in (*self.given, *self.effects):
-            if _link_of(effect) == link:
+            if link_of(effect) == link:
                 after = effect.moments(moments, self.context)
                 assert isinstance(after, TileMoments)
                 moments = after
@@ -279,7 +288,7 @@ class TileModel:
         within = lines * (1.0 - 1.0 / shared)
         total = np.maximum(variance + within, _SMALLEST_VARIANCE_DN2)
         fixed = tiles(final.spatial_variance) + columns + rows
-        rise_x, rise_y = _rise(final.mean)
+        rise_x, rise_y = rise_of(final.mean)
         safe = np.maximum(total, 1e-30)
         return Prediction(
             mean=mean,
@@ -318,70 +327,3 @@ class Trace:
     between: tuple[TileMoments, ...]
     light: TileMoments
     prediction: Prediction
-
-
-_LAG: Final = "image_lag"
-_LIGHT_LINKS: Final = 4  # links that the light passes before it is electrons
-_LINK_OF_STAGE: Final = {
-    Stage.SOURCE: 0,
-    Stage.SCENE: 0,
-    Stage.OPTICS: 1,
-    Stage.SHUTTER: 2,
-    Stage.PHOTONS: 3,
-    Stage.WELL: 6,
-}
-
-
-def _link_of(effect: CatalogueEffect) -> int:
-    """Return the link of the chain in which an effect acts."""
-    if effect.stage == Stage.ELECTRONS:
-        return 4 if effect.before in ("shot_noise", "dark_current") else 5
-    if effect.stage == Stage.READOUT:
-        return 7 if effect.unit_in == ELECTRONS else 8
-    if effect.stage == Stage.DIGITAL:
-        return 10 if effect.before is None else 9
-    return _LINK_OF_STAGE[effect.stage]
-
-
-def _textured(moments: TileMoments, nuisance: Nuisance) -> TileMoments:
-    if not nuisance.texture.any():
-        return moments
-    texture = np.maximum(nuisance.texture, 0.0)[None, :, None]
-    return replace(moments, spatial_variance=moments.spatial_variance + texture * moments.mean**2)
-
-
-def _with_shot_noise(moments: TileMoments, dark: Array) -> TileMoments:
-    mean = moments.mean + dark
-    return replace(moments, mean=mean, variance=moments.variance + np.maximum(mean, 0.0))
-
-
-def _scaled(moments: TileMoments, factor: Array | float) -> TileMoments:
-    square = np.square(factor)
-    return replace(
-        moments,
-        mean=moments.mean * factor,
-        variance=moments.variance * square,
-        spatial_variance=moments.spatial_variance * square,
-        common_variance=moments.common_variance * square,
-        row_variance=moments.row_variance * square,
-        fixed_column_variance=moments.fixed_column_variance * square,
-        fixed_row_variance=moments.fixed_row_variance * square,
-        neighbour_x=moments.neighbour_x * square,
-        neighbour_y=moments.neighbour_y * square,
-        first_excess=moments.first_excess * factor,
-    )
-
-
-def _tilt(rise_x: Array, rise_y: Array) -> Array:
-    """Return the factor at the four points of tiles whose relative rise from centre to edge is given."""
-    signs_x, signs_y = np.array([-1.0, 1.0, -1.0, 1.0]), np.array([-1.0, -1.0, 1.0, 1.0])
-    tilt = rise_x[:, :, None] * signs_x + rise_y[:, :, None] * signs_y
-    return np.asarray(1.0 + GAUSS_POINT * tilt)
-
-
-def _rise(points: Signal) -> tuple[Array, Array]:
-    """Return the rise from centre to right and to bottom edge from values at the four points."""
-    per_edge = 0.25 / GAUSS_POINT
-    x = (points[..., 1] + points[..., 3] - points[..., 0] - points[..., 2]) * per_edge
-    y = (points[..., 2] + points[..., 3] - points[..., 0] - points[..., 1]) * per_edge
-    return np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
