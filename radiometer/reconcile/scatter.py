@@ -67,16 +67,17 @@ def standard_uncertainties(
     per_frame = noise * together / pixels
     first_share = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)
     beside_x, beside_y = _pair_shares(design)
+    uneven = 1.0 if design.uniform else _unevenness(design, seen, base, noise)
     pairs = pixels * np.maximum(n - 1.0, 1.0)
     counts = np.minimum(np.maximum(seen.comb_count, 1.0), _LARGEST_COMB_COUNT)[:, None]
     return {
         "mean": np.sqrt(noise * together / (pixels * n)),
         "slope_x": np.sqrt(noise * together / n) / lengths[0],
         "slope_y": np.sqrt(noise * together / n) / lengths[1],
-        "variance": np.sqrt(log_variance(seen.variance_dof) + kurtosis / (pixels * n)),
+        "variance": np.sqrt(log_variance(seen.variance_dof) * uneven + kurtosis / (pixels * n)),
         "spatial": np.sqrt(log_variance(seen.spatial_dof)),
-        "neighbour_x": 1.0 / np.sqrt(beside_x * pairs),
-        "neighbour_y": 1.0 / np.sqrt(beside_y * pairs),
+        "neighbour_x": np.sqrt(uneven / (beside_x * pairs)),
+        "neighbour_y": np.sqrt(uneven / (beside_y * pairs)),
         "first": np.sqrt(per_frame * first_share),
         "common": np.ones(len(design.captures)),
         "row_temporal": np.sqrt(log_variance(seen.row_temporal_dof)),
@@ -126,6 +127,20 @@ def _row_overlap(design: Design) -> Array:
     bottom = top + height
     common = np.minimum(bottom[:, None], bottom) - np.maximum(top[:, None], top)
     return np.asarray(np.maximum(common, 0) / (height[:, None] * height))
+
+
+def _unevenness(design: Design, seen: CaptureStatistics, base: Prediction, noise: Array) -> Array:
+    """Return ⟨v²⟩/⟨v⟩² of the pixels' variances v in each tile of a scene: brighter pixels are noisier.
+
+    The fewer pixels carry the noise, the less sure is its mean.
+    """
+    tilts = [
+        (slope * length) ** 2
+        for slope, length in zip((seen.slope_x, seen.slope_y), _slope_lengths(design), strict=True)
+    ]
+    structure = np.nan_to_num(seen.spatial + sum(tilts) / np.maximum(seen.pixels, 1.0))
+    lit = design.source_level[:, None] > 0
+    return np.asarray(np.where(lit, 1.0 + base.gain[:, None] ** 2 * structure / np.maximum(noise, 1e-12) ** 2, 1.0))
 
 
 def _pair_shares(design: Design) -> tuple[Array, Array]:

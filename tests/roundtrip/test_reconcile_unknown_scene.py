@@ -1,0 +1,32 @@
+"""A plain bracket of a scene of which nothing is known: no patches, tiles that hold anything."""
+
+from __future__ import annotations
+
+import pytest
+
+from radiometer.reconcile import reconcile
+from radiometer.reconcile.result import ReconcileResult
+from tests.roundtrip.generator.session import make_session
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+
+
+def _answer(*hidden: str) -> ReconcileResult:
+    session = make_session(*hidden, camera_seed=80, plan="bracket")
+    header = session.header.model_copy(update={"patches": ()})
+    return reconcile(header, list(session.frames()), with_limits=False)
+
+
+def test_unknown_scene_agrees_where_nothing_is_hidden() -> None:
+    """Borders of patches run through the tiles: that is the scene, at every exposure alike, and no effect."""
+    answer = _answer()
+    assert str(answer.verdict) == "agrees"
+    assert answer.gap_before < 1.05
+
+
+@pytest.mark.parametrize("name", ["exposure_time_offset", "excess_read_noise"])
+def test_unknown_scene_shows_what_needs_no_scene(name: str) -> None:
+    """Timing and noise are named without any patch."""
+    answer = _answer(name)
+    assert [effect.name for effect in answer.effects] == [name]
+    assert str(answer.verdict) == "effects_found"
