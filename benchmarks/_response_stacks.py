@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,22 +35,22 @@ def make_stack(
     *,
     bit_depth: int,
     seed: int,
-    frames: int = 9,
+    stops: Sequence[float] = range(9),
     shape: tuple[int, int] = (192, 256),
 ) -> Bracket:
-    """Return frames one stop apart of a textured scene of some 9 stops, shot and read noise before the curve."""
+    """Return frames at given stops of a textured scene of some 9 stops, shot and read noise before the curve."""
     rng = np.random.default_rng(seed)
     height, width = shape
     y, x = np.mgrid[:height, :width]
     log_radiance = -6.2 * x / width + 0.4 * np.sin(7 * y / height) + 0.2 * rng.standard_normal(shape)
     full_scale = 2**bit_depth - 1
     stack = []
-    for index in range(frames):
-        electrons = rng.poisson(np.minimum(np.exp(log_radiance) * 2.0 ** (index - 1.5), 50.0) * FULL_WELL_E)
+    for stop in stops:
+        electrons = rng.poisson(np.minimum(np.exp(log_radiance) * 2.0 ** (stop - 1.5), 50.0) * FULL_WELL_E)
         light = (electrons + READ_NOISE_E * rng.standard_normal(shape)) / FULL_WELL_E
         numbers = np.round(np.interp(light, exposure, brightness) * full_scale)
         stored = numbers.astype(np.uint8 if bit_depth == 8 else np.uint16)
-        stack.append(Frame(stored, bit_depth, FrameSettings(2.0 ** (index - 9))))
+        stack.append(Frame(stored, bit_depth, FrameSettings(2.0 ** (stop - 9))))
     return Bracket.from_frames(stack)
 
 

@@ -28,6 +28,8 @@ from radiometer.analysis.response_mitsunaga1999 import recover_response_mitsunag
 from radiometer.data import Bracket, ResponseCurve
 
 Peer = Callable[[Bracket], Array]
+# Of the DoRF curves, those whose bends have one stop's period.
+JAGGED = (84, 85, 106, 107, 108)
 # Solves a dense system per stack: every twentieth curve is enough to see where it stands.
 SLOW_PEERS = ("colour-hdri Debevec 1997 (every twentieth curve)",)
 
@@ -190,6 +192,28 @@ def ratio_errors(bit_depth: int) -> tuple[Array, Array]:
     return np.array(found), np.array(squares)
 
 
+def off_the_ladder(bit_depth: int) -> str:
+    """Return what `auto` makes of jagged curves when one of the nine frames lies between two stops."""
+    found = []
+    curves = list(response_curves())
+    for number in JAGGED:
+        _, exposure, brightness = curves[number]
+        inner, truth = true_log_exposure(exposure, brightness, bit_depth)
+        figures = []
+        for stops in (range(9), (*range(5), 4 + 1 / 3, *range(5, 8))):
+            estimate = METHODS["auto"](
+                [make_stack(exposure, brightness, bit_depth=bit_depth, seed=number, stops=stops)]
+            )
+            error = rms_error(estimate.curve.log_exposure[inner], truth)
+            figures.append((100 * error, 100 * estimate.stability.rms_log if estimate.stability else float("nan")))
+        (error, thirds), (error_off, thirds_off) = figures
+        found.append(f"{number}: error {error:.2f} → {error_off:.2f} %, thirds {thirds:.2f} → {thirds_off:.2f} %")
+    return (
+        f"The jagged curves at {bit_depth} bits, nine frames at whole stops → eight of them and one a third of a stop "
+        f"off: {'; '.join(found)}."
+    )
+
+
 HEADER = (
     "| method | median | p90 | worst | failed | CPU s per stack (median) | χ² of disjoint thirds (mean) "
     "| (error/u)²: median, mean |\n|---|---|---|---|---|---|---|---|"
@@ -217,6 +241,8 @@ def main() -> None:
             f"{np.median(squares):.2f}, mean {np.mean(squares):.2f}."
         )
         print(parts[-1], flush=True)
+    if DORF.exists():
+        parts += [off_the_ladder(bit_depth) for bit_depth in (8, 12)]
     write_section(
         "response_accuracy",
         "Response recovery beside its peers",

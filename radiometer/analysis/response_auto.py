@@ -70,11 +70,12 @@ def solve_auto(samples: ResponseSamples) -> ResponseEstimate:
         fits = [_fit(p, result.log_exposure, result.noise, result.fit.time_spread) for p in parts]
         thirds = [fit.curve(part, fit.u_pixels) for fit, part in zip(fits, parts, strict=True)]
         open_in_a_third = fits[0].rms_inside(fits[0].u_least)
-    stability = compare_thirds(thirds) if thirds else None
+    curve = result.curve(samples, result.u_log_exposure)
+    stability = compare_thirds(thirds, curve) if thirds else None
     fit, times = result.fit, samples.frame_log_time
     ratios, u_ratios = _exposure_ratios(fit, times)
     return ResponseEstimate(
-        curve=result.curve(samples, result.u_log_exposure),
+        curve=curve,
         method=METHOD,
         pixel_count=samples.pixel_count,
         group_count=result.samples.group_count,

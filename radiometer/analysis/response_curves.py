@@ -14,7 +14,7 @@ from radiometer.data.response_curve import ResponseCurve
 
 Array = NDArray[np.float64]
 # An end of a curve that is less certain than this, in ln H, is called extrapolated.
-_UNDETERMINED_U = 0.1
+_UNDETERMINED_U = 0.05
 
 
 def supported_range(samples: ResponseSamples) -> tuple[int, int]:

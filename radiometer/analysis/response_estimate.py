@@ -101,14 +101,15 @@ def median_uncertainty(curve: ResponseCurve) -> float:
     return float(np.median(curve.u_log_exposure[inner_range(valid)]))
 
 
-def compare_thirds(curves: list[ResponseCurve]) -> Stability | None:
-    """Return how far curves from disjoint pixels differ where all of them are valid.
+def compare_thirds(curves: list[ResponseCurve], whole: ResponseCurve) -> Stability | None:
+    """Return how far curves from disjoint pixels differ where they and the curve of all pixels are valid.
 
     Args:
         curves: Curves from disjoint pixels, at least two.
+        whole: The curve of all pixels.
     """
-    ranges = [curve.valid_dn for curve in curves if curve.valid_dn]
-    if len(ranges) < 2:
+    ranges = [curve.valid_dn for curve in (*curves, whole) if curve.valid_dn]
+    if len(ranges) < 3:
         return None
     low, high = max(r[0] for r in ranges), min(r[1] for r in ranges)
     if high - low < 4:

@@ -73,7 +73,7 @@ def solve_linear_spline(samples: ResponseSamples) -> ResponseEstimate:
         sample_count=int(samples.pixels.sum()),
         residual_rms_log=float(np.sqrt(normal.weight @ residual**2 / normal.weight.sum())),
         smoothing=solution.smoothing,
-        stability=compare_thirds(thirds),
+        stability=compare_thirds(thirds, curve),
         exposure_ratios=np.exp(np.diff(times)),
         u_exposure_ratios=np.zeros(times.size - 1),
         notes=_notes(float(np.sqrt(np.mean(misfit**2)))),

@@ -94,15 +94,16 @@ def solve_mitsunaga1999(
     shared = situation.first.u_log_exposure if argument == OF_FIRST_ESTIMATE else np.zeros(size)
     thirds = [_curve(samples, values(samples.third(k))[:size], u[:size] * 3**0.5, order) for k in range(3)]
     ratios = np.exp(here.log_ratios)
+    curve = _curve(samples, here.log_curve(), np.sqrt(u[:size] ** 2 + misfit**2 + shared**2), order)
     return ResponseEstimate(
-        curve=_curve(samples, here.log_curve(), np.sqrt(u[:size] ** 2 + misfit**2 + shared**2), order),
+        curve=curve,
         method=METHOD,
         pixel_count=samples.pixel_count,
         group_count=samples.group_count,
         sample_count=int(samples.pixels.sum()),
         residual_rms_log=here.residual_rms,
         smoothing=float(order),
-        stability=compare_thirds(thirds),
+        stability=compare_thirds(thirds, curve),
         exposure_ratios=ratios,
         u_exposure_ratios=ratios * np.hypot(u[size:], ratio_misfit),
         gauge=f"g(M_mid) = 0; exponent γ fixed by {situation.gauge.text}",
