@@ -1,6 +1,6 @@
 """Does the capture that `radiometer reconcile` asks for settle the matter, and sooner than a random one?
 
-    nice python -m benchmarks.reconcile_next_capture [--seeds 3] [--most 4]
+    nice python -m benchmarks.reconcile_next_capture [--seeds 3] [--most 4] [--first-seed 40000]
 
 The start is a plain bracket: twelve exposures of one chart, twice each, and darks. What it asks for is added and the
 set is taken anew by the independent generator, until the hidden effect is named alone and nothing rivals it; beside
@@ -103,13 +103,14 @@ def _grouped(rows: list[dict[str, Any]]) -> dict[tuple[str, bool], list[dict[str
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--most", type=int, default=4, help="further captures at most")
     parser.add_argument("--hidden", default=",".join(HIDDEN))
     options = parser.parse_args()
     rows = []
     for known in (True, False):
         for name in options.hidden.split(","):
-            for seed in range(FIRST_SEED, FIRST_SEED + options.seeds):
+            for seed in range(options.first_seed, options.first_seed + options.seeds):
                 row: dict[str, Any] = {"hidden": name, "known": known, "seed": seed}
                 row["asked"], row["said"] = captures_needed(name, seed, asked, options.most, known=known)
                 chance = drawn(np.random.default_rng([seed, 9]))
@@ -121,7 +122,10 @@ def main() -> None:
         f"without rivals, one number for each seed; – : not within {options.most}.\n\n{page(rows)}"
     )
     print(body)
-    command = f"python -m benchmarks.reconcile_next_capture --seeds {options.seeds} --most {options.most}"
+    command = (
+        f"python -m benchmarks.reconcile_next_capture --seeds {options.seeds} --most {options.most} "
+        f"--first-seed {options.first_seed}"
+    )
     write_section("reconcile_next_capture", "Reconcile: the next capture", command, body)
 
 

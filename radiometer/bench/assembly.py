@@ -95,8 +95,8 @@ def calibration_path(config: BenchConfig, bench: Path | None) -> Path | None:
 
 
 def known_patches(config: BenchConfig) -> tuple[PatchDescription, ...]:
-    """Return the regions that a bench knows of; their radiance is what is to be measured, so it is left open."""
-    if config.patch is None:
-        return ()
+    """Return the regions that a bench knows of; the radiance of the one to be measured is left open."""
+    if config.patches or config.patch is None:
+        return config.patches
     patch = config.patch
     return (PatchDescription(name="patch", x=patch.x, y=patch.y, width=patch.width, height=patch.height),)

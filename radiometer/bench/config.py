@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from radiometer.data import LensDescription, Patch, SourceDescription
+from radiometer.data import LensDescription, Patch, PatchDescription, SourceDescription
 from radiometer.data.config_files import shipped_config
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
@@ -79,7 +79,11 @@ class PatchConfig(ConfigSection):
 
 
 class BenchConfig(ConfigSection):
-    """The whole of a bench file."""
+    """The whole of a bench file.
+
+    `patches` are regions of even light and their radiances, as far as known, for `radiometer reconcile`; `patch` is
+    the one that is measured.
+    """
 
     format: Literal["radiometer-bench/1"] = "radiometer-bench/1"
     name: str = "bench"
@@ -90,6 +94,7 @@ class BenchConfig(ConfigSection):
     calibration: str | None = None
     spectrum: str | None = None
     patch: PatchConfig | None = None
+    patches: tuple[PatchDescription, ...] = ()
     time_limit_s: float = Field(60.0, gt=0)
 
 

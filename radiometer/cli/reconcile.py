@@ -22,6 +22,8 @@ _VERDICTS = {
     "incomplete": "Something was named, but structure stays: the names are provisional.",
 }
 
+_OPEN = "Something is missing that has more than one name; with any of them simulation and measurement agree."
+
 
 def command(
     capture: Annotated[
@@ -97,7 +99,8 @@ def _refuse_unknown(names: list[str]) -> None:
 
 def _show(result: ReconcileResult) -> None:
     out = console()
-    out.print(f"[bold]{_VERDICTS[result.verdict]}[/bold]")
+    open_names = any(effect.alternatives for effect in result.effects) and result.verdict == "effects_found"
+    out.print(f"[bold]{_OPEN if open_names else _VERDICTS[result.verdict]}[/bold]")
     if result.frames:
         out.print(
             f"{result.captures} captures, {result.frames} frames; {result.tests[0]} tests, "
@@ -131,6 +134,8 @@ def _show_effect(number: int, effect: FoundEffect) -> None:
         out.print(f"   closest entry: {effect.closest[0]}, which explains {100 * effect.closest[1]:.0f} % of it")
     if effect.alternatives:
         out.print(f"   these data cannot tell it from: {', '.join(effect.alternatives)}")
+        if any(entry.u is not None for entry in effect.parameters.values()):
+            out.print("   each ± holds only if it is this one: it knows nothing of the choice among them")
     if effect.next_capture:
         out.print(f"   next capture: {effect.next_capture.get('description', '')}")
 

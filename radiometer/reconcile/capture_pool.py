@@ -85,6 +85,9 @@ class CapturePool:
         noise2 = first.variance / (pixels * FRAMES) + (_PATCH_U_REL**2 + self.state.tau**2) * light**2
         top = _CLIPPED * design.header.camera.full_scale_dn
         clear = (first.mean < top) & (second.mean < top)
+        # What a new pattern scatters into the patches is known only if none of it clips.
+        unseen = design.pattern_index >= len(self.state.design.patterns)
+        clear &= ~(unseen & (first.mean >= top).any(axis=1))[:, None]
         means = np.sum(np.where(clear, (first.mean - second.mean) ** 2 / noise2, 0.0), axis=1)
         log_ratio2 = np.log(first.variance / second.variance) ** 2
         spreads = np.sum(np.where(clear, log_ratio2 * pixels * (FRAMES - 1) / 4.0, 0.0), axis=1)

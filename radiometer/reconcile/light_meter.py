@@ -142,7 +142,7 @@ def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
         before, after = (inner_printed, inner_exact) if inner_exact < _COINCIDENCE else (printed, exact)
         effects = (_nominal(before, after),)
         verdict = Verdict.EFFECTS_FOUND if abs(rest) <= _STEP_OF_A_METER / 2 * 1.01 else Verdict.INCOMPLETE
-        remarks.append(_said_of_rounding(before, after))
+        remarks.append(_said_of_rounding(before, after, widest if inner_exact < _COINCIDENCE <= exact else None))
     elif verdict is Verdict.UNNAMED:
         effects = (FoundEffect("unnamed", {}, _likely_axis(rows), printed, printed, block="meter constant"),)
     extra: dict[str, Any] = {"constants": _table(rows)}
@@ -186,10 +186,11 @@ def _nominal(before: float, after: float) -> FoundEffect:
     )
 
 
-def _said_of_rounding(before: float, after: float) -> str:
+def _said_of_rounding(before: float, after: float, left_out: float | None) -> str:
+    where = "" if left_out is None else f" (f/{left_out:.2g} left out)"
     return (
-        f"K scatters by {100 * before:.2f} % within a source because printed stops were taken at face value; with the "
-        f"exact stops behind them (1/60 s is 1/64 s, f/5.6 is f/5.657) by {100 * after:.2f} %."
+        f"K scatters by {100 * before:.2f} % within a source{where} because printed stops were taken at face value; "
+        f"with the exact stops behind them (1/60 s is 1/64 s, f/5.6 is f/5.657) by {100 * after:.2f} %."
     )
 
 

@@ -114,7 +114,9 @@ def _effect(effect: FoundEffect) -> str:
         f"<td>{'' if entry.u is None else f'± {entry.u:.2g}'}</td><td>{html.escape(entry.unit)}</td></tr>"
         for name, entry in effect.parameters.items()
     )
-    rivals = f"<p>These data cannot tell it from {', '.join(effect.alternatives)}.</p>" if effect.alternatives else ""
+    only = "Each ± holds only if it is this one: it knows nothing of the choice among them."
+    others = ", ".join(effect.alternatives)
+    rivals = f"<p>These data cannot tell it from {others}. {only}</p>" if effect.alternatives else ""
     following = effect.next_capture.get("description", "") if effect.next_capture else ""
     advice = f"<p>Next capture: {html.escape(str(following))}</p>" if following else ""
     weak = " (weak: repeat the captures)" if effect.gain_nats < _WEAK_NATS else ""
