@@ -55,6 +55,13 @@ def plain_report(results: list[Result]) -> str:
     for k, said in zip(kinds, ("stated", "unknown"), strict=True):
         listed = "; ".join(_told(r) for r in fine[k] if r["honesty"] not in ("named", "blind", "below"))
         parts.append(f"Patches {said}, what was neither named nor beyond these data: {listed or 'nothing'}.")
+    z = np.array([abs(p["z"]) for k in kinds for r in fine[k] if r["judged"]["exact"] for p in r["parameters"]])
+    if z.size:
+        within = ", ".join(f"{int((z <= n).sum())}/{z.size} within {n}" for n in (1, 2, 3))
+        parts.append(
+            f"Parameters of exactly named effects, in reported sigmas from the truth: {within}; rms "
+            f"{float(np.sqrt(np.mean(z**2))):.2f}. The sigmas know nothing of the choice of the name."
+        )
     crashed = [r for r in results if "error" in r]
     parts += [f"* `{r['key']}` ended in an error: {r['error']}" for r in crashed]
     return "\n\n".join(parts)

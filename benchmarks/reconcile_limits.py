@@ -36,11 +36,6 @@ FACTORS = (0.5, 1.0, 2.0)
 FIRST_SEED = 60_000
 
 
-def limit_of(name: str, seed: int, plan: str) -> float | None:
-    """Return the limit that the same set states where nothing is hidden."""
-    return _asked(make_session(camera_seed=seed, plan=plan), with_limits=True).limits[name].amplitude
-
-
 def answer_at(name: str, size: float, seed: int, plan: str) -> ReconcileResult:
     """Return the answer to a set in which an entry is hidden at a size, in the unit of its limit."""
     mine, _, factor = PARAMETERS[name][0]
@@ -96,7 +91,10 @@ def main() -> None:
         f"asks for about four (eight nats), so that half the limit should pass, and twice it never.\n\n{page(rows)}"
     )
     print(body)
-    command = f"python -m benchmarks.reconcile_limits --seeds {options.seeds} --plan {options.plan}"
+    command = (
+        f"python -m benchmarks.reconcile_limits --seeds {options.seeds} --first-seed {options.first_seed} "
+        f"--plan {options.plan}"
+    )
     write_section("reconcile_limits", "Reconcile: are the limits true?", command, body)
 
 

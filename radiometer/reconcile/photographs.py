@@ -31,6 +31,8 @@ _GAP_UNIT: Final = "mean square of ln exposure on held-out pixels over that with
 _CELL_PX: Final = 4
 _MOST_CELLS: Final = 1200
 _KNOTS: Final = 18
+_ABOVE_FLOOR: Final = 0.03  # share of full scale
+_SAME_FLOOR_DN: Final = 1.0
 _USED: Final = (0.04, 0.96)  # share of full scale between which a value tells the exposure
 _NEEDED_NATS: Final = 10.0
 _SMALLEST_LABEL_ERROR: Final = 0.08  # ln; an eighth of a stop: below it rounding and drift explain it
@@ -112,7 +114,7 @@ def _samples(frames: Sequence[Frame]) -> _Stack:
     cells = np.stack([_cells(frame) for frame in frames])
     rough = np.stack([_roughness(frame) for frame in frames])
     low, high = (share * frames[0].full_scale_dn for share in _USED)
-    used = (cells > low) & (cells < high)
+    used = (cells > max(low, _floor(cells) + _ABOVE_FLOOR * frames[0].full_scale_dn)) & (cells < high)
     seen = used.sum(axis=0)
     unrest = np.where(used, rough / np.maximum(cells, 1.0), 0.0).sum(axis=0) / np.maximum(seen, 1)
     order = np.argsort(np.where(seen >= 2, unrest, np.inf))[: min(_MOST_CELLS, int(np.sum(seen >= 2)))]
@@ -121,6 +123,15 @@ def _samples(frames: Sequence[Frame]) -> _Stack:
     photograph, cell = np.nonzero(used[:, order])
     value = cells[:, order][photograph, cell] / frames[0].full_scale_dn
     return _Stack(value, cell, photograph, np.array([f.settings.exposure_s for f in frames]))
+
+
+def _floor(cells: Array) -> float:
+    """Return the value below which nothing falls, in DN: where the darkest parts of the two shortest exposures agree.
+
+    A scanned film or a broadcast range has its black well above 0; values there tell nothing of the exposure.
+    """
+    darkest = np.percentile(cells[:2], 1.0, axis=1)
+    return float(darkest.min()) if abs(float(darkest[0] - darkest[1])) < _SAME_FLOOR_DN else 0.0
 
 
 def _blocks(frame: Frame) -> Array:
