@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from importlib import resources
 from typing import Final
 
 import structlog
 from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
 
 from radiometer.daemon.http import control, picture, readings
 from radiometer.daemon.http.openapi import description
@@ -28,6 +30,23 @@ _PAGE: Final = {
 }
 
 
+class _OwnFaults(logging.Filter):
+    """Drops what a client caused that sends nonsense or hangs up: it has its 400, and could fill the log."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        error = record.exc_info[1] if record.exc_info else None
+        return not isinstance(error, HttpProcessingError | ConnectionError)
+
+
+_OWN_FAULTS: Final = _OwnFaults()
+
+
+def _logger() -> logging.Logger:
+    logger = logging.getLogger(__name__)
+    logger.addFilter(_OWN_FAULTS)
+    return logger
+
+
 class HttpServer:
     """Serves one station over HTTP.
 
@@ -42,6 +61,7 @@ class HttpServer:
         self._runner = web.AppRunner(
             application(station, self._limits, token),
             access_log=None,
+            logger=_logger(),
             keepalive_timeout=_KEEP_ALIVE_S,  # also ends a connection that never finishes its request head
             shutdown_timeout=2.0,
             max_field_size=8190,
