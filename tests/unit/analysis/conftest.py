@@ -32,6 +32,14 @@ def _tone_curve(seed: int) -> Response:
     return response
 
 
+def _film_curve(seed: int) -> Response:
+    """A gamma drawn through points whose steps scatter by 5 %, as curves measured on film and cameras have them."""
+    rng = np.random.default_rng(100 + seed)
+    steps = rng.lognormal(0.0, 0.05, 24)
+    value = np.concatenate([[0.0], np.cumsum(steps) / steps.sum()])
+    return PchipInterpolator(np.linspace(0.0, 1.0, value.size) ** rng.uniform(1.6, 2.6), value)
+
+
 # Exposure and value of a curve with kinks and near-plateaus, as some films and enhanced pictures have.
 _KINKS = PchipInterpolator(
     [0.0, 0.04, 0.07, 0.09, 0.15, 0.21, 0.26, 0.35, 0.42, 0.60, 1.0],
@@ -40,6 +48,7 @@ _KINKS = PchipInterpolator(
 
 RESPONSES: dict[str, Response] = {
     **{f"tone{seed}": _tone_curve(seed) for seed in range(8)},
+    **{f"film{seed}": _film_curve(seed) for seed in range(10)},
     "gamma": lambda exposure: exposure ** (1 / 2.2),
     "linear": lambda exposure: exposure,
     "sigmoid": _sigmoid,
