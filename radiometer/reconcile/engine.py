@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,7 +28,7 @@ from radiometer.reconcile.result import (
 )
 from radiometer.reconcile.search import Search, Step, search
 from radiometer.reconcile.starting_model import adopted
-from radiometer.reconcile.state import FitState, first_state
+from radiometer.reconcile.state import FitState, first_state, refit, with_effects
 from radiometer.reconcile.statistics import FrameReader, frame_reader, reduce_frames
 from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
@@ -40,6 +40,8 @@ CATALOGUE: Final[dict[str, type[CatalogueEffect]]] = {
 
 _PLACES: Final = 10
 _CALL: Final = 0.01
+_PUSH: Final = 9.0  # χ² that the end of a range must bring to count: what the data hardly tell runs there by chance
+_REFITS: Final = 8
 _MOST_LISTED: Final = 4  # unnamed covariates in a result; the whole list stands under localisation
 
 Say = Callable[[str], None]
@@ -236,10 +238,25 @@ def _verdict(outcome: Search) -> Verdict:
 
 
 def _strained(state: FitState) -> list[str]:
-    """Return what parameters would leave their physical range: their entry is bent to fit something that it is not."""
+    """Return what parameters the data push out of their physical range: the entry is bent to what it is not."""
     own = state.parameters
     ends = [index for index in sorted(state.frozen) if own.values[index] != 0.0]
-    return [f"{own.names[index]} of {own.effects[own.owner[index]].name}" for index in ends]
+    return [
+        f"{own.names[index]} of {own.effects[own.owner[index]].name}" for index in ends if _push(state, index) > _PUSH
+    ]
+
+
+def _push(state: FitState, index: int) -> float:
+    """Return the χ² that a parameter gains by the end of its range over its usual value, all others fitted anew."""
+    own = state.parameters
+    effect, name = own.effects[own.owner[index]], own.names[index]
+    usual = {entry.name: entry.default for entry in fields(effect)}.get(name)
+    if not isinstance(usual, float):
+        return 0.0
+    values = own.values
+    values[index] = usual
+    moved = replace(with_effects(state, own.replaced(values)), frozen=frozenset({index}))
+    return refit(moved, iterations=_REFITS).cost - state.cost
 
 
 def _found(outcome: Search) -> tuple[FoundEffect, ...]:

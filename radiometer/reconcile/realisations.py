@@ -7,7 +7,7 @@ its variance gives, so that they neither pass for another effect nor let one hid
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -19,27 +19,59 @@ from radiometer.reconcile.terms import ColumnBuilder, LinearTerm
 from radiometer.reconcile.tile_layout import tile_groups
 from radiometer.reconcile.tile_model import Prediction
 from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.context import ExposureContext
 
 _EDGES: Final = 5.0  # √(number of edges that average out), few to be safe
 _TREND_TERMS: Final = 3  # of a tile's lines: constant, slope and curvature are taken out
 _SMALLEST_SHARE: Final = 1e-6
 _FIXED_BLOCKS: Final = ("spatial", "columns", "rows")
 
+Unit = Callable[[Prediction], Array]
+
 
 def realisation_terms(
-    effects: Sequence[CatalogueEffect], prediction: Prediction, seen: CaptureStatistics, design: Design
+    effects: Sequence[CatalogueEffect],
+    prediction: Prediction,
+    seen: CaptureStatistics,
+    design: Design,
+    context: ExposureContext,
 ) -> tuple[LinearTerm, ...]:
-    """Return the realisation terms of the fixed-pattern effects among the accepted ones."""
-    if not design.uniform or not any(effect.block in _FIXED_BLOCKS for effect in effects):
+    """Return the realisation terms of the fixed-pattern effects among the accepted ones.
+
+    Args:
+        effects: The accepted effects.
+        prediction: Expected statistics with them.
+        seen: What was measured.
+        design: Captures and tiles.
+        context: The captures as the effects see them.
+    """
+    patterns = [effect for effect in effects if effect.block in _FIXED_BLOCKS]
+    if not design.uniform or not patterns:
         return ()
     pixels = np.maximum(seen.pixels.max(axis=0), 2.0)
-    proportional = any(getattr(effect, "proportional", False) for effect in effects if effect.block in _FIXED_BLOCKS)
-    additive = any(not getattr(effect, "proportional", False) for effect in effects if effect.block in _FIXED_BLOCKS)
+    own = [(effect, effect.pattern_e(context)) for effect in patterns]
+    plain = [effect for effect, electrons in own if electrons is None]
+    additive = any(not effect.proportional for effect in plain)
     terms: list[LinearTerm] = []
-    for name, wanted in (("proportional", proportional), ("additive", additive)):
-        if wanted:
-            terms += _offset_terms(name, prediction, pixels, design)
-    terms.append(_spread_term(seen))
+    others = np.zeros_like(prediction.fixed)
+    for effect, electrons in own:
+        if electrons is not None:
+            unit = _unit_of_electrons(np.broadcast_to(electrons, (*prediction.mean.shape, 1))[:, :, 0])
+            others = others + unit(prediction) ** 2
+            terms += _offset_terms(effect.name, unit, np.ones(len(design.tiles)), (0.0, 0.0), pixels, design)
+    fixed = prediction.fixed - others
+    if any(effect.proportional for effect in plain):
+        # Purest in bright captures, but for full wells, which hide it.
+        light = _unit_of_light(prediction)
+        bright, relative = light > 0.2 * light.max(axis=0), fixed / np.maximum(light**2, 1e-30)
+        white = np.array([np.median(column[mask]) for column, mask in zip(relative.T, bright.T, strict=True)])
+        terms += _offset_terms("proportional pattern", _unit_of_light, white, (0.0, 0.0), pixels, design)
+    if additive:
+        lines = _line_variances(prediction)
+        relative = fixed / np.maximum(_unit_of_gain(prediction) ** 2, 1e-30) - sum(lines)
+        white = relative[np.argmin(prediction.signal, axis=0), np.arange(pixels.size)]  # purest in the darkest
+        terms += _offset_terms("additive pattern", _unit_of_gain, white, lines, pixels, design)
+    terms.append(_spread_term(seen, max(effect.excess_kurtosis() for effect in patterns)))
     for name in ("columns", "rows"):
         terms.append(_line_spread_term(name, seen))
         if additive and float(np.max(_lines(name, prediction))) > 0:
@@ -47,18 +79,20 @@ def realisation_terms(
     return tuple(terms)
 
 
-def _offset_terms(name: str, prediction: Prediction, pixels: Array, design: Design) -> list[LinearTerm]:
-    unit = _unit(name, prediction)
-    rows_e2, columns_e2 = (0.0, 0.0) if name == "proportional" else _line_variances(prediction)
-    relative = prediction.fixed / np.maximum(unit**2, 1e-30) - rows_e2 - columns_e2
-    # A pattern in proportion to light shows purest in bright captures (but for full wells, which hide it), an
-    # additive one in the darkest.
-    bright = unit > 0.2 * unit.max(axis=0)
-    if name == "proportional":
-        white = np.array([np.median(column[mask]) for column, mask in zip(relative.T, bright.T, strict=True)])
-    else:
-        white = relative[np.argmin(prediction.signal, axis=0), np.arange(unit.shape[1])]
-    white = np.maximum(white, 1e-14)
+def _offset_terms(
+    name: str, unit: Unit, white: Array, lines: tuple[float, float], pixels: Array, design: Design
+) -> list[LinearTerm]:
+    """Return the terms for what a pattern does to means, slopes and edges.
+
+    Args:
+        name: What the pattern is called.
+        unit: Gives (captures, tiles) DN per unit of the pattern for a prediction.
+        white: (tiles,) variance from pixel to pixel in squared units.
+        lines: Variance of rows and of columns in squared units.
+        pixels: (tiles,) pixels that count.
+        design: Captures and tiles.
+    """
+    (rows_e2, columns_e2), white = lines, np.maximum(white, 1e-14)
     rows, columns = shared_lines(design)
     height, width = (np.array([getattr(tile, n) for tile in design.tiles]) for n in ("height", "width"))
     lengths = np.empty((2, len(design.tiles)))
@@ -71,10 +105,10 @@ def _offset_terms(name: str, prediction: Prediction, pixels: Array, design: Desi
     ones = np.ones(len(design.tiles))
     line = float(np.median(np.sqrt(white / np.sqrt(pixels) + rows_e2 + columns_e2)))
     return [
-        LinearTerm(f"{name} pattern mean", _builder("mean", name, _root(mean)), ones),
-        LinearTerm(f"{name} pattern tilt x", _builder("slope_x", name, _root(tilt_x)), ones),
-        LinearTerm(f"{name} pattern tilt y", _builder("slope_y", name, _root(tilt_y)), ones),
-        LinearTerm(f"{name} pattern at edges", _edge_builder(name), np.array([line])),
+        LinearTerm(f"{name}: mean", _builder("mean", unit, _root(mean)), ones),
+        LinearTerm(f"{name}: tilt x", _builder("slope_x", unit, _root(tilt_x)), ones),
+        LinearTerm(f"{name}: tilt y", _builder("slope_y", unit, _root(tilt_y)), ones),
+        LinearTerm(f"{name}: edges", _edge_builder(unit), np.array([line])),
     ]
 
 
@@ -106,34 +140,44 @@ def _outer(length: Array) -> Array:
     return np.asarray(np.sqrt(length[:, None] * length[None, :]))
 
 
-def _unit(name: str, prediction: Prediction) -> Array:
-    gain = np.broadcast_to(prediction.gain[:, None], prediction.mean.shape)
-    return np.asarray(prediction.signal * gain if name == "proportional" else gain)
+def _unit_of_gain(prediction: Prediction) -> Array:
+    return np.asarray(np.broadcast_to(prediction.gain[:, None], prediction.mean.shape))
 
 
-def _builder(block: str, name: str, root: Array) -> ColumnBuilder:
+def _unit_of_light(prediction: Prediction) -> Array:
+    return prediction.signal * prediction.gain[:, None]
+
+
+def _unit_of_electrons(electrons: Array) -> Unit:
+    return lambda prediction: electrons * prediction.gain[:, None]
+
+
+def _builder(block: str, unit: Unit, root: Array) -> ColumnBuilder:
     """Return the columns of a pattern whose shifts of the tiles have the covariance root·rootᵀ."""
 
     def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
-        raw = _unit(name, prediction)[:, :, None] * root[None]
+        raw = unit(prediction)[:, :, None] * root[None]
         return _placed(comparison, block, comparison.whiten(block, raw))
 
     return build
 
 
-def _edge_builder(name: str) -> ColumnBuilder:
+def _edge_builder(unit: Unit) -> ColumnBuilder:
     """Return the column of what a fixed pattern in the lines along edges feigns of blur."""
 
     def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
         step = np.maximum(np.std(prediction.mean, axis=1), 1e-9)
-        unit = np.sqrt(np.mean(np.square(_unit(name, prediction)), axis=1))
-        return _placed(comparison, "edge", comparison.whiten("edge", (unit / step / _EDGES)[:, None]))
+        size = np.sqrt(np.mean(np.square(unit(prediction)), axis=1))
+        return _placed(comparison, "edge", comparison.whiten("edge", (size / step / _EDGES)[:, None]))
 
     return build
 
 
-def _spread_term(seen: CaptureStatistics) -> LinearTerm:
-    """Return the term for the chance spread of each tile's own pixels, alone and times that of lines."""
+def _spread_term(seen: CaptureStatistics, excess_kurtosis: float) -> LinearTerm:
+    """Return the term for the chance spread of each tile's own pixels, alone and times that of lines.
+
+    A variance of n values scatters by √((2 + κ)/n), κ their excess kurtosis.
+    """
     freedom = np.maximum(np.nanmedian(seen.spatial_dof, axis=0), 2.0)
 
     def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
@@ -145,7 +189,7 @@ def _spread_term(seen: CaptureStatistics) -> LinearTerm:
         raw[:, np.arange(tiles), np.arange(tiles)] = share
         return _placed(comparison, "spatial", comparison.whiten("spatial", raw))
 
-    return LinearTerm("pattern spread", build, np.sqrt(2.0 / freedom))
+    return LinearTerm("pattern spread", build, np.sqrt((2.0 + excess_kurtosis) / freedom))
 
 
 def _lines(block: str, prediction: Prediction) -> Array:

@@ -246,7 +246,9 @@ def reweighted(state: FitState) -> FitState:
     kept = _kept_weights(state, smooth)
     terms = (
         *smooth,
-        *realisation_terms((*state.model.given, *state.effects), state.prediction, state.seen, state.design),
+        *realisation_terms(
+            (*state.model.given, *state.effects), state.prediction, state.seen, state.design, state.model.context
+        ),
     )
     floors = form_floors(state.model, state.nuisance, state.prediction)
     mask = state.comparison.usable

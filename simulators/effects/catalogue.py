@@ -65,6 +65,17 @@ class CatalogueEffect(Effect):
         """
         raise NotImplementedError(f"{self.name} does not repeat")
 
+    def pattern_e(self, context: ExposureContext) -> Any:
+        """Return the standard deviation in electrons of a fixed pattern that grows by settings of its own.
+
+        None for patterns that are the same in all frames or go with the light.
+        """
+        return None
+
+    def excess_kurtosis(self) -> float:
+        """Return the excess kurtosis of a fixed pattern's values; 0 for normal ones."""
+        return 0.0
+
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
         """Return the moments after the effect by linear propagation; statistics of tiles by `tile`."""
         after = super().moments(before, context)

@@ -84,6 +84,15 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         """Return the pattern's variance in e-²."""
         return np.square(self.electrons(context))
 
+    def pattern_e(self, context: ExposureContext) -> Any:
+        """Return the pattern's standard deviation in electrons."""
+        return self.electrons(context)
+
+    def excess_kurtosis(self) -> float:
+        """Return that of a log-normal leak: w⁴ + 2w³ + 3w² − 6 for w = exp(shape²)."""
+        w = math.exp(self.shape**2)
+        return w**4 + 2.0 * w**3 + 3.0 * w**2 - 6.0
+
     def electrons(self, context: ExposureContext) -> Any:
         """Return the pattern's standard deviation in electrons."""
         warmer = 2.0 ** (warmer_k(context, self.reference_C) / self.doubling_K)

@@ -74,6 +74,16 @@ def test_constant_offset_without_its_entry_is_no_other_entry(make_capture: Calla
     assert result.verdict is Verdict.UNNAMED
 
 
+def test_uneven_leak_moves_whole_patches_and_nothing_else_is_named(make_capture: Callable[..., Any]) -> None:
+    """Few pixels leak much: the patches that hold them differ in mean and spread, and that belongs to the one name."""
+    drawn = np.random.default_rng(5).lognormal(0.0, 0.7, (64, 96))
+    leak = 10.0 * drawn / drawn.std()
+    captured = make_capture(seed=16, extra_e=lambda s: (leak - leak.min()) * s["t"] * 2 ** ((s["T"] - 35.0) / 7.0))
+    result = reconcile(captured.header, captured.frames, with_limits=False)
+    assert {effect.name for effect in result.effects} <= {"dark_current_nonuniformity", "dark_current"}
+    assert result.verdict is Verdict.EFFECTS_FOUND
+
+
 def test_command_writes_json_model_and_report(
     make_capture: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
