@@ -139,13 +139,14 @@ class CaptureSums:
             residuals.append(residual)
             counting.append(good)
         out["low"], out["high"] = self.low / n, self.high / n
+        row_sums = self._without_flicker(means, counting, out, black_dn) if structured and n > 1 else self.row_sums
         out["first"] = means[0] - means[1:].mean(axis=0) if n > 1 else np.full(tiles, np.nan)
         result: dict[str, Array | float] = dict(out)
         result["outliers"] = float(outlying.sum())
         free = (out["low"] == 0) & (out["high"] == 0)  # a clipped tile has hardly any noise and would outweigh all
         variance, spatial = (np.where(free, out[name], np.nan) for name in ("variance", "spatial"))
         known = [group.cut(~self.defects).astype(np.bool_) for group in self.groups]
-        result |= row_temporal_profile(self.groups, self.row_sums, variance, known)
+        result |= row_temporal_profile(self.groups, row_sums, variance, known)
         result |= fixed_profile(self.groups, residuals, spatial, counting)
         result |= _common_fluctuation(means, out, black_dn)
         result["side_lines"] = self.side_lines / n
@@ -179,15 +180,48 @@ class CaptureSums:
             self._temporal(number, group, good, out, n)
         return np.asarray(residual), np.asarray(good)
 
-    def _temporal(self, number: int, group: TileGroup, good: Array, out: dict[str, Array], n: int) -> None:
+    def _without_flicker(
+        self, means: Array, counting: Sequence[Array], out: dict[str, Array], black_dn: float
+    ) -> list[list[Array]]:
+        """Free the temporal statistics of what light that all of a frame shares does to a tile's structure.
+
+        A bright spot in a tile gains more by it than the tile's mean, which has been taken out. Returns the row sums.
+        """
+        n = means.shape[0]
+        amplitude, information = _common_amplitude(means, out, black_dn)
+        if information <= 0:
+            return self.row_sums
+        shaken = float(np.sum(amplitude**2)) - (n - 1) / information
+        follows = (out["high"] == 0) & (out["low"] == 0)  # what is clipped does not
+        freed = []
+        for number, (group, good, sums) in enumerate(zip(self.groups, counting, self.row_sums, strict=True)):
+            self._temporal(number, group, good, out, n, np.where(follows, shaken, 0.0)[group.index])
+            structure = (self.total[number] / n * group.cut(~self.defects)).sum(axis=2)
+            freed.append([rows - a * structure for rows, a in zip(sums, amplitude.tolist(), strict=True)])
+        return freed
+
+    def _temporal(
+        self, number: int, group: TileGroup, good: Array, out: dict[str, Array], n: int, shaken: Array | None = None
+    ) -> None:
+        """Work out the tiles' noise.
+
+        Args:
+            number: Number of the group.
+            group: Tiles of one size.
+            good: Their pixels that count.
+            out: Statistics by name; those of noise are filled in.
+            n: Number of frames.
+            shaken: (tiles,) sum of squares of what the light of the frames differs by, relatively; 0 where missing.
+        """
         total, index = self.total[number], group.index
-        scatter = (self.square[number] - total**2 / n) * good
-        variance = scatter.sum(axis=(1, 2)) / out["variance_dof"][index]
+        steady = 1.0 if shaken is None else 1.0 + shaken / n
+        scatter = (self.square[number] - total**2 / n * np.reshape(steady, (-1, 1, 1))) * good
+        variance = np.maximum(scatter.sum(axis=(1, 2)), 0.0) / out["variance_dof"][index]
         out["variance"][index] = variance
         safe = np.where(variance > 0, variance, np.nan)
         for axis, pairs in (("neighbour_x", self.pair_x), ("neighbour_y", self.pair_y)):
             a, b = (total[:, :, 1:], total[:, :, :-1]) if axis == "neighbour_x" else (total[:, 1:], total[:, :-1])
-            covariance = pairs[index] - np.einsum("kij,kij->k", a, b) / n
+            covariance = pairs[index] - np.einsum("kij,kij->k", a, b) / n * steady
             count = a.shape[1] * a.shape[2]
             out[axis][index] = covariance / ((n - 1) * count * safe) + 1.0 / out["pixels"][index]
 
@@ -252,15 +286,22 @@ def _common_fluctuation(means: Array, out: dict[str, Array], black_dn: float) ->
     """Return the variance of the relative fluctuation that all tiles share, over what pixel noise alone gives."""
     # The first frame may differ for a reason of its own (lag, dead time) and has a statistic of its own.
     means = means[1:] if means.shape[0] > 2 else means
+    amplitude, information = _common_amplitude(means, out, black_dn)
     n = means.shape[0]
+    if n < 2 or information <= 0:
+        return {"common": np.nan, "common_unit": np.nan}
+    return {"common": float(np.sum(amplitude**2) / (n - 1) * information), "common_unit": 1.0 / information}
+
+
+def _common_amplitude(means: Array, out: dict[str, Array], black_dn: float) -> tuple[Array, float]:
+    """Return by what share the light of each frame differs from that of all, and 1/variance of that; 0 without light."""
     signal = out["mean"] - (black_dn if np.isfinite(black_dn) else float(np.min(out["mean"])))
     usable = (out["high"] == 0) & (out["low"] == 0) & (out["variance"] > 0) & (signal > 0)
     weight = np.where(usable, signal * out["pixels"] / np.where(usable, out["variance"], 1.0), 0.0)
     information = float(np.sum(weight * signal))
-    if n < 2 or information <= 0:
-        return {"common": np.nan, "common_unit": np.nan}
-    amplitude = (means - means.mean(axis=0)) @ weight / information
-    return {"common": float(np.sum(amplitude**2) / (n - 1) * information), "common_unit": 1.0 / information}
+    if information <= 0:
+        return np.zeros(means.shape[0]), 0.0
+    return np.asarray((means - means.mean(axis=0)) @ weight / information), information
 
 
 def _comb(histogram: Array) -> dict[str, Array | float]:

@@ -46,7 +46,7 @@ def realisation_terms(
         context: The captures as the effects see them.
     """
     patterns = [effect for effect in effects if effect.block in _FIXED_BLOCKS]
-    if not design.uniform or not patterns:
+    if not patterns:
         return ()
     pixels = np.maximum(seen.pixels.max(axis=0), 2.0)
     own = [(effect, effect.pattern_e(context)) for effect in patterns]

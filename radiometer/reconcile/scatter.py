@@ -85,7 +85,7 @@ def standard_uncertainties(
         "rows": np.sqrt(log_variance(seen.rows_dof)),
         "edge": np.where(np.isfinite(seen.edge_u), seen.edge_u, 1.0),
         "outliers": np.ones(len(design.captures)),
-        "comb": np.sqrt(_COMB_SQUARES / counts),
+        "comb": np.sqrt(_COMB_SQUARES / counts + (0.0 if design.uniform else _scene_comb(base) ** 2)),
     }
 
 
@@ -141,6 +141,17 @@ def _unevenness(design: Design, seen: CaptureStatistics, base: Prediction, noise
     structure = np.nan_to_num(seen.spatial + sum(tilts) / np.maximum(seen.pixels, 1.0))
     lit = design.source_level[:, None] > 0
     return np.asarray(np.where(lit, 1.0 + base.gain[:, None] ** 2 * structure / np.maximum(noise, 1e-12) ** 2, 1.0))
+
+
+def _scene_comb(base: Prediction) -> Array:
+    """Return how large a comb an honest histogram of a scene may show, (captures, periods).
+
+    In a scene the light scatters the codes where noise need not: of pixels that all have the same phase Gaussian noise
+    of variance v leaves exp(−2π²·v/period²). No pixel has less noise than the darkest tile.
+    """
+    least_e2 = float(np.min(base.variance / base.gain[:, None] ** 2))
+    least_dn2 = least_e2 * base.gain[:, None] ** 2
+    return np.asarray(np.exp(-2.0 * np.pi**2 * least_dn2 / np.square(COMB_PERIODS)))
 
 
 def _pair_shares(design: Design) -> tuple[Array, Array]:

@@ -19,7 +19,6 @@ _CLIP_SIGMAS: Final = 5.0
 _ZERO_SIGMAS: Final = 4.0  # what is cut off below 0 moves a mean by 7e-6 of the noise
 _FEW: Final = 1e-3  # share of clipped samples that does not count as clipping
 _SMALLEST_SIGMA_DN: Final = 0.4  # below it σ² + 1/12 no longer holds for rounded values
-_SMOOTHING_DN2: Final = 60.0  # four times what an even tile needs
 _FEWEST_CODES: Final = 500  # samples that a histogram needs
 _CLEAR_COMB: Final = 0.5  # amplitude from which a spacing of codes is beyond doubt
 _FINE_NOISE: Final = 0.5  # standard deviation over code spacing that statistics need to be nearly normal
@@ -44,10 +43,9 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
     any_tile = inside.any(axis=1)
     calm = base.variance > step**2 if step > 1 else fine  # lines of pixels feel the spacing sooner
     whole = many[:, 0] & calm.all(axis=1)
-    patched = any_tile & calm.all(axis=1) & design.uniform
+    even = ~(design.source_level > 0) | design.uniform  # without light a scene shows nothing but the sensor
+    patched = any_tile & calm.all(axis=1) & even
     dividing = np.array([step == 1 or step % period == 0 for period in COMB_PERIODS])
-    # In a scene the light scatters the codes where noise does not: only where noise does is the histogram smooth.
-    smooth = design.uniform | (np.nan_to_num(seen.variance).min(axis=1) > _SMOOTHING_DN2)
     return {
         "mean": inside,
         "slope_x": inside,
@@ -63,7 +61,7 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
         "rows": patched & (seen.rows_dof > 4) & (np.nan_to_num(seen.rows) > 0),
         "edge": np.isfinite(seen.edge_u) & any_tile,
         "outliers": patched,
-        "comb": ((seen.comb_count > _FEWEST_CODES) & smooth)[:, None] & dividing,
+        "comb": (seen.comb_count > _FEWEST_CODES)[:, None] & dividing,
     }
 
 
