@@ -24,9 +24,12 @@ def test_unknown_scene_agrees_where_nothing_is_hidden() -> None:
     assert answer.gap_before < 1.05
 
 
-@pytest.mark.parametrize("name", ["exposure_time_offset", "excess_read_noise"])
+SHOWN = ("exposure_time_offset", "excess_read_noise", "missing_codes", "column_pattern", "mains_ripple")
+
+
+@pytest.mark.parametrize("name", SHOWN)
 def test_unknown_scene_shows_what_needs_no_scene(name: str) -> None:
-    """Timing and noise are named without any patch."""
+    """Timing, noise, codes, patterns of the sensor and what whole frames share are named without any patch."""
     answer = _answer(name)
     assert [effect.name for effect in answer.effects] == [name]
     assert str(answer.verdict) == "effects_found"

@@ -159,6 +159,24 @@ def test_structure_of_an_unknown_scene_is_no_outlier() -> None:
     np.testing.assert_allclose(seen.mean[:, 0] - 64.0, expected * np.array([0.5, 1.0, 2.0]), atol=5 * sigma)
 
 
+def test_flicker_of_an_unknown_scene_is_no_noise_of_its_structure() -> None:
+    """Light that all of a frame shares moves a bright spot more than its tile; noise and rows are those of photons."""
+    rng = np.random.default_rng(6)
+    scene = np.full((96, 144), 200.0)
+    scene[8:18, 5:20] = 2000.0  # in the first tile of 24 × 24
+    flicker = 1.0 + 0.04 * rng.standard_normal(8)
+    frames = [Frame(rng.poisson(scene * f).astype(np.uint16), 12, FrameSettings(1.0)) for f in flicker]
+    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
+    camera = CameraDescription(bit_depth=12, black_level_dn=0.0)
+    design = Design.of(CaptureHeader(camera=camera, frames=entries), (96, 144))
+    seen, _ = reduce_frames(design, frame_reader(frames))
+    photons = scene[:24, :24].ravel()
+    sigma = np.sqrt(2.0 * np.sum(photons**2) / 7) / photons.size
+    assert seen.variance[0, 0] == pytest.approx(photons.mean(), abs=5 * sigma)
+    uneven = np.mean(photons**2) / photons.mean() ** 2
+    assert seen.row_temporal[0] == pytest.approx(1.0, abs=5 * np.sqrt(2.0 * uneven / seen.row_temporal_dof[0]))
+
+
 def test_frames_of_another_size_are_refused(make_capture: Callable[..., Any]) -> None:
     """The message names the frame and both sizes."""
     captured = make_capture(plan=[{"t": 3e-3}], frames=2)
