@@ -294,7 +294,7 @@ def _common_fluctuation(means: Array, out: dict[str, Array], black_dn: float) ->
 
 
 def _common_amplitude(means: Array, out: dict[str, Array], black_dn: float) -> tuple[Array, float]:
-    """Return by what share the light of each frame differs from that of all, and 1/variance of that; 0 without light."""
+    """Return by what share the light of each frame differs from all, and 1/variance of that; 0 without light."""
     signal = out["mean"] - (black_dn if np.isfinite(black_dn) else float(np.min(out["mean"])))
     usable = (out["high"] == 0) & (out["low"] == 0) & (out["variance"] > 0) & (signal > 0)
     weight = np.where(usable, signal * out["pixels"] / np.where(usable, out["variance"], 1.0), 0.0)
