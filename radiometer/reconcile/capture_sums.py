@@ -181,7 +181,7 @@ class CaptureSums:
         return np.asarray(residual), np.asarray(good)
 
     def _without_flicker(
-        self, means: Array, counting: Sequence[Array], out: dict[str, Array], black_dn: float
+        self, means: Array, counting: Sequence[Mask], out: dict[str, Array], black_dn: float
     ) -> list[list[Array]]:
         """Free the temporal statistics of what light that all of a frame shares does to a tile's structure.
 
@@ -201,7 +201,13 @@ class CaptureSums:
         return freed
 
     def _temporal(
-        self, number: int, group: TileGroup, good: Array, out: dict[str, Array], n: int, shaken: Array | None = None
+        self,
+        number: int,
+        group: TileGroup,
+        good: Array | Mask,
+        out: dict[str, Array],
+        n: int,
+        shaken: Array | None = None,
     ) -> None:
         """Work out the tiles' noise.
 

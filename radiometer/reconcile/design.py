@@ -108,6 +108,11 @@ class Design:
         others = tuple(p for p, name in enumerate(self.patterns) if p and name in (BRIGHT_SURROUND, DARK_SURROUND))
         return (0, *others) if others else ()
 
+    @property
+    def has_known_radiance(self) -> bool:
+        """Tell whether the radiance of any tile is stated."""
+        return any(radiance for tile in self.tiles for radiance in tile.radiance)
+
     def _column(self, name: str, missing: float = np.nan) -> Array:
         values = [getattr(capture.settings, name) for capture in self.captures]
         return np.array([missing if v is None else float(v) for v in values])

@@ -27,6 +27,7 @@ _NOTHING: Final = 1e-6  # a χ² that stands for none
 _MOST_FLOOR: Final = 0.999  # share of a border's uncertainty that its floor may be
 _MILD_WHEN_LARGE: Final = frozenset(("full_well_saturation", "soft_saturation", "adc_saturation"))
 _STEPWISE: Final = _MILD_WHEN_LARGE | {"exposure_quantisation", "missing_codes", "nominal_settings"}
+_ABSOLUTE_LIGHT: Final = "W m-2"  # has no scale where no radiance is known: the responsivity takes any
 _SQUARED: Final = frozenset(  # a standard deviation acts by its square
     (
         "excess_read_noise",
@@ -50,7 +51,7 @@ def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> d
 
 def _limit(state: FitState, name: str, kind: type[CatalogueEffect]) -> Limit:
     blind = Limit(None, *_main_parameter(kind, None))
-    if not kind.usable(state.model.context):
+    if not kind.usable(state.model.context) or (blind.unit == _ABSOLUTE_LIGHT and not state.design.has_known_radiance):
         return blind
     here = tuple(effect for effect in state.effects if effect.name == name)
     if here:  # what is named already: how small could it have been?

@@ -160,7 +160,7 @@ class NuisanceLayout:
         shape = (len(self.patterns), self.tiles)
         relative = values[self._radiances].reshape(shape) + values[self._common]
         stated = (self.prior[self._radiances].reshape(shape) < _STATED) & (self.prior[self._common] < _STATED)
-        factor, slope = _light_factor(relative)
+        factor, slope = _light_factor(np.where(stated, relative, 0.0))
         return np.where(stated, np.log(factor), relative), np.where(stated, slope / factor, 1.0)
 
     def _rows(self, comparison: Comparison) -> int:

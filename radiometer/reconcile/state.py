@@ -320,10 +320,19 @@ def _improved(state: FitState) -> FitState | None:
     damping = 1.0
     for _ in range(6):
         trial = _moved(state, damping * step)
-        if trial.cost < state.cost:
+        if _cost_within_range(trial) < state.cost:
             return trial
         damping *= 0.3
     return None
+
+
+def _cost_within_range(trial: FitState) -> float:
+    """Return the χ² of a trial step; infinite where it went so far that the light overflows."""
+    try:
+        with np.errstate(over="raise"):
+            return trial.cost
+    except FloatingPointError:
+        return np.inf
 
 
 def _moved(state: FitState, step: Array) -> FitState:

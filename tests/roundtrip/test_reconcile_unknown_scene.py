@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import pytest
 
 from radiometer.reconcile import reconcile
@@ -11,8 +13,8 @@ from tests.roundtrip.generator.session import make_session
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 
-def _answer(*hidden: str) -> ReconcileResult:
-    session = make_session(*hidden, camera_seed=80, plan="bracket")
+def _answer(*hidden: str, seed: int = 80) -> ReconcileResult:
+    session = make_session(*hidden, camera_seed=seed, plan="bracket")
     header = session.header.model_copy(update={"patches": ()})
     return reconcile(header, list(session.frames()), with_limits=False)
 
@@ -33,3 +35,12 @@ def test_unknown_scene_shows_what_needs_no_scene(name: str) -> None:
     answer = _answer(name)
     assert [effect.name for effect in answer.effects] == [name]
     assert str(answer.verdict) == "effects_found"
+
+
+def test_fit_that_goes_astray_takes_smaller_steps_and_says_nothing() -> None:
+    """A gamma bends a free scene so much that a whole step would overflow: no warning reaches the terminal."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        answer = _answer("gamma_enabled", seed=7500)
+    assert "gamma_enabled" in [effect.name for effect in answer.effects]
+    assert answer.gap_after < 0.01 * answer.gap_before

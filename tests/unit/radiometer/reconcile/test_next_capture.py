@@ -43,6 +43,11 @@ def test_veil_in_a_bracket_has_rivals_and_asks_for_another_surround_or_level(vei
     assert frame["shutter"] == "open", "behind a cap there is no stray light"
     assert frame["pattern"].endswith("_surround") or frame["source_level"] != 0.9
     assert effect.next_capture["expected_chi2"] > 25
+    assert (
+        0
+        < (veiled.result.limits["ambient_light_leak"].amplitude or 0)
+        < np.pi * veiled.outcome.state.model.radiance.max()
+    )
 
 
 def test_plan_holds_the_captures_of_the_set_and_the_next(veiled: Reconciled, tmp_path: Path) -> None:
@@ -59,6 +64,7 @@ def test_unknown_scene_is_blind_to_a_veil_and_says_so(make_capture: Callable[...
     result = _veiled(make_capture, known=False).result
     assert [effect.name for effect in result.effects if effect.name != "unnamed"] == []
     assert (result.limits["veiling_glare"].amplitude or np.inf) > 0.01
+    assert result.limits["ambient_light_leak"].amplitude is None, "without any radiance W/m² has no scale"
     assert result.next_capture is not None
     assert result.next_capture["opens"]
 
