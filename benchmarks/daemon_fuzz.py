@@ -14,8 +14,8 @@ from benchmarks._daemon import DaemonProcess
 from benchmarks._sections import write_section
 from radiometer.daemon.scpi.table import command_table
 
-LINES = 200_000
-_LOOKS = 5  # at the memory, evenly from beginning to end
+LINES = 600_000
+_LOOKS = 13  # at the memory, evenly from beginning to end
 _BATCH = 50
 _ALPHABET = b"*:;,?#'\"()@ \t\r\x00\x7f\xff0123456789eE+-.ABCDSENSRADLUMIEXPimgTRAC"
 _REQUESTS = (

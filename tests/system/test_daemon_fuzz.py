@@ -20,7 +20,7 @@ _EXAMPLES = st.sampled_from([command.example for command in TABLE.commands])
 
 @pytest.mark.timeout(170)
 def test_three_thousand_hostile_messages() -> None:
-    """Half SCPI, half HTTP; the benchmark sends 100,000."""
+    """Half SCPI, half HTTP; the benchmark sends 600,000."""
     result = daemon_fuzz.run(3000, seed=3)
     assert (result.crashes, result.unanswered, result.unexpected) == (0, 0, 0)
     assert result.memory_mb[-1] - result.memory_mb[0] < 40
