@@ -170,6 +170,7 @@ class CaptureSums:
         residual = (flat.reshape(len(group.tiles), -1) - coefficients @ group.trend.T).reshape(flat.shape) * good
         index = group.index
         out["mean"][index] = means[:, index].mean(axis=0) + shift
+        out["peak"][index] = means[:, index].mean(axis=0) + np.where(good > 0, picture, -np.inf).max(axis=(1, 2))
         out["pixels"][index] = pixels
         out["spatial_dof"][index] = pixels - _TREND_TERMS
         out["spatial"][index] = np.sum(residual**2, axis=(1, 2)) / (pixels - _TREND_TERMS)
@@ -244,6 +245,7 @@ _PER_TILE: Final = (
     "neighbour_y",
     "first",
     "pixels",
+    "peak",
     "low",
     "high",
 )

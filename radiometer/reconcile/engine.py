@@ -366,6 +366,7 @@ def _assumptions(state: FitState) -> tuple[str, ...]:
         said.append("the black level is not declared: it was fitted")
     if not state.design.uniform:
         said.append("no patches are given: the scene is unknown but constant, cut into a grid of tiles")
+        said.append("uneven tiles that reach the brightest level seen are left out: saturation shows in even ones only")
     if not state.design.has_timestamps:
         said.append("times are missing: captures count in the order listed")
     return tuple(said)

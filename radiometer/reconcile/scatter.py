@@ -12,9 +12,8 @@ from scipy.special import polygamma
 from radiometer.reconcile.capture_sums import COMB_PERIODS
 from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.statistics import CaptureStatistics
-from radiometer.reconcile.tile_layout import tile_groups
 from radiometer.reconcile.tile_model import Prediction
-from radiometer.reconcile.usable import Mask
+from radiometer.reconcile.usable import Mask, slope_lengths, structure_dn2
 
 _LARGEST_COMB_COUNT: Final = 1e5  # beyond it the honest shape of a histogram itself would show
 _COMB_SQUARES: Final = np.array([1.0 if period == 2 else 0.5 for period in COMB_PERIODS])  # mean of cos²(2πn/period)
@@ -57,7 +56,7 @@ def standard_uncertainties(
     noise = np.where(usable["variance"], seen.variance, base.variance)
     pixels = np.maximum(seen.pixels, 1.0)
     # A tile's time mean scatters from pixel to pixel by `spatial`; its slope's error follows from that.
-    lengths = _slope_lengths(design)
+    lengths = slope_lengths(design)
     kurtosis = np.clip(
         base.gain[:, None] ** 4 * np.maximum(base.signal, 0.0) / np.maximum(base.variance, 1e-12) ** 2, 0, 1
     )
@@ -85,7 +84,7 @@ def standard_uncertainties(
         "rows": np.sqrt(log_variance(seen.rows_dof)),
         "edge": np.where(np.isfinite(seen.edge_u), seen.edge_u, 1.0),
         "outliers": np.ones(len(design.captures)),
-        "comb": np.sqrt(_COMB_SQUARES / counts + (0.0 if design.uniform else _scene_comb(base) ** 2)),
+        "comb": np.sqrt(_COMB_SQUARES / counts + (0.0 if design.uniform else _scene_comb(design, seen, base) ** 2)),
     }
 
 
@@ -134,22 +133,21 @@ def _unevenness(design: Design, seen: CaptureStatistics, base: Prediction, noise
 
     The fewer pixels carry the noise, the less sure is its mean.
     """
-    tilts = [
-        (slope * length) ** 2
-        for slope, length in zip((seen.slope_x, seen.slope_y), _slope_lengths(design), strict=True)
-    ]
-    structure = np.nan_to_num(seen.spatial + sum(tilts) / np.maximum(seen.pixels, 1.0))
+    structure = structure_dn2(design, seen)
     lit = design.source_level[:, None] > 0
     return np.asarray(np.where(lit, 1.0 + base.gain[:, None] ** 2 * structure / np.maximum(noise, 1e-12) ** 2, 1.0))
 
 
-def _scene_comb(base: Prediction) -> Array:
+def _scene_comb(design: Design, seen: CaptureStatistics, base: Prediction) -> Array:
     """Return how large a comb an honest histogram of a scene may show, (captures, periods).
 
     In a scene the light scatters the codes where noise need not: of pixels that all have the same phase Gaussian noise
-    of variance v leaves exp(−2π²·v/period²). No pixel has less noise than the darkest tile.
+    of variance v leaves exp(−2π²·v/period²). No pixel has less noise than the darkest tile; where no read noise is
+    declared, the darkest as it was seen counts too, clipped or not.
     """
-    least_e2 = float(np.min(base.variance / base.gain[:, None] ** 2))
+    declared = design.header.camera.read_noise_e is not None
+    noise = base.variance if declared else np.fmin(base.variance, seen.variance)
+    least_e2 = float(np.min(noise / base.gain[:, None] ** 2))
     least_dn2 = least_e2 * base.gain[:, None] ** 2
     return np.asarray(np.exp(-2.0 * np.pi**2 * least_dn2 / np.square(COMB_PERIODS)))
 
@@ -158,13 +156,6 @@ def _pair_shares(design: Design) -> tuple[Array, Array]:
     """Return the number of horizontal and of vertical neighbours in each tile over that of its pixels."""
     width, height = (np.array([getattr(tile, n) for tile in design.tiles]) for n in ("width", "height"))
     return 1.0 - 1.0 / width, 1.0 - 1.0 / height
-
-
-def _slope_lengths(design: Design) -> tuple[Array, Array]:
-    x, y = np.empty(len(design.tiles)), np.empty(len(design.tiles))
-    for group in tile_groups(design):
-        x[group.index], y[group.index] = group.slope_norm
-    return x, y
 
 
 def log_variance(dof: Array) -> Array:

@@ -37,6 +37,7 @@ class CaptureStatistics:
         neighbour_y: The same of vertical neighbours.
         first: First frame minus the mean of the others.
         pixels: Pixels of the tile that count (defects taken out).
+        peak: Time mean of the brightest of them.
         low: Share of samples at 0 DN.
         high: Share of samples at full scale.
         common: (captures,) variance of the frame-common relative fluctuation over what pixel noise alone gives.
@@ -68,6 +69,7 @@ class CaptureStatistics:
     neighbour_y: Array
     first: Array
     pixels: Array
+    peak: Array
     low: Array
     high: Array
     common: Array

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.reconcile.capture_sums import COMB_PERIODS
-from radiometer.reconcile.design import Design
+from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.statistics import CaptureStatistics
+from radiometer.reconcile.tile_layout import tile_groups
 from radiometer.reconcile.tile_model import Prediction
 
 Mask = NDArray[np.bool_]
@@ -32,6 +33,7 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
     sigma, above_zero = _CLIP_SIGMAS * np.sqrt(noise), _ZERO_SIGMAS * np.sqrt(noise)
     # What is predicted to clip but was not seen to clip stays in: it is what a lower full well looks like.
     inside &= (seen.mean - above_zero > 0) & (seen.mean + sigma < full_scale) & (seen.high < _FEW) & (seen.low < _FEW)
+    inside &= design.uniform | ~_partly_at_the_top(design, seen, base)
     inside &= base.mean - _ZERO_SIGMAS * np.sqrt(base.variance + base.fixed) > 0
     step = _seen_step(seen)
     fine = base.variance > (_FINE_NOISE * step) ** 2 if step > 1 else np.ones_like(inside)
@@ -65,6 +67,24 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
     }
 
 
+def _partly_at_the_top(design: Design, seen: CaptureStatistics, base: Prediction) -> Mask:
+    """Tell which tiles of a scene are uneven and reach the brightest that was seen at their gain, within the noise.
+
+    If that is where the camera saturates, part of such a tile does and part does not, and nothing tells which part.
+    Where samples reach full scale the top is known, and what is clipped there has been counted.
+    """
+    uneven = structure_dn2(design, seen) > base.variance * (1.0 + 1.0 / design.frame_count[:, None])
+    found = np.zeros(uneven.shape, dtype=np.bool_)
+    for gain_db in np.unique(design.gain_db):
+        lit = ((design.gain_db == gain_db) & (design.source_level > 0))[:, None] & (seen.pixels > 0)
+        if not lit.any() or float(seen.high[lit].max()) > _FEW:
+            continue
+        top = float(seen.peak[lit].max())
+        noise = float(np.max(base.variance, where=lit & (base.mean <= top), initial=0.0))
+        found |= lit & uneven & (seen.peak > top - _CLIP_SIGMAS * np.sqrt(noise))
+    return found
+
+
 def _seen_step(seen: CaptureStatistics) -> int:
     """Return the spacing of codes as far as the histograms tell it, 1 where all codes occur.
 
@@ -85,3 +105,19 @@ def _at_the_knee(design: Design, base: Prediction) -> Mask:
         return np.zeros(base.signal.shape, dtype=np.bool_)
     sigma = np.sqrt(np.maximum(base.signal, 1.0))
     return np.asarray(np.abs(base.signal - well) < _CLIP_SIGMAS * sigma)
+
+
+def structure_dn2(design: Design, seen: CaptureStatistics) -> Array:
+    """Return the variance of the time mean from pixel to pixel with the tile's tilt, in DN², (captures, tiles)."""
+    tilts = [
+        (slope * length) ** 2 for slope, length in zip((seen.slope_x, seen.slope_y), slope_lengths(design), strict=True)
+    ]
+    return np.asarray(np.nan_to_num(seen.spatial + sum(tilts) / np.maximum(seen.pixels, 1.0)))
+
+
+def slope_lengths(design: Design) -> tuple[Array, Array]:
+    """Return the length of the tilts over each tile: a coefficient divided by it is the rise from centre to edge."""
+    x, y = np.empty(len(design.tiles)), np.empty(len(design.tiles))
+    for group in tile_groups(design):
+        x[group.index], y[group.index] = group.slope_norm
+    return x, y

@@ -177,6 +177,25 @@ def test_flicker_of_an_unknown_scene_is_no_noise_of_its_structure() -> None:
     assert seen.row_temporal[0] == pytest.approx(1.0, abs=5 * np.sqrt(2.0 * uneven / seen.row_temporal_dof[0]))
 
 
+def test_uneven_tile_at_the_top_of_a_scene_does_not_count() -> None:
+    """Part of it may be saturated and part not; an even tile that is saturated whole does count."""
+    rng = np.random.default_rng(8)
+    scene = np.full((96, 144), 300.0)
+    scene[4:20, 4:20] = 3000.0  # in the first tile of 24 × 24
+    scene[24:48, :24] = 3000.0  # the whole tile below it
+    frames = [
+        Frame(np.minimum(rng.poisson(scene * t), 2500).astype(np.uint16), 12, FrameSettings(t))
+        for t in (0.5, 0.5, 1.0, 1.0)
+    ]
+    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
+    camera = CameraDescription(bit_depth=12, black_level_dn=0.0, conversion_gain_e_per_dn=1.0, read_noise_e=1.0)
+    design = Design.of(CaptureHeader(camera=camera, frames=entries), (96, 144))
+    state = first_state(design, *reduce_frames(design, frame_reader(frames)))
+    uneven, even = 0, 6
+    assert state.comparison.usable["mean"][:, uneven].tolist() == [True, False]
+    assert state.comparison.usable["mean"][:, even].tolist() == [True, True]
+
+
 def test_frames_of_another_size_are_refused(make_capture: Callable[..., Any]) -> None:
     """The message names the frame and both sizes."""
     captured = make_capture(plan=[{"t": 3e-3}], frames=2)
