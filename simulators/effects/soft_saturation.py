@@ -43,7 +43,7 @@ class SoftSaturation(CatalogueEffect):
     )
     settles = "a ladder of exposures to 120 % of the full well"
     knee: float = parameter(0.8, "1", 0.05, 1.5, source="share of the full well at which it begins")
-    ceiling: float = parameter(1.0, "1", 0.1, 3.0, source="share of the full well that is never passed")
+    ceiling: float = parameter(1.0, "1", 0.1, 20.0, source="share of the full well that is never passed")
     hardness: float = parameter(2.0, "1", 0.5, 10.0, source="1 is very soft, 10 almost a clip")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
