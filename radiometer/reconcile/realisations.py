@@ -113,8 +113,15 @@ def _offset_terms(
 
 
 def _root(covariance: Array) -> Array:
-    """Return a matrix whose product with its transpose is the covariance."""
-    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    """Return a matrix whose product with its transpose is the covariance.
+
+    Tiles of a grid share all their lines: where there is hardly a pattern beside that of lines, they move as one.
+    """
+    try:
+        return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(covariance)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), dtype=np.float64)
 
 
 def _line_variances(prediction: Prediction) -> tuple[float, float]:

@@ -17,6 +17,7 @@ from radiometer.reconcile.edges import edge_shares
 from radiometer.reconcile.frame_kernels import add_tiles, coarse_cells
 from radiometer.reconcile.localise import localise, significant
 from radiometer.reconcile.parameters import fitted_parameters
+from radiometer.reconcile.realisations import realisation_terms
 from radiometer.reconcile.state import FitState, first_state, refit, settled, with_effects
 from radiometer.reconcile.statistics import frame_reader, reduce_frames
 from radiometer.reconcile.tile_layout import LINES, PatchSides, patch_sides, tile_groups
@@ -194,6 +195,24 @@ def test_uneven_tile_at_the_top_of_a_scene_does_not_count() -> None:
     uneven, even = 0, 6
     assert state.comparison.usable["mean"][:, uneven].tolist() == [True, False]
     assert state.comparison.usable["mean"][:, even].tolist() == [True, True]
+
+
+def test_rows_alone_move_the_tiles_of_a_grid_as_one() -> None:
+    """Tiles side by side share all rows: the covariance of their means has no more ranks than rows of tiles."""
+    rng = np.random.default_rng(9)
+    lit = [Frame(rng.poisson(300.0, (96, 144)).astype(np.uint16) + 64, 12, FrameSettings(1.0)) for _ in range(2)]
+    noise = np.rint(rng.normal(64.0, 1.0, (2, 96, 144))).astype(np.uint16)
+    frames = lit + [Frame(dn, 12, FrameSettings(1.0, shutter="closed")) for dn in noise]
+    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
+    camera = CameraDescription(bit_depth=12, black_level_dn=64.0, conversion_gain_e_per_dn=1.0, read_noise_e=1.0)
+    design = Design.of(CaptureHeader(camera=camera, frames=entries), (96, 144))
+    state = first_state(design, *reduce_frames(design, frame_reader(frames)))
+    model = with_effects(state, [RowPattern(sigma_e=3.0)])
+    terms = realisation_terms(model.effects, model.prediction, state.seen, design, state.model.context)
+    moved = next(term for term in terms if term.name == "additive pattern: mean")
+    columns = moved.build(state.comparison, model.prediction, state.sensitivity)
+    large = np.linalg.svd(columns, compute_uv=False)
+    assert np.sum(large > 1e-2 * large[0]) == 4
 
 
 def test_frames_of_another_size_are_refused(make_capture: Callable[..., Any]) -> None:
