@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
+from benchmarks._reconcile_tasks import KINDS
+from tests.roundtrip.generator.registry import OUTSIDERS
+
 Result = dict[str, Any]
 
 
@@ -21,7 +24,15 @@ def report(results: list[Result]) -> str:
             fine[r["kind"]].append(r)
     rows = ["| measure | wanted | reached | 95 % interval |", "|---|---|---|---|"]
     rows += [_row(*line) for line in _measures(fine)]
-    parts = ["\n".join(rows), _fresh(fine), _parameters(fine), _calibration(fine), _times(results), _confusion(fine)]
+    parts = [
+        "\n".join(rows),
+        _other_equations(fine),
+        _fresh(fine),
+        _parameters(fine),
+        _calibration(fine),
+        _times(results),
+        _confusion(fine),
+    ]
     if crashed:
         parts.append("Runs that ended in an error:\n\n" + "\n".join(f"* `{r['key']}`: {r['error']}" for r in crashed))
     return "\n\n".join(p for p in parts if p)
@@ -72,12 +83,33 @@ def _told(result: Result) -> str:
     return f"{result['names'][0]} ({result['honesty']}: {said or 'agrees'})"
 
 
+def other_equation(result: Result) -> bool:
+    """Tell whether something was hidden by another equation than the model's: another form, or an outsider."""
+    return any(":" in name or name in OUTSIDERS for name in result["names"])
+
+
+def _other_equations(fine: dict[str, list[Result]]) -> str:
+    hidden = [r for kind in KINDS for r in fine[kind] if r["names"]]
+    if not hidden:
+        return ""
+    counts = Counter(r["kind"] for r in hidden if other_equation(r))
+    total = Counter(r["kind"] for r in hidden)
+    listed = ", ".join(f"{kind} {counts[kind]}/{total[kind]}" for kind in KINDS if total[kind])
+    share = _share(sum(counts.values()), len(hidden)).split(" | ")[0]
+    return (
+        "Hidden by another equation than the model's (another form of an entry, in a pair at least one of the two, or "
+        f"outside the catalogue; wanted: at least a third of all hidden cases): {share}: {listed}."
+    )
+
+
 def _is(name: str) -> Callable[[Result], bool]:
     return lambda r: bool(r["judged"][name])
 
 
 def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result], Callable[[Result], bool]]]:
     alarm: Callable[[Result], bool] = lambda r: r["judged"]["verdict"] != "agrees"  # noqa: E731
+    other = {kind: [r for r in fine[kind] if other_equation(r)] for kind in ("weak", "pair")}
+    own = {kind: [r for r in fine[kind] if not other_equation(r)] for kind in ("weak", "pair")}
     return [
         ("null: false alarm", "≤ 2 %", fine["null"], alarm),
         ("null: false name", "≤ 1 %", fine["null"], lambda r: bool(r["judged"]["names"])),
@@ -86,10 +118,15 @@ def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result
         ("one hidden: confidently wrong", "≤ 1 %", fine["single"], _is("confident_wrong")),
         ("one hidden: missed", "", fine["single"], _is("missed")),
         ("0.3 of the size: right name first", "≥ 95 %", fine["weak"], _is("first")),
+        ("– of these by the model's equation", "", own["weak"], _is("first")),
         ("two hidden: both named", "≥ 95 %", fine["pair"], _is("named")),
+        ("– of these both by the model's equation", "", own["pair"], _is("named")),
         ("two hidden: exact", "≥ 85 %", fine["pair"], _is("exact")),
+        ("– of these both by the model's equation", "", own["pair"], _is("exact")),
         ("two hidden: confidently wrong", "≤ 1 %", fine["pair"], _is("confident_wrong")),
         ("another equation: right family, or its place", "≥ 95 %", fine["variant"], _is("family_or_place")),
+        ("another equation, 0.3 of the size: right family, or its place", "", other["weak"], _is("family_or_place")),
+        ("another equation in a pair: both families named", "", other["pair"], _is("named")),
         ("another equation: confidently wrong", "", fine["variant"], _is("confident_wrong")),
         ("entry removed: confidently wrong", "≤ 3 %", fine["removed"], _is("confident_wrong")),
         ("entry removed: right covariate in the first three", "≥ 95 %", fine["removed"], _is("place3")),
@@ -116,27 +153,39 @@ def _share(hits: int, total: int) -> str:
 
 
 def _fresh(fine: dict[str, list[Result]]) -> str:
-    named = [r for r in fine["single"] if r.get("fresh") and r["judged"]["first"]]
-    if not named:
-        return ""
-    before, after = (np.array([r["fresh"][k] for r in named]) for k in ("before", "after"))
-    large = before > 1.05
-    closed = (before[large] - after[large]) / (before[large] - 1.0)
+    """Return how well the found effects meet a fresh session: those of the model's equation, then of another."""
     lines = [
-        "A fresh session of the same rig, found effects frozen, only nuisances fitted:",
+        "Right name first, then a fresh session of the same rig, found effects frozen, only nuisances fitted:",
         "",
         "| measure | wanted | reached | 95 % interval |",
         "|---|---|---|---|",
-        f"| reduced χ² ≤ 1.05 after | ≥ 95 % | {_share(int((after <= 1.05).sum()), after.size)} |",
     ]
+    said = []
+    for kind, what in (("single", "one hidden"), ("variant", "another equation")):
+        named = [r for r in fine[kind] if r.get("fresh") and r["judged"]["first"]]
+        if named:
+            before, after = (np.array([r["fresh"][k] for r in named]) for k in ("before", "after"))
+            lines += _fresh_rows(what, before, after)
+            said.append(_fresh_text(what, named, before, after))
+    return "\n".join([*lines, "", *said]) if said else ""
+
+
+def _fresh_rows(what: str, before: np.ndarray, after: np.ndarray) -> list[str]:
+    rows = [f"| {what}: reduced χ² ≤ 1.05 after | ≥ 95 % | {_share(int((after <= 1.05).sum()), after.size)} |"]
+    large = before > 1.05
     if large.any():
+        closed = (before[large] - after[large]) / (before[large] - 1.0)
         share = _share(int((closed >= 0.9).sum()), closed.size)
-        lines.append(f"| ≥ 90 % of the excess closed, where it was above 1.05 | ≥ 95 % | {share} |")
+        rows.append(f"| {what}: ≥ 90 % of the excess closed, where it was above 1.05 | ≥ 95 % | {share} |")
+    return rows
+
+
+def _fresh_text(what: str, named: list[Result], before: np.ndarray, after: np.ndarray) -> str:
     high = np.percentile(after, 95)
-    middle = f"Median {np.median(before):.3f} before, {np.median(after):.3f} after; 95th percentile after {high:.3f}."
     worst = sorted(zip(after, before, named, strict=True), key=lambda t: -t[0])[:5]
     listed = ", ".join(f"{r['names'][0]} {b:.2f} → {a:.3f}" for a, b, r in worst)
-    return "\n".join([*lines, "", middle, f"Worst: {listed}."])
+    middle = f"median {np.median(before):.3f} before, {np.median(after):.3f} after; 95th percentile after {high:.3f}"
+    return f"{what.capitalize()}: {middle}; worst {listed}."
 
 
 def _parameters(fine: dict[str, list[Result]]) -> str:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import itertools
+import zlib
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from tests.roundtrip.generator import session  # noqa: F401  (fills the registry)
-from tests.roundtrip.generator.registry import ENTRIES, OUTSIDERS, VARIANTS
+from tests.roundtrip.generator.registry import ENTRIES, OUTSIDERS, VARIANTS, forms_of
 
 KINDS = ("null", "single", "weak", "pair", "variant", "outsider", "removed", "unknown", "plain", "plain_unknown")
 # Pairs of which one hides or imitates the other outright, with this plan: the same light, codes or charge twice.
@@ -35,7 +36,7 @@ class Task:
 
     Attributes:
         kind: One of `KINDS`.
-        names: What is hidden.
+        names: What is hidden: entries, `entry:form` for another equation of one, or outsiders.
         seed: Seed of rig and session.
         scale: Factor on the drawn size (1 to 2 units).
         without: Entries that the finder may not use.
@@ -67,12 +68,15 @@ def visible() -> list[str]:
 
 
 def tasks(kinds: tuple[str, ...], seeds: int, *, first_seed: int = 0) -> Iterator[Task]:
-    """Yield the runs of the kinds, `seeds` of each entry (nulls: 50 times as many, pairs: 20 times)."""
+    """Yield the runs of the kinds, `seeds` of each entry (nulls: 50 times as many, pairs: 20 times).
+
+    Weak and paired effects take the entry's own equation or one of its other forms, drawn by their seed.
+    """
     makers = {
         "null": lambda: (Task("null", (), first_seed + s) for s in range(50 * seeds)),
         "single": lambda: _each("single", visible(), seeds, first_seed),
-        "weak": lambda: _each("weak", visible(), max(1, seeds // 2), first_seed, scale=0.3),
-        "pair": lambda: _pairs(20 * seeds, first_seed),
+        "weak": lambda: map(_in_any_form, _each("weak", visible(), max(1, seeds // 2), first_seed, scale=0.3)),
+        "pair": lambda: map(_in_any_form, _pairs(20 * seeds, first_seed)),
         "variant": lambda: _each("variant", list(VARIANTS), seeds, first_seed),
         "outsider": lambda: _each("outsider", list(OUTSIDERS), seeds, first_seed),
         "removed": lambda: _removed(max(1, seeds // 2), first_seed),
@@ -88,6 +92,16 @@ def tasks(kinds: tuple[str, ...], seeds: int, *, first_seed: int = 0) -> Iterato
 def _each(kind: str, names: list[str], seeds: int, first: int, **options: Any) -> Iterator[Task]:
     for s, name in itertools.product(range(seeds), names):
         yield Task(kind, (name,), first + 1000 + s, **options)
+
+
+def _in_any_form(task: Task) -> Task:
+    """Return the task with each entry in one of its forms, all alike likely."""
+    names = []
+    for name in task.names:
+        forms = forms_of(name)
+        rng = np.random.default_rng([task.seed, zlib.crc32(f"{task.kind}/{name}".encode())])
+        names.append(forms[int(rng.integers(len(forms)))])
+    return replace(task, names=tuple(names))
 
 
 def _pairs(count: int, first: int) -> Iterator[Task]:

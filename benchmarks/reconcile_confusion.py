@@ -100,7 +100,9 @@ def main() -> None:
     parser.add_argument("--sample", type=int, default=0, help="only so many of the runs, drawn at random")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--kinds", default=",".join(KINDS))
-    parser.add_argument("--only", default="", help="names that must be among the hidden ones, by comma")
+    parser.add_argument(
+        "--only", default="", help="names that must be hidden (`entry` stands for all its forms), by comma"
+    )
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--report-only", action="store_true")
     options = parser.parse_args()
@@ -111,7 +113,7 @@ def main() -> None:
         order = np.random.default_rng(options.first_seed).permutation(len(wanted))
         wanted = [wanted[i] for i in order[: options.sample]]
     only = set(filter(None, options.only.split(",")))
-    wanted = [t for t in wanted if not only or only & set(t.names)]
+    wanted = [t for t in wanted if not only or only & {*t.names, *(n.partition(":")[0] for n in t.names)}]
     if not options.report_only:
         run_all(wanted, options.results, options.jobs)
     keys = {t.key for t in wanted}

@@ -54,11 +54,13 @@ def entry(
     return enter
 
 
-def variant(name: str, form: str, *covariates: str, accepted: tuple[str, ...] = ()) -> Callable[[Hide], Hide]:
+def variant(
+    name: str, form: str, *covariates: str, accepted: tuple[str, ...] = (), plan: str = "rich"
+) -> Callable[[Hide], Hide]:
     """Enter another form of a catalogue effect: the same cause, another equation."""
 
     def enter(function: Hide) -> Hide:
-        VARIANTS[f"{name}:{form}"] = Hidden(f"{name}:{form}", name, function, covariates, accepted)
+        VARIANTS[f"{name}:{form}"] = Hidden(f"{name}:{form}", name, function, covariates, accepted, plan)
         return function
 
     return enter
@@ -72,6 +74,11 @@ def outsider(name: str, *covariates: str, accepted: tuple[str, ...] = ()) -> Cal
         return function
 
     return enter
+
+
+def forms_of(name: str) -> list[str]:
+    """Return the entry and all its other forms."""
+    return [name, *(form for form, hidden in VARIANTS.items() if hidden.entry == name)]
 
 
 def everything() -> dict[str, Hidden]:

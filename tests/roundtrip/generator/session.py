@@ -20,6 +20,8 @@ from tests.roundtrip.generator import (  # noqa: F401  (they enter themselves in
     hidden_timing,
     outsiders,
     variants,
+    variants_scene,
+    variants_sensor,
 )
 from tests.roundtrip.generator import plan as plans
 from tests.roundtrip.generator.plan import FRAME_PERIOD_S, SETTLING_S, Setting, Shot
