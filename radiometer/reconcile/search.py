@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from radiometer.reconcile.candidate_fit import FittedCandidate, accepted, fit_candidate, held_out_gain, judged_gain
 from radiometer.reconcile.localise import SIGNIFICANT, Disagreement, localise, significant, smooth_term
+from radiometer.reconcile.loosening import Loosened, loosened
 from radiometer.reconcile.plain_trends import TRENDS
 from radiometer.reconcile.rivals import PARAMETER_NATS, rivals_of
 from radiometer.reconcile.screening import Candidate, screen
@@ -137,15 +138,31 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     fitted = sorted((fit_candidate(state, c) for c in promising[:_FITTED]), key=lambda f: -_penalised_chi2(f))
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
     shown = [entry for entry in judged if _is_shown(*entry, limit, later=bool(state.effects))]
+    looser = loosened(state) if loud else None
     while shown:
         chosen = _choose(_contenders(state, shown))
-        if chosen is None or not _convinces(state, chosen, loud):
+        if chosen is None or not _convinces(state, chosen, loud) or _is_likelier(looser, chosen):
             break
         following = _named(state, chosen, judged, run)
         if following is not None:
             return following
         shown = [entry for entry in shown if entry[0].name != chosen[0].name]
+    if looser is not None:
+        return _taken(state, looser, run)
     return _unnamed(state, loud, judged, run) if loud else None
+
+
+def _is_likelier(looser: Loosened | None, chosen: tuple[FittedCandidate, float]) -> bool:
+    """Tell whether another form of an effect that is there predicts better than a further effect."""
+    return looser is not None and looser.nats - PARAMETER_NATS * looser.further - _FLEXIBLE_NATS > _score(chosen)
+
+
+def _taken(state: FitState, looser: Loosened, run: _Run) -> FitState:
+    at = next(i for i, step in enumerate(run.steps) if step.name == looser.name)
+    gap = looser.state.gap
+    run.steps[at] = replace(run.steps[at], gain_nats=run.steps[at].gain_nats + looser.nats, gap_after=gap)
+    run.say(f"{looser.name} in a more flexible form: {looser.nats:.1f} nats, gap {state.gap:.3f} → {gap:.3f}")
+    return looser.state
 
 
 def _promising(candidates: list[Candidate], limit: float, loud: tuple[Disagreement, ...]) -> list[Candidate]:

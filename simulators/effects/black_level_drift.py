@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
 from simulators.effects.catalogue import Offset, temperature_varies, warmer_k
@@ -12,7 +12,7 @@ from simulators.effects.context import ExposureContext
 
 @dataclass(frozen=True)
 class BlackLevelDrift(Offset):
-    """Adds an offset in proportion to the temperature: y' = y + c·(T − T₀).
+    """Adds an offset that goes with the temperature: y' = y + c·(T − T₀) + q·(T − T₀)²; q is 0 for a plain drift.
 
     Source: typical 0.01 to 0.3 DN/K where no optical black is subtracted.
     """
@@ -37,11 +37,22 @@ class BlackLevelDrift(Offset):
     drift_dn_per_K: float = parameter(0.0, "DN/K", -50.0, 50.0, source="engineering prior; refined on a real rig")  # noqa: N815
     reference_C: float = parameter(25.0, "°C", -60.0, 120.0, source="temperature at which the stated black level holds")  # noqa: N815
 
+    bend_dn_per_K2: float = parameter(0.0, "DN/K²", -5.0, 5.0, source="leakage in the black clamp grows with heat")  # noqa: N815
+
     def offset(self, context: ExposureContext) -> Any:
         """Return the offset in DN."""
-        return self.drift_dn_per_K * warmer_k(context, self.reference_C)
+        warmer = warmer_k(context, self.reference_C)
+        return self.drift_dn_per_K * warmer + self.bend_dn_per_K2 * warmer**2
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
         """Tell whether temperatures are known and differ by more than 2 K."""
         return temperature_varies(context)
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the drift with a bend."""
+        return () if self.bend_dn_per_K2 else (self.with_parameters(bend_dn_per_K2=0.001),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: the bend only where there is one."""
+        return (*self.fitted, "bend_dn_per_K2") if self.bend_dn_per_K2 else self.fitted

@@ -53,6 +53,15 @@ class CatalogueEffect(Effect):
         """Return flexible forms of the effect that cover other equations of it; none by default."""
         return ()
 
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return more flexible forms that start from this one; tried where structure stays beside it.
+
+        By default the covers that have more free parameters, with this one's values where they share them.
+        """
+        known = {name: getattr(self, name) for name in self.free() if "[" not in name}
+        more = (cover for cover in self.covers(context) if len(cover.free()) > len(self.free()))
+        return tuple(cover.with_parameters(**known) for cover in more)
+
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit; `name[2]` is the third entry of a table."""
         return self.fitted

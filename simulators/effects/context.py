@@ -115,6 +115,11 @@ class FrameGeometry:
         half = 0.5 * max(self.sensor_width, self.sensor_height)
         return (c * dx + s * dy) / half, (c * dy - s * dx) / half
 
+    def sensor_xy(self) -> tuple[Signal, Signal]:
+        """Return sensor coordinates (x, y) from the sensor's middle, each −1 to 1 over its longer side."""
+        half = 0.5 * max(self.sensor_width, self.sensor_height)
+        return (self.x_px - (self.sensor_width - 1) / 2) / half, (self.y_px - (self.sensor_height - 1) / 2) / half
+
     def row_fraction(self) -> Signal:
         """Return the row as a fraction of the sensor's height, 0 at the row read first."""
         return self.y_px / max(self.sensor_height - 1, 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -14,7 +14,10 @@ from simulators.effects.context import ExposureContext
 
 @dataclass(frozen=True)
 class DisplayNonuniformity(Scaling):
-    """Scales light over the screen: L' = L·(1 + a·u + b·v + c·u² + d·u·v + e·v²), u and v from −1 to 1.
+    """Scales light over the screen: L' = L·(1 + a·u + b·v + c·u² + d·u·v + e·v² + …), u and v from −1 to 1.
+
+    `cubic` holds the factors of u³, u²v, uv², v³ and `quartic` those of u⁴, u³v, u²v², uv³, v⁴; both are empty for a
+    screen that a quadratic form describes.
 
     Source: backlights; typical 2 to 20 % from centre to corner.
     """
@@ -45,9 +48,25 @@ class DisplayNonuniformity(Scaling):
     c: float = parameter(0.0, "1", -2.0, 2.0, source="engineering prior; refined on a real rig")
     d: float = parameter(0.0, "1", -2.0, 2.0, source="engineering prior; refined on a real rig")
     e: float = parameter(0.0, "1", -2.0, 2.0, source="engineering prior; refined on a real rig")
+    cubic: tuple[float, ...] = parameter((), "1", -2.0, 2.0, source="lamps of a backlight show as a slow wave")
+    quartic: tuple[float, ...] = parameter((), "1", -2.0, 2.0, source="the same")
 
     def factor(self, context: ExposureContext) -> Any:
         """Return the screen's radiance over that of its middle."""
         u, v = context.geometry.screen_xy()
         bent = self.c * u * u + self.d * u * v + self.e * v * v
+        for terms in (self.cubic, self.quartic):
+            order = len(terms) - 1
+            bent = bent + sum(term * u ** (order - n) * v**n for n, term in enumerate(terms) if term)
         return np.maximum(1.0 + self.a * u + self.b * v + bent, 0.01)
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the form of the next order: cubic, then quartic."""
+        if not self.cubic:
+            return (self.with_parameters(cubic=(0.001,) * 4),)
+        return () if self.quartic else (self.with_parameters(quartic=(0.001,) * 5),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: higher orders only where there are any."""
+        cubic = (f"cubic[{n}]" for n in range(len(self.cubic)))
+        return (*self.fitted, *cubic, *(f"quartic[{n}]" for n in range(len(self.quartic))))

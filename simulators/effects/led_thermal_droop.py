@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -11,10 +11,14 @@ from simulators.effects.base import RADIANCE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
+_MOST_LEVELS: Final = 16
+
 
 @dataclass(frozen=True)
 class LedThermalDroop(Scaling):
-    """Weakens light by drive: L' = L·(1 − k·d − k₂·d²).
+    """Weakens light by drive: L' = L·(1 − k·d − k₂·d²)·(1 + table(d)); without the table for a smooth droop.
+
+    The table (linear in log d between its levels) serves any other law.
 
     Source: LED datasheets, relative flux over current; typical 1 to 10 %.
     """
@@ -34,10 +38,17 @@ class LedThermalDroop(Scaling):
     droop_rel: float = parameter(0.0, "1", -0.9, 0.9, source="engineering prior; refined on a real rig")
     curvature_rel: float = parameter(0.0, "1", -0.9, 0.9, source="engineering prior; refined on a real rig")
 
+    levels: tuple[float, ...] = parameter((), "1", 1e-9, 1e3, source="drives at which the table holds an error")
+    errors_rel: tuple[float, ...] = parameter((), "1", -0.9, 3.0, source="relative error at these drives")
+
     def factor(self, context: ExposureContext) -> Any:
         """Return light over drive."""
         level = np.asarray(context.settings.source_level)
-        return np.maximum(1.0 - self.droop_rel * level - self.curvature_rel * level**2, 0.01)
+        law = np.maximum(1.0 - self.droop_rel * level - self.curvature_rel * level**2, 0.01)
+        if not self.levels:
+            return law
+        known = np.log(np.maximum(level, 1e-9))
+        return law * (1.0 + np.interp(known, np.log(self.levels), self.errors_rel))
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
@@ -50,6 +61,19 @@ class LedThermalDroop(Scaling):
         """Return the law with curvature."""
         return (cls(0.01, 0.01),)
 
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the law with curvature, and the table over the levels in use, which covers every law."""
+        level = np.asarray(context.settings.source_level)
+        used = np.unique(level[level > 0])
+        if self.levels or not 3 <= used.size <= _MOST_LEVELS:
+            return ()
+        table = self.with_parameters(
+            droop_rel=0.0, curvature_rel=0.0, levels=tuple(used.tolist()), errors_rel=(0.0,) * used.size
+        )
+        return (table,) if self.curvature_rel else (self.with_parameters(curvature_rel=0.01), table)
+
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the curvature only where there is one."""
+        """Return the parameters to fit: the curvature only where there is one, the table but for its highest level."""
+        if self.levels:
+            return tuple(f"errors_rel[{index}]" for index in range(len(self.levels) - 1))
         return ("droop_rel", "curvature_rel") if self.curvature_rel else ("droop_rel",)

@@ -1,0 +1,81 @@
+"""Gives an effect that was named already a more flexible form, where structure stays beside its rigid one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from radiometer.reconcile.parameters import EffectParameters
+from radiometer.reconcile.rivals import PARAMETER_NATS
+from radiometer.reconcile.screening import change_of
+from radiometer.reconcile.state import FitState, refit, settled, with_effects
+from simulators.effects.catalogue import CatalogueEffect
+
+_REFITTED: Final = 2  # forms that are fitted in full, the most promising first
+_NEEDED_NATS: Final = 8.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loosened:
+    """A model in which one effect took a more flexible form.
+
+    Attributes:
+        name: Name of the effect.
+        state: The fitted model.
+        nats: Improvement of the held-out log density.
+        further: Number of parameters that the form has beyond the former one.
+    """
+
+    name: str
+    state: FitState
+    nats: float
+    further: int
+
+
+def loosened(state: FitState) -> Loosened | None:
+    """Return the model with the flexible form that predicts held-out settings best; None where none is worth it.
+
+    Each further parameter must be paid for, and the whole be as far beyond chance as a further name.
+    """
+    forms = sorted(_promising(state), key=lambda entry: -entry[0])[:_REFITTED]
+    fitted = [_fitted(state, index, form) for _, index, form in forms]
+    worth = [entry for entry in fitted if entry.nats - PARAMETER_NATS * entry.further >= _NEEDED_NATS]
+    return max(worth, key=lambda entry: entry.nats - PARAMETER_NATS * entry.further, default=None)
+
+
+def _promising(state: FitState) -> Iterator[tuple[float, int, CatalogueEffect]]:
+    """Yield nats that each form would bring if it acted linearly, the place of its effect, and the form."""
+    for index, effect in enumerate(state.effects):
+        for form in effect.loosened(state.model.context):
+            nats = _linear_gain(state, index, form) / 2.0 - PARAMETER_NATS * _further(effect, form)
+            if nats >= _NEEDED_NATS:
+                yield nats, index, form
+
+
+def _further(effect: CatalogueEffect, form: CatalogueEffect) -> int:
+    return max(len(form.free()) - len(effect.free()), 1)
+
+
+def _linear_gain(state: FitState, index: int, form: CatalogueEffect) -> float:
+    """Return the χ² that a form in an effect's place explains by itself and by its parameters' directions."""
+    effects = [form if place == index else effect for place, effect in enumerate(state.effects)]
+    parameters = EffectParameters.of(effects)
+    at = change_of(state, effects)
+    columns, values = [at], parameters.values
+    for place in (i for i, owner in enumerate(parameters.owner) if owner == index):
+        moved = values.copy()
+        moved[place] += 0.1 * parameters.scale[place]
+        columns.append(change_of(state, parameters.replaced(moved)) - at)
+    gain, _ = state.fit.score(slice(0, state.comparison.size), state.fit.followed(np.stack(columns, axis=1)))
+    return float(gain)
+
+
+def _fitted(state: FitState, index: int, form: CatalogueEffect) -> Loosened:
+    """Return the model with a form in an effect's place, fitted; it stands last, as the newest of all."""
+    others = [effect for place, effect in enumerate(state.effects) if place != index]
+    following = settled(refit(with_effects(state, [*others, form])))
+    further = _further(state.effects[index], form)
+    return Loosened(form.name, following, following.evidence - state.evidence, further)
