@@ -107,6 +107,12 @@ class FrameGeometry:
         half_diagonal_um = 0.5 * math.hypot(self.sensor_width, self.sensor_height) * self.pixel_spacing_um
         return self.radius_um() / half_diagonal_um
 
+    def field_xy(self) -> tuple[Signal, Signal]:
+        """Return the place (x, y) from the optical axis in half sensor diagonals; ρ² = x² + y²."""
+        x, y = self.centre_px
+        half = 0.5 * math.hypot(self.sensor_width, self.sensor_height)
+        return (self.x_px - x) / half, (self.y_px - y) / half
+
     def screen_xy(self) -> tuple[Signal, Signal]:
         """Return screen coordinates (u, v), each −1 to 1 over the longer side of the unrotated sensor."""
         dx = self.x_px - (self.sensor_width - 1) / 2 - self.screen_shift_px[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -16,7 +16,8 @@ from simulators.effects.context import ExposureContext
 class NaturalVignetting(Scaling):
     """Weakens light off the axis: E' = E·(1 + s·ρ²)^−2·(1 − k₄·ρ⁴), ρ the field radius (1 in the corner).
 
-    s is (half diagonal / focal length)² for the cos⁴ law; k₄ takes up what a real lens adds.
+    s is (half diagonal / focal length)² for the cos⁴ law; k₄ takes up what a real lens adds. ρ counts from the stated
+    principal point, or from where the lens's axis really is, (x, y) beside it in half diagonals.
 
     Source: cos⁴ law; ρ⁴ term after Goldman (2010).
     """
@@ -40,7 +41,20 @@ class NaturalVignetting(Scaling):
     strength: float = parameter(0.0, "1", -0.3, 3.0, source="engineering prior; refined on a real rig")
     k4: float = parameter(0.0, "1", -1.0, 1.0, source="engineering prior; refined on a real rig")
 
+    axis_x: float = parameter(0.0, "1", -0.5, 0.5, source="lenses sit off the sensor's middle by up to a tenth")
+    axis_y: float = parameter(0.0, "1", -0.5, 0.5, source="the same downwards")
+
     def factor(self, context: ExposureContext) -> Any:
         """Return the fall-off."""
-        rho2 = np.square(context.geometry.field_radius())
+        x, y = context.geometry.field_xy()
+        rho2 = np.square(x - self.axis_x) + np.square(y - self.axis_y)
         return (1.0 + self.strength * rho2) ** -2.0 * (1.0 - self.k4 * rho2**2)
+
+    @classmethod
+    def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the plain law about an axis of its own."""
+        return (cls(0.02, 0.0, 0.01, 0.01),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: the axis in place of k₄ where it is not the stated one."""
+        return ("strength", "axis_x", "axis_y") if self.axis_x or self.axis_y else self.fitted

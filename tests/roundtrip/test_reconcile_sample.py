@@ -54,6 +54,18 @@ def test_found_effect_shrinks_the_gap_of_a_fresh_session() -> None:
     assert after <= 1.05
 
 
+@pytest.mark.parametrize("form", ["black_level_drift:curved", "mechanical_vignetting:circles"])
+def test_other_equation_of_an_effect_takes_a_flexible_form(form: str) -> None:
+    """A bent drift and a pupil cut by the barrel keep their names, alone, and a fresh session is met to 1.05."""
+    answer = _ask(make_session(form, camera_seed=9500))
+    assert str(answer.verdict) == "effects_found"
+    assert [e.name for e in answer.effects] == [form.partition(":")[0]]
+    fresh = make_session(form, camera_seed=9500, session_seed=904)
+    before, after = (gap_of(found, fresh.header, list(fresh.frames())) for found in (None, answer))
+    assert before > 1.5
+    assert after <= 1.05
+
+
 def test_entry_taken_from_the_catalogue_is_not_replaced_by_a_confident_name() -> None:
     """Without its entry the droop is left unnamed or provisional, and the source's level is among the first places."""
     answer = _ask(make_session("led_thermal_droop", camera_seed=5), without=("led_thermal_droop",))
