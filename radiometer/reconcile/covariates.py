@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -14,6 +14,8 @@ from radiometer.reconcile.tile_model import Prediction, TileModel
 
 DEGREE: Final = 4
 _MOST_LEVELS: Final = 8  # a covariate with fewer distinct values is treated level by level
+_FEWEST_PER_WAVE: Final = 6  # captures
+_MOST_WAVES: Final = 16
 _LEVELLED: Final = ("gain_db", "f_number", "source_level", "pattern")
 
 
@@ -25,11 +27,13 @@ class Covariate:
         name: Name as in result files.
         value: (captures, tiles).
         per_capture: Whether all tiles of a capture share it.
+        waves: Number of half waves that its basis holds in place of low polynomials; 0 for those.
     """
 
     name: str
     value: Array
     per_capture: bool
+    waves: int = 0
 
     def basis(self) -> Array:
         """Return smooth functions of the covariate, (captures, tiles, terms), the constant left out."""
@@ -37,6 +41,10 @@ class Covariate:
         levels = np.unique(np.round(flat, 9))
         if levels.size < 2:
             return np.zeros((*self.value.shape, 0))
+        if self.waves:
+            half_turns = np.pi * 0.5 * (_linear_axis(flat) + 1.0)
+            columns = [np.cos(k * half_turns) for k in range(1, self.waves + 1)]
+            return np.stack(columns, axis=-1).reshape(*self.value.shape, -1)
         if levels.size <= _MOST_LEVELS or (self.name in _LEVELLED and levels.size <= 2 * _MOST_LEVELS):
             columns = [(np.abs(flat - level) < 1e-8).astype(np.float64) for level in levels[1:]]
             return np.stack(columns, axis=-1).reshape(*self.value.shape, -1)
@@ -75,6 +83,7 @@ def _of_captures(design: Design, prediction: Prediction) -> list[Covariate]:
     level = np.log10(1.0 + prediction.signal.mean(axis=1))
     before = np.zeros_like(level)
     before[order[1:]] = level[order[:-1]]
+    waves = min(_MOST_WAVES, len(design.captures) // _FEWEST_PER_WAVE)
     return [
         wide("exposure_s", np.log10(design.exposure_s)),
         wide("gain_db", design.gain_db),
@@ -82,8 +91,12 @@ def _of_captures(design: Design, prediction: Prediction) -> list[Covariate]:
         wide("temperature_C", warm if np.isfinite(warm).all() else np.zeros_like(level)),
         wide("source_level", design.source_level),
         wide("timestamp_s", design.timestamp_s),
+        replace(
+            wide("time_waves", design.timestamp_s), waves=min(_MOST_WAVES, len(design.captures) // _FEWEST_PER_WAVE)
+        ),
         wide("pattern", np.where(design.closed, 0, design.pattern_index).astype(np.float64)),
         wide("previous_frame", before),
+        *([replace(wide("time_waves", design.timestamp_s), waves=waves)] if waves > DEGREE else []),
     ]
 
 
@@ -100,6 +113,8 @@ def _of_tiles(model: TileModel) -> list[Covariate]:
         Covariate("field_radius", radius * ones, per_capture=False),
         Covariate("image_x", x * ones, per_capture=False),
         Covariate("image_y", y * ones, per_capture=False),
+        Covariate("half_x", (x > design.shape[1] / 2.0) * ones, per_capture=False),
+        Covariate("half_y", (y > design.shape[0] / 2.0) * ones, per_capture=False),
     ]
 
 

@@ -24,6 +24,7 @@ GRID_ROWS: Final = 4
 SMALLEST_TILE_PX: Final = 6
 _MARGIN_FRACTION: Final = 0.125  # keeps a tile's interior more than four blur sigmas from the patch's edge
 _TEMPERATURE_STEP_K: Final = 0.75  # a larger change starts a new capture
+_SAME_TEMPERATURE_K: Final = 2.0  # width of a step of temperature within which a setting repeats
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,8 +180,15 @@ class Design:
 
     @cached_property
     def setting_id(self) -> NDArray[np.intp]:
-        """Return a number for each capture that repeats of one setting share."""
-        keys = [_setting_key(capture.settings, with_temperature=True) for capture in self.captures]
+        """Return a number for each capture that repeats of one setting share, temperatures alike within a kelvin or so.
+
+        The steps of temperature are laid so that most captures stand in the middle of one.
+        """
+        turns = np.exp(2j * np.pi * self.temperature_c / _SAME_TEMPERATURE_K)
+        middle = float(np.angle(np.mean(turns))) / (2.0 * np.pi) if np.isfinite(turns).all() else 0.0
+        steps = np.nan_to_num(np.round(self.temperature_c / _SAME_TEMPERATURE_K - middle), nan=-1e6).tolist()
+        plain = [_setting_key(capture.settings, with_temperature=False) for capture in self.captures]
+        keys = list(zip(plain, steps, strict=True))
         order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
         return np.array([order[key] for key in keys], dtype=np.intp)
 
@@ -235,7 +243,7 @@ def _key(header: CaptureHeader, index: int) -> Any:
 
 def _setting_key(settings: FrameSettings, *, with_temperature: bool) -> Any:
     warm = settings.temperature_c
-    rounded = None if warm is None or not with_temperature else round(warm / 2.0)
+    rounded = None if warm is None or not with_temperature else round(warm / _SAME_TEMPERATURE_K)
     level = 0.0 if settings.is_dark else settings.source_level
     return (
         settings.exposure_s,

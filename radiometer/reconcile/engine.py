@@ -17,6 +17,7 @@ from radiometer.reconcile.limits import limits
 from radiometer.reconcile.localise import Disagreement
 from radiometer.reconcile.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconcile.parameters import fitted_parameters
+from radiometer.reconcile.places import axis_of, places
 from radiometer.reconcile.result import (
     CovariateGap,
     FittedParameter,
@@ -38,7 +39,7 @@ CATALOGUE: Final[dict[str, type[CatalogueEffect]]] = {
     name: kind for name, kind in EFFECTS.items() if issubclass(kind, CatalogueEffect)
 }
 
-_PLACES: Final = 10
+_PLACES: Final = 6
 _CALL: Final = 0.01
 _PUSH: Final = 9.0  # χ² that the end of a range must bring to count: what the data hardly tell runs there by chance
 _REFITS: Final = 8
@@ -210,7 +211,7 @@ def _result(
         tests=(len(outcome.tests), len(outcome.left)),
         repeatability=state.tau,
         assumptions=_assumptions(state),
-        localisation=tuple(_place(test) for test in outcome.first_tests if test.where != "constant")[:_PLACES],
+        localisation=tuple(_place(test) for test in places(outcome.start, _PLACES)),
         calls=(sum(test.p_value < _CALL for test in outcome.first_tests), len(outcome.first_tests)),
         added=(*state.model.given, *state.effects),
         captures=len(state.design.captures),
@@ -225,8 +226,8 @@ def _further(
     shown: Mapping[str, Limit],
     effects: Sequence[FoundEffect],
 ) -> dict[str, Any] | None:
-    places = [(effect.where, effect.block) for effect in effects if effect.name == "unnamed"]
-    return propose_for_unnamed(state, entries, places) or propose_for_blind(state, entries, shown)
+    unnamed = [(effect.where, effect.block) for effect in effects if effect.name == "unnamed"]
+    return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
 
 
 def _verdict(outcome: Search) -> Verdict:
@@ -273,10 +274,10 @@ def _found(outcome: Search) -> tuple[FoundEffect, ...]:
             found.append(_effect(step, present[step.name], parameters[step.name], advice, provisional=provisional))
     listed = {entry.where for entry in found if entry.name == "unnamed"}
     for test in outcome.left:
-        if test.where not in listed and len(listed) < _MOST_LISTED:
-            listed.add(test.where)
-            gap = state.gap
-            found.append(FoundEffect("unnamed", {}, _axis(test.where, test.block), gap, gap, block=test.family))
+        where = axis_of(test.where, test.block)
+        if where not in listed and len(listed) < _MOST_LISTED:
+            listed.add(where)
+            found.append(FoundEffect("unnamed", {}, where, state.gap, state.gap, block=test.family))
     return tuple(found)
 
 
@@ -306,7 +307,7 @@ def _unnamed(step: Step) -> FoundEffect:
     return FoundEffect(
         "unnamed",
         {},
-        _axis(step.where, step.block),
+        axis_of(step.where, step.block),
         step.gap_before,
         step.gap_after,
         gain_nats=step.gain_nats,
@@ -316,26 +317,7 @@ def _unnamed(step: Step) -> FoundEffect:
 
 
 def _place(test: Disagreement) -> Place:
-    return Place(test.family, _axis(test.where, test.block), test.form, test.chi2, test.p_value)
-
-
-# A disagreement that is the same everywhere has no covariate of its own; this is where its statistic lies.
-_AXIS_OF_CONSTANT: Final = {
-    "mean": "signal",
-    "slope_x": "image_x",
-    "slope_y": "image_y",
-    "first": "previous_frame",
-    "common": "exposure_s",
-    "row_temporal": "image_y",
-    "columns": "image_x",
-    "rows": "image_y",
-    "edge": "image_x",
-    "outliers": "exposure_s",
-}
-
-
-def _axis(where: str, block: str) -> str:
-    return where if where != "constant" else _AXIS_OF_CONSTANT.get(block, "signal")
+    return Place(test.family, axis_of(test.where, test.block), test.form, test.chi2, test.p_value)
 
 
 def _by_covariate(before: Sequence[Disagreement], after: Sequence[Disagreement]) -> dict[str, CovariateGap]:
@@ -346,7 +328,7 @@ def _by_covariate(before: Sequence[Disagreement], after: Sequence[Disagreement])
 def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:
     found: dict[str, float] = {}
     for test in tests:
-        name = _axis(test.where, test.block)
+        name = axis_of(test.where, test.block)
         found[name] = max(found.get(name, 0.0), test.chi2 / test.rank)
     return found
 

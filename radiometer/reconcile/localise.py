@@ -7,7 +7,8 @@ can explain. Bonferroni over all tests holds the false-alarm rate.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,6 +19,7 @@ from scipy.stats import chi2
 from radiometer.reconcile.comparison import CAPTURE_BLOCKS, FAMILY, Comparison
 from radiometer.reconcile.covariates import Covariate, covariates
 from radiometer.reconcile.design import Array
+from radiometer.reconcile.linear import LinearFit
 from radiometer.reconcile.state import FitState
 from radiometer.reconcile.terms import LinearTerm
 from radiometer.reconcile.tile_model import Prediction
@@ -34,10 +36,12 @@ _CAPTURE_AXES: Final = (
     "temperature_C",
     "source_level",
     "timestamp_s",
+    "time_waves",
     "pattern",
     "previous_frame",
 )
-_TILE_AXES: Final = ("signal", "patch_level", "field_radius", "image_x", "image_y")
+_TILE_AXES: Final = ("signal", "patch_level", "field_radius", "image_x", "image_y", "half_x", "half_y")
+_NOISE_AXES: Final = ("constant", "signal", "gain_db", "exposure_s", "temperature_C", "image_y", "half_x", "half_y")
 _FORMS_OF_MEAN: Final = (MULTIPLICATIVE, ADDITIVE, ADDITIVE_GAIN)
 
 # Statistic → (axes, forms). A trend must be possible physically: hot pixels do not depend on the f-number.
@@ -45,11 +49,17 @@ _TESTS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "mean": ((*_CAPTURE_AXES, *_TILE_AXES, "constant"), _FORMS_OF_MEAN),
     "slope_x": (("constant", "image_x", "image_y", "field_radius", "f_number", "exposure_s"), (MULTIPLICATIVE,)),
     "slope_y": (("constant", "image_x", "image_y", "field_radius", "f_number", "exposure_s"), (MULTIPLICATIVE,)),
-    "variance": (("signal", "gain_db", "exposure_s", "temperature_C", "image_y"), (MULTIPLICATIVE, ADDITIVE_GAIN)),
-    "spatial": (("signal", "gain_db", "exposure_s", "temperature_C", "image_y"), (MULTIPLICATIVE, ADDITIVE_GAIN)),
+    "variance": (
+        ("constant", "signal", "gain_db", "exposure_s", "temperature_C", "image_y", "half_x", "half_y"),
+        (MULTIPLICATIVE, ADDITIVE_GAIN),
+    ),
+    "spatial": (
+        ("constant", "signal", "gain_db", "exposure_s", "temperature_C", "image_y", "half_x", "half_y"),
+        (MULTIPLICATIVE, ADDITIVE_GAIN),
+    ),
     "neighbour_x": (("constant", "signal", "gain_db"), (MULTIPLICATIVE,)),
     "neighbour_y": (("constant", "signal", "gain_db"), (MULTIPLICATIVE,)),
-    "first": (("constant", "previous_frame"), (MULTIPLICATIVE,)),
+    "first": (("constant", "previous_frame"), (MULTIPLICATIVE, ADDITIVE)),
     "common": (("constant", "exposure_s", "source_level"), (MULTIPLICATIVE,)),
     "row_temporal": (("constant", "gain_db", "exposure_s"), (MULTIPLICATIVE,)),
     "columns": (("constant", "gain_db", "exposure_s"), (MULTIPLICATIVE,)),
@@ -94,37 +104,57 @@ class Disagreement:
         return FAMILY.get(self.block, self.block)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Basis:
+    """The trend of one test.
+
+    Attributes:
+        block: Statistic.
+        where: Covariate.
+        form: Form of the trend.
+        columns: (entries of the block, terms) whitened.
+    """
+
+    block: str
+    where: str
+    form: str
+    columns: Array
+
+
 def localise(state: FitState) -> tuple[Disagreement, ...]:
     """Return all tests, the most significant first."""
-    axes = covariates(state.model, state.prediction)
-    found = []
+    tests = (score(state, basis, state.fit) for basis in trend_bases(state, covariates(state.model, state.prediction)))
+    return tuple(sorted((test for test in tests if test is not None), key=lambda test: test.log_p))
+
+
+def trend_bases(state: FitState, axes: Mapping[str, Covariate]) -> Iterator[Basis]:
+    """Yield the trend of every test that the data allow.
+
+    Args:
+        state: The fitted model.
+        axes: The covariates that vary, by name.
+    """
     for block, (names, forms) in _TESTS.items():
         if not state.comparison.usable[block].any():
             continue
-        for name in names:
-            if name != "constant" and name not in axes:
-                continue
-            for form in forms:
-                test = _test(state, block, name, form, axes.get(name))
-                if test is not None:
-                    found.append(test)
-    return tuple(sorted(found, key=lambda test: test.log_p))
+        for name, form in itertools.product((n for n in names if n == "constant" or n in axes), forms):
+            columns = whitened_basis(state.comparison, state.prediction, state.sensitivity, block, form, axes.get(name))
+            if columns.shape[1]:
+                yield Basis(block, name, form, columns)
+
+
+def score(state: FitState, basis: Basis, fit: LinearFit) -> Disagreement | None:
+    """Return the test of one trend beside a linear fit; None where the fit leaves nothing of the trend."""
+    explained, rank = fit.score(state.comparison.cuts[basis.block], basis.columns)
+    if not rank:
+        return None
+    return Disagreement(basis.block, basis.where, basis.form, explained, rank, float(chi2.sf(explained, rank)))
 
 
 def significant(tests: Sequence[Disagreement]) -> tuple[Disagreement, ...]:
     """Return the tests that stand out at the level of `SIGNIFICANT` after Bonferroni's correction."""
     limit = np.log(SIGNIFICANT / max(len(tests), 1))
     return tuple(test for test in tests if test.log_p < limit)
-
-
-def _test(state: FitState, block: str, name: str, form: str, axis: Covariate | None) -> Disagreement | None:
-    basis = whitened_basis(state.comparison, state.prediction, state.sensitivity, block, form, axis)
-    if not basis.shape[1]:
-        return None
-    explained, rank = state.fit.score(state.comparison.cuts[block], basis)
-    if not rank:
-        return None
-    return Disagreement(block, name, form, explained, rank, float(chi2.sf(explained, rank)))
 
 
 def whitened_basis(

@@ -16,6 +16,8 @@ _DECLARED_RANGE: Final = (0.5, 2.0)
 _ENOUGH_REPEATS: Final = 5
 _CONFIDENCE: Final = 0.99
 _SMALLEST_TAU: Final = 1e-6
+_TREND_SHARE: Final = 0.4  # of the repeats' freedom that a slow change in time may take
+_MOST_WAVES: Final = 16
 
 
 def capture_scale(
@@ -88,15 +90,18 @@ def _within_repeats(
     if not repeated.any():
         return 0.0, 0.0, 0
     groups = np.unique(ids[repeated])
-    time = design.timestamp_s[repeated]
-    spread = float(np.ptp(time)) or 1.0
-    u = 2.0 * (time - time.min()) / spread - 1.0
-    columns = [(ids[repeated] == g).astype(np.float64) for g in groups]
+    columns = np.stack([(ids[repeated] == group).astype(np.float64) for group in groups], axis=1)
     freedom = int(repeated.sum()) - len(groups)
-    if freedom > 8:
-        columns += [u, u**2, np.exp(-2.0 * (u + 1.0))]
-        freedom -= 3
-    basis = np.stack(columns, axis=1)
-    solution = np.linalg.lstsq(basis, scale[repeated], rcond=None)[0]
+    basis = np.hstack([columns, _slow_change(design.timestamp_s[repeated], int(_TREND_SHARE * freedom))])
+    solution, _, rank, _ = np.linalg.lstsq(basis, scale[repeated], rcond=None)
     residual = scale[repeated] - basis @ solution
-    return float(np.sum(residual**2)), float(np.mean(variance[repeated])), freedom
+    return float(np.sum(residual**2)), float(np.mean(variance[repeated])), int(repeated.sum()) - int(rank)
+
+
+def _slow_change(time: Array, terms: int) -> Array:
+    """Return up to so many functions of time that change slowly: a warm-up first, then ever shorter waves."""
+    if terms < 3:
+        return np.zeros((time.size, 0))
+    u = (time - time.min()) / (float(np.ptp(time)) or 1.0)
+    waves = np.arange(1, min(terms - 3, _MOST_WAVES) + 1)
+    return np.column_stack([u, u**2, np.exp(-4.0 * u), np.cos(np.pi * u[:, None] * waves)])

@@ -109,7 +109,7 @@ class CovariateGap:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the starting model disagrees, found without the catalogue: one test.
+    """Where the starting model disagrees, found without the catalogue: one test, the places before it taken out.
 
     Attributes:
         block: Statistic.
@@ -156,7 +156,7 @@ class ReconcileResult:
         report: Name of the report written.
         seconds: Time that it took.
         gap_unit: Unit of the gaps.
-        localisation: Where the starting model disagrees, the most significant first.
+        localisation: Where the starting model disagrees: each covariate once, each beside the places before it.
         calls: Tests of the starting model with p < 0.01, and tests in all.
         added: The effects of the final model beside the ideal chain.
         next_capture: Where no rivals are to be told apart: the capture that would show what these data cannot.
