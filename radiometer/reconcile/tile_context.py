@@ -65,7 +65,7 @@ class PictureSurroundings:
         self._tiles = self._sampled([images.picture(p) for p in range(len(design.patterns))])
         self._norm = np.maximum(self._tiles.mean(axis=(1, 2)), 1e-30)
         self._mean = np.array([images.picture(p).mean() for p in range(len(design.patterns))]) / self._norm
-        self._reflected = self._smoothed([self._turned(images.picture(p)) for p in range(len(design.patterns))])
+        self._reflected: dict[float, Array] = {}
 
     def frame_mean(self, signal: Signal) -> Signal:
         """Return the mean over the whole frame, shape (captures, 1, 1)."""
@@ -79,9 +79,14 @@ class PictureSurroundings:
             self._spread[key] = self._smoothed(pictures)
         return self._relative(signal, self._spread[key])
 
-    def reflected(self, signal: Signal) -> Signal:
-        """Return the signal at the point reflected about the optical axis."""
-        return self._relative(signal, self._reflected)
+    def reflected(self, signal: Signal, radius_fraction: float = 0.0) -> Signal:
+        """Return the signal at the point reflected about the optical axis, spread where asked for."""
+        key = round(radius_fraction, 6)
+        if key not in self._reflected:
+            pictures = [self._images.picture(p) for p in range(len(self._design.patterns))]
+            soft = [_soft(picture, key) for picture in pictures] if key else pictures
+            self._reflected[key] = self._smoothed([self._turned(picture) for picture in soft])
+        return self._relative(signal, self._reflected[key])
 
     def _relative(self, signal: Signal, sampled: Array) -> Signal:
         ratio = sampled / self._norm[:, None, None]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -14,9 +14,10 @@ from simulators.effects.context import ExposureContext
 
 @dataclass(frozen=True)
 class AngleDependence(Scaling):
-    """Weakens steep rays: E' = E·(1 − a·ρ²/N).
+    """Weakens steep rays: E' = E·(1 − a·ρ^p·N^−q), by default with p = 2 and q = 1.
 
-    Source: chief-ray angle shading of microlenses; linear in the cone 1/N.
+    Source: chief-ray angle shading of microlenses; linear in the cone 1/N. Where the microlenses reject a narrow
+    slanting cone that they would take in part of, if it were wide, q is negative.
     """
 
     name = "angle_dependence"
@@ -32,13 +33,28 @@ class AngleDependence(Scaling):
     fitted = ("strength",)
     settles = "an even field with the camera tilted"
     strength: float = parameter(0.0, "1", -3.0, 3.0, source="engineering prior; refined on a real rig")
+    radius_power: float = parameter(2.0, "1", 1.0, 6.0, source="microlenses are shifted for the inner field")
+    stop_power: float = parameter(
+        1.0, "1", -2.0, 1.0, source="cone and chief ray weigh differently from pixel to pixel"
+    )
 
     def factor(self, context: ExposureContext) -> Any:
         """Return the factor."""
         stopped: Any = 8.0 if context.f_number is None else context.f_number
-        return np.maximum(1.0 - self.strength * context.geometry.field_radius() ** 2 / np.asarray(stopped), 0.01)
+        loss = self.strength * context.geometry.field_radius() ** self.radius_power
+        return np.maximum(1.0 - loss * np.asarray(stopped) ** -self.stop_power, 0.01)
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
         """Tell whether the f-number varies."""
         return f_number_varies(context)
+
+    @classmethod
+    def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the form with powers of its own."""
+        return (cls(0.01, 2.5, -0.5),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: the powers only where they are not the plain ones."""
+        plain = self.radius_power == 2.0 and self.stop_power == 1.0
+        return ("strength",) if plain else ("strength", "radius_power", "stop_power")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, cast
+from typing import Any, Final, Protocol, cast
 
 import cv2
 import numpy as np
 
 from simulators.effects.context import ExposureContext, Signal
+
+_SHARP_PX: Final = 0.1  # a blur that changes nothing
 
 
 class Surroundings(Protocol):
@@ -21,8 +23,8 @@ class Surroundings(Protocol):
         """Return the signal spread by a Gaussian whose sigma is a fraction of the frame's longer side."""
         ...
 
-    def reflected(self, signal: Signal) -> Signal:
-        """Return the signal at the point reflected about the optical axis."""
+    def reflected(self, signal: Signal, radius_fraction: float = 0.0) -> Signal:
+        """Return the signal at the point reflected about the optical axis, spread like `spread` where asked for."""
         ...
 
 
@@ -45,8 +47,10 @@ class ImageSurroundings:
         soft = cv2.GaussianBlur(small, (0, 0), sigma * small.shape[1] / width, borderType=cv2.BORDER_REPLICATE)
         return cast(Signal, cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR))
 
-    def reflected(self, signal: Signal) -> Signal:
-        """Return the signal at the point reflected about the optical axis; 0 where that lies outside."""
+    def reflected(self, signal: Signal, radius_fraction: float = 0.0) -> Signal:
+        """Return the signal at the point reflected about the optical axis, spread first; 0 where that lies outside."""
+        if radius_fraction * max(signal.shape) > _SHARP_PX:
+            signal = self.spread(signal, radius_fraction)
         geometry = self._context.geometry
         x, y = geometry.centre_px
         columns = np.rint((2 * x - geometry.x_px[0] - geometry.x_px[0, 0]) / geometry.binning).astype(int)

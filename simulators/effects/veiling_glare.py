@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, Self, cast
+
+import numpy as np
 
 from simulators.effects.base import IRRADIANCE, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
@@ -13,7 +15,9 @@ from simulators.effects.surroundings import surroundings_of
 
 @dataclass(frozen=True)
 class VeilingGlare(CatalogueEffect):
-    """Spreads a share of all light evenly: E' = (1 − v)·E + v·mean(E).
+    """Spreads a share of all light evenly: E' = (1 − v)·E + v·mean(E)·(1 + g·x + h·y + c·(ρ² − ½)).
+
+    ρ is 1 in the corner, x and y are in the same unit; g, h and c are 0 for an even veil.
 
     Source: ISO 9358; typical 0.2 to 3 %.
     """
@@ -31,12 +35,33 @@ class VeilingGlare(CatalogueEffect):
     fitted = ("share",)
     settles = "the same patches with a bright and with a dark surround"
     share: float = parameter(0.0, "1", -0.05, 0.5, source="engineering prior; refined on a real rig")
+    tilt_x: float = parameter(0.0, "1", -1.0, 1.0, source="reflections in the barrel are brighter on one side")
+    tilt_y: float = parameter(0.0, "1", -1.0, 1.0, source="the same downwards")
+    bowl: float = parameter(0.0, "1", -1.0, 1.0, source="change from middle to corner; ISO 9358 asks for it")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return irradiance with the veil."""
-        veil = self.share * surroundings_of(context).frame_mean(signal)
+        veil = self.share * surroundings_of(context).frame_mean(signal) * self._field(context)
         return cast(Signal, (signal * (1.0 - self.share) + veil).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
         """Return 1 − v."""
         return 1.0 - self.share
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the veil that differs from place to place."""
+        return () if self._is_uneven else (self.with_parameters(tilt_x=0.01, tilt_y=0.01, bowl=0.01),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: the differences from place to place only where there are any."""
+        return ("share", "tilt_x", "tilt_y", "bowl") if self._is_uneven else ("share",)
+
+    @property
+    def _is_uneven(self) -> bool:
+        return bool(self.tilt_x or self.tilt_y or self.bowl)
+
+    def _field(self, context: ExposureContext) -> Any:
+        if not self._is_uneven:
+            return 1.0
+        x, y = context.geometry.field_xy()
+        return 1.0 + self.tilt_x * x + self.tilt_y * y + self.bowl * (np.square(x) + np.square(y) - 0.5)
