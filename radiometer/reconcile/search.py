@@ -217,6 +217,7 @@ def _is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool
     """
     needed = _NEEDED_NATS + _UNLIKELY_NATS.get(fitted.name, 0.0) + float(np.log(max(fitted.tries / _FEW_TRIES, 1.0)))
     needed += _STATED_NATS if fitted.stated > _STATED_SHARE * fitted.gain else 0.0
+    needed += _FLEXIBLE_NATS if fitted.flexible else 0.0
     beyond_chance = _log_chance(fitted.gain, fitted.parameters) < limit
     return beyond_chance and nats >= needed + (_LATER_NATS if later else 0.0) and fitted.evidence >= _EVIDENCE
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -11,10 +11,13 @@ from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
+_NO_THRESHOLD_S: Final = 1e5
+_FEWEST_EXPOSURES: Final = 6
+
 
 @dataclass(frozen=True)
 class ReciprocityFailure(Scaling):
-    """Follows a power of the exposure time: H' = H·(t/1 ms)^p.
+    """Follows a power of the exposure time: H' = H·(t/1 ms)^p, up to a threshold of t where there is one.
 
     Source: Schwarzschild (1900), of photographic emulsions; not expected in silicon.
     """
@@ -32,7 +35,21 @@ class ReciprocityFailure(Scaling):
     fitted = ("exponent",)
     settles = "one signal reached by exposure and by source level"
     exponent: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")
+    threshold_s: float = parameter(_NO_THRESHOLD_S, "s", 1e-6, _NO_THRESHOLD_S, source="none by default")
 
     def factor(self, context: ExposureContext) -> Any:
         """Return the factor of exposure."""
-        return (np.asarray(context.settings.exposure_s) / 1e-3) ** self.exponent
+        time = np.asarray(context.settings.exposure_s)
+        return (np.minimum(time, self.threshold_s) / 1e-3) ** self.exponent
+
+    @classmethod
+    def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return powers up to thresholds among the exposures in use."""
+        times = np.unique(np.asarray(context.settings.exposure_s))
+        if times.size < _FEWEST_EXPOSURES:
+            return ()
+        return tuple(cls(0.005, float(np.quantile(times, q))) for q in (0.3, 0.5, 0.7))
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: the threshold only where there is one."""
+        return ("exponent", "threshold_s") if self.threshold_s < _NO_THRESHOLD_S else ("exponent",)
