@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from radiometer.units import exact_exposure_s, exact_f_number
-from simulators.effects.base import EXPOSURE, Stage
+from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
@@ -24,6 +24,8 @@ def _each(exact: Callable[[float], float], printed: Any) -> Any:
 class NominalSettings(Scaling):
     """Exposes for the exact stop behind a printed one: 1/60 s is 1/64 s, f/5.6 is f/5.657.
 
+    `times` and `stops` say whether it holds for both (1 and 1), or for one of them alone.
+
     Source: ISO 2720 and camera practice: times and f-numbers run in thirds or halves of a stop.
     """
 
@@ -33,15 +35,17 @@ class NominalSettings(Scaling):
     unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
-    trials = ({},)
+    trials = ({"times": 1.0, "stops": 1.0}, {"times": 1.0, "stops": 0.0}, {"times": 0.0, "stops": 1.0})
     fitted = ()
     settles = "nothing further: the exact stops are known"
+    times: float = parameter(1.0, "1", 0.0, 1.0, source="a shutter timed by a quartz keeps exact stops")
+    stops: float = parameter(1.0, "1", 0.0, 1.0, source="engraved stops of a fixed diaphragm may be true")
 
     def factor(self, context: ExposureContext) -> Any:
         """Return exact over printed exposure, f-number included."""
         time = _each(exact_exposure_s, context.settings.exposure_s)
         stop = np.ones(1) if context.f_number is None else _each(exact_f_number, context.f_number)
-        return time / stop**2
+        return time**self.times / stop ** (2.0 * self.stops)
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
