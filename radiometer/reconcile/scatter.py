@@ -16,6 +16,7 @@ from radiometer.reconcile.tile_model import Prediction
 from radiometer.reconcile.usable import Mask, slope_lengths, structure_dn2
 
 _LARGEST_COMB_COUNT: Final = 1e5  # beyond it the honest shape of a histogram itself would show
+_ROUNDING_SHARE: Final = 0.1  # of what rounding may move a mean: counts of few electrons are not quite normal
 _COMB_SQUARES: Final = np.array([1.0 if period == 2 else 0.5 for period in COMB_PERIODS])  # mean of cos²(2πn/period)
 
 
@@ -70,7 +71,7 @@ def standard_uncertainties(
     pairs = pixels * np.maximum(n - 1.0, 1.0)
     counts = np.minimum(np.maximum(seen.comb_count, 1.0), _LARGEST_COMB_COUNT)[:, None]
     return {
-        "mean": np.sqrt(noise * together / (pixels * n)),
+        "mean": np.hypot(np.sqrt(noise * together / (pixels * n)), _ROUNDING_SHARE * base.rounding),
         "slope_x": np.sqrt(noise * together / n) / lengths[0],
         "slope_y": np.sqrt(noise * together / n) / lengths[1],
         "variance": np.sqrt(log_variance(seen.variance_dof) * uneven + kurtosis / (pixels * n)),

@@ -25,6 +25,7 @@ from radiometer.units import photon_energy_j
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import Signal
 from simulators.effects.full_well_saturation import FullWellSaturation
+from simulators.effects.rounding import rounded, rounding_amplitude
 from simulators.effects.tile_moments import TileMoments
 
 # Stand in where capture.yaml says nothing; they are fitted then, and told as assumptions.
@@ -34,6 +35,7 @@ TYPICAL_QUANTUM_EFFICIENCY: Final = 0.5
 TYPICAL_PITCH_UM: Final = 4.5
 _SMALLEST_VARIANCE_DN2: Final = 1e-3  # a value that always rounds or clips to one code has none
 _LAG: Final = "image_lag"
+_COARSER: Final = "missing_codes"
 _WELL_SHARE: Final = 0.6  # below it the well is never felt
 
 
@@ -76,6 +78,7 @@ class Prediction:
         signal: (captures, tiles) light signal in electrons, for regressors.
         gain: (captures,) DN per electron.
         fixed: (captures, tiles) fixed-pattern part of `spatial` in DN².
+        rounding: (captures, tiles) how far rounding to whole codes may move the mean, in DN.
     """
 
     mean: Array
@@ -96,6 +99,7 @@ class Prediction:
     signal: Array
     gain: Array
     fixed: Array
+    rounding: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +171,7 @@ class TileModel:
                 light = passed[-1]
             passed.append(links[number](passed[-1]))
         assert light is not None
-        return Trace(nuisance, tuple(passed), light, model._summary(passed[-1], light, gain))
+        return Trace(nuisance, tuple(passed), light, model._summary(passed[-1], passed[-2], light, gain))
 
     def _scene(self, nuisance: Nuisance) -> TileMoments:
         scene = (self.radiance * np.exp(nuisance.log_radiance))[self.design.pattern_index]
@@ -191,7 +195,7 @@ class TileModel:
             lambda moments: self._apply(self._with_read_noise(moments, nuisance), 7),
             lambda moments: self._apply(scaled(moments, gain[:, None, None]), 8),
             lambda moments: self._apply(self._on_black(moments, nuisance), 9),
-            lambda moments: self._apply(replace(moments, variance=moments.variance + 1.0 / 12.0), 10),
+            lambda moments: self._apply(self._rounded(moments), 10),
         )
 
     def _full(self, moments: TileMoments) -> TileMoments:
@@ -210,6 +214,11 @@ class TileModel:
     def _on_black(self, moments: TileMoments, nuisance: Nuisance) -> TileMoments:
         black = np.nan_to_num(self.context.settings.black_level_dn) + nuisance.black_dn  # type: ignore[arg-type]
         return replace(moments, mean=moments.mean + black)
+
+    def _rounded(self, moments: TileMoments) -> TileMoments:
+        if any(effect.name == _COARSER for effect in (*self.given, *self.effects)):  # it rounds by itself
+            return replace(moments, variance=moments.variance + 1.0 / 12.0)
+        return rounded(moments)
 
     def _apply(self, moments: TileMoments, link: int) -> TileMoments:
         for effect in (*self.given, *self.effects):
@@ -268,7 +277,7 @@ class TileModel:
 
     # ---- from moments at points to statistics of tiles -----------------------------------------------------
 
-    def _summary(self, final: TileMoments, light: TileMoments, gain: Array) -> Prediction:
+    def _summary(self, final: TileMoments, unrounded: TileMoments, light: TileMoments, gain: Array) -> Prediction:
         shape = light.mean.shape
 
         def tiles(values: Signal) -> Array:
@@ -309,6 +318,7 @@ class TileModel:
             signal=tiles(light.mean),
             gain=gain,
             fixed=fixed,
+            rounding=tiles(rounding_amplitude(unrounded)),
         )
 
 

@@ -19,7 +19,7 @@ Mask = NDArray[np.bool_]
 _CLIP_SIGMAS: Final = 5.0
 _ZERO_SIGMAS: Final = 4.0  # what is cut off below 0 moves a mean by 7e-6 of the noise
 _FEW: Final = 1e-3  # share of clipped samples that does not count as clipping
-_SMALLEST_SIGMA_DN: Final = 0.4  # below it σ² + 1/12 no longer holds for rounded values
+_COARSE_DN: Final = 0.05  # by which rounding may move a mean where a variance still scatters as a normal one (σ = 0.3)
 _FEWEST_CODES: Final = 500  # samples that a histogram needs
 _CLEAR_COMB: Final = 0.5  # amplitude from which a spacing of codes is beyond doubt
 _FINE_NOISE: Final = 0.5  # standard deviation over code spacing that statistics need to be nearly normal
@@ -40,8 +40,8 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
     inside &= fine
     free = inside & ~_at_the_knee(design, base)
     many = np.broadcast_to((design.frame_count > 1)[:, None], inside.shape)
-    noisy = free & many & (np.nan_to_num(seen.variance) > 0) & (base.variance > _SMALLEST_SIGMA_DN**2)
-    spread = free & (seen.spatial_dof > 4) & (seen.spatial > 0)
+    noisy = free & many & (np.nan_to_num(seen.variance) > 0) & (base.rounding < _COARSE_DN)
+    spread = free & (seen.spatial_dof > 4) & (seen.spatial > 0) & (base.rounding < _COARSE_DN)
     any_tile = inside.any(axis=1)
     calm = base.variance > step**2 if step > 1 else fine  # lines of pixels feel the spacing sooner
     whole = many[:, 0] & calm.all(axis=1)

@@ -1,0 +1,47 @@
+"""Moments of rounded values against rounding itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from simulators.effects.base import Moments
+from simulators.effects.rounding import rounded, rounding_amplitude
+
+PIXELS, FRAMES = 20_000, 100
+# Mean, noise and fixed pattern in DN: on a code, between two, at the border, hardly any noise, mostly pattern, fine.
+CASES = [(60.0, 0.23, 0.0), (60.3, 0.23, 0.0), (60.45, 0.06, 0.0), (60.4, 0.3, 0.2), (7.5, 0.1, 0.3), (9.2, 0.7, 0.4)]
+
+
+def _moments(mean: float, noise: float, pattern: float) -> Moments:
+    return Moments(*(np.array([value]) for value in (mean, noise**2, pattern**2, 1e-6)))
+
+
+@pytest.mark.parametrize(("mean", "noise", "pattern"), CASES)
+def test_moments_are_those_of_rounded_samples(mean: float, noise: float, pattern: float) -> None:
+    """Mean, temporal and spatial variance of two million rounded samples lie within 4.5 of their standard errors."""
+    rng = np.random.default_rng(5)
+    pixels = mean + pattern * rng.standard_normal(PIXELS)
+    codes = np.rint(pixels[:, None] + noise * rng.standard_normal((PIXELS, FRAMES)))
+    after = rounded(_moments(mean, noise, pattern))
+    of_pixel, within = codes.mean(axis=1), codes.var(axis=1, ddof=1)
+    between = of_pixel.var(ddof=1) - within.mean() / FRAMES
+    u_between = np.std((of_pixel - of_pixel.mean()) ** 2) / np.sqrt(PIXELS)
+    assert abs(of_pixel.mean() - after.mean[0]) < 4.5 * of_pixel.std() / np.sqrt(PIXELS)
+    assert abs(within.mean() - after.variance[0]) < 4.5 * within.std() / np.sqrt(PIXELS) + 1e-4 * within.mean()
+    assert abs(between - after.spatial_variance[0]) < 4.5 * u_between + 1e-6
+
+
+def test_fine_noise_leaves_the_mean_and_adds_a_twelfth() -> None:
+    """With noise above half a code the mean stays and the variance grows by 1/12 DN²."""
+    before = _moments(17.3, 1.0, 0.5)
+    after = rounded(before)
+    assert after.mean[0] == before.mean[0]
+    assert after.variance[0] == pytest.approx(before.variance[0] + 1 / 12)
+    assert float(rounding_amplitude(before)[0]) < 1e-10
+
+
+def test_light_that_all_pixels_share_is_swallowed_by_a_code() -> None:
+    """Far from the border between codes hardly any noise means that a common change does not show."""
+    assert rounded(_moments(60.0, 0.06, 0.0)).common_variance[0] < 1e-12
+    assert rounded(_moments(60.5, 0.06, 0.0)).common_variance[0] > 1e-6
