@@ -14,7 +14,8 @@ from simulators.effects.context import Signal
 _FINE: Final = 0.6**2  # from this variance on, in DN², rounding moves a mean by less than 3e-4 DN
 _REACH_SIGMAS: Final = 9.0  # borders farther away are crossed by 1e-19 of the values
 _LEAST_SIGMA_DN: Final = 1e-3
-_QUANTILES: Final = ndtri((np.arange(25) + 0.5) / 25)  # pixels of a normal pattern, all equally likely
+_SPLIT_FROM: Final = 0.3**2  # below, noise and pattern share the variance in proportion: nothing there is normal
+_QUANTILES: Final = ndtri((np.arange(15) + 0.5) / 15)  # pixels of a normal pattern, all equally likely
 
 SomeMoments = TypeVar("SomeMoments", bound=Moments)
 
@@ -32,7 +33,8 @@ def rounded(before: SomeMoments) -> SomeMoments:
     """Return the moments of values in DN after rounding to the nearest whole code.
 
     With noise of half a code and more that is the mean as it was and 1/12 DN² more variance. Below, mean and variance
-    are the sums over the codes of a normal variable cut at half codes, averaged over the pixels' fixed pattern.
+    are the sums over the codes of a normal variable cut at half codes. Below 0.3 DN of noise and fixed pattern together,
+    their shares of the variance are not told apart.
 
     Args:
         before: Moments in DN, of type `Moments` or derived from it.
@@ -54,11 +56,13 @@ def rounded(before: SomeMoments) -> SomeMoments:
 def _of_coarse(mean: Signal, variance: Signal, pattern2: Signal) -> tuple[Signal, Signal, Signal, Signal]:
     """Return mean, variance, variance of the fixed pattern and d(mean)/d(mean before) of rounded values, each (n,)."""
     average, together, rise = _of_normal(mean, variance + pattern2)
-    if not pattern2.any():
-        return average, together, np.zeros_like(mean), rise
-    pixels = mean[:, None] + np.sqrt(pattern2)[:, None] * _QUANTILES
-    own = _of_normal(pixels, np.broadcast_to(variance[:, None], pixels.shape))[1].mean(axis=1)
-    return average, own, np.maximum(together - own, 0.0), rise
+    own = together * variance / np.maximum(variance + pattern2, 1e-12)
+    asked = (pattern2 > 0) & (variance + pattern2 > _SPLIT_FROM)
+    if asked.any():
+        pixels = mean[asked, None] + np.sqrt(pattern2[asked])[:, None] * _QUANTILES
+        within = np.broadcast_to(variance[asked, None], pixels.shape)
+        own[asked] = np.minimum(_of_normal(pixels, within)[1].mean(axis=1), together[asked])
+    return average, own, together - own, rise
 
 
 def _of_normal(mean: Signal, variance: Signal) -> tuple[Signal, Signal, Signal]:
