@@ -29,7 +29,9 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
     """Return which entries of each block count: not clipped as measured or predicted, and with freedom left."""
     full_scale = design.header.camera.full_scale_dn
     inside = np.ones(seen.mean.shape, dtype=np.bool_)
-    noise = np.where(np.isfinite(seen.variance), seen.variance, base.variance) + np.maximum(np.nan_to_num(base.fixed), 0.0)
+    noise = np.where(np.isfinite(seen.variance), seen.variance, base.variance) + np.maximum(
+        np.nan_to_num(base.fixed), 0.0
+    )
     sigma, above_zero = _CLIP_SIGMAS * np.sqrt(noise), _ZERO_SIGMAS * np.sqrt(noise)
     # What is predicted to clip but was not seen to clip stays in: it is what a lower full well looks like.
     inside &= (seen.mean - above_zero > 0) & (seen.mean + sigma < full_scale) & (seen.high < _FEW) & (seen.low < _FEW)

@@ -33,8 +33,8 @@ def rounded(before: SomeMoments) -> SomeMoments:
     """Return the moments of values in DN after rounding to the nearest whole code.
 
     With noise of half a code and more that is the mean as it was and 1/12 DN² more variance. Below, mean and variance
-    are the sums over the codes of a normal variable cut at half codes. Below 0.3 DN of noise and fixed pattern together,
-    their shares of the variance are not told apart.
+    are the sums over the codes of a normal variable cut at half codes. With less than 0.3 DN of noise and fixed
+    pattern together, their shares of the variance are not told apart.
 
     Args:
         before: Moments in DN, of type `Moments` or derived from it.
