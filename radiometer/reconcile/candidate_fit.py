@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -36,7 +36,7 @@ class FittedCandidate:
         columns: −d(residual)/d(scaled parameter of the effect), prior rows included.
         tries: Number of starts that the entry had.
         stated: χ² that it explains in the stated radiances alone.
-        overrated: Nats that the scores of the frame-common fluctuation promise beyond its exact likelihood.
+        overrated: Nats that the scores of few frames' variances promise beyond their exact likelihood.
     """
 
     effect: CatalogueEffect
@@ -167,7 +167,7 @@ def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandid
     evidence = sum(before.get(block, 0.0) - after.get(block, 0.0) for block in shown)
     if "mean" in shown:  # what the means say against the stated radiances stands in the prior rows
         evidence += stated
-    overrated = _overrated(state, best.effect, before["common"] - after["common"])
+    overrated = _overrated(state, best.effect, {name: before[name] - after[name] for name in ("common", "bands")})
     return FittedCandidate(
         best.effect,
         gain - 2.0 * overrated,
@@ -182,13 +182,14 @@ def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandid
     )
 
 
-def _overrated(state: FitState, effect: CatalogueEffect, promised: float) -> float:
-    """Return by how many nats the normal scores of few frames' fluctuation flatter a variance fitted to them."""
-    if promised <= 0:
-        return 0.0
+def _overrated(state: FitState, effect: CatalogueEffect, promised: Mapping[str, float]) -> float:
+    """Return by how many nats the normal scores of few frames' variances flatter a variance fitted to them."""
     predicted = state.predicted_with((*state.effects, effect))
-    exact = state.comparison.common_deviance(state.prediction) - state.comparison.common_deviance(predicted)
-    return max(promised - exact, 0.0) / 2.0
+    exact = {"common": state.comparison.common_deviance, "bands": state.comparison.band_deviance}
+    shown = {
+        name: exact[name](state.prediction) - exact[name](predicted) for name, gain in promised.items() if gain > 0
+    }
+    return sum(max(promised[name] - gain, 0.0) for name, gain in shown.items()) / 2.0
 
 
 def _off_bounds(effect: CatalogueEffect, columns: Array) -> Array:

@@ -14,6 +14,7 @@ from radiometer.data import Frame
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.frame_kernels import add_tiles
 from radiometer.reconcile.profiles import fixed_profile, row_temporal_profile
+from radiometer.reconcile.row_bands import RowBins, row_light
 from radiometer.reconcile.tile_layout import LINES, PatchSides, TileGroup
 
 COMB_PERIODS: Final = (2, 3, 4, 5)  # a coarser step shows at one of its divisors
@@ -25,6 +26,7 @@ _MAD_TO_SIGMA: Final = 1.4826
 _SMOOTH_MAD_DN: Final = 15.0**0.5 / _MAD_TO_SIGMA
 _MOST_FOR_MEDIAN: Final = 4096  # samples that give a robust sigma to 2 %; more would cost time and change nothing
 _TREND_TERMS: Final = 6
+_CUT_OFF: Final = 1.0 / 3.0  # of a darker tile's noise, below which light is cut off: six sigmas of 36 pixels in pairs
 
 Mask = NDArray[np.bool_]
 
@@ -119,11 +121,14 @@ class CaptureSums:
             self.histogram = np.pad(self.histogram, (0, more))
             self.occurring = np.pad(self.occurring, (0, more))
 
-    def finish(self, black_dn: float, *, structured: bool = False) -> tuple[dict[str, Array | float], Mask]:
+    def finish(
+        self, black_dn: float, bins: RowBins, *, structured: bool = False
+    ) -> tuple[dict[str, Array | float], Mask]:
         """Return the statistics of the capture by name, and the map of its outlying pixels.
 
         Args:
             black_dn: Stated black level in DN; NaN where unknown.
+            bins: Bins of rows for bands.
             structured: Whether the tiles show a scene rather than even light: nothing in them is outlying.
         """
         n, tiles = len(self.frame_means), self.pair_x.size
@@ -143,11 +148,12 @@ class CaptureSums:
         out["first"] = means[0] - means[1:].mean(axis=0) if n > 1 else np.full(tiles, np.nan)
         result: dict[str, Array | float] = dict(out)
         result["outliers"] = float(outlying.sum())
-        free = (out["low"] == 0) & (out["high"] == 0)  # a clipped tile has hardly any noise and would outweigh all
+        free = _free(out)  # a clipped tile has hardly any noise and would outweigh all
         variance, spatial = (np.where(free, out[name], np.nan) for name in ("variance", "spatial"))
         known = [group.cut(~self.defects).astype(np.bool_) for group in self.groups]
         result |= row_temporal_profile(self.groups, row_sums, variance, known)
         result |= fixed_profile(self.groups, residuals, spatial, counting)
+        result |= row_light(bins, self.groups, self.row_sums, known, means, variance, black_dn, structured=structured)
         result |= _common_fluctuation(means, out, black_dn)
         result["side_lines"] = self.side_lines / n
         result |= _comb(self.histogram)
@@ -304,12 +310,21 @@ def _common_fluctuation(means: Array, out: dict[str, Array], black_dn: float) ->
 def _common_amplitude(means: Array, out: dict[str, Array], black_dn: float) -> tuple[Array, float]:
     """Return by what share the light of each frame differs from all, and 1/variance of that; 0 without light."""
     signal = out["mean"] - (black_dn if np.isfinite(black_dn) else float(np.min(out["mean"])))
-    usable = (out["high"] == 0) & (out["low"] == 0) & (out["variance"] > 0) & (signal > 0)
+    usable = _free(out) & (out["variance"] > 0) & (signal > 0)
     weight = np.where(usable, signal * out["pixels"] / np.where(usable, out["variance"], 1.0), 0.0)
     information = float(np.sum(weight * signal))
     if information <= 0:
         return np.zeros(means.shape[0]), 0.0
     return np.asarray((means - means.mean(axis=0)) @ weight / information), information
+
+
+def _free(out: dict[str, Array]) -> Mask:
+    """Tell which tiles are not clipped, be it below full scale: there noise falls away that darker tiles have."""
+    order = np.argsort(out["mean"], kind="stable")
+    variance = np.nan_to_num(out["variance"][order])
+    cut_off = np.zeros(order.size, dtype=np.bool_)
+    cut_off[order] = variance < _CUT_OFF * np.maximum.accumulate(variance)
+    return np.asarray((out["low"] == 0) & (out["high"] == 0) & ~cut_off)
 
 
 def _comb(histogram: Array) -> dict[str, Array | float]:

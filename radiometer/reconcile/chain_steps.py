@@ -60,6 +60,7 @@ def scaled(moments: TileMoments, factor: Array | float) -> TileMoments:
         spatial_variance=moments.spatial_variance * square,
         common_variance=moments.common_variance * square,
         row_variance=moments.row_variance * square,
+        band_variance=moments.band_variance * square,
         fixed_column_variance=moments.fixed_column_variance * square,
         fixed_row_variance=moments.fixed_row_variance * square,
         neighbour_x=moments.neighbour_x * square,

@@ -14,19 +14,24 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import digamma
 
 from radiometer.reconcile.capture_sums import COMB_PERIODS
 from radiometer.reconcile.design import Array, Design
+from radiometer.reconcile.row_bands import RowBins, wave_power
 from radiometer.reconcile.scatter import (
     Repeatability,
+    band_excess,
     common_of_rows,
+    relative_bands,
+    relative_flicker,
     standard_uncertainties,
     whitener,
+    whitener_of_tilts,
 )
 from radiometer.reconcile.statistics import CaptureStatistics
 from radiometer.reconcile.tile_model import Prediction
 from radiometer.reconcile.usable import Mask, usable_entries
+from radiometer.reconcile.variance_scores import deviance, followed_scores, log_bias, sine_freedom
 
 TILE_BLOCKS: Final = ("mean", "slope_x", "slope_y", "variance", "spatial", "neighbour_x", "neighbour_y", "first")
 CAPTURE_BLOCKS: Final = ("common", "row_temporal", "columns", "rows", "edge", "outliers")
@@ -36,9 +41,6 @@ FAMILY: Final[dict[str, str]] = {
     "neighbour_x": "neighbour",
     "neighbour_y": "neighbour",
 }
-_FAIR_SHARE: Final = 0.05  # of the brightest tile's light
-_SINE_KURTOSIS: Final = -1.5  # excess kurtosis of a sine at a random phase
-_FEW_FRAMES: Final = 1.6  # by which few frames weaken it: of cube roots, by simulation of 2 to 15 frames
 _LIGHT_U_REL: Final = 3e-3  # how well the light of one tile is taken to be known where its variance hangs on it
 _WANDERS: Final = 61  # relative variances tried, ten to a decade
 _FALSE_OUTLIERS: Final = 0.02  # expected in a capture without hot pixels; keeps the square root finite
@@ -56,9 +58,11 @@ class Comparison:
         whiteners: Of the blocks whose tiles scatter together (`mean`, `first`): (captures, tiles, tiles) inverse
             Cholesky factor of the covariance.
         cuts: Where each block lies in the vector.
-        flicker2: (captures,) relative variance from frame to frame of the accepted effects.
+        flicker2: (captures,) relative variance from frame to frame of the accepted effects, of a whole frame.
         wander2: The same of the source itself, whatever the exposure; 0 where its reproducibility is stated.
         common_of_rows: (captures,) what 1 DN² of row noise adds to the ratio of the frame-common fluctuation.
+        bands2: (captures,) relative variance of the accepted effects' wave along the rows.
+        band_frequency: Periods of that wave per row.
     """
 
     design: Design
@@ -70,6 +74,8 @@ class Comparison:
     flicker2: Array
     wander2: float
     common_of_rows: Array
+    bands2: Array
+    band_frequency: float
 
     @property
     def size(self) -> int:
@@ -81,6 +87,8 @@ class Comparison:
         pieces = [self._tile_block(name, prediction) for name in TILE_BLOCKS]
         pieces += [self._capture_block(name, prediction) for name in CAPTURE_BLOCKS]
         pieces.append(self._comb(prediction))
+        power = self.band_power(relative_bands(prediction), prediction.band_frequency)
+        pieces.append(self.band_scores(power, prediction.row_variance))
         return np.concatenate([piece.ravel() for piece in pieces])
 
     def whiten(self, block: str, values: Array) -> Array:
@@ -101,7 +109,9 @@ class Comparison:
         tiles = len(self.design.tiles)
         per_tile = [np.repeat(captures, tiles)] * len(TILE_BLOCKS)
         per_capture = [captures] * len(CAPTURE_BLOCKS)
-        return np.concatenate([*per_tile, *per_capture, np.repeat(captures, len(COMB_PERIODS))])
+        return np.concatenate(
+            [*per_tile, *per_capture, np.repeat(captures, len(COMB_PERIODS)), np.repeat(captures, self._bins.orders)]
+        )
 
     def counts(self) -> Mask:
         """Tell for each entry of the vector whether it counts."""
@@ -132,7 +142,7 @@ class Comparison:
             mask = self.usable[name]
             dof = np.where(mask, getattr(self.seen, f"{name}_dof"), 10.0)
             seen = np.where(mask, getattr(self.seen, name), 1.0)
-            found[name] = np.log(np.maximum(seen, 1e-12)) - _log_bias(dof)
+            found[name] = np.log(np.maximum(seen, 1e-12)) - log_bias(dof)
         return found
 
     def _capture_block(self, name: str, prediction: Prediction) -> Array:
@@ -143,35 +153,50 @@ class Comparison:
             expected = _FALSE_OUTLIERS + np.maximum(prediction.outliers, 0.0)
             return np.where(mask, 2.0 * (np.sqrt(seen + 0.375) - np.sqrt(expected + 0.375)) / sigma, 0.0)
         if name == "common":
-            return self.common_scores(relative_flicker(prediction), prediction.row_variance)
+            return self.common_scores(self.flicker_of(prediction), prediction.row_variance)
         return np.where(mask, (self._log_seen[name] - np.log(self._excess(name, prediction))) / sigma, 0.0)
 
     def common_scores(self, flicker2: Array, row_variance: Array) -> Array:
         """Return the residual of the frame-common fluctuation for a relative variance of the light, (captures,).
 
         Row noise does not quite average out over the rows, and counts with it (in DN²).
-        It is the normal score of the variance ratio. A least-squares fit of a variance inside a score is biased high
-        (by half for two degrees of freedom), so that about an accepted flicker the score is followed linearly in the
-        logarithm of the variance.
         """
-        mask = self.usable["common"]
-        seen = np.where(mask, self.seen.common, 1.0)
         steady = 1.0 + row_variance * self.common_of_rows + self.wander2 / self._common_unit
-        expected, accepted = steady + flicker2 / self._common_unit, steady + self.flicker2 / self._common_unit
-        if not self.flicker2.any():
-            return np.where(mask, _normal_score(seen / expected, self._common_freedom), 0.0)
-        spread = _score_spread(self._common_freedom)
-        slope = (1.0 - spread) / (3.0 * np.sqrt(spread))
-        scores = _normal_score(seen / accepted, self._common_freedom)
-        return np.where(mask, scores - slope * np.log(expected / accepted), 0.0)
+        accepted = steady + self.flicker2 / self._common_unit if self.flicker2.any() else None
+        expected = steady + flicker2 / self._common_unit
+        return followed_scores(self.seen.common, expected, accepted, self._common_freedom, self.usable["common"])
+
+    def band_scores(self, power: Array, row_variance: Array) -> Array:
+        """Return the residual of the bands for what a wave along the rows adds to their ratios, (captures, orders)."""
+        steady = 1.0 + row_variance[:, None] * self.seen.bands_of_rows
+        accepted = steady + self._accepted_bands if self.bands2.any() else None
+        return followed_scores(self.seen.bands, steady + power, accepted, self._band_freedom, self.usable["bands"])
+
+    def band_power(self, bands2: Array, frequency: float) -> Array:
+        """Return what a wave along the rows adds to the ratios of the bands, (captures, orders)."""
+        if not bands2.any():
+            return np.zeros_like(self.seen.bands_of_rows)
+        return np.asarray(bands2[:, None] * wave_power(self._bins, self.seen.bands_basis, frequency)[0])
+
+    def flicker_of(self, prediction: Prediction) -> Array:
+        """Return the relative variance that all light of a frame has in common, bands included, (captures,)."""
+        return relative_flicker(prediction) + _common_bands(self.design, self.seen, prediction)
 
     def common_deviance(self, prediction: Prediction) -> float:
         """Return the deviance of the frame-common fluctuation: −2·ln of its exact likelihood but for a constant."""
-        mask, dof = self.usable["common"], self._common_freedom
         steady = 1.0 + prediction.row_variance * self.common_of_rows
-        expected = steady + (relative_flicker(prediction) + self.wander2) / self._common_unit
-        seen = np.where(mask, self.seen.common, 1.0)
-        return float(np.sum(np.where(mask, dof * (seen / expected + np.log(expected)), 0.0)))
+        expected = steady + (self.flicker_of(prediction) + self.wander2) / self._common_unit
+        return deviance(self.seen.common, expected, self._common_freedom, self.usable["common"])
+
+    def band_deviance(self, prediction: Prediction) -> float:
+        """Return the same of the bands."""
+        steady = 1.0 + prediction.row_variance[:, None] * self.seen.bands_of_rows
+        expected = steady + self.band_power(relative_bands(prediction), prediction.band_frequency)
+        return deviance(self.seen.bands, expected, self._band_freedom, self.usable["bands"])
+
+    @cached_property
+    def _bins(self) -> RowBins:
+        return RowBins.of(self.design)
 
     @cached_property
     def _common_unit(self) -> Array:
@@ -179,16 +204,17 @@ class Comparison:
 
     @cached_property
     def _common_freedom(self) -> Array:
-        """Return how many degrees of freedom the variance of a capture's frames is worth.
-
-        n values of excess kurtosis κ give a variance of relative variance 2/(n − 1) + κ/n; a sine has κ = −1.5, of
-        which the cube root of few values feels less.
-        """
-        frames = self.design.frame_count
-        counted = np.maximum(np.where(frames > 2, frames - 1.0, frames), 2.0)
         share = self.flicker2 / (self.flicker2 + self._common_unit)
-        kurtosis = _SINE_KURTOSIS * np.maximum(1.0 - _FEW_FRAMES / counted, 0.2)
-        return np.asarray(2.0 / (2.0 / (counted - 1.0) + kurtosis * share**2 / counted))
+        return sine_freedom(self.design.frame_count, share)
+
+    @cached_property
+    def _accepted_bands(self) -> Array:
+        return self.band_power(self.bands2, self.band_frequency)
+
+    @cached_property
+    def _band_freedom(self) -> Array:
+        share = self._accepted_bands / (1.0 + self._accepted_bands)
+        return sine_freedom(self.design.frame_count[:, None], share)
 
     def _excess(self, name: str, prediction: Prediction) -> Array:
         """Return what a variance ratio is expected to be: 1 without any common part."""
@@ -198,22 +224,13 @@ class Comparison:
             "columns": prediction.fixed_column_variance,
             "rows": prediction.fixed_row_variance + prediction.row_variance / self.design.frame_count,
         }
-        return np.asarray(1.0 + shared[name] * getattr(self.seen, f"{name}_weight"))
+        excess = shared[name] * getattr(self.seen, f"{name}_weight")
+        return np.asarray(1.0 + excess + band_excess(self.design, self.seen, prediction).get(name, 0.0))
 
     def _comb(self, prediction: Prediction) -> Array:
         step = prediction.comb_step
         expected = np.array([1.0 if step > 1 and round(step) % period == 0 else 0.0 for period in COMB_PERIODS])
         return np.where(self.usable["comb"], (self.seen.comb - expected) / self.deviation["comb"], 0.0)
-
-
-def relative_flicker(prediction: Prediction) -> Array:
-    """Return the relative variance that all light of a frame shares, (captures,).
-
-    Of the tiles with a fair share of the light the one that shows most counts: a full well shows none.
-    """
-    light = np.maximum(prediction.signal * prediction.gain[:, None], 1e-12)
-    fair = light >= _FAIR_SHARE * light.max(axis=1, keepdims=True)
-    return np.asarray(np.max(np.where(fair, prediction.common_variance / light**2, 0.0), axis=1))
 
 
 def compare(
@@ -249,7 +266,9 @@ def compare(
         if name in floors:
             deviation[name] = np.hypot(deviation[name], floors[name])
     of_rows = common_of_rows(design, seen, mask["mean"], sensitivity)
-    plain = Comparison(design, seen, mask, deviation, {}, _cuts(design), repeatability.flicker2, 0.0, of_rows)
+    common = repeatability.flicker2 + _common_bands(design, seen, base)
+    bands = (repeatability.bands2, repeatability.band_frequency)
+    plain = Comparison(design, seen, mask, deviation, {}, _cuts(design), common, 0.0, of_rows, *bands)
     plain = replace(plain, wander2=_steady_wander2(plain, base))
     repeatability = replace(repeatability, flicker2=repeatability.flicker2 + plain.wander2)
     frames = design.frame_count
@@ -261,7 +280,18 @@ def compare(
         name: whitener(design, deviation[name], mask[name], sensitivity, repeatability, *share)
         for name, share in shares.items()
     }
+    if repeatability.bands2.any():
+        tilts = (design, deviation["slope_y"], mask["slope_y"], sensitivity, repeatability, 1.0 / frames)
+        whiteners["slope_y"] = whitener_of_tilts(*tilts)
     return replace(plain, whiteners=whiteners)
+
+
+def _common_bands(design: Design, seen: CaptureStatistics, prediction: Prediction) -> Array:
+    """Return the relative variance of a wave along the rows that a whole frame has in common, (captures,)."""
+    bands2 = relative_bands(prediction)
+    if not bands2.any():
+        return bands2
+    return np.asarray(bands2 * wave_power(RowBins.of(design), seen.bands_basis, prediction.band_frequency)[1])
 
 
 def _steady_wander2(plain: Comparison, base: Prediction) -> float:
@@ -280,27 +310,9 @@ def _cuts(design: Design) -> dict[str, slice]:
     captures, tiles = len(design.captures), len(design.tiles)
     sizes = dict.fromkeys(TILE_BLOCKS, captures * tiles) | dict.fromkeys(CAPTURE_BLOCKS, captures)
     sizes["comb"] = captures * len(COMB_PERIODS)
+    sizes["bands"] = captures * RowBins.of(design).orders
     cuts, start = {}, 0
     for name, size in sizes.items():
         cuts[name] = slice(start, start + size)
         start += size
     return cuts
-
-
-def _log_bias(dof: Array) -> Array:
-    """Return E[ln(s²/σ²)] for a variance estimated with so many degrees of freedom."""
-    return np.asarray(digamma(dof / 2.0) - np.log(dof / 2.0))
-
-
-def _normal_score(ratio: Array, dof: Array) -> Array:
-    """Return the standard normal score of χ²/dof, exact in distribution to 0.01 from one degree of freedom on.
-
-    Source: Wilson & Hilferty (1931), the cube root of a chi-square variable is nearly normal.
-    """
-    spread = _score_spread(dof)
-    return np.asarray((np.cbrt(np.maximum(ratio, 0.0)) - 1.0 + spread) / np.sqrt(spread))
-
-
-def _score_spread(dof: Array) -> Array:
-    """Return the variance of the cube root of χ²/dof; its mean lies that much below 1."""
-    return np.asarray(2.0 / (9.0 * dof))

@@ -67,6 +67,7 @@ _TESTS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "edge": (("constant", "f_number"), (MULTIPLICATIVE,)),
     "outliers": (("constant", "exposure_s", "temperature_C"), (MULTIPLICATIVE,)),
     "comb": (("constant",), (MULTIPLICATIVE,)),
+    "bands": (("constant", "exposure_s", "image_y"), (MULTIPLICATIVE,)),
 }
 
 
@@ -170,10 +171,22 @@ def whitened_basis(
     smooth = np.ones((captures, tiles, 1)) if axis is None else axis.basis()
     if block == "comb":
         return _flat(comparison.whiten(block, np.ones((*comparison.usable[block].shape, 1))))
+    if block == "bands":
+        return _flat(comparison.whiten(block, _of_bands(comparison, axis)))
     if block in CAPTURE_BLOCKS:
         values = smooth[:, 0, :] if axis is None or axis.per_capture else smooth.mean(axis=1)
         return comparison.whiten(block, values)
     return _flat(comparison.whiten(block, smooth * _form(block, form, prediction, sensitivity)[:, :, None]))
+
+
+def _of_bands(comparison: Comparison, axis: Covariate | None) -> Array:
+    """Return the trend over captures and spatial frequencies; along the image these take the place of the rows."""
+    captures, orders = comparison.usable["bands"].shape
+    if axis is None:
+        return np.ones((captures, orders, 1))
+    if axis.per_capture:
+        return np.repeat(axis.basis()[:, :1, :], orders, axis=1)
+    return Covariate(axis.name, np.tile(np.arange(orders, dtype=np.float64), (captures, 1)), per_capture=False).basis()
 
 
 def _form(block: str, form: str, prediction: Prediction, sensitivity: Array) -> Array:

@@ -27,6 +27,7 @@ _AXIS_OF_CONSTANT: Final = {
     "first": "previous_frame",
     "common": "exposure_s",
     "row_temporal": "image_y",
+    "bands": "image_y",
     "columns": "image_x",
     "rows": "image_y",
     "edge": "image_x",

@@ -11,10 +11,12 @@ from scipy.special import polygamma
 
 from radiometer.reconcile.capture_sums import COMB_PERIODS
 from radiometer.reconcile.design import Array, Design
+from radiometer.reconcile.row_bands import TileBands
 from radiometer.reconcile.statistics import CaptureStatistics
 from radiometer.reconcile.tile_model import Prediction
 from radiometer.reconcile.usable import Mask, slope_lengths, structure_dn2
 
+_FAIR_SHARE: Final = 0.05  # of the brightest tile's light
 _LARGEST_COMB_COUNT: Final = 1e5  # beyond it the honest shape of a histogram itself would show
 _ROUNDING_SHARE: Final = 0.1  # of what rounding may move a mean: counts of few electrons are not quite normal
 _COMB_SQUARES: Final = np.array([1.0 if period == 2 else 0.5 for period in COMB_PERIODS])  # mean of cos²(2πn/period)
@@ -28,11 +30,15 @@ class Repeatability:
         tau: Relative standard deviation from capture to capture.
         flicker2: (captures,) relative variance from frame to frame that an accepted effect predicts.
         row_variance: (captures,) row noise that an accepted effect predicts, in DN².
+        bands2: (captures,) relative variance of light that goes as a wave along the rows.
+        band_frequency: Periods of that wave per row.
     """
 
     tau: float
     flicker2: Array
     row_variance: Array
+    bands2: Array
+    band_frequency: float
 
 
 def standard_uncertainties(
@@ -70,7 +76,8 @@ def standard_uncertainties(
     uneven = 1.0 if design.uniform else _unevenness(design, seen, base, noise)
     pairs = pixels * np.maximum(n - 1.0, 1.0)
     counts = np.minimum(np.maximum(seen.comb_count, 1.0), _LARGEST_COMB_COUNT)[:, None]
-    return {
+    phases = _phase_scatter(design, seen, base)
+    found = {
         "mean": np.hypot(np.sqrt(noise * together / (pixels * n)), _ROUNDING_SHARE * base.rounding),
         "slope_x": np.sqrt(noise * together / n) / lengths[0],
         "slope_y": np.sqrt(noise * together / n) / lengths[1],
@@ -86,7 +93,9 @@ def standard_uncertainties(
         "edge": np.where(np.isfinite(seen.edge_u), seen.edge_u, 1.0),
         "outliers": np.ones(len(design.captures)),
         "comb": np.sqrt(_COMB_SQUARES / counts + (0.0 if design.uniform else _scene_comb(design, seen, base) ** 2)),
+        "bands": np.ones_like(seen.bands_of_rows),
     }
+    return found | {name: np.hypot(found[name], scatter) for name, scatter in phases.items()}
 
 
 def whitener(
@@ -106,9 +115,81 @@ def whitener(
         both = usable[:, :, None] & usable[:, None, :]
         rows = (repeatability.row_variance * share)[:, None, None] * _row_overlap(design)
         covariance = covariance + np.where(both, rows, 0.0)
+    if repeatability.bands2.any():
+        bands = TileBands.of(design, repeatability.band_frequency)
+        waves = light[:, :, None] * light[:, None, :] * bands.together(bands.mean)
+        covariance = covariance + (repeatability.bands2 * share)[:, None, None] * waves
+    return _inverse_root(covariance, deviation, usable)
+
+
+def whitener_of_tilts(
+    design: Design, deviation: Array, usable: Mask, sensitivity: Array, repeatability: Repeatability, share: Array
+) -> Array:
+    """Return the inverse Cholesky factors of the tilts' covariance: pixel noise, and a wave along the rows."""
+    light = np.where(usable, sensitivity, 0.0)
+    bands = TileBands.of(design, repeatability.band_frequency)
+    waves = light[:, :, None] * light[:, None, :] * bands.together(bands.rise)
+    return _inverse_root((repeatability.bands2 * share)[:, None, None] * waves, deviation, usable)
+
+
+def _inverse_root(covariance: Array, deviation: Array, usable: Mask) -> Array:
     index = np.arange(usable.shape[1])
     covariance[:, index, index] += np.where(usable, deviation**2, 1.0)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def relative_bands(prediction: Prediction) -> Array:
+    """Return the relative variance of the light that goes as a wave along the rows, (captures,)."""
+    return _of_fair_tiles(prediction, prediction.band_variance)
+
+
+def relative_flicker(prediction: Prediction) -> Array:
+    """Return the relative variance that all light of a frame shares, (captures,).
+
+    Of the tiles with a fair share of the light the one that shows most counts: a full well shows none.
+    """
+    return _of_fair_tiles(prediction, prediction.common_variance)
+
+
+def _of_fair_tiles(prediction: Prediction, variance: Array) -> Array:
+    if not variance.any():
+        return np.zeros(variance.shape[0])
+    light = np.maximum(prediction.signal * prediction.gain[:, None], 1e-12)
+    fair = light >= _FAIR_SHARE * light.max(axis=1, keepdims=True)
+    return np.asarray(np.max(np.where(fair, variance / light**2, 0.0), axis=1))
+
+
+def band_excess(design: Design, seen: CaptureStatistics, prediction: Prediction) -> dict[str, Array]:
+    """Return what a wave along the rows adds to the ratios of the rows' profiles, by block, (captures,)."""
+    bands2 = relative_bands(prediction)
+    if not bands2.any():
+        return {}
+    left = TileBands.of(design, prediction.band_frequency)
+    temporal = bands2 * seen.row_temporal_light
+    # The weights of the time mean's rows are those of the temporal profile but for the noise of a pixel.
+    safe = np.where(seen.row_temporal_weight > 0, seen.row_temporal_weight, np.inf)
+    steady = temporal * seen.rows_weight / safe / design.frame_count
+    return {"row_temporal": temporal * float(left.within.mean()), "rows": steady * float(left.rough.mean())}
+
+
+def _phase_scatter(design: Design, seen: CaptureStatistics, base: Prediction) -> dict[str, Array]:
+    """Return by how much few phases of a wave along the rows scatter the statistics, by block."""
+    excess = band_excess(design, seen, base)
+    if not excess:
+        return {}
+    left = TileBands.of(design, base.band_frequency)
+    unsteady = left.unsteadiness(design.frame_count)
+    within = base.band_variance * left.within / base.variance * unsteady
+    rough = base.band_variance * left.rough / design.frame_count[:, None] / base.spatial
+    lines = {name: more / (1.0 + more) for name, more in excess.items()}
+    return {
+        "variance": within,
+        "neighbour_x": within,
+        "neighbour_y": within,
+        "spatial": rough,
+        "row_temporal": lines["row_temporal"] * unsteady.max(axis=1),
+        "rows": lines["rows"],
+    }
 
 
 def common_of_rows(design: Design, seen: CaptureStatistics, usable: Mask, sensitivity: Array) -> Array:

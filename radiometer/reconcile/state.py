@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconcile.comparison import Comparison, compare, relative_flicker
+from radiometer.reconcile.comparison import Comparison, compare
 from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.form_floors import form_floors
 from radiometer.reconcile.held_out import Groups, HeldOut, leave_one_group_out
@@ -19,7 +19,7 @@ from radiometer.reconcile.parameters import EffectParameters
 from radiometer.reconcile.pattern_images import PatternImages
 from radiometer.reconcile.realisations import realisation_terms
 from radiometer.reconcile.repeatability import capture_scale, estimate_tau
-from radiometer.reconcile.scatter import Repeatability
+from radiometer.reconcile.scatter import Repeatability, relative_bands, relative_flicker
 from radiometer.reconcile.statistics import CaptureStatistics
 from radiometer.reconcile.terms import LinearTerm, prior_rows
 from radiometer.reconcile.tile_model import Nuisance, Prediction, TileModel, Trace
@@ -362,7 +362,8 @@ def _weighted(
     prediction = model.predict(nuisance)
     sensitivity, response = light_response(model, nuisance, prediction)
     flicker = relative_flicker(prediction) * (prediction.common_variance.max(axis=1) > 0)
-    repeatability = Repeatability(tau, flicker, prediction.row_variance)
+    bands = (relative_bands(prediction), prediction.band_frequency)
+    repeatability = Repeatability(tau, flicker, prediction.row_variance, *bands)
     mask = usable if isinstance(usable, dict) else usable_entries(design, seen, prediction)
     comparison = compare(design, seen, prediction, sensitivity, repeatability, response, floors, mask)
     weights = np.zeros(sum(term.size for term in terms))

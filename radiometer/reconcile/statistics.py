@@ -18,6 +18,7 @@ from radiometer.reconcile.capture_sums import CaptureSums
 from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.edges import edge_shares
 from radiometer.reconcile.pattern_images import PatternImages
+from radiometer.reconcile.row_bands import RowBins
 from radiometer.reconcile.tile_layout import patch_sides, tile_groups
 
 
@@ -45,6 +46,10 @@ class CaptureStatistics:
         row_temporal: (captures,) variance of row means from frame to frame over what pixel noise alone gives.
         row_temporal_weight: (captures,) its sensitivity: mean over rows of Σ 1/variance, in DN⁻².
         row_temporal_dof: (captures,) its degrees of freedom.
+        row_temporal_light: (captures,) what rows whose light differs by 100 % would add to it.
+        bands: (captures, orders) variance of a spatial frequency of the rows' light over what pixel noise alone gives.
+        bands_basis: (captures, 1 + orders, bins) functions of the rows, see `row_bands`.
+        bands_of_rows: (captures, orders) what 1 DN² of row noise adds.
         columns: (captures,) variance of fixed column means over what the fixed pixel pattern alone gives.
         columns_weight: (captures,) its sensitivity in DN⁻².
         columns_dof: (captures,) its degrees of freedom.
@@ -77,6 +82,10 @@ class CaptureStatistics:
     row_temporal: Array
     row_temporal_weight: Array
     row_temporal_dof: Array
+    row_temporal_light: Array
+    bands: Array
+    bands_basis: Array
+    bands_of_rows: Array
     columns: Array
     columns_weight: Array
     columns_dof: Array
@@ -111,7 +120,7 @@ def reduce_frames(
     Raises:
         CaptureError: If a frame's size differs from the design's.
     """
-    groups, sides = tile_groups(design), patch_sides(design)
+    groups, sides, bins = tile_groups(design), patch_sides(design), RowBins.of(design)
     images = PatternImages.empty(design)
     defects: NDArray[np.bool_] = np.zeros(design.shape, dtype=np.bool_)
     collected: dict[int, dict[str, NDArray[np.float64] | float]] = {}
@@ -127,7 +136,7 @@ def reduce_frames(
             if progress is not None:
                 progress(done)
         structured = not design.uniform and design.source_level[number] > 0
-        collected[number], outlying = sums.finish(design.black_level_dn[number], structured=structured)
+        collected[number], outlying = sums.finish(design.black_level_dn[number], bins, structured=structured)
         if design.closed[number]:
             defects = defects | outlying
     names = [entry.name for entry in fields(CaptureStatistics)]

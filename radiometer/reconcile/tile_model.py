@@ -20,6 +20,7 @@ from radiometer.reconcile.chain_steps import (
 )
 from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.pattern_images import PatternImages
+from radiometer.reconcile.row_bands import TileBands
 from radiometer.reconcile.tile_context import TileContext, scene_radiance, tile_context
 from radiometer.units import photon_energy_j
 from simulators.effects.catalogue import CatalogueEffect
@@ -79,6 +80,8 @@ class Prediction:
         gain: (captures,) DN per electron.
         fixed: (captures, tiles) fixed-pattern part of `spatial` in DN².
         rounding: (captures, tiles) how far rounding to whole codes may move the mean, in DN.
+        band_variance: (captures, tiles) variance of light that goes as a wave along the rows, in DN².
+        band_frequency: Periods of that wave per row.
     """
 
     mean: Array
@@ -100,6 +103,8 @@ class Prediction:
     gain: Array
     fixed: Array
     rounding: Array
+    band_variance: Array
+    band_frequency: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -295,7 +300,10 @@ class TileModel:
         # A frame's mean is taken out of each tile, and with it what its rows have in common.
         shared = np.broadcast_to(np.asarray(self.context.tile_height, dtype=np.float64)[..., 0], shape[:2])
         within = lines * (1.0 - 1.0 / shared)
-        total = np.maximum(variance + within, _SMALLEST_VARIANCE_DN2)
+        band, left = tiles(final.band_variance), TileBands.of(self.design, final.band_frequency)
+        white = variance + within
+        total = np.maximum(white + band * left.within, _SMALLEST_VARIANCE_DN2)
+        white = np.maximum(white + band * left.rough, _SMALLEST_VARIANCE_DN2)
         fixed = tiles(final.spatial_variance) + columns + rows
         rise_x, rise_y = rise_of(final.mean)
         safe = np.maximum(total, 1e-30)
@@ -304,9 +312,9 @@ class TileModel:
             slope_x=rise_x,
             slope_y=rise_y,
             variance=total,
-            spatial=total / self.design.frame_count[:, None] + fixed,
-            neighbour_x=(tiles(final.neighbour_x) + within) / safe,
-            neighbour_y=(tiles(final.neighbour_y) - lines / shared) / safe,
+            spatial=white / self.design.frame_count[:, None] + fixed,
+            neighbour_x=(tiles(final.neighbour_x) + within + band * left.within) / safe,
+            neighbour_y=(tiles(final.neighbour_y) - lines / shared + band * left.lag) / safe,
             first=tiles(final.first_excess),
             common_variance=tiles(final.common_variance),
             row_variance=lines.mean(axis=1),
@@ -319,6 +327,8 @@ class TileModel:
             gain=gain,
             fixed=fixed,
             rounding=tiles(rounding_amplitude(unrounded)),
+            band_variance=band,
+            band_frequency=final.band_frequency,
         )
 
 

@@ -22,6 +22,8 @@ _FEW: Final = 1e-3  # share of clipped samples that does not count as clipping
 _COARSE_DN: Final = 0.05  # by which rounding may move a mean where a variance still scatters as a normal one (σ = 0.3)
 _FEWEST_CODES: Final = 500  # samples that a histogram needs
 _CLEAR_COMB: Final = 0.5  # amplitude from which a spacing of codes is beyond doubt
+_SHOT_NOISE: Final = 4.0  # times the read noise's variance
+_READ_NOISE_LEFT: Final = 0.5  # of its variance, below which the converter hides it
 _FINE_NOISE: Final = 0.5  # standard deviation over code spacing that statistics need to be nearly normal
 
 
@@ -42,6 +44,7 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
     inside &= fine
     free = inside & ~_at_the_knee(design, base)
     many = np.broadcast_to((design.frame_count > 1)[:, None], inside.shape)
+    free &= ~_cut_off(design, seen, base)
     noisy = free & many & (np.nan_to_num(seen.variance) > 0) & (base.rounding < _COARSE_DN)
     spread = free & (seen.spatial_dof > 4) & (seen.spatial > 0) & (base.rounding < _COARSE_DN)
     any_tile = inside.any(axis=1)
@@ -65,6 +68,7 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
         "rows": patched & (seen.rows_dof > 4) & (np.nan_to_num(seen.rows) > 0),
         "edge": np.isfinite(seen.edge_u) & any_tile,
         "outliers": patched,
+        "bands": np.isfinite(seen.bands) & (whole & ~_at_the_knee(design, base).any(axis=1))[:, None],
         "comb": (seen.comb_count > _FEWEST_CODES)[:, None] & dividing,
     }
 
@@ -98,6 +102,21 @@ def _seen_step(seen: CaptureStatistics) -> int:
         return 1
     shown = np.median(seen.comb[many], axis=0) > _CLEAR_COMB
     return math.lcm(*(period for period, clear in zip(COMB_PERIODS, shown, strict=True) if clear))
+
+
+def _cut_off(design: Design, seen: CaptureStatistics, base: Prediction) -> Mask:
+    """Tell where light should bring noise and not even read noise is seen: nearly all samples show the highest code.
+
+    What is left there are a few samples, whose variance and correlations are far from normal.
+    """
+    read_e = design.header.camera.read_noise_e
+    dark = design.closed | ~(design.source_level > 0)
+    seen_e2 = np.nan_to_num(seen.variance[dark] / base.gain[dark, None] ** 2, nan=np.inf)
+    least_e2 = float(np.min(seen_e2, initial=np.inf)) if read_e is None else read_e**2
+    if not np.isfinite(least_e2):
+        return np.zeros(base.signal.shape, dtype=np.bool_)
+    hidden = np.nan_to_num(seen.variance) < _READ_NOISE_LEFT * least_e2 * base.gain[:, None] ** 2
+    return np.asarray(hidden & (base.signal > _SHOT_NOISE * least_e2))
 
 
 def _at_the_knee(design: Design, base: Prediction) -> Mask:

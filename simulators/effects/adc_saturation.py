@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
 from simulators.effects.base import DIGITAL_NUMBER, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
-from simulators.effects.clipping import censored_above, censored_below
+from simulators.effects.clipping import censored_above, censored_below, limited
 from simulators.effects.context import ExposureContext, Signal
-from simulators.effects.tile_moments import TileMoments
 
 
 @dataclass(frozen=True)
@@ -40,16 +39,7 @@ class AdcSaturation(CatalogueEffect):
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
         """Return the moments of the clipped, nearly normal value."""
-        limited = censored_below(censored_above(before, self._highest(context)), 0.0)
-        if not isinstance(before, TileMoments):
-            return limited
-        return replace(
-            before,
-            mean=limited.mean,
-            variance=limited.variance,
-            spatial_variance=limited.spatial_variance,
-            common_variance=limited.common_variance,
-        )
+        return limited(before, lambda tail: censored_below(censored_above(tail, self._highest(context)), 0.0))
 
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:

@@ -26,7 +26,7 @@ class CatalogueEffect(Effect):
     Class attributes:
         where: Covariate along which it shows, by its name in result files.
         block: Statistic that must improve when the effect is there: mean, slope, variance, spatial, neighbour,
-            first, common, row_temporal, columns, rows, edge, outliers or comb.
+            first, common, bands, row_temporal, columns, rows, edge, outliers or comb.
         also: Further statistics that count as its evidence.
         trials: Sets of parameters from which the search starts, the likeliest first.
         fitted: Parameters that are fitted; the others keep their trial's value.
@@ -99,6 +99,7 @@ class CatalogueEffect(Effect):
             spatial_variance=after.spatial_variance,
             common_variance=after.common_variance,
             row_variance=before.row_variance * slope2,
+            band_variance=before.band_variance * slope2,
             fixed_column_variance=before.fixed_column_variance * slope2,
             fixed_row_variance=before.fixed_row_variance * slope2,
             neighbour_x=before.neighbour_x * slope2,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ from scipy.special import ndtr
 
 from simulators.effects.base import Moments
 from simulators.effects.context import Signal
+from simulators.effects.tile_moments import TileMoments
 
 _SQRT_2PI = float(np.sqrt(2.0 * np.pi))
 _FAR_SIGMAS = 9.0  # farther below the limit nothing of the distribution reaches it (1e-19)
@@ -53,3 +56,31 @@ def censored_below(before: Moments, floor: float) -> Moments:
         Moments(-before.mean, before.variance, before.spatial_variance, before.common_variance), -floor
     )
     return Moments(-mirrored.mean, mirrored.variance, mirrored.spatial_variance, mirrored.common_variance)
+
+
+def limited(before: Moments, limit: Callable[[Moments], Moments]) -> Moments:
+    """Return the moments behind a limit; what rows, columns and neighbours of tiles share shrinks as fixed patterns do.
+
+    Args:
+        before: Moments before it.
+        limit: Gives mean, variances and fixed-pattern variance behind it.
+    """
+    if not isinstance(before, TileMoments):
+        return limit(before)
+    one = np.ones((1,) * before.mean.ndim)
+    after = limit(Moments(before.mean, before.variance, one, before.common_variance))
+    kept = after.spatial_variance
+    return replace(
+        before,
+        mean=after.mean,
+        variance=after.variance,
+        spatial_variance=before.spatial_variance * kept,
+        common_variance=after.common_variance,
+        row_variance=before.row_variance * kept,
+        band_variance=before.band_variance * kept,
+        fixed_column_variance=before.fixed_column_variance * kept,
+        fixed_row_variance=before.fixed_row_variance * kept,
+        neighbour_x=before.neighbour_x * kept,
+        neighbour_y=before.neighbour_y * kept,
+        first_excess=before.first_excess * np.sqrt(kept),
+    )

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
 from simulators.effects.base import ELECTRONS, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, well_e
-from simulators.effects.clipping import censored_above
+from simulators.effects.clipping import censored_above, limited
 from simulators.effects.context import ExposureContext, Signal
-from simulators.effects.tile_moments import TileMoments
 
 
 @dataclass(frozen=True)
@@ -39,16 +38,7 @@ class FullWellSaturation(CatalogueEffect):
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
         """Return the moments of the limited, nearly normal count."""
-        limited = censored_above(before, self._capacity_e(context))
-        if not isinstance(before, TileMoments):
-            return limited
-        return replace(
-            before,
-            mean=limited.mean,
-            variance=limited.variance,
-            spatial_variance=limited.spatial_variance,
-            common_variance=limited.common_variance,
-        )
+        return limited(before, lambda tail: censored_above(tail, self._capacity_e(context)))
 
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Final, Self, cast
 
 import numpy as np
 
@@ -11,6 +11,12 @@ from simulators.effects.base import RADIANCE, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
+
+_START: Final = 0.02
+_FREQUENCIES_HZ: Final = np.geomspace(100.0, 4000.0, 12)
+_MOST_PERIODS: Final = 48.0
+_ROWS_PER_PERIOD: Final = 8.0
+_ROW_TIMES_S: Final = (1e-6, 3e-4)
 
 
 @dataclass(frozen=True)
@@ -25,17 +31,12 @@ class RollingShutterBanding(CatalogueEffect):
     unit_in = RADIANCE
     unit_out = RADIANCE
     where = "image_y"
-    block = "row_temporal"
-    trials = (
-        {"modulation": 0.02, "frequency_hz": 100.0, "row_time_s": 1e-05},
-        {"modulation": 0.02, "frequency_hz": 100.0, "row_time_s": 5e-05},
-        {"modulation": 0.02, "frequency_hz": 100.0, "row_time_s": 0.0002},
-        {"modulation": 0.02, "frequency_hz": 1000.0, "row_time_s": 1e-05},
-        {"modulation": 0.02, "frequency_hz": 1000.0, "row_time_s": 5e-05},
-        {"modulation": 0.02, "frequency_hz": 1000.0, "row_time_s": 0.0002},
-    )
+    block = "bands"
+    also = ("row_temporal",)
+    trials = ()
     fitted = (
         "modulation",
+        "frequency_hz",
         "row_time_s",
     )
     settles = "frames at the shortest exposure in rolling mode"
@@ -60,10 +61,16 @@ class RollingShutterBanding(CatalogueEffect):
         )
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with the bands split into what a tile shares and what differs between its rows."""
+        """Return the moments with the bands as a wave along the rows."""
         left = np.square(self.modulation * np.sinc(self.frequency_hz * context.settings.exposure_s)) / 2.0
-        height: Any = getattr(context, "tile_height", 1.0)
-        shared = np.square(np.sinc(self.frequency_hz * self.row_time_s * height))
-        band = left * np.square(before.mean)
-        common, rows = before.common_variance + band * shared, before.row_variance + band * (1.0 - shared)
-        return replace(after, common_variance=common, row_variance=rows)
+        bands = before.band_variance + left * np.square(before.mean)
+        return replace(after, band_variance=bands, band_frequency=self.frequency_hz * self.row_time_s)
+
+    @classmethod
+    def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return waves of up to 48 periods per frame, at least eight rows each, at row times that sensors have."""
+        height = context.geometry.sensor_height
+        periods = (0.06, 0.12, 0.25, *np.arange(0.5, min(_MOST_PERIODS, height / _ROWS_PER_PERIOD), 0.5).tolist())
+        rows = ((p / height / f, f) for p in periods for f in _FREQUENCIES_HZ.tolist())
+        chosen = [(row_s, f) for row_s, f in rows if _ROW_TIMES_S[0] < row_s < _ROW_TIMES_S[1]]
+        return tuple(cls(_START, f, row_s) for row_s, f in chosen)

@@ -16,6 +16,7 @@ class TileMoments(Moments):
 
     Attributes:
         row_variance: Temporal variance that the pixels of one row share within a frame.
+        band_variance: Temporal variance of light that goes as a wave along the rows, at a new phase in each frame.
         fixed_column_variance: Fixed-pattern variance that the pixels of one column share.
         fixed_row_variance: Fixed-pattern variance that the pixels of one row share.
         neighbour_x: Covariance of the fluctuations of horizontal neighbours.
@@ -24,9 +25,11 @@ class TileMoments(Moments):
         edge_share: Share of a step at a patch's edge that lies in the last line inside it.
         outliers: Expected number of outlying pixels in the frame.
         comb_step: Spacing of the codes in use; 1 for all.
+        band_frequency: Periods of that wave per row.
     """
 
     row_variance: Signal
+    band_variance: Signal
     fixed_column_variance: Signal
     fixed_row_variance: Signal
     neighbour_x: Signal
@@ -35,6 +38,7 @@ class TileMoments(Moments):
     edge_share: Signal
     outliers: Signal
     comb_step: float = 1.0
+    band_frequency: float = 0.0
 
     @classmethod
     def exactly(cls, mean: Signal) -> TileMoments:
@@ -46,6 +50,7 @@ class TileMoments(Moments):
             spatial_variance=nothing,
             common_variance=nothing,
             row_variance=nothing,
+            band_variance=nothing,
             fixed_column_variance=nothing,
             fixed_row_variance=nothing,
             neighbour_x=nothing,

@@ -18,6 +18,7 @@ from radiometer.reconcile.frame_kernels import add_tiles, coarse_cells
 from radiometer.reconcile.localise import localise, significant
 from radiometer.reconcile.parameters import fitted_parameters
 from radiometer.reconcile.realisations import realisation_terms
+from radiometer.reconcile.row_bands import RowBins
 from radiometer.reconcile.state import FitState, first_state, refit, settled, with_effects
 from radiometer.reconcile.statistics import frame_reader, reduce_frames
 from radiometer.reconcile.tile_layout import LINES, PatchSides, patch_sides, tile_groups
@@ -283,7 +284,7 @@ def test_masked_pixels_leave_row_and_column_ratios_at_one(make_capture: Callable
         sums = CaptureSums.start(groups, sides, len(design.tiles), masked)
         for index in capture.frames:
             sums.add(captured.frames[index])
-        found, _ = sums.finish(64.0)
+        found, _ = sums.finish(64.0, RowBins.of(design))
         for name in ("row_temporal", "rows", "columns"):
             ratios.append(found[name])
             u_rel.append(2.0 / found[f"{name}_dof"])
