@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -11,10 +11,14 @@ from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
 from simulators.effects.catalogue import Offset, gain_of
 from simulators.effects.context import ExposureContext
 
+_MOST_GAINS: Final = 16
+
 
 @dataclass(frozen=True)
 class BlackLevelGainSlope(Offset):
-    """Adds an offset that the gain amplifies: y' = y + b·(10^(g/20) − 1).
+    """Adds an offset that the gain amplifies: y' = y + b·(10^(g/20) − 1), g counted from where this gain begins.
+
+    It begins at 0 dB where one amplifier does it all; an offset behind the first of two meets the second's gain alone.
 
     Source: an amplifier offset referred to its input; at 0 dB it is part of the black level.
     """
@@ -34,9 +38,23 @@ class BlackLevelGainSlope(Offset):
     settles = "dark frames at the shortest exposure over all gains"
     slope_dn: float = parameter(0.0, "DN", -1000.0, 1000.0, source="engineering prior; refined on a real rig")
 
+    from_db: float = parameter(0.0, "dB", 0.0, 100.0, source="cameras mix analog and digital gain")
+
     def offset(self, context: ExposureContext) -> Any:
         """Return the offset in DN."""
-        return self.slope_dn * (gain_of(context) - 1.0)
+        return self.slope_dn * (np.maximum(gain_of(context) / 10.0 ** (self.from_db / 20.0), 1.0) - 1.0)
+
+    @classmethod
+    def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return amplifiers that begin at each of the gains in use but the highest two."""
+        gains = np.unique(np.asarray(context.settings.gain_db))
+        return tuple(cls(0.5, g) for g in gains[1:-2].tolist() if g > 0) if gains.size <= _MOST_GAINS else ()
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the same, in place of one amplifier."""
+        return (
+            () if self.from_db else tuple(form.with_parameters(slope_dn=self.slope_dn) for form in self.covers(context))
+        )
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:

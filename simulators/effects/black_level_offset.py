@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Self
 
 from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
 from simulators.effects.catalogue import Offset
@@ -11,7 +12,9 @@ from simulators.effects.context import ExposureContext
 
 @dataclass(frozen=True)
 class BlackLevelOffset(Offset):
-    """Adds a constant to every value: y' = y + b.
+    """Adds a constant to every value: y' = y + b + g·x + h·y; g and h are 0 for the same everywhere.
+
+    x and y run from −1 to 1 over the sensor's longer side.
 
     Source: EMVA Standard 1288, release 4.0, mu_y.dark; typical 0.5 to 20 DN.
     """
@@ -31,6 +34,20 @@ class BlackLevelOffset(Offset):
     settles = "dark frames at the shortest exposure at three gains"
     offset_dn: float = parameter(0.0, "DN", -4000.0, 4000.0, source="engineering prior; refined on a real rig")
 
-    def offset(self, context: ExposureContext) -> float:
+    tilt_x_dn: float = parameter(0.0, "DN", -100.0, 100.0, source="amplifiers settle along a line")
+    tilt_y_dn: float = parameter(0.0, "DN", -100.0, 100.0, source="references sag along a frame")
+
+    def offset(self, context: ExposureContext) -> Any:
         """Return the offset in DN."""
-        return self.offset_dn
+        if not (self.tilt_x_dn or self.tilt_y_dn):
+            return self.offset_dn
+        x, y = context.geometry.sensor_xy()
+        return self.offset_dn + self.tilt_x_dn * x + self.tilt_y_dn * y
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the offset that goes with the place."""
+        return () if self.tilt_x_dn or self.tilt_y_dn else (self.with_parameters(tilt_x_dn=0.02, tilt_y_dn=0.02),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: those of the flexible form only where they are set."""
+        return (*self.fitted, "tilt_x_dn", "tilt_y_dn") if self.tilt_x_dn or self.tilt_y_dn else self.fitted

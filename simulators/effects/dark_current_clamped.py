@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from simulators.effects.context import ExposureContext, Signal
 @dataclass(frozen=True)
 class DarkCurrentClamped(CatalogueEffect):
     """Adds the noise of thermal electrons but not their mean: optical-black rows take it away.
+
+    A share f of the mean stays (below 0 where the masked rows are warmer than the others); 0 for a perfect clamp.
 
     Source: AVT Alvium user guide, dark current compensation; EMVA Standard 1288, release 4.0, section 7.2.
     """
@@ -38,9 +40,13 @@ class DarkCurrentClamped(CatalogueEffect):
     reference_C: float = parameter(25.0, "°C", -100.0, 150.0, source="temperature that the rate holds at")  # noqa: N815
     doubling_K: float = parameter(7.0, "K", 2.0, 30.0, source="silicon: 6 to 8 K")  # noqa: N815
 
+    left_share: float = parameter(0.0, "1", -0.5, 0.9, source="masked rows are not quite as warm as the others")
+
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal unchanged."""
-        return signal
+        """Return the signal with the share of the mean that stays."""
+        if not self.left_share:
+            return signal
+        return cast(Signal, (signal + self.left_share * self.electrons(context)).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
         """Return 1."""
@@ -49,7 +55,8 @@ class DarkCurrentClamped(CatalogueEffect):
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         """Return the signal with the thermal electrons' scatter about their mean."""
         expected = float(self.electrons(context))
-        return cast(Signal, (signal + rng.poisson(expected, signal.shape) - expected).astype(signal.dtype))
+        clamped = (1.0 - self.left_share) * expected
+        return cast(Signal, (signal + rng.poisson(expected, signal.shape) - clamped).astype(signal.dtype))
 
     def variance(self, signal: Signal, context: ExposureContext) -> Any:
         """Return the thermal electrons' variance in e-²."""
@@ -59,3 +66,11 @@ class DarkCurrentClamped(CatalogueEffect):
         """Return the thermal electrons that the sensor subtracts again."""
         warmer = 2.0 ** (warmer_k(context, self.reference_C) / self.doubling_K)
         return self.rate_e_per_s * warmer * context.settings.exposure_s
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the clamp that leaves a share."""
+        return () if self.left_share else (self.with_parameters(left_share=0.01),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: those of the flexible form only where they are set."""
+        return (*self.fitted, "left_share") if self.left_share else self.fitted

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
+
+import numpy as np
 
 from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import Scaling
@@ -12,7 +14,9 @@ from simulators.effects.context import ExposureContext
 
 @dataclass(frozen=True)
 class ParasiticLightSensitivity(Scaling):
-    """Adds light during readout: H' = H·(1 + p·r/t), r the share of rows read before, p = leak × readout time.
+    """Adds light during readout: H' = H·(1 + p·r^n/t), r the share of rows read before, p = leak × readout time.
+
+    n is 1 where all rows leak alike.
 
     Source: Balluff note on parasitic light sensitivity: non-linear at short exposures, with a row gradient.
     """
@@ -32,6 +36,17 @@ class ParasiticLightSensitivity(Scaling):
     settles = "the gradient along image_y at the shortest exposure"
     leak_s: float = parameter(0.0, "s", -0.01, 0.01, source="1/PLS × readout time: 1/10000 × 10 ms = 1 µs")
 
+    row_power: float = parameter(1.0, "1", 0.2, 5.0, source="shading of the storage nodes; 1 for none")
+
     def factor(self, context: ExposureContext) -> Any:
         """Return the factor of exposure, larger for rows that are read later."""
-        return 1.0 + self.leak_s * context.geometry.row_fraction() / context.settings.exposure_s
+        waited = np.maximum(context.geometry.row_fraction(), 1e-6) ** self.row_power
+        return 1.0 + self.leak_s * waited / context.settings.exposure_s
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the leak that is not even from row to row."""
+        return () if self.row_power != 1.0 else (self.with_parameters(row_power=1.05),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: those of the flexible form only where they are set."""
+        return (*self.fitted, "row_power") if self.row_power != 1.0 else self.fitted

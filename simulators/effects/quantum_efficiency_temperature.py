@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 from simulators.effects.base import PHOTONS, Stage, parameter
 from simulators.effects.catalogue import Scaling, temperature_varies, warmer_k
@@ -12,7 +12,7 @@ from simulators.effects.context import ExposureContext
 
 @dataclass(frozen=True)
 class QuantumEfficiencyTemperature(Scaling):
-    """Scales the response to light: S' = S·(1 + c·(T − 25 °C)).
+    """Scales the response to light: S' = S·(1 + c·(T − 25 °C) + q·(T − 25 °C)²); q is 0 for a straight line.
 
     Source: silicon photodiodes; 0.05 to 0.2 %/K, more in the near infrared.
     """
@@ -32,11 +32,22 @@ class QuantumEfficiencyTemperature(Scaling):
     settles = "lit captures at three temperatures in random order"
     coefficient_per_K: float = parameter(0.0, "1/K", -0.02, 0.02, source="engineering prior; refined on a real rig")  # noqa: N815
 
+    bend_per_K2: float = parameter(0.0, "1/K²", -1e-3, 1e-3, source="the band edge moves with temperature")  # noqa: N815
+
     def factor(self, context: ExposureContext) -> Any:
         """Return the factor of the response."""
-        return 1.0 + self.coefficient_per_K * warmer_k(context, 25.0)
+        warmer = warmer_k(context, 25.0)
+        return 1.0 + self.coefficient_per_K * warmer + self.bend_per_K2 * warmer**2
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
         """Tell whether temperatures are known and differ by more than 2 K."""
         return temperature_varies(context)
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the response with a bend."""
+        return () if self.bend_per_K2 else (self.with_parameters(bend_per_K2=1e-5),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: those of the flexible form only where they are set."""
+        return (*self.fitted, "bend_per_K2") if self.bend_per_K2 else self.fitted
