@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self, cast
 
 import numpy as np
 
 from simulators.effects.base import IRRADIANCE, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, f_number_varies
 from simulators.effects.context import ExposureContext, Signal
-from simulators.effects.pixel_mixing import blur_edge_share, blur_image
+from simulators.effects.pixel_mixing import blur_edge_share, blur_image, disc_edge_share, spread_over_disc
 from simulators.effects.tile_moments import TileMoments
 
 
 @dataclass(frozen=True)
 class Defocus(CatalogueEffect):
-    """Blurs the picture with a Gaussian of standard deviation c/N.
+    """Blurs the picture with a Gaussian of standard deviation c/N, or in part (e) with an even disc of the same spread.
+
+    The disc's radius is 2·c/N: a point out of focus, were there no aberration and no diffraction.
 
     Source: geometrical optics: the circle of confusion is proportional to the aperture.
     """
@@ -36,9 +38,15 @@ class Defocus(CatalogueEffect):
     settles = "an edge at several f-numbers"
     sigma_f1_px: float = parameter(0.0, "px", 0.0, 200.0, source="standard deviation that f/1 would have")
 
+    evenness: float = parameter(0.0, "1", 0.0, 1.0, source="0 a Gaussian, 1 the disc of geometrical optics")
+
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the blurred picture; tiles keep their distance from edges and stay as they are."""
-        return blur_image(signal, self._sigma(context), context)
+        soft = blur_image(signal, self._sigma(context), context)
+        if not self.evenness:
+            return soft
+        disc = spread_over_disc(signal, 2.0 * self._sigma(context), context)
+        return cast(Signal, ((1.0 - self.evenness) * soft + self.evenness * disc).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
         """Return 1."""
@@ -46,7 +54,17 @@ class Defocus(CatalogueEffect):
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with what blurs across an edge."""
-        return replace(after, edge_share=before.edge_share + blur_edge_share(self._sigma(context)))
+        sigma = self._sigma(context)
+        share = (1.0 - self.evenness) * blur_edge_share(sigma) + self.evenness * disc_edge_share(2.0 * sigma)
+        return replace(after, edge_share=before.edge_share + share)
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the blur that is a disc in part."""
+        return () if self.evenness else (self.with_parameters(evenness=0.5),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: the disc's share only where there is one."""
+        return ("sigma_f1_px", "evenness") if self.evenness else ("sigma_f1_px",)
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:

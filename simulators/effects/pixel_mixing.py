@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, Final, cast
 
@@ -12,6 +13,7 @@ from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
 _REACH_PX: Final = 40  # farther than any blur that leaves a picture
+_FINE: Final = 8  # points per pixel and side where a disc is drawn
 
 
 def blur_image(signal: Signal, sigma_px: Any, context: ExposureContext) -> Signal:
@@ -32,18 +34,43 @@ def blur_edge_share(sigma_px: Any) -> Any:
     return beyond / (1.0 + 2.0 * beyond)
 
 
-def exchange_between_neighbours(signal: Signal, share: Signal | float) -> Signal:
+def spread_over_disc(signal: Signal, radius_px: Any, context: ExposureContext) -> Signal:
+    """Return an image each point of which is spread evenly over a disc; tiles come back as they are."""
+    radius = float(radius_px) if context.geometry.is_image else 0.0
+    if radius <= 0.5:  # all of it stays within the pixel
+        return signal
+    reach = math.ceil(radius + 0.5)
+    side = 2 * reach + 1
+    place = (np.arange(side * _FINE) + 0.5) / _FINE - side / 2.0
+    inside = np.square(place)[:, None] + np.square(place)[None, :] <= radius**2
+    kernel = inside.reshape(side, _FINE, side, _FINE).mean(axis=(1, 3))
+    spread = cv2.filter2D(np.asarray(signal), -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
+    return cast(Signal, spread.astype(signal.dtype))
+
+
+def disc_edge_share(radius_px: Any) -> Any:
+    """Return the share of a step that an even disc carries into the last line before it.
+
+    It is the segment of the disc that lies half a pixel and more beyond its middle: (R²·acos(h/R) − h·√(R² − h²))/πR².
+    """
+    square = np.square(np.maximum(radius_px, 0.5))
+    cosine = 0.5 / np.sqrt(square)
+    return (np.arccos(cosine) - cosine * np.sqrt(1.0 - np.square(cosine))) / math.pi
+
+
+def exchange_between_neighbours(signal: Signal, share: Signal | float, further_down: float = 0.0) -> Signal:
     """Return an image after each pixel exchanged a share of its difference with its four neighbours.
 
     Args:
         signal: Image, (height, width).
         share: Share that goes to each neighbour: one number, or one per pixel (its own and its neighbour's average
             counts, so that no charge is lost).
+        further_down: What goes to neighbours in the column beyond that.
     """
     own = np.broadcast_to(np.asarray(share, dtype=signal.dtype), signal.shape)
     result = np.array(signal)
     across = 0.5 * (own[:, 1:] + own[:, :-1]) * (signal[:, 1:] - signal[:, :-1])
-    down = 0.5 * (own[1:] + own[:-1]) * (signal[1:] - signal[:-1])
+    down = (0.5 * (own[1:] + own[:-1]) + further_down) * (signal[1:] - signal[:-1])
     result[:, :-1] += across
     result[:, 1:] -= across
     result[:-1] += down
@@ -51,19 +78,21 @@ def exchange_between_neighbours(signal: Signal, share: Signal | float) -> Signal
     return result
 
 
-def exchange_moments(moments: TileMoments, share: Signal, light: float) -> TileMoments:
+def exchange_moments(moments: TileMoments, share: Signal, light: float, further_down: float = 0.0) -> TileMoments:
     """Return the moments of an even field whose white noise is mixed by such an exchange.
 
-    A pixel keeps 1 − 4x and receives x from each neighbour: the variance becomes (1 − 4x)² + 4x² and the covariance
-    of neighbours 2x·(1 − 4x) of what it was. `light` scales the share (1 for all of it).
+    A pixel keeps k = 1 − 2x − 2y and receives x from each neighbour in the row, y = x + `further_down` in the column:
+    the variance becomes k² + 2x² + 2y² and the covariance of neighbours 2x·k and 2y·k of what it was. `light` scales
+    the share (1 for all of it).
     """
     x = share * light
-    kept = np.square(1.0 - 4.0 * x) + 4.0 * np.square(x)
-    covariance = 2.0 * x * (1.0 - 4.0 * x) * moments.variance
+    y = x + further_down * light
+    own = 1.0 - 2.0 * x - 2.0 * y
+    kept = np.square(own) + 2.0 * np.square(x) + 2.0 * np.square(y)
     return replace(
         moments,
         variance=moments.variance * kept,
         spatial_variance=moments.spatial_variance * kept,
-        neighbour_x=moments.neighbour_x + covariance,
-        neighbour_y=moments.neighbour_y + covariance,
+        neighbour_x=moments.neighbour_x + 2.0 * x * own * moments.variance,
+        neighbour_y=moments.neighbour_y + 2.0 * y * own * moments.variance,
     )
