@@ -79,7 +79,7 @@ def _photographs(printed: list[float], real: list[float]) -> list[Frame]:
     scene = 10 ** cv2.resize(rng.uniform(-1.5, 1.2, (6, 9)), (144, 96), interpolation=cv2.INTER_CUBIC)
     frames = []
     for label, seconds in zip(printed, real, strict=True):
-        exposure = rng.poisson(np.minimum(0.2 * scene * seconds / real[4], 4) * 20_000) / 20_000
+        exposure = rng.poisson(np.minimum(0.2 * scene * seconds / real[len(real) // 2], 4) * 20_000) / 20_000
         tone = (exposure / (1 + 0.3 * exposure) * 1.3) ** (1 / 2.2)
         dn = np.clip(np.rint(255 * tone), 0, 255).astype(np.uint8)
         frames.append(Frame(dn, 8, FrameSettings(label)))
@@ -109,6 +109,24 @@ def test_label_that_lies_is_named_with_its_ratio() -> None:
     assert effect.name == "exposure_label_error"
     assert effect.parameters["label_s"].value == pytest.approx(EXACT[3] * 1.9)
     assert math.log(effect.parameters["ratio"].value) == pytest.approx(-math.log(1.9), abs=0.03)
+
+
+def test_light_that_fell_on_one_photograph_is_no_wrong_label() -> None:
+    """A corner glows in the shortest exposures but one; the rest of the picture is in order, and so is the label."""
+    frames = _photographs(EXACT, EXACT)
+    dn = frames[7].dn.copy()
+    dn[60:, :70] = np.maximum(dn[60:, :70], 90)
+    done = reconcile_photographs([*frames[:7], Frame(dn, 8, FrameSettings(EXACT[7])), frames[8]])
+    assert done.result.verdict is Verdict.AGREES
+
+
+def test_one_of_four_labels_may_lie() -> None:
+    """Of four photographs the last was exposed 1.6 times as long, not twice: only its label is called wrong."""
+    real = [EXACT[6], EXACT[5], EXACT[4], EXACT[4] * 1.6]
+    done = reconcile_photographs(_photographs([*real[:3], EXACT[3]], real))
+    (effect,) = done.result.effects
+    assert effect.name == "exposure_label_error"
+    assert effect.parameters["ratio"].value == pytest.approx(0.8, abs=0.03)
 
 
 def test_emva_descriptor_becomes_a_capture_set(shared_data: Path) -> None:
