@@ -33,6 +33,7 @@ PARAMETERS: dict[str, tuple[tuple[str, str, float], ...]] = {
     "exposure_time_offset": (("offset_s", "offset_s", 1.0),),
     "conversion_gain_error": (("relative_error", "error_rel", 1.0),),
     "excess_read_noise": (("sigma_e", "excess_e", 1.0),),
+    "rolling_shutter_banding": (("depth", "modulation", 1.0), ("row_s", "row_time_s", 1.0)),
     "row_temporal_noise": (("sigma_e", "sigma_e", 1.0),),
     "column_pattern": (("sigma_e", "sigma_e", 1.0),),
     "row_pattern": (("sigma_e", "sigma_e", 1.0),),

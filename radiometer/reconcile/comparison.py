@@ -280,7 +280,7 @@ def compare(
         name: whitener(design, deviation[name], mask[name], sensitivity, repeatability, *share)
         for name, share in shares.items()
     }
-    if repeatability.bands2.any():
+    if repeatability.bands2.any() or repeatability.row_variance.any():
         tilts = (design, deviation["slope_y"], mask["slope_y"], sensitivity, repeatability, 1.0 / frames)
         whiteners["slope_y"] = whitener_of_tilts(*tilts)
     return replace(plain, whiteners=whiteners)

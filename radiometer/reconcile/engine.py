@@ -13,6 +13,7 @@ import numpy as np
 from radiometer.data import CaptureHeader, CaptureSet, Frame
 from radiometer.errors import CaptureError
 from radiometer.reconcile.design import Design
+from radiometer.reconcile.excess import is_scattered, place_of_scatter
 from radiometer.reconcile.limits import limits
 from radiometer.reconcile.localise import Disagreement
 from radiometer.reconcile.next_capture import propose, propose_for_blind, propose_for_unnamed
@@ -233,6 +234,7 @@ def _further(
 def _verdict(outcome: Search) -> Verdict:
     named = bool(outcome.state.effects)
     unnamed = bool(outcome.left) or any(step.name == "unnamed" for step in outcome.steps)
+    unnamed = unnamed or is_scattered(outcome.state)
     if named:
         return Verdict.INCOMPLETE if unnamed or _strained(outcome.state) else Verdict.EFFECTS_FOUND
     return Verdict.UNNAMED if unnamed else Verdict.AGREES
@@ -278,6 +280,9 @@ def _found(outcome: Search) -> tuple[FoundEffect, ...]:
         if where not in listed and len(listed) < _MOST_LISTED:
             listed.add(where)
             found.append(FoundEffect("unnamed", {}, where, state.gap, state.gap, block=test.family))
+    if not listed and is_scattered(state):
+        block, where = place_of_scatter(state)
+        found.append(FoundEffect("unnamed", {}, where, state.gap, state.gap, block=block))
     return tuple(found)
 
 

@@ -125,11 +125,13 @@ def whitener(
 def whitener_of_tilts(
     design: Design, deviation: Array, usable: Mask, sensitivity: Array, repeatability: Repeatability, share: Array
 ) -> Array:
-    """Return the inverse Cholesky factors of the tilts' covariance: pixel noise, and a wave along the rows."""
+    """Return the inverse Cholesky factors of the tilts' covariance: pixels, a wave along the rows, row noise."""
     light = np.where(usable, sensitivity, 0.0)
     bands = TileBands.of(design, repeatability.band_frequency)
     waves = light[:, :, None] * light[:, None, :] * bands.together(bands.rise)
-    return _inverse_root((repeatability.bands2 * share)[:, None, None] * waves, deviation, usable)
+    rows = np.where(usable[:, :, None] & usable[:, None, :], _row_tilts(design), 0.0)
+    bands2, rows2 = (values * share for values in (repeatability.bands2, repeatability.row_variance))
+    return _inverse_root(bands2[:, None, None] * waves + rows2[:, None, None] * rows, deviation, usable)
 
 
 def _inverse_root(covariance: Array, deviation: Array, usable: Mask) -> Array:
@@ -208,6 +210,15 @@ def _row_overlap(design: Design) -> Array:
     bottom = top + height
     common = np.minimum(bottom[:, None], bottom) - np.maximum(top[:, None], top)
     return np.asarray(np.maximum(common, 0) / (height[:, None] * height))
+
+
+def _row_tilts(design: Design) -> Array:
+    """Return what 1 DN² of row noise gives the covariance of two tiles' rises from centre to bottom edge."""
+    tilts = np.zeros((len(design.tiles), design.shape[0]))
+    for number, tile in enumerate(design.tiles):
+        u = (2.0 * np.arange(tile.height) + 1.0) / tile.height - 1.0
+        tilts[number, tile.y : tile.y + tile.height] = u / max(float(u @ u), 1e-12)
+    return tilts @ tilts.T
 
 
 def _unevenness(design: Design, seen: CaptureStatistics, base: Prediction, noise: Array) -> Array:

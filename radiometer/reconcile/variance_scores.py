@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from scipy.special import digamma
+from scipy.special import digamma, gammaln
 
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.usable import Mask
@@ -45,8 +45,8 @@ def followed_scores(seen: Array, expected: Array, accepted: Array | None, dof: A
     seen = np.where(mask, seen, 1.0)
     if accepted is None:
         return np.where(mask, normal_score(seen / expected, dof), 0.0)
-    spread = _score_spread(dof)
-    slope = (1.0 - spread) / (3.0 * np.sqrt(spread))
+    mean, spread = _of_cube_root(dof)
+    slope = mean / (3.0 * np.sqrt(spread))
     return np.where(mask, normal_score(seen / accepted, dof) - slope * np.log(expected / accepted), 0.0)
 
 
@@ -62,14 +62,16 @@ def log_bias(dof: Array) -> Array:
 
 
 def normal_score(ratio: Array, dof: Array) -> Array:
-    """Return the standard normal score of χ²/dof, exact in distribution to 0.01 from one degree of freedom on.
+    """Return the nearly normal score of χ²/dof, of mean 0 and variance 1 exactly.
 
     Source: Wilson & Hilferty (1931), the cube root of a chi-square variable is nearly normal.
     """
-    spread = _score_spread(dof)
-    return np.asarray((np.cbrt(np.maximum(ratio, 0.0)) - 1.0 + spread) / np.sqrt(spread))
+    mean, spread = _of_cube_root(dof)
+    return np.asarray((np.cbrt(np.maximum(ratio, 0.0)) - mean) / np.sqrt(spread))
 
 
-def _score_spread(dof: Array) -> Array:
-    """Return the variance of the cube root of χ²/dof; its mean lies that much below 1."""
-    return np.asarray(2.0 / (9.0 * dof))
+def _of_cube_root(dof: Array) -> tuple[Array, Array]:
+    """Return mean and variance of the cube root of χ²/dof, from E[(χ²)^p] = 2^p·Γ(dof/2 + p)/Γ(dof/2)."""
+    half = np.asarray(dof, dtype=np.float64) / 2.0
+    mean, square = (half**-p * np.exp(gammaln(half + p) - gammaln(half)) for p in (1.0 / 3.0, 2.0 / 3.0))
+    return np.asarray(mean), np.asarray(square - mean**2)

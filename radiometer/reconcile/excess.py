@@ -1,0 +1,54 @@
+"""Scatter that no trend explains: held-out settings miss the prediction by more than their uncertainties, anyhow.
+
+The tests of `localise` look for trends. What moves single tiles or frames at random leaves none, but a reduced χ²
+above 1.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from radiometer.reconcile.comparison import FAMILY, TILE_BLOCKS
+from radiometer.reconcile.covariates import covariates
+from radiometer.reconcile.design import Array
+from radiometer.reconcile.places import axis_of
+from radiometer.reconcile.state import FitState
+
+_SIGMAS: Final = 5.0  # of a χ² of so many entries; the gap of 330 sets without an effect was 1.02 at most
+_SMALLEST: Final = 1.05  # gap that counts as closed
+
+
+def is_scattered(state: FitState) -> bool:
+    """Tell whether the held-out gap lies above 1 by more than chance."""
+    settings = int(state.design.setting_id.max()) + 1
+    count = max(float(state.held_out.count[:settings].sum()), 1.0)
+    return state.gap > max(_SMALLEST, 1.0 + _SIGMAS * float(np.sqrt(2.0 / count)))
+
+
+def place_of_scatter(state: FitState) -> tuple[str, str]:
+    """Return the statistic that scatters most beyond its uncertainties, and the covariate along which it does so."""
+    comparison, square = state.comparison, np.square(state.data_residual)
+    more = {n: float(np.sum(square[cut])) - comparison.degrees(n) for n, cut in comparison.cuts.items()}
+    block = max(more, key=lambda name: more[name])
+    mask = comparison.usable[block]
+    excess = np.where(mask, square[comparison.cuts[block]].reshape(mask.shape) - 1.0, 0.0)
+    tiled = block in TILE_BLOCKS
+    shares = {}
+    for name, axis in covariates(state.model, state.prediction).items():
+        if tiled or axis.per_capture:
+            basis = axis.basis() if tiled else axis.basis()[:, 0]
+            values = excess if tiled else excess.reshape(len(excess), -1).sum(axis=1)
+            counted = mask if tiled else mask.reshape(len(mask), -1).any(axis=1)
+            shares[name] = _explained(values[counted], basis[counted])
+    where = max(shares, key=lambda name: shares[name], default="constant")
+    return FAMILY.get(block, block), axis_of(where, block)
+
+
+def _explained(values: Array, basis: Array) -> float:
+    """Return the share of the values' variance that a basis explains, each of its terms worth one value less."""
+    columns = np.column_stack([np.ones(len(values)), basis])
+    left: Array = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+    freedom = max(len(values) - columns.shape[1], 1)
+    return float(1.0 - np.sum(left**2) / freedom / max(float(np.var(values)), 1e-30))
