@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from radiometer.reconcile.capture_sums import COMB_PERIODS
 from radiometer.reconcile.design import Array, Design
-from radiometer.reconcile.row_bands import RowBins, wave_power
+from radiometer.reconcile.row_bands import RowBins, wave_correlation, wave_power
 from radiometer.reconcile.scatter import (
     Repeatability,
     band_excess,
@@ -31,7 +31,7 @@ from radiometer.reconcile.scatter import (
 from radiometer.reconcile.statistics import CaptureStatistics
 from radiometer.reconcile.tile_model import Prediction
 from radiometer.reconcile.usable import Mask, usable_entries
-from radiometer.reconcile.variance_scores import deviance, followed_scores, log_bias, sine_freedom
+from radiometer.reconcile.variance_scores import deviance, followed_scores, frames_counted, log_bias, sine_freedom
 
 TILE_BLOCKS: Final = ("mean", "slope_x", "slope_y", "variance", "spatial", "neighbour_x", "neighbour_y", "first")
 CAPTURE_BLOCKS: Final = ("common", "row_temporal", "columns", "rows", "edge", "outliers")
@@ -42,6 +42,7 @@ FAMILY: Final[dict[str, str]] = {
     "neighbour_y": "neighbour",
 }
 _LIGHT_U_REL: Final = 3e-3  # how well the light of one tile is taken to be known where its variance hangs on it
+_TOGETHER: Final = 0.85  # of the correlation of one wave's scores that is trusted: a cube root is no square
 _WANDERS: Final = 61  # relative variances tried, ten to a decade
 _FALSE_OUTLIERS: Final = 0.02  # expected in a capture without hot pixels; keeps the square root finite
 
@@ -88,7 +89,7 @@ class Comparison:
         pieces += [self._capture_block(name, prediction) for name in CAPTURE_BLOCKS]
         pieces.append(self._comb(prediction))
         power = self.band_power(relative_bands(prediction), prediction.band_frequency)
-        pieces.append(self.band_scores(power, prediction.row_variance))
+        pieces.append(self._together("bands", self.band_scores(power, prediction.row_variance)))
         return np.concatenate([piece.ravel() for piece in pieces])
 
     def whiten(self, block: str, values: Array) -> Array:
@@ -122,6 +123,9 @@ class Comparison:
         extra = (None,) * (values.ndim - 2)
         columns = np.where(mask[(..., *extra)], values, 0.0).reshape(*mask.shape, -1)
         return np.asarray(np.matmul(self.whiteners[block], columns).reshape(values.shape))
+
+    def _together(self, block: str, scores: Array) -> Array:
+        return self._whitened(block, scores) if block in self.whiteners else scores
 
     def _tile_block(self, name: str, prediction: Prediction) -> Array:
         seen, expected = getattr(self.seen, name), getattr(prediction, name)
@@ -170,13 +174,23 @@ class Comparison:
         """Return the residual of the bands for what a wave along the rows adds to their ratios, (captures, orders)."""
         steady = 1.0 + row_variance[:, None] * self.seen.bands_of_rows
         accepted = steady + self._accepted_bands if self.bands2.any() else None
-        return followed_scores(self.seen.bands, steady + power, accepted, self._band_freedom, self.usable["bands"])
+        return followed_scores(self.seen.bands, steady + power, accepted, self.band_freedom, self.usable["bands"])
 
     def band_power(self, bands2: Array, frequency: float) -> Array:
         """Return what a wave along the rows adds to the ratios of the bands, (captures, orders)."""
         if not bands2.any():
             return np.zeros_like(self.seen.bands_of_rows)
         return np.asarray(bands2[:, None] * wave_power(self._bins, self.seen.bands_basis, frequency)[0])
+
+    def whitener_of_bands(self) -> Array:
+        """Return the inverse Cholesky factors of the bands' scores: those of one wave follow the same few phases."""
+        frames, mask = frames_counted(self.design.frame_count), self.usable["bands"]
+        share = np.where(mask, self._accepted_bands / (1.0 + self._accepted_bands), 0.0)
+        together = wave_correlation(self._bins, self.seen.bands_basis, self.band_frequency, frames)
+        covariance = _TOGETHER * share[:, :, None] * share[:, None, :] * together
+        index = np.arange(mask.shape[1])
+        covariance[:, index, index] = 1.0
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
     def flicker_of(self, prediction: Prediction) -> Array:
         """Return the relative variance that all light of a frame has in common, bands included, (captures,)."""
@@ -192,7 +206,7 @@ class Comparison:
         """Return the same of the bands."""
         steady = 1.0 + prediction.row_variance[:, None] * self.seen.bands_of_rows
         expected = steady + self.band_power(relative_bands(prediction), prediction.band_frequency)
-        return deviance(self.seen.bands, expected, self._band_freedom, self.usable["bands"])
+        return deviance(self.seen.bands, expected, self.band_freedom, self.usable["bands"])
 
     @cached_property
     def _bins(self) -> RowBins:
@@ -212,7 +226,8 @@ class Comparison:
         return self.band_power(self.bands2, self.band_frequency)
 
     @cached_property
-    def _band_freedom(self) -> Array:
+    def band_freedom(self) -> Array:
+        """Return how many degrees of freedom each ratio of the bands has, (captures, orders)."""
         share = self._accepted_bands / (1.0 + self._accepted_bands)
         return sine_freedom(self.design.frame_count[:, None], share)
 
@@ -283,6 +298,8 @@ def compare(
     if repeatability.bands2.any() or repeatability.row_variance.any():
         tilts = (design, deviation["slope_y"], mask["slope_y"], sensitivity, repeatability, 1.0 / frames)
         whiteners["slope_y"] = whitener_of_tilts(*tilts)
+    if repeatability.bands2.any():
+        whiteners["bands"] = plain.whitener_of_bands()
     return replace(plain, whiteners=whiteners)
 
 

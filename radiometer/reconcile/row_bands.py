@@ -157,6 +157,25 @@ def wave_power(bins: RowBins, basis: Array, frequency: float) -> tuple[Array, Ar
     return power[:, 1:], np.divide(power[:, 0], whole, out=np.ones_like(whole), where=whole > 0)
 
 
+def wave_correlation(bins: RowBins, basis: Array, frequency: float, frames: Array) -> Array:
+    """Return the correlation of what a wave along the rows adds to two ratios, (captures, orders, orders).
+
+    All coefficients of a frame follow one phase: with ρ the correlation of two of them, over n frames their squares
+    have the covariance 2ρ²/(n − 1) − (½ + ρ²)/n in units of their means.
+
+    Args:
+        bins: Bins of rows.
+        basis: (captures, 1 + orders, bins) functions of the rows.
+        frequency: Periods per row.
+        frames: Frames of each capture that the ratios were taken over.
+    """
+    wave = np.exp(2j * np.pi * frequency * bins.middle)
+    phase = np.angle(basis[:, 1:] @ wave)
+    square = np.square(np.cos(phase[:, :, None] - phase[:, None, :]))
+    n = np.maximum(frames, 2.0)[:, None, None]
+    return np.asarray((2.0 * square / (n - 1.0) - (0.5 + square) / n) / (2.0 / (n - 1.0) - 1.5 / n))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TileBands:
     """What a wave along the rows leaves in each tile, (tiles,), amplitudes or shares of the wave's variance.

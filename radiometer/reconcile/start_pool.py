@@ -10,11 +10,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from radiometer.reconcile.band_starts import likeliest_bands
 from radiometer.reconcile.design import Array
-from radiometer.reconcile.scatter import relative_bands
 from radiometer.reconcile.state import FitState
 from simulators.effects.catalogue import CatalogueEffect, Scaling
-from simulators.effects.tile_moments import TileMoments
+from simulators.effects.rolling_shutter_banding import RollingShutterBanding
 
 Starts = tuple[CatalogueEffect, ...]
 _MANY: Final = 20  # starts, beyond which the likeliest are picked first
@@ -45,8 +45,9 @@ class StartPool:
             return self._best(state, starts, self._factors(state, starts) - 1.0, *_of_captures(state))
         if kind.block == "common":
             return self._best_flicker(state, starts)
-        if kind.block == "bands":
-            return self._best_bands(state, starts)
+        waves = [start for start in starts if isinstance(start, RollingShutterBanding)]
+        if waves:
+            return likeliest_bands(state, waves, _KEPT)
         return starts
 
     def count(self, kind: type[CatalogueEffect]) -> int:
@@ -66,25 +67,6 @@ class StartPool:
         if name not in self._moves:
             self._moves[name] = np.stack([_factor(state, start) for start in starts])
         return self._moves[name]
-
-    def _best_bands(self, state: FitState, starts: Starts) -> Starts:
-        comparison, captures = state.comparison, len(state.design.captures)
-        here = comparison.band_power(relative_bands(state.prediction), state.prediction.band_frequency)
-        rows = state.prediction.row_variance
-        base = comparison.band_scores(here, rows)
-        residual = state.fit.projected[comparison.cuts["bands"]]
-        one = TileMoments.exactly(np.ones((captures, 1, 1)))
-        gains, waves = [], {}
-        for start in starts:
-            after = start.tile(one, one, state.model.context)
-            if after.band_frequency not in waves:
-                waves[after.band_frequency] = comparison.band_power(np.ones(captures), after.band_frequency)
-            added = np.broadcast_to(after.band_variance, (captures, 1, 1))[:, :, 0] * waves[after.band_frequency]
-            moves = (base - comparison.band_scores(here + added, rows)).ravel()
-            rise, curvature = float(moves @ residual), max(float(moves @ moves), 1e-12)
-            amplitude = float(np.clip(rise / curvature, 0.0, _LARGEST_AMPLITUDE))
-            gains.append(amplitude * (2.0 * rise - amplitude * curvature))
-        return tuple(starts[int(i)] for i in np.argsort(-np.array(gains))[:_KEPT])
 
     def _best_flicker(self, state: FitState, starts: Starts) -> Starts:
         name, captures = starts[0].name, len(state.design.captures)

@@ -24,9 +24,14 @@ def sine_freedom(frames: Array, share: Array) -> Array:
         frames: Frames of the capture.
         share: Share of the variance that a sine at random phases has; broadcasts.
     """
-    counted = np.maximum(np.where(frames > 2, frames - 1.0, frames), 2.0)
+    counted = frames_counted(frames)
     kurtosis = _SINE_KURTOSIS * np.maximum(1.0 - _FEW_FRAMES / counted, 0.2)
     return np.asarray(2.0 / (2.0 / (counted - 1.0) + kurtosis * share**2 / counted))
+
+
+def frames_counted(frames: Array) -> Array:
+    """Return how many frames of a capture count: the first of three or more may differ for a reason of its own."""
+    return np.asarray(np.maximum(np.where(frames > 2, frames - 1.0, frames), 2.0))
 
 
 def followed_scores(seen: Array, expected: Array, accepted: Array | None, dof: Array, mask: Mask) -> Array:
