@@ -83,7 +83,7 @@ def row_light(
     later = slice(1 if means.shape[0] > 2 else 0, None)
     frames = means[later].shape[0]
     moved, weight = np.zeros((frames, bins.number)), np.zeros(bins.number)
-    pulled, inverse = np.zeros(bins.number), np.zeros(bins.number)
+    pulled, light_of_rows, inverse = (np.zeros(bins.number) for _ in range(3))
     if frames > 1:
         usable = np.nan_to_num(variance) > 0
         usable &= means.mean(axis=0) > black
@@ -103,8 +103,14 @@ def row_light(
                 np.add.at(moved[frame], where, (change[frame] * light * share).ravel())
             np.add.at(weight, where, (pixels * light**2 * share).ravel())
             np.add.at(pulled, where, (pixels * light * share).ravel())
-            np.add.at(inverse, where, (pixels * share).ravel())
-    return _projected(bins, moved, weight, pulled, inverse)
+            of_all = np.broadcast_to(
+                1.0 / variance[group.index[chosen], None], pixels.shape
+            )  # as the rows' profile has it
+            np.add.at(light_of_rows, where, (pixels * light * of_all).ravel())
+            np.add.at(inverse, where, (pixels * of_all).ravel())
+    lines = inverse > 0
+    light_dn2 = float(np.mean(light_of_rows[lines] ** 2 / inverse[lines])) / bins.step if lines.any() else 0.0
+    return _projected(bins, moved, weight, pulled) | {"row_temporal_light": light_dn2}
 
 
 def _white(sums: Array, pixels: NDArray[np.intp], variance: Array, width: int) -> Array:
@@ -117,7 +123,7 @@ def _white(sums: Array, pixels: NDArray[np.intp], variance: Array, width: int) -
     return np.asarray(np.where(own > 0, own, variance))
 
 
-def _projected(bins: RowBins, moved: Array, weight: Array, pulled: Array, inverse: Array) -> dict[str, Array | float]:
+def _projected(bins: RowBins, moved: Array, weight: Array, pulled: Array) -> dict[str, Array | float]:
     ratio, of_rows = np.full(bins.orders, np.nan), np.zeros(bins.orders)
     basis = np.zeros((bins.orders + 1, bins.number))
     seen = np.flatnonzero(weight > 0)
@@ -134,9 +140,7 @@ def _projected(bins: RowBins, moved: Array, weight: Array, pulled: Array, invers
         power = np.sum(coefficients**2, axis=0) / (frames - 1)
         ratio = np.where(basis.any(axis=1), power, np.nan)[1:]
         of_rows = np.sum((basis[1:, seen] * pulled[seen] / weight[seen]) ** 2, axis=1)
-    lines = inverse > 0
-    light = float(np.mean(pulled[lines] ** 2 / inverse[lines])) if lines.any() else 0.0
-    return {"bands": ratio, "bands_basis": basis, "bands_of_rows": of_rows, "row_temporal_light": light}
+    return {"bands": ratio, "bands_basis": basis, "bands_of_rows": of_rows}
 
 
 def wave_power(bins: RowBins, basis: Array, frequency: float) -> tuple[Array, Array]:

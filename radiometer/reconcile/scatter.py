@@ -17,6 +17,7 @@ from radiometer.reconcile.tile_model import Prediction
 from radiometer.reconcile.usable import Mask, slope_lengths, structure_dn2
 
 _FAIR_SHARE: Final = 0.05  # of the brightest tile's light
+_LEAST_EXCESS: Final = -0.9  # of a variance ratio, so that it stays positive
 _LARGEST_COMB_COUNT: Final = 1e5  # beyond it the honest shape of a histogram itself would show
 _ROUNDING_SHARE: Final = 0.1  # of what rounding may move a mean: counts of few electrons are not quite normal
 _COMB_SQUARES: Final = np.array([1.0 if period == 2 else 0.5 for period in COMB_PERIODS])  # mean of cos²(2πn/period)
@@ -171,7 +172,15 @@ def band_excess(design: Design, seen: CaptureStatistics, prediction: Prediction)
     # The weights of the time mean's rows are those of the temporal profile but for the noise of a pixel.
     safe = np.where(seen.row_temporal_weight > 0, seen.row_temporal_weight, np.inf)
     steady = temporal * seen.rows_weight / safe / design.frame_count
-    return {"row_temporal": temporal * float(left.within.mean()), "rows": steady * float(left.rough.mean())}
+    found = {}
+    for name, excess, kept, noise in (
+        ("row_temporal", temporal, left.within, prediction.variance),
+        ("rows", steady, left.rough, prediction.spatial * design.frame_count[:, None]),
+    ):
+        # The noise of pixels that the ratio is taken over holds the wave too.
+        held = np.mean(prediction.band_variance * kept / noise**2, axis=1) / np.mean(1.0 / noise, axis=1)
+        found[name] = np.maximum(excess * float(kept.mean()) - held, _LEAST_EXCESS)
+    return found
 
 
 def _phase_scatter(design: Design, seen: CaptureStatistics, base: Prediction) -> dict[str, Array]:
@@ -183,7 +192,7 @@ def _phase_scatter(design: Design, seen: CaptureStatistics, base: Prediction) ->
     unsteady = left.unsteadiness(design.frame_count)
     within = base.band_variance * left.within / base.variance * unsteady
     rough = base.band_variance * left.rough / design.frame_count[:, None] / base.spatial
-    lines = {name: more / (1.0 + more) for name, more in excess.items()}
+    lines = {name: np.maximum(more, 0.0) / (1.0 + more) for name, more in excess.items()}
     return {
         "variance": within,
         "neighbour_x": within,
