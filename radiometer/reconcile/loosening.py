@@ -16,6 +16,7 @@ from simulators.effects.catalogue import CatalogueEffect
 
 _REFITTED: Final = 2  # forms that are fitted in full, the most promising first
 _NEEDED_NATS: Final = 8.0
+_STEP: Final = 0.1  # of a parameter's scale
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +68,8 @@ def _linear_gain(state: FitState, index: int, form: CatalogueEffect) -> float:
     columns, values = [at], parameters.values
     for place in (i for i, owner in enumerate(parameters.owner) if owner == index):
         moved = values.copy()
-        moved[place] += 0.1 * parameters.scale[place]
+        step = _STEP * parameters.scale[place]
+        moved[place] += step if moved[place] + step <= parameters.high[place] else -step
         columns.append(change_of(state, parameters.replaced(moved)) - at)
     gain, _ = state.fit.score(slice(0, state.comparison.size), state.fit.followed(np.stack(columns, axis=1)))
     return float(gain)
