@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -120,6 +120,25 @@ class CaptureSums:
         if more > 0:
             self.histogram = np.pad(self.histogram, (0, more))
             self.occurring = np.pad(self.occurring, (0, more))
+
+    def without(self, first: CaptureSums) -> CaptureSums:
+        """Return the sums over the frames but the first; the histogram stays that of all.
+
+        Args:
+            first: Sums over the first frame alone.
+        """
+        return replace(
+            self,
+            frame_means=self.frame_means[1:],
+            total=[both - one for both, one in zip(self.total, first.total, strict=True)],
+            square=[both - one for both, one in zip(self.square, first.square, strict=True)],
+            pair_x=self.pair_x - first.pair_x,
+            pair_y=self.pair_y - first.pair_y,
+            row_sums=[sums[1:] for sums in self.row_sums],
+            low=self.low - first.low,
+            high=self.high - first.high,
+            side_lines=self.side_lines - first.side_lines,
+        )
 
     def finish(
         self, black_dn: float, bins: RowBins, *, structured: bool = False

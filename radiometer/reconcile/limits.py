@@ -14,6 +14,7 @@ from radiometer.reconcile.parameters import value_of
 from radiometer.reconcile.result import Limit
 from radiometer.reconcile.screening import change_of
 from radiometer.reconcile.state import FitState, with_effects
+from radiometer.reconcile.usable import partly_at_the_top
 from simulators.effects.catalogue import CatalogueEffect
 
 SIGMAS: Final = 5.0
@@ -26,6 +27,7 @@ _CLOSE: Final = 0.1  # of ln χ²
 _NOTHING: Final = 1e-6  # a χ² that stands for none
 _MOST_FLOOR: Final = 0.999  # share of a border's uncertainty that its floor may be
 _MILD_WHEN_LARGE: Final = frozenset(("full_well_saturation", "soft_saturation", "adc_saturation"))
+_SHARP: Final = frozenset(("full_well_saturation", "adc_saturation"))  # nothing bends below it
 _STEPWISE: Final = _MILD_WHEN_LARGE | {"exposure_quantisation", "missing_codes", "nominal_settings"}
 _ABSOLUTE_LIGHT: Final = "W m-2"  # has no scale where no radiance is known: the responsivity takes any
 _SQUARED: Final = frozenset(  # a standard deviation acts by its square
@@ -51,6 +53,8 @@ def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> d
 
 def _limit(state: FitState, name: str, kind: type[CatalogueEffect]) -> Limit:
     blind = Limit(None, *_main_parameter(kind, None))
+    if name in _SHARP and partly_at_the_top(state.design, state.seen, state.prediction).any():
+        return blind  # the very tiles that would show it are left out, wherever it lies
     if not kind.usable(state.model.context) or (blind.unit == _ABSOLUTE_LIGHT and not state.design.has_known_radiance):
         return blind
     here = tuple(effect for effect in state.effects if effect.name == name)

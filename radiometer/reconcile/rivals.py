@@ -21,19 +21,25 @@ Judged = tuple[FittedCandidate, float]
 
 
 def rivals_of(
-    state: FitState, chosen: Judged, judged: Sequence[Judged], catalogue: Mapping[str, type[CatalogueEffect]]
+    state: FitState,
+    chosen: Judged,
+    judged: Sequence[Judged],
+    linear: Judged,
+    catalogue: Mapping[str, type[CatalogueEffect]],
 ) -> tuple[CatalogueEffect, ...]:
     """Return the effects, at their best parameters, that the data cannot tell from the chosen one.
 
     Args:
         state: The model without the chosen one.
         chosen: The chosen one with its gain in nats.
-        judged: Others that were fitted and judged, with theirs.
+        judged: Others that were fitted and judged in the same way, with theirs.
+        linear: The chosen one with its gain before any full fit.
         catalogue: All entries. Those that were not tried, because the setting that marks them does not vary, may
             act like the chosen one for that very reason: a blur that grows with the aperture at one f-number.
     """
-    everything = (*judged, *_unvaried(state, chosen, catalogue))
-    return tuple({f.name: f.effect for f, nats in everything if _is_rival(f, nats, chosen)}.values())
+    found = {f.name: f.effect for f, nats in judged if _is_rival(f, nats, chosen)}
+    found |= {f.name: f.effect for f, nats in _unvaried(state, linear, catalogue) if _is_rival(f, nats, linear)}
+    return tuple(found.values())
 
 
 def _is_rival(other: FittedCandidate, nats: float, chosen: Judged) -> bool:

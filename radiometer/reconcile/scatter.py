@@ -75,7 +75,7 @@ def standard_uncertainties(
     first_share = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)
     beside_x, beside_y = _pair_shares(design)
     uneven = 1.0 if design.uniform else _unevenness(design, seen, base, noise)
-    pairs = pixels * np.maximum(n - 1.0, 1.0)
+    pairs = np.maximum(seen.variance_dof, 1.0) * pixels / np.maximum(pixels - 1.0, 1.0)
     counts = np.minimum(np.maximum(seen.comb_count, 1.0), _LARGEST_COMB_COUNT)[:, None]
     phases = _phase_scatter(design, seen, base)
     found = {

@@ -140,10 +140,11 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     shown = [entry for entry in judged if _is_shown(*entry, limit, later=bool(state.effects))]
     looser = loosened(state) if loud else None
     while shown:
-        chosen = _choose(_contenders(state, shown))
+        contenders = _contenders(state, shown)
+        chosen = _choose(contenders)
         if chosen is None or not _convinces(state, chosen, loud) or _is_likelier(looser, chosen):
             break
-        following = _named(state, chosen, judged, run)
+        following = _named(state, chosen, judged if contenders is shown else contenders, judged, run)
         if following is not None:
             return following
         shown = [entry for entry in shown if entry[0].name != chosen[0].name]
@@ -253,16 +254,21 @@ def _smooth_gain(state: FitState, test: Disagreement) -> float:
 def _named(
     state: FitState,
     chosen: tuple[FittedCandidate, float],
+    contenders: list[tuple[FittedCandidate, float]],
     judged: list[tuple[FittedCandidate, float]],
     run: _Run,
 ) -> FitState | None:
-    """Return the model with the chosen effect; None where, all refitted, it does not predict better after all."""
+    """Return the model with the chosen effect; None where, all refitted, it does not predict better after all.
+
+    Contenders are judged as the chosen one is, `judged` are all those of this step before any full fit.
+    """
     fitted, nats = chosen
     following = settled(refit(accepted(state, fitted.effect)))
     if following.evidence - state.evidence < _KEPT_NATS:
         run.refused.add(fitted.name)
         return None
-    rivals = rivals_of(state, chosen, judged, run.catalogue)
+    linear = next(entry for entry in judged if entry[0] is fitted)
+    rivals = rivals_of(state, chosen, contenders, linear, run.catalogue)
     gap_before = state.gap
     again = next((i for i, step in enumerate(run.steps) if step.name == fitted.name), None)
     if again is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from typing import Final
@@ -128,15 +128,23 @@ def reduce_frames(
     order = _darks_first(design)
     frames = _read_ahead(design, [index for number in order for index in design.captures[number].frames], read)
     for number in order:
+        count = len(design.captures[number].frames)
         sums = CaptureSums.start(groups, sides, len(design.tiles), defects)
-        for frame in itertools.islice(frames, len(design.captures[number].frames)):
+        apart = not design.uniform and count > 2
+        first = CaptureSums.start(groups, sides, len(design.tiles), defects)
+        for position, frame in enumerate(itertools.islice(frames, count)):
             sums.add(frame)
             images.add(frame, number)
+            if apart and position == 0:
+                first.add(frame)
             done += 1
             if progress is not None:
                 progress(done)
         structured = not design.uniform and design.source_level[number] > 0
         collected[number], outlying = sums.finish(design.black_level_dn[number], bins, structured=structured)
+        if apart:
+            later, _ = sums.without(first).finish(design.black_level_dn[number], bins, structured=structured)
+            collected[number] |= _later_noise(later, count, structured=structured)
         if design.closed[number]:
             defects = defects | outlying
     names = [entry.name for entry in fields(CaptureStatistics)]
@@ -147,6 +155,38 @@ def reduce_frames(
         sides, lines, gathered["mean"], gathered["spatial"], gathered["high"], design.pattern_index
     )
     return CaptureStatistics(**gathered), images
+
+
+_NOISE: Final = (
+    "variance",
+    "variance_dof",
+    "neighbour_x",
+    "neighbour_y",
+    "row_temporal",
+    "row_temporal_weight",
+    "row_temporal_dof",
+    "row_temporal_light",
+)
+
+
+def _later_noise(
+    later: Mapping[str, NDArray[np.float64] | float], frames: int, *, structured: bool
+) -> dict[str, NDArray[np.float64] | float]:
+    """Return the noise of a scene's frames after the first, by name: a picture left behind in that is no noise.
+
+    The spatial variance of darks is brought to what the mean of all frames would have; mostly noise, it scatters more.
+
+    Args:
+        later: Statistics of the frames after the first.
+        frames: Number of all frames.
+        structured: Whether the scene is seen.
+    """
+    noise: dict[str, NDArray[np.float64] | float] = {name: later[name] for name in _NOISE}
+    if not structured:
+        white = np.asarray(later["variance"]) * (1.0 / (frames - 1) - 1.0 / frames)
+        noise["spatial"] = np.asarray(later["spatial"]) - white
+        noise["spatial_dof"] = np.asarray(later["spatial_dof"]) * ((frames - 1) / frames) ** 2
+    return noise
 
 
 def frame_reader(frames: Sequence[Frame]) -> FrameReader:

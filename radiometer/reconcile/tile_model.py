@@ -295,6 +295,9 @@ class TileModel:
             return np.asarray(np.broadcast_to(values, (shape[0], 1, 1))[:, 0, 0], dtype=np.float64)
 
         mean, variance = tiles(final.mean), tiles(final.variance)
+        if not self.design.uniform:  # a scene's noise is that of the later frames, without the first one's own light
+            n = self.design.frame_count[:, None]
+            variance = variance - np.where(n > 2, gain[:, None] * tiles(final.first_excess) / n, 0.0)
         lines = tiles(final.row_variance)
         columns, rows = tiles(final.fixed_column_variance), tiles(final.fixed_row_variance)
         # A frame's mean is taken out of each tile, and with it what its rows have in common.

@@ -37,7 +37,7 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
     sigma, above_zero = _CLIP_SIGMAS * np.sqrt(noise), _ZERO_SIGMAS * np.sqrt(noise)
     # What is predicted to clip but was not seen to clip stays in: it is what a lower full well looks like.
     inside &= (seen.mean - above_zero > 0) & (seen.mean + sigma < full_scale) & (seen.high < _FEW) & (seen.low < _FEW)
-    inside &= design.uniform | ~_partly_at_the_top(design, seen, base)
+    inside &= ~partly_at_the_top(design, seen, base)
     inside &= base.mean - _ZERO_SIGMAS * np.sqrt(base.variance + base.fixed) > 0
     step = _seen_step(seen)
     fine = base.variance > (_FINE_NOISE * step) ** 2 if step > 1 else np.ones_like(inside)
@@ -73,12 +73,14 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
     }
 
 
-def _partly_at_the_top(design: Design, seen: CaptureStatistics, base: Prediction) -> Mask:
+def partly_at_the_top(design: Design, seen: CaptureStatistics, base: Prediction) -> Mask:
     """Tell which tiles of a scene are uneven and reach the brightest that was seen at their gain, within the noise.
 
     If that is where the camera saturates, part of such a tile does and part does not, and nothing tells which part.
-    Where samples reach full scale the top is known, and what is clipped there has been counted.
+    Where samples reach full scale the top is known, and what is clipped there has been counted. Patches are even.
     """
+    if design.uniform:
+        return np.zeros(seen.mean.shape, dtype=np.bool_)
     uneven = structure_dn2(design, seen) > base.variance * (1.0 + 1.0 / design.frame_count[:, None])
     found = np.zeros(uneven.shape, dtype=np.bool_)
     for gain_db in np.unique(design.gain_db):

@@ -1,0 +1,39 @@
+"""Brackets of a scene of which no patches are stated: what may be named there, and what may not."""
+
+from __future__ import annotations
+
+import pytest
+
+from radiometer.reconcile import reconcile
+from radiometer.reconcile.result import ReconcileResult
+from tests.roundtrip.generator.session import make_session
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+
+def _ask(name: str, *, with_limits: bool = False) -> ReconcileResult:
+    session = make_session(name, camera_seed=7610, plan="bracket", known_patches=False)
+    header = session.header.model_copy(update={"patches": ()})
+    return reconcile(header, list(session.frames()), with_limits=with_limits)
+
+
+def test_picture_left_behind_is_no_noise() -> None:
+    """Lag leaves the last picture in the first frame of the next capture; it is named alone, and no read noise."""
+    answer = _ask("image_lag")
+    assert str(answer.verdict) == "effects_found"
+    assert [effect.name for effect in answer.effects] == ["image_lag"]
+
+
+def test_flicker_seen_at_short_exposures_alone_has_two_names() -> None:
+    """Below 1.4 ms a ripple of the mains and a dimmed source look alike: either stands beside the other."""
+    effect = _ask("mains_ripple").effects[0]
+    assert {effect.name, *effect.alternatives} == {"mains_ripple", "pwm_flicker"}
+
+
+def test_saturation_is_not_judged_where_the_tiles_that_show_it_are_left_out() -> None:
+    """The brightest tiles of a scene are in part saturated and left out: nothing is found, and no limit claimed."""
+    answer = _ask("full_well_saturation", with_limits=True)
+    assert str(answer.verdict) == "agrees"
+    assert answer.limits["full_well_saturation"].amplitude is None
+    assert answer.limits["adc_saturation"].amplitude is None
+    assert answer.limits["exposure_time_offset"].amplitude is not None
