@@ -68,7 +68,8 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
         "rows": patched & (seen.rows_dof > 4) & (np.nan_to_num(seen.rows) > 0),
         "edge": np.isfinite(seen.edge_u) & any_tile,
         "outliers": patched,
-        "bands": np.isfinite(seen.bands) & (whole & ~_at_the_knee(design, base).any(axis=1))[:, None],
+        # In a scene the bright rows of a tile are noisier than its mean noise, by which bands are weighed.
+        "bands": np.isfinite(seen.bands) & (design.uniform & whole & ~_at_the_knee(design, base).any(axis=1))[:, None],
         "comb": (seen.comb_count > _FEWEST_CODES)[:, None] & dividing,
     }
 
