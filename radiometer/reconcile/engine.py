@@ -13,7 +13,7 @@ import numpy as np
 from radiometer.data import CaptureHeader, CaptureSet, Frame
 from radiometer.errors import CaptureError
 from radiometer.reconcile.design import Design
-from radiometer.reconcile.excess import is_scattered, place_of_scatter
+from radiometer.reconcile.excess import is_scattered, mended, place_of_scatter
 from radiometer.reconcile.limits import limits
 from radiometer.reconcile.localise import Disagreement
 from radiometer.reconcile.next_capture import propose, propose_for_blind, propose_for_unnamed
@@ -211,7 +211,7 @@ def _result(
         covariates=_by_covariate(outcome.first_tests, outcome.tests),
         tests=(len(outcome.tests), len(outcome.left)),
         repeatability=state.tau,
-        assumptions=_assumptions(state),
+        assumptions=_assumptions(outcome),
         localisation=tuple(_place(test) for test in places(outcome.start, _PLACES)),
         calls=(sum(test.p_value < _CALL for test in outcome.first_tests), len(outcome.first_tests)),
         added=(*state.model.given, *state.effects),
@@ -236,7 +236,8 @@ def _verdict(outcome: Search) -> Verdict:
     unnamed = bool(outcome.left) or any(step.name == "unnamed" for step in outcome.steps)
     unnamed = unnamed or is_scattered(outcome.state)
     if named:
-        return Verdict.INCOMPLETE if unnamed or _strained(outcome.state) else Verdict.EFFECTS_FOUND
+        doubted = unnamed or mended(outcome.steps, outcome.state.effects) or _strained(outcome.state)
+        return Verdict.INCOMPLETE if doubted else Verdict.EFFECTS_FOUND
     return Verdict.UNNAMED if unnamed else Verdict.AGREES
 
 
@@ -338,9 +339,14 @@ def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:
     return found
 
 
-def _assumptions(state: FitState) -> tuple[str, ...]:
+def _assumptions(outcome: Search) -> tuple[str, ...]:
+    state = outcome.state
     camera = state.design.header.camera
     said = [f"{name} ran to the end of its range: what the data hold is not quite that" for name in _strained(state)]
+    pairs = mended(outcome.steps, state.effects)
+    said += [
+        f"{pair} may only mend one curve that is neither: it brings little along the same setting" for pair in pairs
+    ]
     for key, text in (
         ("conversion_gain_e_per_dn", "the conversion gain is not declared: it was fitted from the noise"),
         ("read_noise_e", "the read noise is not declared: it was fitted"),

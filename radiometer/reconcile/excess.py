@@ -1,4 +1,4 @@
-"""Scatter that no trend explains: held-out settings miss the prediction by more than their uncertainties, anyhow.
+"""What speaks against names that no test contradicts: scatter without any trend, and names that mend each other.
 
 The tests of `localise` look for trends. What moves single tiles or frames at random leaves none, but a reduced χ²
 above 1.
@@ -6,6 +6,7 @@ above 1.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -14,9 +15,12 @@ from radiometer.reconcile.comparison import FAMILY, TILE_BLOCKS
 from radiometer.reconcile.covariates import covariates
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.places import axis_of
+from radiometer.reconcile.search import Step
 from radiometer.reconcile.state import FitState
+from simulators.effects.catalogue import CatalogueEffect
 
 _SIGMAS: Final = 5.0  # of a χ² of so many entries; the gap of 330 sets without an effect was 1.02 at most
+_CRUMB_NATS: Final = 25.0  # an effect of its own brought hundreds in all pairs along one covariate of the test bench
 _SMALLEST: Final = 1.05  # gap that counts as closed
 
 
@@ -52,3 +56,23 @@ def _explained(values: Array, basis: Array) -> float:
     left: Array = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
     freedom = max(len(values) - columns.shape[1], 1)
     return float(1.0 - np.sum(left**2) / freedom / max(float(np.var(values)), 1e-30))
+
+
+def mended(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return pairs of names of which the weaker hardly does more than mend the curve of the other.
+
+    Two entries that bend the same statistic along the same covariate can together imitate a curve that is neither.
+
+    Args:
+        steps: What was added, in order.
+        effects: The effects of the model.
+    """
+    blocks = {effect.name: effect.block for effect in effects}
+    named = [step for step in steps if step.name in blocks]
+    return [
+        f"{weak.name} beside {strong.name}"
+        for weak in named
+        for strong in named
+        if weak.gain_nats < min(_CRUMB_NATS, strong.gain_nats)
+        and (weak.where, blocks[weak.name]) == (strong.where, blocks[strong.name])
+    ]
