@@ -17,7 +17,8 @@ from simulators.effects.tile_moments import TileMoments
 class ImageLag(CatalogueEffect):
     """Adds a share of what the pixel held in the frame before: S' = S + l·S_prev, or less where traps fill up.
 
-    Traps that hold no more than 1/c electrons release (1 − exp(−c·l·S_prev))/c; c = 0 is the plain share.
+    Traps that hold no more than 1/c electrons release (1 − exp(−c·l·S_prev))/c; c = 0 is the plain share. Slow traps
+    release a further share m of the frame before that one, which a single frame takes to be like the one before.
 
     Source: incomplete charge transfer; typical 0.01 to 0.5 %. Traps: first-order filling.
     """
@@ -36,6 +37,7 @@ class ImageLag(CatalogueEffect):
     fitted = ("share",)
     settles = "a bright capture followed at once by dark frames"
     share: float = parameter(0.0, "1", -0.2, 0.2, source="engineering prior; refined on a real rig")
+    older_share: float = parameter(0.0, "1", -0.1, 0.1, source="traps empty over several frames")
     fullness_per_e: float = parameter(0.0, "e-1", 0.0, 10.0, source="1 over the electrons that the traps hold")
 
     @classmethod
@@ -43,8 +45,19 @@ class ImageLag(CatalogueEffect):
         """Return the form whose traps fill up."""
         return (cls(share=0.002, fullness_per_e=0.05),)
 
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the form whose traps fill up, and the one whose traps are slow."""
+        if self.fullness_per_e > 0 or self.older_share:
+            return ()
+        return (
+            self.with_parameters(fullness_per_e=0.05),
+            self.with_parameters(older_share=0.1 * self.share),
+        )
+
     def free(self) -> tuple[str, ...]:
-        """Return the share, and the traps' fullness where they fill up."""
+        """Return the share, and the traps' fullness where they fill up, or what the older frame leaves."""
+        if self.older_share:
+            return ("share", "older_share")
         return ("share", "fullness_per_e") if self.fullness_per_e > 0 else ("share",)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
@@ -60,16 +73,26 @@ class ImageLag(CatalogueEffect):
         previous = np.zeros(1) if context.previous_e is None else context.previous_e
         return replace(
             after,
-            first_excess=before.first_excess + self._released(previous, context) - self._released(before.mean, context),
+            first_excess=before.first_excess
+            + self._released(previous, context)
+            - self._released(before.mean, context)
+            + self._slow_first(previous, before.mean, context),
         )
+
+    def _slow_first(self, previous: Any, own: Any, context: ExposureContext) -> Any:
+        """Return what slow traps give the first of n frames beyond the mean of the others, the second having it too."""
+        frames: Any = getattr(context, "frames", 1.0)
+        return self.older_share * (previous - own) * np.maximum(frames - 2.0, 0.0) / np.maximum(frames - 1.0, 1.0)
 
     def _left(self, signal: Signal, context: ExposureContext) -> Any:
         """Return what is left of the frame before; n − 1 of a capture's n frames follow one of their kind."""
         previous = np.zeros(1, dtype=signal.dtype) if context.previous_e is None else context.previous_e
         frames: Any = getattr(context, "frames", None)
         if frames is None:
-            return self._released(previous, context)
-        return (self._released(previous, context) + (frames - 1.0) * self._released(signal, context)) / frames
+            return self._released(previous, context) + self.older_share * previous
+        older = np.minimum(frames, 2.0)
+        slow = self.older_share * (older * previous + (frames - older) * signal) / frames
+        return (self._released(previous, context) + (frames - 1.0) * self._released(signal, context)) / frames + slow
 
     def _released(self, held: Any, context: ExposureContext) -> Any:
         """Return the electrons that a frame leaves to the next; no pixel holds more than its full well."""
