@@ -88,8 +88,7 @@ class Comparison:
         pieces = [self._tile_block(name, prediction) for name in TILE_BLOCKS]
         pieces += [self._capture_block(name, prediction) for name in CAPTURE_BLOCKS]
         pieces.append(self._comb(prediction))
-        power = self.band_power(relative_bands(prediction), prediction.band_frequency)
-        pieces.append(self._together("bands", self.band_scores(power, prediction.row_variance)))
+        pieces.append(self._together("bands", self._bands(prediction)))
         return np.concatenate([piece.ravel() for piece in pieces])
 
     def whiten(self, block: str, values: Array) -> Array:
@@ -123,6 +122,17 @@ class Comparison:
         extra = (None,) * (values.ndim - 2)
         columns = np.where(mask[(..., *extra)], values, 0.0).reshape(*mask.shape, -1)
         return np.asarray(np.matmul(self.whiteners[block], columns).reshape(values.shape))
+
+    def _bands(self, prediction: Prediction) -> Array:
+        bands2 = relative_bands(prediction)
+        if not (bands2.any() or prediction.row_variance.any()):
+            return self._calm_bands
+        return self.band_scores(self.band_power(bands2, prediction.band_frequency), prediction.row_variance)
+
+    @cached_property
+    def _calm_bands(self) -> Array:
+        """Return the scores of the bands where nothing is predicted to move the rows."""
+        return self.band_scores(np.zeros_like(self.seen.bands_of_rows), np.zeros(len(self.design.captures)))
 
     def _together(self, block: str, scores: Array) -> Array:
         return self._whitened(block, scores) if block in self.whiteners else scores

@@ -207,6 +207,9 @@ class TileBands:
     @classmethod
     def of(cls, design: Design, frequency: float) -> TileBands:
         """Return the shares of a design's tiles."""
+        if not frequency:  # all rows go together
+            one, nothing = np.ones(len(design.tiles)), np.zeros(len(design.tiles))
+            return cls(one, nothing, nothing, nothing, nothing, nothing, nothing, 0.0)
         heights = np.array([tile.height for tile in design.tiles])
         figures = {int(height): _of_height(int(height), frequency) for height in np.unique(heights)}
         mean, rise, within, rough, lag, even = np.array([figures[int(height)] for height in heights]).T
