@@ -146,8 +146,8 @@ def dark_top(world: World, rng: np.random.Generator, scale: float) -> Truth:
 
 @outsider("brightness_limiter", "pattern")
 def brightness_limiter(world: World, rng: np.random.Generator, scale: float) -> Truth:
-    """Let the screen dim by 3 % where its mean picture is fully bright, as many do to save power."""
-    strength = 0.03 * scale
+    """Let the screen dim by 6 % where its mean picture is fully bright, as many do to save power."""
+    strength = 0.06 * scale
     world.screen.append(lambda picture, shot: picture * (1 - strength * float(picture.mean())))
     return {"strength": strength}
 
