@@ -35,6 +35,7 @@ _NEEDED_SMOOTH_NATS: Final = 3.0
 _SMOOTHS_TRIED: Final = 4
 _HUGE_NATS: Final = 2000.0
 _NEAR_SHARE: Final = 0.05
+_NEAR_FORM: Final = 0.5
 _SMOOTH_SHARE: Final = 0.8
 _SMOOTH_NATS: Final = 8.0
 # Entries that physics does not expect, or that can imitate others by their freedom, must be that much better.
@@ -142,7 +143,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     while shown:
         contenders = _contenders(state, shown)
         chosen = _choose(contenders)
-        if chosen is None or not _convinces(state, chosen, loud) or _is_likelier(looser, chosen):
+        if chosen is None or not _convinces(state, chosen, loud) or _is_likelier(state, looser, chosen):
             break
         following = _named(state, chosen, judged if contenders is shown else contenders, judged, run)
         if following is not None:
@@ -153,9 +154,18 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     return _unnamed(state, loud, judged, run) if loud else None
 
 
-def _is_likelier(looser: Loosened | None, chosen: tuple[FittedCandidate, float]) -> bool:
-    """Tell whether another form of an effect that is there predicts better than a further effect."""
-    return looser is not None and looser.nats - PARAMETER_NATS * looser.further - _FLEXIBLE_NATS > _score(chosen)
+def _is_likelier(state: FitState, looser: Loosened | None, chosen: tuple[FittedCandidate, float]) -> bool:
+    """Tell whether another form of an effect that is there predicts better than a further effect.
+
+    The form was fitted in full; where the two are near, the further effect is too, before they are compared.
+    """
+    if looser is None:
+        return False
+    form = looser.nats - PARAMETER_NATS * looser.further - _FLEXIBLE_NATS
+    if form > _score(chosen) or form < _NEAR_FORM * _score(chosen):
+        return form > _score(chosen)
+    fitted = settled(refit(accepted(state, chosen[0].effect)))
+    return form > _score((chosen[0], fitted.evidence - state.evidence))
 
 
 def _taken(state: FitState, looser: Loosened, run: _Run) -> FitState:

@@ -45,7 +45,7 @@ class MechanicalVignetting(Scaling):
     exponent: float = parameter(2.0, "1", 0.5, 8.0, source="how fast it vanishes when stopping down")
     barrel: float = parameter(0.0, "1", 0.0, 20.0, source="radius of the barrel's opening; 0 for the law alone")
     shift: float = parameter(0.0, "1", 0.0, 20.0, source="its displacement as seen from the corner")
-    wander: float = parameter(0.0, "1", -1.0, 2.0, source="how far the displacement goes with the pupil's size")
+    wander: float = parameter(0.0, "1", -5.0, 5.0, source="how far the displacement goes with the pupil's size")
 
     def factor(self, context: ExposureContext) -> Any:
         """Return the fall-off."""

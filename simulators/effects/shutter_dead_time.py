@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, Self, cast
+
+import numpy as np
 
 from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
@@ -14,6 +16,8 @@ from simulators.effects.tile_moments import TileMoments
 @dataclass(frozen=True)
 class ShutterDeadTime(CatalogueEffect):
     """Shortens every frame of a run but the first: H' = H·(t − Δt)/t in overlapped readout.
+
+    With a growth g the k-th frame after the first loses Δt·(1 + g·(k − 1)); 0 where all lose alike.
 
     Source: C-BLUE user manual: dead times of 46 to 107 µs depending on the trigger.
     """
@@ -34,6 +38,8 @@ class ShutterDeadTime(CatalogueEffect):
     settles = "single triggered frames beside runs of frames at the shortest exposure"
     dead_time_s: float = parameter(0.0, "s", -0.01, 0.01, source="engineering prior; refined on a real rig")
 
+    growth: float = parameter(0.0, "1", -1.0, 1.0, source="buffers fill up along a run")
+
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the exposure; the first frame of a run has its full time."""
         return cast(Signal, (signal * self.slope(signal, context)).astype(signal.dtype))
@@ -41,10 +47,33 @@ class ShutterDeadTime(CatalogueEffect):
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
         """Return real over stated exposure time (of a whole run: its average)."""
         frames: Any = getattr(context, "frames", None)
-        later = float(context.frame_index > 0) if frames is None else (frames - 1.0) / frames
+        if frames is None:
+            after = context.frame_index
+            later: Any = 1.0 + self.growth * (after - 1.0) if after > 0 else 0.0
+        else:
+            later = (frames - 1.0) / frames * self._usual(frames)
         return 1.0 - later * self.dead_time_s / context.settings.exposure_s
+
+    def common_variance(self, signal: Signal, context: ExposureContext) -> Any:
+        """Return how the frames of a run after its first differ, as a variance."""
+        later: Any = getattr(context, "frames", 1.0) - 1.0
+        step = self.growth * self.dead_time_s / context.settings.exposure_s
+        return np.square(signal * step) * later * (later + 1.0) / 12.0 if self.growth else 0.0
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the dead time that grows along a run."""
+        return () if self.growth else (self.with_parameters(growth=0.05),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: the growth only where there is one."""
+        return ("dead_time_s", "growth") if self.growth else ("dead_time_s",)
+
+    def _usual(self, frames: Any) -> Any:
+        """Return the mean dead time of the frames after the first over that of the second."""
+        return 1.0 + self.growth * np.maximum(frames - 2.0, 0.0) / 2.0
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with what the first frame has more."""
-        gained = before.mean * self.dead_time_s / context.settings.exposure_s
+        usual = self._usual(np.asarray(getattr(context, "frames", 1.0)))
+        gained = before.mean * usual * self.dead_time_s / context.settings.exposure_s
         return replace(after, first_excess=after.first_excess + gained)
