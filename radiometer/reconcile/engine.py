@@ -259,7 +259,9 @@ def _push(state: FitState, index: int) -> float:
         return 0.0
     values = own.values
     values[index] = usual
-    moved = replace(with_effects(state, own.replaced(values)), frozen=frozenset({index}))
+    moved = with_effects(state, own.replaced(values))
+    if moved.parameters.size == own.size:  # else the effect is rigid there: the parameter is none of its free ones
+        moved = replace(moved, frozen=frozenset({index}))
     return refit(moved, iterations=_REFITS).cost - state.cost
 
 
