@@ -30,7 +30,7 @@ measure: $(VENV)/.ready-run  ## Read the radiance of a screen patch on the simul
 	$(BIN)/radiometer measure --budget
 
 test: $(VENV)/.ready-test  ## Run the whole test suite
-	$(PYTEST)
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST)
 
 check: $(VENV)/.ready-test  ## Format, lint, types, layers
 	$(BIN)/ruff format --check .
