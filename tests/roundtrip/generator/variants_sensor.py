@@ -124,7 +124,8 @@ def one_code_of_four(world: World, rng: np.random.Generator, scale: float) -> Tr
     return {"step_dn": 1.0}
 
 
-@variant("reduced_bit_depth", "rounded", "code", "signal", accepted=("missing_codes",))
+# To the nearest code is cutting with half a step more of black.
+@variant("reduced_bit_depth", "rounded", "code", "signal", accepted=("missing_codes", "black_level_offset"))
 def rounded_bits(world: World, rng: np.random.Generator, scale: float) -> Truth:
     """Convert with two bits fewer, to the nearest, and shift the codes up again."""
     world.code.append(lambda codes, shot: np.minimum(np.floor(codes / 4 + 0.5) * 4, world.rig.top_dn - 3))
