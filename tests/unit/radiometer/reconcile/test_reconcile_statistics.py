@@ -145,6 +145,22 @@ def test_hot_pixel_in_a_dark_is_left_out_everywhere() -> None:
     assert seen.outliers.tolist() == [0.0, 1.0]
 
 
+def test_values_cut_off_below_full_scale_make_no_defects() -> None:
+    """Noise cut off from 0 to 1.5 sigmas below its middle: what stays below the cut belongs to the tile's mean."""
+    rng = np.random.default_rng(9)
+    cuts = [500.0 - share * 20.0 for share in (0.0, 0.5, 0.8, 1.0, 1.2, 1.5)]
+    frames = [
+        Frame(np.rint(np.minimum(rng.normal(500, 20, (48, 72)), cut)).astype(np.uint16), 12,
+              FrameSettings(0.1 * (1 + number), shutter="closed"))
+        for number, cut in enumerate(cuts) for _ in range(4)
+    ]  # fmt: skip
+    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
+    design = Design.of(CaptureHeader(camera=CameraDescription(bit_depth=12), frames=entries), (48, 72))
+    seen, _ = reduce_frames(design, frame_reader(frames))
+    assert seen.outliers.max() <= 10  # of 3456 pixels; a plain robust sigma takes 550 for defects
+    assert float(seen.mean.mean()) == pytest.approx(float(np.mean([frame.dn for frame in frames])), abs=0.05)
+
+
 def test_structure_of_an_unknown_scene_is_no_outlier() -> None:
     """Without patches a tile that holds a bright spot keeps it at every exposure: its mean grows with the exposure."""
     rng = np.random.default_rng(4)
