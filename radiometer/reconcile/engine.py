@@ -13,7 +13,7 @@ import numpy as np
 from radiometer.data import CaptureHeader, CaptureSet, Frame
 from radiometer.errors import CaptureError
 from radiometer.reconcile.design import Design
-from radiometer.reconcile.excess import is_scattered, mended, place_of_scatter
+from radiometer.reconcile.excess import hollow, is_scattered, mended, place_of_scatter, replaceable
 from radiometer.reconcile.limits import limits
 from radiometer.reconcile.localise import Disagreement
 from radiometer.reconcile.next_capture import propose, propose_for_blind, propose_for_unnamed
@@ -236,9 +236,21 @@ def _verdict(outcome: Search) -> Verdict:
     unnamed = bool(outcome.left) or any(step.name == "unnamed" for step in outcome.steps)
     unnamed = unnamed or is_scattered(outcome.state)
     if named:
-        doubted = unnamed or mended(outcome.steps, outcome.state.effects) or _strained(outcome.state)
-        return Verdict.INCOMPLETE if doubted else Verdict.EFFECTS_FOUND
+        return Verdict.INCOMPLETE if unnamed or _doubts(outcome) else Verdict.EFFECTS_FOUND
     return Verdict.UNNAMED if unnamed else Verdict.AGREES
+
+
+def _doubts(outcome: Search) -> list[str]:
+    """Return in words why names are provisional though nothing structured is left."""
+    state, effects = outcome.state, outcome.state.effects
+    said = [f"{name} ran to the end of its range: what the data hold is not quite that" for name in _strained(state)]
+    said += [
+        f"{pair} may only mend one curve that is neither: it brings little along the same setting"
+        for pair in mended(outcome.steps, effects)
+    ]
+    said += [f"{name} alone may do what all the names do together" for name in replaceable(outcome.steps, effects)]
+    said += [f"{name} fits by its further terms alone" for name in hollow(effects, fitted_parameters(state))]
+    return said
 
 
 def _strained(state: FitState) -> list[str]:
@@ -344,11 +356,7 @@ def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:
 def _assumptions(outcome: Search) -> tuple[str, ...]:
     state = outcome.state
     camera = state.design.header.camera
-    said = [f"{name} ran to the end of its range: what the data hold is not quite that" for name in _strained(state)]
-    pairs = mended(outcome.steps, state.effects)
-    said += [
-        f"{pair} may only mend one curve that is neither: it brings little along the same setting" for pair in pairs
-    ]
+    said = _doubts(outcome)
     for key, text in (
         ("conversion_gain_e_per_dn", "the conversion gain is not declared: it was fitted from the noise"),
         ("read_noise_e", "the read noise is not declared: it was fitted"),

@@ -1,4 +1,5 @@
-"""What speaks against names that no test contradicts: scatter without any trend, and names that mend each other.
+"""What speaks against names that no test contradicts: scatter without any trend, names that only do together what one
+other might, and entries of which only the further terms fit.
 
 The tests of `localise` look for trends. What moves single tiles or frames at random leaves none, but a reduced χ²
 above 1.
@@ -6,7 +7,7 @@ above 1.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -15,12 +16,15 @@ from radiometer.reconcile.comparison import FAMILY, TILE_BLOCKS
 from radiometer.reconcile.covariates import covariates
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.places import axis_of
+from radiometer.reconcile.result import FittedParameter
 from radiometer.reconcile.search import Step
 from radiometer.reconcile.state import FitState
 from simulators.effects.catalogue import CatalogueEffect
 
 _SIGMAS: Final = 5.0  # of a χ² of so many entries; the gap of 330 sets without an effect was 1.02 at most
 _CRUMB_NATS: Final = 25.0  # an effect of its own brought hundreds in all pairs along one covariate of the test bench
+_SEVERAL: Final = 2
+_SHOWN_SIGMAS: Final = 3.0
 _SMALLEST: Final = 1.05  # gap that counts as closed
 
 
@@ -76,3 +80,32 @@ def mended(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[st
         if weak.gain_nats < min(_CRUMB_NATS, strong.gain_nats)
         and (weak.where, blocks[weak.name]) == (strong.where, blocks[strong.name])
     ]
+
+
+def replaceable(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return the entries that stand as rivals beside every one of several names: one cause may do what they all do.
+
+    Args:
+        steps: What was added, in order.
+        effects: The effects of the model.
+    """
+    present = {effect.name for effect in effects}
+    named = [step for step in steps if step.name in present]
+    if len(named) < _SEVERAL:
+        return []
+    return sorted(set.intersection(*({rival.name for rival in step.rivals} for step in named)) - present)
+
+
+def hollow(effects: Sequence[CatalogueEffect], parameters: Mapping[str, Mapping[str, FittedParameter]]) -> list[str]:
+    """Return the names of effects whose essential parameter lies within three standard uncertainties of zero.
+
+    Args:
+        effects: The effects of the model.
+        parameters: Their fitted parameters by effect and name.
+    """
+    found = []
+    for effect in effects:
+        fitted = parameters[effect.name].get(effect.essential)
+        if fitted is not None and fitted.u is not None and abs(fitted.value) < _SHOWN_SIGMAS * fitted.u:
+            found.append(effect.name)
+    return found

@@ -1,0 +1,46 @@
+"""What makes names provisional though nothing structured is left beside them."""
+
+from __future__ import annotations
+
+from radiometer.reconcile.excess import hollow, replaceable
+from radiometer.reconcile.result import FittedParameter
+from radiometer.reconcile.search import Step
+from simulators.effects.conversion_gain_error import ConversionGainError
+from simulators.effects.crosstalk import Crosstalk
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.natural_vignetting import NaturalVignetting
+from simulators.effects.psf_blur import PsfBlur
+
+BLUR_AND_GAIN = (PsfBlur(0.3), ConversionGainError(0.01))
+CROSSTALK = Crosstalk(0.01)
+
+
+def _step(name: str, *rivals: Crosstalk) -> Step:
+    return Step(name, "signal", 50.0, 1.01, 1.0, rivals)
+
+
+def test_one_rival_beside_all_names_doubts_them() -> None:
+    """Crosstalk blurs and takes noise away: where it stands beside a blur and a gain error, they may both be it."""
+    both = [_step("psf_blur", CROSSTALK), _step("conversion_gain_error", CROSSTALK)]
+    assert replaceable(both, BLUR_AND_GAIN) == ["crosstalk"]
+    assert replaceable([both[0], _step("conversion_gain_error")], BLUR_AND_GAIN) == []
+    assert replaceable(both[:1], BLUR_AND_GAIN[:1]) == []
+
+
+def test_rival_that_is_in_the_model_doubts_nothing() -> None:
+    """What was found later, and stands in the model, is no longer another explanation."""
+    steps = [_step("psf_blur", CROSSTALK), _step("crosstalk", CROSSTALK)]
+    assert replaceable(steps, (PsfBlur(0.3), CROSSTALK)) == []
+
+
+def test_fall_off_without_its_oblique_part_is_hollow() -> None:
+    """A fall-off that only the term beside the cos⁴ law carries is no natural vignetting; other entries need none."""
+    lens, late = NaturalVignetting(0.001, 0.02), ExposureTimeOffset(2e-6)
+
+    def fitted(strength: float) -> dict[str, dict[str, FittedParameter]]:
+        k4, offset = FittedParameter(0.02, 0.002, "1"), FittedParameter(2e-6, 1e-6, "s")
+        lens_values = {"strength": FittedParameter(strength, 0.001, "1"), "k4": k4}
+        return {"natural_vignetting": lens_values, "exposure_time_offset": {"offset_s": offset}}
+
+    assert hollow((lens, late), fitted(0.001)) == ["natural_vignetting"]
+    assert hollow((lens, late), fitted(0.01)) == []
