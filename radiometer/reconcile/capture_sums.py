@@ -22,7 +22,7 @@ OUTLIER_SIGMAS: Final = 6.0  # one false alarm in 5·10⁸ pixels of Gaussian pa
 _NEARLY_FULL: Final = 0.98  # counts as clipped: the highest code in use may lie a little below full scale
 _MAD_TO_SIGMA: Final = 1.4826
 _TWENTIETH_TO_SIGMA: Final = 1.6449
-_LOPSIDED: Final = 2.0  # a twentieth of the pixels farther out than this times a normal one: light cut off, no defects
+_LOPSIDED: Final = 2.0  # a twentieth of the pixels as many times farther below: light cut off, no defects
 # Above this scatter (variance 15 DN²) an honest histogram shows no comb of period 5: exp(−2π²·15/25) = 7e-6. The
 # median deviation tells it, for one hot pixel does not move that.
 _SMOOTH_MAD_DN: Final = 15.0**0.5 / _MAD_TO_SIGMA
@@ -303,9 +303,9 @@ def _outlying(picture: Array, group: TileGroup, spacing_dn: float) -> Mask:
 
 def _far(residual: Array, step: int, spacing_dn: float) -> Mask:
     some = residual[:, ::step]
-    low, centre, high = np.percentile(some, (5.0, 50.0, 95.0), axis=1)[..., None]
+    low, centre = np.percentile(some, (5.0, 50.0), axis=1)[..., None]
     sigma = _MAD_TO_SIGMA * np.median(np.abs(some - centre), axis=1, keepdims=True)
-    tail = np.maximum(centre - low, high - centre) / _TWENTIETH_TO_SIGMA
+    tail = (centre - low) / _TWENTIETH_TO_SIGMA
     sigma = np.where(tail > _LOPSIDED * sigma, tail, sigma)
     limit = np.maximum(OUTLIER_SIGMAS * np.where(sigma > 0, sigma, np.inf), spacing_dn)
     return np.asarray(np.abs(residual - centre) > limit)
