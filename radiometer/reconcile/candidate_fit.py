@@ -13,7 +13,7 @@ from radiometer.reconcile.design import Array
 from radiometer.reconcile.held_out import leave_one_group_out
 from radiometer.reconcile.parameters import EffectParameters
 from radiometer.reconcile.screening import Candidate
-from radiometer.reconcile.state import FitState
+from radiometer.reconcile.state import FitState, refit, settled
 from simulators.effects.catalogue import CatalogueEffect
 
 _ITERATIONS: Final = 25
@@ -232,3 +232,18 @@ def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
     if all(old.name != effect.name for old in state.effects):
         effects = (*effects, effect)
     return replace(state, model=state.model.with_effects(effects), frozen=frozenset())
+
+
+def included(state: FitState, effect: CatalogueEffect, *, far: bool) -> FitState:
+    """Return the state with the effect in the model, refitted in full.
+
+    Args:
+        state: The model without it.
+        effect: The effect at its best parameters, nuisances having followed linearly.
+        far: Whether the nuisances stand so far off that they had better move first, and the effect's parameters then.
+    """
+    following = accepted(state, effect)
+    if far:
+        mine = [i for i, owner in enumerate(following.parameters.owner) if following.effects[owner].name == effect.name]
+        following = replace(refit(replace(following, frozen=frozenset(mine))), frozen=frozenset())
+    return settled(refit(following))

@@ -66,6 +66,7 @@ def scaled(moments: TileMoments, factor: Array | float) -> TileMoments:
         neighbour_x=moments.neighbour_x * square,
         neighbour_y=moments.neighbour_y * square,
         first_excess=moments.first_excess * factor,
+        limit_variance=moments.limit_variance * square,
     )
 
 

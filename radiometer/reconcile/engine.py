@@ -13,7 +13,7 @@ import numpy as np
 from radiometer.data import CaptureHeader, CaptureSet, Frame
 from radiometer.errors import CaptureError
 from radiometer.reconcile.design import Design
-from radiometer.reconcile.excess import hollow, is_scattered, mended, place_of_scatter, replaceable
+from radiometer.reconcile.excess import hollow, is_scattered, mended, outdone, place_of_scatter, replaceable
 from radiometer.reconcile.limits import limits
 from radiometer.reconcile.localise import Disagreement
 from radiometer.reconcile.next_capture import propose, propose_for_blind, propose_for_unnamed
@@ -249,6 +249,9 @@ def _doubts(outcome: Search) -> list[str]:
         for pair in mended(outcome.steps, effects)
     ]
     said += [f"{name} alone may do what all the names do together" for name in replaceable(outcome.steps, effects)]
+    said += [
+        f"{name} is only the likelier of two, the other predicts better" for name in outdone(outcome.steps, effects)
+    ]
     said += [f"{name} fits by its further terms alone" for name in hollow(effects, fitted_parameters(state))]
     return said
 

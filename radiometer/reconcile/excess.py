@@ -96,6 +96,17 @@ def replaceable(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> li
     return sorted(set.intersection(*({rival.name for rival in step.rivals} for step in named)) - present)
 
 
+def outdone(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return the names for which only what is usual speaks: something else predicts better.
+
+    Args:
+        steps: What was added, in order.
+        effects: The effects of the model.
+    """
+    present = {effect.name for effect in effects}
+    return [step.name for step in steps if step.outdone and step.name in present]
+
+
 def hollow(effects: Sequence[CatalogueEffect], parameters: Mapping[str, Mapping[str, FittedParameter]]) -> list[str]:
     """Return the names of effects whose essential parameter lies within three standard uncertainties of zero.
 

@@ -1,7 +1,7 @@
 """Plain trends that hold a name to account: what no more freedom than an entry's explains better is not that entry.
 
 They are fitted like effects, in all statistics at once, but belong to no catalogue: where one of them wins, the
-disagreement stays unnamed.
+disagreement stays unnamed. A trend whose `where` is empty answers for every covariate.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from simulators.effects.base import DIGITAL_NUMBER, IRRADIANCE, Stage, parameter
+from simulators.effects.base import DIGITAL_NUMBER, EXPOSURE, IRRADIANCE, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, Offset, Scaling
 from simulators.effects.context import ExposureContext
 
@@ -27,7 +27,7 @@ class ConstantTrend(Offset):
     stage = Stage.READOUT
     unit_in = DIGITAL_NUMBER
     unit_out = DIGITAL_NUMBER
-    where = "signal"
+    where = ""
     block = "mean"
     trials = ({"offset_dn": 1.0}, {"offset_dn": -1.0})
     fitted = ("offset_dn",)
@@ -49,7 +49,7 @@ class RadialTrend(Scaling):
     stage = Stage.OPTICS
     unit_in = IRRADIANCE
     unit_out = IRRADIANCE
-    where = "field_radius"
+    where = ""
     block = "slope"
     trials = ({"a2": -0.03}, {"a2": 0.03})
     fitted = ("a2", "a4")
@@ -62,4 +62,26 @@ class RadialTrend(Scaling):
         return np.maximum(1.0 + self.a2 * rho2 + self.a4 * rho2**2, 0.01)
 
 
-TRENDS: Final[tuple[type[CatalogueEffect], ...]] = (ConstantTrend, RadialTrend)
+@dataclass(frozen=True)
+class ExposureTrend(Scaling):
+    """Scales light by a straight line along the logarithm of the exposure time: H' = H·(1 + b·ln(t/1 ms)).
+
+    Source: the first term of any slow curve along the exposures.
+    """
+
+    name = "exposure_trend"
+    stage = Stage.SHUTTER
+    unit_in = EXPOSURE
+    unit_out = EXPOSURE
+    where = "exposure_s"
+    block = "mean"
+    trials = ({"b": 0.005}, {"b": -0.005})
+    fitted = ("b",)
+    b: float = parameter(0.0, "1", -0.05, 0.05, source="free")
+
+    def factor(self, context: ExposureContext) -> Any:
+        """Return the line."""
+        return np.maximum(1.0 + self.b * np.log(np.asarray(context.settings.exposure_s) / 1e-3), 0.01)
+
+
+TRENDS: Final[tuple[type[CatalogueEffect], ...]] = (ConstantTrend, RadialTrend, ExposureTrend)

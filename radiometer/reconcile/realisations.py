@@ -46,7 +46,8 @@ def realisation_terms(
         context: The captures as the effects see them.
     """
     patterns = [effect for effect in effects if effect.block in _FIXED_BLOCKS]
-    if not patterns:
+    limited = bool(prediction.limit_variance.any())
+    if not patterns and not limited:
         return ()
     pixels = np.maximum(seen.pixels.max(axis=0), 2.0)
     own = [(effect, effect.pattern_e(context)) for effect in patterns]
@@ -59,6 +60,9 @@ def realisation_terms(
             unit = _unit_of_electrons(np.broadcast_to(electrons, (*prediction.mean.shape, 1))[:, :, 0])
             others = others + unit(prediction) ** 2
             terms += _offset_terms(effect.name, unit, np.ones(len(design.tiles)), (0.0, 0.0), pixels, design)
+    if limited:
+        others = others + prediction.limit_variance
+        terms += _offset_terms("uneven limit", _unit_of_limit, np.ones(len(design.tiles)), (0.0, 0.0), pixels, design)
     fixed = prediction.fixed - others
     if any(effect.proportional for effect in plain):
         # Purest in bright captures, but for full wells, which hide it.
@@ -71,7 +75,7 @@ def realisation_terms(
         relative = fixed / np.maximum(_unit_of_gain(prediction) ** 2, 1e-30) - sum(lines)
         white = relative[np.argmin(prediction.signal, axis=0), np.arange(pixels.size)]  # purest in the darkest
         terms += _offset_terms("additive pattern", _unit_of_gain, white, lines, pixels, design)
-    terms.append(_spread_term(seen, max(effect.excess_kurtosis() for effect in patterns)))
+    terms.append(_spread_term(seen, max((effect.excess_kurtosis() for effect in patterns), default=0.0)))
     for name in ("columns", "rows"):
         terms.append(_line_spread_term(name, seen))
         if additive and float(np.max(_lines(name, prediction))) > 0:
@@ -153,6 +157,10 @@ def _unit_of_gain(prediction: Prediction) -> Array:
 
 def _unit_of_light(prediction: Prediction) -> Array:
     return prediction.signal * prediction.gain[:, None]
+
+
+def _unit_of_limit(prediction: Prediction) -> Array:
+    return np.asarray(np.sqrt(prediction.limit_variance))
 
 
 def _unit_of_electrons(electrons: Array) -> Unit:

@@ -9,14 +9,14 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2
 
-from radiometer.reconcile.candidate_fit import FittedCandidate, accepted, fit_candidate, held_out_gain, judged_gain
+from radiometer.reconcile.candidate_fit import FittedCandidate, fit_candidate, held_out_gain, included, judged_gain
 from radiometer.reconcile.localise import SIGNIFICANT, Disagreement, localise, significant, smooth_term
 from radiometer.reconcile.loosening import Loosened, loosened
 from radiometer.reconcile.plain_trends import TRENDS
 from radiometer.reconcile.rivals import PARAMETER_NATS, rivals_of
 from radiometer.reconcile.screening import Candidate, screen
 from radiometer.reconcile.start_pool import StartPool
-from radiometer.reconcile.state import FitState, refit, reweighted, settled, with_effects, with_terms
+from radiometer.reconcile.state import FitState, refit, reweighted, with_effects, with_terms
 from radiometer.reconcile.terms import LinearTerm
 from simulators.effects.catalogue import CatalogueEffect
 
@@ -31,6 +31,7 @@ _EVIDENCE: Final = 8.0  # χ² that the statistic which must show the effect has
 _FLEXIBLE_NATS: Final = 5.0  # a flexible form must beat the rigid one by so much
 _STATED_NATS: Final = 6.0  # more where stated radiances carry the evidence: measured once, their errors go together
 _STATED_SHARE: Final = 0.5
+_OUTDONE_NATS: Final = 3.0
 _NEEDED_SMOOTH_NATS: Final = 3.0
 _SMOOTHS_TRIED: Final = 4
 _HUGE_NATS: Final = 2000.0
@@ -64,6 +65,8 @@ class Step:
         rivals: Effects within 5 nats.
         closest: For an unnamed term, the closest entry and the share of it that it explains.
         block: For an unnamed term, the statistic that shows it.
+        outdone: Whether a plain trend of fewer parameters along the same covariate, or another entry, predicts better:
+            only what is usual speaks for the name then.
     """
 
     name: str
@@ -74,6 +77,7 @@ class Step:
     rivals: tuple[CatalogueEffect, ...] = ()
     closest: tuple[str, float] | None = None
     block: str = ""
+    outdone: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,9 +147,15 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     while shown:
         contenders = _contenders(state, shown)
         chosen = _choose(contenders)
-        if chosen is None or not _convinces(state, chosen, loud) or _is_likelier(state, looser, chosen):
+        if chosen is None:
             break
-        following = _named(state, chosen, judged if contenders is shown else contenders, judged, run)
+        plain = _plain_leads(state, chosen)
+        if not _convinces(state, chosen, loud, plain) or _is_likelier(state, looser, chosen):
+            break
+        others = judged if contenders is shown else contenders
+        outdone = any(_is_plainer(kind, chosen[0]) and lead > 0.0 for kind, lead in plain.items())
+        outdone |= any(_outdoes(other, chosen) for other in others)
+        following = _named(state, chosen, others, judged, run, outdone=outdone)
         if following is not None:
             return following
         shown = [entry for entry in shown if entry[0].name != chosen[0].name]
@@ -164,7 +174,7 @@ def _is_likelier(state: FitState, looser: Loosened | None, chosen: tuple[FittedC
     form = looser.nats - PARAMETER_NATS * looser.further - _FLEXIBLE_NATS
     if form > _score(chosen) or form < _NEAR_FORM * _score(chosen):
         return form > _score(chosen)
-    fitted = settled(refit(accepted(state, chosen[0].effect)))
+    fitted = included(state, chosen[0].effect, far=False)
     return form > _score((chosen[0], fitted.evidence - state.evidence))
 
 
@@ -208,7 +218,7 @@ def _contenders(
     if best < _HUGE_NATS or len(near) < max(fewest, 2):
         return judged
     base = state.evidence
-    return [(f, settled(refit(accepted(state, f.effect))).evidence - base) for f, _ in near]
+    return [(f, included(state, f.effect, far=True).evidence - base) for f, _ in near]
 
 
 def _choose(judged: list[tuple[FittedCandidate, float]]) -> tuple[FittedCandidate, float] | None:
@@ -233,9 +243,14 @@ def _is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool
     return beyond_chance and nats >= needed + (_LATER_NATS if later else 0.0) and fitted.evidence >= _EVIDENCE
 
 
-def _convinces(state: FitState, chosen: tuple[FittedCandidate, float], loud: tuple[Disagreement, ...]) -> bool:
+def _convinces(
+    state: FitState,
+    chosen: tuple[FittedCandidate, float],
+    loud: tuple[Disagreement, ...],
+    plain: Mapping[type[CatalogueEffect], float],
+) -> bool:
     fitted, nats = chosen
-    if any(_beats(state, kind, chosen) for kind in TRENDS if kind.block == fitted.effect.block):
+    if any(lead > _SMOOTH_NATS for lead in plain.values()):
         return False
     same = [test for test in loud if test.family == fitted.effect.block]
     if not same:
@@ -244,15 +259,32 @@ def _convinces(state: FitState, chosen: tuple[FittedCandidate, float], loud: tup
     return nats >= _SMOOTH_SHARE * smooth or nats >= smooth - _SMOOTH_NATS
 
 
-def _beats(state: FitState, kind: type[CatalogueEffect], chosen: tuple[FittedCandidate, float]) -> bool:
-    """Tell whether a plain trend of no more freedom than the chosen effect predicts better than it."""
+def _plain_leads(state: FitState, chosen: tuple[FittedCandidate, float]) -> dict[type[CatalogueEffect], float]:
+    """Return by how many nats each plain trend of no more freedom predicts better than the chosen effect."""
+    effect = chosen[0].effect
+    return {
+        kind: _plain_lead(state, kind, chosen)
+        for kind in TRENDS
+        if kind.block == effect.block and kind.where in ("", effect.where) and len(kind.fitted) <= chosen[0].parameters
+    }
+
+
+def _plain_lead(state: FitState, kind: type[CatalogueEffect], chosen: tuple[FittedCandidate, float]) -> float:
     starts = kind.starts(state.model.context)
-    if len(kind.fitted) > chosen[0].parameters:
-        return False
     plain = fit_candidate(state, Candidate(starts[0], 0.0, len(kind.fitted), others=starts[1:]))
     (_, named), (_, trend) = _contenders(state, [chosen, (plain, judged_gain(state, plain))], fewest=2)
-    spared = PARAMETER_NATS * (chosen[0].parameters - plain.parameters)
-    return trend + spared > named + _SMOOTH_NATS
+    return trend + PARAMETER_NATS * (chosen[0].parameters - plain.parameters) - named
+
+
+def _is_plainer(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
+    """Tell whether a trend follows an effect's very covariate with fewer parameters than it."""
+    return kind.where == fitted.effect.where and len(kind.fitted) < fitted.parameters
+
+
+def _outdoes(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate, float]) -> bool:
+    """Tell whether another entry predicts better, each parameter paid for, but for what is thought of it beforehand."""
+    mine, others = (nats - PARAMETER_NATS * fitted.parameters for fitted, nats in (chosen, other))
+    return other[0].name != chosen[0].name and others > mine + _OUTDONE_NATS
 
 
 def _smooth_gain(state: FitState, test: Disagreement) -> float:
@@ -267,13 +299,15 @@ def _named(
     contenders: list[tuple[FittedCandidate, float]],
     judged: list[tuple[FittedCandidate, float]],
     run: _Run,
+    *,
+    outdone: bool,
 ) -> FitState | None:
     """Return the model with the chosen effect; None where, all refitted, it does not predict better after all.
 
     Contenders are judged as the chosen one is, `judged` are all those of this step before any full fit.
     """
     fitted, nats = chosen
-    following = settled(refit(accepted(state, fitted.effect)))
+    following = included(state, fitted.effect, far=nats > _HUGE_NATS)
     if following.evidence - state.evidence < _KEPT_NATS:
         run.refused.add(fitted.name)
         return None
@@ -282,7 +316,8 @@ def _named(
     gap_before = state.gap
     again = next((i for i, step in enumerate(run.steps) if step.name == fitted.name), None)
     if again is None:
-        run.steps.append(Step(fitted.name, fitted.effect.where, nats, gap_before, following.gap, rivals))
+        where = fitted.effect.where
+        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals, outdone=outdone))
     else:
         old = run.steps[again]
         run.steps[again] = replace(old, gain_nats=old.gain_nats + nats, gap_after=following.gap)

@@ -82,6 +82,7 @@ class Prediction:
         rounding: (captures, tiles) how far rounding to whole codes may move the mean, in DN.
         band_variance: (captures, tiles) variance of light that goes as a wave along the rows, in DN².
         band_frequency: Periods of that wave per row.
+        limit_variance: (captures, tiles) part of `fixed` in DN² that limits which differ from pixel to pixel leave.
     """
 
     mean: Array
@@ -105,6 +106,7 @@ class Prediction:
     rounding: Array
     band_variance: Array
     band_frequency: float
+    limit_variance: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -332,6 +334,7 @@ class TileModel:
             rounding=tiles(rounding_amplitude(unrounded)),
             band_variance=band,
             band_frequency=final.band_frequency,
+            limit_variance=tiles(np.broadcast_to(final.limit_variance, final.mean.shape)),
         )
 
 

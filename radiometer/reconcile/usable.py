@@ -70,7 +70,7 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
         "outliers": patched,
         # In a scene the bright rows of a tile are noisier than its mean noise, by which bands are weighed.
         "bands": np.isfinite(seen.bands) & (design.uniform & whole & ~_at_the_knee(design, base).any(axis=1))[:, None],
-        "comb": (seen.comb_count > _FEWEST_CODES)[:, None] & dividing,
+        "comb": ((seen.comb_count > _FEWEST_CODES) & _below_the_top(seen))[:, None] & dividing,
     }
 
 
@@ -92,6 +92,12 @@ def partly_at_the_top(design: Design, seen: CaptureStatistics, base: Prediction)
         noise = float(np.max(base.variance, where=lit & (base.mean <= top), initial=0.0))
         found |= lit & uneven & (seen.peak > top - _CLIP_SIGMAS * np.sqrt(noise))
     return found
+
+
+def _below_the_top(seen: CaptureStatistics) -> Mask:
+    """Tell which captures do not show the highest code of all: where light is cut off, few codes occur at the top."""
+    highest = np.nan_to_num(seen.peak).max(axis=1)
+    return np.asarray(highest < highest.max() - 1.0)
 
 
 def _seen_step(seen: CaptureStatistics) -> int:

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Self
+from dataclasses import dataclass, replace
+from typing import Final, Self
 
 import numpy as np
 
 from simulators.effects.base import DIGITAL_NUMBER, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
-from simulators.effects.clipping import censored_above, censored_below, limited
+from simulators.effects.clipping import censored_above, censored_below, limited, unevenly_limited
 from simulators.effects.context import ExposureContext, Signal
+
+_SPREAD: Final = 0.005
 
 
 @dataclass(frozen=True)
 class AdcSaturation(CatalogueEffect):
-    """Clips to the codes that there are: 0 to 2^b − 1 of the output's bit depth b."""
+    """Clips to the codes that there are: 0 to 2^b − 1 of the output's bit depth b.
+
+    Where there are several converters, or offsets are taken out behind them, pixels clip at codes of their own, normal
+    with standard deviation s.
+
+    Source: column-parallel and multi-tap read-out.
+    """
 
     name = "adc_saturation"
     stage = Stage.DIGITAL
@@ -28,6 +36,7 @@ class AdcSaturation(CatalogueEffect):
     fitted = ("clip_dn",)
     settles = "over-exposed captures at two gains: a converter clips at one DN, a full well at one signal"
     clip_dn: float = parameter(0.0, "DN", 0.0, 65535.0, source="highest code that occurs; 0 for full scale")
+    spread_dn: float = parameter(0.0, "DN", 0.0, 4096.0, source="scatter of that code from pixel to pixel")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return DN within the converter's range."""
@@ -37,15 +46,44 @@ class AdcSaturation(CatalogueEffect):
         """Return 1 inside the range and 0 outside."""
         return ((signal > 0) & (signal < self._highest(context))).astype(signal.dtype)
 
+    def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
+        """Return DN within the range of each pixel's converter."""
+        if not self.spread_dn:
+            return self.mean(signal, context)
+        uneven = context.fixed_rng(self.name).standard_normal(signal.shape, dtype=np.float32)
+        highest = np.rint(self._highest(context) + self.spread_dn * context.output_scale * uneven)
+        return np.clip(signal, 0.0, np.clip(highest, 0.0, context.full_scale_dn)).astype(signal.dtype)
+
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
         """Return the moments of the clipped, nearly normal value."""
-        return limited(before, lambda tail: censored_below(censored_above(tail, self._highest(context)), 0.0))
+        if not self.spread_dn:
+            return self._clipped(before, self._highest(context))
+        spread = self.spread_dn * context.output_scale
+        highest = self._highest(context)
+        return unevenly_limited(before, lambda moments, sigmas: self._clipped(moments, highest + sigmas * spread))
+
+    @staticmethod
+    def _clipped(before: Moments, highest: float) -> Moments:
+        return limited(before, lambda tail: censored_below(censored_above(tail, highest), 0.0))
 
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return highest codes from a little below full scale to half of it."""
         full_scale = float((1 << context.camera.bit_depth) - 1)
         return tuple(cls(round(full_scale * share)) for share in (0.98, 0.95, 0.9, 0.8, 0.65, 0.5))
+
+    @classmethod
+    def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return codes that scatter by half a percent."""
+        return tuple(replace(start, spread_dn=_SPREAD * start.clip_dn) for start in cls.starts(context))
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the same with codes that scatter."""
+        return () if self.spread_dn or not self.clip_dn else (replace(self, spread_dn=_SPREAD * self.clip_dn),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: the spread only where there is one."""
+        return ("clip_dn", "spread_dn") if self.spread_dn else ("clip_dn",)
 
     def _highest(self, context: ExposureContext) -> float:
         full_scale = float(context.full_scale_dn)

@@ -107,6 +107,7 @@ class CatalogueEffect(Effect):
             neighbour_x=before.neighbour_x * slope2,
             neighbour_y=before.neighbour_y * slope2,
             first_excess=before.first_excess * slope,
+            limit_variance=before.limit_variance * slope2,
         )
         return self.tile(carried, before, context)
 

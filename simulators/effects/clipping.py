@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
+from dataclasses import fields, replace
+from typing import Any, Final
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
@@ -14,6 +15,8 @@ from simulators.effects.base import Moments
 from simulators.effects.context import Signal
 from simulators.effects.tile_moments import TileMoments
 
+_NODES, _WEIGHTS = hermegauss(5)  # of a normal distribution: exact for polynomials up to the ninth degree
+_SPREAD: Final = tuple(zip(_NODES.tolist(), (_WEIGHTS / _WEIGHTS.sum()).tolist(), strict=True))
 _SQRT_2PI = float(np.sqrt(2.0 * np.pi))
 _FAR_SIGMAS = 9.0  # farther below the limit nothing of the distribution reaches it (1e-19)
 
@@ -83,4 +86,21 @@ def limited(before: Moments, limit: Callable[[Moments], Moments]) -> Moments:
         neighbour_x=before.neighbour_x * kept,
         neighbour_y=before.neighbour_y * kept,
         first_excess=before.first_excess * np.sqrt(kept),
+        limit_variance=before.limit_variance * kept,
     )
+
+
+def unevenly_limited(before: Moments, limit: Callable[[Moments, float], Moments]) -> Moments:
+    """Return the moments behind limits that scatter normally from pixel to pixel, what that leaves as fixed pattern.
+
+    Args:
+        before: Moments before it.
+        limit: Gives the moments behind a limit that lies so many standard deviations beside the usual one.
+    """
+    parts = [(weight, limit(before, node)) for node, weight in _SPREAD]
+    mean = sum(weight * part.mean for weight, part in parts)
+    left = sum(weight * np.square(part.mean - mean) for weight, part in parts)
+    names = [entry.name for entry in fields(before) if entry.name not in ("comb_step", "band_frequency")]
+    after = replace(before, **{name: sum(weight * getattr(part, name) for weight, part in parts) for name in names})
+    after = replace(after, spatial_variance=after.spatial_variance + left)
+    return replace(after, limit_variance=after.limit_variance + left) if isinstance(after, TileMoments) else after

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Self
+from dataclasses import dataclass, replace
+from typing import Final, Self, cast
 
 import numpy as np
 
 from simulators.effects.base import ELECTRONS, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, well_e
-from simulators.effects.clipping import censored_above, limited
+from simulators.effects.clipping import censored_above, limited, unevenly_limited
 from simulators.effects.context import ExposureContext, Signal
+
+_SPREAD: Final = 0.01
 
 
 @dataclass(frozen=True)
 class FullWellSaturation(CatalogueEffect):
-    """Limits the electrons that a pixel holds: S' = min(S, S_FW), times the number of binned pixels."""
+    """Limits the electrons that a pixel holds: S' = min(S, S_FW·(1 + s·z)), times the number of binned pixels.
+
+    z is normal, the same in all frames; s is 0 where all pixels hold alike.
+
+    Source: wells differ by their implants, typically by 1 %.
+    """
 
     name = "full_well_saturation"
     stage = Stage.WELL
@@ -27,6 +34,7 @@ class FullWellSaturation(CatalogueEffect):
     fitted = ("full_well_e",)
     settles = "a ladder of exposures to 120 % of the full well at 0 dB"
     full_well_e: float = parameter(10_000.0, "e-", 10.0, 1e7, source="datasheet")
+    spread_rel: float = parameter(0.0, "1", 0.0, 0.2, source="scatter of the wells from pixel to pixel")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the electrons that stay in the pixel."""
@@ -38,12 +46,42 @@ class FullWellSaturation(CatalogueEffect):
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
         """Return the moments of the limited, nearly normal count."""
-        return limited(before, lambda tail: censored_above(tail, self._capacity_e(context)))
+        well = self._capacity_e(context)
+        if not self.spread_rel:
+            return self._limited(before, well)
+        spread = self.spread_rel * self.full_well_e * context.geometry.binning
+        return unevenly_limited(before, lambda moments, sigmas: self._limited(moments, well + sigmas * spread))
+
+    @staticmethod
+    def _limited(before: Moments, well: float) -> Moments:
+        return limited(before, lambda tail: censored_above(tail, well))
+
+    def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
+        """Return the electrons that stay in this camera's wells."""
+        if not self.spread_rel:
+            return self.mean(signal, context)
+        uneven = context.fixed_rng(self.name).standard_normal(signal.shape, dtype=np.float32)
+        spread = self.spread_rel * self.full_well_e * context.geometry.binning
+        wells = np.maximum(self._capacity_e(context) + spread * uneven, 0.0)
+        return cast(Signal, np.minimum(signal, wells).astype(signal.dtype))
 
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return full wells from a little below the declared one to a third of it."""
         return tuple(cls(well_e(context) * share) for share in (0.97, 0.93, 0.88, 0.8, 0.7, 0.6, 0.45, 0.33))
+
+    @classmethod
+    def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return wells that differ by one percent."""
+        return tuple(replace(start, spread_rel=_SPREAD) for start in cls.starts(context))
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the same with wells that differ."""
+        return () if self.spread_rel else (replace(self, spread_rel=_SPREAD),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: the spread only where there is one."""
+        return ("full_well_e", "spread_rel") if self.spread_rel else ("full_well_e",)
 
     def _capacity_e(self, context: ExposureContext) -> float:
         return self.full_well_e * context.geometry.binning**2

@@ -46,11 +46,11 @@ class ReciprocityFailure(Scaling):
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
-        """Return powers up to thresholds among the exposures in use."""
+        """Return powers of either sign up to thresholds among the exposures in use: at 0 a threshold does nothing."""
         times = np.unique(np.asarray(context.settings.exposure_s))
         if times.size < _FEWEST_EXPOSURES:
             return ()
-        return tuple(cls(0.005, float(np.quantile(times, q))) for q in (0.3, 0.5, 0.7))
+        return tuple(cls(p, float(np.quantile(times, q))) for q in (0.3, 0.5, 0.7) for p in (0.005, -0.005))
 
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit: the threshold only where there is one."""

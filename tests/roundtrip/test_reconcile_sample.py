@@ -54,6 +54,12 @@ def test_found_effect_shrinks_the_gap_of_a_fresh_session() -> None:
     assert after <= 1.05
 
 
+def test_power_of_short_times_alone_keeps_its_name() -> None:
+    """A negative power up to a threshold is no lamp that settles within the exposure."""
+    answer = _ask(make_session("reciprocity_failure:short_only", camera_seed=401))
+    assert [e.name for e in answer.effects] == ["reciprocity_failure"]
+
+
 @pytest.mark.parametrize("form", ["black_level_drift:curved", "mechanical_vignetting:circles"])
 def test_other_equation_of_an_effect_takes_a_flexible_form(form: str) -> None:
     """A bent drift and a pupil cut by the barrel keep their names, alone, and a fresh session is met to 1.05."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from radiometer.reconcile.excess import hollow, replaceable
+from dataclasses import replace
+
+from radiometer.reconcile.excess import hollow, outdone, replaceable
 from radiometer.reconcile.result import FittedParameter
 from radiometer.reconcile.search import Step
 from simulators.effects.conversion_gain_error import ConversionGainError
@@ -31,6 +33,13 @@ def test_rival_that_is_in_the_model_doubts_nothing() -> None:
     """What was found later, and stands in the model, is no longer another explanation."""
     steps = [_step("psf_blur", CROSSTALK), _step("crosstalk", CROSSTALK)]
     assert replaceable(steps, (PsfBlur(0.3), CROSSTALK)) == []
+
+
+def test_name_that_something_else_outdoes_is_doubted() -> None:
+    """The doubt holds as long as the name stands in the model."""
+    steps = [replace(_step("psf_blur"), outdone=True), _step("conversion_gain_error")]
+    assert outdone(steps, BLUR_AND_GAIN) == ["psf_blur"]
+    assert outdone(steps, BLUR_AND_GAIN[1:]) == []
 
 
 def test_fall_off_without_its_oblique_part_is_hollow() -> None:

@@ -74,6 +74,14 @@ def test_constant_offset_without_its_entry_is_no_other_entry(make_capture: Calla
     assert result.verdict is Verdict.UNNAMED
 
 
+def test_power_of_time_without_its_entry_is_no_settling_lamp(make_capture: Callable[..., Any]) -> None:
+    """A lamp that settles within the exposure imitates t^p with a parameter more: its name is never a confident one."""
+    captured = make_capture(seed=17, exposure=lambda t: t * (t / 1e-3) ** 0.006)
+    result = reconcile(captured.header, captured.frames, without=("reciprocity_failure",), with_limits=False)
+    assert result.verdict in (Verdict.UNNAMED, Verdict.INCOMPLETE)
+    assert "exposure_s" in [effect.where for effect in result.effects]
+
+
 def test_uneven_leak_moves_whole_patches_and_nothing_else_is_named(make_capture: Callable[..., Any]) -> None:
     """Few pixels leak much: the patches that hold them differ in mean and spread, and that belongs to the one name."""
     drawn = np.random.default_rng(5).lognormal(0.0, 0.7, (64, 96))

@@ -9,9 +9,10 @@ import pytest
 
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
 from simulators.camera_model import CameraModel
-from simulators.effects.base import Stage
+from simulators.effects.base import Moments, Stage
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.image_lag import ImageLag
 from simulators.effects.mechanical_vignetting import MechanicalVignetting, common_area
 from simulators.effects.pixel_mixing import (
@@ -40,7 +41,8 @@ quantum_efficiency_temperature nominal_settings exposure_label_error source_not_
 # Those whose flexible forms need no further settings than those of one frame.
 FLEXIBLE = """
 ambient_light_leak black_level_drift black_level_offset crosstalk dark_current_clamped defocus display_gamma_error
-display_nonuniformity ghost mechanical_vignetting natural_vignetting angle_dependence
+adc_saturation full_well_saturation display_nonuniformity ghost mechanical_vignetting natural_vignetting
+angle_dependence
 parasitic_light_sensitivity quantum_efficiency_temperature veiling_glare image_lag source_warmup_drift
 """.split()  # noqa: SIM905
 
@@ -186,6 +188,23 @@ def test_barrel_spares_a_circle_that_grows_with_the_f_number() -> None:
     assert np.all(factor[~whole] < 1.0)
     open_wide = replace(context, settings=replace(context.settings, f_number=4.0))
     assert np.all(np.asarray(effect.factor(open_wide))[~whole] < factor[~whole])
+
+
+@pytest.mark.parametrize("mean_e", [9300.0, 9450.0, 9700.0])
+def test_uneven_wells_leave_the_moments_of_pixels_that_differ(mean_e: float) -> None:
+    """Pixels with wells of their own, drawn one by one: mean, noise and fixed pattern are those that are predicted."""
+    rng, pixels, frames = np.random.default_rng(3), 20_000, 12
+    wells = 9450.0 * (1.0 + 0.01 * rng.standard_normal(pixels))
+    seen = np.minimum(mean_e + np.sqrt(mean_e) * rng.standard_normal((frames, pixels)), wells)
+    nothing = np.zeros(1)
+    before = Moments(np.array([mean_e]), np.array([mean_e]), nothing, nothing)
+    expected = FullWellSaturation(9450.0, 0.01).moments(before, _context())
+    of_pixels, noise = seen.mean(axis=0), seen.var(axis=0, ddof=1)
+    assert float(of_pixels.mean()) == pytest.approx(float(expected.mean[0]), abs=5 * of_pixels.std() / pixels**0.5)
+    assert float(noise.mean()) == pytest.approx(float(expected.variance[0]), abs=5 * noise.std() / pixels**0.5)
+    scatter = np.square(of_pixels - of_pixels.mean()) - noise / frames
+    fixed = float(np.asarray(expected.spatial_variance)[0])
+    assert float(scatter.mean()) == pytest.approx(fixed, abs=5 * scatter.std() / pixels**0.5)
 
 
 def test_dead_time_spares_the_first_frame() -> None:
