@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from radiometer.reconcile.capture_sums import COMB_PERIODS
 from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.row_bands import RowBins, wave_correlation, wave_power
+from radiometer.reconcile.row_scatter import RowScatter, effective, line_excess
 from radiometer.reconcile.scatter import (
     Repeatability,
     band_excess,
@@ -26,6 +27,7 @@ from radiometer.reconcile.scatter import (
     relative_flicker,
     standard_uncertainties,
     whitener,
+    whitener_of_rows,
     whitener_of_tilts,
 )
 from radiometer.reconcile.statistics import CaptureStatistics
@@ -61,6 +63,7 @@ class Comparison:
         cuts: Where each block lies in the vector.
         flicker2: (captures,) relative variance from frame to frame of the accepted effects, of a whole frame.
         wander2: The same of the source itself, whatever the exposure; 0 where its reproducibility is stated.
+        rows2: (captures,) row noise of the accepted effects in DN².
         common_of_rows: (captures,) what 1 DN² of row noise adds to the ratio of the frame-common fluctuation.
         bands2: (captures,) relative variance of the accepted effects' wave along the rows.
         band_frequency: Periods of that wave per row.
@@ -74,6 +77,7 @@ class Comparison:
     cuts: Mapping[str, slice]
     flicker2: Array
     wander2: float
+    rows2: Array
     common_of_rows: Array
     bands2: Array
     band_frequency: float
@@ -139,14 +143,11 @@ class Comparison:
 
     def _tile_block(self, name: str, prediction: Prediction) -> Array:
         seen, expected = getattr(self.seen, name), getattr(prediction, name)
-        if name in self.whiteners:
-            return self._whitened(name, seen - expected)
-        mask, sigma = self.usable[name], self.deviation[name]
         if name in ("variance", "spatial"):
             difference = self._log_seen[name] - np.log(np.maximum(expected, 1e-12))
         else:
-            difference = np.where(mask, seen, 0.0) - expected
-        return np.where(mask, difference / sigma, 0.0)
+            difference = np.where(self.usable[name], seen, 0.0) - expected
+        return self.whiten(name, difference)
 
     @cached_property
     def _log_seen(self) -> dict[str, Array]:
@@ -175,16 +176,20 @@ class Comparison:
 
         Row noise does not quite average out over the rows, and counts with it (in DN²).
         """
-        steady = 1.0 + row_variance * self.common_of_rows + self.wander2 / self._common_unit
-        accepted = steady + self.flicker2 / self._common_unit if self.flicker2.any() else None
-        expected = steady + flicker2 / self._common_unit
+        expected = self._expected_common(flicker2, row_variance)
+        known = self.flicker2.any() or self.rows2.any()
+        accepted = self._expected_common(self.flicker2, self.rows2) if known else None
         return followed_scores(self.seen.common, expected, accepted, self._common_freedom, self.usable["common"])
+
+    def _expected_common(self, flicker2: Array, row_variance: Array) -> Array:
+        return 1.0 + row_variance * self.common_of_rows + (flicker2 + self.wander2) / self._common_unit
 
     def band_scores(self, power: Array, row_variance: Array) -> Array:
         """Return the residual of the bands for what a wave along the rows adds to their ratios, (captures, orders)."""
-        steady = 1.0 + row_variance[:, None] * self.seen.bands_of_rows
-        accepted = steady + self._accepted_bands if self.bands2.any() else None
-        return followed_scores(self.seen.bands, steady + power, accepted, self.band_freedom, self.usable["bands"])
+        expected = 1.0 + row_variance[:, None] * self.seen.bands_of_rows + power
+        known = self.bands2.any() or self.rows2.any()
+        accepted = 1.0 + self.rows2[:, None] * self.seen.bands_of_rows + self._accepted_bands if known else None
+        return followed_scores(self.seen.bands, expected, accepted, self.band_freedom, self.usable["bands"])
 
     def band_power(self, bands2: Array, frequency: float) -> Array:
         """Return what a wave along the rows adds to the ratios of the bands, (captures, orders)."""
@@ -208,8 +213,7 @@ class Comparison:
 
     def common_deviance(self, prediction: Prediction) -> float:
         """Return the deviance of the frame-common fluctuation: −2·ln of its exact likelihood but for a constant."""
-        steady = 1.0 + prediction.row_variance * self.common_of_rows
-        expected = steady + (self.flicker_of(prediction) + self.wander2) / self._common_unit
+        expected = self._expected_common(self.flicker_of(prediction), prediction.row_variance)
         return deviance(self.seen.common, expected, self._common_freedom, self.usable["common"])
 
     def band_deviance(self, prediction: Prediction) -> float:
@@ -243,13 +247,7 @@ class Comparison:
 
     def _excess(self, name: str, prediction: Prediction) -> Array:
         """Return what a variance ratio is expected to be: 1 without any common part."""
-        # Row noise averages down over the frames of a capture but stays in their mean.
-        shared = {
-            "row_temporal": prediction.row_variance,
-            "columns": prediction.fixed_column_variance,
-            "rows": prediction.fixed_row_variance + prediction.row_variance / self.design.frame_count,
-        }
-        excess = shared[name] * getattr(self.seen, f"{name}_weight")
+        excess = line_excess(self.design, self.seen, prediction, name)
         return np.asarray(1.0 + excess + band_excess(self.design, self.seen, prediction).get(name, 0.0))
 
     def _comb(self, prediction: Prediction) -> Array:
@@ -281,6 +279,8 @@ def compare(
         usable: Entries that count; found anew from `base` where missing.
     """
     mask = dict(usable or usable_entries(design, seen, base))
+    if repeatability.row_variance.any():
+        seen = effective(design, seen, base)
     deviation = standard_uncertainties(design, seen, base, mask, sensitivity, repeatability)
     if variance_response is not None:
         for name in ("variance", "spatial"):
@@ -293,7 +293,9 @@ def compare(
     of_rows = common_of_rows(design, seen, mask["mean"], sensitivity)
     common = repeatability.flicker2 + _common_bands(design, seen, base)
     bands = (repeatability.bands2, repeatability.band_frequency)
-    plain = Comparison(design, seen, mask, deviation, {}, _cuts(design), common, 0.0, of_rows, *bands)
+    plain = Comparison(
+        design, seen, mask, deviation, {}, _cuts(design), common, 0.0, repeatability.row_variance, of_rows, *bands
+    )
     plain = replace(plain, wander2=_steady_wander2(plain, base))
     repeatability = replace(repeatability, flicker2=repeatability.flicker2 + plain.wander2)
     frames = design.frame_count
@@ -308,6 +310,9 @@ def compare(
     if repeatability.bands2.any() or repeatability.row_variance.any():
         tilts = (design, deviation["slope_y"], mask["slope_y"], sensitivity, repeatability, 1.0 / frames)
         whiteners["slope_y"] = whitener_of_tilts(*tilts)
+    if repeatability.row_variance.any():
+        rows = RowScatter.of(design, base)
+        whiteners |= {name: whitener_of_rows(name, deviation[name], mask[name], rows) for name in rows.moved}
     if repeatability.bands2.any():
         whiteners["bands"] = plain.whitener_of_bands()
     return replace(plain, whiteners=whiteners)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.reconcile.dependence import effect_covariance
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.result import FittedParameter
 from simulators.effects.catalogue import CatalogueEffect
@@ -126,11 +127,9 @@ def _typical(effect: CatalogueEffect, name: str) -> float:
 def fitted_parameters(state: FitState) -> dict[str, dict[str, FittedParameter]]:
     """Return the parameters of all effects with their standard uncertainties, by effect and parameter name."""
     own = state.parameters
-    covariance = state.fit.covariance
     free = [i for i in range(own.size) if i not in state.frozen]
-    first = state.layout.size + state.weights.size
     sigma = np.full(own.size, np.nan)
-    sigma[free] = np.sqrt(np.maximum(np.diag(covariance)[first:], 0.0))
+    sigma[free] = np.sqrt(np.maximum(np.diag(effect_covariance(state)), 0.0))
     found: dict[str, dict[str, FittedParameter]] = {}
     for index, effect in enumerate(state.effects):
         units = {entry.name: entry.unit for entry in effect.parameters()}

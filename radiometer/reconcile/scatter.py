@@ -12,6 +12,7 @@ from scipy.special import polygamma
 from radiometer.reconcile.capture_sums import COMB_PERIODS
 from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.row_bands import TileBands
+from radiometer.reconcile.row_scatter import RowScatter, row_overlap
 from radiometer.reconcile.statistics import CaptureStatistics
 from radiometer.reconcile.tile_model import Prediction
 from radiometer.reconcile.usable import Mask, slope_lengths, structure_dn2
@@ -114,13 +115,19 @@ def whitener(
     covariance = common2[:, None, None] * light[:, :, None] * light[:, None, :]
     if repeatability.row_variance.any():
         both = usable[:, :, None] & usable[:, None, :]
-        rows = (repeatability.row_variance * share)[:, None, None] * _row_overlap(design)
+        rows = (repeatability.row_variance * share)[:, None, None] * row_overlap(design)
         covariance = covariance + np.where(both, rows, 0.0)
     if repeatability.bands2.any():
         bands = TileBands.of(design, repeatability.band_frequency)
         waves = light[:, :, None] * light[:, None, :] * bands.together(bands.mean)
         covariance = covariance + (repeatability.bands2 * share)[:, None, None] * waves
     return _inverse_root(covariance, deviation, usable)
+
+
+def whitener_of_rows(block: str, deviation: Array, usable: Mask, scatter: RowScatter) -> Array:
+    """Return the inverse Cholesky factors of a block whose tiles see the noise of the same rows."""
+    both = usable[:, :, None] & usable[:, None, :]
+    return _inverse_root(np.where(both, scatter.covariance(block), 0.0), deviation, usable)
 
 
 def whitener_of_tilts(
@@ -208,17 +215,8 @@ def common_of_rows(design: Design, seen: CaptureStatistics, usable: Mask, sensit
     light = np.where(usable & (np.nan_to_num(seen.variance) > 0), sensitivity, 0.0)
     weight = np.where(light > 0, light * seen.pixels / np.where(light > 0, seen.variance, 1.0), 0.0)
     information = np.sum(weight * light, axis=1)
-    shaken = np.einsum("ci,ij,cj->c", weight, _row_overlap(design), weight)
+    shaken = np.einsum("ci,ij,cj->c", weight, row_overlap(design), weight)
     return np.asarray(np.divide(shaken, information, out=np.zeros_like(shaken), where=information > 0))
-
-
-def _row_overlap(design: Design) -> Array:
-    """Return how much of the row noise two tiles share: 1/height on the diagonal."""
-    top = np.array([tile.y for tile in design.tiles])
-    height = np.array([tile.height for tile in design.tiles])
-    bottom = top + height
-    common = np.minimum(bottom[:, None], bottom) - np.maximum(top[:, None], top)
-    return np.asarray(np.maximum(common, 0) / (height[:, None] * height))
 
 
 def _row_tilts(design: Design) -> Array:

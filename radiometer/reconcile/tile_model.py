@@ -13,6 +13,7 @@ from radiometer.reconcile.chain_steps import (
     LIGHT_LINKS,
     link_of,
     rise_of,
+    rough_share,
     scaled,
     textured,
     tilt_of,
@@ -306,10 +307,13 @@ class TileModel:
         shared = np.broadcast_to(np.asarray(self.context.tile_height, dtype=np.float64)[..., 0], shape[:2])
         within = lines * (1.0 - 1.0 / shared)
         band, left = tiles(final.band_variance), TileBands.of(self.design, final.band_frequency)
-        white = variance + within
-        total = np.maximum(white + band * left.within, _SMALLEST_VARIANCE_DN2)
-        white = np.maximum(white + band * left.rough, _SMALLEST_VARIANCE_DN2)
-        fixed = tiles(final.spatial_variance) + columns + rows
+        total = np.maximum(variance + within + band * left.within, _SMALLEST_VARIANCE_DN2)
+        height, width = (np.array([getattr(tile, n) for tile in self.design.tiles]) for n in ("height", "width"))
+        flat_rows, flat_columns = rough_share(height, width), rough_share(width, height)
+        white = np.maximum(variance + lines * flat_rows + band * left.rough, _SMALLEST_VARIANCE_DN2)
+        fixed = tiles(final.spatial_variance)
+        spatial = white / self.design.frame_count[:, None] + fixed + columns * flat_columns + rows * flat_rows
+        fixed = fixed + columns + rows
         rise_x, rise_y = rise_of(final.mean)
         safe = np.maximum(total, 1e-30)
         return Prediction(
@@ -317,7 +321,7 @@ class TileModel:
             slope_x=rise_x,
             slope_y=rise_y,
             variance=total,
-            spatial=white / self.design.frame_count[:, None] + fixed,
+            spatial=spatial,
             neighbour_x=(tiles(final.neighbour_x) + within + band * left.within) / safe,
             neighbour_y=(tiles(final.neighbour_y) - lines / shared + band * left.lag) / safe,
             first=tiles(final.first_excess),

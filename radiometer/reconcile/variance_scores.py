@@ -50,9 +50,13 @@ def followed_scores(seen: Array, expected: Array, accepted: Array | None, dof: A
     seen = np.where(mask, seen, 1.0)
     if accepted is None:
         return np.where(mask, normal_score(seen / expected, dof), 0.0)
+    return np.where(mask, normal_score(seen / accepted, dof) - score_slope(dof) * np.log(expected / accepted), 0.0)
+
+
+def score_slope(dof: Array) -> Array:
+    """Return by how much a score rises with the logarithm of its ratio, about a ratio of 1."""
     mean, spread = _of_cube_root(dof)
-    slope = mean / (3.0 * np.sqrt(spread))
-    return np.where(mask, normal_score(seen / accepted, dof) - slope * np.log(expected / accepted), 0.0)
+    return np.asarray(mean / (3.0 * np.sqrt(spread)))
 
 
 def deviance(seen: Array, expected: Array, dof: Array, mask: Mask) -> float:

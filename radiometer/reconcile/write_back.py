@@ -8,6 +8,7 @@ import numpy as np
 
 from radiometer.data import CameraDescription
 from radiometer.data.provenance import utc_now
+from radiometer.reconcile.dependence import effect_covariance
 from radiometer.reconcile.engine import Reconciled
 from radiometer.reconcile.parameters import fitted_parameters
 from radiometer.reconcile.result import FoundEffect, Verdict
@@ -123,8 +124,7 @@ def _covariance(state: FitState, effect: CatalogueEffect) -> tuple[list[str], li
     index = state.effects.index(effect)
     free = [i for i in range(own.size) if i not in state.frozen]
     mine = [k for k, i in enumerate(free) if own.owner[i] == index]
-    first = state.layout.size + state.weights.size
-    block = state.fit.covariance[first:, first:][np.ix_(mine, mine)]
+    block = effect_covariance(state)[np.ix_(mine, mine)]
     scale = own.scale[[free[k] for k in mine]]
     scaled = block * scale[:, None] * scale[None, :]
     return [own.names[free[k]] for k in mine], [[float(v) for v in row] for row in scaled]
