@@ -14,7 +14,7 @@ import numpy as np
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.scatter import relative_bands
 from radiometer.reconcile.state import FitState
-from radiometer.reconcile.variance_scores import deviance
+from radiometer.reconcile.variance_scores import deviances
 from simulators.effects.rolling_shutter_banding import RollingShutterBanding
 from simulators.effects.tile_moments import TileMoments
 
@@ -78,7 +78,7 @@ class _Scorer:
 
     def _deviance(self, expected: Array) -> float:
         comparison = self._comparison
-        return deviance(comparison.seen.bands, expected, comparison.band_freedom, self._mask)
+        return float(np.sum(deviances(comparison.seen.bands, expected, comparison.band_freedom, self._mask)))
 
 
 def _refined(scorer: _Scorer, least: float, wave: RollingShutterBanding) -> tuple[float, RollingShutterBanding]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from radiometer.reconcile.capture_sums import COMB_PERIODS
 from radiometer.reconcile.design import Array, Design
+from radiometer.reconcile.repeatability import steady_wander2
 from radiometer.reconcile.row_bands import RowBins, wave_correlation, wave_power
 from radiometer.reconcile.row_scatter import RowScatter, effective, line_excess
 from radiometer.reconcile.scatter import (
@@ -33,7 +34,7 @@ from radiometer.reconcile.scatter import (
 from radiometer.reconcile.statistics import CaptureStatistics
 from radiometer.reconcile.tile_model import Prediction
 from radiometer.reconcile.usable import Mask, usable_entries
-from radiometer.reconcile.variance_scores import deviance, followed_scores, frames_counted, log_bias, sine_freedom
+from radiometer.reconcile.variance_scores import deviances, followed_scores, frames_counted, log_bias, sine_freedom
 
 TILE_BLOCKS: Final = ("mean", "slope_x", "slope_y", "variance", "spatial", "neighbour_x", "neighbour_y", "first")
 CAPTURE_BLOCKS: Final = ("common", "row_temporal", "columns", "rows", "edge", "outliers")
@@ -62,7 +63,7 @@ class Comparison:
             Cholesky factor of the covariance.
         cuts: Where each block lies in the vector.
         flicker2: (captures,) relative variance from frame to frame of the accepted effects, of a whole frame.
-        wander2: The same of the source itself, whatever the exposure; 0 where its reproducibility is stated.
+        wander2: The same of the source itself, whatever the exposure, up to what its stated reproducibility allows.
         rows2: (captures,) row noise of the accepted effects in DN².
         common_of_rows: (captures,) what 1 DN² of row noise adds to the ratio of the frame-common fluctuation.
         bands2: (captures,) relative variance of the accepted effects' wave along the rows.
@@ -213,14 +214,18 @@ class Comparison:
 
     def common_deviance(self, prediction: Prediction) -> float:
         """Return the deviance of the frame-common fluctuation: −2·ln of its exact likelihood but for a constant."""
+        return float(np.sum(self.common_deviances(prediction)))
+
+    def common_deviances(self, prediction: Prediction) -> Array:
+        """Return what each capture adds to it, (captures,)."""
         expected = self._expected_common(self.flicker_of(prediction), prediction.row_variance)
-        return deviance(self.seen.common, expected, self._common_freedom, self.usable["common"])
+        return deviances(self.seen.common, expected, self._common_freedom, self.usable["common"])
 
     def band_deviance(self, prediction: Prediction) -> float:
         """Return the same of the bands."""
         steady = 1.0 + prediction.row_variance[:, None] * self.seen.bands_of_rows
         expected = steady + self.band_power(relative_bands(prediction), prediction.band_frequency)
-        return deviance(self.seen.bands, expected, self.band_freedom, self.usable["bands"])
+        return float(np.sum(deviances(self.seen.bands, expected, self.band_freedom, self.usable["bands"])))
 
     @cached_property
     def _bins(self) -> RowBins:
@@ -327,15 +332,12 @@ def _common_bands(design: Design, seen: CaptureStatistics, prediction: Predictio
 
 
 def _steady_wander2(plain: Comparison, base: Prediction) -> float:
-    """Return the relative variance by which the source wanders from frame to frame, whatever the exposure.
-
-    It is the likeliest one, within the four decades that a lamp may have; 0 where the header says how reproducible the
-    source is.
-    """
-    if plain.design.header.source.reproducibility_u_rel is not None or not plain.usable["common"].any():
-        return 0.0
-    tried = [replace(plain, wander2=wander2) for wander2 in (0.0, *np.geomspace(1e-9, 1e-3, _WANDERS).tolist())]
-    return min(tried, key=lambda comparison: comparison.common_deviance(base)).wander2
+    """Return the relative variance by which the source wanders from frame to frame, whatever the exposure."""
+    tried = (0.0, *np.geomspace(1e-9, 1e-3, _WANDERS).tolist())
+    deviances = np.array([replace(plain, wander2=wander2).common_deviances(base) for wander2 in tried])
+    lit = plain.usable["common"]
+    declared = plain.design.header.source.reproducibility_u_rel
+    return steady_wander2(np.asarray(tried), deviances[:, lit], plain.design.exposure_s[lit], declared)
 
 
 def _cuts(design: Design) -> dict[str, slice]:

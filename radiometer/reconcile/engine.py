@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,10 +13,11 @@ import numpy as np
 from radiometer.data import CaptureHeader, CaptureSet, Frame
 from radiometer.errors import CaptureError
 from radiometer.reconcile.design import Design
-from radiometer.reconcile.excess import hollow, is_scattered, mended, outdone, place_of_scatter, replaceable
+from radiometer.reconcile.excess import is_scattered, place_of_scatter
 from radiometer.reconcile.limits import limits
 from radiometer.reconcile.localise import Disagreement
 from radiometer.reconcile.next_capture import propose, propose_for_blind, propose_for_unnamed
+from radiometer.reconcile.nuisances import dark_current_is_free
 from radiometer.reconcile.parameters import fitted_parameters
 from radiometer.reconcile.places import axis_of, places
 from radiometer.reconcile.result import (
@@ -30,8 +31,9 @@ from radiometer.reconcile.result import (
 )
 from radiometer.reconcile.search import Search, Step, search
 from radiometer.reconcile.starting_model import adopted
-from radiometer.reconcile.state import FitState, first_state, refit, with_effects
+from radiometer.reconcile.state import FitState, first_state
 from radiometer.reconcile.statistics import FrameReader, frame_reader, reduce_frames
+from radiometer.reconcile.verdict import doubts_of, verdict_of
 from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.registry import EFFECTS
@@ -42,8 +44,6 @@ CATALOGUE: Final[dict[str, type[CatalogueEffect]]] = {
 
 _PLACES: Final = 6
 _CALL: Final = 0.01
-_PUSH: Final = 9.0  # χ² that the end of a range must bring to count: what the data hardly tell runs there by chance
-_REFITS: Final = 8
 _MOST_LISTED: Final = 4  # unnamed covariates in a result; the whole list stands under localisation
 
 Say = Callable[[str], None]
@@ -197,12 +197,14 @@ def _result(
     *,
     with_limits: bool,
 ) -> ReconcileResult:
-    effects = _found(outcome)
+    doubts = doubts_of(outcome)
+    verdict = verdict_of(outcome, doubts)
+    effects = _found(outcome, provisional=verdict is Verdict.INCOMPLETE)
     state = outcome.state
     shown = limits(state, entries) if with_limits else {}
-    settled = any(effect.next_capture for effect in effects) or _verdict(outcome) is Verdict.EFFECTS_FOUND
+    settled = any(effect.next_capture for effect in effects) or verdict is Verdict.EFFECTS_FOUND
     return ReconcileResult(
-        verdict=_verdict(outcome),
+        verdict=verdict,
         effects=effects,
         next_capture=None if settled else _further(state, entries, shown, effects),
         gap_before=outcome.start.gap,
@@ -211,7 +213,7 @@ def _result(
         covariates=_by_covariate(outcome.first_tests, outcome.tests),
         tests=(len(outcome.tests), len(outcome.left)),
         repeatability=state.tau,
-        assumptions=_assumptions(outcome),
+        assumptions=_assumptions(outcome, doubts),
         localisation=tuple(_place(test) for test in places(outcome.start, _PLACES)),
         calls=(sum(test.p_value < _CALL for test in outcome.first_tests), len(outcome.first_tests)),
         added=(*state.model.given, *state.effects),
@@ -231,58 +233,8 @@ def _further(
     return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
 
 
-def _verdict(outcome: Search) -> Verdict:
-    named = bool(outcome.state.effects)
-    unnamed = bool(outcome.left) or any(step.name == "unnamed" for step in outcome.steps)
-    unnamed = unnamed or is_scattered(outcome.state)
-    if named:
-        return Verdict.INCOMPLETE if unnamed or _doubts(outcome) else Verdict.EFFECTS_FOUND
-    return Verdict.UNNAMED if unnamed else Verdict.AGREES
-
-
-def _doubts(outcome: Search) -> list[str]:
-    """Return in words why names are provisional though nothing structured is left."""
-    state, effects = outcome.state, outcome.state.effects
-    said = [f"{name} ran to the end of its range: what the data hold is not quite that" for name in _strained(state)]
-    said += [
-        f"{pair} may only mend one curve that is neither: it brings little along the same setting"
-        for pair in mended(outcome.steps, effects)
-    ]
-    said += [f"{name} alone may do what all the names do together" for name in replaceable(outcome.steps, effects)]
-    said += [
-        f"{name} is only the likelier of two, the other predicts better" for name in outdone(outcome.steps, effects)
-    ]
-    said += [f"{name} fits by its further terms alone" for name in hollow(effects, fitted_parameters(state))]
-    return said
-
-
-def _strained(state: FitState) -> list[str]:
-    """Return what parameters the data push out of their physical range: the entry is bent to what it is not."""
-    own = state.parameters
-    ends = [index for index in sorted(state.frozen) if own.values[index] != 0.0]
-    return [
-        f"{own.names[index]} of {own.effects[own.owner[index]].name}" for index in ends if _push(state, index) > _PUSH
-    ]
-
-
-def _push(state: FitState, index: int) -> float:
-    """Return the χ² that a parameter gains by the end of its range over its usual value, all others fitted anew."""
-    own = state.parameters
-    effect, name = own.effects[own.owner[index]], own.names[index]
-    usual = {entry.name: entry.default for entry in fields(effect)}.get(name)
-    if not isinstance(usual, float):
-        return 0.0
-    values = own.values
-    values[index] = usual
-    moved = with_effects(state, own.replaced(values))
-    if moved.parameters.size == own.size:  # else the effect is rigid there: the parameter is none of its free ones
-        moved = replace(moved, frozen=frozenset({index}))
-    return refit(moved, iterations=_REFITS).cost - state.cost
-
-
-def _found(outcome: Search) -> tuple[FoundEffect, ...]:
+def _found(outcome: Search, *, provisional: bool) -> tuple[FoundEffect, ...]:
     state = outcome.state
-    provisional = _verdict(outcome) is Verdict.INCOMPLETE
     parameters = fitted_parameters(state)
     present = {effect.name: effect for effect in state.effects}
     found = []
@@ -356,18 +308,24 @@ def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:
     return found
 
 
-def _assumptions(outcome: Search) -> tuple[str, ...]:
+def _assumptions(outcome: Search, doubts: Sequence[str]) -> tuple[str, ...]:
     state = outcome.state
     camera = state.design.header.camera
-    said = _doubts(outcome)
+    said = list(doubts)
     for key, text in (
         ("conversion_gain_e_per_dn", "the conversion gain is not declared: it was fitted from the noise"),
         ("read_noise_e", "the read noise is not declared: it was fitted"),
-        ("dark_current_e_per_s", "the dark current is not declared: it was fitted"),
         ("full_well_e", "the full well is not declared: clipping alone limits the data"),
     ):
         if getattr(camera, key) is None:
             said.append(text)
+    if camera.dark_current_e_per_s is None:
+        free = dark_current_is_free(camera)
+        said.append(f"the dark current is not declared: {'it was fitted' if free else 'none is assumed'}")
+    if state.comparison.wander2:
+        said.append(
+            f"the source wanders by {np.sqrt(state.comparison.wander2):.2g} from frame to frame: fitted, not named"
+        )
     if np.isnan(state.design.black_level_dn).any():
         said.append("the black level is not declared: it was fitted")
     if not state.design.uniform:

@@ -1,5 +1,6 @@
 """What speaks against names that no test contradicts: scatter without any trend, names that only do together what one
-other might, and entries of which only the further terms fit.
+other might, entries of which only the further terms fit, little evidence that others claim too, and laws that are not
+quite followed.
 
 The tests of `localise` look for trends. What moves single tiles or frames at random leaves none, but a reduced χ²
 above 1.
@@ -15,6 +16,7 @@ import numpy as np
 from radiometer.reconcile.comparison import FAMILY, TILE_BLOCKS
 from radiometer.reconcile.covariates import covariates
 from radiometer.reconcile.design import Array
+from radiometer.reconcile.localise import Disagreement
 from radiometer.reconcile.places import axis_of
 from radiometer.reconcile.result import FittedParameter
 from radiometer.reconcile.search import Step
@@ -23,6 +25,8 @@ from simulators.effects.catalogue import CatalogueEffect
 
 _SIGMAS: Final = 5.0  # of a χ² of so many entries; the gap of 330 sets without an effect was 1.02 at most
 _CRUMB_NATS: Final = 25.0  # an effect of its own brought hundreds in all pairs along one covariate of the test bench
+_LITTLE_NATS: Final = 40.0  # what an effect at its smallest realistic size brings; rivals lie within 5
+_UNLIKE: Final = 0.01  # chance of any false alarm among an effect's own tests
 _SEVERAL: Final = 2
 _SHOWN_SIGMAS: Final = 3.0
 _SMALLEST: Final = 1.05  # gap that counts as closed
@@ -107,8 +111,26 @@ def outdone(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[s
     return [step.name for step in steps if step.outdone and step.name in present]
 
 
+def unlike(tests: Sequence[Disagreement], effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return the names of effects beside which structure stays in the very statistic and place that they stand for.
+
+    All tests together share one chance of a false alarm; the few that tell whether an effect follows its law have one
+    of their own. Another cause that looks much alike is found out there first.
+
+    Args:
+        tests: All tests of the final model.
+        effects: Its effects.
+    """
+    found = []
+    for effect in effects:
+        own = [t for t in tests if t.family == effect.block and axis_of(t.where, t.block) == effect.where]
+        if any(test.p_value < _UNLIKE / len(own) for test in own):
+            found.append(effect.name)
+    return found
+
+
 def hollow(effects: Sequence[CatalogueEffect], parameters: Mapping[str, Mapping[str, FittedParameter]]) -> list[str]:
-    """Return the names of effects whose essential parameter lies within three standard uncertainties of zero.
+    """Return the names of effects of which an essential parameter lies within three standard uncertainties of zero.
 
     Args:
         effects: The effects of the model.
@@ -116,7 +138,19 @@ def hollow(effects: Sequence[CatalogueEffect], parameters: Mapping[str, Mapping[
     """
     found = []
     for effect in effects:
-        fitted = parameters[effect.name].get(effect.essential)
-        if fitted is not None and fitted.u is not None and abs(fitted.value) < _SHOWN_SIGMAS * fitted.u:
+        fitted = parameters[effect.name]
+        shown = (fitted[name] for name in effect.essential if name in fitted)
+        if any(entry.u is not None and abs(entry.value) < _SHOWN_SIGMAS * entry.u for entry in shown):
             found.append(effect.name)
     return found
+
+
+def contested(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return the names that bring little and that another entry might take.
+
+    Args:
+        steps: What was added, in order.
+        effects: The effects of the model.
+    """
+    present = {effect.name for effect in effects}
+    return [step.name for step in steps if step.name in present and step.rivals and step.gain_nats < _LITTLE_NATS]

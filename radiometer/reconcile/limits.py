@@ -10,7 +10,6 @@ import numpy as np
 
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.edges import SHARPEST
-from radiometer.reconcile.parameters import value_of
 from radiometer.reconcile.result import Limit
 from radiometer.reconcile.screening import change_of
 from radiometer.reconcile.state import FitState, with_effects
@@ -125,10 +124,14 @@ class _Grown:
     def _times(self, factor: float) -> _Grown | None:
         """Return the effect with its size times a factor; None beyond the parameter's bounds."""
         known = next(entry for entry in self.effect.parameters() if entry.name == self.parameter)
-        value = value_of(self.effect, self.parameter) + (factor - 1.0) * self.size
-        if not known.low <= value <= known.high or value_of(self.effect, self.parameter) == value:
+        values, neutral = self.effect.values()[self.parameter], NEUTRAL.get(self.parameter, 0.0)
+        table = isinstance(values, tuple)
+        old = np.atleast_1d(np.asarray(values, dtype=np.float64))
+        new = neutral + factor * (old - neutral)
+        if not np.all((known.low <= new) & (new <= known.high)) or np.array_equal(old, new):
             return None
-        return _Grown.of(self.state, self.effect.with_parameters(**{self.parameter: value}))
+        grown = tuple(new.tolist()) if table else float(new[0])
+        return _Grown.of(self.state, self.effect.with_parameters(**{self.parameter: grown}))
 
 
 def _next_size(below: _Grown | None, above: _Grown | None) -> float:
@@ -172,7 +175,8 @@ def _main_parameter(kind: type[CatalogueEffect], start: CatalogueEffect | None) 
 
 
 def _amplitude(effect: CatalogueEffect, name: str) -> float:
+    """Return how far a parameter lies from doing nothing; of a table, its largest entry."""
     if name not in effect.values():
         return 1.0
-    value = value_of(effect, name)
-    return value - NEUTRAL.get(name, 0.0)
+    values = np.atleast_1d(np.asarray(effect.values()[name], dtype=np.float64)) - NEUTRAL.get(name, 0.0)
+    return float(values[np.argmax(np.abs(values))])

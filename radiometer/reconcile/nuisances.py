@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.data.capture_header import CameraDescription
 from radiometer.reconcile.comparison import Comparison
 from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.tile_model import Nuisance, Prediction, TileModel
@@ -35,6 +36,7 @@ class NuisanceLayout:
         scalars: Names of scalar nuisances.
         patterns: Patterns that were seen in light.
         tiles: Number of tiles.
+        shared: (patterns, tiles) number of the error that each radiance has in common with others.
         free_scene: Whether slope and texture of every tile are fitted too.
         prior: Prior standard deviation of each parameter.
     """
@@ -42,6 +44,7 @@ class NuisanceLayout:
     scalars: tuple[str, ...]
     patterns: tuple[int, ...]
     tiles: int
+    shared: NDArray[np.intp]
     free_scene: bool
     prior: Array
 
@@ -56,7 +59,7 @@ class NuisanceLayout:
             scalars.append("log_read")
         if np.isnan(design.black_level_dn).any():
             scalars.append("black_dn")
-        if camera.dark_current_e_per_s is None and np.ptp(np.log(design.exposure_s)) > 0:
+        if dark_current_is_free(camera) and np.ptp(np.log(design.exposure_s)) > 0:
             scalars.append("dark_e_per_s")
         lit = ~design.closed & (design.source_level > 0)
         patterns = tuple(sorted(set(design.pattern_index[lit].tolist())))
@@ -65,14 +68,12 @@ class NuisanceLayout:
         own = [_radiance_prior(design, p, k) for p in patterns for k in range(len(design.tiles))]
         # A patch's calibration error may be one and the same under all patterns, or not: each has its own part and
         # all have one in common.
-        common = own[: len(design.tiles)]
-        if design.same_patches:
-            common = [_FREE_LOG if design.tiles[k].radiance[0] is None else u for k, u in enumerate(common)]
-        prior += [*own, *common]
+        shared = _shared_errors(design, patterns)
+        prior += [*own, *_shared_priors(design, shared, own)]
         if free_scene:
             count = len(patterns) * len(design.tiles)
             prior += [_FREE_SLOPE] * (2 * count) + [_FREE_TEXTURE] * len(design.tiles)
-        return cls(tuple(scalars), patterns, len(design.tiles), free_scene, np.array(prior))
+        return cls(tuple(scalars), patterns, len(design.tiles), shared, free_scene, np.array(prior))
 
     @property
     def size(self) -> int:
@@ -85,8 +86,15 @@ class NuisanceLayout:
 
     @property
     def _common(self) -> slice:
-        count = self.tiles if self.patterns else 0
+        count = int(self.shared.max(initial=-1)) + 1
         return slice(self._radiances.stop, self._radiances.stop + count)
+
+    def _summed(self, own: Array) -> Array:
+        """Return the columns of the shared errors from those of each radiance, (rows, patterns · tiles)."""
+        found = np.zeros((own.shape[0], self._common.stop - self._common.start))
+        for number, errors in enumerate(self.shared):  # one pattern has each error once
+            found[:, errors] += own[:, number * self.tiles : (number + 1) * self.tiles]
+        return found
 
     def unpack(self, design: Design, values: Array) -> Nuisance:
         """Return the nuisances that a parameter vector stands for."""
@@ -126,8 +134,7 @@ class NuisanceLayout:
         self._spread(matrix, comparison, base, model.predict(moved), _STEP, first, _TILE_ROWS)
         if self.patterns:
             matrix[:, self._radiances] *= self._light(values)[1].ravel()
-            own = matrix[:, self._radiances].reshape(matrix.shape[0], len(self.patterns), self.tiles)
-            matrix[:, self._common] = own.sum(axis=1)
+            matrix[:, self._common] = self._summed(matrix[:, self._radiances])
         if self.free_scene:
             self._scene_columns(matrix, model, comparison, nuisance, base)
         return matrix
@@ -147,19 +154,21 @@ class NuisanceLayout:
         if "log_gain" not in self.scalars:
             matrix[:, 0] = own.sum(axis=1)
         own *= self._light(values)[1].ravel()
-        matrix[:, self._common] = own.reshape(-1, len(self.patterns), self.tiles).sum(axis=1)
+        matrix[:, self._common] = self._summed(own)
         return matrix
 
     def _light(self, values: Array) -> tuple[Array, Array]:
         """Return ln of the factor on each patch's radiance, and its derivative, (patterns, tiles).
 
-        A patch is off by its own part and by that of all patterns. Where its radiance is stated the factor is 1 + x:
+        A patch is off by its own part and by that which it shares. Where its radiance is stated the factor is 1 + x:
         means are then linear in x, and what an effect had been mistaken for is given back at once when the effect
         enters. Where it is free it is exp x, so that brighter patches and a lower responsivity are the same thing.
         """
         shape = (len(self.patterns), self.tiles)
-        relative = values[self._radiances].reshape(shape) + values[self._common]
-        stated = (self.prior[self._radiances].reshape(shape) < _STATED) & (self.prior[self._common] < _STATED)
+        relative = values[self._radiances].reshape(shape) + values[self._common][self.shared]
+        stated = (self.prior[self._radiances].reshape(shape) < _STATED) & (self.prior[self._common] < _STATED)[
+            self.shared
+        ]
         factor, slope = _light_factor(np.where(stated, relative, 0.0))
         return np.where(stated, np.log(factor), relative), np.where(stated, slope / factor, 1.0)
 
@@ -257,6 +266,44 @@ def _radiance_prior(design: Design, pattern: int, tile: int) -> float:
         return _SAME_U_REL if pattern in design.same_patches else _FREE_LOG
     stated = design.tiles[tile].u_rel
     return max(stated, 1e-6) if stated is not None else _DEFAULT_U_REL
+
+
+def dark_current_is_free(camera: CameraDescription) -> bool:
+    """Tell whether the dark current is a nuisance: a camera whose noise is stated has the one stated, or none."""
+    noise_stated = camera.conversion_gain_e_per_dn is not None and camera.read_noise_e is not None
+    return camera.dark_current_e_per_s is None and not noise_stated
+
+
+def _shared_errors(design: Design, patterns: tuple[int, ...]) -> NDArray[np.intp]:
+    """Return which error of calibration each radiance has in common with others, (patterns, tiles).
+
+    A number that is stated at several places, where the chart was turned or shifted, was measured once: its error goes
+    with the number. What a place shows otherwise under several patterns has an error of the place.
+    """
+    keys = np.array([[f"tile {k}" for k in range(len(design.tiles))] for _ in patterns], dtype=object)
+    places: dict[float, list[tuple[int, int]]] = {}
+    for number, pattern in enumerate(patterns):
+        for k, tile in enumerate(design.tiles):
+            if tile.radiance[pattern]:
+                places.setdefault(float(tile.radiance[pattern] or 0.0), []).append((number, k))
+    for stated, entries in places.items():
+        alone = len({number for number, _ in entries}) == len(entries)
+        if alone and len({k for _, k in entries}) > 1:
+            for entry in entries:
+                keys[entry] = f"value {stated!r}"
+    if not patterns:
+        return np.zeros((0, len(design.tiles)), dtype=np.intp)
+    return np.unique(keys.astype(str), return_inverse=True)[1].reshape(keys.shape).astype(np.intp)
+
+
+def _shared_priors(design: Design, shared: NDArray[np.intp], own: list[float]) -> list[float]:
+    """Return the prior standard deviation of each shared error: that of the first radiance that has it."""
+    _, first = np.unique(shared, return_index=True)
+    found = []
+    for at in first.tolist():
+        unknown = design.same_patches and design.tiles[at % len(design.tiles)].radiance[0] is None
+        found.append(_FREE_LOG if unknown else own[at])
+    return found
 
 
 def rough_log_responsivity(design: Design, seen_mean: Array, base: Prediction, usable: NDArray[np.bool_]) -> float:

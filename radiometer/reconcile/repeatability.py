@@ -18,6 +18,10 @@ _CONFIDENCE: Final = 0.99
 _SMALLEST_TAU: Final = 1e-6
 _TREND_SHARE: Final = 0.4  # of the repeats' freedom that a slow change in time may take
 _MOST_WAVES: Final = 16
+_DECLARED_WANDER: Final = 1.3  # times the stated reproducibility, which is itself known to a few parts in ten
+_EXPOSURE_GROUPS: Final = 6
+_UNSTEADY: Final = 0.01
+_SHOWN_WANDER: Final = 4.0  # deviance that it must explain
 
 
 def capture_scale(
@@ -64,6 +68,30 @@ def estimate_tau(design: Design, scale: Array, variance: Array) -> float:
 
     found = minimize_scalar(cost, bounds=(np.log(low), np.log(high)), method="bounded")
     return float(np.exp(found.x))
+
+
+def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: float | None) -> float:
+    """Return the relative variance by which the source wanders from frame to frame, alike at all exposures.
+
+    It is the likeliest one, up to what the source's stated reproducibility allows. Where the wander differs between
+    exposures it is none, for light that flickers averages out in long ones.
+
+    Args:
+        tried: (values,) relative variances, 0 first.
+        deviances: (values, captures) −2·ln of each capture's likelihood.
+        exposure_s: (captures,) exposure times.
+        declared: Stated relative standard uncertainty of the source's reproducibility; None where not stated.
+    """
+    allowed = tried <= (np.inf if declared is None else (_DECLARED_WANDER * declared) ** 2)
+    totals = np.where(allowed, deviances.sum(axis=1), np.inf)
+    if not exposure_s.size or deviances[0].sum() - totals.min() < _SHOWN_WANDER:
+        return 0.0
+    order = np.argsort(exposure_s, kind="stable")
+    groups = np.array_split(order, min(_EXPOSURE_GROUPS, len(np.unique(exposure_s))))
+    apart = sum(float(deviances[:, group].sum(axis=1).min()) for group in groups)
+    if len(groups) > 1 and chi2.sf(totals.min() - apart, len(groups) - 1) < _UNSTEADY:
+        return 0.0
+    return float(tried[np.argmin(totals)])
 
 
 def _bounds(

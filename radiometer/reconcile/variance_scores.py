@@ -59,10 +59,10 @@ def score_slope(dof: Array) -> Array:
     return np.asarray(mean / (3.0 * np.sqrt(spread)))
 
 
-def deviance(seen: Array, expected: Array, dof: Array, mask: Mask) -> float:
-    """Return −2·ln of the exact likelihood of variance ratios but for a constant."""
+def deviances(seen: Array, expected: Array, dof: Array, mask: Mask) -> Array:
+    """Return −2·ln of the exact likelihood of each variance ratio but for a constant, 0 where it does not count."""
     seen = np.where(mask, seen, 1.0)
-    return float(np.sum(np.where(mask, dof * (seen / expected + np.log(expected)), 0.0)))
+    return np.where(mask, dof * (seen / expected + np.log(expected)), 0.0)
 
 
 def log_bias(dof: Array) -> Array:

@@ -31,7 +31,8 @@ class CatalogueEffect(Effect):
         trials: Sets of parameters from which the search starts, the likeliest first.
         fitted: Parameters that are fitted; the others keep their trial's value.
         settles: The capture that separates the effect from its likenesses, as advice to the user.
-        essential: A parameter without which it is not this effect, however well the others fit.
+        essential: Parameters without which it is not this effect, however well the others fit.
+        endless: Parameters whose range ends in a form of the effect as good as any, not where physics ends.
     """
 
     where: ClassVar[str]
@@ -40,7 +41,8 @@ class CatalogueEffect(Effect):
     trials: ClassVar[tuple[Mapping[str, float], ...]]
     fitted: ClassVar[tuple[str, ...]]
     settles: ClassVar[str] = ""
-    essential: ClassVar[str] = ""
+    essential: ClassVar[tuple[str, ...]] = ()
+    endless: ClassVar[tuple[str, ...]] = ()
     profiled: ClassVar[str] = ""  # a parameter that is searched on a dense grid, for the fit is not smooth in it
     repeats: ClassVar[bool] = False  # whether it may act more than once (several wrong labels); `joined` makes it one
     proportional: ClassVar[bool] = False  # whether a fixed pattern grows with the light

@@ -38,13 +38,14 @@ class DarkCurrentNonuniformity(CatalogueEffect):
     )
     fitted = ("sigma_e_per_s", "mean_share", "shape")
     settles = "dark frames at two long exposures"
+    endless = ("shape",)  # a log-normal of small shape is a normal one
     sigma_e_per_s: float = parameter(0.0, "e- s-1", 0.0, 100000.0, source="engineering prior; refined on a real rig")
     reference_C: float = parameter(25.0, "°C", -100.0, 150.0, source="temperature that the figure holds at")  # noqa: N815
     doubling_K: float = parameter(7.0, "K", 2.0, 30.0, source="silicon: 6 to 8 K")  # noqa: N815
     mean_share: float = parameter(
         0.0, "1", -0.5, 0.5, source="what clipping at zero and masked pixels leave of the mean"
     )
-    shape: float = parameter(0.5, "1", 0.1, 1.2, source="standard deviation of the leak's logarithm; CMOS: 0.3 to 0.8")
+    shape: float = parameter(0.5, "1", 0.05, 1.2, source="standard deviation of the leak's logarithm; CMOS: 0.3 to 0.8")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the signal of the pixels that count."""

@@ -36,6 +36,7 @@ class DisplayGammaError(Scaling):
     )
     fitted = ("exponent",)
     settles = "the same patches at another exposure"
+    essential = ("exponent",)  # a bend alone is no power
     exponent: float = parameter(0.0, "1", -3.0, 3.0, source="engineering prior; refined on a real rig")
     bend: float = parameter(0.0, "1", -0.5, 0.5, source="change of the exponent per ln(level)")
 

@@ -15,7 +15,9 @@ from simulators.effects.context import ExposureContext
 
 @dataclass(frozen=True)
 class MechanicalVignetting(Scaling):
-    """Weakens corners at small f-numbers: E' = E·(1 − m·ρ⁴·(2/N)^q), or by the pupil that the barrel leaves free.
+    """Weakens corners at small f-numbers: E' = E·(1 − m·ρ^p·(2/N)^q), or by the pupil that the barrel leaves free.
+
+    p is 4, or 2 where the loss begins nearer to the middle.
 
     With a barrel E' = E·A(2/N, b, s·ρ·(2/N)^w)·(N/2)²/π, where A is the area common to the pupil (a circle of radius
     2/N), and the barrel's opening (radius b) as it is seen from ρ, displaced by s·ρ. Lengths are in radii of the
@@ -35,6 +37,7 @@ class MechanicalVignetting(Scaling):
         {"strength": 0.05, "exponent": 2.0},
         {"strength": 0.05, "exponent": 4.0},
         {"strength": 0.2, "exponent": 2.0},
+        {"strength": 0.05, "exponent": 2.0, "radius_power": 2.0},
     )
     fitted = (
         "strength",
@@ -42,7 +45,8 @@ class MechanicalVignetting(Scaling):
     )
     settles = "an even field at several f-numbers"
     strength: float = parameter(0.0, "1", -1.0, 1.0, source="at f/2 in the corner")
-    exponent: float = parameter(2.0, "1", 0.5, 8.0, source="how fast it vanishes when stopping down")
+    exponent: float = parameter(2.0, "1", 1.5, 8.0, source="how fast it vanishes when stopping down")
+    radius_power: float = parameter(4.0, "1", 2.0, 6.0, source="how late it sets in towards the corner")
     barrel: float = parameter(0.0, "1", 0.0, 20.0, source="radius of the barrel's opening; 0 for the law alone")
     shift: float = parameter(0.0, "1", 0.0, 20.0, source="its displacement as seen from the corner")
     wander: float = parameter(0.0, "1", -5.0, 5.0, source="how far the displacement goes with the pupil's size")
@@ -51,7 +55,7 @@ class MechanicalVignetting(Scaling):
         """Return the fall-off."""
         stopped: Any = 8.0 if context.f_number is None else context.f_number
         pupil, rho = 2.0 / np.asarray(stopped), context.geometry.field_radius()
-        law = np.maximum(1.0 - self.strength * rho**4 * pupil**self.exponent, 0.01)
+        law = np.maximum(1.0 - self.strength * rho**self.radius_power * pupil**self.exponent, 0.01)
         if not self.barrel:
             return law
         free = common_area(pupil, self.barrel, self.shift * rho * pupil**self.wander) / (math.pi * pupil**2)
@@ -64,7 +68,7 @@ class MechanicalVignetting(Scaling):
             return ()
         pupil = 2.0 / float(np.min(np.asarray(context.f_number)))
         forms = ((1.1, 0.4, 0.0), (1.25, 0.7, 0.0), (1.25, 0.7, 1.0))
-        return tuple(cls(0.0, 2.0, b * pupil, s * pupil ** (1.0 - w), w) for b, s, w in forms)
+        return tuple(cls(0.0, 2.0, 4.0, b * pupil, s * pupil ** (1.0 - w), w) for b, s, w in forms)
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return the barrels in place of the law."""

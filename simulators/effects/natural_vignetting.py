@@ -38,7 +38,7 @@ class NaturalVignetting(Scaling):
         "k4",
     )
     settles = "the screen turned or shifted against the camera"
-    essential = "strength"  # every lens has it; a fall-off towards the corners alone is cut off, not oblique
+    essential = ("strength",)  # every lens has it; a fall-off towards the corners alone is cut off, not oblique
     strength: float = parameter(0.0, "1", -0.3, 3.0, source="engineering prior; refined on a real rig")
     k4: float = parameter(0.0, "1", -1.0, 1.0, source="engineering prior; refined on a real rig")
 

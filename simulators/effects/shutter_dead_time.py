@@ -49,10 +49,12 @@ class ShutterDeadTime(CatalogueEffect):
         frames: Any = getattr(context, "frames", None)
         if frames is None:
             after = context.frame_index
-            later: Any = 1.0 + self.growth * (after - 1.0) if after > 0 else 0.0
-        else:
-            later = (frames - 1.0) / frames * self._usual(frames)
-        return 1.0 - later * self.dead_time_s / context.settings.exposure_s
+            return self._kept(1.0 + self.growth * (after - 1.0), context) if after > 0 else 1.0
+        return 1.0 - (frames - 1.0) / frames * (1.0 - self._kept(self._usual(frames), context))
+
+    def _kept(self, dead_times: Any, context: ExposureContext) -> Any:
+        """Return the share of its exposure that a frame keeps which loses so many dead times; never below nothing."""
+        return np.maximum(1.0 - dead_times * self.dead_time_s / context.settings.exposure_s, 0.0)
 
     def common_variance(self, signal: Signal, context: ExposureContext) -> Any:
         """Return how the frames of a run after its first differ, as a variance."""
@@ -75,5 +77,5 @@ class ShutterDeadTime(CatalogueEffect):
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with what the first frame has more."""
         usual = self._usual(np.asarray(getattr(context, "frames", 1.0)))
-        gained = before.mean * usual * self.dead_time_s / context.settings.exposure_s
+        gained = before.mean * (1.0 - self._kept(usual, context))
         return replace(after, first_excess=after.first_excess + gained)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from radiometer.reconcile.excess import hollow, outdone, replaceable
+from radiometer.reconcile.excess import contested, hollow, outdone, replaceable, unlike
+from radiometer.reconcile.localise import Disagreement
 from radiometer.reconcile.result import FittedParameter
 from radiometer.reconcile.search import Step
 from simulators.effects.conversion_gain_error import ConversionGainError
@@ -12,13 +13,14 @@ from simulators.effects.crosstalk import Crosstalk
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.psf_blur import PsfBlur
+from simulators.effects.stray_light_kernel import StrayLightKernel
 
 BLUR_AND_GAIN = (PsfBlur(0.3), ConversionGainError(0.01))
 CROSSTALK = Crosstalk(0.01)
 
 
-def _step(name: str, *rivals: Crosstalk) -> Step:
-    return Step(name, "signal", 50.0, 1.01, 1.0, rivals)
+def _step(name: str, *rivals: Crosstalk, nats: float = 50.0) -> Step:
+    return Step(name, "signal", nats, 1.01, 1.0, rivals)
 
 
 def test_one_rival_beside_all_names_doubts_them() -> None:
@@ -53,3 +55,39 @@ def test_fall_off_without_its_oblique_part_is_hollow() -> None:
 
     assert hollow((lens, late), fitted(0.001)) == ["natural_vignetting"]
     assert hollow((lens, late), fitted(0.01)) == []
+
+
+def test_scatter_of_any_width_is_hollow() -> None:
+    """A wing whose width the data do not tell may be any glare, however well its share is known."""
+    wing = (StrayLightKernel(0.002, 0.7),)
+
+    def fitted(u: float) -> dict[str, dict[str, FittedParameter]]:
+        return {
+            "stray_light_kernel": {
+                "share": FittedParameter(0.002, 0.0001, "1"),
+                "radius": FittedParameter(0.7, u, "1"),
+            }
+        }
+
+    assert hollow(wing, fitted(0.3)) == ["stray_light_kernel"]
+    assert hollow(wing, fitted(0.1)) == []
+
+
+def test_little_evidence_that_another_entry_claims_is_contested() -> None:
+    """Thirty nats beside a rival within five are no certainty; many nats, or no rival, are."""
+    blur = BLUR_AND_GAIN[:1]
+    assert contested([_step("psf_blur", CROSSTALK, nats=30.0)], blur) == ["psf_blur"]
+    assert contested([_step("psf_blur", CROSSTALK, nats=100.0)], blur) == []
+    assert contested([_step("psf_blur", nats=30.0)], blur) == []
+
+
+def test_law_that_leaves_structure_in_its_own_place_is_unlike() -> None:
+    """A chance of 1 in 1000 counts along the exposure for what acts there, and nothing elsewhere."""
+
+    def test(block: str, where: str, p_value: float) -> Disagreement:
+        return Disagreement(block, where, "multiplicative", 20.0, 4, p_value)
+
+    late = (ExposureTimeOffset(2e-6),)
+    quiet = [test("mean", "exposure_s", 0.02), test("mean", "image_x", 0.001), test("variance", "exposure_s", 0.001)]
+    assert unlike(quiet, late) == []
+    assert unlike([*quiet, test("mean", "exposure_s", 0.001)], late) == ["exposure_time_offset"]

@@ -216,6 +216,13 @@ def test_dead_time_spares_the_first_frame() -> None:
     assert second == pytest.approx(1 - 1e-4 * 60)
 
 
+def test_dead_time_beyond_the_exposure_leaves_nothing() -> None:
+    """No frame loses more than its light: 20 ms of 1/60 s are all of it, for one frame and for the mean of a run."""
+    effect = EFFECTS["shutter_dead_time"](dead_time_s=0.01)  # type: ignore[call-arg]
+    short = replace(_context(), settings=replace(_context().settings, exposure_s=1e-3), frame_index=1)
+    assert effect.mean(np.ones((HEIGHT, WIDTH)), short).max() == 0.0
+
+
 def test_lag_of_traps_fills_up_and_no_pixel_leaves_more_than_its_well() -> None:
     """Traps of 20 electrons release 20·(1 − exp(−l·S/20)); a frame beyond full well leaves what the well held."""
     well = _context().camera.full_well_e
