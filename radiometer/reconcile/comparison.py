@@ -256,9 +256,15 @@ class Comparison:
         return np.asarray(1.0 + excess + band_excess(self.design, self.seen, prediction).get(name, 0.0))
 
     def _comb(self, prediction: Prediction) -> Array:
-        step = prediction.comb_step
-        expected = np.array([1.0 if step > 1 and round(step) % period == 0 else 0.0 for period in COMB_PERIODS])
+        expected = np.array([_comb_of(round(prediction.comb_step), prediction.comb_kept, p) for p in COMB_PERIODS])
         return np.where(self.usable["comb"], (self.seen.comb - expected) / self.deviation["comb"], 0.0)
+
+
+def _comb_of(step: int, kept: float, period: int) -> float:
+    """Return the amplitude at a period of a histogram that fills the first codes of each step only."""
+    if step == 1 or step % period:
+        return 0.0
+    return float(np.mean(np.cos(2.0 * np.pi * np.minimum(np.arange(step), kept - 1.0) / period)))
 
 
 def compare(

@@ -101,6 +101,7 @@ class Prediction:
     edge: Array
     outliers: Array
     comb_step: float
+    comb_kept: float
     signal: Array
     gain: Array
     fixed: Array
@@ -332,6 +333,7 @@ class TileModel:
             edge=captures(final.edge_share),
             outliers=captures(final.outliers),
             comb_step=final.comb_step,
+            comb_kept=final.comb_kept,
             signal=tiles(light.mean),
             gain=gain,
             fixed=fixed,

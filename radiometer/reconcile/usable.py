@@ -21,7 +21,7 @@ _ZERO_SIGMAS: Final = 4.0  # what is cut off below 0 moves a mean by 7e-6 of the
 _FEW: Final = 1e-3  # share of clipped samples that does not count as clipping
 _COARSE_DN: Final = 0.05  # by which rounding may move a mean where a variance still scatters as a normal one (σ = 0.3)
 _FEWEST_CODES: Final = 500  # samples that a histogram needs
-_CLEAR_COMB: Final = 0.5  # amplitude from which a spacing of codes is beyond doubt
+_CLEAR_COMB: Final = 0.7  # amplitude from which a spacing of codes is beyond doubt
 _SHOT_NOISE: Final = 4.0  # times the read noise's variance
 _READ_NOISE_LEFT: Final = 0.5  # of its variance, below which the converter hides it
 _FINE_NOISE: Final = 0.5  # standard deviation over code spacing that statistics need to be nearly normal

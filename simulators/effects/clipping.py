@@ -100,7 +100,7 @@ def unevenly_limited(before: Moments, limit: Callable[[Moments, float], Moments]
     parts = [(weight, limit(before, node)) for node, weight in _SPREAD]
     mean = sum(weight * part.mean for weight, part in parts)
     left = sum(weight * np.square(part.mean - mean) for weight, part in parts)
-    names = [entry.name for entry in fields(before) if entry.name not in ("comb_step", "band_frequency")]
+    names = [entry.name for entry in fields(before) if entry.name not in ("comb_step", "comb_kept", "band_frequency")]
     after = replace(before, **{name: sum(weight * getattr(part, name) for weight, part in parts) for name in names})
     after = replace(after, spatial_variance=after.spatial_variance + left)
     return replace(after, limit_variance=after.limit_variance + left) if isinstance(after, TileMoments) else after

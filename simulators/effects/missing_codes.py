@@ -3,31 +3,49 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import cast
+from functools import cache
+from typing import Final, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simulators.effects.base import DIGITAL_NUMBER, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
+_SAMPLES: Final = 4096  # of one step, for its Fourier series
+_HARMONICS: Final = 8
+_PER_CODE: Final = 2  # harmonics per code where single codes are left out
 
-def _harmonics(u: Signal, variance: Signal, step: float) -> tuple[Signal, Signal, Signal]:
-    """Return Σ sin/k, Σ cos and Σ cos/k² of the sawtooth's harmonics, each damped by the noise."""
-    sines, cosines, cosines2 = np.zeros_like(u), np.zeros_like(u), np.zeros_like(u)
-    for k in range(1, 9):
-        damped = np.exp(-2.0 * np.square(np.pi * k / step) * variance)
-        angle = 2.0 * np.pi * k * u / step
-        sines += damped * np.sin(angle) / k
-        cosines += damped * np.cos(angle)
-        cosines2 += damped * np.cos(angle) / k**2
-    return sines, cosines, cosines2
+
+@cache
+def _series(step: int, kept: int) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return the Fourier coefficients of what is cut off within a step, and of its square, the constant first."""
+    x = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * step
+    cut = x - np.minimum(np.floor(x), kept - 1.0) if kept > 1 else x
+    count = _HARMONICS if kept == 1 else max(_HARMONICS, _PER_CODE * step)
+    shift = np.exp(-1j * np.pi * np.arange(count + 1) / _SAMPLES)  # samples lie in the middle of their cells
+    first, second = (np.fft.fft(values)[: count + 1] / _SAMPLES * shift for values in (cut, cut**2))
+    return first, second
+
+
+def _expected(u: Signal, variance: Signal, step: int, kept: int) -> tuple[Signal, Signal, Signal]:
+    """Return the mean of what is cut off from a normal variable, of its square, and the derivative of the former."""
+    first, second = _series(step, kept)
+    cut, square, slope = (np.full_like(u, value) for value in (first[0].real, second[0].real, 0.0))
+    for h in range(1, first.size):
+        rate = 2.0 * np.pi * h / step
+        wave = 2.0 * np.exp(-0.5 * rate**2 * variance + 1j * rate * u)
+        cut += (first[h] * wave).real
+        square += (second[h] * wave).real
+        slope += (1j * rate * first[h] * wave).real
+    return cut, square, slope
 
 
 @dataclass(frozen=True)
 class MissingCodes(CatalogueEffect):
-    """Keeps only every q-th code: y' = q·⌊y/q⌋.
+    """Keeps only the first k of every q codes: y' = q·⌊y/q⌋ + min(y mod q, k − 1); for k = 1 each q-th.
 
     Moments are those of a quantised normal variable, exact also where the noise is below the step.
 
@@ -52,25 +70,31 @@ class MissingCodes(CatalogueEffect):
         {"step_codes": 16.0},
         {"step_codes": 32.0},
         {"step_codes": 64.0},
+        {"step_codes": 3.0, "kept_codes": 2.0},
+        {"step_codes": 4.0, "kept_codes": 2.0},
+        {"step_codes": 4.0, "kept_codes": 3.0},
+        {"step_codes": 8.0, "kept_codes": 7.0},
+        {"step_codes": 16.0, "kept_codes": 15.0},
     )
     fitted = ()
     settles = "any capture with noise above three steps"
-    step_codes: float = parameter(1.0, "1", 1.0, 4096.0, source="spacing of the codes that occur")
+    step_codes: float = parameter(1.0, "1", 1.0, 4096.0, source="period of the codes that occur")
+    kept_codes: float = parameter(1.0, "1", 1.0, 4095.0, source="codes of each period that occur")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the code that stands for a value."""
-        return cast(Signal, self.step_codes * np.floor((signal + 1e-6) / self.step_codes))
+        whole = self.step_codes * np.floor((signal + 1e-6) / self.step_codes)
+        return cast(Signal, whole + np.clip(np.floor(signal - whole + 1e-6), 0.0, self.kept_codes - 1.0))
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
         """Return the moments of the coarser code."""
-        q = self.step_codes
         # Until here the value was rounded to whole codes; half a code is what rounding and cutting differ by.
         narrow2 = np.maximum(before.variance - 1.0 / 12.0, 1e-6)
-        spread2 = narrow2 + before.spatial_variance
         u = before.mean + 0.5
-        sines, cosines, cosines2 = _harmonics(u, spread2, q)
-        error = q / 2.0 - q / np.pi * sines
-        square = q**2 / 3.0 + (q / np.pi) ** 2 * cosines2 - q**2 / np.pi * sines
-        variance = narrow2 + square - error**2 + 4.0 * narrow2 * cosines
-        after = replace(before, mean=u - error, variance=np.maximum(variance, 0.0))
-        return replace(after, comb_step=q) if isinstance(after, TileMoments) else after
+        spread2 = narrow2 + before.spatial_variance
+        cut, square, slope = _expected(u, spread2, round(self.step_codes), round(self.kept_codes))
+        variance = narrow2 + square - cut**2 - 2.0 * narrow2 * slope
+        after = replace(before, mean=u - cut, variance=np.maximum(variance, 0.0))
+        if not isinstance(after, TileMoments):
+            return after
+        return replace(after, comb_step=self.step_codes, comb_kept=self.kept_codes)

@@ -25,6 +25,7 @@ class TileMoments(Moments):
         edge_share: Share of a step at a patch's edge that lies in the last line inside it.
         outliers: Expected number of outlying pixels in the frame.
         comb_step: Spacing of the codes in use; 1 for all.
+        comb_kept: How many codes of each spacing occur.
         limit_variance: Part of the fixed-pattern variance that limits which differ from pixel to pixel leave.
         band_frequency: Periods of that wave per row.
     """
@@ -41,6 +42,7 @@ class TileMoments(Moments):
     comb_step: float = 1.0
     band_frequency: float = 0.0
     limit_variance: Signal | float = 0.0
+    comb_kept: float = 1.0
 
     @classmethod
     def exactly(cls, mean: Signal) -> TileMoments:

@@ -15,6 +15,7 @@ from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.image_lag import ImageLag
 from simulators.effects.mechanical_vignetting import MechanicalVignetting, common_area
+from simulators.effects.missing_codes import MissingCodes
 from simulators.effects.pixel_mixing import (
     disc_edge_share,
     exchange_between_neighbours,
@@ -205,6 +206,22 @@ def test_uneven_wells_leave_the_moments_of_pixels_that_differ(mean_e: float) -> 
     scatter = np.square(of_pixels - of_pixels.mean()) - noise / frames
     fixed = float(np.asarray(expected.spatial_variance)[0])
     assert float(scatter.mean()) == pytest.approx(fixed, abs=5 * scatter.std() / pixels**0.5)
+
+
+@pytest.mark.parametrize(("step", "kept"), [(4, 1), (4, 3), (16, 15)])
+@pytest.mark.parametrize("mean_dn", [240.3, 241.9])
+def test_missing_codes_leave_the_moments_of_the_codes_that_occur(step: int, kept: int, mean_dn: float) -> None:
+    """Rounded normal values, drawn one by one and freed of the missing codes, have the mean and noise predicted."""
+    rng, count, sigma = np.random.default_rng(4), 400_000, 1.1
+    effect = MissingCodes(float(step), float(kept))
+    codes = effect.mean(np.rint(mean_dn + sigma * rng.standard_normal(count)), _context())
+    assert set(np.unique(codes % step)) <= set(range(kept))
+    nothing = np.zeros(1)
+    before = Moments(np.array([mean_dn]), np.array([sigma**2 + 1.0 / 12.0]), nothing, nothing)
+    expected = effect.moments(before, _context())
+    assert float(codes.mean()) == pytest.approx(float(expected.mean[0]), abs=5 * codes.std() / count**0.5)
+    square = np.square(codes - codes.mean())
+    assert float(square.mean()) == pytest.approx(float(expected.variance[0]), abs=5 * square.std() / count**0.5)
 
 
 def test_dead_time_spares_the_first_frame() -> None:
