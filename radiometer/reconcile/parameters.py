@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -120,8 +120,10 @@ def value_of(effect: CatalogueEffect, name: str) -> float:
 
 
 def _typical(effect: CatalogueEffect, name: str) -> float:
-    """Return a parameter's typical size: the largest among the trials, else 1 % for what trials leave out."""
-    return max((abs(trial[name]) for trial in effect.trials if name in trial), default=0.01)
+    """Return a parameter's typical size: the largest among the trials, else its usual value, else 1 %."""
+    tried = [abs(trial[name]) for trial in effect.trials if name in trial]
+    usual = {entry.name: entry.default for entry in fields(effect)}.get(name)
+    return max(tried, default=abs(usual) if isinstance(usual, float) and usual else 0.01)
 
 
 def fitted_parameters(state: FitState) -> dict[str, dict[str, FittedParameter]]:
