@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.reconcile.design import Array
+from radiometer.reconcile.row_scatter import mixing_of_bands
 from radiometer.reconcile.scatter import relative_bands
 from radiometer.reconcile.state import FitState
 from radiometer.reconcile.variance_scores import deviances
@@ -55,7 +56,8 @@ class _Scorer:
         self._captures, self.height = len(state.design.captures), state.design.shape[0]
         prediction, seen = state.prediction, state.comparison.seen
         here = self._comparison.band_power(relative_bands(prediction), prediction.band_frequency)
-        self._steady = 1.0 + prediction.row_variance[:, None] * seen.bands_of_rows + here
+        mixed = mixing_of_bands(prediction, state.design) if prediction.mixed_x.any() else 0.0
+        self._steady = 1.0 + prediction.row_variance[:, None] * seen.bands_of_rows + here + mixed
         self._mask = self._comparison.usable["bands"]
         self._more = float(np.sum(np.where(self._mask, np.maximum(seen.bands - self._steady, 0.0), 0.0)))
         self._waves: dict[float, Array] = {}

@@ -19,7 +19,7 @@ from radiometer.reconcile.capture_sums import COMB_PERIODS
 from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.repeatability import steady_wander2
 from radiometer.reconcile.row_bands import RowBins, wave_correlation, wave_power
-from radiometer.reconcile.row_scatter import RowScatter, effective, line_excess
+from radiometer.reconcile.row_scatter import RowScatter, effective, line_excess, mixing_of_bands, mixing_of_lines
 from radiometer.reconcile.scatter import (
     Repeatability,
     band_excess,
@@ -130,9 +130,12 @@ class Comparison:
 
     def _bands(self, prediction: Prediction) -> Array:
         bands2 = relative_bands(prediction)
-        if not (bands2.any() or prediction.row_variance.any()):
+        if not (bands2.any() or prediction.row_variance.any() or prediction.mixed_x.any()):
             return self._calm_bands
-        return self.band_scores(self.band_power(bands2, prediction.band_frequency), prediction.row_variance)
+        power = self.band_power(bands2, prediction.band_frequency)
+        if prediction.mixed_x.any():
+            power = power + mixing_of_bands(prediction, self.design)
+        return self.band_scores(power, prediction.row_variance)
 
     @cached_property
     def _calm_bands(self) -> Array:
@@ -218,12 +221,17 @@ class Comparison:
 
     def common_deviances(self, prediction: Prediction) -> Array:
         """Return what each capture adds to it, (captures,)."""
-        expected = self._expected_common(self.flicker_of(prediction), prediction.row_variance)
+        return self.deviances_of_flicker(self.flicker_of(prediction), prediction.row_variance)
+
+    def deviances_of_flicker(self, flicker2: Array, row_variance: Array) -> Array:
+        """Return the same for a relative variance of the light, (…, captures), beside row noise in DN², (captures,)."""
+        expected = self._expected_common(flicker2, row_variance)
         return deviances(self.seen.common, expected, self._common_freedom, self.usable["common"])
 
     def band_deviance(self, prediction: Prediction) -> float:
         """Return the same of the bands."""
         steady = 1.0 + prediction.row_variance[:, None] * self.seen.bands_of_rows
+        steady = steady + (mixing_of_bands(prediction, self.design) if prediction.mixed_x.any() else 0.0)
         expected = steady + self.band_power(relative_bands(prediction), prediction.band_frequency)
         return float(np.sum(deviances(self.seen.bands, expected, self.band_freedom, self.usable["bands"])))
 
@@ -253,6 +261,8 @@ class Comparison:
     def _excess(self, name: str, prediction: Prediction) -> Array:
         """Return what a variance ratio is expected to be: 1 without any common part."""
         excess = line_excess(self.design, self.seen, prediction, name)
+        if prediction.mixed_x.any():
+            excess = excess + mixing_of_lines(prediction, self.design, name)
         return np.asarray(1.0 + excess + band_excess(self.design, self.seen, prediction).get(name, 0.0))
 
     def _comb(self, prediction: Prediction) -> Array:

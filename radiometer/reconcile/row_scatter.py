@@ -98,6 +98,40 @@ def line_excess(design: Design, seen: CaptureStatistics, prediction: Prediction,
     return np.asarray(np.maximum(own * getattr(seen, f"{name}_weight") - share, _LEAST_EXCESS))
 
 
+def mixing_of_lines(prediction: Prediction, design: Design, name: str) -> Array:
+    """Return by what neighbours that exchange charge raise the ratio of a profile of lines, (captures,).
+
+    Along a line of w pixels that correlate by ρ the variance of the mean is 1 + 2ρ·(1 − 1/w) times that of white
+    noise. A fixed profile holds the noise that the mean of the frames leaves.
+
+    Args:
+        prediction: Expected statistics.
+        design: Captures and tiles.
+        name: row_temporal, rows or columns.
+    """
+    length = np.array([tile.height if name == "columns" else tile.width for tile in design.tiles], np.float64)
+    together = prediction.mixed_y if name == "columns" else prediction.mixed_x
+    noise, share = prediction.variance, np.ones_like(prediction.variance)
+    if name != "row_temporal":
+        noise, share = prediction.spatial, prediction.variance / design.frame_count[:, None] / prediction.spatial
+    more = 2.0 * together * share * (1.0 - 1.0 / length)
+    return np.asarray(np.sum(more / noise, axis=1) / np.sum(1.0 / noise, axis=1))
+
+
+def mixing_of_bands(prediction: Prediction, design: Design) -> Array:
+    """Return by what such neighbours raise the ratios of the bands, (captures, orders).
+
+    Bands of coarse rows gain more than those of fine ones, by 1 + 2ρ·cos(2πν) for ν periods per row.
+    """
+    bins = RowBins.of(design)
+    weight = np.square(np.maximum(prediction.signal, 0.0)) / prediction.variance
+    weight = weight / np.maximum(np.sum(weight, axis=1, keepdims=True), 1e-300)
+    x, y = (np.sum(weight * mixed, axis=1)[:, None] for mixed in (prediction.mixed_x, prediction.mixed_y))
+    turn = np.pi * np.arange(1, bins.orders + 1) / bins.number  # of one order from bin to bin
+    inside, beside = 1.0 - 1.0 / bins.step, 1.0 / bins.step
+    return np.asarray((1.0 + 2.0 * x) * (1.0 + 2.0 * y * (inside + beside * np.cos(turn))) - 1.0)
+
+
 def line_weights(design: Design, base: Prediction) -> Array:
     """Return the share of each bin of rows in the rows' profiles, (captures, bins): tiles of little noise count more.
 

@@ -6,6 +6,7 @@ starts would explain follows from one small matrix.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -14,12 +15,15 @@ from radiometer.reconcile.band_starts import likeliest_bands
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.state import FitState
 from simulators.effects.catalogue import CatalogueEffect, Scaling
+from simulators.effects.pwm_flicker import PwmFlicker
 from simulators.effects.rolling_shutter_banding import RollingShutterBanding
 
 Starts = tuple[CatalogueEffect, ...]
 _MANY: Final = 20  # starts, beyond which the likeliest are picked first
 _KEPT: Final = 8
 _LARGEST_AMPLITUDE: Final = 300.0
+_COMB: Final = np.geomspace(0.94, 1.06, 9)  # between one start's frequency and the next
+_SIZES: Final = np.geomspace(0.01, 30.0, 25)  # times the modulation that starts have
 
 
 class StartPool:
@@ -28,6 +32,7 @@ class StartPool:
     def __init__(self) -> None:
         self._starts: dict[str, Starts] = {}
         self._moves: dict[str, Array] = {}
+        self._combs: list[PwmFlicker] = []
 
     def likeliest(self, state: FitState, kind: type[CatalogueEffect]) -> Starts:
         """Return the starts of an entry; of many only those that explain most at first sight.
@@ -43,8 +48,9 @@ class StartPool:
             return starts
         if issubclass(kind, Scaling):
             return self._best(state, starts, self._factors(state, starts) - 1.0, *_of_captures(state))
-        if kind.block == "common":
-            return self._best_flicker(state, starts)
+        flickers = [start for start in starts if isinstance(start, PwmFlicker)]
+        if flickers:
+            return self._likeliest_flicker(state, flickers)
         waves = [start for start in starts if isinstance(start, RollingShutterBanding)]
         if waves:
             return likeliest_bands(state, waves, _KEPT)
@@ -68,18 +74,35 @@ class StartPool:
             self._moves[name] = np.stack([_factor(state, start) for start in starts])
         return self._moves[name]
 
-    def _best_flicker(self, state: FitState, starts: Starts) -> Starts:
-        name, captures = starts[0].name, len(state.design.captures)
+    def _likeliest_flicker(self, state: FitState, starts: Sequence[PwmFlicker]) -> Starts:
+        """Return the likeliest flickers, of each duty one at least, in their likeliest sizes.
+
+        Over many periods the light that an exposure leaves hangs on the frequency to a small part of a period, so that
+        a dense comb of frequencies about each start is looked at.
+        """
+        name, context = starts[0].name, state.model.context
         if name not in self._moves:
-            one = np.ones((captures, 1, 1))
-            added = [np.asarray(start.common_variance(one, state.model.context)) for start in starts]
-            self._moves[name] = np.stack([np.broadcast_to(v.reshape(-1), (captures,)) for v in added])
-        here = state.comparison.flicker_of(state.prediction)
-        rows = state.prediction.row_variance
-        base = state.comparison.common_scores(here, rows)
-        moves = np.stack([base - state.comparison.common_scores(here + added, rows) for added in self._moves[name]])
-        cut = state.comparison.cuts["common"]
-        return self._best(state, starts, moves, np.eye(captures), state.fit.projected[cut])
+            self._combs = [
+                start.with_parameters(frequency_hz=float(start.frequency_hz * factor))
+                for start in starts
+                for factor in _COMB
+            ]
+            added = [comb.common_variance(np.ones(()), context) for comb in self._combs]
+            captures = len(state.design.captures)
+            self._moves[name] = np.stack([np.broadcast_to(np.ravel(v), (captures,)) for v in added])
+        here, rows = state.comparison.flicker_of(state.prediction), state.prediction.row_variance
+        sizes = np.square(_SIZES)
+        rated = [
+            state.comparison.deviances_of_flicker(here + size * self._moves[name], rows).sum(axis=1) for size in sizes
+        ]
+        best, least = np.argmin(rated, axis=0), np.min(rated, axis=0)
+        order = [int(i) for i in np.argsort(least)]
+        first = {self._combs[i].duty: i for i in reversed(order)}
+        chosen = list(dict.fromkeys([*sorted(first.values(), key=lambda i: least[i]), *order]))[:_KEPT]
+        return tuple(
+            self._combs[i].with_parameters(modulation=self._combs[i].modulation * float(np.sqrt(sizes[best[i]])))
+            for i in chosen
+        )
 
 
 def _of_captures(state: FitState) -> tuple[Array, Array]:

@@ -83,6 +83,8 @@ class Prediction:
         rounding: (captures, tiles) how far rounding to whole codes may move the mean, in DN.
         band_variance: (captures, tiles) variance of light that goes as a wave along the rows, in DN².
         band_frequency: Periods of that wave per row.
+        mixed_x: (captures, tiles) correlation of neighbours in a row that exchange charge, without what rows share.
+        mixed_y: The same in a column.
         limit_variance: (captures, tiles) part of `fixed` in DN² that limits which differ from pixel to pixel leave.
     """
 
@@ -108,6 +110,8 @@ class Prediction:
     rounding: Array
     band_variance: Array
     band_frequency: float
+    mixed_x: Array
+    mixed_y: Array
     limit_variance: Array
 
 
@@ -340,6 +344,8 @@ class TileModel:
             rounding=tiles(rounding_amplitude(unrounded)),
             band_variance=band,
             band_frequency=final.band_frequency,
+            mixed_x=tiles(final.neighbour_x) / safe,
+            mixed_y=tiles(final.neighbour_y) / safe,
             limit_variance=tiles(np.broadcast_to(final.limit_variance, final.mean.shape)),
         )
 
