@@ -60,6 +60,11 @@ class DisplayNonuniformity(Scaling):
             bent = bent + sum(term * u ** (order - n) * v**n for n, term in enumerate(terms) if term)
         return np.maximum(1.0 + self.a * u + self.b * v + bent, 0.01)
 
+    @classmethod
+    def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the form of the fourth order: a slow wave looks like a lens at the second."""
+        return (cls(a=0.02, cubic=(0.001,) * 4, quartic=(0.001,) * 5),)
+
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return the form of the next order: cubic, then quartic."""
         if not self.cubic:
