@@ -55,6 +55,18 @@ PARAMETERS: dict[str, tuple[tuple[str, str, float], ...]] = {
     "full_well_saturation": (("full_well_e", "full_well_e", 1.0),),
     "mains_ripple": (("depth", "modulation", 1.0),),
     "gamma_enabled": (("gamma", "gamma", 1.0),),
+    "dark_current": (("rate_e_per_s", "rate_e_per_s", 1.0), ("doubling_K", "doubling_K", 1.0)),
+    "dark_current_clamped": (("rate_e_per_s", "rate_e_per_s", 1.0), ("doubling_K", "doubling_K", 1.0)),
+    "display_gamma_error": (("exponent_error", "exponent", 1.0),),
+    "reciprocity_failure": (("p", "exponent", 1.0),),
+    "shutter_dead_time": (("dead_s", "dead_time_s", 1.0),),
+    "source_not_proportional_to_exposure": (("settle_s", "tau_s", 1.0),),
+    "pwm_flicker": (("depth", "modulation", 1.0), ("frequency_Hz", "frequency_hz", 1.0)),
+    "gain_step_error": (("relative_error", "error_rel", 1.0),),
+    "mechanical_vignetting": (("depth", "strength", 1.4**2),),  # at f/2 what is said of f/2.8
+    "natural_vignetting": (("k4", "k4", 1.0),),
+    "parasitic_light_sensitivity": (("leak", "leak_s", 0.02),),  # times the read-out
+    "adc_saturation": (("clip_dn", "clip_dn", 1.0),),
 }
 
 
@@ -73,7 +85,8 @@ SIZES: dict[str, tuple[str, float]] = {name: (pairs[0][0], pairs[0][2]) for name
     "stray_light_kernel": ("fraction", 1.0),
     "ambient_light_leak": ("fraction", 15.708),  # of 5 W·sr⁻¹·m⁻², as irradiance: π·L
 }
-del SIZES["gamma_enabled"], SIZES["full_well_saturation"]  # their parameters do nothing at another value than 0
+for _name in ("gamma_enabled", "full_well_saturation", "adc_saturation", "natural_vignetting"):
+    del SIZES[_name]  # what is compared does nothing at another value than 0, or is not the size
 
 
 def judge(answer: dict[str, Any], hidden: tuple[str, ...], without: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -149,10 +162,16 @@ def _below(limit: float | None, hidden: str, truth: dict[str, Any]) -> str:
     if hidden not in SIZES:
         return "agrees"
     mine, factor = SIZES[hidden]
-    if "reference_C" in truth and "per_s" in mine:  # limits hold at 25 °C
-        factor *= 2.0 ** ((25.0 - truth["reference_C"]) / truth.get("doubling_K", 7.0))
+    if "per_s" in mine:
+        factor *= _at_25_c(truth)
     ratio = abs(float(truth[mine])) * factor / limit
     return "below" if ratio <= 1.0 else "near" if ratio <= 2.0 else "missed"
+
+
+def _at_25_c(truth: dict[str, Any]) -> float:
+    """Return what share of a hidden dark current is left at the 25 °C that entries and limits hold at."""
+    warmer = float(truth.get("reference_C", 25.0)) - 25.0
+    return float(2.0 ** (-warmer / truth.get("doubling_K", 7.0)))
 
 
 def _names(hidden: Hidden) -> set[str]:
@@ -177,7 +196,8 @@ def parameters(answer: dict[str, Any], truth: dict[str, dict[str, Any]]) -> list
             entry = effect["parameters"].get(theirs)
             if entry is None or not entry.get("u"):
                 continue
-            true = float(truth[effect["name"]][mine]) * factor
+            hidden = truth[effect["name"]]
+            true = float(hidden[mine]) * factor * (_at_25_c(hidden) if "per_s" in mine else 1.0)
             z = (entry["value"] - true) / entry["u"]
             found.append({"parameter": f"{effect['name']}.{theirs}", "true": true, "found": entry["value"], "z": z})
     return [p for p in found if math.isfinite(p["z"])]
