@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
 from simulators.effects.base import EXPOSURE, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, Scaling
+from simulators.effects.catalogue import CatalogueEffect, Scaling, elapsed_s
 from simulators.effects.context import ExposureContext
+
+_ALWAYS_S: Final = 1e12
+_FEW_EXPOSURES: Final = 3
 
 
 @dataclass(frozen=True)
 class ExposureLabelError(Scaling):
     """Takes another exposure time for frames that bear one label (or several): H' = H·t_real/t_label.
+
+    All frames of the label are meant, or only those taken between two times, where single captures were mislabelled.
 
     Source: stacks of photographs whose printed times disagree with their neighbours.
     """
@@ -32,16 +37,28 @@ class ExposureLabelError(Scaling):
     label_s: float = parameter(1.0, "s", 1e-09, 100000.0, source="the printed exposure time")
     ratio: float = parameter(1.0, "1", 0.001, 1000.0, source="real over printed")
 
+    from_s: float = parameter(-_ALWAYS_S, "s", -_ALWAYS_S, _ALWAYS_S, source="time from which the label is wrong")
+    to_s: float = parameter(_ALWAYS_S, "s", -_ALWAYS_S, _ALWAYS_S, source="time to which it is")
     further_s: tuple[float, ...] = parameter((), "s", 1e-09, 100000.0, source="further printed times that are wrong")
     further_ratios: tuple[float, ...] = parameter((), "1", 0.001, 1000.0, source="real over printed of these")
+    further_from_s: tuple[float, ...] = parameter((), "s", -_ALWAYS_S, _ALWAYS_S, source="from when; empty for always")
+    further_to_s: tuple[float, ...] = parameter((), "s", -_ALWAYS_S, _ALWAYS_S, source="to when; empty for always")
 
     def factor(self, context: ExposureContext) -> Any:
         """Return real over stated exposure time."""
-        stated = np.asarray(context.settings.exposure_s)
+        stated, now = np.asarray(context.settings.exposure_s), np.asarray(elapsed_s(context))
         found: Any = 1.0
-        for label, ratio in ((self.label_s, self.ratio), *zip(self.further_s, self.further_ratios, strict=True)):
-            found = found * np.where(np.abs(np.log(stated / label)) < 1e-6, ratio, 1.0)
+        for label, ratio, start, end in self._labels():
+            meant = (np.abs(np.log(stated / label)) < 1e-6) & (start <= now) & (now <= end)
+            found = found * np.where(meant, ratio, 1.0)
         return found
+
+    def _labels(self) -> tuple[tuple[float, float, float, float], ...]:
+        """Return label, ratio, and the times between which it holds, of all wrong labels."""
+        always = (_ALWAYS_S,) * len(self.further_s)
+        starts, ends = self.further_from_s or tuple(-t for t in always), self.further_to_s or always
+        further = zip(self.further_s, self.further_ratios, starts, ends, strict=True)
+        return ((self.label_s, self.ratio, self.from_s, self.to_s), *further)
 
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit: one ratio per label."""
@@ -50,13 +67,22 @@ class ExposureLabelError(Scaling):
     def joined(self, other: CatalogueEffect) -> CatalogueEffect:
         """Return the effect with the label of another one too."""
         assert isinstance(other, ExposureLabelError)
-        return self.with_parameters(
-            further_s=(*self.further_s, other.label_s, *other.further_s),
-            further_ratios=(*self.further_ratios, other.ratio, *other.further_ratios),
-        )
+        labels, ratios, starts, ends = zip(*self._labels()[1:], *other._labels(), strict=True)
+        return self.with_parameters(further_s=labels, further_ratios=ratios, further_from_s=starts, further_to_s=ends)
 
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
-        """Return one start per exposure in use, a little long and a little short."""
-        times = np.unique(np.asarray(context.settings.exposure_s))
-        return tuple(cls(float(t), ratio) for t in times for ratio in (1.02, 0.98)) if times.size > 3 else ()
+        """Return one start per exposure in use, a little long and a little short, and per capture of several."""
+        exposures, stamps = (np.ravel(np.asarray(v)) for v in (context.settings.exposure_s, elapsed_s(context)))
+        times = np.unique(exposures)
+        if times.size <= _FEW_EXPOSURES:
+            return ()
+        labels = [(float(t), -_ALWAYS_S, _ALWAYS_S) for t in times]
+        if stamps.size == exposures.size and np.unique(stamps).size == stamps.size:
+            order = np.sort(stamps)
+            edges = np.concatenate([[-_ALWAYS_S], (order[1:] + order[:-1]) / 2.0, [_ALWAYS_S]])
+            for stamp, exposure in zip(stamps.tolist(), exposures.tolist(), strict=True):
+                if np.sum(exposures == exposure) > 1:
+                    at = int(np.searchsorted(order, stamp))
+                    labels.append((exposure, float(edges[at]), float(edges[at + 1])))
+        return tuple(cls(t, ratio, start, end) for t, start, end in labels for ratio in (1.02, 0.98))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from radiometer.units import exact_exposure_s, exact_f_number
 from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
+
+_NEAR: Final = 0.07
 
 
 def _each(exact: Callable[[float], float], printed: Any) -> Any:
@@ -49,8 +51,8 @@ class NominalSettings(Scaling):
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether the exposures look like printed stops: all within 6 % of one, not all exact."""
+        """Tell whether the exposures look like printed stops: all within 7 % of one (1/60 s is 1/64 s), not all exact."""
         ratio = np.asarray(_each(exact_exposure_s, context.settings.exposure_s))
         return bool(
-            np.all(np.abs(ratio - 1.0) < 0.06) and np.any(np.abs(ratio - 1.0) > 1e-3) and np.unique(ratio).size > 2
+            np.all(np.abs(ratio - 1.0) < _NEAR) and np.any(np.abs(ratio - 1.0) > 1e-3) and np.unique(ratio).size > 2
         )

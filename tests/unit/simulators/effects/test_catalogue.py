@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ from simulators.camera_model import CameraModel
 from simulators.effects.base import Moments, Stage
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.effects.exposure_label_error import ExposureLabelError
 from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.image_lag import ImageLag
 from simulators.effects.mechanical_vignetting import MechanicalVignetting, common_area
 from simulators.effects.missing_codes import MissingCodes
+from simulators.effects.nominal_settings import NominalSettings
 from simulators.effects.pixel_mixing import (
     disc_edge_share,
     exchange_between_neighbours,
@@ -251,3 +254,31 @@ def test_lag_of_traps_fills_up_and_no_pixel_leaves_more_than_its_well() -> None:
     np.testing.assert_allclose(plain, [[1.0, 10.0, 0.002 * well]])
     filling = ImageLag(share=0.002, fullness_per_e=1 / 20).mean(nothing, context)
     np.testing.assert_allclose(filling, 20.0 * (1.0 - np.exp(-plain / 20.0)))
+
+
+def _at(exposure_s: float, timestamp_s: float) -> ExposureContext:
+    base = _context()
+    return replace(base, settings=replace(base.settings, exposure_s=exposure_s, timestamp_s=timestamp_s))
+
+
+def test_label_is_wrong_for_the_captures_that_are_meant() -> None:
+    """A label may lie for one capture and tell the truth for another of the same exposure; wrong labels add up."""
+    single = ExposureLabelError(0.01, 1.25, from_s=50.0, to_s=70.0)
+    assert float(single.factor(_at(0.01, 60.0))) == 1.25
+    assert float(single.factor(_at(0.01, 80.0))) == 1.0
+    both = single.joined(ExposureLabelError(0.02, 0.8))
+    assert isinstance(both, ExposureLabelError)
+    assert [float(both.factor(_at(t, s))) for t, s in ((0.01, 60.0), (0.01, 80.0), (0.02, 80.0))] == [1.25, 1.0, 0.8]
+    assert both.free() == ("ratio", "further_ratios[0]")
+
+
+def test_sixtieth_of_a_second_counts_as_a_printed_stop() -> None:
+    """Of all printed times 1/60 s lies farthest from its stop, 1/64 s; a time between two stops is none."""
+
+    def usable(*times: float) -> bool:
+        base = _context()
+        exposure: Any = np.array(times)
+        return NominalSettings.usable(replace(base, settings=replace(base.settings, exposure_s=exposure)))
+
+    assert usable(1 / 60, 1 / 100, 1 / 125, 1 / 30)
+    assert not usable(1 / 60, 1 / 100, 1 / 125, 1 / 71)
