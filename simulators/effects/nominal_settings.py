@@ -51,7 +51,7 @@ class NominalSettings(Scaling):
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether the exposures look like printed stops: all within 7 % of one (1/60 s is 1/64 s), not all exact."""
+        """Tell whether the exposures look like printed stops: all within 7 % of one, not all on it (1/60 is 1/64)."""
         ratio = np.asarray(_each(exact_exposure_s, context.settings.exposure_s))
         return bool(
             np.all(np.abs(ratio - 1.0) < _NEAR) and np.any(np.abs(ratio - 1.0) > 1e-3) and np.unique(ratio).size > 2
