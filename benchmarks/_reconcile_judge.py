@@ -65,7 +65,7 @@ PARAMETERS: dict[str, tuple[tuple[str, str, float], ...]] = {
     "gain_step_error": (("relative_error", "error_rel", 1.0),),
     "mechanical_vignetting": (("depth", "strength", 1.4**2),),  # at f/2 what is said of f/2.8
     "natural_vignetting": (("k4", "k4", 1.0),),
-    "parasitic_light_sensitivity": (("leak", "leak_s", 0.02),),  # times the read-out
+    "parasitic_light_sensitivity": (("leak", "leak_s", 0.02 * 95 / 96),),  # times the read-out, up to the last row
     "adc_saturation": (("clip_dn", "clip_dn", 1.0),),
 }
 
