@@ -26,6 +26,7 @@ from simulators.effects.catalogue import CatalogueEffect
 _SIGMAS: Final = 5.0  # of a χ² of so many entries; the gap of 330 sets without an effect was 1.02 at most
 _CRUMB_NATS: Final = 25.0  # an effect of its own brought hundreds in all pairs along one covariate of the test bench
 _LITTLE_NATS: Final = 40.0  # what an effect at its smallest realistic size brings; rivals lie within 5
+_AS_SEEN: Final = {"screen_x": "image_x", "screen_y": "image_y"}
 _UNLIKE: Final = 0.01  # chance of any false alarm among an effect's own tests
 _SEVERAL: Final = 2
 _SHOWN_SIGMAS: Final = 3.0
@@ -123,7 +124,8 @@ def unlike(tests: Sequence[Disagreement], effects: Sequence[CatalogueEffect]) ->
     """
     found = []
     for effect in effects:
-        own = [t for t in tests if t.family == effect.block and axis_of(t.where, t.block) == effect.where]
+        place = _AS_SEEN.get(effect.where, effect.where)
+        own = [t for t in tests if t.family == effect.block and axis_of(t.where, t.block) == place]
         if any(test.p_value < _UNLIKE / len(own) for test in own):
             found.append(effect.name)
     return found

@@ -22,6 +22,7 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext
 
 _EDGES: Final = 5.0  # √(number of edges that average out), few to be safe
+_LEAST_STEP: Final = 0.1  # of the brightest light, where all patches are alike
 _TREND_TERMS: Final = 3  # of a tile's lines: constant, slope and curvature are taken out
 _SMALLEST_SHARE: Final = 1e-6
 _FIXED_BLOCKS: Final = ("spatial", "columns", "rows")
@@ -181,7 +182,8 @@ def _edge_builder(unit: Unit) -> ColumnBuilder:
     """Return the column of what a fixed pattern in the lines along edges feigns of blur."""
 
     def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
-        step = np.maximum(np.std(prediction.mean, axis=1), 1e-9)
+        light = np.max(_unit_of_light(prediction), axis=1)
+        step = np.maximum(np.maximum(np.std(prediction.mean, axis=1), _LEAST_STEP * light), 1e-9)
         size = np.sqrt(np.mean(np.square(unit(prediction)), axis=1))
         return _placed(comparison, "edge", comparison.whiten("edge", (size / step / _EDGES)[:, None]))
 

@@ -22,6 +22,7 @@ _FEW: Final = 1e-3  # share of clipped samples that does not count as clipping
 _COARSE_DN: Final = 0.05  # by which rounding may move a mean where a variance still scatters as a normal one (σ = 0.3)
 _FEWEST_CODES: Final = 500  # samples that a histogram needs
 _CLEAR_COMB: Final = 0.7  # amplitude from which a spacing of codes is beyond doubt
+_CLEAR_LIGHT: Final = 3.0  # sigmas of one pixel by which the brightest patch must stand out to have borders
 _SHOT_NOISE: Final = 4.0  # times the read noise's variance
 _READ_NOISE_LEFT: Final = 0.5  # of its variance, below which the converter hides it
 _FINE_NOISE: Final = 0.5  # standard deviation over code spacing that statistics need to be nearly normal
@@ -66,7 +67,7 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
         "row_temporal": whole & (seen.row_temporal_dof > 4) & (np.nan_to_num(seen.row_temporal) > 0),
         "columns": patched & (seen.columns_dof > 4) & (np.nan_to_num(seen.columns) > 0),
         "rows": patched & (seen.rows_dof > 4) & (np.nan_to_num(seen.rows) > 0),
-        "edge": np.isfinite(seen.edge_u) & any_tile,
+        "edge": np.isfinite(seen.edge_u) & any_tile & _has_borders(base),
         "outliers": patched,
         # In a scene the bright rows of a tile are noisier than its mean noise, by which bands are weighed.
         "bands": np.isfinite(seen.bands) & (design.uniform & whole & ~_at_the_knee(design, base).any(axis=1))[:, None],
@@ -143,6 +144,12 @@ def structure_dn2(design: Design, seen: CaptureStatistics) -> Array:
         (slope * length) ** 2 for slope, length in zip((seen.slope_x, seen.slope_y), slope_lengths(design), strict=True)
     ]
     return np.asarray(np.nan_to_num(seen.spatial + sum(tilts) / np.maximum(seen.pixels, 1.0)))
+
+
+def _has_borders(base: Prediction) -> NDArray[np.bool_]:
+    """Tell in which captures patches can have borders of light: in the others the steps are those of a pattern."""
+    light = np.max(base.signal * base.gain[:, None], axis=1)
+    return np.asarray(light > _CLEAR_LIGHT * np.sqrt(np.median(base.variance, axis=1)))
 
 
 def slope_lengths(design: Design) -> tuple[Array, Array]:

@@ -16,6 +16,8 @@ from simulators.effects.context import ExposureContext, Signal
 class SoftSaturation(CatalogueEffect):
     """Compresses above a knee: y = (z − z_k)/w, z' = z_k + w·y/(1 + y^p)^(1/p), w = z_c − z_k, z = S/S_FW.
 
+    Where what is left of the well fills up like a capacitor, z' = z_k + w·(1 − e^−y).
+
     Source: anti-blooming drains begin to take charge before the well is full.
     """
 
@@ -36,6 +38,10 @@ class SoftSaturation(CatalogueEffect):
         {"knee": 0.6, "ceiling": 0.8, "hardness": 2.0},
         {"knee": 0.85, "ceiling": 1.05, "hardness": 1.0},
         {"knee": 0.85, "ceiling": 1.05, "hardness": 2.0},
+        {"knee": 0.8, "ceiling": 1.2, "charging": 1.0},
+        {"knee": 0.7, "ceiling": 1.2, "charging": 1.0},
+        {"knee": 0.6, "ceiling": 1.2, "charging": 1.0},
+        {"knee": 0.6, "ceiling": 2.0, "charging": 1.0},
     )
     fitted = (
         "knee",
@@ -45,17 +51,19 @@ class SoftSaturation(CatalogueEffect):
     knee: float = parameter(0.8, "1", 0.05, 1.5, source="share of the full well at which it begins")
     ceiling: float = parameter(1.0, "1", 0.1, 20.0, source="share of the full well that is never passed")
     hardness: float = parameter(2.0, "1", 0.5, 10.0, source="1 is very soft, 10 almost a clip")
+    charging: float = parameter(0.0, "1", 0.0, 1.0, source="1 where the rest fills up like a capacitor")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the electrons that stay."""
         z = signal / well_e(context)
         width = max(self.ceiling - self.knee, 1e-3)
         y = np.maximum(z - self.knee, 0.0) / width
-        soft = self.knee + width * y / (1.0 + y**self.hardness) ** (1.0 / self.hardness)
+        above = -np.expm1(-y) if self.charging else y / (1.0 + y**self.hardness) ** (1.0 / self.hardness)
+        soft = self.knee + width * above
         return cast(Signal, (np.where(z > self.knee, soft, z) * well_e(context)).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
         """Return d(mean)/d(signal), 1 below the knee."""
         width = max(self.ceiling - self.knee, 1e-3)
         y = np.maximum(signal / well_e(context) - self.knee, 0.0) / width
-        return (1.0 + y**self.hardness) ** (-1.0 / self.hardness - 1.0)
+        return np.exp(-y) if self.charging else (1.0 + y**self.hardness) ** (-1.0 / self.hardness - 1.0)
