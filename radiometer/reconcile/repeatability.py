@@ -73,8 +73,8 @@ def estimate_tau(design: Design, scale: Array, variance: Array) -> float:
 def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: float | None) -> float:
     """Return the relative variance by which the source wanders from frame to frame, alike at all exposures.
 
-    It is the likeliest one, up to what the source's stated reproducibility allows. Where the wander differs between
-    exposures it is none, for light that flickers averages out in long ones.
+    It is the likeliest one. Where the source's reproducibility is stated it is no more than that, and none where it
+    differs between exposures, for light that flickers averages out in long ones.
 
     Args:
         tried: (values,) relative variances, 0 first.
@@ -89,7 +89,7 @@ def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: 
     order = np.argsort(exposure_s, kind="stable")
     groups = np.array_split(order, min(_EXPOSURE_GROUPS, len(np.unique(exposure_s))))
     apart = sum(float(deviances[:, group].sum(axis=1).min()) for group in groups)
-    if len(groups) > 1 and chi2.sf(totals.min() - apart, len(groups) - 1) < _UNSTEADY:
+    if declared is not None and len(groups) > 1 and chi2.sf(totals.min() - apart, len(groups) - 1) < _UNSTEADY:
         return 0.0
     return float(tried[np.argmin(totals)])
 

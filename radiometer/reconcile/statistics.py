@@ -125,6 +125,7 @@ def reduce_frames(
     defects: NDArray[np.bool_] = np.zeros(design.shape, dtype=np.bool_)
     collected: dict[int, dict[str, NDArray[np.float64] | float]] = {}
     done = 0
+    darkest = np.nan  # stands for a black level that is not stated
     order = _darks_first(design)
     frames = _read_ahead(design, [index for number in order for index in design.captures[number].frames], read)
     for number in order:
@@ -141,12 +142,15 @@ def reduce_frames(
             if progress is not None:
                 progress(done)
         structured = not design.uniform and design.source_level[number] > 0
-        collected[number], outlying = sums.finish(design.black_level_dn[number], bins, structured=structured)
+        stated = float(design.black_level_dn[number])
+        black_dn = stated if np.isfinite(stated) or design.closed[number] else darkest
+        collected[number], outlying = sums.finish(black_dn, bins, structured=structured)
         if apart:
-            later, _ = sums.without(first).finish(design.black_level_dn[number], bins, structured=structured)
+            later, _ = sums.without(first).finish(black_dn, bins, structured=structured)
             collected[number] |= _later_noise(later, count, structured=structured)
         if design.closed[number]:
             defects = defects | outlying
+            darkest = float(np.fmin(darkest, np.median(np.asarray(collected[number]["mean"]))))
     names = [entry.name for entry in fields(CaptureStatistics)]
     rows = [collected[number] for number in range(len(design.captures))]
     lines = np.array([row["side_lines"] for row in rows])

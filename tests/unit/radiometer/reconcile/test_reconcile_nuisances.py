@@ -111,3 +111,21 @@ def test_table_that_was_found_has_a_limit(make_capture: Callable[..., Any]) -> N
     assert law is not None
     assert found.amplitude is not None
     assert 0.1 * law < found.amplitude < 10 * law
+
+
+def test_darks_stand_for_a_black_level_that_is_not_stated(make_capture: Callable[..., Any]) -> None:
+    """Of well lit frames the light that wanders is told as well from darks as from a stated black level."""
+    captured = make_capture(4)
+    header = captured.header
+    untold = header.model_copy(
+        update={
+            "camera": header.camera.model_copy(update={"black_level_dn": None}),
+            "frames": tuple(entry.model_copy(update={"black_level_dn": None}) for entry in header.frames),
+        }
+    )
+    units = []
+    for known in (header, untold):
+        design = Design.of(known, captured.frames[0].shape)
+        seen, _ = reduce_frames(design, frame_reader(captured.frames))
+        units.append(seen.common_unit[~design.closed & (design.exposure_s * design.source_level > 1e-4)])
+    np.testing.assert_allclose(units[1], units[0], rtol=0.02)
