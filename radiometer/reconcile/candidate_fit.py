@@ -22,6 +22,10 @@ _PROFILE_POINTS: Final = 61
 _PROFILE_SPANS: Final = (0.002, 0.0002)
 
 
+class UnfitError(ArithmeticError):
+    """An effect cannot be fitted to the data; its name is the argument."""
+
+
 @dataclass(frozen=True, eq=False)
 class FittedCandidate:
     """An effect at its best parameters.
@@ -241,9 +245,16 @@ def included(state: FitState, effect: CatalogueEffect, *, far: bool) -> FitState
         state: The model without it.
         effect: The effect at its best parameters, nuisances having followed linearly.
         far: Whether the nuisances stand so far off that they had better move first, and the effect's parameters then.
+
+    Raises:
+        UnfitError: If with it the model predicts what no camera does.
     """
     following = accepted(state, effect)
-    if far:
-        mine = [i for i, owner in enumerate(following.parameters.owner) if following.effects[owner].name == effect.name]
-        following = replace(refit(replace(following, frozen=frozenset(mine))), frozen=frozenset())
-    return settled(refit(following))
+    try:
+        if far:
+            own = following.parameters.owner
+            mine = frozenset(i for i, at in enumerate(own) if following.effects[at].name == effect.name)
+            following = replace(refit(replace(following, frozen=mine)), frozen=frozenset())
+        return settled(refit(following))
+    except np.linalg.LinAlgError as error:
+        raise UnfitError(effect.name) from error

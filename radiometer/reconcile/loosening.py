@@ -43,7 +43,9 @@ def loosened(state: FitState) -> Loosened | None:
     """
     forms = sorted(_promising(state), key=lambda entry: -entry[0])[:_REFITTED]
     fitted = [_fitted(state, index, form) for _, index, form in forms]
-    worth = [entry for entry in fitted if entry.nats - PARAMETER_NATS * entry.further >= _NEEDED_NATS]
+    worth = [
+        entry for entry in fitted if entry is not None and entry.nats - PARAMETER_NATS * entry.further >= _NEEDED_NATS
+    ]
     return max(worth, key=lambda entry: entry.nats - PARAMETER_NATS * entry.further, default=None)
 
 
@@ -75,9 +77,15 @@ def _linear_gain(state: FitState, index: int, form: CatalogueEffect) -> float:
     return float(gain)
 
 
-def _fitted(state: FitState, index: int, form: CatalogueEffect) -> Loosened:
-    """Return the model with a form in an effect's place, fitted; it stands last, as the newest of all."""
+def _fitted(state: FitState, index: int, form: CatalogueEffect) -> Loosened | None:
+    """Return the model with a form in an effect's place, fitted; it stands last, as the newest of all.
+
+    None where the form cannot be fitted: with it the model predicts what no camera does.
+    """
     others = [effect for place, effect in enumerate(state.effects) if place != index]
-    following = settled(refit(with_effects(state, [*others, form])))
+    try:
+        following = settled(refit(with_effects(state, [*others, form])))
+    except np.linalg.LinAlgError:
+        return None
     further = _further(state.effects[index], form)
     return Loosened(form.name, following, following.evidence - state.evidence, further)

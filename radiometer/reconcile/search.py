@@ -9,15 +9,22 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2
 
-from radiometer.reconcile.candidate_fit import FittedCandidate, fit_candidate, held_out_gain, included, judged_gain
+from radiometer.reconcile.candidate_fit import (
+    FittedCandidate,
+    UnfitError,
+    fit_candidate,
+    held_out_gain,
+    included,
+    judged_gain,
+)
 from radiometer.reconcile.localise import SIGNIFICANT, Disagreement, localise, significant, smooth_term
 from radiometer.reconcile.loosening import Loosened, loosened
 from radiometer.reconcile.plain_trends import TRENDS
+from radiometer.reconcile.pruning import KEPT_NATS, pruned
 from radiometer.reconcile.rivals import PARAMETER_NATS, rivals_of
 from radiometer.reconcile.screening import Candidate, screen
 from radiometer.reconcile.start_pool import StartPool
-from radiometer.reconcile.state import FitState, refit, reweighted, with_effects, with_terms
-from radiometer.reconcile.terms import LinearTerm
+from radiometer.reconcile.state import FitState, refit, reweighted, with_terms
 from simulators.effects.catalogue import CatalogueEffect
 
 MOST_STEPS: Final = 7
@@ -26,7 +33,6 @@ _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _NEEDED_NATS: Final = 8.0
 _LATER_NATS: Final = 2.0
 _FEW_TRIES: Final = 2.0
-_KEPT_NATS: Final = 4.0  # an earlier name that brings less than this after a new one is dropped
 _EVIDENCE: Final = 8.0  # χ² that the statistic which must show the effect has to lose
 _FLEXIBLE_NATS: Final = 5.0  # a flexible form must beat the rigid one by so much
 _STATED_NATS: Final = 6.0  # more where stated radiances carry the evidence: measured once, their errors go together
@@ -124,10 +130,16 @@ def search(
     state, first = start, localise(start)
     tests = first
     for _ in range(MOST_STEPS):
-        following = _one_step(state, tests, run)
+        try:
+            following = _one_step(state, tests, run)
+        except UnfitError as unfit:
+            run.refused.add(str(unfit))
+            continue
         if following is None:
             break
-        state = _pruned(following, run)
+        state, dropped = pruned(following, run.say)
+        for name in dropped:
+            _forget(run, name)
         tests = localise(state)
     return Search(state, start, tuple(run.steps), significant(tests), tests, first)
 
@@ -308,7 +320,7 @@ def _named(
     """
     fitted, nats = chosen
     following = included(state, fitted.effect, far=nats > _HUGE_NATS)
-    if following.evidence - state.evidence < _KEPT_NATS:
+    if following.evidence - state.evidence < KEPT_NATS:
         run.refused.add(fitted.name)
         return None
     linear = next(entry for entry in judged if entry[0] is fitted)
@@ -346,41 +358,6 @@ def _unnamed(
     run.steps.append(Step("unnamed", test.where, nats, state.gap, following.gap, closest=closest, block=test.family))
     run.say(f"unnamed {term.name}: {nats:.1f} nats, gap {state.gap:.3f} → {following.gap:.3f}")
     return following
-
-
-def _pruned(state: FitState, run: _Run) -> FitState:
-    """Drop earlier effects and unnamed terms that bring nothing beside the newest."""
-    changed = True
-    while changed:
-        changed = False
-        for name, smaller in _without_one(state):
-            lost = _log_density(state) - _log_density(refit(smaller, iterations=6))
-            if lost < _KEPT_NATS:
-                run.say(f"{name} dropped again: it brings {lost:.1f} nats")
-                state, changed = refit(reweighted(refit(smaller))), True
-                _forget(run, name)
-                break
-    return state
-
-
-def _without_one(state: FitState) -> list[tuple[str, FitState]]:
-    """Return the models with one earlier addition less (the newest effect is not questioned)."""
-    smooth = tuple(term for term in state.terms if term.is_smooth)
-    found: list[tuple[str, FitState]] = []
-    for index, effect in enumerate(state.effects[:-1] if not smooth else state.effects):
-        rest = [e for i, e in enumerate(state.effects) if i != index]
-        found.append((effect.name, with_effects(state, rest)))
-    if state.effects:
-        found += [(term.name, _without_term(state, smooth, term)) for term in smooth]
-    return found
-
-
-def _without_term(state: FitState, smooth: tuple[LinearTerm, ...], term: LinearTerm) -> FitState:
-    return with_terms(state, [other for other in smooth if other is not term])
-
-
-def _log_density(state: FitState) -> float:
-    return float(np.sum(state.held_out.log_density))
 
 
 def _forget(run: _Run, name: str) -> None:

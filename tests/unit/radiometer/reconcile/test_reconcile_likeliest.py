@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.ndimage import convolve
 
+from radiometer.reconcile.candidate_fit import UnfitError, included
 from radiometer.reconcile.design import Design
 from radiometer.reconcile.row_scatter import mixing_of_bands, mixing_of_lines
 from radiometer.reconcile.start_pool import StartPool
 from radiometer.reconcile.state import FitState, first_state
 from radiometer.reconcile.statistics import frame_reader, reduce_frames
+from simulators.effects.base import EXPOSURE, Stage, parameter
+from simulators.effects.catalogue import Scaling
+from simulators.effects.context import ExposureContext
 from simulators.effects.pwm_flicker import PwmFlicker
 
 
@@ -62,3 +66,29 @@ def test_charge_that_neighbours_exchange_stays_in_the_means_of_lines(make_captur
         near = slice(max(int(middle) - 40, 1), int(middle) + 40)
         uncertainty = 1.0 / np.sqrt(len(power[near]) * of_rows.shape[1])
         assert float(power[near].mean()) - 1.0 == pytest.approx(float(bands[order - 1]), abs=4 * uncertainty)
+
+
+@dataclass(frozen=True)
+class _Impossible(Scaling):
+    """Scales light by what is no number."""
+
+    name = "impossible"
+    stage = Stage.SHUTTER
+    unit_in = EXPOSURE
+    unit_out = EXPOSURE
+    where = "exposure_s"
+    trials = ({"size": 0.5},)
+    fitted = ("size",)
+    size: float = parameter(0.0, "1", -1.0, 1.0, source="a test")
+
+    def factor(self, context: ExposureContext) -> Any:
+        """Return the root of a negative number."""
+        with np.errstate(invalid="ignore"):
+            return np.sqrt(-abs(self.size) * np.ones_like(context.settings.exposure_s))
+
+
+def test_effect_that_cannot_be_is_refused_by_name(make_capture: Callable[..., Any]) -> None:
+    """Where an effect leads to what no camera does, the search is told which it was, and goes on without it."""
+    state = _state(make_capture(6))
+    with pytest.raises(UnfitError, match="impossible"):
+        included(state, _Impossible(0.5), far=False)
