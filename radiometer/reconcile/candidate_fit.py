@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from radiometer.errors import ConfigurationError
 from radiometer.reconcile.comparison import FAMILY
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.held_out import leave_one_group_out
@@ -256,5 +257,5 @@ def included(state: FitState, effect: CatalogueEffect, *, far: bool) -> FitState
             mine = frozenset(i for i, at in enumerate(own) if following.effects[at].name == effect.name)
             following = replace(refit(replace(following, frozen=mine)), frozen=frozenset())
         return settled(refit(following))
-    except np.linalg.LinAlgError as error:
+    except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
         raise UnfitError(effect.name) from error

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from radiometer.errors import ConfigurationError
 from radiometer.reconcile.parameters import EffectParameters
 from radiometer.reconcile.rivals import PARAMETER_NATS
 from radiometer.reconcile.screening import change_of
@@ -85,7 +86,7 @@ def _fitted(state: FitState, index: int, form: CatalogueEffect) -> Loosened | No
     others = [effect for place, effect in enumerate(state.effects) if place != index]
     try:
         following = settled(refit(with_effects(state, [*others, form])))
-    except np.linalg.LinAlgError:
+    except (np.linalg.LinAlgError, ConfigurationError):  # no covariance, or parameters that are no numbers
         return None
     further = _further(state.effects[index], form)
     return Loosened(form.name, following, following.evidence - state.evidence, further)
