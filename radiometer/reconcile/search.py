@@ -262,7 +262,7 @@ def _convinces(
     plain: Mapping[type[CatalogueEffect], float],
 ) -> bool:
     fitted, nats = chosen
-    if any(lead > _SMOOTH_NATS for lead in plain.values()):
+    if any(lead > (0.0 if _is_constant(kind, fitted) else _SMOOTH_NATS) for kind, lead in plain.items()):
         return False
     same = [test for test in loud if test.family == fitted.effect.block]
     if not same:
@@ -286,6 +286,11 @@ def _plain_lead(state: FitState, kind: type[CatalogueEffect], chosen: tuple[Fitt
     plain = fit_candidate(state, Candidate(starts[0], 0.0, len(kind.fitted), others=starts[1:]))
     (_, named), (_, trend) = _contenders(state, [chosen, (plain, judged_gain(state, plain))], fewest=2)
     return trend + PARAMETER_NATS * (chosen[0].parameters - plain.parameters) - named
+
+
+def _is_constant(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
+    """Tell whether a trend is a mere constant, of fewer parameters than an effect that hangs on some setting."""
+    return not kind.where and len(kind.fitted) == 1 < fitted.parameters
 
 
 def _is_plainer(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
