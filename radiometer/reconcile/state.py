@@ -260,8 +260,10 @@ def settled(state: FitState) -> FitState:
     """Return the state refitted under weights of its own, until these no longer move the parameters."""
     for _ in range(_REWEIGHTINGS):
         before, state = state.parameters.values, refit(reweighted(state))
-        moved = np.abs(state.parameters.values - before) / state.parameters.scale
-        if not moved.size or float(moved.max()) < _SETTLED:
+        after = state.parameters.values
+        if before.size != after.size:  # a further term fell to nothing, and the form is the plain one again
+            continue
+        if not after.size or float(np.max(np.abs(after - before) / state.parameters.scale)) < _SETTLED:
             break
     return state
 
