@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import numpy as np
 
 from simulators.effects.base import ELECTRONS, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, well_e
 from simulators.effects.context import ExposureContext, Signal
+
+_NARROWEST: Final = 0.02  # of the full well between knee and ceiling: what is narrower is a well that is simply full
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class SoftSaturation(CatalogueEffect):
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the electrons that stay."""
         z = signal / well_e(context)
-        width = max(self.ceiling - self.knee, 1e-3)
+        width = max(self.ceiling - self.knee, _NARROWEST)
         y = np.maximum(z - self.knee, 0.0) / width
         above = -np.expm1(-y) if self.charging else y / (1.0 + y**self.hardness) ** (1.0 / self.hardness)
         soft = self.knee + width * above
@@ -64,6 +66,6 @@ class SoftSaturation(CatalogueEffect):
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
         """Return d(mean)/d(signal), 1 below the knee."""
-        width = max(self.ceiling - self.knee, 1e-3)
+        width = max(self.ceiling - self.knee, _NARROWEST)
         y = np.maximum(signal / well_e(context) - self.knee, 0.0) / width
         return np.exp(-y) if self.charging else (1.0 + y**self.hardness) ** (-1.0 / self.hardness - 1.0)

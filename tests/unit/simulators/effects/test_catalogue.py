@@ -26,6 +26,7 @@ from simulators.effects.pixel_mixing import (
     spread_over_disc,
 )
 from simulators.effects.registry import EFFECTS
+from simulators.effects.soft_saturation import SoftSaturation
 from simulators.effects.tile_moments import TileMoments
 
 CATALOGUE = {name: kind for name, kind in EFFECTS.items() if issubclass(kind, CatalogueEffect)}
@@ -282,3 +283,15 @@ def test_sixtieth_of_a_second_counts_as_a_printed_stop() -> None:
 
     assert usable(1 / 60, 1 / 100, 1 / 125, 1 / 30)
     assert not usable(1 / 60, 1 / 100, 1 / 125, 1 / 71)
+
+
+@pytest.mark.parametrize("form", [{"hardness": 1.0}, {"hardness": 2.0}, {"charging": 1.0}])
+def test_soft_saturation_is_never_a_clip(form: dict[str, float]) -> None:
+    """Wherever the ceiling is put, light one percent of the full well above the knee still counts for a part."""
+    effect = SoftSaturation(knee=0.8, ceiling=0.5, **form)
+    above = np.array([0.80, 0.81]) * 10_500.0
+    kept = np.diff(np.asarray(effect.mean(above, _context())))[0] / np.diff(above)[0]
+    assert 0.5 < kept < 0.95
+    rise = np.asarray(effect.slope(above, _context()))
+    assert rise[0] == pytest.approx(1.0)
+    assert 0.2 < rise[1] < kept
