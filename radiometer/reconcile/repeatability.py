@@ -20,6 +20,8 @@ _TREND_SHARE: Final = 0.4  # of the repeats' freedom that a slow change in time 
 _MOST_WAVES: Final = 16
 _DECLARED_WANDER: Final = 1.3  # times the stated reproducibility, which is itself known to a few parts in ten
 _EXPOSURE_GROUPS: Final = 6
+_NORMAL: Final = 1.4826  # standard deviation of normal values over their median deviation
+_STANDS_OUT: Final = 8.0  # sigmas
 _UNSTEADY: Final = 0.01
 _SHOWN_WANDER: Final = 4.0  # deviance that it must explain
 
@@ -112,18 +114,46 @@ def _bounds(
 def _within_repeats(
     design: Design, scale: Array, variance: Array, lit: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 ) -> tuple[float, float, int]:
-    """Return (sum of squares within repeated settings, mean pixel-noise variance, degrees of freedom)."""
+    """Return (sum of squares within repeated settings, mean pixel-noise variance, degrees of freedom).
+
+    Settings of which one capture stands out from all others are left out: it has a cause of its own (a wrong label),
+    which poor repeatability would hide.
+    """
+    apart, taken, rank = _about_repeats(design, scale, lit, waves=False)
+    if not apart.size:
+        return 0.0, 0.0, 0
+    usual = _NORMAL * float(np.median(np.abs(apart))) * np.sqrt(apart.size / max(apart.size - rank, 1))
+    limit = _STANDS_OUT * np.sqrt(usual**2 + variance[taken])
+    odd = np.unique(design.setting_id[taken][np.abs(apart) > limit])
+    residual, taken, rank = _about_repeats(design, scale, lit & ~np.isin(design.setting_id, odd), waves=True)
+    if not residual.size:
+        return 0.0, 0.0, 0
+    return float(np.sum(residual**2)), float(np.mean(variance[taken])), residual.size - rank
+
+
+def _about_repeats(
+    design: Design, scale: Array, lit: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], *, waves: bool
+) -> tuple[Array, np.ndarray[tuple[int, ...], np.dtype[np.intp]], int]:
+    """Return how far repeats lie from the means of their settings, which captures they are, and the rank of the means.
+
+    Args:
+        design: Captures.
+        scale: (captures,) common relative deviation from the model.
+        lit: Which captures count.
+        waves: Whether a slow change in time is taken out too.
+    """
     ids = design.setting_id
     repeated = lit & np.isin(ids, [i for i in np.unique(ids[lit]) if np.sum(ids[lit] == i) > 1])
-    if not repeated.any():
-        return 0.0, 0.0, 0
-    groups = np.unique(ids[repeated])
-    columns = np.stack([(ids[repeated] == group).astype(np.float64) for group in groups], axis=1)
-    freedom = int(repeated.sum()) - len(groups)
-    basis = np.hstack([columns, _slow_change(design.timestamp_s[repeated], int(_TREND_SHARE * freedom))])
-    solution, _, rank, _ = np.linalg.lstsq(basis, scale[repeated], rcond=None)
-    residual = scale[repeated] - basis @ solution
-    return float(np.sum(residual**2)), float(np.mean(variance[repeated])), int(repeated.sum()) - int(rank)
+    taken = np.flatnonzero(repeated)
+    if not taken.size:
+        return np.zeros(0), taken, 0
+    groups = np.unique(ids[taken])
+    basis = np.stack([(ids[taken] == group).astype(np.float64) for group in groups], axis=1)
+    if waves:
+        freedom = taken.size - len(groups)
+        basis = np.hstack([basis, _slow_change(design.timestamp_s[taken], int(_TREND_SHARE * freedom))])
+    solution, _, rank, _ = np.linalg.lstsq(basis, scale[taken], rcond=None)
+    return np.asarray(scale[taken] - basis @ solution), taken, int(rank)
 
 
 def _slow_change(time: Array, terms: int) -> Array:

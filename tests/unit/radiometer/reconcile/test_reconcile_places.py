@@ -50,6 +50,19 @@ def test_swinging_lamp_is_not_taken_for_poor_repeatability() -> None:
     assert still <= estimate_tau(design, steady + swing, noise) < 2.0 * still
 
 
+def test_one_wrong_capture_is_no_poor_repeatability() -> None:
+    """A capture that is 26 % brighter than its repeats leaves τ at the 0.1 % of the others, to its uncertainty."""
+    rng = np.random.default_rng(6)
+    captures = 60
+    design = _design((np.arange(captures) * 25.0).tolist(), [20.0 + 5.0 * (i // 4) for i in range(captures)])
+    scale = 1e-3 * rng.standard_normal(captures)
+    scale[17] += 0.26
+    others = np.arange(captures) != 17
+    found = estimate_tau(design, np.where(others, scale, 0.0), np.where(others, 1e-10, np.inf))
+    assert found == pytest.approx(1e-3, rel=4 / np.sqrt(captures))
+    assert estimate_tau(design, scale, np.full(captures, 1e-10)) < 3 * found
+
+
 def test_setting_repeats_whatever_the_rounding_of_its_temperature() -> None:
     """34.7 to 35.3 °C is one temperature although 35 lies on the edge of an even step of 2 K; 45 °C is another."""
     warm = [34.7, 34.9, 35.1, 35.3, 34.8, 35.2, 44.9, 45.1]
