@@ -66,8 +66,8 @@ class NuisanceLayout:
         free_scene = not design.uniform
         prior = [_SCALAR_PRIOR.get(name, _FREE_LOG) for name in scalars]
         own = [_radiance_prior(design, p, k) for p in patterns for k in range(len(design.tiles))]
-        # A patch's calibration error may be one and the same under all patterns, or not: each has its own part and
-        # all have one in common.
+        # A calibration error may be one and the same for several radiances, or not: each has a part of its own and
+        # one that it shares.
         shared = _shared_errors(design, patterns)
         prior += [*own, *_shared_priors(design, shared, own)]
         if free_scene:
