@@ -91,9 +91,6 @@ def _of_captures(design: Design, prediction: Prediction) -> list[Covariate]:
         wide("temperature_C", warm if np.isfinite(warm).all() else np.zeros_like(level)),
         wide("source_level", design.source_level),
         wide("timestamp_s", design.timestamp_s),
-        replace(
-            wide("time_waves", design.timestamp_s), waves=min(_MOST_WAVES, len(design.captures) // _FEWEST_PER_WAVE)
-        ),
         wide("pattern", np.where(design.closed, 0, design.pattern_index).astype(np.float64)),
         wide("previous_frame", before),
         *([replace(wide("time_waves", design.timestamp_s), waves=waves)] if waves > DEGREE else []),

@@ -1,5 +1,5 @@
 """What speaks against names that no test contradicts: scatter without any trend, names that only do together what one
-other might, entries of which only the further terms fit, little evidence that others claim too, and laws that are not
+other might, entries of which only the further terms fit or whose parameters make them another, little evidence that others claim too, and laws that are not
 quite followed.
 
 The tests of `localise` look for trends. What moves single tiles or frames at random leaves none, but a reduced χ²
@@ -156,3 +156,8 @@ def contested(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list
     """
     present = {effect.name for effect in effects}
     return [step.name for step in steps if step.name in present and step.rivals and step.gain_nats < _LITTLE_NATS]
+
+
+def merged(state: FitState) -> list[str]:
+    """Return the names of effects that, with their fitted parameters and these settings, act as other causes do."""
+    return [effect.name for effect in state.effects if effect.unlike_itself(state.model.context)]

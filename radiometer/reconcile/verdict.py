@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Final
 
-from radiometer.reconcile.excess import contested, hollow, is_scattered, mended, outdone, replaceable, unlike
+from radiometer.reconcile.excess import contested, hollow, is_scattered, mended, merged, outdone, replaceable, unlike
 from radiometer.reconcile.parameters import fitted_parameters
 from radiometer.reconcile.result import Verdict
 from radiometer.reconcile.search import Search
@@ -47,6 +47,7 @@ def doubts_of(outcome: Search) -> list[str]:
         f"{name} fits by its further terms alone: what makes it {name} is within three uncertainties of zero"
         for name in hollow(effects, fitted_parameters(state))
     ]
+    said += [f"{name} acts with these parameters as other causes would: nothing is its own" for name in merged(state)]
     said += [
         f"{name} brings little, and another entry predicts nearly as well" for name in contested(outcome.steps, effects)
     ]

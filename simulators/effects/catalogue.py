@@ -117,6 +117,10 @@ class CatalogueEffect(Effect):
         """Return the moments with what the effect does to the other statistics of a tile; nothing by default."""
         return after
 
+    def unlike_itself(self, context: ExposureContext) -> bool:
+        """Tell whether, with its parameters and these settings, the effect does what other causes do just as well."""
+        return False
+
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
         """Tell whether the data hold what the effect needs at all (a temperature, an f-number …)."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
+
+_SETTLED: Final = 0.5  # of the shortest exposure: the exponential part is 13 % then, the rest a constant and a time
 
 
 @dataclass(frozen=True)
@@ -47,3 +49,7 @@ class SourceNotProportionalToExposure(Scaling):
         """Return mean light over the exposure against light at its start."""
         x = np.asarray(context.settings.exposure_s) / self.tau_s
         return 1.0 - self.droop_rel * (1.0 + np.expm1(-x) / x)
+
+    def unlike_itself(self, context: ExposureContext) -> bool:
+        """Tell whether the source settles within the shortest exposure: a wrong exposure time looks the same."""
+        return self.tau_s < _SETTLED * float(np.min(np.asarray(context.settings.exposure_s)))
