@@ -110,6 +110,7 @@ def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result
     alarm: Callable[[Result], bool] = lambda r: r["judged"]["verdict"] != "agrees"  # noqa: E731
     other = {kind: [r for r in fine[kind] if other_equation(r)] for kind in ("weak", "pair")}
     own = {kind: [r for r in fine[kind] if not other_equation(r)] for kind in ("weak", "pair")}
+    own["pair"] += fine["own_pair"]
     return [
         ("null: false alarm", "≤ 2 %", fine["null"], alarm),
         ("null: false name", "≤ 1 %", fine["null"], lambda r: bool(r["judged"]["names"])),
@@ -120,10 +121,10 @@ def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result
         ("0.3 of the size: right name first", "≥ 95 %", fine["weak"], _is("first")),
         ("– of these by the model's equation", "", own["weak"], _is("first")),
         ("two hidden: both named", "≥ 95 %", fine["pair"], _is("named")),
-        ("– of these both by the model's equation", "", own["pair"], _is("named")),
+        ("two hidden, both by the model's equation: both named", "≥ 95 %", own["pair"], _is("named")),
         ("two hidden: exact", "≥ 85 %", fine["pair"], _is("exact")),
-        ("– of these both by the model's equation", "", own["pair"], _is("exact")),
-        ("two hidden: confidently wrong", "≤ 1 %", fine["pair"], _is("confident_wrong")),
+        ("two hidden, both by the model's equation: exact", "≥ 85 %", own["pair"], _is("exact")),
+        ("two hidden: confidently wrong", "≤ 1 %", fine["pair"] + fine["own_pair"], _is("confident_wrong")),
         ("another equation: right family, or its place", "≥ 95 %", fine["variant"], _is("family_or_place")),
         ("another equation, 0.3 of the size: right family, or its place", "", other["weak"], _is("family_or_place")),
         ("another equation in a pair: both families named", "", other["pair"], _is("named")),

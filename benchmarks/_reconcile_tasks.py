@@ -13,7 +13,7 @@ import numpy as np
 from tests.roundtrip.generator import session  # noqa: F401  (fills the registry)
 from tests.roundtrip.generator.registry import ENTRIES, OUTSIDERS, VARIANTS, forms_of
 
-KINDS = ("null", "single", "weak", "pair", "variant", "outsider", "removed", "unknown", "plain", "plain_unknown")
+KINDS = ("null", "single", "weak", "pair", "own_pair", "variant", "outsider", "removed", "unknown", "plain", "plain_unknown")
 # Pairs of which one hides or imitates the other outright, with this plan: the same light, codes or charge twice.
 INSEPARABLE = (
     {"missing_codes", "reduced_bit_depth"},
@@ -70,13 +70,15 @@ def visible() -> list[str]:
 def tasks(kinds: tuple[str, ...], seeds: int, *, first_seed: int = 0) -> Iterator[Task]:
     """Yield the runs of the kinds, `seeds` of each entry (nulls: 50 times as many, pairs: 20 times).
 
-    Weak and paired effects take the entry's own equation or one of its other forms, drawn by their seed.
+    Weak and paired effects take the entry's own equation or one of its other forms, drawn by their seed; `own_pair`
+    hides both by the entries' own equations.
     """
     makers = {
         "null": lambda: (Task("null", (), first_seed + s) for s in range(50 * seeds)),
         "single": lambda: _each("single", visible(), seeds, first_seed),
         "weak": lambda: map(_in_any_form, _each("weak", visible(), max(1, seeds // 2), first_seed, scale=0.3)),
-        "pair": lambda: map(_in_any_form, _pairs(20 * seeds, first_seed)),
+        "pair": lambda: map(_in_any_form, _pairs("pair", 20 * seeds, first_seed + 2000)),
+        "own_pair": lambda: _pairs("own_pair", 20 * seeds, first_seed + 6000),
         "variant": lambda: _each("variant", list(VARIANTS), seeds, first_seed),
         "outsider": lambda: _each("outsider", list(OUTSIDERS), seeds, first_seed),
         "removed": lambda: _removed(max(1, seeds // 2), first_seed),
@@ -104,14 +106,14 @@ def _in_any_form(task: Task) -> Task:
     return replace(task, names=tuple(names))
 
 
-def _pairs(count: int, first: int) -> Iterator[Task]:
+def _pairs(kind: str, count: int, first: int) -> Iterator[Task]:
     rng = np.random.default_rng([first, 77])
     names = [n for n in visible() if ENTRIES[n].plan == "rich"]
     made = 0
     while made < count:
         pair = {names[i] for i in rng.choice(len(names), 2, replace=False)}
         if pair not in INSEPARABLE:
-            yield Task("pair", tuple(sorted(pair)), first + 2000 + made)
+            yield Task(kind, tuple(sorted(pair)), first + made)
             made += 1
 
 

@@ -1,6 +1,6 @@
 """What speaks against names that no test contradicts: scatter without any trend, names that only do together what one
-other might, entries of which only the further terms fit or whose parameters make them another, little evidence that others claim too, and laws that are not
-quite followed.
+other might, entries of which only the further terms fit or whose parameters make them another, little evidence that
+others claim too, and laws that are not quite followed.
 
 The tests of `localise` look for trends. What moves single tiles or frames at random leaves none, but a reduced χ²
 above 1.
