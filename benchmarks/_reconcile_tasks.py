@@ -13,7 +13,9 @@ import numpy as np
 from tests.roundtrip.generator import session  # noqa: F401  (fills the registry)
 from tests.roundtrip.generator.registry import ENTRIES, OUTSIDERS, VARIANTS, forms_of
 
-KINDS = ("null", "single", "weak", "pair", "own_pair", "variant", "outsider", "removed", "unknown", "plain", "plain_unknown")
+KINDS = tuple(
+    "null single weak pair own_pair variant outsider removed unknown plain plain_unknown".split()  # noqa: SIM905
+)
 # Pairs of which one hides or imitates the other outright, with this plan: the same light, codes or charge twice.
 INSEPARABLE = (
     {"missing_codes", "reduced_bit_depth"},
