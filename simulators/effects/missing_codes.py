@@ -17,6 +17,7 @@ from simulators.effects.tile_moments import TileMoments
 _SAMPLES: Final = 4096  # of one step, for its Fourier series
 _HARMONICS: Final = 8
 _PER_CODE: Final = 2  # harmonics per code where single codes are left out
+_STEPS: Final = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 32.0, 64.0)
 
 
 @cache
@@ -45,8 +46,9 @@ def _expected(u: Signal, variance: Signal, step: int, kept: int) -> tuple[Signal
 
 @dataclass(frozen=True)
 class MissingCodes(CatalogueEffect):
-    """Keeps only the first k of every q codes: y' = q·⌊y/q⌋ + min(y mod q, k − 1); for k = 1 each q-th.
+    """Keeps only the first k of every q codes: y' = q·⌊z/q⌋ + min(z mod q, k − 1), z = y + a; for k = 1 each q-th.
 
+    A coarser converter cuts (a = 0) or rounds to the nearest of its codes (a = ⌊q/2⌋), which lifts the mean by as much.
     Moments are those of a quantised normal variable, exact also where the noise is below the step.
 
     Source: reduced bit depth behind a wider output; missing codes of a converter.
@@ -59,17 +61,8 @@ class MissingCodes(CatalogueEffect):
     where = "signal"
     block = "comb"
     trials = (
-        {"step_codes": 2.0},
-        {"step_codes": 3.0},
-        {"step_codes": 4.0},
-        {"step_codes": 5.0},
-        {"step_codes": 6.0},
-        {"step_codes": 8.0},
-        {"step_codes": 10.0},
-        {"step_codes": 12.0},
-        {"step_codes": 16.0},
-        {"step_codes": 32.0},
-        {"step_codes": 64.0},
+        *({"step_codes": step} for step in _STEPS),
+        *({"step_codes": step, "added_codes": step // 2.0} for step in _STEPS),
         {"step_codes": 3.0, "kept_codes": 2.0},
         {"step_codes": 4.0, "kept_codes": 2.0},
         {"step_codes": 4.0, "kept_codes": 3.0},
@@ -80,17 +73,19 @@ class MissingCodes(CatalogueEffect):
     settles = "any capture with noise above three steps"
     step_codes: float = parameter(1.0, "1", 1.0, 4096.0, source="period of the codes that occur")
     kept_codes: float = parameter(1.0, "1", 1.0, 4095.0, source="codes of each period that occur")
+    added_codes: float = parameter(0.0, "1", 0.0, 2048.0, source="half a step where it is rounded to the nearest")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the code that stands for a value."""
-        whole = self.step_codes * np.floor((signal + 1e-6) / self.step_codes)
-        return cast(Signal, whole + np.clip(np.floor(signal - whole + 1e-6), 0.0, self.kept_codes - 1.0))
+        lifted = signal + self.added_codes
+        whole = self.step_codes * np.floor((lifted + 1e-6) / self.step_codes)
+        return cast(Signal, whole + np.clip(np.floor(lifted - whole + 1e-6), 0.0, self.kept_codes - 1.0))
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
         """Return the moments of the coarser code."""
         # Until here the value was rounded to whole codes; half a code is what rounding and cutting differ by.
         narrow2 = np.maximum(before.variance - 1.0 / 12.0, 1e-6)
-        u = before.mean + 0.5
+        u = before.mean + 0.5 + self.added_codes
         spread2 = narrow2 + before.spatial_variance
         cut, square, slope = _expected(u, spread2, round(self.step_codes), round(self.kept_codes))
         variance = narrow2 + square - cut**2 - 2.0 * narrow2 * slope

@@ -213,12 +213,14 @@ def test_uneven_wells_leave_the_moments_of_pixels_that_differ(mean_e: float) -> 
     assert float(scatter.mean()) == pytest.approx(fixed, abs=5 * scatter.std() / pixels**0.5)
 
 
-@pytest.mark.parametrize(("step", "kept"), [(4, 1), (4, 3), (16, 15)])
+@pytest.mark.parametrize(("step", "kept", "added"), [(4, 1, 0), (4, 1, 2), (5, 1, 2), (4, 3, 0), (16, 15, 0)])
 @pytest.mark.parametrize("mean_dn", [240.3, 241.9])
-def test_missing_codes_leave_the_moments_of_the_codes_that_occur(step: int, kept: int, mean_dn: float) -> None:
+def test_missing_codes_leave_the_moments_of_the_codes_that_occur(
+    step: int, kept: int, added: int, mean_dn: float
+) -> None:
     """Rounded normal values, drawn one by one and freed of the missing codes, have the mean and noise predicted."""
     rng, count, sigma = np.random.default_rng(4), 400_000, 1.1
-    effect = MissingCodes(float(step), float(kept))
+    effect = MissingCodes(float(step), float(kept), float(added))
     codes = effect.mean(np.rint(mean_dn + sigma * rng.standard_normal(count)), _context())
     assert set(np.unique(codes % step)) <= set(range(kept))
     nothing = np.zeros(1)
