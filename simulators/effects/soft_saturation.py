@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, cast
+from typing import Any, Final, Self, cast
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from simulators.effects.base import ELECTRONS, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, well_e
 from simulators.effects.context import ExposureContext, Signal
 
+_PLAIN: Final = (1.0, 2.0)  # hardnesses that are tried as they are; any other is fitted
 _NARROWEST: Final = 0.02  # of the full well between knee and ceiling: what is narrower is a well that is simply full
 
 
@@ -54,6 +55,18 @@ class SoftSaturation(CatalogueEffect):
     ceiling: float = parameter(1.0, "1", 0.1, 20.0, source="share of the full well that is never passed")
     hardness: float = parameter(2.0, "1", 0.5, 10.0, source="1 is very soft, 10 almost a clip")
     charging: float = parameter(0.0, "1", 0.0, 1.0, source="1 where the rest fills up like a capacitor")
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: the hardness only where it is not a plain one."""
+        return self.fitted if self.charging or self.hardness in _PLAIN else (*self.fitted, "hardness")
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the knee of any hardness and the one that charges up, where it is not that already."""
+        free = self.with_parameters(charging=0.0, hardness=1.5)
+        charging = self.with_parameters(charging=1.0, hardness=2.0)
+        if self.charging:
+            return (free,)
+        return (free, charging) if self.hardness in _PLAIN else (charging,)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the electrons that stay."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
 from simulators.camera_model import CameraModel
@@ -49,7 +50,7 @@ FLEXIBLE = """
 ambient_light_leak black_level_drift black_level_offset crosstalk dark_current_clamped defocus display_gamma_error
 adc_saturation full_well_saturation display_nonuniformity ghost mechanical_vignetting natural_vignetting
 angle_dependence
-parasitic_light_sensitivity quantum_efficiency_temperature veiling_glare image_lag source_warmup_drift
+parasitic_light_sensitivity quantum_efficiency_temperature veiling_glare image_lag source_warmup_drift soft_saturation
 """.split()  # noqa: SIM905
 
 
@@ -312,3 +313,25 @@ def test_soft_saturation_is_never_a_clip(form: dict[str, float]) -> None:
     rise = np.asarray(effect.slope(above, _context()))
     assert rise[0] == pytest.approx(1.0)
     assert 0.2 < rise[1] < kept
+
+
+def test_looser_knee_follows_a_law_that_no_plain_one_follows() -> None:
+    """Of a knee of hardness 1.4 one of a free hardness leaves nothing, one of 2 leaves 0.2 % of the well."""
+    light = np.linspace(0.5, 1.3, 81) * 10_500.0
+    true = np.asarray(SoftSaturation(0.67, 1.05, 1.4).mean(light, _context()))
+
+    def misfit(form: SoftSaturation) -> float:
+        def left(values: Any) -> Any:
+            moved = form.with_parameters(**dict(zip(form.free(), values.tolist(), strict=True)))
+            return (np.asarray(moved.mean(light, _context())) - true) / 10_500.0
+
+        found = least_squares(left, [getattr(form, name) for name in form.free()], bounds=(0.5, 1.9), x_scale=0.1)
+        return float(np.max(np.abs(found.fun)))
+
+    plain = SoftSaturation(0.7, 1.0)
+    free, charging = plain.loosened(_context())
+    assert misfit(free) < 1e-4
+    assert misfit(plain) > 2e-3
+    assert charging.charging
+    assert charging.free() == plain.free() == ("knee", "ceiling")
+    assert [form.free() for form in charging.loosened(_context())] == [("knee", "ceiling", "hardness")]
