@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy.stats import rankdata
 
+from radiometer.reconcile.chances import ranks
 from radiometer.reconcile.design import Array, Design
 from radiometer.reconcile.tile_model import Prediction, TileModel
 
@@ -54,8 +54,8 @@ class Covariate:
 
 
 def _rank_axis(values: Array) -> Array:
-    ranks = rankdata(values)
-    return np.asarray(2.0 * (ranks - ranks.min()) / max(np.ptp(ranks), 1e-30) - 1.0)
+    rank = ranks(values)
+    return np.asarray(2.0 * (rank - rank.min()) / max(np.ptp(rank), 1e-30) - 1.0)
 
 
 def _linear_axis(values: Array) -> Array:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.edges import SHARPEST
 from radiometer.reconcile.result import Limit
-from radiometer.reconcile.screening import change_of
+from radiometer.reconcile.screening import AT_ONCE, changes_of
 from radiometer.reconcile.state import FitState, with_effects
 from radiometer.reconcile.usable import partly_at_the_top
 from simulators.effects.catalogue import CatalogueEffect
@@ -47,26 +47,21 @@ _SQUARED: Final = frozenset(  # a standard deviation acts by its square
 
 def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> dict[str, Limit]:
     """Return the amplitude of every entry that these data would have shown at five sigma, by name."""
-    return {name: _limit(state, name, kind) for name, kind in sorted(catalogue.items())}
+    found = {name: Limit(None, *_main_parameter(kind, None)) for name, kind in sorted(catalogue.items())}
+    asked = {name: kind for name, kind in catalogue.items() if _can_show(state, kind, found[name].unit)}
+    present = {effect.name for effect in state.effects if effect.name in asked}
+    starts = [_few(kind.starts(state.model.context)) for name, kind in asked.items() if name not in present]
+    found |= _mildest(state, [start for several in starts for start in several])
+    for name in sorted(present):  # what is named already: how small could it have been?
+        others = with_effects(state, [effect for effect in state.effects if effect.name != name])
+        found |= _mildest(others, [effect for effect in state.effects if effect.name == name])
+    return found
 
 
-def _limit(state: FitState, name: str, kind: type[CatalogueEffect]) -> Limit:
-    blind = Limit(None, *_main_parameter(kind, None))
-    if name in _SHARP and partly_at_the_top(state.design, state.seen, state.prediction).any():
-        return blind  # the very tiles that would show it are left out, wherever it lies
-    if not kind.usable(state.model.context) or (blind.unit == _ABSOLUTE_LIGHT and not state.design.has_known_radiance):
-        return blind
-    here = tuple(effect for effect in state.effects if effect.name == name)
-    if here:  # what is named already: how small could it have been?
-        state = with_effects(state, [effect for effect in state.effects if effect.name != name])
-    starts = here or _few(kind.starts(state.model.context))
-    found = [_Grown.of(state, start) for start in starts]
-    seen = [grown.limit() for grown in found if grown.information > 0 and grown.size]
-    known = [limit for limit in seen if limit.amplitude is not None]
-    if not known:
-        return blind
-    mildest = max if name in _MILD_WHEN_LARGE else min
-    return mildest(known, key=lambda limit: abs(limit.amplitude or 0.0))
+def _can_show(state: FitState, kind: type[CatalogueEffect], unit: str) -> bool:
+    if kind.name in _SHARP and partly_at_the_top(state.design, state.seen, state.prediction).any():
+        return False  # the very tiles that would show it are left out, wherever it lies
+    return kind.usable(state.model.context) and (unit != _ABSOLUTE_LIGHT or state.design.has_known_radiance)
 
 
 def _few(starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
@@ -75,53 +70,70 @@ def _few(starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
     return starts[::step]
 
 
+def _mildest(state: FitState, starts: Sequence[CatalogueEffect]) -> dict[str, Limit]:
+    """Return the mildest limit of the starts of each entry, by name; none where no start has one.
+
+    All starts take one look after the other side by side: what many change is projected at once.
+    """
+    found: dict[str, _Grown] = {}
+    searches = [_Search(abs(near.size), near) for near in _grown(state, starts) if near.information > 0 and near.size]
+    for _ in range(_LOOKS):
+        for near in (search.near for search in searches if search.near.is_limit):
+            found[near.effect.name] = near.milder(found.get(near.effect.name))
+        going = [search.narrowed() for search in searches if search.near.grows and not search.near.is_limit]
+        looks = [(search, search.next_look()) for search in going if not search.is_beyond(found)]
+        wanted = [(search, effect) for search, effect in looks if effect is not None]
+        grown = _grown(state, [effect for _, effect in wanted])
+        searches = [replace(search, near=near) for (search, _), near in zip(wanted, grown, strict=True)]
+    return {name: near.limit for name, near in found.items()}
+
+
 @dataclass(frozen=True, eq=False)
 class _Grown:
     """An effect at one size, and the χ² by which it would stand out there.
 
     Attributes:
-        state: The model without it.
         effect: The effect.
         parameter: The parameter that is its size.
         unit: Its unit.
         information: χ² that it would bring, all nuisances and other effects following.
     """
 
-    state: FitState
     effect: CatalogueEffect
     parameter: str
     unit: str
     information: float
-
-    @classmethod
-    def of(cls, state: FitState, effect: CatalogueEffect) -> _Grown:
-        """Return the effect with its χ²."""
-        parameter, unit = _main_parameter(type(effect), effect)
-        return cls(state, effect, parameter, unit, _information(state, effect))
 
     @property
     def size(self) -> float:
         """Return how far the parameter lies from doing nothing."""
         return _amplitude(self.effect, self.parameter)
 
-    def limit(self) -> Limit:
-        """Return the size of five sigma, looked for where the effect has that size: few grow in proportion."""
-        if self.effect.name in _STEPWISE or self.parameter not in self.effect.values():
-            # It does not grow from nothing: what counts is whether this very form would show.
-            shown = self.information >= SIGMAS**2
-            return Limit(self.size if shown else None, self.parameter, self.unit)
-        below, above, near = None, None, self
-        for _ in range(_LOOKS):
-            if abs(np.log(max(near.information, _NOTHING) / SIGMAS**2)) < _CLOSE:
-                return Limit(abs(near.size), self.parameter, self.unit)
-            below, above = (below, near) if near.information > SIGMAS**2 else (near, above)
-            other = near._times(_next_size(below, above) / near.size)
-            if other is None or abs(other.size) > _LARGEST_FACTOR * abs(self.size):
-                break
-            near = other
-        return Limit(None, self.parameter, self.unit)
+    @property
+    def grows(self) -> bool:
+        """Tell whether it grows from nothing; if not, what counts is whether this very form would show."""
+        return self.effect.name not in _STEPWISE and self.parameter in self.effect.values()
 
-    def _times(self, factor: float) -> _Grown | None:
+    @property
+    def is_limit(self) -> bool:
+        """Tell whether it stands out by five sigma, or, where it does not grow, by as much at least."""
+        if not self.grows:
+            return self.information >= SIGMAS**2
+        return bool(abs(np.log(max(self.information, _NOTHING) / SIGMAS**2)) < _CLOSE)
+
+    @property
+    def limit(self) -> Limit:
+        """Return its size as a limit."""
+        return Limit(abs(self.size) if self.grows else self.size, self.parameter, self.unit)
+
+    def milder(self, other: _Grown | None) -> _Grown:
+        """Return this or another limit, whichever is the milder effect."""
+        if other is None:
+            return self
+        mildest = max if self.effect.name in _MILD_WHEN_LARGE else min
+        return mildest(other, self, key=lambda grown: abs(grown.size))
+
+    def times(self, factor: float) -> CatalogueEffect | None:
         """Return the effect with its size times a factor; None beyond the parameter's bounds."""
         known = next(entry for entry in self.effect.parameters() if entry.name == self.parameter)
         values, neutral = self.effect.values()[self.parameter], NEUTRAL.get(self.parameter, 0.0)
@@ -131,7 +143,39 @@ class _Grown:
         if not np.all((known.low <= new) & (new <= known.high)) or np.array_equal(old, new):
             return None
         grown = tuple(new.tolist()) if table else float(new[0])
-        return _Grown.of(self.state, self.effect.with_parameters(**{self.parameter: grown}))
+        return self.effect.with_parameters(**{self.parameter: grown})
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """The way to the size of five sigma, looked for where the effect has that size: few grow in proportion.
+
+    Attributes:
+        first: Size of the start.
+        near: The last look.
+        below: The last look that did not show.
+        above: The last one that did.
+    """
+
+    first: float
+    near: _Grown
+    below: _Grown | None = None
+    above: _Grown | None = None
+
+    def narrowed(self) -> _Search:
+        """Return the search with the last look as one of its ends."""
+        shows = self.near.information > SIGMAS**2
+        return replace(self, above=self.near) if shows else replace(self, below=self.near)
+
+    def is_beyond(self, found: Mapping[str, _Grown]) -> bool:
+        """Tell whether a milder form of the entry is known to show already than this one, which does not."""
+        least = found.get(self.near.effect.name)
+        return least is not None and self.below is not None and abs(self.below.size) >= abs(least.size)
+
+    def next_look(self) -> CatalogueEffect | None:
+        """Return the effect where to look next; None where it would be absurd."""
+        size = _next_size(self.below, self.above)
+        return self.near.times(size / self.near.size) if abs(size) <= _LARGEST_FACTOR * self.first else None
 
 
 def _next_size(below: _Grown | None, above: _Grown | None) -> float:
@@ -147,24 +191,32 @@ def _next_size(below: _Grown | None, above: _Grown | None) -> float:
     return float(below.size * (above.size / below.size) ** share)
 
 
-def _information(state: FitState, effect: CatalogueEffect) -> float:
-    change = state.fit.followed(change_of(state, (*state.effects, effect)))
-    part = state.fit.half(state.fit.pull(change))
-    whole = float(change @ change)
-    information = whole - float(part @ part)
-    if information <= _BLIND * whole or information <= 0:
-        return 0.0
-    return max(information + _edge_in_common(state, change), 0.0)
+def _grown(state: FitState, effects: Sequence[CatalogueEffect]) -> list[_Grown]:
+    found = []
+    for first in range(0, len(effects), AT_ONCE):
+        batch = effects[first : first + AT_ONCE]
+        for effect, information in zip(batch, _information(state, batch), strict=True):
+            found.append(_Grown(effect, *_main_parameter(type(effect), effect), information))
+    return found
 
 
-def _edge_in_common(state: FitState, change: Array) -> float:
-    """Return what χ² loses because the floor of the borders' uncertainty is the same in all captures."""
+def _information(state: FitState, effects: Sequence[CatalogueEffect]) -> list[float]:
+    changes, part = state.fit.followed_with_half(changes_of(state, effects))
+    whole = np.sum(changes**2, axis=0)
+    left = whole - np.sum(part**2, axis=0)
+    seen = (left > _BLIND * whole) & (left > 0)
+    shown = np.maximum(left + _edge_in_common(state, changes), 0.0)
+    return [float(value) for value in np.where(seen, shown, 0.0)]
+
+
+def _edge_in_common(state: FitState, changes: Array) -> Array:
+    """Return what χ² loses because the floor of the borders' uncertainty is the same in all captures, (effects,)."""
     cut, deviation = state.comparison.cuts["edge"], state.comparison.deviation["edge"]
-    moved = change[cut]
+    moved = changes[cut]
     floor = np.where(state.comparison.usable["edge"], np.minimum(SHARPEST / deviation, _MOST_FLOOR), 0.0)
     own = 1.0 - floor**2
-    together = float(np.sum(moved * floor / own)) ** 2 / (1.0 + float(np.sum(floor**2 / own)))
-    return float(np.sum(moved**2 / own)) - together - float(moved @ moved)
+    together = ((floor / own) @ moved) ** 2 / (1.0 + float(np.sum(floor**2 / own)))
+    return np.asarray((1.0 / own - 1.0) @ moved**2 - together)
 
 
 def _main_parameter(kind: type[CatalogueEffect], start: CatalogueEffect | None) -> tuple[str, str]:

@@ -108,11 +108,38 @@ class LinearFit:
         Args:
             vectors: (entries,) or (entries, n); prior rows may be left out.
         """
-        half = solve_triangular(self.nuisances.factor, self.nuisances.pull(vectors), lower=True, check_finite=False)
+        return self._moved(vectors, self._led(self.nuisances.pull(vectors)))
+
+    def followed_with_half(self, vectors: Array) -> tuple[Array, Array]:
+        """Return `followed(vectors)` and L⁻¹·Jᵀ of it, the part that the parameters take up.
+
+        Args:
+            vectors: (entries, n); prior rows may be left out.
+        """
+        pulled = self.nuisances.pull(vectors)
+        led = self._led(pulled)
+        moved = self._moved(vectors, led)
+        own = self.effects[: moved.shape[0]].T @ moved
+        return moved, self.half(np.concatenate([pulled - self._crossed @ led, own]))
+
+    def _led(self, pulled: Array) -> Array:
+        """Return (NᵀN)⁻¹·Nᵀ·v from Nᵀ·v, as far as followers go with it."""
+        half = solve_triangular(self.nuisances.factor, pulled, lower=True, check_finite=False)
         step = solve_triangular(self.nuisances.factor, half, lower=True, trans="T", check_finite=False)
+        return np.asarray(step[: self.followers.columns])
+
+    def _moved(self, vectors: Array, led: Array) -> Array:
         moved = vectors.copy()
-        moved[self.followers.rows] -= self.followers.values @ step[: self.followers.columns]
+        moved[self.followers.rows] -= self.followers.values @ led
         return moved
+
+    @cached_property
+    def _crossed(self) -> Array:
+        """Return Nᵀ·F."""
+        _, own, theirs = np.intersect1d(
+            self.nuisances.rows, self.followers.rows, assume_unique=True, return_indices=True
+        )
+        return np.asarray(self.nuisances.values[own].T @ self.followers.values[theirs])
 
     def solve(self, right: Array) -> Array:
         """Return (JᵀJ)⁻¹ · right."""
@@ -140,18 +167,20 @@ class LinearFit:
         changed = self.residual if residual is None else residual
         return LinearFit(changed, self.nuisances, np.hstack([self.effects, columns]), self.followers)
 
-    def score(self, rows: slice, basis: Array) -> tuple[float, int]:
+    def score(self, rows: slice, basis: Array, part: Array | None = None) -> tuple[float, int]:
         """Return (χ², rank) of what a basis that touches only some rows would explain beside the parameters.
 
         Args:
             rows: Rows that the basis touches.
             basis: Its whitened columns, (rows, terms).
+            part: L⁻¹·Jᵀ·basis, where it is known already.
         """
         lengths = np.linalg.norm(basis, axis=0)
-        basis = basis[:, lengths > 0] / lengths[lengths > 0]
+        there = lengths > 0
+        basis = basis[:, there] / lengths[there]
         if not basis.size:
             return 0.0, 0
-        part = self.half(self.pull(basis, rows.start))
+        part = self.half(self.pull(basis, rows.start)) if part is None else part[:, there] / lengths[there]
         gram = basis.T @ basis - part.T @ part
         right = basis.T @ self.projected[rows]
         values, vectors = np.linalg.eigh(gram)

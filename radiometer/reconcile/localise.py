@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 from scipy.special import gammaln
-from scipy.stats import chi2
 
+from radiometer.reconcile.chances import chi2_beyond
 from radiometer.reconcile.comparison import CAPTURE_BLOCKS, FAMILY, Comparison
 from radiometer.reconcile.covariates import Covariate, covariates
 from radiometer.reconcile.design import Array
@@ -149,7 +149,7 @@ def score(state: FitState, basis: Basis, fit: LinearFit) -> Disagreement | None:
     explained, rank = fit.score(state.comparison.cuts[basis.block], basis.columns)
     if not rank:
         return None
-    return Disagreement(basis.block, basis.where, basis.form, explained, rank, float(chi2.sf(explained, rank)))
+    return Disagreement(basis.block, basis.where, basis.form, explained, rank, chi2_beyond(explained, rank))
 
 
 def significant(tests: Sequence[Disagreement]) -> tuple[Disagreement, ...]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize_scalar
-from scipy.stats import chi2
 
+from radiometer.reconcile.chances import chi2_beyond, chi2_quantile
 from radiometer.reconcile.design import Array, Design
 
 _ASSUMED_TAU: Final = 1e-3  # where neither repeats nor capture.yaml tell
@@ -23,6 +22,8 @@ _EXPOSURE_GROUPS: Final = 6
 _NORMAL: Final = 1.4826  # standard deviation of normal values over their median deviation
 _STANDS_OUT: Final = 8.0  # sigmas
 _UNSTEADY: Final = 0.01
+_ZOOMED: Final = 33  # values tried at once, of which the neighbours of the best are the next range
+_ZOOMS: Final = 6
 _SHOWN_WANDER: Final = 4.0  # deviance that it must explain
 
 
@@ -64,12 +65,12 @@ def estimate_tau(design: Design, scale: Array, variance: Array) -> float:
     if not lit.any():
         return float(np.sqrt(low * high))
 
-    def cost(log_tau: float) -> float:
-        total = variance[lit] + np.exp(2.0 * log_tau)
-        return float(np.sum(np.log(total) + scale[lit] ** 2 / total))
-
-    found = minimize_scalar(cost, bounds=(np.log(low), np.log(high)), method="bounded")
-    return float(np.exp(found.x))
+    for _ in range(_ZOOMS):
+        tried = np.geomspace(low, high, _ZOOMED)
+        total = variance[lit] + np.square(tried)[:, None]
+        best = int(np.argmin(np.sum(np.log(total) + scale[lit] ** 2 / total, axis=1)))
+        low, high = tried[max(best - 1, 0)], tried[min(best + 1, _ZOOMED - 1)]
+    return float(np.sqrt(low * high))
 
 
 def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: float | None) -> float:
@@ -91,7 +92,7 @@ def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: 
     order = np.argsort(exposure_s, kind="stable")
     groups = np.array_split(order, min(_EXPOSURE_GROUPS, len(np.unique(exposure_s))))
     apart = sum(float(deviances[:, group].sum(axis=1).min()) for group in groups)
-    if declared is not None and len(groups) > 1 and chi2.sf(totals.min() - apart, len(groups) - 1) < _UNSTEADY:
+    if declared is not None and len(groups) > 1 and chi2_beyond(totals.min() - apart, len(groups) - 1) < _UNSTEADY:
         return 0.0
     return float(tried[np.argmin(totals)])
 
@@ -105,7 +106,7 @@ def _bounds(
         middle, (down, up) = (declared, _DECLARED_RANGE) if declared else (_ASSUMED_TAU, _ASSUMED_RANGE)
         return max(middle * down, _SMALLEST_TAU), max(middle * up, 2 * _SMALLEST_TAU)
     observed = residual / freedom
-    inside = np.array([chi2.ppf(0.5 + s * _CONFIDENCE / 2.0, freedom) / freedom for s in (1.0, -1.0)])
+    inside = np.array([chi2_quantile(0.5 + s * _CONFIDENCE / 2.0, freedom) / freedom for s in (1.0, -1.0)])
     total = np.maximum(observed / inside, 0.0) - noise
     low, high = np.sqrt(np.maximum(total, _SMALLEST_TAU**2))
     return float(low), float(max(high, 2 * low, 2e-5))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Final
 
 import numpy as np
@@ -18,6 +19,7 @@ from simulators.effects.catalogue import CatalogueEffect
 _OTHER_STARTS: Final = 2  # of an entry that are kept for the fit beside the best
 _LARGEST_AMPLITUDE: Final = 300.0  # a start may be that much too small …
 _SMALLEST_CURVATURE: Final = 1e-9
+AT_ONCE: Final = 32  # changes that are projected together: one at a time would read the whole fit for each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,11 +62,16 @@ def screen(
         pool: Their starts, where they were made before.
     """
     pool = pool or StartPool()
+    kinds = usable_catalogue(state, catalogue).values()
+    likeliest = [pool.likeliest(state, kind) for kind in kinds]
+    covers = [kind.covers(state.model.context) for kind in kinds]
+    rigid = iter(_rigid(state, [start for starts in likeliest for start in starts]))
+    flexible = iter(_flexible(state, [cover for several in covers for cover in several]))
     found: list[Candidate] = []
-    for kind in usable_catalogue(state, catalogue).values():
-        best = _best(_rigid(state, pool.likeliest(state, kind)))
+    for kind, starts, several in zip(kinds, likeliest, covers, strict=True):
+        best = _best(list(islice(rigid, len(starts))))
         found += [replace(candidate, tries=pool.count(kind)) for candidate in best]
-        found += _best([_flexible(state, cover) for cover in kind.covers(state.model.context)])
+        found += _best(list(islice(flexible, len(several))))
     return sorted(found, key=lambda candidate: -candidate.gain)
 
 
@@ -94,13 +101,24 @@ def change_of(state: FitState, effects: Sequence[CatalogueEffect]) -> Array:
     return np.asarray(state.plain_residual - changed)
 
 
+def changes_of(state: FitState, effects: Sequence[CatalogueEffect]) -> Array:
+    """Return what each of some further effects alone changes, (entries, effects).
+
+    Raises:
+        MeasurementError: If the prediction with one of them is not finite.
+    """
+    return np.stack([change_of(state, (*state.effects, effect)) for effect in effects], axis=1)
+
+
 def _rigid(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate]:
-    if not starts:
-        return []
+    batches = (starts[first : first + AT_ONCE] for first in range(0, len(starts), AT_ONCE))
+    return [candidate for batch in batches for candidate in _rigid_batch(state, batch)]
+
+
+def _rigid_batch(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate]:
     rows = state.comparison.size
     fit = state.fit
-    changes = fit.followed(np.stack([change_of(state, (*state.effects, effect)) for effect in starts], axis=1))
-    part = fit.half(fit.pull(changes))
+    changes, part = fit.followed_with_half(changes_of(state, starts))
     curvature = np.sum(changes**2, axis=0) - np.sum(part**2, axis=0)
     slope = changes.T @ fit.projected[:rows]
     floor = _SMALLEST_CURVATURE * np.maximum(np.sum(changes**2, axis=0), 1e-12)
@@ -127,7 +145,31 @@ def _scaled(effect: CatalogueEffect, amplitude: float) -> tuple[CatalogueEffect,
     return tuple(effect.with_parameters(**{name: v}) for v in sorted(wanted))
 
 
-def _flexible(state: FitState, cover: CatalogueEffect) -> Candidate:
+def _flexible(state: FitState, covers: Sequence[CatalogueEffect]) -> list[Candidate]:
+    found: list[Candidate] = []
+    waiting: list[tuple[CatalogueEffect, Array]] = []
+    for number, cover in enumerate(covers, start=1):
+        waiting.append((cover, _flexible_columns(state, cover)))
+        if sum(columns.shape[1] for _, columns in waiting) >= AT_ONCE or number == len(covers):
+            found += _flexible_batch(state, waiting)
+            waiting = []
+    return found
+
+
+def _flexible_batch(state: FitState, covers: Sequence[tuple[CatalogueEffect, Array]]) -> list[Candidate]:
+    rows = slice(0, state.comparison.size)
+    followed, part = state.fit.followed_with_half(np.hstack([columns for _, columns in covers]))
+    found, at = [], 0
+    for cover, columns in covers:
+        own = slice(at, at + columns.shape[1])
+        gain, _ = state.fit.score(rows, followed[:, own], part[:, own])
+        found.append(Candidate(cover, gain, columns.shape[1] - 1, flexible=True))
+        at = own.stop
+    return found
+
+
+def _flexible_columns(state: FitState, cover: CatalogueEffect) -> Array:
+    """Return what a cover changes in the residual, and what its parameters do then, (entries, 1 + parameters)."""
     effects = (*state.effects, cover)
     parameters = EffectParameters.of(effects)
     own = [i for i, owner in enumerate(parameters.owner) if owner == len(state.effects)]
@@ -138,6 +180,4 @@ def _flexible(state: FitState, cover: CatalogueEffect) -> Candidate:
         moved = values.copy()
         moved[index] += 0.1 * parameters.scale[index]
         columns.append(change_of(state, parameters.replaced(moved)) - at)
-    rows = slice(0, state.comparison.size)
-    gain, _ = state.fit.score(rows, state.fit.followed(np.stack(columns, axis=1)))
-    return Candidate(cover, gain, len(own), flexible=True)
+    return np.stack(columns, axis=1)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
 
 from radiometer.reconcile.candidate_fit import (
     FittedCandidate,
@@ -17,6 +16,7 @@ from radiometer.reconcile.candidate_fit import (
     included,
     judged_gain,
 )
+from radiometer.reconcile.chances import chi2_beyond
 from radiometer.reconcile.localise import SIGNIFICANT, Disagreement, localise, significant, smooth_term
 from radiometer.reconcile.loosening import Loosened, loosened
 from radiometer.reconcile.plain_trends import TRENDS
@@ -239,7 +239,8 @@ def _choose(judged: list[tuple[FittedCandidate, float]]) -> tuple[FittedCandidat
 
 def _log_chance(gain: float, parameters: int) -> float:
     """Return ln of the chance that so many idle parameters gain so much χ²."""
-    return float(chi2.logsf(max(gain, 1e-9), parameters))
+    chance = chi2_beyond(max(gain, 1e-9), parameters)
+    return float(np.log(chance)) if chance > 0 else -np.inf
 
 
 def _is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from simulators.effects.base import ELECTRONS, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, warmer_k
@@ -71,7 +71,7 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         _, spread = self._lognormal()
         robust2 = np.square(self.shape / spread * pattern)  # what the median deviation of the body tells
         limit = 6.0 * np.sqrt(noise2 + robust2) / pattern
-        above = norm.sf(np.log(1.0 + spread * limit) / self.shape)
+        above = ndtr(-np.log(1.0 + spread * limit) / self.shape)
         pixels: Any = getattr(context, "tile_pixels", 1.0)
         count = (above * pixels).mean(axis=2, keepdims=True).sum(axis=1, keepdims=True)
         return replace(after, outliers=before.outliers + count)
