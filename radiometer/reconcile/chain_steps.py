@@ -12,7 +12,7 @@ from radiometer.reconcile.tile_context import GAUSS_POINT
 from simulators.effects.base import ELECTRONS, Stage
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import Signal
-from simulators.effects.tile_moments import TileMoments
+from simulators.effects.tile_moments import TileMoments, carried
 
 LIGHT_LINKS: Final = 4  # links that the light passes before it is electrons
 SURFACE_TERMS: Final = 6  # of a tile's pixels that its quadratic surface takes out
@@ -58,17 +58,17 @@ def scaled(moments: TileMoments, factor: Array | float) -> TileMoments:
     return replace(
         moments,
         mean=moments.mean * factor,
-        variance=moments.variance * square,
-        spatial_variance=moments.spatial_variance * square,
-        common_variance=moments.common_variance * square,
-        row_variance=moments.row_variance * square,
-        band_variance=moments.band_variance * square,
-        fixed_column_variance=moments.fixed_column_variance * square,
-        fixed_row_variance=moments.fixed_row_variance * square,
-        neighbour_x=moments.neighbour_x * square,
-        neighbour_y=moments.neighbour_y * square,
-        first_excess=moments.first_excess * factor,
-        limit_variance=moments.limit_variance * square,
+        variance=carried(moments.variance, square),
+        spatial_variance=carried(moments.spatial_variance, square),
+        common_variance=carried(moments.common_variance, square),
+        row_variance=carried(moments.row_variance, square),
+        band_variance=carried(moments.band_variance, square),
+        fixed_column_variance=carried(moments.fixed_column_variance, square),
+        fixed_row_variance=carried(moments.fixed_row_variance, square),
+        neighbour_x=carried(moments.neighbour_x, square),
+        neighbour_y=carried(moments.neighbour_y, square),
+        first_excess=carried(moments.first_excess, factor),
+        limit_variance=carried(moments.limit_variance, square),
     )
 
 

@@ -31,12 +31,23 @@ class RowBlock:
     values: Array
 
     @classmethod
-    def of(cls, matrix: Array, below: Array | None = None, first: int = 0) -> RowBlock:
-        """Return the block of a matrix, and of one more below it that begins at row `first`."""
-        rows = np.flatnonzero(matrix.any(axis=1))
+    def of(cls, *matrices: Array, below: Array | None = None, first: int = 0) -> RowBlock:
+        """Return the block of matrices side by side, their missing rows zero, and of one below from row `first` on."""
+        there = np.zeros(max(matrix.shape[0] for matrix in matrices), np.bool_)
+        for matrix in matrices:
+            there[: matrix.shape[0]] |= matrix.any(axis=1)
+        rows = np.flatnonzero(there)
+        more = 0 if below is None else below.shape[0]
+        values = np.zeros((rows.size + more, sum(matrix.shape[1] for matrix in matrices)))
+        at = 0
+        for matrix in matrices:
+            held = rows[rows < matrix.shape[0]]  # rising: the first ones
+            values[: held.size, at : at + matrix.shape[1]] = matrix[held]
+            at += matrix.shape[1]
         if below is None:
-            return cls(rows, matrix[rows])
-        return cls(np.concatenate([rows, first + np.arange(below.shape[0])]), np.vstack([matrix[rows], below]))
+            return cls(rows, values)
+        values[rows.size :] = below
+        return cls(np.concatenate([rows, first + np.arange(more)]), values)
 
     @property
     def columns(self) -> int:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from radiometer.data.capture_header import CameraDescription
 from radiometer.reconcile.comparison import Comparison
 from radiometer.reconcile.design import Array, Design
+from radiometer.reconcile.linear import RowBlock
 from radiometer.reconcile.tile_model import Nuisance, Prediction, TileModel
 
 _FREE_LOG: Final = 5.0  # prior standard deviation of the logarithm of what is unknown: e^±5
@@ -139,23 +140,27 @@ class NuisanceLayout:
             self._scene_columns(matrix, model, comparison, nuisance, base)
         return matrix
 
-    def followers(self, model: TileModel, comparison: Comparison, values: Array, base: Prediction) -> Array:
-        """Return −d(residual)/d(parameter) of the variances, as far as they follow the light, (entries, parameters).
+    def followers(self, model: TileModel, comparison: Comparison, values: Array, base: Prediction) -> RowBlock:
+        """Return −d(residual)/d(parameter) of the variances, as far as they follow the light.
 
         They do not say how much light there is (see `_only_means`), but the light says how large they are.
         """
         nuisance = self.unpack(model.design, values)
         matrix = np.zeros((comparison.size, self.size))
         if not self.patterns:
-            return matrix
+            return RowBlock.of(matrix[:0])
         moved = model.predict(replace(nuisance, log_radiance=nuisance.log_radiance + _STEP))
         self._spread(matrix, comparison, base, moved, _STEP, self._radiances.start, _FOLLOWING)
+        cuts = [comparison.cuts[block] for block in _FOLLOWING]
+        first = min(cut.start for cut in cuts)
+        matrix = matrix[first : max(cut.stop for cut in cuts)]
         own = matrix[:, self._radiances]
         if "log_gain" not in self.scalars:
             matrix[:, 0] = own.sum(axis=1)
         own *= self._light(values)[1].ravel()
         matrix[:, self._common] = self._summed(own)
-        return matrix
+        block = RowBlock.of(matrix)
+        return RowBlock(first + block.rows, block.values)
 
     def _light(self, values: Array) -> tuple[Array, Array]:
         """Return ln of the factor on each patch's radiance, and its derivative, (patterns, tiles).

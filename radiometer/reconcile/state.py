@@ -134,11 +134,9 @@ class FitState:
     def nuisance_jacobian(self) -> RowBlock:
         """Return −d(residual)/d(nuisances and term weights), prior rows included."""
         data = self.layout.jacobian(self.model, self.comparison, self.values, self.prediction)
-        if self.term_columns.size:
-            missing = np.zeros((self.comparison.size - data.shape[0], data.shape[1]))
-            data = np.hstack([np.vstack([data, missing]), self.term_columns])
-        _, priors = prior_rows(np.concatenate([self.layout.prior, self._term_prior]), np.zeros(data.shape[1]))
-        return RowBlock.of(data, priors, first=self.comparison.size)
+        prior = np.concatenate([self.layout.prior, self._term_prior])
+        _, priors = prior_rows(prior, np.zeros(prior.size))
+        return RowBlock.of(data, self.term_columns, below=priors, first=self.comparison.size)
 
     @cached_property
     def effect_jacobian(self) -> Array:
@@ -152,7 +150,7 @@ class FitState:
         if self.frozen:
             effects = np.delete(effects, sorted(self.frozen), axis=1)
         followers = self.layout.followers(self.model, self.comparison, self.values, self.prediction)
-        return LinearFit.of(self.residual, self.nuisance_jacobian, effects, RowBlock.of(followers))
+        return LinearFit.of(self.residual, self.nuisance_jacobian, effects, followers)
 
     def effect_step(self, step: Array) -> Array:
         """Return the effects' part of a step of the whole fit, 0 for parameters that are frozen."""

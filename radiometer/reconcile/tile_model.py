@@ -80,7 +80,7 @@ class Prediction:
         signal: (captures, tiles) light signal in electrons, for regressors.
         gain: (captures,) DN per electron.
         fixed: (captures, tiles) fixed-pattern part of `spatial` in DN².
-        rounding: (captures, tiles) how far rounding to whole codes may move the mean, in DN.
+        unrounded: Moments in DN before they are rounded to whole codes.
         band_variance: (captures, tiles) variance of light that goes as a wave along the rows, in DN².
         band_frequency: Periods of that wave per row.
         mixed_x: (captures, tiles) correlation of neighbours in a row that exchange charge, without what rows share.
@@ -107,12 +107,17 @@ class Prediction:
     signal: Array
     gain: Array
     fixed: Array
-    rounding: Array
+    unrounded: TileMoments
     band_variance: Array
     band_frequency: float
     mixed_x: Array
     mixed_y: Array
     limit_variance: Array
+
+    @property
+    def rounding(self) -> Array:
+        """Return how far rounding to whole codes may move the mean, in DN, (captures, tiles)."""
+        return _of_tiles(rounding_amplitude(self.unrounded), self.mean.shape)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -294,10 +299,7 @@ class TileModel:
         shape = light.mean.shape
 
         def tiles(values: Signal) -> Array:
-            values = np.asarray(values, dtype=np.float64)
-            if values.shape[-1] == 1:
-                return np.broadcast_to(values[..., 0], shape[:2])
-            return 0.25 * (values[..., 0] + values[..., 1] + values[..., 2] + values[..., 3])
+            return _of_tiles(values, shape[:2])
 
         def captures(values: Signal) -> Array:
             return np.asarray(np.broadcast_to(values, (shape[0], 1, 1))[:, 0, 0], dtype=np.float64)
@@ -341,7 +343,7 @@ class TileModel:
             signal=tiles(light.mean),
             gain=gain,
             fixed=fixed,
-            rounding=tiles(rounding_amplitude(unrounded)),
+            unrounded=unrounded,
             band_variance=band,
             band_frequency=final.band_frequency,
             mixed_x=tiles(final.neighbour_x) / safe,
@@ -365,3 +367,11 @@ class Trace:
     between: tuple[TileMoments, ...]
     light: TileMoments
     prediction: Prediction
+
+
+def _of_tiles(values: Signal, shape: tuple[int, ...]) -> Array:
+    """Return the mean over the points of each tile, of this shape."""
+    values = np.asarray(values, dtype=np.float64)
+    if values.shape[-1] == 1:
+        return np.broadcast_to(values[..., 0], shape)
+    return np.asarray(0.25 * (values[..., 0] + values[..., 1] + values[..., 2] + values[..., 3]))

@@ -21,9 +21,11 @@ Only `mean` must be given. `sample` defaults to the mean (an effect without rand
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import MISSING, dataclass, field, fields, replace
 from enum import IntEnum
+from functools import cache
 from typing import Any, ClassVar, Final, Self
 
 import numpy as np
@@ -138,13 +140,7 @@ class Effect(ABC):
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
         """Return name, unit, bounds, source and default of all parameters. Raises TypeError for an undeclared field."""
-        declared = []
-        for entry in fields(cls):
-            if "unit" not in entry.metadata:
-                raise TypeError(f"effect {cls.name}: field {entry.name!r} must be declared with parameter(...)")
-            default = None if entry.default is MISSING else entry.default
-            declared.append(Parameter(name=entry.name, default=default, **entry.metadata))
-        return tuple(declared)
+        return _declared(cls)
 
     def values(self) -> dict[str, Any]:
         """Return the value of every parameter by name."""
@@ -194,7 +190,20 @@ class Effect(ABC):
         )
 
 
+@cache
+def _declared(kind: type[Effect]) -> tuple[Parameter, ...]:
+    declared = []
+    for entry in fields(kind):
+        if "unit" not in entry.metadata:
+            raise TypeError(f"effect {kind.name}: field {entry.name!r} must be declared with parameter(...)")
+        default = None if entry.default is MISSING else entry.default
+        declared.append(Parameter(name=entry.name, default=default, **entry.metadata))
+    return tuple(declared)
+
+
 def _refuse_out_of_bounds(effect: str, known: Parameter, value: Any) -> None:
+    if type(value) is float and known.low <= value <= known.high and math.isfinite(value):
+        return  # the usual case, told quickly
     try:
         numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
     except (TypeError, ValueError) as error:

@@ -16,7 +16,7 @@ import numpy as np
 
 from simulators.effects.base import Effect, Moments
 from simulators.effects.context import ExposureContext, Signal
-from simulators.effects.tile_moments import TileMoments
+from simulators.effects.tile_moments import TileMoments, carried
 
 
 @dataclass(frozen=True)
@@ -96,22 +96,22 @@ class CatalogueEffect(Effect):
             return after
         slope = np.asarray(self.slope(before.mean, context))
         slope2 = np.square(slope)
-        carried = replace(
+        passed = replace(
             before,
             mean=after.mean,
             variance=after.variance,
             spatial_variance=after.spatial_variance,
             common_variance=after.common_variance,
-            row_variance=before.row_variance * slope2,
-            band_variance=before.band_variance * slope2,
-            fixed_column_variance=before.fixed_column_variance * slope2,
-            fixed_row_variance=before.fixed_row_variance * slope2,
-            neighbour_x=before.neighbour_x * slope2,
-            neighbour_y=before.neighbour_y * slope2,
-            first_excess=before.first_excess * slope,
-            limit_variance=before.limit_variance * slope2,
+            row_variance=carried(before.row_variance, slope2),
+            band_variance=carried(before.band_variance, slope2),
+            fixed_column_variance=carried(before.fixed_column_variance, slope2),
+            fixed_row_variance=carried(before.fixed_row_variance, slope2),
+            neighbour_x=carried(before.neighbour_x, slope2),
+            neighbour_y=carried(before.neighbour_y, slope2),
+            first_excess=carried(before.first_excess, slope),
+            limit_variance=carried(before.limit_variance, slope2),
         )
-        return self.tile(carried, before, context)
+        return self.tile(passed, before, context)
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with what the effect does to the other statistics of a tile; nothing by default."""

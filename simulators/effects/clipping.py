@@ -13,7 +13,7 @@ from scipy.special import ndtr
 
 from simulators.effects.base import Moments
 from simulators.effects.context import Signal
-from simulators.effects.tile_moments import TileMoments
+from simulators.effects.tile_moments import TileMoments, carried
 
 _NODES, _WEIGHTS = hermegauss(5)  # of a normal distribution: exact for polynomials up to the ninth degree
 _SPREAD: Final = tuple(zip(_NODES.tolist(), (_WEIGHTS / _WEIGHTS.sum()).tolist(), strict=True))
@@ -77,16 +77,16 @@ def limited(before: Moments, limit: Callable[[Moments], Moments]) -> Moments:
         before,
         mean=after.mean,
         variance=after.variance,
-        spatial_variance=before.spatial_variance * kept,
+        spatial_variance=carried(before.spatial_variance, kept),
         common_variance=after.common_variance,
-        row_variance=before.row_variance * kept,
-        band_variance=before.band_variance * kept,
-        fixed_column_variance=before.fixed_column_variance * kept,
-        fixed_row_variance=before.fixed_row_variance * kept,
-        neighbour_x=before.neighbour_x * kept,
-        neighbour_y=before.neighbour_y * kept,
-        first_excess=before.first_excess * np.sqrt(kept),
-        limit_variance=before.limit_variance * kept,
+        row_variance=carried(before.row_variance, kept),
+        band_variance=carried(before.band_variance, kept),
+        fixed_column_variance=carried(before.fixed_column_variance, kept),
+        fixed_row_variance=carried(before.fixed_row_variance, kept),
+        neighbour_x=carried(before.neighbour_x, kept),
+        neighbour_y=carried(before.neighbour_y, kept),
+        first_excess=carried(before.first_excess, np.sqrt(kept)),
+        limit_variance=carried(before.limit_variance, kept),
     )
 
 

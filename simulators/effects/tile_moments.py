@@ -10,6 +10,12 @@ from simulators.effects.base import Moments
 from simulators.effects.context import Signal
 
 
+def carried(values: Signal | float, factor: Signal | float) -> Signal:
+    """Return values times a factor; a lone zero, which stands for all, stays one."""
+    nothing = np.size(values) == 1 and not np.any(values)
+    return np.asarray(values if nothing else values * factor)
+
+
 @dataclass(frozen=True, slots=True)
 class TileMoments(Moments):
     """Expected statistics of tiles; every field broadcasts against `mean`.
