@@ -10,11 +10,15 @@ from typing import Final
 import numpy as np
 
 from radiometer.errors import MeasurementError
+from radiometer.reconcile.capture_sums import COMB_PERIODS
 from radiometer.reconcile.design import Array
 from radiometer.reconcile.parameters import EffectParameters
 from radiometer.reconcile.start_pool import StartPool
 from radiometer.reconcile.state import FitState
+from radiometer.reconcile.statistics import CaptureStatistics
+from radiometer.reconcile.usable import seen_step
 from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.missing_codes import MissingCodes
 
 _OTHER_STARTS: Final = 2  # of an entry that are kept for the fit beside the best
 _LARGEST_AMPLITUDE: Final = 300.0  # a start may be that much too small …
@@ -63,7 +67,7 @@ def screen(
     """
     pool = pool or StartPool()
     kinds = usable_catalogue(state, catalogue).values()
-    likeliest = [pool.likeliest(state, kind) for kind in kinds]
+    likeliest = [of_seen_codes(state.comparison.seen, pool.likeliest(state, kind)) for kind in kinds]
     covers = [kind.covers(state.model.context) for kind in kinds]
     rigid = iter(_rigid(state, [start for starts in likeliest for start in starts]))
     flexible = iter(_flexible(state, [cover for several in covers for cover in several]))
@@ -73,6 +77,22 @@ def screen(
         found += [replace(candidate, tries=pool.count(kind)) for candidate in best]
         found += _best(list(islice(flexible, len(several))))
     return sorted(found, key=lambda candidate: -candidate.gain)
+
+
+def of_seen_codes(seen: CaptureStatistics, starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
+    """Return the starts that leave no gaps where codes occur: a step too coarse may mend what another effect moves.
+
+    Args:
+        seen: What was measured.
+        starts: Starts of one entry.
+    """
+    step = seen_step(seen)
+    if step == 1:  # nothing tells
+        return starts
+    gaps = [period for period in COMB_PERIODS if step % period]
+    coarse = (s for s in starts if isinstance(s, MissingCodes) and s.kept_codes == 1.0)
+    impossible = [s for s in coarse if any(s.step_codes % period == 0.0 for period in gaps)]
+    return tuple(s for s in starts if s not in impossible)
 
 
 def best_start(state: FitState, starts: Sequence[CatalogueEffect]) -> Candidate | None:

@@ -40,7 +40,7 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
     inside &= (seen.mean - above_zero > 0) & (seen.mean + sigma < full_scale) & (seen.high < _FEW) & (seen.low < _FEW)
     inside &= ~partly_at_the_top(design, seen, base)
     inside &= base.mean - _ZERO_SIGMAS * np.sqrt(base.variance + base.fixed) > 0
-    step = _seen_step(seen)
+    step = seen_step(seen)
     fine = base.variance > (_FINE_NOISE * step) ** 2 if step > 1 else np.ones_like(inside)
     inside &= fine
     free = inside & ~_at_the_knee(design, base)
@@ -101,7 +101,7 @@ def _below_the_top(seen: CaptureStatistics) -> Mask:
     return np.asarray(highest < highest.max() - 1.0)
 
 
-def _seen_step(seen: CaptureStatistics) -> int:
+def seen_step(seen: CaptureStatistics) -> int:
     """Return the spacing of codes as far as the histograms tell it, 1 where all codes occur.
 
     Where it is wide, noise below half of it leaves nothing normal of a tile, and periods that do not divide it show

@@ -13,12 +13,14 @@ from scipy.ndimage import convolve
 from radiometer.reconcile.candidate_fit import UnfitError, included
 from radiometer.reconcile.design import Design
 from radiometer.reconcile.row_scatter import mixing_of_bands, mixing_of_lines
+from radiometer.reconcile.screening import of_seen_codes
 from radiometer.reconcile.start_pool import StartPool
 from radiometer.reconcile.state import FitState, first_state
 from radiometer.reconcile.statistics import frame_reader, reduce_frames
 from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
+from simulators.effects.missing_codes import MissingCodes
 from simulators.effects.pwm_flicker import PwmFlicker
 
 
@@ -41,6 +43,18 @@ def test_search_for_a_flicker_begins_near_it(make_capture: Callable[..., Any]) -
     assert first.frequency_hz == pytest.approx(480.0, rel=0.02)
     if first.duty == 0:
         assert first.modulation == pytest.approx(0.09, rel=0.4)
+
+
+@pytest.mark.parametrize(("step", "possible"), [(2, {2.0}), (4, {2.0, 4.0, 8.0, 16.0, 32.0, 64.0})])
+def test_codes_that_occur_rule_out_a_coarser_step(
+    make_capture: Callable[..., Any], step: int, possible: set[float]
+) -> None:
+    """Of all steps only those remain that leave no code empty which occurs, as far as periods up to 5 tell."""
+    captured = make_capture(7)
+    coarse = [replace(frame, dn=frame.dn - frame.dn % step) for frame in captured.frames]
+    seen, _ = reduce_frames(Design.of(captured.header, coarse[0].shape), frame_reader(coarse))
+    left = of_seen_codes(seen, MissingCodes.starts(_state(captured).model.context))
+    assert {effect.step_codes for effect in left if effect.kept_codes == 1.0} == possible
 
 
 def test_charge_that_neighbours_exchange_stays_in_the_means_of_lines(make_capture: Callable[..., Any]) -> None:
