@@ -19,18 +19,26 @@ _CALM: Final = 0.03  # largest deviation of the line before the last, in shares 
 _FALLS: Final = 0.5  # a blur that leaves the line before the last calm falls off from line to line by more than this
 _SEEN: Final = 2.0  # sigmas by which a line must differ from the patch to tell anything
 _LARGEST_SHARE: Final = 0.45
+_FEW: Final = 0.5  # of the borders that are clear at one f-number, below which others are too blurred to tell them
 _CLEAR_STEP: Final = 5.0  # sigmas of a line's mean that a step must have to tell anything
 
 
 def edge_shares(
-    sides: PatchSides, lines: Array, mean: Array, spatial: Array, high: Array, pattern: NDArray[np.intp]
+    sides: PatchSides,
+    lines: Array,
+    mean: Array,
+    spatial: Array,
+    high: Array,
+    pattern: NDArray[np.intp],
+    f_number: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return the blended share of each capture's borders and its standard uncertainty (infinite where none is seen).
 
     Each pattern's steps are found in the mean of its captures: the first line, going outwards, that leaves the
-    patch's level. A sharp picture has the patch's own level up to that line; what a blur carries into it is taken
-    relative to the sum of what both lines differ from the patch, which a symmetric blur leaves as it is. Sides that
-    disagree with the others (a faint step hidden before a strong one) are left out.
+    patch's level. Where most captures are too blurred to tell, those of the smallest aperture do. A sharp picture has
+    the patch's own level up to that line; what a blur carries into it is taken relative to the sum of what both lines
+    differ from the patch, which a symmetric blur leaves as it is. Sides that disagree with the others (a faint step
+    hidden before a strong one) are left out.
 
     Args:
         sides: Lines across the sides of the patches.
@@ -39,6 +47,7 @@ def edge_shares(
         spatial: (captures, tiles) variance of the time mean from pixel to pixel in DN².
         high: (captures, tiles) share of samples at full scale.
         pattern: (captures,) pattern of each capture.
+        f_number: (captures,) f-number of each; all alike where there is none.
     """
     captures = mean.shape[0]
     share, u = np.zeros(captures), np.full(captures, np.inf)
@@ -47,7 +56,7 @@ def edge_shares(
     step = lines - mean[:, sides.tile][:, :, None]
     clipped = (high[:, sides.tile] > 0) | ~np.isfinite(step).all(axis=2)
     noise = spatial[:, sides.tile] / sides.rows.shape[2]
-    at = _positions(step, clipped, noise, pattern)
+    at = _positions(step, clipped, noise, pattern, np.zeros(captures) if f_number is None else f_number)
     index = np.arange(sides.tile.size)
     for capture in range(captures):
         line, clear = at[int(pattern[capture])]
@@ -75,16 +84,37 @@ def _agreed(before: Array, whole: Array, noise: Array) -> tuple[float, float]:
 
 
 def _positions(
-    step: Array, clipped: NDArray[np.bool_], noise: Array, pattern: NDArray[np.intp]
+    step: Array, clipped: NDArray[np.bool_], noise: Array, pattern: NDArray[np.intp], f_number: Array
 ) -> dict[int, tuple[NDArray[np.intp], NDArray[np.bool_]]]:
-    """Return for each pattern the line before the step of every side, and whether that step is a clear one."""
-    found = {}
+    """Return for each pattern the line before the step of every side, and whether that step is a clear one.
+
+    The smallest aperture at which they are clear tells where they lie. In a pattern that is seen only at f-numbers
+    that are blurred in another one no step is clear.
+    """
+    found, blurred, stops_of = {}, set[float](), {}
     for number in np.unique(pattern):
-        chosen = pattern == number
-        weight = np.where(clipped[chosen] | ~(noise[chosen] > 0), 0.0, 1.0 / np.maximum(noise[chosen], 1e-12))
-        average = np.sum(np.nan_to_num(step[chosen]) * np.sqrt(weight)[:, :, None], axis=0)
-        found[int(number)] = _first_step(average, np.sqrt(np.sum(weight > 0, axis=0)))
-    return found
+        shown = pattern == number
+        stops_of[int(number)] = stops = np.unique(f_number[shown]).tolist()
+        of_all, *of_stops = (
+            _steps_of(step[chosen], clipped[chosen], noise[chosen])
+            for chosen in (shown, *(shown & (f_number == stop) for stop in stops))
+        )
+        most = max(clear.sum() for _, clear in of_stops)
+        line, clear = next(entry for entry in reversed(of_stops) if entry[1].sum() >= _FEW * most)
+        agree = [np.sum(clear & other[1] & (line == other[0])) >= _FEW * clear.sum() for other in (of_all, *of_stops)]
+        found[int(number)] = of_all if agree[0] else (line, clear)
+        if not agree[0]:
+            blurred |= {stop for stop, same in zip(stops, agree[1:], strict=True) if not same}
+    return {
+        number: (line, clear & (not blurred.issuperset(stops_of[number]))) for number, (line, clear) in found.items()
+    }
+
+
+def _steps_of(step: Array, clipped: NDArray[np.bool_], noise: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Return the line before the step of every side in the mean of some captures, and whether it is a clear one."""
+    weight = np.where(clipped | ~(noise > 0), 0.0, 1.0 / np.maximum(noise, 1e-12))
+    average = np.sum(np.nan_to_num(step) * np.sqrt(weight)[:, :, None], axis=0)
+    return _first_step(average, np.sqrt(np.sum(weight > 0, axis=0)))
 
 
 def _first_step(average: Array, sigma: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
@@ -101,7 +131,8 @@ def _first_step(average: Array, sigma: Array) -> tuple[NDArray[np.intp], NDArray
     first = np.argmax(leaves, axis=1)
     following = np.minimum(first + 1, lines - 1)
     same = np.sign(average[index, first]) == np.sign(average[index, following])
-    blended = same & (size[index, following] > 2.0 * size[index, first])
+    inner = np.where(first > 0, size[index, np.maximum(first - 1, 0)], 0.0)
+    blended = same & (size[index, following] - size[index, first] > size[index, first] - inner)
     after = np.where(blended, following, first)
     earlier = np.maximum(after - 2, 0)
     calm = size[index, earlier] < _CALM * size[index, after]

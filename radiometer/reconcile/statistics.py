@@ -156,7 +156,7 @@ def reduce_frames(
     lines = np.array([row["side_lines"] for row in rows])
     gathered = {name: np.array([row[name] for row in rows]) for name in names if name not in ("edge", "edge_u")}
     gathered["edge"], gathered["edge_u"] = edge_shares(
-        sides, lines, gathered["mean"], gathered["spatial"], gathered["high"], design.pattern_index
+        sides, lines, gathered["mean"], gathered["spatial"], gathered["high"], design.pattern_index, design.f_number
     )
     return CaptureStatistics(**gathered), images
 

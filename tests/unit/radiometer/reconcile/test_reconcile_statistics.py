@@ -23,6 +23,7 @@ from radiometer.reconcile.state import FitState, first_state, refit, settled, wi
 from radiometer.reconcile.statistics import frame_reader, reduce_frames
 from radiometer.reconcile.tile_layout import LINES, PatchSides, patch_sides, tile_groups
 from simulators.effects.black_level_drift import BlackLevelDrift
+from simulators.effects.pixel_mixing import disc_edge_share
 from simulators.effects.row_pattern import RowPattern
 
 
@@ -125,6 +126,31 @@ def test_dark_gap_before_a_bright_neighbour_is_no_blur() -> None:
     )  # fmt: skip
     np.testing.assert_allclose(share, 0.0, atol=1e-12)
     assert np.isfinite(u).all()
+
+
+def test_sharpest_stop_tells_where_borders_lie() -> None:
+    """Borders before a gap of four lines: at f/4 a disc of 2.26 px hides them, at f/11 one of 0.82 px does not.
+
+    The share at f/4 is that of the disc then; a pattern that is seen at f/4 alone tells nothing.
+    """
+    scene = np.array([0.0] * 12 + [-300.0] * 4 + [400.0] * 10)
+
+    def seen(radius: float) -> Any:
+        place = (np.arange(9 * 40) + 0.5) / 40 - 4.5
+        disc = np.sqrt(np.maximum(radius**2 - place**2, 0.0)).reshape(9, 40).sum(axis=1)
+        return np.convolve(scene, disc / disc.sum(), mode="same")[7 : 7 + LINES]
+
+    radius = np.array([2.26] * 10 + [0.82] * 2 + [2.26] * 3)
+    lines = 1000.0 + np.array([[seen(r)] * 3 for r in radius.tolist()])
+    index = np.zeros((3, LINES, 12), dtype=np.intp)
+    tiles = np.full((15, 1), 1000.0)
+    share, u = edge_shares(
+        PatchSides(np.zeros(3, dtype=np.intp), index, index), lines, tiles, tiles * 0 + 1.0, tiles * 0,
+        np.array([0] * 12 + [1] * 3), np.where(radius > 2, 4.0, 11.0),
+    )  # fmt: skip
+    np.testing.assert_allclose(share[:12], disc_edge_share(radius[:12]), atol=0.02)
+    assert np.isfinite(u[:12]).all()
+    assert np.isinf(u[12:]).all()
 
 
 def test_hot_pixel_in_a_dark_is_left_out_everywhere() -> None:
