@@ -138,6 +138,11 @@ class Comparison:
         return self.band_scores(power, prediction.row_variance)
 
     @cached_property
+    def _calm_common(self) -> Array:
+        """Return the scores of the frame-common fluctuation where nothing is predicted to move whole frames."""
+        return self.common_scores(np.zeros_like(self.flicker2), np.zeros(len(self.design.captures)))
+
+    @cached_property
     def _calm_bands(self) -> Array:
         """Return the scores of the bands where nothing is predicted to move the rows."""
         return self.band_scores(np.zeros_like(self.seen.bands_of_rows), np.zeros(len(self.design.captures)))
@@ -172,7 +177,10 @@ class Comparison:
             expected = _FALSE_OUTLIERS + np.maximum(prediction.outliers, 0.0)
             return np.where(mask, 2.0 * (np.sqrt(seen + 0.375) - np.sqrt(expected + 0.375)) / sigma, 0.0)
         if name == "common":
-            return self.common_scores(self.flicker_of(prediction), prediction.row_variance)
+            flicker2 = self.flicker_of(prediction)
+            if not (flicker2.any() or prediction.row_variance.any()):
+                return self._calm_common
+            return self.common_scores(flicker2, prediction.row_variance)
         return np.where(mask, (self._log_seen[name] - np.log(self._excess(name, prediction))) / sigma, 0.0)
 
     def common_scores(self, flicker2: Array, row_variance: Array) -> Array:

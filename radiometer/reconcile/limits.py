@@ -202,8 +202,8 @@ def _grown(state: FitState, effects: Sequence[CatalogueEffect]) -> list[_Grown]:
 
 def _information(state: FitState, effects: Sequence[CatalogueEffect]) -> list[float]:
     changes, part = state.fit.followed_with_half(changes_of(state, effects))
-    whole = np.sum(changes**2, axis=0)
-    left = whole - np.sum(part**2, axis=0)
+    whole = np.einsum("ij,ij->j", changes, changes)
+    left = whole - np.einsum("ij,ij->j", part, part)
     seen = (left > _BLIND * whole) & (left > 0)
     shown = np.maximum(left + _edge_in_common(state, changes), 0.0)
     return [float(value) for value in np.where(seen, shown, 0.0)]

@@ -186,14 +186,15 @@ class LinearFit:
             basis: Its whitened columns, (rows, terms).
             part: L⁻¹·Jᵀ·basis, where it is known already.
         """
-        lengths = np.linalg.norm(basis, axis=0)
+        products = basis.T @ basis
+        lengths = np.sqrt(np.diag(products))
         there = lengths > 0
-        basis = basis[:, there] / lengths[there]
-        if not basis.size:
+        if not there.any():
             return 0.0, 0
-        part = self.half(self.pull(basis, rows.start)) if part is None else part[:, there] / lengths[there]
-        gram = basis.T @ basis - part.T @ part
-        right = basis.T @ self.projected[rows]
+        taken = self.half(self.pull(basis, rows.start)) if part is None else part
+        unit = np.diag(1.0 / lengths[there])
+        gram = unit @ (products - taken.T @ taken)[np.ix_(there, there)] @ unit
+        right = unit @ (basis.T @ self.projected[rows])[there]
         values, vectors = np.linalg.eigh(gram)
         kept = values > _OWN_SHARE
         if not kept.any():

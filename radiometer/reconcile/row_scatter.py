@@ -85,8 +85,11 @@ def line_excess(design: Design, seen: CaptureStatistics, prediction: Prediction,
         prediction: Expected statistics.
         name: row_temporal, rows or columns.
     """
-    height, width = (np.array([getattr(tile, n) for tile in design.tiles]) for n in ("height", "width"))
     rows, columns = prediction.row_variance, prediction.fixed_column_variance
+    lines = (rows,) if name == "row_temporal" else (rows, columns, prediction.fixed_row_variance)
+    if not any(variance.any() for variance in lines):
+        return np.zeros(rows.size)
+    height, width = (np.array([getattr(tile, n) for tile in design.tiles]) for n in ("height", "width"))
     if name == "row_temporal":
         own, noise = rows, prediction.variance
         held = rows[:, None] * (1.0 - 1.0 / height)

@@ -139,9 +139,10 @@ def _rigid_batch(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Can
     rows = state.comparison.size
     fit = state.fit
     changes, part = fit.followed_with_half(changes_of(state, starts))
-    curvature = np.sum(changes**2, axis=0) - np.sum(part**2, axis=0)
+    whole = np.einsum("ij,ij->j", changes, changes)
+    curvature = whole - np.einsum("ij,ij->j", part, part)
     slope = changes.T @ fit.projected[:rows]
-    floor = _SMALLEST_CURVATURE * np.maximum(np.sum(changes**2, axis=0), 1e-12)
+    floor = _SMALLEST_CURVATURE * np.maximum(whole, 1e-12)
     safe = np.maximum(curvature, floor)
     amplitude = np.clip(slope / safe, 0.0, _LARGEST_AMPLITUDE)
     free = np.array([bool(effect.free()) for effect in starts])

@@ -12,7 +12,7 @@ from simulators.effects.context import Signal
 
 def carried(values: Signal | float, factor: Signal | float) -> Signal:
     """Return values times a factor; a lone zero, which stands for all, stays one."""
-    nothing = np.size(values) == 1 and not np.any(values)
+    nothing = not values if isinstance(values, float) else values.size == 1 and not values.item()
     return np.asarray(values if nothing else values * factor)
 
 
