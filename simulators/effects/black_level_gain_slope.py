@@ -12,13 +12,15 @@ from simulators.effects.catalogue import Offset, gain_of
 from simulators.effects.context import ExposureContext
 
 _MOST_GAINS: Final = 16
+_BEND: Final = 0.01
 
 
 @dataclass(frozen=True)
 class BlackLevelGainSlope(Offset):
-    """Adds an offset that the gain amplifies: y' = y + b·(10^(g/20) − 1), g counted from where this gain begins.
+    """Adds an offset that the gain amplifies: y' = y + b·(G − 1 + c·(G − 1)²), G = 10^(g/20), g from where it begins.
 
     It begins at 0 dB where one amplifier does it all; an offset behind the first of two meets the second's gain alone.
+    c is 0 where the offset is the same at every gain.
 
     Source: an amplifier offset referred to its input; at 0 dB it is part of the black level.
     """
@@ -40,9 +42,16 @@ class BlackLevelGainSlope(Offset):
 
     from_db: float = parameter(0.0, "dB", 0.0, 100.0, source="cameras mix analog and digital gain")
 
+    bend: float = parameter(0.0, "1", -1.0, 1.0, source="an amplifier's offset moves with its feedback")
+
     def offset(self, context: ExposureContext) -> Any:
         """Return the offset in DN."""
-        return self.slope_dn * (np.maximum(gain_of(context) / 10.0 ** (self.from_db / 20.0), 1.0) - 1.0)
+        more = np.maximum(gain_of(context) / 10.0 ** (self.from_db / 20.0), 1.0) - 1.0
+        return self.slope_dn * (more + self.bend * np.square(more))
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: the bend only where there is one."""
+        return ("slope_dn", "bend") if self.bend else ("slope_dn",)
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
@@ -51,10 +60,11 @@ class BlackLevelGainSlope(Offset):
         return tuple(cls(0.5, g) for g in gains[1:-2].tolist() if g > 0) if gains.size <= _MOST_GAINS else ()
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the same, in place of one amplifier."""
-        return (
-            () if self.from_db else tuple(form.with_parameters(slope_dn=self.slope_dn) for form in self.covers(context))
-        )
+        """Return the same in place of one amplifier, and one amplifier with a bend."""
+        if self.from_db or self.bend:
+            return ()
+        later = (form.with_parameters(slope_dn=self.slope_dn) for form in self.covers(context))
+        return (*later, self.with_parameters(bend=_BEND))
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:

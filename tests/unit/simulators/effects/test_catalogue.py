@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
 from simulators.camera_model import CameraModel
 from simulators.effects.base import Moments, Stage
+from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.exposure_label_error import ExposureLabelError
@@ -51,6 +52,7 @@ ambient_light_leak black_level_drift black_level_offset crosstalk dark_current_c
 adc_saturation full_well_saturation display_nonuniformity ghost mechanical_vignetting natural_vignetting
 angle_dependence
 parasitic_light_sensitivity quantum_efficiency_temperature veiling_glare image_lag source_warmup_drift soft_saturation
+black_level_gain_slope
 """.split()  # noqa: SIM905
 
 
@@ -335,3 +337,13 @@ def test_looser_knee_follows_a_law_that_no_plain_one_follows() -> None:
     assert charging.charging
     assert charging.free() == plain.free() == ("knee", "ceiling")
     assert [form.free() for form in charging.loosened(_context())] == [("knee", "ceiling", "hardness")]
+
+
+def test_amplified_offset_may_bend_with_the_gain() -> None:
+    """An offset of 0.5 DN with a bend of −0.02 adds 0.5·(9 − 0.02·81) DN at a gain of ten, and nothing at 0 dB."""
+    base = _context()
+    gains: Any = np.array([0.0, 20.0])
+    context = replace(base, settings=replace(base.settings, gain_db=gains))
+    *_, bent = BlackLevelGainSlope(0.5).loosened(context)
+    assert bent.free() == ("slope_dn", "bend")
+    np.testing.assert_allclose(bent.with_parameters(bend=-0.02).offset(context), [0.0, 0.5 * (9 - 0.02 * 81)])
