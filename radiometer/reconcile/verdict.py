@@ -6,7 +6,17 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Final
 
-from radiometer.reconcile.excess import contested, hollow, is_scattered, mended, merged, outdone, replaceable, unlike
+from radiometer.reconcile.excess import (
+    contested,
+    hollow,
+    is_scattered,
+    mended,
+    merged,
+    outdone,
+    replaceable,
+    slanting,
+    unlike,
+)
 from radiometer.reconcile.parameters import fitted_parameters
 from radiometer.reconcile.result import Verdict
 from radiometer.reconcile.search import Search
@@ -36,7 +46,7 @@ def doubts_of(outcome: Search) -> list[str]:
     state, effects = outcome.state, outcome.state.effects
     said = [f"{name} ran to the end of its range: what the data hold is not quite that" for name in _strained(state)]
     said += [
-        f"{pair} may only mend one curve that is neither: it brings little along the same setting"
+        f"{pair} may only mend one curve that is neither: it brings little beside it"
         for pair in mended(outcome.steps, effects)
     ]
     said += [f"{name} alone may do what all the names do together" for name in replaceable(outcome.steps, effects)]
@@ -51,6 +61,8 @@ def doubts_of(outcome: Search) -> list[str]:
     said += [
         f"{name} brings little, and another entry predicts nearly as well" for name in contested(outcome.steps, effects)
     ]
+    if slanting(effects, fitted_parameters(state)):
+        said.append("natural_vignetting and fnumber_tstop_error may both be angle_dependence: both go with the angle")
     said += [
         f"{name} is not quite the law that the data follow: some of it stays where it shows"
         for name in unlike(outcome.tests, effects)
