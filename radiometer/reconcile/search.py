@@ -17,6 +17,7 @@ from radiometer.reconcile.candidate_fit import (
     judged_gain,
 )
 from radiometer.reconcile.chances import chi2_beyond
+from radiometer.reconcile.joining import simpler
 from radiometer.reconcile.localise import SIGNIFICANT, Disagreement, localise, significant, smooth_term
 from radiometer.reconcile.loosening import Loosened, loosened
 from radiometer.reconcile.plain_trends import TRENDS
@@ -140,6 +141,7 @@ def search(
         state, dropped = pruned(following, run.say)
         for name in dropped:
             _forget(run, name)
+        state = _joined(state, run)
         tests = localise(state)
     return Search(state, start, tuple(run.steps), significant(tests), tests, first)
 
@@ -341,6 +343,20 @@ def _named(
         run.steps[again] = replace(old, gain_nats=old.gain_nats + nats, gap_after=following.gap)
     run.say(f"{fitted.name}: {nats:.1f} nats, gap {gap_before:.3f} → {following.gap:.3f}")
     return following
+
+
+def _joined(state: FitState, run: _Run) -> FitState:
+    """Return the model with one entry in place of names that may be no more than it."""
+    found = simpler(state, run.catalogue)
+    if found is None:
+        return state
+    joined, effect = found
+    old = [step for step in run.steps if step.name in effect.stands_for]
+    nats = sum(step.gain_nats for step in old)
+    run.steps[run.steps.index(old[0])] = Step(effect.name, effect.where, nats, old[0].gap_before, joined.gap)
+    run.steps = [step for step in run.steps if step not in old]
+    run.say(f"{effect.name} in place of {' and '.join(effect.stands_for)}: gap {state.gap:.3f} → {joined.gap:.3f}")
+    return joined
 
 
 def _unnamed(

@@ -32,6 +32,7 @@ class CatalogueEffect(Effect):
         fitted: Parameters that are fitted; the others keep their trial's value.
         settles: The capture that separates the effect from its likenesses, as advice to the user.
         essential: Parameters without which it is not this effect, however well the others fit.
+        stands_for: Other entries that may together be no more than this one.
         endless: Parameters whose range ends in a form of the effect as good as any, not where physics ends.
     """
 
@@ -42,6 +43,7 @@ class CatalogueEffect(Effect):
     fitted: ClassVar[tuple[str, ...]]
     settles: ClassVar[str] = ""
     essential: ClassVar[tuple[str, ...]] = ()
+    stands_for: ClassVar[tuple[str, ...]] = ()
     endless: ClassVar[tuple[str, ...]] = ()
     profiled: ClassVar[str] = ""  # a parameter that is searched on a dense grid, for the fit is not smooth in it
     repeats: ClassVar[bool] = False  # whether it may act more than once (several wrong labels); `joined` makes it one
@@ -56,6 +58,11 @@ class CatalogueEffect(Effect):
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return flexible forms of the effect that cover other equations of it; none by default."""
         return ()
+
+    @classmethod
+    def in_place_of_others(cls) -> Self:
+        """Return the effect that may be all that the entries of `stands_for` do, where it starts."""
+        return cls()
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return more flexible forms that start from this one; tried where structure stays beside it.
