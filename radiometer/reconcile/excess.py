@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconcile.chances import chi2_beyond
 from radiometer.reconcile.comparison import FAMILY, TILE_BLOCKS
 from radiometer.reconcile.covariates import covariates
 from radiometer.reconcile.design import Array
@@ -23,7 +22,6 @@ from radiometer.reconcile.result import FittedParameter
 from radiometer.reconcile.search import Step
 from radiometer.reconcile.state import FitState
 from simulators.effects.catalogue import CatalogueEffect
-from simulators.effects.fnumber_tstop_error import FnumberTstopError
 
 _SIGMAS: Final = 5.0  # of a χ² of so many entries; the gap of 330 sets without an effect was 1.02 at most
 _CRUMB_NATS: Final = 25.0  # an effect of its own brought hundreds in all pairs along one covariate of the test bench
@@ -32,7 +30,6 @@ _LITTLE_NATS: Final = 40.0  # what an effect at its smallest realistic size brin
 _AS_SEEN: Final = {"screen_x": "image_x", "screen_y": "image_y"}
 _UNLIKE: Final = 0.01  # chance of any false alarm among an effect's own tests
 _SEVERAL: Final = 2
-_CONE_SIGMAS: Final = 5.0
 _SHOWN_SIGMAS: Final = 3.0
 _SMALLEST: Final = 1.05  # gap that counts as closed
 
@@ -169,30 +166,3 @@ def contested(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list
 def merged(state: FitState) -> list[str]:
     """Return the names of effects that, with their fitted parameters and these settings, act as other causes do."""
     return [effect.name for effect in state.effects if effect.unlike_itself(state.model.context)]
-
-
-def slanting(effects: Sequence[CatalogueEffect], parameters: Mapping[str, Mapping[str, FittedParameter]]) -> bool:
-    """Tell whether a fall-off and the errors of stops may both be pixels that take in steep rays less.
-
-    A response of 1 − k·θ² loses k times the square of the chief ray's angle, and of the cone about it k/(8·N²): a
-    natural vignetting beside stops that go with 1/N².
-
-    Args:
-        effects: The effects of the model.
-        parameters: Their fitted parameters by effect and name.
-    """
-    stops = next((effect for effect in effects if isinstance(effect, FnumberTstopError) and effect.f_numbers), None)
-    if stops is None or all(effect.name != "natural_vignetting" for effect in effects):
-        return False
-    cone = 1.0 / np.square(np.asarray(stops.f_numbers))
-    fitted = {i: parameters[stops.name].get(f"errors_rel[{i}]") for i in range(cone.size)}
-    known = [(cone[i], entry.value, entry.u) for i, entry in fitted.items() if entry is not None and entry.u]
-    if len(known) < _SEVERAL or len(known) == cone.size:
-        return False
-    reference = next(cone[i] for i, entry in fitted.items() if entry is None or not entry.u)
-    more, error, u = np.array(known).T
-    more = more - reference
-    information = float(np.sum((more / u) ** 2))
-    lost = float(np.sum(more * error / u**2)) / information
-    misfit = float(np.sum(((error - lost * more) / u) ** 2))
-    return lost * np.sqrt(information) < -_CONE_SIGMAS and chi2_beyond(misfit, len(known) - 1) > _UNLIKE

@@ -11,9 +11,7 @@ from radiometer.reconcile.state import FitState, with_effects
 from simulators.effects.catalogue import CatalogueEffect
 
 
-def simpler(
-    state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]
-) -> tuple[FitState, CatalogueEffect] | None:
+def simpler(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> tuple[FitState, CatalogueEffect] | None:
     """Return the model with one entry in place of those that it may stand for, where fewer parameters predict as well.
 
     Each parameter that is saved is worth what a further one must bring.

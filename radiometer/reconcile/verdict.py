@@ -14,7 +14,6 @@ from radiometer.reconcile.excess import (
     merged,
     outdone,
     replaceable,
-    slanting,
     unlike,
 )
 from radiometer.reconcile.parameters import fitted_parameters
@@ -61,8 +60,6 @@ def doubts_of(outcome: Search) -> list[str]:
     said += [
         f"{name} brings little, and another entry predicts nearly as well" for name in contested(outcome.steps, effects)
     ]
-    if slanting(effects, fitted_parameters(state)):
-        said.append("natural_vignetting and fnumber_tstop_error may both be angle_dependence: both go with the angle")
     said += [
         f"{name} is not quite the law that the data follow: some of it stays where it shows"
         for name in unlike(outcome.tests, effects)

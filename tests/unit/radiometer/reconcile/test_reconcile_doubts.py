@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
-from radiometer.reconcile.excess import contested, hollow, mended, outdone, replaceable, slanting, unlike
+from radiometer.reconcile.excess import contested, hollow, mended, outdone, replaceable, unlike
 from radiometer.reconcile.localise import Disagreement
 from radiometer.reconcile.result import FittedParameter
 from radiometer.reconcile.search import Step
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
-from simulators.effects.fnumber_tstop_error import FnumberTstopError
 from simulators.effects.ghost import Ghost
 from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.psf_blur import PsfBlur
@@ -105,22 +101,3 @@ def test_little_stray_light_beside_other_stray_light_is_doubted() -> None:
     ghost = Step("ghost", "image_x", 1000.0, 1.2, 1.0)
     assert mended([ghost, Step("veiling_glare", "patch_level", 13.0, 1.01, 1.0)], effects)
     assert mended([ghost, Step("veiling_glare", "patch_level", 200.0, 1.01, 1.0)], effects) == []
-
-
-def test_stops_that_go_with_the_cone_beside_a_fall_off_are_doubted() -> None:
-    """Pixels that lose k·θ² lose k/(8·N²) of a cone: stops off by −0.12/N² beside a fall-off may both be theirs."""
-    stops = (2.0, 2.8, 4.0, 5.6, 8.0, 11.0)
-    lens = (NaturalVignetting(0.015), FnumberTstopError(f_numbers=stops, errors_rel=(0.0,) * 6))
-
-    def fitted(error: Callable[[float], float]) -> dict[str, dict[str, FittedParameter]]:
-        table = {
-            f"errors_rel[{i}]": FittedParameter(error(stop) - error(4.0), 0.0008, "1")
-            for i, stop in enumerate(stops)
-            if stop != 4.0
-        }
-        return {"fnumber_tstop_error": table, "natural_vignetting": {}}
-
-    assert slanting(lens, fitted(lambda stop: -0.12 / stop**2))
-    assert not slanting(lens[1:], fitted(lambda stop: -0.12 / stop**2))
-    assert not slanting(lens, fitted(lambda stop: 0.005 * np.log2(stop)))
-    assert not slanting(lens, fitted(lambda stop: 0.12 / stop**2))

@@ -1,0 +1,57 @@
+"""One entry in place of others that predict no better."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.reconcile.design import Design
+from radiometer.reconcile.engine import CATALOGUE
+from radiometer.reconcile.joining import simpler
+from radiometer.reconcile.parameters import fitted_parameters
+from radiometer.reconcile.state import FitState, first_state, refit, settled, with_effects
+from radiometer.reconcile.statistics import frame_reader, reduce_frames
+from simulators.effects.angle_dependence import AngleDependence
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.fnumber_tstop_error import FnumberTstopError
+from simulators.effects.natural_vignetting import NaturalVignetting
+
+
+def _fitted(captured: Any, *effects: CatalogueEffect) -> FitState:
+    design = Design.of(captured.header, captured.frames[0].shape)
+    start = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    return settled(refit(with_effects(start, effects)))
+
+
+def _fall_off(picture: np.ndarray) -> np.ndarray:
+    """Return what is left of light at the slope 0.3 of the corners' chief rays: cos⁴ of their angle."""
+    y, x = (np.arange(n) - (n - 1) / 2 for n in picture.shape)
+    return 1.0 / (1.0 + 0.09 * (x**2 + y[:, None] ** 2) / (x[0] ** 2 + y[0] ** 2)) ** 2
+
+
+def test_losses_by_slant_and_cone_are_one_effect(make_capture: Callable[..., Any]) -> None:
+    """Pixels that lose slanting rays, and the rim of every cone by 0.15/N², are no lens with wrong stops."""
+    captured = make_capture(picture=lambda image, s: image * _fall_off(image) * (1.0 - 0.15 / s["N"] ** 2))
+    state = _fitted(captured, NaturalVignetting(0.05), FnumberTstopError(0.001))
+    found = simpler(state, CATALOGUE)
+    assert found is not None
+    joined, effect = found
+    assert effect.name == "angle_dependence"
+    cone = fitted_parameters(joined)["angle_dependence"]["cone"]
+    assert cone.u is not None
+    assert cone.value == pytest.approx(0.15, abs=3.0 * cone.u)
+    assert cone.value > 3.0 * cone.u
+
+
+def test_fall_off_that_no_stop_changes_is_the_lens(make_capture: Callable[..., Any]) -> None:
+    """Beside stops that are off by 2 % each, a fall-off at all of them alike needs no power of the f-number."""
+    captured = make_capture(picture=lambda image, s: image * _fall_off(image) * 1.02 ** (2.0 * np.log2(s["N"] / 4.0)))
+    stops = FnumberTstopError(0.02)
+    plain = _fitted(captured, NaturalVignetting(0.05), stops)
+    assert simpler(plain, CATALOGUE) is None
+    found = simpler(_fitted(captured, AngleDependence(0.1, 2.0, 0.01), stops), CATALOGUE)
+    assert found is not None
+    assert [effect.name for effect in found[0].effects] == ["fnumber_tstop_error", "natural_vignetting"]
