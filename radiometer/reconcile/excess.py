@@ -1,6 +1,6 @@
 """What speaks against names that no test contradicts: scatter without any trend, names that only do together what one
-other might, entries of which only the further terms fit or whose parameters make them another, little evidence that
-others claim too, and laws that are not quite followed.
+other might, entries of which only the further terms fit or whose parameters make them another, and little
+evidence that others claim too.
 
 The tests of `localise` look for trends. What moves single tiles or frames at random leaves none, but a reduced χ²
 above 1.
@@ -16,7 +16,6 @@ import numpy as np
 from radiometer.reconcile.comparison import FAMILY, TILE_BLOCKS
 from radiometer.reconcile.covariates import covariates
 from radiometer.reconcile.design import Array
-from radiometer.reconcile.localise import Disagreement
 from radiometer.reconcile.places import axis_of
 from radiometer.reconcile.result import FittedParameter
 from radiometer.reconcile.search import Step
@@ -27,8 +26,6 @@ _SIGMAS: Final = 5.0  # of a χ² of so many entries; the gap of 330 sets withou
 _CRUMB_NATS: Final = 25.0  # an effect of its own brought hundreds in all pairs along one covariate of the test bench
 _FROM_ELSEWHERE: Final = frozenset({"ghost", "stray_light_kernel", "veiling_glare"})
 _LITTLE_NATS: Final = 40.0  # what an effect at its smallest realistic size brings; rivals lie within 5
-_AS_SEEN: Final = {"screen_x": "image_x", "screen_y": "image_y"}
-_UNLIKE: Final = 0.01  # chance of any false alarm among an effect's own tests
 _SEVERAL: Final = 2
 _SHOWN_SIGMAS: Final = 3.0
 _SMALLEST: Final = 1.05  # gap that counts as closed
@@ -115,25 +112,6 @@ def outdone(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[s
     """
     present = {effect.name for effect in effects}
     return [step.name for step in steps if step.outdone and step.name in present]
-
-
-def unlike(tests: Sequence[Disagreement], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the names of effects beside which structure stays in the very statistic and place that they stand for.
-
-    All tests together share one chance of a false alarm; the few that tell whether an effect follows its law have one
-    of their own. Another cause that looks much alike is found out there first.
-
-    Args:
-        tests: All tests of the final model.
-        effects: Its effects.
-    """
-    found = []
-    for effect in effects:
-        place = _AS_SEEN.get(effect.where, effect.where)
-        own = [t for t in tests if t.family == effect.block and axis_of(t.where, t.block) == place]
-        if any(test.p_value < _UNLIKE / len(own) for test in own):
-            found.append(effect.name)
-    return found
 
 
 def hollow(effects: Sequence[CatalogueEffect], parameters: Mapping[str, Mapping[str, FittedParameter]]) -> list[str]:

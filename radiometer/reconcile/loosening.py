@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,6 +17,7 @@ from simulators.effects.catalogue import CatalogueEffect
 
 _REFITTED: Final = 2  # forms that are fitted in full, the most promising first
 _NEEDED_NATS: Final = 8.0
+_OWN_NATS: Final = 2.0  # where an effect's own tests already tell that its rigid form is not quite the law
 _STEP: Final = 0.1  # of a parameter's scale
 
 
@@ -37,26 +38,31 @@ class Loosened:
     further: int
 
 
-def loosened(state: FitState) -> Loosened | None:
+def loosened(state: FitState, only: Sequence[str] | None = None) -> Loosened | None:
     """Return the model with the flexible form that predicts held-out settings best; None where none is worth it.
 
     Each further parameter must be paid for, and the whole be as far beyond chance as a further name.
+
+    Args:
+        state: The fitted model.
+        only: Names of the effects that leave structure in their own place, where these alone are asked and the tests
+            of that place are what is beyond chance; by default all effects.
     """
-    forms = sorted(_promising(state), key=lambda entry: -entry[0])[:_REFITTED]
+    needed = _NEEDED_NATS if only is None else _OWN_NATS
+    promising = ((nats, i, form) for nats, i, form in _promising(state, only) if nats >= needed)
+    forms = sorted(promising, key=lambda entry: -entry[0])[:_REFITTED]
     fitted = [_fitted(state, index, form) for _, index, form in forms]
-    worth = [
-        entry for entry in fitted if entry is not None and entry.nats - PARAMETER_NATS * entry.further >= _NEEDED_NATS
-    ]
+    worth = [entry for entry in fitted if entry is not None and entry.nats - PARAMETER_NATS * entry.further >= needed]
     return max(worth, key=lambda entry: entry.nats - PARAMETER_NATS * entry.further, default=None)
 
 
-def _promising(state: FitState) -> Iterator[tuple[float, int, CatalogueEffect]]:
+def _promising(state: FitState, only: Sequence[str] | None) -> Iterator[tuple[float, int, CatalogueEffect]]:
     """Yield nats that each form would bring if it acted linearly, the place of its effect, and the form."""
     for index, effect in enumerate(state.effects):
+        if only is not None and effect.name not in only:
+            continue
         for form in effect.loosened(state.model.context):
-            nats = _linear_gain(state, index, form) / 2.0 - PARAMETER_NATS * _further(effect, form)
-            if nats >= _NEEDED_NATS:
-                yield nats, index, form
+            yield _linear_gain(state, index, form) / 2.0 - PARAMETER_NATS * _further(effect, form), index, form
 
 
 def _further(effect: CatalogueEffect, form: CatalogueEffect) -> int:

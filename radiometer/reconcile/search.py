@@ -20,6 +20,7 @@ from radiometer.reconcile.chances import chi2_beyond
 from radiometer.reconcile.joining import simpler
 from radiometer.reconcile.localise import SIGNIFICANT, Disagreement, localise, significant, smooth_term
 from radiometer.reconcile.loosening import Loosened, loosened
+from radiometer.reconcile.own_law import unlike
 from radiometer.reconcile.plain_trends import TRENDS
 from radiometer.reconcile.pruning import KEPT_NATS, pruned
 from radiometer.reconcile.rivals import PARAMETER_NATS, rivals_of
@@ -152,12 +153,13 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     limit = float(np.log(SIGNIFICANT / max(len(screened), 1)))
     promising = _promising(screened, limit, loud)
     promising = [candidate for candidate in promising if candidate.effect.name not in run.refused]
-    if not loud and not promising:
+    strange = [] if loud else unlike(tests, state.effects)
+    if not loud and not promising and not strange:
         return None
     fitted = sorted((fit_candidate(state, c) for c in promising[:_FITTED]), key=lambda f: -_penalised_chi2(f))
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
     shown = [entry for entry in judged if _is_shown(*entry, limit, later=bool(state.effects))]
-    looser = loosened(state) if loud else None
+    looser = loosened(state) if loud else loosened(state, strange) if strange else None
     while shown:
         contenders = _contenders(state, shown)
         chosen = _choose(contenders)

@@ -14,8 +14,8 @@ from radiometer.reconcile.excess import (
     merged,
     outdone,
     replaceable,
-    unlike,
 )
+from radiometer.reconcile.own_law import unlike
 from radiometer.reconcile.parameters import fitted_parameters
 from radiometer.reconcile.result import Verdict
 from radiometer.reconcile.search import Search

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, Final, Self, cast
 
 import numpy as np
 from scipy.special import ndtr
 
 from simulators.effects.base import ELECTRONS, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, warmer_k
+from simulators.effects.catalogue import CatalogueEffect, temperature_varies, warmer_k
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
+
+_USUAL_DOUBLING_K: Final = 7.0
 
 
 @dataclass(frozen=True)
@@ -41,11 +43,21 @@ class DarkCurrentNonuniformity(CatalogueEffect):
     endless = ("shape",)  # a log-normal of small shape is a normal one
     sigma_e_per_s: float = parameter(0.0, "e- s-1", 0.0, 100000.0, source="engineering prior; refined on a real rig")
     reference_C: float = parameter(25.0, "°C", -100.0, 150.0, source="temperature that the figure holds at")  # noqa: N815
-    doubling_K: float = parameter(7.0, "K", 2.0, 30.0, source="silicon: 6 to 8 K")  # noqa: N815
+    doubling_K: float = parameter(_USUAL_DOUBLING_K, "K", 2.0, 30.0, source="silicon: 6 to 8 K")  # noqa: N815
     mean_share: float = parameter(
         0.0, "1", -0.5, 0.5, source="what clipping at zero and masked pixels leave of the mean"
     )
     shape: float = parameter(0.5, "1", 0.05, 1.2, source="standard deviation of the leak's logarithm; CMOS: 0.3 to 0.8")
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the pattern that doubles within kelvins of its own."""
+        if self.doubling_K != _USUAL_DOUBLING_K or not temperature_varies(context):
+            return ()
+        return (self.with_parameters(doubling_K=_USUAL_DOUBLING_K + 0.2),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: the doubling only where it is not the usual one."""
+        return self.fitted if self.doubling_K == _USUAL_DOUBLING_K else (*self.fitted, "doubling_K")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the signal of the pixels that count."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from radiometer.reconcile.excess import contested, hollow, mended, outdone, replaceable, unlike
+from radiometer.reconcile.excess import contested, hollow, mended, outdone, replaceable
 from radiometer.reconcile.localise import Disagreement
+from radiometer.reconcile.own_law import unlike
 from radiometer.reconcile.result import FittedParameter
 from radiometer.reconcile.search import Step
 from simulators.effects.conversion_gain_error import ConversionGainError
