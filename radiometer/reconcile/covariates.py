@@ -54,7 +54,7 @@ class Covariate:
 
 
 def _rank_axis(values: Array) -> Array:
-    rank = ranks(values)
+    rank = ranks(np.round(values, 9))  # repeats differ in their last bits
     return np.asarray(2.0 * (rank - rank.min()) / max(np.ptp(rank), 1e-30) - 1.0)
 
 

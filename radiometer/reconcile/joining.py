@@ -1,14 +1,56 @@
-"""One cause in place of others: an entry that acts along two settings may have been taken for two, and a freer one may
-have been named where a plainer does as much."""
+"""Other causes in place of those that were named: an entry that acts along two settings may have been taken for two, a
+freer one may have been named where a plainer does as much, and what was named first knew nothing of what came later."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
-from radiometer.reconcile.candidate_fit import UnfitError, included
+from radiometer.reconcile.candidate_fit import UnfitError, fit_candidate, included, judged_gain
+from radiometer.reconcile.judging import contenders_of, likeliest
 from radiometer.reconcile.rivals import PARAMETER_NATS
-from radiometer.reconcile.state import FitState, with_effects
+from radiometer.reconcile.screening import screen
+from radiometer.reconcile.start_pool import StartPool
+from radiometer.reconcile.state import FitState, refit, settled, with_effects
 from simulators.effects.catalogue import CatalogueEffect
+
+_FITTED: Final = 4  # entries that are fitted in another's place
+_BETTER_NATS: Final = 8.0  # by which one must predict better than what it takes the place of
+
+
+def better(
+    state: FitState, name: str, catalogue: Mapping[str, type[CatalogueEffect]], pool: StartPool
+) -> tuple[FitState, CatalogueEffect] | None:
+    """Return the model with another entry in place of one, where it predicts better beside what was named later.
+
+    Args:
+        state: The model with all names so far.
+        name: The name in question.
+        catalogue: Entries that may be named.
+        pool: Their starts.
+
+    Returns:
+        The model and the entry as it was fitted; None where no entry predicts better.
+    """
+    own = next(effect for effect in state.effects if effect.name == name)
+    try:
+        rest = settled(refit(with_effects(state, [effect for effect in state.effects if effect is not own])))
+    except UnfitError:
+        return None
+    others = [candidate for candidate in screen(rest, catalogue, pool) if candidate.effect.name != name]
+    judged = [(fitted, judged_gain(rest, fitted)) for fitted in (fit_candidate(rest, c) for c in others[:_FITTED])]
+    chosen = likeliest(contenders_of(rest, judged))
+    if chosen is None:
+        return None
+    fitted = chosen[0]
+    try:
+        changed = included(rest, fitted.effect, far=True)
+    except UnfitError:
+        return None
+    more = PARAMETER_NATS * (changed.parameters.size - state.parameters.size)
+    if changed.evidence - more < state.evidence + _BETTER_NATS:
+        return None
+    return changed, next(effect for effect in changed.effects if effect.name == fitted.name)
 
 
 def simpler(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> tuple[FitState, CatalogueEffect] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -16,8 +16,17 @@ from radiometer.reconcile.candidate_fit import (
     included,
     judged_gain,
 )
-from radiometer.reconcile.chances import chi2_beyond
-from radiometer.reconcile.joining import simpler
+from radiometer.reconcile.joining import better, simpler
+from radiometer.reconcile.judging import (
+    FLEXIBLE_NATS,
+    HUGE_NATS,
+    contenders_of,
+    is_shown,
+    likeliest,
+    log_chance,
+    penalised_chi2,
+    score,
+)
 from radiometer.reconcile.localise import SIGNIFICANT, Disagreement, localise, significant, smooth_term
 from radiometer.reconcile.loosening import Loosened, loosened
 from radiometer.reconcile.own_law import unlike
@@ -32,32 +41,12 @@ from simulators.effects.catalogue import CatalogueEffect
 MOST_STEPS: Final = 7
 _FITTED: Final = 7  # candidates that are fitted in each step
 _JUDGED: Final = 4  # of them, those that are judged on held-out settings
-_NEEDED_NATS: Final = 8.0
-_LATER_NATS: Final = 2.0
-_FEW_TRIES: Final = 2.0
-_EVIDENCE: Final = 8.0  # χ² that the statistic which must show the effect has to lose
-_FLEXIBLE_NATS: Final = 5.0  # a flexible form must beat the rigid one by so much
-_STATED_NATS: Final = 6.0  # more where stated radiances carry the evidence: measured once, their errors go together
-_STATED_SHARE: Final = 0.5
 _OUTDONE_NATS: Final = 3.0
 _NEEDED_SMOOTH_NATS: Final = 3.0
 _SMOOTHS_TRIED: Final = 4
-_HUGE_NATS: Final = 2000.0
-_NEAR_SHARE: Final = 0.05
 _NEAR_FORM: Final = 0.5
 _SMOOTH_SHARE: Final = 0.8
 _SMOOTH_NATS: Final = 8.0
-# Entries that physics does not expect, or that can imitate others by their freedom, must be that much better.
-_UNLIKELY_NATS: Final[Mapping[str, float]] = {
-    "reciprocity_failure": 5.0,
-    "source_not_proportional_to_exposure": 3.0,
-    "exposure_label_error": 6.0,
-    "shutter_dead_time": 2.0,
-    "rolling_shutter_banding": 3.0,
-    "angle_dependence": 2.0,
-    "dark_current_clamped": 1.0,
-    "soft_saturation": 3.0,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +126,7 @@ def search(
         except UnfitError as unfit:
             run.refused.add(str(unfit))
             continue
-        if following is None:
+        if following is None and (following := _exchanged(state, tests, run)) is None:
             break
         state, dropped = pruned(following, run.say)
         for name in dropped:
@@ -156,13 +145,13 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     strange = [] if loud else unlike(tests, state.effects)
     if not loud and not promising and not strange:
         return None
-    fitted = sorted((fit_candidate(state, c) for c in promising[:_FITTED]), key=lambda f: -_penalised_chi2(f))
+    fitted = sorted((fit_candidate(state, c) for c in promising[:_FITTED]), key=lambda f: -penalised_chi2(f))
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
-    shown = [entry for entry in judged if _is_shown(*entry, limit, later=bool(state.effects))]
+    shown = [entry for entry in judged if is_shown(*entry, limit, later=bool(state.effects))]
     looser = loosened(state) if loud else loosened(state, strange) if strange else None
     while shown:
-        contenders = _contenders(state, shown)
-        chosen = _choose(contenders)
+        contenders = contenders_of(state, shown)
+        chosen = likeliest(contenders)
         if chosen is None:
             break
         plain = _plain_leads(state, chosen)
@@ -187,11 +176,11 @@ def _is_likelier(state: FitState, looser: Loosened | None, chosen: tuple[FittedC
     """
     if looser is None:
         return False
-    form = looser.nats - PARAMETER_NATS * looser.further - _FLEXIBLE_NATS
-    if form > _score(chosen) or form < _NEAR_FORM * _score(chosen):
-        return form > _score(chosen)
+    form = looser.nats - PARAMETER_NATS * looser.further - FLEXIBLE_NATS
+    if form > score(chosen) or form < _NEAR_FORM * score(chosen):
+        return form > score(chosen)
     fitted = included(state, chosen[0].effect, far=False)
-    return form > _score((chosen[0], fitted.evidence - state.evidence))
+    return form > score((chosen[0], fitted.evidence - state.evidence))
 
 
 def _taken(state: FitState, looser: Loosened, run: _Run) -> FitState:
@@ -205,59 +194,7 @@ def _taken(state: FitState, looser: Loosened, run: _Run) -> FitState:
 def _promising(candidates: list[Candidate], limit: float, loud: tuple[Disagreement, ...]) -> list[Candidate]:
     """Return candidates whose gain is significant among all that were tried, or may yet become so."""
     slack = 0.5 if loud else 1.0  # a start far from the best parameters shows only part of its gain
-    return [c for c in candidates if _log_chance(c.gain, c.parameters) < slack * limit]
-
-
-def _penalised_chi2(fitted: FittedCandidate) -> float:
-    return fitted.gain - 2.0 * (_penalty(fitted))
-
-
-def _penalty(fitted: FittedCandidate) -> float:
-    return PARAMETER_NATS * fitted.parameters + _UNLIKELY_NATS.get(fitted.name, 0.0)
-
-
-def _score(entry: tuple[FittedCandidate, float]) -> float:
-    fitted, nats = entry
-    return nats - _penalty(fitted) - (_FLEXIBLE_NATS if fitted.flexible else 0.0)
-
-
-def _contenders(
-    state: FitState, judged: list[tuple[FittedCandidate, float]], fewest: int = 1
-) -> list[tuple[FittedCandidate, float]]:
-    """Return the candidates, those of a very large and nearly equal gain judged anew after a full fit of each.
-
-    Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges. With fewer
-    than `fewest` left all are returned as they came.
-    """
-    best = max((nats for _, nats in judged), default=0.0)
-    near = [entry for entry in judged if entry[1] > best - _NEAR_SHARE * best]
-    if best < _HUGE_NATS or len(near) < max(fewest, 2):
-        return judged
-    base = state.evidence
-    return [(f, included(state, f.effect, far=True).evidence - base) for f, _ in near]
-
-
-def _choose(judged: list[tuple[FittedCandidate, float]]) -> tuple[FittedCandidate, float] | None:
-    return max(judged, key=_score) if judged else None
-
-
-def _log_chance(gain: float, parameters: int) -> float:
-    """Return ln of the chance that so many idle parameters gain so much χ²."""
-    chance = chi2_beyond(max(gain, 1e-9), parameters)
-    return float(np.log(chance)) if chance > 0 else -np.inf
-
-
-def _is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool) -> bool:
-    """Tell whether settings held out are predicted better, beyond chance, and in the statistic that must show it.
-
-    Of many starts one fits by chance, and beside an effect that is there already a further one is less likely. The
-    radiances of patches are stated once: an error of their measurement that goes with the level looks like an effect.
-    """
-    needed = _NEEDED_NATS + _UNLIKELY_NATS.get(fitted.name, 0.0) + float(np.log(max(fitted.tries / _FEW_TRIES, 1.0)))
-    needed += _STATED_NATS if fitted.stated > _STATED_SHARE * fitted.gain else 0.0
-    needed += _FLEXIBLE_NATS if fitted.flexible else 0.0
-    beyond_chance = _log_chance(fitted.gain, fitted.parameters) < limit
-    return beyond_chance and nats >= needed + (_LATER_NATS if later else 0.0) and fitted.evidence >= _EVIDENCE
+    return [c for c in candidates if log_chance(c.gain, c.parameters) < slack * limit]
 
 
 def _convinces(
@@ -289,7 +226,7 @@ def _plain_leads(state: FitState, chosen: tuple[FittedCandidate, float]) -> dict
 def _plain_lead(state: FitState, kind: type[CatalogueEffect], chosen: tuple[FittedCandidate, float]) -> float:
     starts = kind.starts(state.model.context)
     plain = fit_candidate(state, Candidate(starts[0], 0.0, len(kind.fitted), others=starts[1:]))
-    (_, named), (_, trend) = _contenders(state, [chosen, (plain, judged_gain(state, plain))], fewest=2)
+    (_, named), (_, trend) = contenders_of(state, [chosen, (plain, judged_gain(state, plain))], fewest=2)
     return trend + PARAMETER_NATS * (chosen[0].parameters - plain.parameters) - named
 
 
@@ -329,7 +266,7 @@ def _named(
     Contenders are judged as the chosen one is, `judged` are all those of this step before any full fit.
     """
     fitted, nats = chosen
-    following = included(state, fitted.effect, far=nats > _HUGE_NATS)
+    following = included(state, fitted.effect, far=nats > HUGE_NATS)
     if following.evidence - state.evidence < KEPT_NATS:
         run.refused.add(fitted.name)
         return None
@@ -350,15 +287,27 @@ def _named(
 def _joined(state: FitState, run: _Run) -> FitState:
     """Return the model with one entry in place of names that may be no more than it."""
     found = simpler(state, run.catalogue)
-    if found is None:
-        return state
-    joined, effect = found
-    old = [step for step in run.steps if step.name in effect.stands_for]
-    nats = sum(step.gain_nats for step in old)
-    run.steps[run.steps.index(old[0])] = Step(effect.name, effect.where, nats, old[0].gap_before, joined.gap)
+    return state if found is None else _in_place(state, found, found[1].stands_for, run)
+
+
+def _exchanged(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
+    """Return the model with another name in place of one that leaves structure beside what came later, if any."""
+    for name in unlike(tests, state.effects) if len(state.effects) > 1 else ():
+        found = better(state, name, run.catalogue, run.pool)
+        if found is not None:
+            run.refused.add(name)
+            return _in_place(state, found, (name,), run)
+    return None
+
+
+def _in_place(state: FitState, found: tuple[FitState, CatalogueEffect], names: Sequence[str], run: _Run) -> FitState:
+    changed, effect = found
+    old = [step for step in run.steps if step.name in names]
+    nats = sum(step.gain_nats for step in old) + changed.evidence - state.evidence
+    run.steps[run.steps.index(old[0])] = Step(effect.name, effect.where, nats, old[0].gap_before, changed.gap)
     run.steps = [step for step in run.steps if step not in old]
-    run.say(f"{effect.name} in place of {' and '.join(effect.stands_for)}: gap {state.gap:.3f} → {joined.gap:.3f}")
-    return joined
+    run.say(f"{effect.name} in place of {' and '.join(names)}: gap {state.gap:.3f} → {changed.gap:.3f}")
+    return changed
 
 
 def _unnamed(

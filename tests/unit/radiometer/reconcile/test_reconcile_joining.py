@@ -1,4 +1,4 @@
-"""One entry in place of others that predict no better."""
+"""Other causes in place of those that were named."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ import pytest
 
 from radiometer.reconcile.design import Design
 from radiometer.reconcile.engine import CATALOGUE
-from radiometer.reconcile.joining import simpler
+from radiometer.reconcile.joining import better, simpler
 from radiometer.reconcile.parameters import fitted_parameters
+from radiometer.reconcile.start_pool import StartPool
 from radiometer.reconcile.state import FitState, first_state, refit, settled, with_effects
 from radiometer.reconcile.statistics import frame_reader, reduce_frames
 from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.fnumber_tstop_error import FnumberTstopError
+from simulators.effects.gamma_enabled import GammaEnabled
 from simulators.effects.natural_vignetting import NaturalVignetting
+from simulators.effects.veiling_glare import VeilingGlare
 
 
 def _fitted(captured: Any, *effects: CatalogueEffect) -> FitState:
@@ -55,3 +58,18 @@ def test_fall_off_that_no_stop_changes_is_the_lens(make_capture: Callable[..., A
     found = simpler(_fitted(captured, AngleDependence(0.1, 2.0, 0.01), stops), CATALOGUE)
     assert found is not None
     assert [effect.name for effect in found[0].effects] == ["fnumber_tstop_error", "natural_vignetting"]
+
+
+def test_what_was_named_too_early_gives_way(make_capture: Callable[..., Any]) -> None:
+    """Beside the veil that was found later, an offset of 0.9 DN predicts better than the exponent it was taken for."""
+    captured = make_capture(picture=lambda image, s: 0.98 * image + 0.02 * image.mean(), extra_dn=lambda s: 0.9)
+    names = ("black_level_offset", "black_level_drift", "gamma_enabled", "response_nonlinearity", "veiling_glare")
+    entries = {name: CATALOGUE[name] for name in names}
+    found = better(_fitted(captured, GammaEnabled(1.002), VeilingGlare(0.02)), "gamma_enabled", entries, StartPool())
+    assert found is not None
+    state, effect = found
+    assert effect.name == "black_level_offset"
+    offset = fitted_parameters(state)["black_level_offset"]["offset_dn"]
+    assert offset.u is not None
+    assert offset.value == pytest.approx(0.9, abs=3.0 * offset.u)
+    assert better(state, "black_level_offset", entries, StartPool()) is None
