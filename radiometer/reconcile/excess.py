@@ -131,14 +131,18 @@ def hollow(effects: Sequence[CatalogueEffect], parameters: Mapping[str, Mapping[
 
 
 def contested(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the names that bring little and that another entry might take.
+    """Return the names that bring little where another entry might take them, or beside others that bring more.
+
+    What is left of a law that is not quite the one that was named looks like one more effect, but a faint one.
 
     Args:
         steps: What was added, in order.
         effects: The effects of the model.
     """
     present = {effect.name for effect in effects}
-    return [step.name for step in steps if step.name in present and step.rivals and step.gain_nats < _LITTLE_NATS]
+    named = [step for step in steps if step.name in present]
+    most = max((step.gain_nats for step in named), default=0.0)
+    return [s.name for s in named if s.gain_nats < _LITTLE_NATS and (s.rivals or s.gain_nats < most)]
 
 
 def merged(state: FitState) -> list[str]:

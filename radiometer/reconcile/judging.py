@@ -26,6 +26,7 @@ _UNLIKELY_NATS: Final[Mapping[str, float]] = {
     "reciprocity_failure": 5.0,
     "source_not_proportional_to_exposure": 3.0,
     "exposure_label_error": 6.0,
+    "exposure_quantisation": 20.0,  # a grid of steps: real ones move all short exposures and bring thousands
     "shutter_dead_time": 2.0,
     "rolling_shutter_banding": 3.0,
     "angle_dependence": 2.0,

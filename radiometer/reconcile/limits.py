@@ -8,8 +8,6 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconcile.design import Array
-from radiometer.reconcile.edges import SHARPEST
 from radiometer.reconcile.result import Limit
 from radiometer.reconcile.screening import AT_ONCE, changes_of
 from radiometer.reconcile.state import FitState, with_effects
@@ -24,7 +22,6 @@ _LOOKS: Final = 12
 _STRIDE: Final = 30.0  # largest factor from one look to the next
 _CLOSE: Final = 0.1  # of ln χ²
 _NOTHING: Final = 1e-6  # a χ² that stands for none
-_MOST_FLOOR: Final = 0.999  # share of a border's uncertainty that its floor may be
 _MILD_WHEN_LARGE: Final = frozenset(("full_well_saturation", "soft_saturation", "adc_saturation"))
 _SHARP: Final = frozenset(("full_well_saturation", "adc_saturation"))  # nothing bends below it
 _STEPWISE: Final = _MILD_WHEN_LARGE | {"exposure_quantisation", "missing_codes", "nominal_settings"}
@@ -204,19 +201,7 @@ def _information(state: FitState, effects: Sequence[CatalogueEffect]) -> list[fl
     changes, part = state.fit.followed_with_half(changes_of(state, effects))
     whole = np.einsum("ij,ij->j", changes, changes)
     left = whole - np.einsum("ij,ij->j", part, part)
-    seen = (left > _BLIND * whole) & (left > 0)
-    shown = np.maximum(left + _edge_in_common(state, changes), 0.0)
-    return [float(value) for value in np.where(seen, shown, 0.0)]
-
-
-def _edge_in_common(state: FitState, changes: Array) -> Array:
-    """Return what χ² loses because the floor of the borders' uncertainty is the same in all captures, (effects,)."""
-    cut, deviation = state.comparison.cuts["edge"], state.comparison.deviation["edge"]
-    moved = changes[cut]
-    floor = np.where(state.comparison.usable["edge"], np.minimum(SHARPEST / deviation, _MOST_FLOOR), 0.0)
-    own = 1.0 - floor**2
-    together = ((floor / own) @ moved) ** 2 / (1.0 + float(np.sum(floor**2 / own)))
-    return np.asarray((1.0 / own - 1.0) @ moved**2 - together)
+    return [float(value) for value in np.where(left > np.maximum(_BLIND * whole, 0.0), left, 0.0)]
 
 
 def _main_parameter(kind: type[CatalogueEffect], start: CatalogueEffect | None) -> tuple[str, str]:

@@ -11,9 +11,11 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiometer.reconcile.comparison import Comparison
 from radiometer.reconcile.design import Array, Design
+from radiometer.reconcile.edges import SHARPEST
 from radiometer.reconcile.statistics import CaptureStatistics
 from radiometer.reconcile.terms import ColumnBuilder, LinearTerm
 from radiometer.reconcile.tile_layout import tile_groups
@@ -82,6 +84,19 @@ def realisation_terms(
         if additive and float(np.max(_lines(name, prediction))) > 0:
             terms.append(_tile_line_spread_term(name, seen, design))
     return tuple(terms)
+
+
+def edge_terms(usable: NDArray[np.bool_]) -> tuple[LinearTerm, ...]:
+    """Return the term for what all borders share, whatever the blur: none is quite straight, and the source's least so.
+
+    Args:
+        usable: (captures,) whether a capture's borders tell anything.
+    """
+
+    def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
+        return _placed(comparison, "edge", comparison.whiten("edge", np.ones((len(comparison.design.captures), 1))))
+
+    return (LinearTerm("borders", build, np.array([SHARPEST])),) if usable.any() else ()
 
 
 def _offset_terms(

@@ -17,7 +17,7 @@ from radiometer.reconcile.linear import LinearFit, RowBlock
 from radiometer.reconcile.nuisances import NuisanceLayout, rough_log_responsivity
 from radiometer.reconcile.parameters import EffectParameters
 from radiometer.reconcile.pattern_images import PatternImages
-from radiometer.reconcile.realisations import realisation_terms
+from radiometer.reconcile.realisations import edge_terms, realisation_terms
 from radiometer.reconcile.repeatability import capture_scale, estimate_tau
 from radiometer.reconcile.scatter import Repeatability, relative_bands, relative_flicker
 from radiometer.reconcile.statistics import CaptureStatistics
@@ -27,6 +27,7 @@ from radiometer.reconcile.usable import usable_entries
 from simulators.effects.catalogue import CatalogueEffect
 
 _ITERATIONS: Final = 25
+_IDLE: Final = 1e-3  # sigmas that a parameter moves by its whole scale
 _CONVERGED: Final = 1e-3  # change of χ² below which an iteration ends the fit
 _SENSITIVITY_STEP: Final = 1e-3
 _REWEIGHTINGS: Final = 3
@@ -247,6 +248,7 @@ def reweighted(state: FitState) -> FitState:
         *realisation_terms(
             (*state.model.given, *state.effects), state.prediction, state.seen, state.design, state.model.context
         ),
+        *edge_terms(state.comparison.usable["edge"]),
     )
     floors = form_floors(state.model, state.nuisance, state.prediction)
     mask = state.comparison.usable
@@ -300,10 +302,12 @@ def refit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
 def _held_at_bounds(state: FitState, fixed: frozenset[int]) -> FitState:
     """Return the state with those effect parameters frozen that stand on a bound and would leave it, and the fixed.
 
-    Were they free, the linearised fit would take up beyond the bound what the model cannot, and hide it.
+    Were they free, the linearised fit would take up beyond the bound what the model cannot, and hide it. A parameter
+    that moves nothing where it stands is frozen too: the fit would send it anywhere.
     """
     on_low, on_high = state.parameters.on_bounds()
-    held = fixed
+    idle = np.flatnonzero(np.linalg.norm(state.effect_jacobian, axis=0) < _IDLE)
+    held = fixed | frozenset(idle.tolist())
     while True:
         state = state if state.frozen == held else replace(state, frozen=held)
         if not (on_low | on_high).any():

@@ -58,7 +58,8 @@ def doubts_of(outcome: Search) -> list[str]:
     ]
     said += [f"{name} acts with these parameters as other causes would: nothing is its own" for name in merged(state)]
     said += [
-        f"{name} brings little, and another entry predicts nearly as well" for name in contested(outcome.steps, effects)
+        f"{name} brings little, and may be another entry or the rest of one"
+        for name in contested(outcome.steps, effects)
     ]
     said += [
         f"{name} is not quite the law that the data follow: some of it stays where it shows"

@@ -31,7 +31,11 @@ class Defocus(CatalogueEffect):
     block = "edge"
     trials = (
         {"sigma_f1_px": 1.0},
+        {"sigma_f1_px": 0.6},
+        {"sigma_f1_px": 0.8},
+        {"sigma_f1_px": 1.4},
         {"sigma_f1_px": 2.0},
+        {"sigma_f1_px": 3.0},
         {"sigma_f1_px": 6.0},
     )
     fitted = ("sigma_f1_px",)

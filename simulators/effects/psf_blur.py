@@ -28,8 +28,11 @@ class PsfBlur(CatalogueEffect):
     block = "edge"
     trials = (
         {"sigma_px": 0.25},
+        {"sigma_px": 0.3},
         {"sigma_px": 0.35},
+        {"sigma_px": 0.42},
         {"sigma_px": 0.5},
+        {"sigma_px": 0.7},
         {"sigma_px": 1.0},
     )
     fitted = ("sigma_px",)

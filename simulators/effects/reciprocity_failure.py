@@ -17,7 +17,7 @@ _FEWEST_EXPOSURES: Final = 6
 
 @dataclass(frozen=True)
 class ReciprocityFailure(Scaling):
-    """Follows a power of the exposure time: H' = H·(t/1 ms)^p; with a threshold t₀ H' = H·(t/t₀)^p below it only.
+    """Follows a power of the exposure time up to a threshold, from where on it is constant: H' = H·(min(t, t₀)/1 ms)^p.
 
     Source: Schwarzschild (1900), of photographic emulsions; not expected in silicon.
     """
@@ -39,10 +39,7 @@ class ReciprocityFailure(Scaling):
 
     def factor(self, context: ExposureContext) -> Any:
         """Return the factor of exposure."""
-        time = np.asarray(context.settings.exposure_s)
-        if self.threshold_s < _NO_THRESHOLD_S:
-            return np.minimum(time / self.threshold_s, 1.0) ** self.exponent
-        return (time / 1e-3) ** self.exponent
+        return (np.minimum(np.asarray(context.settings.exposure_s), self.threshold_s) / 1e-3) ** self.exponent
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
