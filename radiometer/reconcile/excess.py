@@ -23,8 +23,6 @@ from radiometer.reconcile.state import FitState
 from simulators.effects.catalogue import CatalogueEffect
 
 _SIGMAS: Final = 5.0  # of a χ² of so many entries; the gap of 330 sets without an effect was 1.02 at most
-_CRUMB_NATS: Final = 25.0  # an effect of its own brought hundreds in all pairs along one covariate of the test bench
-_FROM_ELSEWHERE: Final = frozenset({"ghost", "stray_light_kernel", "veiling_glare"})
 _LITTLE_NATS: Final = 40.0  # what an effect at its smallest realistic size brings; rivals lie within 5
 _SEVERAL: Final = 2
 _SHOWN_SIGMAS: Final = 3.0
@@ -63,30 +61,6 @@ def _explained(values: Array, basis: Array) -> float:
     left: Array = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
     freedom = max(len(values) - columns.shape[1], 1)
     return float(1.0 - np.sum(left**2) / freedom / max(float(np.var(values)), 1e-30))
-
-
-def mended(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return pairs of names of which the weaker hardly does more than mend the curve of the other.
-
-    Two entries that bend the same statistic along the same covariate can together imitate a curve that is neither, as
-    two that bring light from elsewhere in the picture can a scatter that is neither.
-
-    Args:
-        steps: What was added, in order.
-        effects: The effects of the model.
-    """
-    blocks = {effect.name: effect.block for effect in effects}
-    named = [step for step in steps if step.name in blocks]
-    return [
-        f"{weak.name} beside {strong.name}"
-        for weak in named
-        for strong in named
-        if weak.gain_nats < min(_CRUMB_NATS, strong.gain_nats)
-        and (
-            (weak.where, blocks[weak.name]) == (strong.where, blocks[strong.name])
-            or {weak.name, strong.name} < _FROM_ELSEWHERE
-        )
-    ]
 
 
 def replaceable(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:

@@ -10,7 +10,6 @@ from radiometer.reconcile.excess import (
     contested,
     hollow,
     is_scattered,
-    mended,
     merged,
     outdone,
     replaceable,
@@ -44,10 +43,6 @@ def doubts_of(outcome: Search) -> list[str]:
     """Return in words why names are provisional though nothing structured is left."""
     state, effects = outcome.state, outcome.state.effects
     said = [f"{name} ran to the end of its range: what the data hold is not quite that" for name in _strained(state)]
-    said += [
-        f"{pair} may only mend one curve that is neither: it brings little beside it"
-        for pair in mended(outcome.steps, effects)
-    ]
     said += [f"{name} alone may do what all the names do together" for name in replaceable(outcome.steps, effects)]
     said += [
         f"{name} is only the likelier of two, the other predicts better" for name in outdone(outcome.steps, effects)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from radiometer.reconcile.excess import contested, hollow, mended, outdone, replaceable
+from radiometer.reconcile.excess import contested, hollow, outdone, replaceable
 from radiometer.reconcile.localise import Disagreement
 from radiometer.reconcile.own_law import unlike
 from radiometer.reconcile.result import FittedParameter
@@ -12,11 +12,9 @@ from radiometer.reconcile.search import Step
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
-from simulators.effects.ghost import Ghost
 from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.psf_blur import PsfBlur
 from simulators.effects.stray_light_kernel import StrayLightKernel
-from simulators.effects.veiling_glare import VeilingGlare
 
 BLUR_AND_GAIN = (PsfBlur(0.3), ConversionGainError(0.01))
 CROSSTALK = Crosstalk(0.01)
@@ -97,11 +95,3 @@ def test_law_that_leaves_structure_in_its_own_place_is_unlike() -> None:
     quiet = [test("mean", "exposure_s", 0.02), test("mean", "image_x", 0.001), test("variance", "exposure_s", 0.001)]
     assert unlike(quiet, late) == []
     assert unlike([*quiet, test("mean", "exposure_s", 0.001)], late) == ["exposure_time_offset"]
-
-
-def test_little_stray_light_beside_other_stray_light_is_doubted() -> None:
-    """A veil of 13 nats beside a ghost may be what the ghost's blur leaves; one of 200 nats is its own."""
-    effects = (Ghost(0.003), VeilingGlare(0.0005))
-    ghost = Step("ghost", "image_x", 1000.0, 1.2, 1.0)
-    assert mended([ghost, Step("veiling_glare", "patch_level", 13.0, 1.01, 1.0)], effects)
-    assert mended([ghost, Step("veiling_glare", "patch_level", 200.0, 1.01, 1.0)], effects) == []

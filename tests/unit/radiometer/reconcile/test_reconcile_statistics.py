@@ -15,6 +15,7 @@ from radiometer.reconcile.capture_sums import CaptureSums
 from radiometer.reconcile.design import Design, group_captures
 from radiometer.reconcile.edges import edge_shares
 from radiometer.reconcile.frame_kernels import add_tiles, coarse_cells
+from radiometer.reconcile.limits import limits
 from radiometer.reconcile.localise import localise, significant
 from radiometer.reconcile.parameters import fitted_parameters
 from radiometer.reconcile.realisations import realisation_terms
@@ -23,7 +24,9 @@ from radiometer.reconcile.state import FitState, first_state, refit, settled, wi
 from radiometer.reconcile.statistics import frame_reader, reduce_frames
 from radiometer.reconcile.tile_layout import LINES, PatchSides, patch_sides, tile_groups
 from simulators.effects.black_level_drift import BlackLevelDrift
+from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.pixel_mixing import disc_edge_share
+from simulators.effects.psf_blur import PsfBlur
 from simulators.effects.row_pattern import RowPattern
 
 
@@ -367,3 +370,20 @@ def test_source_of_unknown_reproducibility_may_wander(make_capture: Callable[...
     assert "common" not in {test.block for test in significant(localise(unstated))}
     freedom = 2 * len(plan)  # of four frames the first has a statistic of its own
     assert np.sqrt(unstated.comparison.wander2) == pytest.approx(0.003, rel=4.0 / np.sqrt(2.0 * freedom))
+
+
+def test_blur_that_moves_nothing_stands_still(make_capture: Callable[..., Any]) -> None:
+    """A blur of a tenth of a pixel reaches no neighbour: the fit leaves it where it is and still finds the offset."""
+    state = _state(make_capture(extra_dn=lambda setting: 0.9))
+    found = settled(refit(with_effects(state, [PsfBlur(0.1), BlackLevelOffset(0.1)])))
+    entry = fitted_parameters(found)["black_level_offset"]["offset_dn"]
+    assert entry.u is not None
+    assert entry.value == pytest.approx(0.9, abs=3.0 * entry.u)
+    assert found.effects[0] == PsfBlur(0.1)
+
+
+def test_no_number_of_captures_shows_a_blur_that_borders_feign(make_capture: Callable[..., Any]) -> None:
+    """What makes borders unsharp by 0.05 % is the same in all pictures: five times that is the least that shows."""
+    limit = limits(_state(make_capture()), {"psf_blur": PsfBlur})["psf_blur"].amplitude
+    assert limit is not None
+    assert 5.0 * 5e-4 * 0.95 < np.exp(-0.5 / limit**2) < 5.0 * 5e-4 * 4.0
