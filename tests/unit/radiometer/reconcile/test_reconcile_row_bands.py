@@ -9,15 +9,11 @@ import numpy as np
 import pytest
 
 from radiometer.reconcile.design import Design
-from radiometer.reconcile.excess import is_scattered, mended, place_of_scatter
+from radiometer.reconcile.excess import is_scattered, place_of_scatter
 from radiometer.reconcile.localise import localise, significant
 from radiometer.reconcile.row_bands import RowBins, TileBands, wave_power
-from radiometer.reconcile.search import Step
 from radiometer.reconcile.state import FitState, first_state
 from radiometer.reconcile.statistics import frame_reader, reduce_frames
-from simulators.effects.exposure_time_offset import ExposureTimeOffset
-from simulators.effects.pwm_flicker import PwmFlicker
-from simulators.effects.reciprocity_failure import ReciprocityFailure
 
 PERIODS_PER_ROW = 0.0217
 AMPLITUDE = 0.01
@@ -113,14 +109,3 @@ def test_scatter_without_any_trend_is_told(make_capture: Callable[..., Any]) -> 
     assert not is_scattered(calm)
     assert is_scattered(restless)
     assert place_of_scatter(restless)[0] in ("mean", "first", "bands")
-
-
-def test_a_weak_name_that_mends_a_strong_one_is_doubted() -> None:
-    """13 nats beside 675 along one covariate in one statistic are doubted; 300 are not, nor what shows elsewhere."""
-    strong = Step("reciprocity_failure", "exposure_s", 675.0, 1.04, 0.99)
-    offset = [ReciprocityFailure(exponent=0.005), ExposureTimeOffset(offset_s=3e-7)]
-    flicker = [ReciprocityFailure(exponent=0.005), PwmFlicker(modulation=0.01)]
-    weak, own = (Step("exposure_time_offset", "exposure_s", nats, 0.99, 0.98) for nats in (13.0, 300.0))
-    assert mended([strong, weak], offset) == ["exposure_time_offset beside reciprocity_failure"]
-    assert mended([strong, own], offset) == []
-    assert mended([strong, Step("pwm_flicker", "exposure_s", 13.0, 0.99, 0.98)], flicker) == []
