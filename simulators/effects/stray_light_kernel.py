@@ -40,7 +40,7 @@ class StrayLightKernel(CatalogueEffect):
     share: float = parameter(0.0, "1", -0.05, 0.5, source="engineering prior; refined on a real rig")
     radius: float = parameter(0.1, "1", 0.02, 1.0, source="sigma as a fraction of the longer side")
     edge_share: float = parameter(
-        0.05, "1", 0.0, 0.1, source="part of the wing in the last line before an edge, over the patch's own mean"
+        0.05, "1", 0.0, 0.4, source="part of the wing in the last line before an edge, over the patch's own mean"
     )
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
