@@ -111,6 +111,7 @@ def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result
     other = {kind: [r for r in fine[kind] if other_equation(r)] for kind in ("weak", "pair")}
     own = {kind: [r for r in fine[kind] if not other_equation(r)] for kind in ("weak", "pair")}
     own["pair"] += fine["own_pair"]
+    shown = [r for r in own["weak"] if r["honesty"] not in ("below", "blind")]
     return [
         ("null: false alarm", "≤ 2 %", fine["null"], alarm),
         ("null: false name", "≤ 1 %", fine["null"], lambda r: bool(r["judged"]["names"])),
@@ -120,6 +121,7 @@ def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result
         ("one hidden: missed", "", fine["single"], _is("missed")),
         ("0.3 of the size: right name first", "≥ 95 %", fine["weak"], _is("first")),
         ("– of these by the model's equation", "", own["weak"], _is("first")),
+        ("– of these not below what the data show at 5 sigma", "≥ 95 %", shown, _is("first")),
         ("two hidden: both named", "≥ 95 %", fine["pair"], _is("named")),
         ("two hidden, both by the model's equation: both named", "≥ 95 %", own["pair"], _is("named")),
         ("two hidden: exact", "≥ 85 %", fine["pair"], _is("exact")),

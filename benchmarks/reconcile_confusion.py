@@ -48,8 +48,8 @@ def run_task(task: Task) -> dict[str, Any]:
 def _run(task: Task) -> dict[str, Any]:
     options = {"camera_seed": task.seed, "known_patches": task.known_patches, "plan": task.plan, "factor": task.scale}
     session = make_session(*task.names, **options)
-    plain = task.kind.startswith("plain")
-    answer, found = finder.ask(session, task.without, with_limits=plain)
+    limited = task.kind.startswith("plain") or (task.kind == "weak" and ":" not in task.names[0])
+    answer, found = finder.ask(session, task.without, with_limits=limited)
     result = {
         "judged": judge(answer, task.names, task.without),
         "parameters": parameters(answer, session.truth),
@@ -59,7 +59,7 @@ def _run(task: Task) -> dict[str, Any]:
         "null_tests": answer["null_tests"],
         "finder_s": answer["seconds"],
     }  # fmt: skip
-    if plain:
+    if limited:
         result["honesty"] = honesty(answer, task.names[0], session.truth[task.names[0]])
     if task.kind in ("single", "variant") and result["judged"]["names"] and _repeats(task):
         fresh = make_session(*task.names, session_seed=task.seed + FRESH, **options)
