@@ -106,6 +106,11 @@ def _is(name: str) -> Callable[[Result], bool]:
     return lambda r: bool(r["judged"][name])
 
 
+def _named_exactly(result: Result) -> bool:
+    """Tell whether the names given are the hidden ones and no other, whatever the verdict."""
+    return bool(result["judged"]["named"] and not result["judged"]["wrong_names"])
+
+
 def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result], Callable[[Result], bool]]]:
     alarm: Callable[[Result], bool] = lambda r: r["judged"]["verdict"] != "agrees"  # noqa: E731
     other = {kind: [r for r in fine[kind] if other_equation(r)] for kind in ("weak", "pair")}
@@ -116,7 +121,8 @@ def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result
         ("null: false alarm", "≤ 2 %", fine["null"], alarm),
         ("null: false name", "≤ 1 %", fine["null"], lambda r: bool(r["judged"]["names"])),
         ("one hidden: right name first", "≥ 98 %", fine["single"], _is("first")),
-        ("one hidden: exact", "≥ 95 %", fine["single"], _is("exact")),
+        ("one hidden: exactly named", "≥ 95 %", fine["single"], _named_exactly),
+        ("– and sure of it: effects_found, nothing unnamed beside", "", fine["single"], _is("exact")),
         ("one hidden: confidently wrong", "≤ 1 %", fine["single"], _is("confident_wrong")),
         ("one hidden: missed", "", fine["single"], _is("missed")),
         ("0.3 of the size: right name first", "≥ 95 %", fine["weak"], _is("first")),
@@ -124,8 +130,10 @@ def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result
         ("– of these not below what the data show at 5 sigma", "≥ 95 %", shown, _is("first")),
         ("two hidden: both named", "≥ 95 %", fine["pair"], _is("named")),
         ("two hidden, both by the model's equation: both named", "≥ 95 %", own["pair"], _is("named")),
-        ("two hidden: exact", "≥ 85 %", fine["pair"], _is("exact")),
-        ("two hidden, both by the model's equation: exact", "≥ 85 %", own["pair"], _is("exact")),
+        ("two hidden: exactly named", "≥ 85 %", fine["pair"], _named_exactly),
+        ("– and sure of it: effects_found, nothing unnamed beside", "", fine["pair"], _is("exact")),
+        ("two hidden, both by the model's equation: exactly named", "≥ 85 %", own["pair"], _named_exactly),
+        ("– and sure of it: effects_found, nothing unnamed beside", "", own["pair"], _is("exact")),
         ("two hidden: confidently wrong", "≤ 1 %", fine["pair"] + fine["own_pair"], _is("confident_wrong")),
         ("another equation: right family, or its place", "≥ 95 %", fine["variant"], _is("family_or_place")),
         ("another equation, 0.3 of the size: right family, or its place", "", other["weak"], _is("family_or_place")),
