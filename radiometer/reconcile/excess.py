@@ -24,7 +24,6 @@ from simulators.effects.catalogue import CatalogueEffect
 
 _SIGMAS: Final = 5.0  # of a χ² of so many entries; the gap of 330 sets without an effect was 1.02 at most
 _LITTLE_NATS: Final = 40.0  # what an effect at its smallest realistic size brings; rivals lie within 5
-_FAINT_NATS: Final = 16.0  # repeat the captures before believing it
 _SEVERAL: Final = 2
 _SHOWN_SIGMAS: Final = 3.0
 _SMALLEST: Final = 1.05  # gap that counts as closed
@@ -106,10 +105,9 @@ def hollow(effects: Sequence[CatalogueEffect], parameters: Mapping[str, Mapping[
 
 
 def contested(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the names that bring hardly anything, or little where another might take them or beside others of more.
+    """Return the names that bring little where another entry might take them, or beside others that bring more.
 
-    What is left of a law that is not quite the one that was named looks like one more effect, but a faint one; and what
-    no entry is may for once look like one.
+    What is left of a law that is not quite the one that was named looks like one more effect, but a faint one.
 
     Args:
         steps: What was added, in order.
@@ -118,8 +116,7 @@ def contested(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list
     present = {effect.name for effect in effects}
     named = [step for step in steps if step.name in present]
     most = max((step.gain_nats for step in named), default=0.0)
-    little = [step for step in named if step.gain_nats < _LITTLE_NATS]
-    return [step.name for step in little if step.gain_nats < _FAINT_NATS or step.rivals or step.gain_nats < most]
+    return [s.name for s in named if s.gain_nats < _LITTLE_NATS and (s.rivals or s.gain_nats < most)]
 
 
 def merged(state: FitState) -> list[str]:

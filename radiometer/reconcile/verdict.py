@@ -53,7 +53,7 @@ def doubts_of(outcome: Search) -> list[str]:
     ]
     said += [f"{name} acts with these parameters as other causes would: nothing is its own" for name in merged(state)]
     said += [
-        f"{name} brings little, and may be another entry or the rest of one: repeat the captures that show it"
+        f"{name} brings little, and may be another entry or the rest of one"
         for name in contested(outcome.steps, effects)
     ]
     said += [
