@@ -6,6 +6,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+import numpy as np
+
+from radiometer.errors import ConfigurationError
 from radiometer.reconcile.candidate_fit import UnfitError, fit_candidate, included, judged_gain
 from radiometer.reconcile.judging import contenders_of, likeliest
 from radiometer.reconcile.rivals import PARAMETER_NATS
@@ -33,19 +36,17 @@ def better(
         The model and the entry as it was fitted; None where no entry predicts better.
     """
     own = next(effect for effect in state.effects if effect.name == name)
+    present = {effect.name for effect in state.effects}
     try:
         rest = settled(refit(with_effects(state, [effect for effect in state.effects if effect is not own])))
-    except UnfitError:
-        return None
-    others = [candidate for candidate in screen(rest, catalogue, pool) if candidate.effect.name != name]
-    judged = [(fitted, judged_gain(rest, fitted)) for fitted in (fit_candidate(rest, c) for c in others[:_FITTED])]
-    chosen = likeliest(contenders_of(rest, judged))
-    if chosen is None:
-        return None
-    fitted = chosen[0]
-    try:
+        others = [candidate for candidate in screen(rest, catalogue, pool) if candidate.effect.name not in present]
+        judged = [(fitted, judged_gain(rest, fitted)) for fitted in (fit_candidate(rest, c) for c in others[:_FITTED])]
+        chosen = likeliest(contenders_of(rest, judged))
+        if chosen is None:
+            return None
+        fitted = chosen[0]
         changed = included(rest, fitted.effect, far=True)
-    except UnfitError:
+    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted takes no place
         return None
     more = PARAMETER_NATS * (changed.parameters.size - state.parameters.size)
     if changed.evidence - more < state.evidence + _BETTER_NATS:

@@ -51,7 +51,9 @@ def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> d
     found |= _mildest(state, [start for several in starts for start in several])
     for name in sorted(present):  # what is named already: how small could it have been?
         others = with_effects(state, [effect for effect in state.effects if effect.name != name])
-        found |= _mildest(others, [effect for effect in state.effects if effect.name == name])
+        named = _mildest(others, [effect for effect in state.effects if effect.name == name])
+        # Further terms that stay while the size shrinks may show at any size: then the plain form tells.
+        found |= named or _mildest(others, _few(asked[name].starts(state.model.context)))
     return found
 
 

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from radiometer.reconcile import joining
+from radiometer.reconcile.candidate_fit import UnfitError
 from radiometer.reconcile.design import Design
 from radiometer.reconcile.engine import CATALOGUE
 from radiometer.reconcile.joining import better, simpler
@@ -73,3 +75,17 @@ def test_what_was_named_too_early_gives_way(make_capture: Callable[..., Any]) ->
     assert offset.u is not None
     assert offset.value == pytest.approx(0.9, abs=3.0 * offset.u)
     assert better(state, "black_level_offset", entries, StartPool()) is None
+
+
+def test_what_cannot_be_fitted_takes_no_place(
+    make_capture: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rival that the fit refuses leaves the name where it is, and ends no search."""
+
+    def refused(*_: object, **__: object) -> FitState:
+        raise UnfitError("black_level_offset")
+
+    state = _fitted(make_capture(extra_dn=lambda s: 0.9), GammaEnabled(1.002), VeilingGlare(0.001))
+    monkeypatch.setattr(joining, "included", refused)
+    entries = {"black_level_offset": CATALOGUE["black_level_offset"]}
+    assert better(state, "gamma_enabled", entries, StartPool()) is None
