@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks._sections import write_section
-from radiometer.analysis.merge import StreamingMerge, merge
+from radiometer.analysis.merge.bracket import StreamingMerge, merge
 from radiometer.data import (
     BlackLevel,
     Bracket,

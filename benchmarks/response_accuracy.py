@@ -23,8 +23,8 @@ import numpy as np
 
 from benchmarks._response_stacks import DORF, Array, make_stack, response_curves, rms_error, true_log_exposure
 from benchmarks._sections import write_section
-from radiometer.analysis.response_methods import METHODS
-from radiometer.analysis.response_mitsunaga1999 import recover_response_mitsunaga1999
+from radiometer.analysis.response.methods import METHODS
+from radiometer.analysis.response.mitsunaga1999 import recover_response_mitsunaga1999
 from radiometer.data import Bracket, ResponseCurve
 
 Peer = Callable[[Bracket], Array]

@@ -14,8 +14,8 @@ import numpy as np
 
 from benchmarks._response_stacks import Array
 from benchmarks._sections import write_section
-from radiometer.analysis.response_estimate import ResponseEstimate
-from radiometer.analysis.response_methods import METHODS
+from radiometer.analysis.response.estimate import ResponseEstimate
+from radiometer.analysis.response.methods import METHODS
 from radiometer.bench.sources import open_brackets
 from radiometer.data import Bracket, Frame, FrameSettings
 

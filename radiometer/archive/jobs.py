@@ -63,7 +63,7 @@ def captured_at(capture_set: CaptureSet) -> float | None:
 
 def measure(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
     """Return the radiance of every patch."""
-    from radiometer.analysis.patch_reading import read_patch
+    from radiometer.analysis.patch.reading import read_patch
 
     header = capture_set.header
     calibration = Calibration.read(Path(settings.calibration)) if settings.calibration else None
@@ -80,7 +80,7 @@ def measure(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
 
 def response(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
     """Return the recovered response at five levels, as ln of the exposure relative to the middle."""
-    from radiometer.analysis.response_debevec1997 import recover_response_debevec1997
+    from radiometer.analysis.response.debevec1997 import recover_response_debevec1997
 
     curve = recover_response_debevec1997([capture_set.bracket()]).curve
     levels = np.linspace(0, curve.log_exposure.size - 1, 7).astype(int)[1:-1]
@@ -102,7 +102,7 @@ def merge(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
     Raises:
         MeasurementError: If no pixel is good.
     """
-    from radiometer.analysis.merge import merge as merge_frames
+    from radiometer.analysis.merge.bracket import merge as merge_frames
     from radiometer.archive.maps import write_map
 
     header = capture_set.header

@@ -16,8 +16,8 @@ import numpy as np
 from radiometer.adaptation.box_stage import BLEACH, FIXATION, BoxLights, BoxStage
 from radiometer.adaptation.checks import Check, Finding, judge_age
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach
-from radiometer.analysis.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.spectra import spectrum
+from radiometer.analysis.signal.photometry import luminous_efficacy_lm_per_w
+from radiometer.analysis.signal.spectra import spectrum
 from radiometer.bench.adaptation_room import measured_room
 from radiometer.bench.boxes import OpenedBox, open_light_box
 from radiometer.bench.light_bench import open_light_camera

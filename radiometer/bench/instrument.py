@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from radiometer.acquire.bracketing import DEFAULT_TIME_LIMIT_S, BracketRequest, Progress, plan_for_scene, take_plan
-from radiometer.analysis.patch_reading import read_patch
+from radiometer.analysis.patch.reading import read_patch
 from radiometer.data import Bracket, Calibration, Frame, Patch, Reading
 from radiometer.devices import Camera
 from radiometer.errors import UsageError

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.acquire.light_levels import LevelSurvey, Progress, SpectralCorrection
-from radiometer.analysis.spectral_correction import FLAT_QUANTUM_EFFICIENCY_U_REL, spectral_factor
+from radiometer.analysis.signal.spectral_correction import FLAT_QUANTUM_EFFICIENCY_U_REL, spectral_factor
 from radiometer.bench.assembly import calibration_path, open_instrument
 from radiometer.bench.boxes import OpenedBox
 from radiometer.bench.cameras import SIMULATED as SIMULATED_CAMERA

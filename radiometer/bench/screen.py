@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.analysis.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.spectra import spectrum
+from radiometer.analysis.signal.photometry import luminous_efficacy_lm_per_w
+from radiometer.analysis.signal.spectra import spectrum
 from radiometer.bench.assembly import calibration_path, open_bench_camera
 from radiometer.bench.cameras import SIMULATED, preset_path
 from radiometer.bench.config import BenchConfig, SimulatedCameraConfig, read_bench

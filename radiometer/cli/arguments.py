@@ -97,7 +97,7 @@ def parse_known_ratios(words: Sequence[str] | None, methods: Sequence[str]) -> d
     Raises:
         UsageError: If a word is no whole number and ratio above 1, a pair is given twice, or no method takes ratios.
     """
-    from radiometer.analysis.response_methods import RATIO_METHODS
+    from radiometer.analysis.response.methods import RATIO_METHODS
 
     expected = "PAIR=RATIO with a whole number from 0 and a ratio above 1, such as 3=2.0"
     found = _pairs(words, "--known-ratio", expected, 1.0)

@@ -17,7 +17,7 @@ from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
-    from radiometer.analysis.absolute_calibration import KnownSource, MeterReading
+    from radiometer.analysis.calibration.calibrate import KnownSource, MeterReading
     from radiometer.data import (
         Bracket,
         Calibration,
@@ -84,7 +84,7 @@ def command(
     By a source of known radiance or luminance (a capture set, or --camera), by the constant K of a light meter and
     the settings it asked for, or by both: then their ratio is printed and the less uncertain scale is used.
     """
-    from radiometer.analysis import absolute_calibration as make
+    from radiometer.analysis.calibration import calibrate as make
     from radiometer.data import ResponseCurve
     from radiometer.devices import CameraPreset
 
@@ -216,9 +216,9 @@ def _seen_by_camera(camera: str | None, bench: Path | None, patch: str | None) -
 def _known_source(
     seen: _Seen | None, radiance: float | None, luminance: float | None, u_rel: float | None, spectrum: str
 ) -> KnownSource | None:
-    from radiometer.analysis.absolute_calibration import KnownSource
-    from radiometer.analysis.photometry import radiance_w_sr_m2
-    from radiometer.analysis.spectra import spectrum as spectrum_of
+    from radiometer.analysis.calibration.calibrate import KnownSource
+    from radiometer.analysis.signal.photometry import radiance_w_sr_m2
+    from radiometer.analysis.signal.spectra import spectrum as spectrum_of
 
     if radiance is not None and luminance is not None:
         raise UsageError("--radiance and --luminance exclude each other")
@@ -241,7 +241,7 @@ def _known_source(
 def _meter_settings(
     meter_k: float | None, f_number: float | None, exposure: str | None, iso: float | None, *, as_printed: bool
 ) -> Any:
-    from radiometer.analysis.absolute import MeterSettings
+    from radiometer.analysis.calibration.absolute import MeterSettings
 
     if meter_k is None:
         return None
@@ -268,8 +268,8 @@ def _camera_and_lens(
 
 
 def _flat_field(path: Path, base: Calibration, source_u_rel: float) -> FlatField:
-    from radiometer.analysis.flat_field import fit_flat_field
-    from radiometer.analysis.merge import merge
+    from radiometer.analysis.calibration.flat_field import fit_flat_field
+    from radiometer.analysis.merge.bracket import merge
     from radiometer.data import CaptureSet
 
     even = merge(CaptureSet.read(path).bracket(), base.camera, base.lens, replace(base, lens=_uncorrected(base.lens)))
@@ -277,7 +277,7 @@ def _flat_field(path: Path, base: Calibration, source_u_rel: float) -> FlatField
 
 
 def _spectral_response(path: Path) -> SpectralResponse:
-    from radiometer.analysis.spectra import spectrum_from_csv
+    from radiometer.analysis.signal.spectra import spectrum_from_csv
     from radiometer.data import SpectralResponse
 
     found = spectrum_from_csv(path)

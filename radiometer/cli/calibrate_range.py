@@ -8,7 +8,7 @@ from radiometer.cli.arguments import parse_seconds
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
-    from radiometer.analysis.response_dynamic_range import DynamicRange, RangePoint
+    from radiometer.analysis.response.dynamic_range import DynamicRange, RangePoint
     from radiometer.data import ResponseCurve
 
 
@@ -34,7 +34,7 @@ def with_dynamic_range(
         InputError: If a number lies outside the curve.
         MeasurementError: If a region contradicts the curve.
     """
-    from radiometer.analysis import response_dynamic_range as ranges
+    from radiometer.analysis.response import dynamic_range as ranges
 
     if not words:
         return curve, None
@@ -47,7 +47,7 @@ def with_dynamic_range(
 
 
 def _point(word: str, *, as_printed: bool) -> RangePoint:
-    from radiometer.analysis.response_dynamic_range import RangePoint
+    from radiometer.analysis.response.dynamic_range import RangePoint
 
     parts = word.split(",")
     try:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from radiometer.cli.console import console, significant
 
 if TYPE_CHECKING:
-    from radiometer.analysis.absolute_calibration import MeterReading
-    from radiometer.analysis.response_dynamic_range import DynamicRange
+    from radiometer.analysis.calibration.calibrate import MeterReading
+    from radiometer.analysis.response.dynamic_range import DynamicRange
     from radiometer.data import Calibration, Scale
 
 
@@ -21,9 +21,10 @@ def calibration_report(
     ranged: DynamicRange | None = None,
 ) -> dict[str, Any]:
     """Return the report as the mapping that --json prints."""
-    from radiometer.analysis import absolute, photometry
-    from radiometer.analysis.absolute_calibration import scales_ratio
-    from radiometer.analysis.spectra import spectrum
+    from radiometer.analysis.calibration import absolute
+    from radiometer.analysis.calibration.calibrate import scales_ratio
+    from radiometer.analysis.signal import photometry
+    from radiometer.analysis.signal.spectra import spectrum
 
     report: dict[str, Any] = {
         "calibration": str(out),

@@ -13,7 +13,7 @@ from radiometer.cli.console import console
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
-    from radiometer.analysis.flux_report import Emitter, FluxReport
+    from radiometer.analysis.flux.report import Emitter, FluxReport
     from radiometer.data import Quantity
 
 
@@ -45,8 +45,8 @@ def command(
     Gives the flux through the sensor as the sum over unclipped pixels of one photograph, and what it lacks of the
     emitted flux: clipped pixels, background, lens losses, and light that missed the lens.
     """
-    from radiometer.analysis.flux import led_flux
-    from radiometer.analysis.flux_sensor import flux_scale
+    from radiometer.analysis.flux.estimate import led_flux
+    from radiometer.analysis.flux.sensor import flux_scale
     from radiometer.data import Calibration, CaptureSet
     from radiometer.devices import CameraPreset
 
@@ -77,7 +77,7 @@ def _emitter(
     distance_u: float,
     datasheet_mw: float | None,
 ) -> Emitter | None:
-    from radiometer.analysis.flux_report import Emitter
+    from radiometer.analysis.flux.report import Emitter
     from radiometer.data import Quantity
 
     if half_angle is None:

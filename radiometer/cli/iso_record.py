@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from radiometer.analysis.response_estimate import ResponseEstimate
+    from radiometer.analysis.response.estimate import ResponseEstimate
     from radiometer.data import Bracket, Frame, Provenance, RadianceMap, Reading, Scale
     from radiometer.data.iso_speeds import IsoSpeeds
 

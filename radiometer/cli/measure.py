@@ -99,7 +99,7 @@ def _photographed(
     relative: bool,
 ) -> Reading:
     """Return the reading of a patch in a folder of photographs."""
-    from radiometer.analysis.patch_reading import read_patch
+    from radiometer.analysis.patch.reading import read_patch
     from radiometer.bench.sources import open_brackets
     from radiometer.cli.iso_record import with_iso_in_reading
     from radiometer.data import Calibration, CameraDescription, LensDescription

@@ -15,7 +15,7 @@ from radiometer.cli.iso_record import with_iso_in_map
 from radiometer.errors import CaptureError, UsageError
 
 if TYPE_CHECKING:
-    from radiometer.analysis.exports import Picture
+    from radiometer.analysis.exports.maps import Picture
     from radiometer.data import Calibration, CaptureSet, Frame, RadianceMap, ResponseCurve
     from radiometer.data.iso_speeds import IsoSpeeds
 
@@ -44,8 +44,8 @@ def command(
     Every pixel is the maximum-likelihood value over the frames that do not clip there. .exr and .tiff carry the
     standard uncertainty and the mask as well; .png is a false-colour picture with a scale bar.
     """
-    from radiometer.analysis.exports import Picture, in_luminance, writer_for
-    from radiometer.analysis.spectra import spectrum as spectrum_of
+    from radiometer.analysis.exports.maps import Picture, in_luminance, writer_for
+    from radiometer.analysis.signal.spectra import spectrum as spectrum_of
 
     if not out:
         raise UsageError("-o FILE is missing: name a file that ends in .exr, .hdr, .tiff or .png")
@@ -108,7 +108,7 @@ def _maps(
 def _merge_capture(
     path: Path, calibration: Calibration | None, curves: dict[str, ResponseCurve], pattern: str | None
 ) -> RadianceMap:
-    from radiometer.analysis.merge import merge
+    from radiometer.analysis.merge.bracket import merge
     from radiometer.data import CaptureSet
 
     capture = CaptureSet.read(path)
@@ -144,7 +144,7 @@ def _merge_photographs(
     channel: str,
     speeds: IsoSpeeds,
 ) -> dict[str, RadianceMap]:
-    from radiometer.analysis.merge import merge
+    from radiometer.analysis.merge.bracket import merge
     from radiometer.bench.sources import open_brackets
     from radiometer.data import CameraDescription, LensDescription
 

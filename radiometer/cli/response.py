@@ -11,11 +11,11 @@ from typing import Annotated, Any
 
 import typer
 
-from radiometer.analysis.exports_curves import CURVE_SUFFIXES, write_curves
-from radiometer.analysis.response_compare import compare_methods
-from radiometer.analysis.response_estimate import ResponseEstimate, median_uncertainty
-from radiometer.analysis.response_labels import refuse_lying_labels
-from radiometer.analysis.response_methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, method_names
+from radiometer.analysis.exports.curves import CURVE_SUFFIXES, write_curves
+from radiometer.analysis.response.compare import compare_methods
+from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty
+from radiometer.analysis.response.labels import refuse_lying_labels
+from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, method_names
 from radiometer.bench.sources import open_brackets
 from radiometer.cli.arguments import ISO_HELP, parse_known_ratios, parse_measured_iso
 from radiometer.cli.console import note, progress_bar

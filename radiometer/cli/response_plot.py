@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from radiometer.analysis.response_estimate import ResponseEstimate
+from radiometer.analysis.response.estimate import ResponseEstimate
 from radiometer.data.storage import write_bytes_atomic
 from radiometer.errors import UsageError
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.merge_compile import compiled
+from radiometer.compiled import compiled
 from radiometer.reconcile.design import Array
 
 Corners = NDArray[np.intp]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from radiometer.acquire.bracketing import BracketRequest, plan_for_scene, take_plan
-from radiometer.analysis.absolute import scale_from_radiance
-from radiometer.analysis.patch_reading import read_patch
+from radiometer.analysis.calibration.absolute import scale_from_radiance
+from radiometer.analysis.patch.reading import read_patch
 from radiometer.data import (
     BlackLevel,
     Bracket,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from radiometer.analysis.merge_lens import lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.lens import lens_factor_sr, relative_sensitivity
 from radiometer.data import (
     CameraDescription,
     FrameSettings,

@@ -1,124 +1,105 @@
-"""Stacks through known responses, made here from nothing that the analysis uses."""
+"""A small generator of frames, written apart from the forward model and from the analysis."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
-from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
+from radiometer.data import Calibration, CameraDescription, Frame, FrameSettings, LensDescription, Scale, SensorNoise
 
-Response = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-
-
-def _sigmoid(exposure: NDArray[np.float64]) -> NDArray[np.float64]:
-    power = exposure**0.9
-    return power / (power + 0.18**0.9) * (1 + 0.18**0.9)
-
-
-def _tone_curve(seed: int) -> Response:
-    """A gamma with gentle bends of its own, as cameras apply it."""
-    rng = np.random.default_rng(seed)
-    gamma, bends = rng.uniform(1.6, 2.6), rng.normal(0.0, 0.02, 12)
-
-    def response(exposure: NDArray[np.float64]) -> NDArray[np.float64]:
-        plain = exposure ** (1 / gamma)
-        return plain + sum(bend * np.sin(np.pi * k * plain) / k for k, bend in enumerate(bends, start=1))
-
-    return response
-
-
-def _film_curve(seed: int) -> Response:
-    """A gamma drawn through points whose steps scatter by 5 %, as curves measured on film and cameras have them."""
-    rng = np.random.default_rng(100 + seed)
-    steps = rng.lognormal(0.0, 0.05, 24)
-    value = np.concatenate([[0.0], np.cumsum(steps) / steps.sum()])
-    return PchipInterpolator(np.linspace(0.0, 1.0, value.size) ** rng.uniform(1.6, 2.6), value)
-
-
-# Exposure and value of a curve with kinks and near-plateaus, as some films and enhanced pictures have.
-_KINKS = PchipInterpolator(
-    [0.0, 0.04, 0.07, 0.09, 0.15, 0.21, 0.26, 0.35, 0.42, 0.60, 1.0],
-    [0.0, 0.23, 0.33, 0.37, 0.52, 0.58, 0.60, 0.72, 0.74, 0.89, 1.0],
-)
-
-RESPONSES: dict[str, Response] = {
-    **{f"tone{seed}": _tone_curve(seed) for seed in range(8)},
-    **{f"film{seed}": _film_curve(seed) for seed in range(10)},
-    "gamma": lambda exposure: exposure ** (1 / 2.2),
-    "linear": lambda exposure: exposure,
-    "sigmoid": _sigmoid,
-    "kinked": _KINKS,
-}
+WAVELENGTH_M = 550e-9
+PHOTON_J = 6.62607015e-34 * 299_792_458.0 / WAVELENGTH_M
+EXPOSURES_S = tuple(20e-6 * 4.0**k for k in range(11))
 
 
 @dataclass(frozen=True)
-class StackMaker:
-    """Makes brackets of a scene that runs smoothly over some 6 e-folds, with shot and read noise before the curve."""
+class Rig:
+    """A linear 12-bit camera behind a lens: what is true, and what is believed of it."""
 
-    def __call__(
+    gain_e_per_dn: float = 2.6
+    read_e: float = 2.4
+    black_dn: float = 64.0
+    quantum_efficiency: float = 0.62
+    pitch_m: float = 4.5e-6
+    f_number: float = 4.0
+    full_well_e: float = 10_500.0
+    exposure_error_s: float = 0.0
+
+    def electrons_per_s(self, radiance: NDArray[np.float64] | float) -> NDArray[np.float64]:
+        irradiance = np.asarray(radiance, float) * math.pi / (4.0 * self.f_number**2)
+        return irradiance * self.pitch_m**2 / PHOTON_J * self.quantum_efficiency
+
+    def radiance_of_full_scale(self, exposure_s: float) -> float:
+        return (4095 - self.black_dn) * self.gain_e_per_dn / float(self.electrons_per_s(1.0)) / exposure_s
+
+    def frame(
         self,
-        response: str,
-        *,
-        bit_depth: int = 12,
-        frames: int = 9,
-        shape: tuple[int, int] = (192, 256),
-        ratio: float = 2.0,
-        full_well_e: float = 10_500.0,
-        seed: int = 1,
-        time_errors: dict[int, float] | None = None,
-    ) -> Bracket:
-        rng = np.random.default_rng(seed)
-        height, width = shape
-        y, x = np.mgrid[:height, :width]
-        log_radiance = -6.2 * x / width + 0.4 * np.sin(7 * y / height) + 0.2 * rng.standard_normal(shape)
-        result = []
-        for index in range(frames):
-            relative = ratio ** (index - 1.5) * (time_errors or {}).get(index, 1.0)
-            electrons = rng.poisson(np.minimum(np.exp(log_radiance) * relative, 50.0) * full_well_e)
-            exposure = np.clip((electrons + 2.5 * rng.standard_normal(shape)) / full_well_e, 0.0, 1.0)
-            numbers = np.round(RESPONSES[response](exposure) * (2**bit_depth - 1))
-            stored = numbers.astype(np.uint8 if bit_depth <= 8 else np.uint16)
-            result.append(
-                Frame(stored, bit_depth, FrameSettings(1e-3 * ratio**index), extra={"file": f"{index:04}.png"})
-            )
-        return Bracket.from_frames(result, origin="simulated")
+        radiance: NDArray[np.float64],
+        exposure_s: float,
+        rng: np.random.Generator,
+        gain_db: float = 0.0,
+        **settings,
+    ) -> Frame:
+        expected = self.electrons_per_s(radiance) * (exposure_s + self.exposure_error_s)
+        if settings.get("shutter") == "closed":
+            expected = np.zeros_like(expected)
+        electrons = np.minimum(rng.poisson(expected).astype(float), self.full_well_e)
+        electrons += rng.normal(0.0, self.read_e, expected.shape)
+        dn = electrons * 10 ** (gain_db / 20) / self.gain_e_per_dn + self.black_dn
+        stored = np.clip(np.rint(dn), 0, 4095).astype(np.uint16)
+        return Frame(
+            stored, 12, FrameSettings(exposure_s, gain_db, self.f_number, self.black_dn, temperature_c=25.0, **settings)
+        )
+
+    def frames(self, radiance: NDArray[np.float64], rng: np.random.Generator, exposures=EXPOSURES_S) -> list[Frame]:
+        return [self.frame(radiance, t, rng) for t in exposures]
+
+    @property
+    def description(self) -> CameraDescription:
+        return CameraDescription(
+            bit_depth=12,
+            model="generated",
+            serial="1",
+            conversion_gain_e_per_dn=self.gain_e_per_dn,
+            read_noise_e=self.read_e,
+            full_well_e=self.full_well_e,
+            dark_current_e_per_s=0.0,
+            black_level_dn=self.black_dn,
+        )
+
+    @property
+    def lens(self) -> LensDescription:
+        return LensDescription(focal_length_mm=16.0, f_number=self.f_number)
+
+    @property
+    def true_scale(self) -> float:
+        """J·m⁻² on the sensor per DN above black."""
+        return self.gain_e_per_dn / self.quantum_efficiency * PHOTON_J / self.pitch_m**2
+
+    def calibration(self, scale_error_rel: float = 0.0, u_rel: float = 0.0, **changes) -> Calibration:
+        return Calibration(
+            camera=self.description,
+            lens=self.lens,
+            scale=Scale(
+                value=self.true_scale * (1 + scale_error_rel),
+                u_rel=u_rel,
+                method="known_radiance",
+                f_number=self.f_number,
+            ),
+            response=None,
+            noise=SensorNoise.of(self.description),
+            **changes,
+        )
+
+    def but(self, **changes) -> Rig:
+        return replace(self, **changes)
 
 
-@pytest.fixture(scope="session")
-def make_stack() -> StackMaker:
-    """Return the maker of simulated brackets."""
-    return StackMaker()
-
-
-@pytest.fixture(scope="session")
-def true_log_exposure() -> Callable[[str, int], NDArray[np.float64]]:
-    """Return the function (response, bit depth) -> ln H at every digital number, gauge 0 in the middle."""
-
-    def values(response: str, bit_depth: int) -> NDArray[np.float64]:
-        full_scale = 2**bit_depth - 1
-        exposure = np.concatenate([[0.0], np.logspace(-8, 0, 400_001)])
-        numbers = RESPONSES[response](exposure) * full_scale
-        inverse = np.interp(np.arange(1, full_scale + 1), numbers, exposure)
-        g = np.concatenate([[-np.inf], np.log(inverse)])
-        return g - g[2 ** (bit_depth - 1)]
-
-    return values
-
-
-@pytest.fixture(scope="session")
-def inner_error(
-    true_log_exposure: Callable[[str, int], NDArray[np.float64]],
-) -> Callable[[ResponseCurve, str], NDArray]:
-    """Return the function (curve, response) -> error of ln H over 5–95 % of the digital numbers."""
-
-    def errors(curve: ResponseCurve, response: str) -> NDArray[np.float64]:
-        full_scale = 2**curve.bit_depth - 1
-        inside = slice(int(np.ceil(0.05 * full_scale)), int(0.95 * full_scale) + 1)
-        return (curve.log_exposure - true_log_exposure(response, curve.bit_depth))[inside]
-
-    return errors
+@pytest.fixture
+def rig() -> Rig:
+    """Return the ordinary rig."""
+    return Rig()

@@ -1,0 +1,1 @@
+"""Maps and curves written in the forms of other programs."""

@@ -1,0 +1,1 @@
+"""The flux of a light-emitting diode, from a bracket of it."""

@@ -1,0 +1,247 @@
+"""The flux that a light-emitting diode emits, from a bracket of it, in the form of a gap that closes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.flux.pattern import (
+    captured_fraction,
+    flux_of_radiance,
+    intensity_exponent,
+    mean_to_axial_radiance,
+    pupil_half_angle_rad,
+)
+from radiometer.analysis.flux.report import Correction, Emitter, FluxReport
+from radiometer.analysis.flux.sensor import FluxScale, SensorFlux, as_quantity, sensor_flux
+from radiometer.analysis.signal.lens import lens_factor_sr
+from radiometer.data import Frame, LensDescription, Patch, Quantity
+from radiometer.errors import UsageError
+
+_PLATEAU_SHARE = 0.5
+
+
+def led_flux(
+    frames: Sequence[Frame],
+    scale: FluxScale,
+    lens: LensDescription,
+    emitter: Emitter | None = None,
+    region: Patch | None = None,
+    f_number_u_rel: float = 0.02,
+) -> FluxReport:
+    """Return the flux of a diode by the thesis's formula, on the sensor, and as emitted.
+
+    Args:
+        frames: Bracket of the lit diode; frames with the source off and dark frames where there are any.
+        scale: From digital numbers to exposure on the sensor.
+        lens: The lens; its transmittance, f-number, focal length and magnification count.
+        emitter: The diode; without it the flux on the sensor is all that can be said.
+        region: Where the diode and its glow lie; None for the whole frame.
+        f_number_u_rel: Relative standard uncertainty of the effective f-number.
+
+    Raises:
+        MeasurementError: If no frame shows the diode, or it clips everywhere.
+        UsageError: If a figure of the emitter is impossible.
+    """
+    measured = sensor_flux(frames, scale, region)
+    f_number = frames[0].settings.f_number or lens.f_number
+    ways = _Ways(measured, scale, lens, f_number, f_number_u_rel, emitter)
+    emitted = ways.emitted()
+    steps = ways.steps(emitted)
+    thesis_exposure, thesis_w, left_out = _typical(measured)
+    first = as_quantity(thesis_w, scale)
+    reference = emitter.reference_w if emitter else None
+    goal = reference if reference is not None else steps[-1][1].value
+    return FluxReport(
+        thesis=first,
+        thesis_exposure_s=thesis_exposure,
+        thesis_left_out=left_out,
+        on_sensor=ways.on_sensor(),
+        corrections=_shares(first.value, goal, steps),
+        emitted=emitted,
+        reference_w=reference,
+        assumptions=(*scale.assumptions, *ways.assumptions()),
+        clipped_everywhere=measured.clipped_everywhere,
+    )
+
+
+def _typical(measured: SensorFlux) -> tuple[float, float, float]:
+    """Return the frame whose figure by (2.13) is the median of all frames: one photograph, chosen without favour."""
+    return sorted(measured.thesis, key=lambda one: one[1])[(len(measured.thesis) - 1) // 2]
+
+
+def _shares(first: float, goal: float, steps: Sequence[tuple[str, Quantity, str]]) -> tuple[Correction, ...]:
+    corrections, before = [], first
+    for name, flux, note in steps:
+        share = (flux.value - before) / (goal - first) if goal != first else 0.0
+        corrections.append(Correction(name, flux, share, note))
+        before = flux.value
+    return tuple(corrections)
+
+
+@dataclass(frozen=True, slots=True)
+class _Ways:
+    """Ways from the flux on the sensor to the emitted one."""
+
+    measured: SensorFlux
+    scale: FluxScale
+    lens: LensDescription
+    f_number: float | None
+    f_number_u_rel: float
+    emitter: Emitter | None
+
+    def on_sensor(self) -> Quantity:
+        m = self.measured
+        return as_quantity(m.merged_w - m.background_w, self.scale, m.u_noise_w, m.u_background_w)
+
+    def emitted(self) -> dict[str, Quantity]:
+        found: dict[str, Quantity] = {}
+        emitter = self.emitter
+        if emitter is None or self.f_number is None:
+            return found
+        if self._distance() is not None and self.lens.focal_length_mm is not None:
+            found["fraction_through_pupil"] = self._through_pupil()
+        if emitter.diameter_mm is not None and self._is_in_focus():
+            found["radiance_times_area"] = self._radiance_times_area()
+        return found
+
+    def steps(self, emitted: dict[str, Quantity]) -> list[tuple[str, Quantity, str]]:
+        m = self.measured
+        merged = as_quantity(m.merged_w, self.scale, m.u_noise_w)
+        steps = [
+            ("clipped pixels from shorter exposures", merged, f"{m.clipped_everywhere} pixels clip in every frame"),
+            ("background light taken off", self.on_sensor(), m.background_source),
+        ]
+        if "fraction_through_pupil" in emitted:
+            tau = Quantity(self.lens.transmittance or 1.0, 0.0, "1")
+            through = as_quantity(self.on_sensor().value / tau.value, self.scale, self._noise_w() / tau.value)
+            u = math.hypot(through.u, through.value * (self.lens.transmittance_u_rel or 0.0))
+            steps.append(("light lost in the lens", Quantity(through.value, u, "W"), f"transmittance {tau.value:g}"))
+            share = self._fraction(self._half_angle().value, self._distance_value(), 1.0)
+            note = f"the pupil takes in {100 * share:.3g} % of the pattern"
+            steps.append(("light that missed the lens", emitted["fraction_through_pupil"], note))
+        elif "radiance_times_area" in emitted:
+            steps.append(("light that missed the lens", emitted["radiance_times_area"], "radiance × area × pattern"))
+        return steps
+
+    def assumptions(self) -> tuple[str, ...]:
+        said = []
+        if self.emitter is not None and self.emitter.distance_mm is None and self._distance() is not None:
+            said.append(f"distance {self._distance_value():.4g} mm from focal length and magnification (thin lens)")
+        if self.emitter is not None:
+            said.append("intensity falls as a power of the cosine, the diode faces the lens")
+        return tuple(said)
+
+    def _noise_w(self) -> float:
+        return math.hypot(self.measured.u_noise_w, self.measured.u_background_w)
+
+    def _half_angle(self) -> Quantity:
+        assert self.emitter is not None
+        return self.emitter.half_angle
+
+    def _distance(self) -> Quantity | None:
+        """Return the distance from emitter to pupil: measured, or f·(1 + 1/m) of a thin lens."""
+        assert self.emitter is not None
+        if self.emitter.distance_mm is not None:
+            return self.emitter.distance_mm
+        focal, magnification = self.lens.focal_length_mm, self.lens.magnification
+        if focal is None or magnification <= 0:
+            return None
+        distance = focal * (1.0 + 1.0 / magnification)
+        return Quantity(distance, 0.01 * distance, "mm")
+
+    def _distance_value(self) -> float:
+        distance = self._distance()
+        assert distance is not None
+        return distance.value
+
+    def _pupil_angle(self, distance_mm: float, f_number_factor: float) -> float:
+        assert self.f_number is not None
+        assert self.lens.focal_length_mm is not None
+        return pupil_half_angle_rad(self.lens.focal_length_mm / (self.f_number * f_number_factor), distance_mm)
+
+    def _fraction(self, half_angle_deg: float, distance_mm: float, f_number_factor: float) -> float:
+        return captured_fraction(_exponent(half_angle_deg), self._pupil_angle(distance_mm, f_number_factor))
+
+    def _through_pupil(self) -> Quantity:
+        distance = self._distance()
+        assert distance is not None
+        tau = Quantity(self.lens.transmittance or 1.0, 0.0, "1")
+        u_tau = tau.value * (self.lens.transmittance_u_rel or 0.0)
+        return _propagated(
+            lambda flux, transmittance, angle, away, stop: flux / transmittance / self._fraction(angle, away, stop),
+            self.on_sensor(),
+            Quantity(tau.value, u_tau, "1"),
+            self._half_angle(),
+            distance,
+            Quantity(1.0, self.f_number_u_rel, "1"),
+        )
+
+    def _is_in_focus(self) -> bool:
+        """Tell whether the picture of the emitter has a plateau: half of the lit area is near its highest value."""
+        light = self.measured.irradiance - self.measured.background_w / self._area()
+        inside = _inside(light)
+        if not inside.any():
+            return False
+        top = float(np.median(light[inside]))
+        return bool((light > 0.8 * top).sum() >= 0.7 * (light > 0.2 * top).sum())
+
+    def _area(self) -> float:
+        return self.measured.irradiance.size * self.scale.pixel_area_m2
+
+    def _radiance_times_area(self) -> Quantity:
+        assert self.emitter is not None
+        assert self.emitter.diameter_mm is not None
+        light = self.measured.irradiance - self.measured.background_w / self._area()
+        plateau = light[_inside(light)]
+        irradiance = float(plateau.mean())
+        tau_u = self.lens.transmittance_u_rel or 0.0
+        scale_u = as_quantity(irradiance, self.scale, float(plateau.std()) / math.sqrt(plateau.size)).u
+        return _propagated(
+            self._from_radiance,
+            Quantity(irradiance, math.hypot(scale_u, irradiance * tau_u), "W m-2"),
+            self._half_angle(),
+            self.emitter.diameter_mm,
+            self._distance() or Quantity(math.inf, 0.0, "mm"),
+            Quantity(1.0, self.f_number_u_rel, "1"),
+        )
+
+    def _from_radiance(
+        self, irradiance: float, half_angle: float, diameter_mm: float, distance_mm: float, stop: float
+    ) -> float:
+        assert self.f_number is not None
+        radiance = irradiance / lens_factor_sr(self.lens, self.f_number * stop)
+        exponent = _exponent(half_angle)
+        if math.isfinite(distance_mm) and self.lens.focal_length_mm is not None:
+            radiance *= mean_to_axial_radiance(exponent, self._pupil_angle(distance_mm, stop))
+        return flux_of_radiance(radiance, math.pi * (0.5e-3 * diameter_mm) ** 2, exponent)
+
+
+def _inside(light: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return the pixels that are lit together with all their neighbours: the rim of a disc is partly dark."""
+    lit = (light > _PLATEAU_SHARE * float(np.percentile(light, 99.9))).astype(np.uint8)
+    return np.asarray(cv2.erode(lit, np.ones((3, 3), np.uint8), borderValue=0), dtype=bool)
+
+
+def _exponent(half_angle_deg: float) -> float:
+    try:
+        return intensity_exponent(half_angle_deg)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+
+
+def _propagated(function: Callable[..., float], *inputs: Quantity) -> Quantity:
+    """Return a flux in W of independent quantities by linear propagation (JCGM 100:2008, equation 10)."""
+    values = [q.value for q in inputs]
+    total = 0.0
+    for index, entry in enumerate(inputs):
+        if entry.u > 0:
+            above, below = list(values), list(values)
+            above[index], below[index] = entry.value + entry.u, entry.value - entry.u
+            total += ((function(*above) - function(*below)) / 2) ** 2
+    return Quantity(function(*values), math.sqrt(total), "W")

@@ -1,0 +1,246 @@
+"""Radiant flux through the sensor: formula (2.13) of the thesis, and the merged bracket beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.signal.dark import dark_levels
+from radiometer.analysis.signal.model import SignalModel, signal_model
+from radiometer.data import (
+    BlackLevel,
+    Calibration,
+    CameraDescription,
+    Frame,
+    Patch,
+    Quantity,
+    SensorNoise,
+    SourceDescription,
+)
+from radiometer.errors import CalibrationError, MeasurementError
+from radiometer.units import photon_energy_j
+
+_DESCRIPTION_U_REL = 0.03
+_EXPOSURE_U_REL = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FluxScale:
+    """What turns digital numbers into exposure on the sensor.
+
+    Attributes:
+        model: Linear signal behind the digital numbers.
+        black: Black level.
+        joule_per_m2: Exposure per unit of the signal in J·m⁻².
+        u_rel: Its relative standard uncertainty.
+        pixel_area_m2: Area that one stored pixel stands for in m².
+        assumptions: What was assumed rather than measured.
+    """
+
+    model: SignalModel
+    black: BlackLevel
+    joule_per_m2: float
+    u_rel: float
+    pixel_area_m2: float
+    assumptions: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorFlux:
+    """Flux through the sensor, by the thesis and by the merged bracket.
+
+    Attributes:
+        thesis: (exposure in s, flux in W by (2.13), share of pixels left out) of every light frame, short ones first.
+        irradiance: Merged irradiance in W·m⁻², shape of the region.
+        merged_w: Its sum over pixels in W, background included.
+        u_noise_w: Standard uncertainty of that sum due to noise in W.
+        background_w: Flux of the background over the same pixels in W.
+        u_background_w: Its standard uncertainty in W.
+        background_source: Where the background comes from.
+        clipped_everywhere: Pixels that clip in every frame.
+    """
+
+    thesis: tuple[tuple[float, float, float], ...]
+    irradiance: NDArray[np.float64]
+    merged_w: float
+    u_noise_w: float
+    background_w: float
+    u_background_w: float
+    background_source: str
+    clipped_everywhere: int
+
+
+def flux_scale(
+    camera: CameraDescription,
+    source: SourceDescription,
+    calibration: Calibration | None,
+    responsivity_u_rel: float | None = None,
+) -> FluxScale:
+    """Return the scale of a calibration, or else the one that the camera's description gives.
+
+    Without a calibration H = x·c·h·c₀/(λ·η·A): conversion gain c, quantum efficiency η, pixel area A, wavelength λ.
+
+    Args:
+        camera: The camera.
+        source: Its wavelength counts.
+        calibration: The camera's calibration.
+        responsivity_u_rel: Relative standard uncertainty of η/c where it was measured; None takes 3 %.
+
+    Raises:
+        CalibrationError: If the calibration is of another camera, is relative, or holds for radiance only; or if
+            there is none and the description leaves out a figure.
+    """
+    spacing_um = camera.pixel_spacing_um or camera.pixel_pitch_um
+    if spacing_um is None:
+        raise CalibrationError("the flux needs the pixel's area: give camera.pixel_pitch_um in the capture")
+    area_m2 = (spacing_um * 1e-6) ** 2
+    if calibration is not None:
+        return _of_calibration(calibration, camera, area_m2)
+    eta, c, pitch_um = camera.quantum_efficiency, camera.conversion_gain_e_per_dn, camera.pixel_pitch_um
+    if eta is None or c is None or pitch_um is None or source.wavelength_nm is None:
+        raise CalibrationError(
+            "no calibration, and the capture does not state quantum_efficiency, conversion_gain_e_per_dn, "
+            "pixel_pitch_um and source.wavelength_nm: give --calibration, or add them"
+        )
+    black = BlackLevel(dn=camera.black_level_dn or 0.0)
+    joule = c * photon_energy_j(source.wavelength_nm) / (eta * (pitch_um * 1e-6) ** 2)
+    model = signal_model(camera, None, SensorNoise.of(camera), black.dn)
+    if responsivity_u_rel is not None:
+        return FluxScale(model, black, joule, responsivity_u_rel, area_m2)
+    note = f"scale from the camera's description, taken as known to {100 * _DESCRIPTION_U_REL:g} %"
+    return FluxScale(model, black, joule, _DESCRIPTION_U_REL, area_m2, (note,))
+
+
+def _of_calibration(calibration: Calibration, camera: CameraDescription, area_m2: float) -> FluxScale:
+    calibration.require_camera(camera)
+    if not calibration.absolute or calibration.scale.f_number is None:
+        raise CalibrationError(
+            "this calibration holds no exposure on the sensor (it is relative, or was made without an f-number); "
+            "calibrate with a known radiance and a stated f-number"
+        )
+    model = signal_model(calibration.camera, calibration.response, calibration.noise, calibration.black_level.dn)
+    u_rel = math.hypot(calibration.scale.u_rel, calibration.uncertainties.spectral_u_rel)
+    return FluxScale(model, calibration.black_level, calibration.scale.value, u_rel, area_m2)
+
+
+def sensor_flux(frames: Sequence[Frame], scale: FluxScale, region: Patch | None = None) -> SensorFlux:
+    """Return the flux through the sensor by (2.13) for each frame, and from all of them together.
+
+    Merging takes Σ(f(M) − dark)·H₁/Σt over the frames in which a pixel does not clip. The background comes from
+    frames with the source off (shutter open) where there are any, else from the outermost twentieth of the frame.
+
+    Args:
+        frames: Light frames of the lit source, frames with source level 0, and dark frames, in any order.
+        scale: From digital numbers to exposure.
+        region: Where the source and all its glow lie; None for the whole frame.
+
+    Raises:
+        MeasurementError: If no frame shows the lit source, or it clips everywhere.
+    """
+    dark = [f for f in frames if f.settings.is_dark]
+    lit = sorted(_open(frames, lit=True), key=lambda f: f.settings.effective_exposure_s)
+    if not lit:
+        raise MeasurementError("there is no frame of the lit source with the shutter open")
+    if region is not None and not region.fits(lit[0].shape):
+        raise MeasurementError(
+            f"the region {region.x},{region.y},{region.width},{region.height} does not lie on the frame of "
+            f"{lit[0].shape[1]} × {lit[0].shape[0]} pixels"
+        )
+    whole = _merged(lit, dark, scale)
+    off = _open(frames, lit=False)
+    background, u_background, origin = _background(whole, _merged(off, dark, scale) if off else None, region)
+    inside = whole.cut(region)
+    area = scale.pixel_area_m2
+    clipped = int(np.count_nonzero(inside.time == 0))
+    if clipped == inside.time.size:
+        raise MeasurementError("every pixel clips in every frame; take shorter exposures")
+    return SensorFlux(
+        thesis=tuple(_thesis(f, scale, region) for f in lit),
+        irradiance=inside.irradiance,
+        merged_w=float(inside.irradiance.sum()) * area,
+        u_noise_w=math.sqrt(float(inside.variance.sum())) * area,
+        background_w=float(background.sum()) * area,
+        u_background_w=u_background * area,
+        background_source=origin,
+        clipped_everywhere=clipped,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Map:
+    """Irradiance in W·m⁻², its variance, and the exposure time in s that went into each pixel."""
+
+    irradiance: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    time: NDArray[np.float64]
+
+    def cut(self, region: Patch | None) -> _Map:
+        if region is None:
+            return self
+        return _Map(self.irradiance[region.slices], self.variance[region.slices], self.time[region.slices])
+
+
+def _open(frames: Sequence[Frame], *, lit: bool) -> list[Frame]:
+    return [f for f in frames if not f.settings.is_dark and (f.settings.source_level > 0) == lit]
+
+
+def _merged(frames: list[Frame], dark: list[Frame], scale: FluxScale) -> _Map:
+    model = scale.model
+    levels = dark_levels([f.settings for f in frames], dark, model, scale.black)
+    signal, variance, time = (np.zeros(frames[0].shape) for _ in range(3))
+    shortest = np.zeros(frames[0].shape)
+    for frame, level in zip(frames, levels, strict=True):
+        x = model.table(frame.settings)[frame.dn] - level.signal
+        good = frame.dn < model.saturation_dn(frame.settings)
+        signal += np.where(good, x, 0.0)
+        variance += np.where(good, model.variance(np.maximum(x, 0.0), frame.settings), 0.0)
+        time += np.where(good, frame.settings.exposure_s, 0.0)
+        if frame is frames[0]:
+            shortest = x / frame.settings.exposure_s
+    known = time > 0
+    seconds = np.where(known, time, 1.0)
+    irradiance = np.where(known, signal / seconds, shortest) * scale.joule_per_m2
+    return _Map(irradiance, variance / seconds**2 * scale.joule_per_m2**2, time)
+
+
+def _background(whole: _Map, off: _Map | None, region: Patch | None) -> tuple[NDArray[np.float64], float, str]:
+    """Return background irradiance over the region, the standard uncertainty of its sum, and where it is from."""
+    shape = whole.cut(region).irradiance.shape
+    if off is not None:
+        inside = off.cut(region)
+        return inside.irradiance, math.sqrt(float(inside.variance.sum())), "frames with the source off"
+    height, width = whole.irradiance.shape
+    rim = max(1, min(height, width) // 20)
+    edge = np.ones(whole.irradiance.shape, dtype=bool)
+    edge[rim : height - rim, rim : width - rim] = False
+    values = whole.irradiance[edge]
+    level = float(np.median(values))
+    # Four sides that differ show how uneven the background is: half their spread is taken as its uncertainty.
+    sides = (whole.irradiance[:rim], whole.irradiance[-rim:], whole.irradiance[:, :rim], whole.irradiance[:, -rim:])
+    medians = [float(np.median(side)) for side in sides]
+    count = shape[0] * shape[1]
+    u_level = max((max(medians) - min(medians)) / 2, float(np.std(values)) / math.sqrt(values.size))
+    return np.full(shape, level), u_level * count, "outermost twentieth of the frame"
+
+
+def _thesis(frame: Frame, scale: FluxScale, region: Patch | None) -> tuple[float, float, float]:
+    """Return exposure, flux by (2.13), and the share of pixels at 0 or full scale that it leaves out."""
+    dn = frame.dn if region is None else frame.dn[region.slices]
+    kept = (dn > 0) & (dn < frame.full_scale_dn)
+    exposure = scale.model.table(frame.settings)[dn[kept]] * scale.joule_per_m2
+    flux = float(exposure.sum()) / frame.settings.exposure_s * scale.pixel_area_m2
+    return frame.settings.exposure_s, flux, 1.0 - float(kept.mean())
+
+
+def scale_u_rel(scale: FluxScale) -> float:
+    """Return the relative standard uncertainty that scale and exposure times give a flux."""
+    return math.hypot(scale.u_rel, _EXPOSURE_U_REL)
+
+
+def as_quantity(value_w: float, scale: FluxScale, *absolute_u_w: float) -> Quantity:
+    """Return a flux in W with the uncertainty of the scale and further ones in W."""
+    return Quantity(value_w, math.hypot(value_w * scale_u_rel(scale), *absolute_u_w), "W")

@@ -1,0 +1,232 @@
+"""A bracket merged into radiance per pixel: the maximum-likelihood value, its standard uncertainty, and a mask."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.merge.defects import repair_defects
+from radiometer.analysis.merge.finish import finish
+from radiometer.analysis.merge.frames import FrameTerms, frame_terms
+from radiometer.analysis.merge.sums import FRAMES_PER_PLANE, MergeSample, MergeSums
+from radiometer.analysis.merge.tables import merge_tables
+from radiometer.analysis.signal.lens import lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.situation import common_u_rel, flat_field_for, situation_of
+from radiometer.data import Bracket, Calibration, CameraDescription, Frame, LensDescription, Provenance, RadianceMap
+from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
+from radiometer.errors import MeasurementError
+
+MOST_FRAMES = 64
+_BLOCK_PIXELS = 1 << 15  # a block's sums stay in a core's second-level cache
+_PARTS_PER_CORE = 4  # few, because each costs the interpreter's lock; several, because cores are not equally fast
+
+
+def merge(
+    frames: Iterable[Frame],
+    camera: CameraDescription,
+    lens: LensDescription,
+    calibration: Calibration | None = None,
+) -> RadianceMap:
+    """Return radiance in W·sr⁻¹·m⁻² (relative without a calibration) and its standard uncertainty for every pixel.
+
+    Frames of a Bracket are all in memory and go through the sums at once, block by block; of any other iterable two
+    frames (five of 8 bits) are held at most. Dark frames come before light ones.
+
+    Args:
+        frames: Frames of one unmoving scene, 1 to 64 light ones, in any order of exposure.
+        camera: The camera in use.
+        lens: The lens in use.
+        calibration: The camera's calibration; None gives relative values.
+
+    Raises:
+        CalibrationError: If the calibration is of another camera or lens.
+        MeasurementError: If there is no light frame, there are more than 64, or frames do not belong together.
+    """
+    merging = StreamingMerge(camera, lens, calibration)
+    if isinstance(frames, Bracket):
+        return merging.merge_bracket(frames)
+    for frame in frames:
+        merging.add(frame)
+    return merging.result()
+
+
+class StreamingMerge:
+    """Merges frames as they arrive; holds sums per pixel and the frames of a small batch.
+
+    A batch goes through the sums in one pass over the memory, which is what takes the time. It is as large as leaves
+    the whole under three planes of 32 bits beyond the result, up to 32 frames (four planes for more).
+
+    Args:
+        camera: The camera in use.
+        lens: The lens in use.
+        calibration: The camera's calibration; None gives relative values.
+
+    Raises:
+        CalibrationError: If the calibration is of another camera or lens.
+    """
+
+    def __init__(self, camera: CameraDescription, lens: LensDescription, calibration: Calibration | None) -> None:
+        self._situation = situation_of(calibration, camera, lens)
+        self._calibration, self._camera = calibration, camera
+        self._through_lens = calibration is None or calibration.scale.f_number is not None
+        self._terms: list[FrameTerms] = []
+        self._dark: list[Frame] = []
+        self._shape: tuple[int, int] | None = None
+        self._sums: MergeSums | None = None
+        self._pending: list[MergeSample] = []
+        self._finished = False
+
+    def add(self, frame: Frame) -> None:
+        """Take a frame in; its pixels are read now or with one of the next frames, and must stay as they are.
+
+        Raises:
+            MeasurementError: If it does not belong to the frames before it.
+        """
+        self._refuse_misfit(frame)
+        if frame.settings.is_dark:
+            if self._terms:
+                raise MeasurementError("a dark frame came after light ones; give dark frames first")
+            self._dark.append(frame)
+            return
+        self._pending.append(self._sample(frame))
+        if len(self._pending) >= self._batch_size(frame) or len(self._terms) % FRAMES_PER_PLANE == 0:
+            self._take_in()
+
+    def result(self) -> RadianceMap:
+        """Return the radiance map of the frames taken in; nothing can be added afterwards.
+
+        Raises:
+            MeasurementError: If there was no light frame.
+        """
+        shape, tables = self._known_shape(), merge_tables(self._terms, self._situation.model)
+        sums, batch = self._known_sums(), self._pending
+        self._sums, self._pending, self._finished = None, [], True
+        reference = self._terms[0].exposure
+
+        def work(start: int, stop: int) -> None:
+            for begin, end in _blocks(start, stop, shape[1]):
+                part = sums.part(begin, end)
+                part.add(batch, begin, reference)
+                # The sums make room for the result.
+                image = self._factor(begin, end - begin), part.first, part.second
+                finish(part.first, part.second, part.squares, part.patterns(), part.mask, *tables.arguments, *image)
+
+        _on_all_cores(shape, work)
+        return self._map(sums.first, sums.second, sums.mask)
+
+    def merge_bracket(self, bracket: Bracket) -> RadianceMap:
+        """Return the radiance map of a bracket in memory, every pixel's sums made and used up at once.
+
+        Raises:
+            MeasurementError: If frames do not belong together.
+        """
+        for dark in bracket.dark_frames:
+            self.add(dark)
+        for frame in bracket:
+            self._refuse_misfit(frame)
+            self._pending.append(self._sample(frame))
+        return self.result()
+
+    def _batch_size(self, frame: Frame) -> int:
+        """Return how many frames leave sums and batch under three planes of 32 bits beyond the result, at least 1."""
+        planes = (len(self._terms) - 1) // FRAMES_PER_PLANE + 1
+        room = 3 * 4 - 4 - 2 * planes  # bytes per pixel, less Σx² and the bits of the frames used
+        return max(1, (room - 1) // frame.dn.itemsize)
+
+    def _take_in(self) -> None:
+        """Add the frames of the batch to the sums and release them."""
+        sums, reference = self._known_sums(), self._terms[0].exposure
+        batch, self._pending = self._pending, []
+        _on_all_cores(self._known_shape(), lambda start, stop: sums.part(start, stop).add(batch, start, reference))
+
+    def _sample(self, frame: Frame) -> MergeSample:
+        if len(self._terms) == MOST_FRAMES:
+            raise MeasurementError(f"more than {MOST_FRAMES} frames; merge fewer, or average repeats first")
+        terms = frame_terms(frame.settings, self._situation, self._dark, through_lens=self._through_lens)
+        if self._terms and frame.settings.source_level != self._terms[0].settings.source_level:
+            raise MeasurementError("the frames were taken at different source levels; merge those of one level")
+        self._terms.append(terms)
+        model = self._situation.model
+        table = None if model.linear and terms.dark.size == 1 else model.table(frame.settings).astype(np.float32)
+        return MergeSample(np.ascontiguousarray(frame.dn).ravel(), terms, table, len(self._terms) - 1)
+
+    def _refuse_misfit(self, frame: Frame) -> None:
+        self._shape = self._shape or frame.shape
+        if frame.shape != self._shape:
+            raise MeasurementError(
+                f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} beside "
+                f"{self._shape[1]} × {self._shape[0]} pixels)"
+            )
+        if frame.full_scale_dn != self._situation.model.full_scale_dn:
+            raise MeasurementError(
+                f"a frame has {frame.bit_depth} bits per pixel, the camera's description says full scale "
+                f"{self._situation.model.full_scale_dn}; use the description of this pixel format"
+            )
+
+    def _known_shape(self) -> tuple[int, int]:
+        if self._shape is None or not self._terms:
+            raise MeasurementError("there is no frame with the shutter open; capture at least one")
+        return self._shape
+
+    def _known_sums(self) -> MergeSums:
+        """Return the sums, made when they are needed first, with room for all frames so far."""
+        if self._finished:
+            raise MeasurementError("the result was handed out already; start a new merge")
+        height, width = self._known_shape()
+        self._sums = self._sums or MergeSums.zeros(height * width)
+        self._sums.make_room(len(self._terms))
+        return self._sums
+
+    def _factor(self, start: int, size: int) -> NDArray[np.float32]:
+        """Return radiance per rate of a block of whole rows; one number where it is the same everywhere."""
+        shape, calibration = self._known_shape(), self._calibration
+        scale = self._situation.scale / self._terms[0].exposure
+        if calibration is None:  # DN per s at the f-number of the first frame
+            scale *= lens_factor_sr(self._situation.lens, self._terms[0].settings.f_number)
+        flat = flat_field_for(calibration, shape)
+        if calibration is None or (flat is None and self._situation.lens.vignetting == "none"):
+            return np.full(1, scale, np.float32)
+        rows = np.arange(start // shape[1], (start + size) // shape[1])[:, None]
+        columns = np.arange(shape[1])[None, :]
+        place = relative_sensitivity(self._camera, self._situation.lens, flat, shape, columns, rows)
+        return np.asarray((scale / place).ravel(), dtype=np.float32)
+
+    def _map(
+        self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32], mask: NDArray[np.uint8]
+    ) -> RadianceMap:
+        shape, calibration = self._known_shape(), self._calibration
+        images = radiance.reshape(shape), u_radiance.reshape(shape), mask.reshape(shape)
+        repair_defects(*images, calibration.defects if calibration else ())
+        numbers = {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
+        return RadianceMap(
+            *images,
+            unit=RADIANCE_UNIT if calibration is not None and calibration.absolute else RELATIVE_UNIT,
+            u_rel_common=common_u_rel(self._situation, calibration, numbers),
+            exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
+            provenance=Provenance(
+                "maximum-likelihood merge",
+                assumptions=self._situation.assumptions,
+                parameters={"frames": len(self._terms), "dark_frames": len(self._dark)},
+            ),
+        )
+
+
+def _on_all_cores(shape: tuple[int, int], work: Callable[[int, int], None]) -> None:
+    """Call work(start, stop) for parts of whole rows that make up the picture, on all cores."""
+    height, width = shape
+    cores = os.cpu_count() or 1
+    rows = -(-height // (cores * _PARTS_PER_CORE)) * width
+    parts = [(start, min(start + rows, height * width)) for start in range(0, height * width, rows)]
+    with ThreadPoolExecutor(max_workers=cores) as pool:
+        list(pool.map(lambda part: work(*part), parts))
+
+
+def _blocks(start: int, stop: int, width: int) -> Iterator[tuple[int, int]]:
+    """Yield the bounds of blocks of whole rows."""
+    step = max(1, _BLOCK_PIXELS // width) * width
+    for begin in range(start, stop, step):
+        yield begin, min(begin + step, stop)

@@ -1,0 +1,114 @@
+"""What each frame brings into the merge: exposure, noise without light, where it clips, its dark level."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.signal.dark import dark_levels
+from radiometer.analysis.signal.lens import lens_factor_sr
+from radiometer.analysis.signal.model import SignalModel
+from radiometer.analysis.signal.situation import Situation
+from radiometer.data import Frame, FrameSettings
+from radiometer.units import gain_factor
+
+# Below this many sigma of read noise above zero the black level cuts noise off, and the number 0 says little.
+_BLACK_HEADROOM_SIGMA = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameTerms:
+    """One frame's constants.
+
+    Attributes:
+        settings: Of the frame.
+        exposure: Exposure time in s, times the lens factor in sr where that counts.
+        gain: Gain factor.
+        variance: Variance of x without light.
+        low_dn: Lowest digital number that is used.
+        high_dn: Digital number from which the frame clips.
+        clips_at: x at clipping.
+        sigma_clip: Standard deviation of x there.
+        dark: Dark signal x: of the whole frame (size 1) or of every pixel (flat).
+        u_dark: Uncertainty of the dark signal that all frames share.
+        black_dn: Black level in DN.
+    """
+
+    settings: FrameSettings
+    exposure: float
+    gain: float
+    variance: float
+    low_dn: int
+    high_dn: int
+    clips_at: float
+    sigma_clip: float
+    dark: NDArray[np.float32]
+    u_dark: float
+    black_dn: float
+
+
+def frame_terms(
+    settings: FrameSettings, situation: Situation, dark_frames: Sequence[Frame], *, through_lens: bool
+) -> FrameTerms:
+    """Return the constants of a light frame.
+
+    Args:
+        settings: Of the frame.
+        situation: What the merge rests on.
+        dark_frames: Frames with the shutter closed; those of the same exposure are taken off pixel by pixel.
+        through_lens: Whether the exposure carries the lens factor of the frame's f-number.
+    """
+    model = situation.model
+    gain = gain_factor(settings.gain_db)
+    level = dark_levels([settings], dark_frames, model, situation.black)[0]
+    dark, extra = _dark_map(settings, dark_frames, model, level.signal)
+    high = math.ceil(model.saturation_dn(settings))
+    clips_at = float(model.at_dn(model.table(settings), high - 0.5)) - level.signal
+    return FrameTerms(
+        settings,
+        settings.exposure_s * (lens_factor_sr(situation.lens, settings.f_number) if through_lens else 1.0),
+        gain,
+        _dark_variance(model, settings, gain) + extra,
+        _lowest_dn(model, settings, gain),
+        high,
+        clips_at,
+        float(np.sqrt(model.variance(clips_at, settings))),
+        dark,
+        level.u_common,
+        model.black_of(settings),
+    )
+
+
+def _dark_variance(model: SignalModel, settings: FrameSettings, gain: float) -> float:
+    dark_e = model.noise.dark_e(settings.exposure_s, settings.temperature_c)
+    quantisation = 1.0 / 12.0 / gain**2 if model.linear else 0.0
+    return (model.noise.read_noise_e**2 + dark_e) / model.electrons_per_unit**2 + quantisation
+
+
+def _lowest_dn(model: SignalModel, settings: FrameSettings, gain: float) -> int:
+    sigma_dn = model.noise.read_noise_e * model.noise.gain_dn_per_e(settings.gain_db)
+    return 0 if model.black_of(settings) >= _BLACK_HEADROOM_SIGMA * sigma_dn else 1
+
+
+def _dark_map(
+    settings: FrameSettings, dark_frames: Sequence[Frame], model: SignalModel, level: float
+) -> tuple[NDArray[np.float32], float]:
+    """Return the dark signal of every pixel with the variance of that mean, or one level for all with none."""
+    matching = [
+        frame
+        for frame in dark_frames
+        if frame.settings.gain_db == settings.gain_db
+        and abs(frame.settings.exposure_s / settings.exposure_s - 1.0) <= 0.01
+    ]
+    if not matching:
+        return np.full(1, level, np.float32), 0.0
+    table = model.table(settings).astype(np.float32)
+    total = table[matching[0].dn.ravel()]
+    for frame in matching[1:]:
+        total += table[frame.dn.ravel()]
+    total /= np.float32(len(matching))
+    return total, float(model.variance(0.0, settings)) / len(matching)

@@ -1,0 +1,155 @@
+"""Compiled inner loops of the merge: samples into sums, as each frame arrives.
+
+All arrays are one-dimensional and contiguous: a block of whole rows. The functions hold no lock, so that a thread
+per core can work on a block each. Compiled code is kept on disk beside this module.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from radiometer.compiled import compiled
+from radiometer.data.radiance_map import PixelMask
+
+CLIPPED_HIGH = np.uint8(PixelMask.SATURATED)
+CLIPPED_LOW = np.uint8(PixelMask.BELOW_NOISE)
+
+
+@compiled
+def add_linear(
+    dn: Any,
+    offset: Any,
+    inverse_gain: Any,
+    low: Any,
+    high: Any,
+    exposure: Any,
+    weight: Any,
+    bit: Any,
+    first: Any,
+    second: Any,
+    squares: Any,
+    bits: Any,
+    mask: Any,
+) -> None:  # pragma: no cover (compiled)
+    """Add one frame of a linear sensor: x = (M − offset)/gain where low ≤ M < high.
+
+    Args:
+        dn: Digital numbers of the block, uint8 or uint16.
+        offset: Black level plus dark signal in DN, float32.
+        inverse_gain: 1/gain, float32.
+        low: Lowest digital number that is used.
+        high: Digital number from which the frame clips.
+        exposure: Relative exposure t, float32.
+        weight: t to the power `merge_records.FIRST_POWER`, float32.
+        bit: Bit of this frame, of the type of `bits`.
+        first: Σw·x, float32, added to.
+        second: Σt·x, float32, added to.
+        squares: Σx², float32, added to.
+        bits: Frames used in each pixel, added to.
+        mask: Clipping seen in each pixel, added to.
+    """
+    for i in range(dn.size):
+        number = dn[i]
+        used = (number >= low) & (number < high)
+        x = (np.float32(number) - offset) * inverse_gain if used else np.float32(0.0)
+        first[i] += weight * x
+        second[i] += exposure * x
+        squares[i] += x * x
+        bits[i] |= bit if used else bits.dtype.type(0)
+        mask[i] |= CLIPPED_HIGH if number >= high else (CLIPPED_LOW if number < low else np.uint8(0))
+
+
+@compiled
+def add_linear_pair(
+    dn_a: Any,
+    dn_b: Any,
+    constants: Any,
+    limits: Any,
+    bits_ab: Any,
+    first: Any,
+    second: Any,
+    squares: Any,
+    bits: Any,
+    mask: Any,
+) -> None:  # pragma: no cover (compiled)
+    """Add two frames of a linear sensor, one after the other, in one pass over the sums.
+
+    Args:
+        dn_a: Digital numbers of the one frame.
+        dn_b: Digital numbers of the other, of the same type.
+        constants: Offset, 1/gain, exposure and weight of both as in `add_linear`, float32, shape (2, 4).
+        limits: Lowest digital number used and the one from which the frame clips, of the type of `dn_a`, shape (2, 2).
+        bits_ab: Bits of both frames, of the type of `bits`, shape (2,).
+        first: Σw·x, float32, added to.
+        second: Σt·x, float32, added to.
+        squares: Σx², float32, added to.
+        bits: Frames used in each pixel, added to.
+        mask: Clipping seen in each pixel, added to.
+    """
+    offset_a, inverse_a, exposure_a, weight_a = constants[0]
+    offset_b, inverse_b, exposure_b, weight_b = constants[1]
+    low_a, high_a, low_b, high_b = limits[0, 0], limits[0, 1], limits[1, 0], limits[1, 1]
+    bit_a, bit_b, none = bits_ab[0], bits_ab[1], bits.dtype.type(0)
+    for i in range(dn_a.size):
+        a, b = dn_a[i], dn_b[i]
+        used_a = (a >= low_a) & (a < high_a)
+        used_b = (b >= low_b) & (b < high_b)
+        x_a = (np.float32(a) - offset_a) * inverse_a if used_a else np.float32(0.0)
+        x_b = (np.float32(b) - offset_b) * inverse_b if used_b else np.float32(0.0)
+        first[i] = (first[i] + weight_a * x_a) + weight_b * x_b
+        second[i] = (second[i] + exposure_a * x_a) + exposure_b * x_b
+        squares[i] = (squares[i] + x_a * x_a) + x_b * x_b
+        bits[i] |= (bit_a if used_a else none) | (bit_b if used_b else none)
+        seen_a = CLIPPED_HIGH if a >= high_a else (CLIPPED_LOW if a < low_a else np.uint8(0))
+        seen_b = CLIPPED_HIGH if b >= high_b else (CLIPPED_LOW if b < low_b else np.uint8(0))
+        mask[i] |= seen_a | seen_b
+
+
+@compiled
+def add_table(
+    dn: Any,
+    table: Any,
+    dark: Any,
+    low: Any,
+    high: Any,
+    exposure: Any,
+    weight: Any,
+    bit: Any,
+    first: Any,
+    second: Any,
+    squares: Any,
+    bits: Any,
+    mask: Any,
+) -> None:  # pragma: no cover (compiled)
+    """Add one frame through a table of x by digital number, less a dark signal.
+
+    Args:
+        dn: Digital numbers of the block.
+        table: x at every digital number, float32.
+        dark: Dark signal of every pixel of the block, or of all (size 1), float32.
+        low: Lowest digital number that is used.
+        high: Digital number from which the frame clips.
+        exposure: Relative exposure t, float32.
+        weight: t to the power `merge_records.FIRST_POWER`, float32.
+        bit: Bit of this frame.
+        first: Σw·x, float32, added to.
+        second: Σt·x, float32, added to.
+        squares: Σx², float32, added to.
+        bits: Frames used in each pixel, added to.
+        mask: Clipping seen in each pixel, added to.
+    """
+    step = 1 if dark.size > 1 else 0
+    for i in range(dn.size):
+        number = dn[i]
+        if number >= high:
+            mask[i] |= CLIPPED_HIGH
+        elif number < low:
+            mask[i] |= CLIPPED_LOW
+        else:
+            x = table[number] - dark[i * step]
+            first[i] += weight * x
+            second[i] += exposure * x
+            squares[i] += x * x
+            bits[i] |= bit

@@ -1,0 +1,54 @@
+"""The best mixture of a pixel's two estimates where quantisation depends on the level: behind a response curve."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from radiometer.analysis.merge.records import FIRST_POWER
+from radiometer.compiled import compiled
+
+
+@compiled
+def from_root_table(signal: float, entries: Any, top: float) -> float:  # pragma: no cover (compiled)
+    """Return a table's value at x.
+
+    Args:
+        signal: x times gain.
+        entries: Values at x = top·(k/(size − 1))², float64.
+        top: x of the last entry.
+    """
+    place = math.sqrt(min(max(signal, 0.0) / top, 1.0)) * (entries.size - 1)
+    low = min(int(place), entries.size - 2)
+    return float(entries[low] + (place - low) * (entries[low + 1] - entries[low]))
+
+
+@compiled
+def moments(
+    rate: float, pattern: Any, frames: Any, gains: Any, kappa: float, quantisation: Any, top: float
+) -> tuple[float, float, float, float, float]:  # pragma: no cover (compiled)
+    """Return (Σv, Σv², Σw²·v, Σw·t·v, Σt²·v), w = t^0.35, over the frames of a pattern at a rate."""
+    total, squares, var_a, both, var_b = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(frames.shape[0]):
+        if not (pattern >> np.uint64(i)) & np.uint64(1):
+            continue
+        t, gain = frames[i, 0], gains[i]
+        v = frames[i, 1] + kappa * rate * t + from_root_table(rate * t * gain, quantisation, top) / gain**2
+        w = t**FIRST_POWER
+        total, squares = total + v, squares + v * v
+        var_a, both, var_b = var_a + w * w * v, both + w * t * v, var_b + t * t * v
+    return total, squares, var_a, both, var_b
+
+
+@compiled
+def mixture(
+    rate_a: float, rate_b: float, var_a: float, both: float, var_b: float
+) -> tuple[float, float, float]:  # pragma: no cover (compiled)
+    """Return (rate, share of the first, variance) of the mixture of two estimates with the least variance."""
+    between = var_a + var_b - 2.0 * both
+    if between <= 1e-9 * var_a:
+        return rate_a, 1.0, var_a
+    share = (var_b - both) / between
+    return rate_b + share * (rate_a - rate_b), share, var_a - (var_a - both) ** 2 / between

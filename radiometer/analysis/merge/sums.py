@@ -1,0 +1,142 @@
+"""The sums per pixel that frames are added to on their way into a merge."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.merge import kernels as merge_kernels
+from radiometer.analysis.merge.frames import FrameTerms
+from radiometer.analysis.merge.records import FIRST_POWER
+
+FRAMES_PER_PLANE: Final = 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MergeSample:
+    """A frame on its way into the sums.
+
+    Attributes:
+        dn: Digital numbers, one-dimensional.
+        terms: The frame's constants.
+        table: x by digital number; None where the sensor is linear and the dark signal one number.
+        index: Place of the frame, from 0.
+    """
+
+    dn: NDArray[Any]
+    terms: FrameTerms
+    table: NDArray[np.float32] | None
+    index: int
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """Return the lowest digital number that is used, and the one from which the frame clips."""
+        return self.terms.low_dn, min(self.terms.high_dn, int(np.iinfo(self.dn.dtype).max))
+
+    @property
+    def plane(self) -> int:
+        """Return which plane of bits the frame's bit is in."""
+        return self.index // FRAMES_PER_PLANE
+
+    @property
+    def bit(self) -> int:
+        """Return the frame's bit in its plane."""
+        return 1 << (self.index % FRAMES_PER_PLANE)
+
+    def is_like(self, other: MergeSample) -> bool:
+        """Tell whether both frames are linear and can go into the sums in one pass."""
+        linear = self.table is None and other.table is None
+        return linear and self.plane == other.plane and self.dn.dtype == other.dn.dtype
+
+    def constants(self, reference: float) -> tuple[float, float, float, float]:
+        """Return offset in DN and 1/gain (of no meaning with a table), relative exposure t, and t^0.35."""
+        relative = self.terms.exposure / reference
+        offset = self.terms.black_dn + self.terms.gain * float(self.terms.dark[0])
+        return offset, 1.0 / self.terms.gain, relative, relative**FIRST_POWER
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MergeSums:
+    """Sums of a run of pixels, one-dimensional and contiguous.
+
+    Attributes:
+        first: Σt^0.35·x, float32.
+        second: Σt·x, float32.
+        squares: Σx², float32.
+        mask: Clipping seen so far, uint8.
+        planes: Bits of the frames used, uint16, a plane for every 16 frames.
+    """
+
+    first: NDArray[np.float32]
+    second: NDArray[np.float32]
+    squares: NDArray[np.float32]
+    mask: NDArray[np.uint8]
+    planes: list[NDArray[np.uint16]] = field(default_factory=list)
+
+    @classmethod
+    def zeros(cls, size: int) -> MergeSums:
+        """Return empty sums of `size` pixels without room for any frame's bit."""
+        first, second, squares = (np.zeros(size, np.float32) for _ in range(3))
+        return cls(first, second, squares, np.zeros(size, np.uint8))
+
+    def make_room(self, frames: int) -> None:
+        """Make sure that the bits of `frames` frames can be kept."""
+        while len(self.planes) * FRAMES_PER_PLANE < frames:
+            self.planes.append(np.zeros(self.first.size, np.uint16))
+
+    def part(self, start: int, stop: int) -> MergeSums:
+        """Return the sums of the pixels from `start` to `stop` as views."""
+        cut = slice(start, stop)
+        planes = [plane[cut] for plane in self.planes]
+        return MergeSums(self.first[cut], self.second[cut], self.squares[cut], self.mask[cut], planes)
+
+    def patterns(self) -> NDArray[np.uint64]:
+        """Return the bits of all frames used in each pixel."""
+        bits = self.planes[0].astype(np.uint64)
+        for number, plane in enumerate(self.planes[1:], start=1):
+            bits |= plane.astype(np.uint64) << np.uint64(number * FRAMES_PER_PLANE)
+        return bits
+
+    def add(self, samples: Sequence[MergeSample], start: int, reference: float) -> None:
+        """Add the pixels of frames from `start` on, as many as there are sums.
+
+        Args:
+            samples: The frames.
+            start: First pixel of the frames that the sums are of.
+            reference: Exposure that exposures are counted in.
+        """
+        waiting = list(samples)
+        while waiting:
+            one = waiting.pop(0)
+            if waiting and one.is_like(waiting[0]):
+                self._add_linear_pair(one, waiting.pop(0), start, reference)
+            else:
+                self._add_one(one, start, reference)
+
+    def _add_linear_pair(self, one: MergeSample, two: MergeSample, start: int, reference: float) -> None:
+        stop = start + self.first.size
+        constants = np.array([one.constants(reference), two.constants(reference)], np.float32)
+        limits = np.array([one.limits, two.limits], one.dn.dtype)
+        bits = np.array([one.bit, two.bit], np.uint16)
+        merge_kernels.add_linear_pair(
+            one.dn[start:stop], two.dn[start:stop], constants, limits, bits, *self._view(one.plane)
+        )
+
+    def _add_one(self, one: MergeSample, start: int, reference: float) -> None:
+        stop = start + self.first.size
+        dn, view = one.dn[start:stop], self._view(one.plane)
+        low, high = (one.dn.dtype.type(limit) for limit in one.limits)
+        offset, inverse, exposure, weight = (np.float32(value) for value in one.constants(reference))
+        bit = np.uint16(one.bit)
+        if one.table is None:
+            merge_kernels.add_linear(dn, offset, inverse, low, high, exposure, weight, bit, *view)
+        else:
+            dark = one.terms.dark if one.terms.dark.size == 1 else one.terms.dark[start:stop]
+            merge_kernels.add_table(dn, one.table, dark, low, high, exposure, weight, bit, *view)
+
+    def _view(self, plane: int) -> tuple[NDArray[Any], ...]:
+        return self.first, self.second, self.squares, self.planes[plane], self.mask

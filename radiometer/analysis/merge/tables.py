@@ -1,0 +1,82 @@
+"""The tables that the merge's last step looks things up in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.merge.frames import FrameTerms
+from radiometer.analysis.signal.model import SignalModel
+
+_ROOT_TABLE_SIZE = 2048
+# Frames that agree to this are consistent whatever the noise; more slack where the noise is only a typical one.
+_AGREEMENT_REL = 0.01
+_AGREEMENT_ASSUMED_REL = 0.1
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MergeTables:
+    """What the merge's last step is given besides the pixels; its attributes are named as in `merge_finish.finish`."""
+
+    frames: Array
+    kappa: float
+    bounds: Array
+    gains: Array
+    quantisation: Array | None
+    curve: Array | None
+    top: float
+    valid: Array
+
+    @property
+    def arguments(self) -> tuple[Any, ...]:
+        """Return the attributes in the order of `finish`."""
+        return (
+            self.frames,
+            self.kappa,
+            self.bounds,
+            self.gains,
+            self.quantisation,
+            self.curve,
+            self.top,
+            self.valid,
+        )
+
+
+def merge_tables(terms: Sequence[FrameTerms], model: SignalModel) -> MergeTables:
+    """Return the tables for a set of light frames.
+
+    Args:
+        terms: The frames in the order of their bits; exposures are counted in units of the first.
+        model: Signal model of the camera.
+    """
+    reference = terms[0].exposure
+    frames = np.array([[o.exposure / reference, o.variance, o.clips_at, o.sigma_clip, o.u_dark] for o in terms])
+    agreement = _AGREEMENT_ASSUMED_REL if model.noise.assumed else _AGREEMENT_REL
+    lower_bound = float((frames[:, 2] / frames[:, 0]).max())
+    darkest = float((model.table(terms[0].settings)[1] - model.table(terms[0].settings)[0]) / frames[:, 0].max())
+    return MergeTables(
+        frames,
+        1.0 / model.electrons_per_unit,
+        np.array([lower_bound, darkest, agreement]),
+        np.array([one.gain for one in terms]),
+        *_root_tables(model),
+    )
+
+
+def _root_tables(model: SignalModel) -> tuple[Array | None, Array | None, float, Array]:
+    """Return quantisation variance and curve uncertainty over √x, the last x, and the x that the curve has data for.
+
+    A linear sensor needs no tables.
+    """
+    if model.linear:
+        return None, None, 1.0, np.zeros(2)
+    top = float(model.signal[-1])
+    signal = top * np.linspace(0.0, 1.0, _ROOT_TABLE_SIZE) ** 2
+    dn = np.interp(signal, model.signal, np.arange(model.signal.size))
+    quantisation = model.at_dn(model.slope, dn) ** 2 / 12.0
+    return quantisation, model.at_dn(model.u_rel, dn), top, model.signal[list(model.valid_dn)]

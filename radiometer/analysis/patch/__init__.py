@@ -1,0 +1,1 @@
+"""The radiance of one patch: which frames may be used, the estimate, its uncertainty and flags."""

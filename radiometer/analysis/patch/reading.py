@@ -1,0 +1,208 @@
+"""The radiance of one patch from the frames of a bracket, with its GUM budget and flags."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.patch.contributions import PatchSituation, budget_terms
+from radiometer.analysis.patch.estimate import estimate_patch
+from radiometer.analysis.patch.flags import reading_flags
+from radiometer.analysis.patch.frames import PatchFrame, crop_frames
+from radiometer.analysis.signal.dark import dark_levels
+from radiometer.analysis.signal.lens import lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.photometry import luminous_efficacy_lm_per_w
+from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of
+from radiometer.analysis.signal.spectra import spectrum as spectrum_of
+from radiometer.analysis.uncertainty.budget import combined_u
+from radiometer.data import (
+    Calibration,
+    CameraDescription,
+    Frame,
+    LensDescription,
+    Patch,
+    Provenance,
+    Quantity,
+    Reading,
+)
+from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT, RELATIVE_UNIT
+from radiometer.errors import MeasurementError
+
+
+def read_patch(
+    frames: Iterable[Frame],
+    patch: Patch,
+    calibration: Calibration | None,
+    camera: CameraDescription,
+    lens: LensDescription,
+    *,
+    spectrum: str | None = None,
+    now: dt.datetime | None = None,
+    sequence: int = 0,
+) -> Reading:
+    """Return the radiance of a patch in W·sr⁻¹·m⁻² (relative without a calibration) with its budget.
+
+    Args:
+        frames: A bracket, or any frames of one unmoving scene; frames with the shutter closed give the dark level.
+        patch: Where to read.
+        calibration: The camera's calibration; None gives relative values and the flag `uncalibrated`.
+        camera: The camera in use.
+        lens: The lens in use.
+        spectrum: Name of the source's spectrum, or path of a CSV, for the luminance; None takes the calibration's.
+        now: Time that the calibration's age is counted to, with time zone; None for the present.
+        sequence: Running number of the reading.
+
+    Raises:
+        CalibrationError: If the calibration is of another camera or lens.
+        InputError: If there is no such spectrum.
+        MeasurementError: If the patch lies outside the frame, or there is no light frame.
+    """
+    settled = situation_of(calibration, camera, lens)
+    situation, frame_count = _patch_situation(frames, patch, calibration, camera, settled)
+    reading = _reading(situation, settled, patch, camera, frame_count, now, sequence)
+    return _with_luminance(reading, calibration, spectrum)
+
+
+def patch_situation(
+    frames: Iterable[Frame],
+    patch: Patch,
+    calibration: Calibration | None,
+    camera: CameraDescription,
+    lens: LensDescription,
+) -> PatchSituation:
+    """Return what a reading of a patch is made from, for a look behind its budget.
+
+    Args:
+        frames: As for `read_patch`.
+        patch: Where to read.
+        calibration: The camera's calibration, or None.
+        camera: The camera in use.
+        lens: The lens in use.
+
+    Raises:
+        CalibrationError: If the calibration is of another camera or lens.
+        MeasurementError: If the patch lies outside the frame, or there is no light frame.
+    """
+    return _patch_situation(frames, patch, calibration, camera, situation_of(calibration, camera, lens))[0]
+
+
+def _patch_situation(
+    frames: Iterable[Frame],
+    patch: Patch,
+    calibration: Calibration | None,
+    camera: CameraDescription,
+    settled: Situation,
+) -> tuple[PatchSituation, int]:
+    """Return the situation of a patch and the number of light frames seen."""
+    light, dark_frames, shape = crop_frames(frames, patch, settled.model)
+    chosen = [one for one in light if one.usable] or [one for one in light if one.unclipped] or [light[0]]
+    good = ~np.any([one.clipped for one in chosen], axis=0) if chosen[0].usable else np.ones(chosen[0].dn.shape, bool)
+    good = _without_defects(good, calibration, patch)
+    dark = dark_levels([one.settings for one in chosen], dark_frames, settled.model, settled.black)
+    place = _sensitivity(calibration, camera, settled.lens, shape, patch)
+    chosen = [_evened(one, level.signal, place) for one, level in zip(chosen, dark, strict=True)]
+    factors = float(place.mean()) * _lens_factors(chosen, calibration, settled.lens)
+    exposures = np.array([one.settings.exposure_s for one in chosen]) * factors
+    estimate = estimate_patch(chosen, dark, exposures, good, settled.model)
+    made_from = PatchSituation(
+        estimate,
+        tuple(chosen),
+        tuple(dark),
+        exposures,
+        good,
+        settled.model,
+        settled.stated,
+        settled.scale,
+        calibration,
+        settled.lens,
+    )
+    return made_from, len(light)
+
+
+def _without_defects(good: NDArray[np.bool_], calibration: Calibration | None, patch: Patch) -> NDArray[np.bool_]:
+    kept = good.copy()
+    for x, y in calibration.defects if calibration else ():
+        if patch.x <= x < patch.x + patch.width and patch.y <= y < patch.y + patch.height:
+            kept[y - patch.y, x - patch.x] = False
+    if not kept.any():
+        raise MeasurementError(
+            f"every pixel of the patch {patch.x},{patch.y},{patch.width},{patch.height} is defective; choose another"
+        )
+    return kept
+
+
+def _sensitivity(
+    calibration: Calibration | None,
+    camera: CameraDescription,
+    lens: LensDescription,
+    shape: tuple[int, int],
+    patch: Patch,
+) -> NDArray[np.float64]:
+    """Return the sensitivity of the patch's pixels relative to the optical axis; 1 without a calibration."""
+    if calibration is None:
+        return np.ones((patch.height, patch.width))
+    rows, columns = np.mgrid[patch.slices]
+    return relative_sensitivity(camera, lens, flat_field_for(calibration, shape), shape, columns, rows)
+
+
+def _evened(frame: PatchFrame, dark: float, place: NDArray[np.float64]) -> PatchFrame:
+    """Return the frame's patch with the change of sensitivity over it taken out, its mean left as it is."""
+    return replace(frame, signal=dark + (frame.signal - dark) * (place.mean() / place))
+
+
+def _lens_factors(
+    chosen: list[PatchFrame], calibration: Calibration | None, lens: LensDescription
+) -> NDArray[np.float64]:
+    """Return irradiance per radiance in sr of every frame; relative to the first without a calibration."""
+    if calibration is not None and calibration.scale.f_number is None:
+        return np.ones(len(chosen))
+    factors = np.array([lens_factor_sr(lens, one.settings.f_number) for one in chosen])
+    return factors if calibration is not None else np.asarray(factors / factors[0])
+
+
+def _reading(
+    situation: PatchSituation,
+    settled: Situation,
+    patch: Patch,
+    camera: CameraDescription,
+    frame_count: int,
+    now: dt.datetime | None,
+    sequence: int,
+) -> Reading:
+    calibration, estimate = situation.calibration, situation.estimate
+    value = settled.scale * estimate.rate
+    terms = budget_terms(situation)
+    absolute = calibration is not None and calibration.absolute
+    moment = now or dt.datetime.now(dt.UTC)
+    return Reading(
+        radiance=Quantity(value, combined_u(terms), RADIANCE_UNIT if absolute else RELATIVE_UNIT),
+        patch=patch,
+        instrument=camera.serial or camera.model or "unknown",
+        flags=reading_flags(situation, moment),
+        exposures_s=tuple(sorted({one.settings.exposure_s for one in situation.frames})),
+        budget=tuple(term.contribution(value) for term in terms),
+        sequence=sequence,
+        time=moment.astimezone(dt.UTC).isoformat(timespec="microseconds").replace("+00:00", "Z"),
+        provenance=Provenance(
+            "maximum-likelihood patch estimate",
+            assumptions=settled.assumptions,
+            parameters={
+                "frames": frame_count,
+                "frames_used": len(situation.frames),
+                "fluctuation_rel": estimate.fluctuation_rel,
+            },
+        ),
+    )
+
+
+def _with_luminance(reading: Reading, calibration: Calibration | None, name: str | None) -> Reading:
+    """Return the reading with the luminance of its radiance; without an absolute scale there is none."""
+    if calibration is None or not calibration.absolute:
+        return reading
+    efficacy = luminous_efficacy_lm_per_w(spectrum_of(name or calibration.spectrum))
+    radiance = reading.radiance
+    return replace(reading, luminance=Quantity(efficacy * radiance.value, efficacy * radiance.u, LUMINANCE_UNIT))

@@ -1,0 +1,1 @@
+"""Response recovery: how digital numbers follow from exposure, one module per method."""

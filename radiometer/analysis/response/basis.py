@@ -1,0 +1,89 @@
+"""The basis of a response curve over the digital numbers: a spline, the same for 8 to 16 bits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from radiometer.analysis.response.limits import ValueLimits
+
+# Twice as many as real responses have bends: a wave of one stop's period must fit into the basis itself, or data that
+# cannot see it seem to rule it out.
+_SPLINE_PIECES = 112
+_ROUGHNESS_ORDER = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ValueBasis:
+    """A linear model g(M) = Σ_k c_k·b_k(M) on digital numbers, whole or not.
+
+    Cubic B-splines on u(M) = ln[(M − M_min + a)/(M_max − M + a)]: g is nearly straight over u for gamma, linear and
+    sigmoid responses alike, and the knots lie where ln H bends, close to black and to saturation. The number of
+    unknowns is the same at 8 and at 16 bits.
+
+    Attributes:
+        bit_depth: Bits per digital number.
+        limits: Black and saturation level.
+    """
+
+    bit_depth: int
+    limits: ValueLimits
+
+    @property
+    def size(self) -> int:
+        """Return the number of coefficients."""
+        return _SPLINE_PIECES + 3
+
+    def design(self, dn: NDArray[np.float64]) -> sp.csr_array:
+        """Return the matrix of basis values, shape (len(dn), size), for digital numbers 0 to 2**bit_depth − 1."""
+        u = self._stretched(dn)
+        low, high = self._bounds()
+        step = (high - low) / _SPLINE_PIECES
+        knots = low + step * np.arange(-3, _SPLINE_PIECES + 4)
+        # The last inner knot may lie a rounding error below `high`.
+        return sp.csr_array(BSpline.design_matrix(np.clip(u, knots[3], knots[-4]), knots, 3))
+
+    def all_values(self) -> sp.csr_array:
+        """Return the design for every digital number, shape (2**bit_depth, size)."""
+        return self.design(np.arange(1 << self.bit_depth, dtype=np.float64))
+
+    @property
+    def roughness_order(self) -> int:
+        """Return the order of the difference that the roughness is made of."""
+        return _ROUGHNESS_ORDER
+
+    def roughness(self) -> NDArray[np.float64]:
+        """Return P of cᵀPc = Σ (third difference of c)²: how the bend of g changes over u, shape (size, size).
+
+        The third difference leaves the slow bend of real responses alone and acts on waves, above all on the wave
+        of one stop's period that frames at whole stops cannot determine.
+        """
+        bent = np.diff(np.eye(self.size), _ROUGHNESS_ORDER, axis=0)
+        return np.asarray(bent.T @ bent)
+
+    def _softening(self) -> float:
+        # One part in 1024 of the range keeps the logarithm finite at both ends without bending the rest.
+        return max(1.0, (self.limits.saturated_dn - self.limits.black_dn) / 1024.0)
+
+    def _stretched(self, dn: NDArray[np.float64]) -> NDArray[np.float64]:
+        low, high, a = self.limits.black_dn, self.limits.saturated_dn, self._softening()
+        inside = np.clip(dn, low, high)
+        return np.asarray(np.log((inside - low + a) / (high - inside + a)))
+
+    def _bounds(self) -> tuple[float, float]:
+        reach = float(np.log((self.limits.saturated_dn - self.limits.black_dn + self._softening()) / self._softening()))
+        return -reach, reach
+
+
+def hat_weight(dn: NDArray[np.float64], limits: ValueLimits) -> NDArray[np.float64]:
+    """Return the hat function, 1 in the middle and 0 at and beyond black and saturation.
+
+    Source: Debevec & Malik 1997, equation (4), scaled to a maximum of 1.
+    """
+    half = 0.5 * (limits.saturated_dn - limits.black_dn)
+    distance = np.minimum(dn - limits.black_dn, limits.saturated_dn - dn)
+    return np.asarray(np.clip(distance / half, 0.0, 1.0))

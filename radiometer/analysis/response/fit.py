@@ -1,0 +1,178 @@
+"""One penalised maximum-likelihood fit of a response to group means of known noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as la
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from radiometer.analysis.response.basis import ValueBasis
+from radiometer.analysis.response.normal import NormalEquations, eliminate_groups
+from radiometer.analysis.response.samples import ResponseSamples
+from radiometer.errors import MeasurementError
+
+Array = NDArray[np.float64]
+# Relative standard deviations of the exposure times that are tried; none is always among the choices.
+_TIME_SPREADS = (0.001, 0.003, 0.01, 0.03)
+# Twice the gain in log likelihood that calls for errors of the exposure times.
+_CALLS_FOR_TIME_ERRORS = 20.0
+_SMOOTHINGS = np.logspace(-6, 9, 31)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResponseFit:
+    """A fitted response.
+
+    Attributes:
+        coefficients: Of the basis.
+        inverse: Posterior covariance of the coefficients (and time errors), shape (k, k).
+        normal: The normal equations that were solved.
+        smoothing: λ relative to tr(N)/tr(P).
+        time_spread: Relative standard deviation of the exposure times that was assumed; 0 where taken as exact.
+        time_modes: Amplitudes of the patterns of `time_error_modes` in the exposure times; empty where exact.
+        basis_size: Number of coefficients that belong to the curve.
+        reduced_chi2: Of the residuals.
+    """
+
+    coefficients: Array
+    inverse: Array
+    normal: NormalEquations
+    smoothing: float
+    time_spread: float
+    time_modes: Array
+    basis_size: int
+    reduced_chi2: float
+
+    @property
+    def solution(self) -> Array:
+        """Return coefficients and time errors together as they were solved for."""
+        return np.concatenate([self.coefficients, self.time_modes])
+
+    def covariance(self) -> Array:
+        """Return the covariance of the solution, from the scatter of whole groups, with no noise model assumed."""
+        return np.asarray(self.inverse @ self.normal.robust_meat(self.solution) @ self.inverse)
+
+    def smoothness_covariance(self) -> Array:
+        """Return the part of the posterior covariance that the smoothness (and the prior of the times) decides."""
+        return np.asarray(self.inverse - self.inverse @ self.normal.matrix @ self.inverse)
+
+    def leverage(self) -> Array:
+        """Return the part of each row's own noise that curve and group took up, 0 to 0.95."""
+        normal = self.normal
+        starts = np.flatnonzero(np.diff(normal.group, prepend=-1))
+        own = normal.weight / np.add.reduceat(normal.weight, starts)[normal.group]
+        curve = np.einsum("ij,ij->i", normal.centred @ self.inverse, normal.centred) * normal.weight
+        return np.asarray(np.clip(own + curve, 0.0, 0.95))
+
+
+def fit_response(
+    samples: ResponseSamples, dn: Array, variance: Array, *, time_spread: float | None = None
+) -> ResponseFit:
+    """Return the response that best explains group means of known variance.
+
+    λ and, where the data call for it, the spread of the exposure times maximise the restricted likelihood.
+
+    Args:
+        samples: The rows.
+        dn: Their digital numbers (of the mean exposure), shape (rows,).
+        variance: Variance of ln H of every row, shape (rows,).
+        time_spread: Relative standard deviation of the exposure times; 0 for exact ones, None to decide by the data.
+
+    Raises:
+        MeasurementError: If the data leave the curve undetermined.
+    """
+    spreads = (0.0, *_TIME_SPREADS) if time_spread is None else (time_spread,)
+    basis = ValueBasis(samples.bit_depth, samples.limits)
+    curve_only = eliminate_groups(basis.design(dn), samples.log_time, 1.0 / variance, samples.group)
+    exact = _Problem.of(curve_only, basis, samples, 0.0)
+    best = exact if 0.0 in spreads else None
+    if np.unique(samples.frame_log_time).size > 2 and any(spreads):
+        design = sp.hstack([basis.design(dn), -_time_columns(samples)], format="csr")
+        with_times = eliminate_groups(sp.csr_array(design), samples.log_time, 1.0 / variance, samples.group)
+        loose = [_Problem.of(with_times, basis, samples, spread) for spread in spreads if spread]
+        freest = min(loose, key=lambda problem: problem.deviance)
+        if best is None or freest.deviance < best.deviance - _CALLS_FOR_TIME_ERRORS:
+            best = freest
+    chosen = best or exact
+    if not np.isfinite(chosen.deviance):
+        raise MeasurementError(
+            "the frames do not determine a response: too few values overlap between exposures; "
+            "take exposures about one stop apart of a scene with many brightnesses"
+        )
+    return chosen.solved()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """Normal equations with gauge and penalty at the λ of least restricted deviance."""
+
+    normal: NormalEquations
+    fixed: Array
+    penalty: Array
+    smoothing: float
+    deviance: float
+    time_spread: float
+    basis_size: int
+
+    @classmethod
+    def of(cls, normal: NormalEquations, basis: ValueBasis, samples: ResponseSamples, spread: float) -> _Problem:
+        size = normal.matrix.shape[0]
+        middle = np.zeros(size)
+        middle[: basis.size] = basis.design(np.array([float(1 << (samples.bit_depth - 1))])).toarray()[0]
+        trace = float(np.trace(normal.matrix[: basis.size, : basis.size]))
+        fixed = normal.matrix + np.outer(middle, middle) * trace / float(middle @ middle)
+        prior = 0.0
+        if spread:
+            errors = np.arange(basis.size, size)
+            fixed[errors, errors] += 1.0 / spread**2
+            prior = 2.0 * errors.size * float(np.log(spread))
+        penalty = np.zeros((size, size))
+        roughness = basis.roughness()
+        penalty[: basis.size, : basis.size] = roughness * trace / float(np.trace(roughness))
+        rank = basis.size - basis.roughness_order
+        scores = [_deviance(normal, fixed, penalty, value, rank) + prior for value in _SMOOTHINGS]
+        at = int(np.argmin(scores))
+        return cls(normal, fixed, penalty, float(_SMOOTHINGS[at]), scores[at], spread, basis.size)
+
+    def solved(self) -> ResponseFit:
+        inverse = np.linalg.inv(self.fixed + self.smoothing * self.penalty)
+        solution = inverse @ self.normal.right
+        parameters = float(np.sum(inverse * self.normal.matrix))
+        chi2 = float(self.normal.weight @ self.normal.residuals(solution) ** 2)
+        return ResponseFit(
+            coefficients=solution[: self.basis_size],
+            inverse=np.asarray(inverse, dtype=np.float64),
+            normal=self.normal,
+            smoothing=self.smoothing,
+            time_spread=self.time_spread,
+            time_modes=solution[self.basis_size :],
+            basis_size=self.basis_size,
+            reduced_chi2=chi2 / max(self.normal.freedom - parameters, 1.0),
+        )
+
+
+def _deviance(normal: NormalEquations, fixed: Array, penalty: Array, smoothing: float, rank: int) -> float:
+    """Return −2 ln of the restricted likelihood up to a constant, the rows' variances being as stated."""
+    try:
+        factor = la.cho_factor(fixed + smoothing * penalty, lower=True)
+    except la.LinAlgError:
+        return float("inf")
+    explained = float(la.cho_solve(factor, normal.right) @ normal.right)
+    log_det = 2.0 * float(np.log(np.diag(factor[0])).sum())
+    return normal.square - explained + log_det - rank * float(np.log(smoothing))
+
+
+def time_error_modes(log_time: Array) -> Array:
+    """Return the patterns of time errors that change neither the mean nor the scale of ln t, shape (frames, modes).
+
+    A common factor is the gauge of g; errors proportional to ln t are its exponent, which only the stated times fix.
+    """
+    fixed = np.column_stack([np.ones(log_time.size), log_time])
+    return np.asarray(la.null_space(fixed.T))
+
+
+def _time_columns(samples: ResponseSamples) -> sp.csr_array:
+    return sp.csr_array(time_error_modes(samples.frame_log_time)[samples.frame])

@@ -1,0 +1,250 @@
+"""Sufficient statistics for response recovery: the means of pixels that are equally bright in every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.response.limits import ValueLimits, find_limits
+from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Frame
+from radiometer.errors import InputError, MeasurementError
+
+# A group is left out of a frame where more than this part of its pixels clips there: the mean of what is left
+# would be biased towards the unclipped side.
+_CLIPPED_PART = 0.002
+# So near to black the rounding to whole numbers is a large part of the exposure and is not averaged away.
+_LEAST_ABOVE_BLACK_DN = 4.0
+_GROUPS = 384
+# A pixel that falls by more than this part of full scale under a longer exposure did not look at one thing.
+_TOLERATED_FALL = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResponseSamples:
+    """Group means in long form: one row per group and frame in which the group does not clip.
+
+    Attributes:
+        dn: Mean digital number, shape (rows,).
+        log_time: ln of the effective exposure in s of the row's frame, shape (rows,).
+        group: Index of the group, ascending, shape (rows,).
+        frame: Index of the frame over all brackets, shape (rows,).
+        pixels: Pixels behind the row's mean, shape (rows,).
+        variance: Variance in DN² of the pixels within the group in that frame, shape (rows,).
+        bit_depth: Bits per digital number.
+        limits: Digital numbers between which a value is neither black nor saturated.
+        frame_log_time: ln of the effective exposure of every frame, shape (frames,).
+        frame_bracket: Index of every frame's bracket, shape (frames,).
+        pixel_count: Pixels of all brackets.
+        channel: Colour channel.
+    """
+
+    dn: NDArray[np.float64]
+    log_time: NDArray[np.float64]
+    group: NDArray[np.intp]
+    frame: NDArray[np.intp]
+    pixels: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    bit_depth: int
+    limits: ValueLimits
+    frame_log_time: NDArray[np.float64]
+    frame_bracket: NDArray[np.intp]
+    pixel_count: int
+    channel: str = "mono"
+
+    @property
+    def group_count(self) -> int:
+        """Return the number of groups that have rows."""
+        return int(self.group[-1]) + 1 if self.group.size else 0
+
+    def third(self, index: int) -> ResponseSamples:
+        """Return the rows of every third group: pixels disjoint from those of the other two thirds."""
+        part = _select(self, self.group % 3 == index)
+        return replace(part, pixel_count=self.pixel_count // 3)
+
+    def kept(self, keep: NDArray[np.bool_]) -> ResponseSamples:
+        """Return the rows to keep, without groups of which only one row is left.
+
+        Raises:
+            MeasurementError: If hardly a group is left.
+        """
+        rows = np.bincount(self.group[keep], minlength=self.group_count)
+        left = _select(self, keep & (rows[self.group] >= 2))
+        if left.group_count < 4:
+            raise MeasurementError(_nothing_usable(self))
+        return left
+
+
+def gather_samples(brackets: Bracket | Sequence[Bracket]) -> ResponseSamples:
+    """Return group means of all pixels of one or several brackets taken with one response.
+
+    Every frame's value rises with the light, whatever the response; so does the sum over the frames. Pixels are
+    therefore gathered by that sum into narrow groups, without knowing the response, and each group's mean per
+    frame takes the place of its pixels: all pixels count, noise is averaged before any logarithm is taken, and
+    the groups spread evenly over both the values and the picture.
+
+    Args:
+        brackets: One bracket or several of one bit depth and channel, each with two different exposures or more.
+
+    Raises:
+        InputError: If bit depths differ or a bracket has one exposure only.
+        MeasurementError: If no group is unclipped at two exposures.
+    """
+    several = [brackets] if isinstance(brackets, Bracket) else list(brackets)
+    if not several:
+        raise InputError("no bracket given; a response needs at least one bracket of two exposures")
+    _check(several)
+    limits = find_limits(several)
+    parts: list[ResponseSamples] = []
+    groups = frames = 0
+    for index, bracket in enumerate(several):
+        part = _gather_one(bracket, limits, index, groups, frames)
+        groups += part.group_count - groups if part.group.size else 0
+        frames += len(bracket)
+        parts.append(part)
+    return _joined(parts)
+
+
+def _check(brackets: Sequence[Bracket]) -> None:
+    depths = {bracket.bit_depth for bracket in brackets}
+    if len(depths) > 1:
+        raise InputError(
+            f"the brackets differ in bit depth ({', '.join(map(str, sorted(depths)))}); one response curve belongs to "
+            "one pixel format: recover each by itself"
+        )
+    for bracket in brackets:
+        times = bracket.effective_exposures_s
+        if times[-1] < times[0] * 1.05:
+            raise InputError(
+                f"{bracket.origin or 'bracket'}: holds one exposure only ({times[0]:g} s, {len(times)} "
+                f"frame{'s' if len(times) > 1 else ''}); a response needs at least two different ones"
+            )
+
+
+def _gather_one(
+    bracket: Bracket, limits: ValueLimits, index: int, first_group: int, first_frame: int
+) -> ResponseSamples:
+    label, group_total = _label_groups(bracket)
+    size = np.bincount(label, minlength=group_total)[:group_total].astype(np.float64)
+    columns = [_frame_statistics(frame, label, size, limits) for frame in bracket]
+    mean, variance, clean = (np.array(list(c)).T for c in zip(*columns, strict=True))
+    log_time = np.log(bracket.effective_exposures_s)
+    usable = clean.astype(bool)
+    # A group seen at one exposure only says nothing about the response.
+    earliest = np.where(usable, log_time, np.inf).min(axis=1)
+    latest = np.where(usable, log_time, -np.inf).max(axis=1)
+    usable &= (latest - earliest > 0.04)[:, None]
+    _, group = np.unique(np.nonzero(usable)[0], return_inverse=True)
+    row, frame_index = np.nonzero(usable)
+    return ResponseSamples(
+        dn=mean[row, frame_index],
+        log_time=log_time[frame_index],
+        group=np.asarray(group, dtype=np.intp) + first_group,
+        frame=frame_index + first_frame,
+        pixels=size[row],
+        variance=variance[row, frame_index],
+        bit_depth=bracket.bit_depth,
+        limits=limits,
+        frame_log_time=log_time,
+        frame_bracket=np.full(len(bracket), index, dtype=np.intp),
+        pixel_count=int(np.prod(bracket.shape)),
+        channel=str(bracket.frames[0].extra.get("channel", "mono")),
+    )
+
+
+def _label_groups(bracket: Bracket) -> tuple[NDArray[np.intp], int]:
+    """Return the group of every pixel (flattened) and the number of groups; contradictory pixels get that number."""
+    total = np.zeros(bracket.shape, dtype=np.uint32)
+    for frame in bracket:
+        total += frame.dn
+    key = total.ravel()
+    contradictory = _contradictory(bracket).ravel()
+    histogram = np.bincount(key[~contradictory], minlength=1)
+    # Cut at equal numbers of pixels and, besides, at equal steps of the sum: rare bright pixels stay apart.
+    wanted = min(_GROUPS, max(64, key.size // 12))
+    by_count = (np.cumsum(histogram) - 1) * wanted // max(int(histogram.sum()), 1)
+    by_value = np.arange(histogram.size, dtype=np.int64) * wanted // histogram.size
+    starts = np.diff(by_count, prepend=-1).astype(bool) | np.diff(by_value, prepend=-1).astype(bool)
+    lookup = (np.cumsum(starts) - 1).astype(np.intp)
+    groups = int(lookup[-1]) + 1
+    label = lookup[np.minimum(key, histogram.size - 1)]
+    label[contradictory] = groups
+    return label, groups
+
+
+def _contradictory(bracket: Bracket) -> NDArray[np.bool_]:
+    """Return the pixels that get darker as the exposure grows: movement, borders of registered frames, defects."""
+    tolerated = int(_TOLERATED_FALL * bracket.frames[0].full_scale_dn)
+    highest = np.zeros(bracket.shape, dtype=bracket.frames[0].dn.dtype)
+    bad = np.zeros(bracket.shape, dtype=np.bool_)
+    for frame in bracket:
+        np.maximum(highest, frame.dn, out=highest)
+        bad |= (highest - frame.dn) > tolerated
+    return bad
+
+
+def _frame_statistics(
+    frame: Frame, label: NDArray[np.intp], size: NDArray[np.float64], limits: ValueLimits
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    dn = frame.dn.ravel()
+    groups = size.size
+    count = np.maximum(size, 1.0)
+    # Sums in float64 hold 2^53: 2^31 pixels of 16 bits, squared.
+    as_float = dn.astype(np.float64)
+    mean = np.bincount(label, as_float, groups)[:groups] / count
+    square = np.bincount(label, as_float * as_float, groups)[:groups] / count
+    clipped = (dn <= limits.black_dn) | (dn >= limits.saturated_dn)
+    bad = np.bincount(label[clipped], minlength=groups)[:groups]
+    variance = np.maximum(square - mean**2, 0.0)
+    seen = (size > 0) & (mean > limits.black_dn + _LEAST_ABOVE_BLACK_DN)
+    return mean, variance, seen & (bad <= _CLIPPED_PART * size)
+
+
+def _joined(parts: Sequence[ResponseSamples]) -> ResponseSamples:
+    first = parts[0]
+    joined = ResponseSamples(
+        dn=np.concatenate([p.dn for p in parts]),
+        log_time=np.concatenate([p.log_time for p in parts]),
+        group=np.concatenate([p.group for p in parts]),
+        frame=np.concatenate([p.frame for p in parts]),
+        pixels=np.concatenate([p.pixels for p in parts]),
+        variance=np.concatenate([p.variance for p in parts]),
+        bit_depth=first.bit_depth,
+        limits=first.limits,
+        frame_log_time=np.concatenate([p.frame_log_time for p in parts]),
+        frame_bracket=np.concatenate([p.frame_bracket for p in parts]),
+        pixel_count=sum(p.pixel_count for p in parts),
+        channel=first.channel,
+    )
+    if joined.group_count < 4:
+        raise MeasurementError(_nothing_usable(joined))
+    return joined
+
+
+def _nothing_usable(samples: ResponseSamples) -> str:
+    return (
+        "hardly a pixel is unclipped at two exposures: the frames are saturated or black almost everywhere "
+        f"(usable are values above {samples.limits.black_dn} and below {samples.limits.saturated_dn}); "
+        "take exposures about one stop apart that show the scene between black and white"
+    )
+
+
+def _select(samples: ResponseSamples, keep: NDArray[np.bool_]) -> ResponseSamples:
+    group = np.unique(samples.group[keep], return_inverse=True)[1].astype(np.intp)
+    return ResponseSamples(
+        dn=samples.dn[keep],
+        log_time=samples.log_time[keep],
+        group=group,
+        frame=samples.frame[keep],
+        pixels=samples.pixels[keep],
+        variance=samples.variance[keep],
+        bit_depth=samples.bit_depth,
+        limits=samples.limits,
+        frame_log_time=samples.frame_log_time,
+        frame_bracket=samples.frame_bracket,
+        pixel_count=samples.pixel_count,
+        channel=samples.channel,
+    )

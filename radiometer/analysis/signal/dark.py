@@ -1,0 +1,103 @@
+"""The signal without light in each frame: from dark frames where there are any, else from black level and model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from radiometer.analysis.signal.model import SignalModel
+from radiometer.data import BlackLevel, Frame, FrameSettings
+from radiometer.data.reading import Patch
+
+_SAME_EXPOSURE_REL = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class DarkLevel:
+    """Dark signal of one light frame in the unit of x at 0 dB.
+
+    Attributes:
+        signal: Expected dark signal.
+        u_independent: Standard uncertainty that this frame's dark level has for itself.
+        u_common: Standard uncertainty shared with all other frames.
+        source: "dark frames" or "black level".
+    """
+
+    signal: float
+    u_independent: float
+    u_common: float
+    source: str
+
+
+def dark_levels(
+    settings: Sequence[FrameSettings],
+    dark_frames: Sequence[Frame],
+    model: SignalModel,
+    black: BlackLevel,
+    patch: Patch | None = None,
+) -> list[DarkLevel]:
+    """Return the dark level of every light frame.
+
+    A dark frame of the same exposure and gain is used as it is. Dark frames of other exposures correct the black
+    level, with the modelled dark current taken off theirs. Without any, black level and model stand alone.
+
+    Args:
+        settings: Of the light frames.
+        dark_frames: Frames with the shutter closed.
+        model: Signal model of the camera.
+        black: Black level of the calibration, with its uncertainty.
+        patch: Part of the picture to take the mean over; None for all of it.
+    """
+    return [_level(one, dark_frames, model, black, patch) for one in settings]
+
+
+def _level(
+    settings: FrameSettings, dark_frames: Sequence[Frame], model: SignalModel, black: BlackLevel, patch: Patch | None
+) -> DarkLevel:
+    if matching := _matching(settings, dark_frames):
+        return _from_frames(settings, matching, model, patch)
+    if same_gain := [frame for frame in dark_frames if frame.settings.gain_db == settings.gain_db]:
+        return _from_other_exposures(settings, same_gain, model, black, patch)
+    return _from_model(settings, model, black)
+
+
+def _matching(settings: FrameSettings, dark_frames: Sequence[Frame]) -> list[Frame]:
+    return [
+        frame
+        for frame in dark_frames
+        if abs(frame.settings.exposure_s / settings.exposure_s - 1.0) <= _SAME_EXPOSURE_REL
+        and frame.settings.gain_db == settings.gain_db
+    ]
+
+
+def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalModel, patch: Patch | None) -> DarkLevel:
+    table = model.table(settings)
+    means, count = [], 0
+    for frame in frames:
+        region = frame.dn if patch is None else frame.dn[patch.slices]
+        means.append(float(table[region].mean()))
+        count += region.size
+    sigma = float(np.sqrt(model.variance(0.0, settings) / count))
+    return DarkLevel(float(np.mean(means)), sigma, 0.0, "dark frames")
+
+
+def _from_other_exposures(
+    settings: FrameSettings, frames: list[Frame], model: SignalModel, black: BlackLevel, patch: Patch | None
+) -> DarkLevel:
+    """Return the modelled dark signal on a black level that dark frames of other exposures have corrected."""
+    measured = [_from_frames(frame.settings, [frame], model, patch) for frame in frames]
+    modelled = [model.modelled_dark(frame.settings) for frame in frames]
+    offset = float(np.mean([level.signal - dark for level, dark in zip(measured, modelled, strict=True)]))
+    noise = float(np.sqrt(np.sum([level.u_independent**2 for level in measured]))) / len(frames)
+    dark = model.modelled_dark(settings)
+    u_common = float(np.hypot(noise, black.dark_u_rel * abs(dark - float(np.mean(modelled)))))
+    return DarkLevel(dark + offset, 0.0, u_common, "dark frames of other exposures")
+
+
+def _from_model(settings: FrameSettings, model: SignalModel, black: BlackLevel) -> DarkLevel:
+    dark = model.modelled_dark(settings)
+    slope = float(model.at_dn(model.slope, model.black_dn))
+    u_common = float(np.hypot(black.u_dn * slope, black.dark_u_rel * dark))
+    return DarkLevel(dark, 0.0, u_common, "black level")

@@ -1,0 +1,166 @@
+"""What merge and patch readings rest on: the calibration's parts, or what stands in for them without one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from radiometer.analysis.signal.model import SignalModel, signal_model
+from radiometer.analysis.signal.photometry import spectral_mismatch_factor
+from radiometer.analysis.signal.spectra import spectrum
+from radiometer.data import (
+    BlackLevel,
+    Calibration,
+    CameraDescription,
+    FlatField,
+    LensDescription,
+    SensorNoise,
+    StatedUncertainties,
+)
+from radiometer.errors import CalibrationError
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """Signal model, black level, stated uncertainties and scale in use.
+
+    Attributes:
+        model: Signal model of the camera.
+        black: Black level and its uncertainty.
+        stated: Stated uncertainties.
+        scale: Radiance per unit of x per s and sr of the lens; 1 without a calibration.
+        lens: The lens in use, with the transmittance that is part of the scale.
+        assumptions: What was assumed rather than measured.
+    """
+
+    model: SignalModel
+    black: BlackLevel
+    stated: StatedUncertainties
+    scale: float
+    lens: LensDescription
+    assumptions: tuple[str, ...]
+
+
+def situation_of(calibration: Calibration | None, camera: CameraDescription, lens: LensDescription) -> Situation:
+    """Return what a measurement with this camera and calibration rests on.
+
+    Args:
+        calibration: The camera's calibration; None takes the sensor as linear and typical where unknown.
+        camera: The camera in use.
+        lens: The lens in use.
+
+    Raises:
+        CalibrationError: If the calibration is of another camera or lens.
+    """
+    if calibration is None:
+        noise, black = SensorNoise.of(camera), BlackLevel(dn=camera.black_level_dn or 0.0)
+        stated = StatedUncertainties()
+        model = signal_model(camera, None, noise, black.dn, stated.linearity_u_rel)
+        assumed = ("response taken as linear", *(f"typical {name}" for name in noise.assumed))
+        return Situation(model, black, stated, 1.0, lens, assumed)
+    calibration.require_camera(camera)
+    calibration.require_lens(lens)
+    black, stated = calibration.black_level, calibration.uncertainties
+    model = signal_model(calibration.camera, calibration.response, calibration.noise, black.dn, stated.linearity_u_rel)
+    of_source = (f"spectrum {calibration.spectrum}",) if calibration.absolute else ()
+    factor, correction = spectral_correction(calibration)
+    assumed = (*of_source, *correction, *(f"typical {name}" for name in calibration.noise.assumed))
+    in_use = calibration.lens.model_copy(update={"f_number": lens.f_number or calibration.lens.f_number})
+    return Situation(model, black, stated, calibration.scale.value * factor, in_use, assumed)
+
+
+def spectral_correction(calibration: Calibration) -> tuple[float, tuple[str, ...]]:
+    """Return the factor on readings of a source of another spectrum than the scale's, and what to say of it.
+
+    It is 1 where the spectra are the same, and where the camera's spectral response is not known.
+
+    Args:
+        calibration: Scale with its spectrum, the source's spectrum, the spectral response.
+
+    Raises:
+        InputError: If a spectrum is unknown, or the camera does not respond to one.
+    """
+    of_scale = calibration.scale.spectrum or calibration.spectrum
+    if of_scale == calibration.spectrum or not calibration.absolute:
+        return 1.0, ()
+    response = calibration.spectral_response
+    if response is None:
+        return 1.0, (f"calibrated under {of_scale}; no spectral correction, the camera's response is unknown",)
+    factor = spectral_mismatch_factor(
+        spectrum(calibration.spectrum),
+        spectrum(of_scale),
+        np.array(response.wavelength_nm),
+        np.array(response.relative),
+    )
+    return factor, (f"calibrated under {of_scale}; spectral mismatch factor {factor:.4g} applied",)
+
+
+def spectral_u_rel(calibration: Calibration, stated: StatedUncertainties) -> float:
+    """Return the relative standard uncertainty of the spectral assumption, that of a correction included."""
+    corrected = calibration.spectral_response is not None and calibration.scale.spectrum not in (
+        None,
+        calibration.spectrum,
+    )
+    own = calibration.spectral_response.u_rel if corrected and calibration.spectral_response else 0.0
+    return math.hypot(stated.spectral_u_rel, own)
+
+
+def f_number_u_rel(
+    calibration: Calibration | None, stated: StatedUncertainties, numbers: set[float | None]
+) -> tuple[float, str]:
+    """Return the relative standard uncertainty that the f-number brings, and why.
+
+    Args:
+        calibration: The calibration; its scale knows the f-number it was got at.
+        stated: Stated uncertainty of an f-number.
+        numbers: f-numbers of the frames.
+    """
+    reference = calibration.scale.f_number if calibration else None
+    if reference is None or numbers == {reference}:
+        return 0.0, "same as at calibration, so it drops out"
+    return 2.0 * stated.f_number_u_rel, "differs from the one at calibration"
+
+
+def transmittance_u_rel(calibration: Calibration | None, lens: LensDescription) -> tuple[float, str]:
+    """Return the relative standard uncertainty that the lens's transmittance brings, and why."""
+    if calibration is not None and calibration.scale.method == "datasheet":
+        return lens.transmittance_u_rel or 0.0, "datasheet"
+    return 0.0, "calibrated through the lens, so it drops out"
+
+
+def common_u_rel(situation: Situation, calibration: Calibration | None, numbers: set[float | None]) -> float:
+    """Return the relative standard uncertainty that all pixels of a radiance map share.
+
+    Args:
+        situation: What the map rests on.
+        calibration: The calibration; None where uncalibrated.
+        numbers: f-numbers of the frames.
+    """
+    stated = situation.stated
+    linearity = stated.linearity_u_rel if situation.model.linear else 0.0
+    parts = [stated.exposure_u_rel, linearity]
+    if calibration is not None:
+        flat = calibration.flat_field.u_rel if calibration.flat_field else 0.0
+        lens_parts = (
+            f_number_u_rel(calibration, stated, numbers)[0],
+            transmittance_u_rel(calibration, situation.lens)[0],
+        )
+        parts += [calibration.scale.u_rel, spectral_u_rel(calibration, stated), flat, *lens_parts]
+    return math.hypot(*parts)
+
+
+def flat_field_for(calibration: Calibration | None, shape: tuple[int, int]) -> FlatField | None:
+    """Return the flat field of a calibration for frames of (height, width); None where it has none.
+
+    Raises:
+        CalibrationError: If it was made from frames of another size.
+    """
+    flat = calibration.flat_field if calibration else None
+    if flat is not None and flat.shape != shape:
+        raise CalibrationError(
+            f"the flat field was made from frames of {flat.shape[1]} × {flat.shape[0]} pixels, these have "
+            f"{shape[1]} × {shape[0]}; capture with the same region and binning, or calibrate for these"
+        )
+    return flat

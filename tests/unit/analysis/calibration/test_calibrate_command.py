@@ -1,0 +1,165 @@
+"""`radiometer calibrate`: scales that readings then reproduce, and refusals in one line."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from radiometer.analysis.patch.reading import read_patch
+from radiometer.cli.main import run
+from radiometer.data import Calibration, CaptureSetWriter, Patch, PatchDescription, ResponseCurve
+
+METER = ["--luminance-meter-k", "16.5", "--f-number", "16", "--exposure", "1/125", "--iso", "136"]
+
+
+@pytest.fixture
+def curve(tmp_path):
+    """Return the file of an 8-bit gamma curve."""
+    dn = np.arange(256.0)
+    with np.errstate(divide="ignore"):
+        ResponseCurve(2.2 * np.log(dn / 128), np.full(256, 0.005), valid_dn=(2, 253)).write(tmp_path / "curve.csv")
+    return tmp_path / "curve.csv"
+
+
+@pytest.fixture
+def capture(rig, tmp_path):
+    """Return a capture set of a source of known radiance, and that radiance."""
+    radiance = 0.6 * rig.radiance_of_full_scale(1e-3)
+    known = PatchDescription(name="port", x=1, y=1, width=20, height=20, radiance_W_per_sr_m2=radiance, u_rel=0.004)
+    rng = np.random.default_rng(1)
+    with CaptureSetWriter(tmp_path / "capture", rig.description, rig.lens, patches=(known,)) as writer:
+        for exposure_s in (2.5e-4, 5e-4, 1e-3):
+            writer.add(rig.frame(np.full((24, 24), radiance), exposure_s, rng))
+    return tmp_path / "capture", radiance
+
+
+def test_a_scale_from_a_known_source_reads_other_patches_right(rig, capture, tmp_path):
+    """The calibration made from one radiance reads a ten times lower one within its interval."""
+    folder, radiance = capture
+    assert run(["calibrate", str(folder), "-o", str(tmp_path / "cal.yaml")]) == 0
+    calibration = Calibration.read(tmp_path / "cal.yaml")
+    assert calibration.scale.value == pytest.approx(rig.true_scale, rel=0.002)
+    assert calibration.scale.u_rel == pytest.approx(math.hypot(0.004, 0.001), rel=0.1)
+    frames = rig.frames(np.full((24, 24), radiance / 10), np.random.default_rng(2), (1e-3, 8e-3))
+    reading = read_patch(frames, Patch(0, 0, 24, 24), calibration, rig.description, rig.lens)
+    assert abs(reading.radiance.value - radiance / 10) < 2 * reading.radiance.u
+    assert reading.flags == ()
+
+
+def test_the_meter_puts_the_reference_pixel_at_its_exposure(curve, tmp_path, capsys):
+    """At face value the thesis's settings give its luminance, its spectral radiance, and ln H(127) of (2.10)'s kind."""
+    command = ["calibrate", "--response", str(curve), *METER, "--as-printed", "--reference-dn", "127", "--json"]
+    assert run([*command, "-o", str(tmp_path / "cal.yaml")]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert round(report["metered"]["luminance"]["value"], 4) == 3882.3529
+    assert report["metered"]["thesis_spectral_radiance"]["value"] == pytest.approx(53.2234, abs=1e-4)
+    assert report["metered"]["thesis_spectral_radiance"]["unit"] == "W sr-1 m-2 um-1"
+    calibration = Calibration.read(tmp_path / "cal.yaml")
+    exposure = calibration.scale.value * (127 / 128) ** 2.2
+    radiance = report["metered"]["radiance"]["value"]
+    assert exposure == pytest.approx(radiance * math.pi / 4 / 256 / 125, rel=1e-6)
+    assert calibration.scale.u_rel == pytest.approx(math.hypot(math.log(2) / 6 / math.sqrt(3), 0.005), rel=1e-3)
+
+
+def test_settings_are_read_as_exact_stops(curve, tmp_path, capsys):
+    """1/125 s runs as 2⁻⁷ s: the luminance is 128/125 of that at face value."""
+    assert run(["calibrate", "--response", str(curve), *METER, "--json", "-o", str(tmp_path / "cal.yaml")]) == 0
+    luminance = json.loads(capsys.readouterr().out)["metered"]["luminance"]["value"]
+    assert luminance == pytest.approx(3882.3529 * 128 / 125, rel=1e-6)
+
+
+def test_both_ways_give_a_ratio_and_the_better_scale(capture, tmp_path, capsys):
+    """With meter and source the ratio is printed with its uncertainty, and the source's scale is kept."""
+    folder, _ = capture
+    command = ["calibrate", str(folder), *METER, "--reference-dn", "1000", "--json", "-o", str(tmp_path / "cal.yaml")]
+    assert run(command) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["scale"]["method"] == "known_radiance"
+    ratio = report["meter_over_source"]
+    assert ratio["u"] / ratio["value"] == pytest.approx(0.0668, rel=0.01)
+    other = Calibration.read(tmp_path / "cal.yaml").provenance.parameters["other_scale"]
+    assert other["value"] / report["scale"]["value"] == pytest.approx(ratio["value"])
+
+
+def test_a_known_luminance_goes_through_the_spectrum(capture, tmp_path):
+    """683 cd/m² at 555 nm are 1 W·sr⁻¹·m⁻²."""
+    folder, radiance = capture
+    common = ["calibrate", str(folder), "--patch", "1,1,20,20", "--u-rel", "0.01", "--spectrum", "line:555"]
+    assert run([*common, "--luminance", str(683 * radiance), "-o", str(tmp_path / "a.yaml")]) == 0
+    assert run([*common, "--radiance", str(radiance), "-o", str(tmp_path / "b.yaml")]) == 0
+    scales = [Calibration.read(tmp_path / name).scale.value for name in ("a.yaml", "b.yaml")]
+    assert scales[0] == pytest.approx(scales[1], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        ([], 2, "-o FILE"),
+        (["-o", "{out}"], 2, "--radiance"),
+        (["-o", "{out}", *METER], 2, "--response"),
+        (["-o", "{out}", "--luminance-meter-k", "16.5"], 2, "--f-number"),
+        (["-o", "{out}", "--radiance", "1", "--u-rel", "0.1"], 2, "capture set"),
+        (["{capture}", "-o", "{out}", "--patch", "hole"], 2, "port"),
+        (["{capture}", "-o", "{out}", "--patch", "0,0,99,99", "--radiance", "1", "--u-rel", "0.1"], 1, "99"),
+        (["{capture}", "-o", "{out}", "--patch", "1,1,9,9", "--radiance", "1"], 2, "--u-rel"),
+        (["{capture}", "-o", "{out}", "--radiance", "-1", "--u-rel", "0.1", "--patch", "1,1,9,9"], 1, "above 0"),
+        (["{capture}", "-o", "{out}", "--spectrum", "moon"], 1, "equal_energy"),
+        (["{capture}", "-o", "{out}", "--response", "{curve}"], 1, "8 bits"),
+        (["{capture}", "-o", "/nowhere/cal.yaml"], 1, "/nowhere/cal.yaml"),
+        (["{capture}", "-o", "{out}", *METER, "--reference-dn", "5000"], 2, "5000"),
+        (["no-such-folder", "-o", "{out}"], 1, "no-such-folder"),
+    ],
+)
+def test_misuse_is_one_line_and_an_exit_code(words, code, message, capture, curve, tmp_path, capsys):
+    """No traceback, the message names the way out, and nothing is written."""
+    places = {"out": tmp_path / "cal.yaml", "capture": capture[0], "curve": curve}
+    assert run(["calibrate", *(word.format(**places) for word in words)]) == code
+    said = capsys.readouterr().err
+    assert message in said
+    assert len(said.strip().splitlines()) == 1
+    assert not (tmp_path / "cal.yaml").exists()
+
+
+def test_a_clipped_source_carries_no_scale(rig, tmp_path, capsys):
+    """The refusal names the flag."""
+    with CaptureSetWriter(tmp_path / "capture", rig.description, rig.lens) as writer:
+        writer.add(rig.frame(np.full((9, 9), 9 * rig.radiance_of_full_scale(1e-3)), 1e-3, np.random.default_rng(1)))
+    command = ["calibrate", str(tmp_path / "capture"), "--patch", "0,0,9,9", "--radiance", "1", "--u-rel", "0.01"]
+    assert run([*command, "-o", str(tmp_path / "cal.yaml")]) == 1
+    assert "saturated" in capsys.readouterr().err
+
+
+def test_the_scale_says_what_it_is_made_up_from(capture, tmp_path, capsys):
+    """The squares of the contributions sum to the square of u, and the largest is printed first."""
+    folder, _ = capture
+    assert run(["calibrate", str(folder), "-o", str(tmp_path / "cal.yaml")]) == 0
+    scale = Calibration.read(tmp_path / "cal.yaml").scale
+    assert math.hypot(*scale.budget.values()) == pytest.approx(scale.u_rel, rel=1e-9)
+    said = capsys.readouterr().out
+    assert said.index("reference source") < said.index("response curve")
+
+
+def test_frames_at_lower_source_levels_are_left_aside(rig, tmp_path):
+    """What is known of a patch holds at level 1: frames at other levels, the room's light among them, do not count."""
+    radiance = 0.6 * rig.radiance_of_full_scale(1e-3)
+    known = PatchDescription(name="port", x=1, y=1, width=20, height=20, radiance_W_per_sr_m2=radiance, u_rel=0.004)
+    rng = np.random.default_rng(1)
+    with CaptureSetWriter(tmp_path / "capture", rig.description, rig.lens, patches=(known,)) as writer:
+        for level in (0.0, 0.5, 1.0):
+            writer.add(rig.frame(np.full((24, 24), level * radiance), 1e-3, rng, source_level=level))
+    assert run(["calibrate", str(tmp_path / "capture"), "-o", str(tmp_path / "cal.yaml")]) == 0
+    assert Calibration.read(tmp_path / "cal.yaml").scale.value == pytest.approx(rig.true_scale, rel=0.002)
+
+
+def test_the_meter_alone_needs_no_patch(rig, tmp_path):
+    """A capture set then only says what camera and lens there are."""
+    with CaptureSetWriter(tmp_path / "capture", rig.description, rig.lens) as writer:
+        writer.add(rig.frame(np.full((9, 9), 1.0), 1e-3, np.random.default_rng(1)))
+    command = ["calibrate", str(tmp_path / "capture"), *METER, "--reference-dn", "1000"]
+    assert run([*command, "-o", str(tmp_path / "cal.yaml")]) == 0
+    calibration = Calibration.read(tmp_path / "cal.yaml")
+    assert calibration.camera.serial == "1"
+    assert calibration.scale.method == "light_meter_k"

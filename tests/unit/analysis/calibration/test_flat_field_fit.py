@@ -1,0 +1,157 @@
+"""The flat field: found from an even source, honest about itself, and carried into readings."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from radiometer.analysis.calibration.flat_field import fit_flat_field
+from radiometer.analysis.merge.bracket import merge
+from radiometer.analysis.patch.reading import read_patch
+from radiometer.cli.main import run
+from radiometer.data import Bracket, Calibration, CaptureSetWriter, Patch, RadianceMap
+from radiometer.errors import CalibrationError, MeasurementError
+
+SHAPE = (120, 160)
+CENTRE = (84.0, 57.0)
+FOCAL_PX = 16e3 / 4.5  # 16 mm at 4.5 µm
+
+
+def falloff(k2=-0.18, k4=-0.05, focal_px=150.0):
+    """Return the sensitivity of a made-up lens: cos⁴ and a mechanical part."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    r2 = (x - CENTRE[0]) ** 2 + (y - CENTRE[1]) ** 2
+    rho2 = r2 / (np.hypot(*SHAPE) / 2) ** 2
+    return (1 + k2 * rho2 + k4 * rho2**2) / (1 + r2 / focal_px**2) ** 2
+
+
+def wide(rig):
+    """Return camera and lens of a wide lens: 150 pixels of focal length."""
+    return (
+        rig.description.model_copy(update={"pixel_pitch_um": 4.5}),
+        rig.lens.model_copy(update={"focal_length_mm": 150 * 4.5e-3}),
+    )
+
+
+def even_map(sensitivity, noise=0.002, seed=1):
+    value = sensitivity * (1 + noise * np.random.default_rng(seed).standard_normal(SHAPE))
+    return RadianceMap(
+        value.astype(np.float32), np.full(SHAPE, noise, np.float32), np.zeros(SHAPE, np.uint8), "relative"
+    )
+
+
+def test_the_falloff_is_found(rig):
+    """Principal point to a pixel and a half, sensitivity everywhere to 0.1 % of its value at the axis."""
+    camera, lens = wide(rig)
+    flat = fit_flat_field(even_map(falloff()), camera, lens)
+    assert np.hypot(flat.principal_point_px[0] - CENTRE[0], flat.principal_point_px[1] - CENTRE[1]) < 1.5
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    np.testing.assert_allclose(flat.at(x, y), falloff(), atol=1e-3)
+
+
+def test_its_stated_uncertainty_is_that_of_the_correction(rig):
+    """Over 20 noisy maps the rms error of the correction stays within a factor of 2 of what is stated."""
+    camera, lens = wide(rig)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    errors, stated = [], []
+    for seed in range(20):
+        flat = fit_flat_field(even_map(falloff(), 0.01, seed), camera, lens)
+        errors.append(np.sqrt(np.mean((flat.at(x, y) / falloff() - 1) ** 2)))
+        stated.append(flat.u_rel)
+    assert 0.5 < np.mean(stated) / np.sqrt(np.mean(np.square(errors))) < 2.0
+
+
+def test_what_the_model_cannot_follow_is_stated(rig):
+    """A source with a 1 % ripple leaves a residual of 0.7 %, which the stated uncertainty shows."""
+    camera, lens = wide(rig)
+    ripple = 1 + 0.01 * np.sin(np.arange(SHAPE[1]) / 6.0)
+    flat = fit_flat_field(even_map(falloff() * ripple), camera, lens)
+    assert flat.u_rel == pytest.approx(0.01 / np.sqrt(2), rel=0.25)
+
+
+def test_the_source_s_unevenness_is_added(rig):
+    """In quadrature."""
+    camera, lens = wide(rig)
+    one = fit_flat_field(even_map(falloff()), camera, lens)
+    two = fit_flat_field(even_map(falloff()), camera, lens, source_u_rel=0.02)
+    assert two.u_rel == pytest.approx(np.hypot(one.u_rel, 0.02))
+
+
+def test_an_even_lens_needs_no_polynomial(rig):
+    """Where cos⁴ is all there is, no coefficient is made up beyond the noise."""
+    camera, lens = wide(rig)
+    flat = fit_flat_field(even_map(falloff(0.0, 0.0)), camera, lens)
+    assert np.abs(flat.coefficients).max() < 0.01
+
+
+def test_without_a_focal_length_the_polynomial_carries_all(rig):
+    """Over a moderate field cos⁴ is smooth: three even powers follow it to 0.2 %."""
+    camera, moderate = rig.description, falloff(focal_px=300.0)
+    flat = fit_flat_field(even_map(moderate), camera, rig.lens.model_copy(update={"focal_length_mm": None}))
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    assert flat.focal_length_px is None
+    np.testing.assert_allclose(flat.at(x, y) / flat.at(np.array(CENTRE[0]), np.array(CENTRE[1])), moderate, atol=2e-3)
+
+
+def test_dust_does_not_pull_the_fit(rig):
+    """A shadow of 30 % over a twentieth of the width leaves the rest of the field right to 0.2 %."""
+    camera, lens = wide(rig)
+    shadow = falloff()
+    shadow[20:28, 30:38] *= 0.7
+    flat = fit_flat_field(even_map(shadow), camera, lens)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    np.testing.assert_allclose(flat.at(x, y), falloff(), atol=2e-3)
+
+
+def test_a_picture_that_is_no_flat_is_refused(rig):
+    """A bright spot in the dark cannot be a lens's falloff."""
+    camera, lens = wide(rig)
+    spot = np.exp(-(falloff() ** -1 - 1) * 40.0) + 1e-4
+    with pytest.raises(MeasurementError, match="even source"):
+        fit_flat_field(even_map(spot), camera, lens)
+
+
+def test_a_clipped_flat_is_refused(rig):
+    """Nothing usable is left."""
+    camera, lens = wide(rig)
+    clipped = even_map(falloff())
+    clipped.mask[:] = 1
+    with pytest.raises(MeasurementError, match="half of full scale"):
+        fit_flat_field(clipped, camera, lens)
+
+
+def test_the_command_fits_stores_and_applies_it(rig, tmp_path, capsys):
+    """From flat frames and a known patch off the axis to a reading in a corner: right within its interval."""
+    camera, lens = wide(rig)
+    sensitivity, rng = falloff(), np.random.default_rng(5)
+    radiance = 0.5 * rig.radiance_of_full_scale(1e-3)
+    for name, level in (("flat", 1.0), ("known", 0.8)):
+        with CaptureSetWriter(tmp_path / name, camera, lens) as writer:
+            for _ in range(6):
+                writer.add(rig.frame(level * radiance * sensitivity, 1e-3, rng))
+    words = ["calibrate", str(tmp_path / "known"), "--patch", "20,20,20,20", "--radiance", str(0.8 * radiance)]
+    words += ["--u-rel", "0.001", "--flat", str(tmp_path / "flat"), "--json", "-o", str(tmp_path / "cal.yaml")]
+    assert run(words) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["flat_field"]["shape"] == list(SHAPE)
+    calibration = Calibration.read(tmp_path / "cal.yaml")
+    frames = [rig.frame(0.3 * radiance * sensitivity, 1e-3, rng) for _ in range(4)]
+    reading = read_patch(frames, Patch(2, 100, 16, 16), calibration, camera, lens)
+    assert abs(reading.radiance.value - 0.3 * radiance) < 2 * reading.radiance.u
+    assert reading.radiance.u_rel < 0.006
+    found = merge(Bracket.from_frames(frames), camera, lens, calibration)
+    tiles = found.radiance.reshape(12, 10, 16, 10).mean(axis=(1, 3)) / (0.3 * radiance)
+    np.testing.assert_allclose(tiles, 1.0, atol=0.006)
+
+
+def test_a_flat_field_of_another_size_is_refused(rig):
+    """Cropping or binning moves the axis."""
+    camera, lens = wide(rig)
+    flat = fit_flat_field(even_map(falloff()), camera, lens)
+    frames = rig.frames(np.full((20, 20), rig.radiance_of_full_scale(1e-3) / 2), np.random.default_rng(1), (1e-3,))
+    with pytest.raises(CalibrationError, match="160 × 120"):
+        read_patch(frames, Patch(0, 0, 9, 9), rig.calibration(flat_field=flat), rig.description, rig.lens)
+    with pytest.raises(CalibrationError, match="160 × 120"):
+        merge(frames, rig.description, rig.lens, rig.calibration(flat_field=flat))

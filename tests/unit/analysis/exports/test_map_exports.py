@@ -1,0 +1,269 @@
+"""Exports: other programs read the numbers back, with unit and uncertainty, and no header tells on its maker."""
+
+from __future__ import annotations
+
+import getpass
+import json
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+from PIL import Image
+
+from radiometer.analysis.exports.hdr import rgbe
+from radiometer.analysis.exports.maps import WRITERS, Picture, in_luminance, writer_for
+from radiometer.analysis.signal.spectra import spectrum
+from radiometer.cli.main import run
+from radiometer.data import CaptureSetWriter, PixelMask, RadianceMap, ResponseCurve
+from radiometer.errors import MeasurementError, OutputError, UsageError
+
+
+@pytest.fixture
+def grey():
+    """Return a map over six decades with one clipped, one negative and one defective pixel."""
+    radiance = np.geomspace(1e-3, 1e3, 48, dtype=np.float32).reshape(6, 8)
+    radiance[0, 0] = -1e-3
+    mask = np.zeros((6, 8), np.uint8)
+    mask[0, 0], mask[5, 7], mask[2, 2] = PixelMask.BELOW_NOISE, PixelMask.SATURATED, PixelMask.DEFECTIVE
+    return RadianceMap(radiance, np.abs(radiance) * 0.01, mask, "W sr-1 m-2", 0.02, (1e-3, 4e-3))
+
+
+@pytest.fixture
+def colour(grey):
+    """Return three maps in the ratio 1 : 2 : 3."""
+    return {
+        name: RadianceMap(grey.radiance * k, grey.u_radiance * k, grey.mask, grey.unit)
+        for k, name in enumerate(("red", "green", "blue"), start=1)
+    }
+
+
+def test_exr_carries_value_uncertainty_mask_and_unit(grey, tmp_path):
+    """All in 32 bits, exactly."""
+    writer_for(tmp_path / "map.exr")(tmp_path / "map.exr", Picture({"mono": grey}))
+    file = OpenEXR.File(str(tmp_path / "map.exr"), separate_channels=True)
+    channels = {name: channel.pixels for name, channel in file.channels().items()}
+    np.testing.assert_array_equal(channels["Y"], grey.radiance)
+    np.testing.assert_array_equal(channels["Y.u"], grey.u_radiance)
+    np.testing.assert_array_equal(channels["Y.mask"], grey.mask)
+    assert file.header()["unit"] == "W sr-1 m-2"
+
+
+def test_tiff_carries_value_uncertainty_mask_and_unit(grey, tmp_path):
+    """One page each; the description of each is JSON."""
+    writer_for(tmp_path / "map.tiff")(tmp_path / "map.tiff", Picture({"mono": grey}))
+    with tifffile.TiffFile(tmp_path / "map.tiff") as tiff:
+        value, u, mask = (page.asarray() for page in tiff.pages)
+        facts = [json.loads(page.description) for page in tiff.pages]
+    np.testing.assert_array_equal(value, grey.radiance)
+    np.testing.assert_array_equal(u, grey.u_radiance)
+    np.testing.assert_array_equal(mask, grey.mask)
+    assert [entry["quantity"] for entry in facts] == ["value", "standard uncertainty", "mask"]
+    assert facts[0]["unit"] == "W sr-1 m-2"
+
+
+def test_hdr_is_read_back_by_opencv_to_its_resolution(grey, tmp_path):
+    """Half a step of an 8-bit mantissa is 0.4 % at worst; what is negative becomes 0."""
+    writer_for(tmp_path / "map.hdr")(tmp_path / "map.hdr", Picture({"mono": grey}))
+    back = cv2.imread(str(tmp_path / "map.hdr"), cv2.IMREAD_UNCHANGED)
+    assert back[0, 0].tolist() == [0.0, 0.0, 0.0]
+    np.testing.assert_allclose(back[..., 1].ravel()[1:], grey.radiance.ravel()[1:], rtol=1 / 256)
+    assert abs(np.mean(back[..., 1].ravel()[1:] / grey.radiance.ravel()[1:]) - 1) < 5e-4  # rounded, not cut
+
+
+def test_hdr_states_exposure_once_at_the_line_s_beginning(grey, tmp_path):
+    """As Radiance's readers demand."""
+    writer_for(tmp_path / "map.hdr")(tmp_path / "map.hdr", Picture({"mono": grey}))
+    header = (tmp_path / "map.hdr").read_bytes().split(b"\n\n")[0].decode()
+    lines = header.splitlines()
+    assert lines[0] == "#?RADIANCE"
+    assert [line for line in lines if "EXPOSURE" in line] == ["EXPOSURE=1"]
+
+
+def test_hdr_mantissas_never_overflow():
+    """Values just below a power of two round up into the next exponent."""
+    below = np.nextafter(np.float32(2.0), np.float32(0.0))
+    quadruple = rgbe(np.full((1, 1, 3), below, np.float32))[0, 0]
+    assert quadruple.tolist() == [128, 128, 128, 130]
+
+
+@pytest.mark.parametrize("ending", [".exr", ".tiff", ".hdr"])
+def test_colours_keep_their_order(colour, tmp_path, ending):
+    """Red, green and blue come back as 1 : 2 : 3."""
+    path = tmp_path / f"map{ending}"
+    writer_for(path)(path, Picture(colour))
+    if ending == ".exr":
+        channels = OpenEXR.File(str(path), separate_channels=True).channels()
+        values = [float(channels[name].pixels[3, 3]) for name in "RGB"]
+    elif ending == ".tiff":
+        values = tifffile.imread(path, key=0)[3, 3].tolist()
+    else:
+        values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[3, 3][::-1].tolist()
+    np.testing.assert_allclose(np.array(values) / values[0], [1, 2, 3], rtol=0.01)
+
+
+@pytest.mark.parametrize("ending", list(WRITERS))
+def test_no_header_holds_a_path_or_a_user_name(grey, tmp_path, ending):
+    """Files are handed on; they must not tell where they were made."""
+    path = tmp_path / f"map{ending}"
+    writer_for(path)(path, Picture({"mono": grey}))
+    content = path.read_bytes()
+    assert str(tmp_path).encode() not in content
+    if len(getpass.getuser()) > 3:
+        assert getpass.getuser().encode() not in content
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_false_colours_grow_with_radiance_and_mark_what_clips(grey, tmp_path):
+    """Brightness of the colours rises with the value; the clipped pixel is magenta."""
+    path = tmp_path / "map.png"
+    writer_for(path)(path, Picture({"mono": grey}, (1e-3, 1e3)))
+    image = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    magenta = np.all(np.abs(image - [255, 64, 255]) < 8, axis=-1)
+    assert magenta.sum() > 100
+    scale_bar = image[:, int(image.shape[1] * 0.84) : int(image.shape[1] * 0.98)]
+    assert scale_bar.sum(axis=-1).std() > 50
+
+
+@pytest.mark.parametrize("bounds", [(0.0, 1.0), (2.0, 1.0)])
+def test_a_wrong_scale_is_refused(grey, tmp_path, bounds):
+    """The bounds must be above 0 and in order."""
+    with pytest.raises(UsageError, match="0 < low < high"):
+        writer_for(tmp_path / "a.png")(tmp_path / "a.png", Picture({"mono": grey}, bounds))
+
+
+def test_darkness_cannot_be_coloured(grey, tmp_path):
+    """A map without light is refused rather than drawn as something."""
+    dark = RadianceMap(-np.abs(grey.radiance), grey.u_radiance, grey.mask)
+    with pytest.raises(MeasurementError, match="no pixel shows light"):
+        writer_for(tmp_path / "a.png")(tmp_path / "a.png", Picture({"mono": dark}))
+
+
+def test_luminance_scales_value_and_uncertainty(grey):
+    """683 lm/W at 555 nm, and the unit changes."""
+    shown = in_luminance(grey, spectrum("line:555"))
+    np.testing.assert_allclose(shown.radiance, grey.radiance * 683, rtol=1e-6)
+    np.testing.assert_allclose(shown.u_radiance, grey.u_radiance * 683, rtol=1e-6)
+    assert shown.unit == "cd m-2"
+
+
+def test_an_unknown_ending_is_refused(tmp_path):
+    """With the ones there are."""
+    with pytest.raises(UsageError, match=r"\.exr, \.hdr"):
+        writer_for(tmp_path / "map.bmp")
+
+
+@pytest.mark.parametrize("ending", list(WRITERS))
+def test_an_unwritable_place_is_an_output_error(grey, tmp_path, ending):
+    """Not a traceback."""
+    path = tmp_path / "nowhere" / f"map{ending}"
+    with pytest.raises(OutputError, match="nowhere"):
+        writer_for(path)(path, Picture({"mono": grey}))
+
+
+@pytest.fixture
+def capture(rig, tmp_path):
+    """Return a capture set of an even scene with its radiance, and the calibration file that fits it."""
+    radiance = 0.4 * rig.radiance_of_full_scale(1e-3)
+    rng = np.random.default_rng(3)
+    with CaptureSetWriter(tmp_path / "capture", rig.description, rig.lens) as writer:
+        for exposure_s in (2.5e-4, 1e-3, 4e-3):
+            writer.add(rig.frame(np.full((30, 40), radiance), exposure_s, rng))
+        writer.add(rig.frame(np.zeros((30, 40)), 1e-3, rng, shutter="closed"))
+    rig.calibration().write(tmp_path / "cal.yaml")
+    return tmp_path / "capture", radiance
+
+
+def test_the_command_merges_a_capture_set(capture, tmp_path, capsys):
+    """Radiance comes out at its truth; several files are written from one merge."""
+    folder, radiance = capture
+    words = ["merge", str(folder), "--calibration", str(tmp_path / "cal.yaml"), "--json"]
+    assert run([*words, "-o", str(tmp_path / "a.tiff"), "-o", str(tmp_path / "a.hdr")]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["unit"] == "W sr-1 m-2"
+    assert report["values"]["median"] == pytest.approx(radiance, rel=0.01)
+    assert report["pixels"]["good"] == 1200
+    value = tifffile.imread(tmp_path / "a.tiff", key=0)
+    assert value.mean() == pytest.approx(radiance, rel=0.002)
+    assert (tmp_path / "a.hdr").exists()
+
+
+def test_a_curve_s_black_level_is_that_of_the_frames(capture, rig, tmp_path):
+    """A curve of raw numbers with 64 DN of black gives what the straight line gives, where only frames state black."""
+    folder, _ = capture
+    header = (folder / "capture.yaml").read_text()
+    cut = header.split("frames:", 1)
+    silent = cut[0].replace("black_level_dn: 64.0", "vendor: x")
+    assert "black_level_dn" not in silent
+    (folder / "capture.yaml").write_text(silent + "frames:" + cut[1])
+    with np.errstate(divide="ignore"):
+        g = np.log(np.maximum(np.arange(4096.0) - 64.0, 0.0))
+    ResponseCurve(g - g[2048], np.full(4096, 1e-3), valid_dn=(70, 4090)).write(tmp_path / "curve.yaml")
+    assert run(["merge", str(folder), "--response", str(tmp_path / "curve.yaml"), "-o", str(tmp_path / "a.tiff")]) == 0
+    value = tifffile.imread(tmp_path / "a.tiff", key=0)
+    assert value.mean() == pytest.approx(0.4 * 4031 / 1984 / 1e-3, rel=0.003)
+
+
+def test_the_command_says_what_it_did(capture, tmp_path, capsys):
+    """Human output names the size, the unit and the file."""
+    folder, _ = capture
+    assert run(["merge", str(folder), "-o", str(tmp_path / "a.png")]) == 0
+    said = capsys.readouterr().out
+    assert "40 × 30 pixels" in said
+    assert "relative" in said
+    assert "a.png" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (["{capture}"], 2, "-o FILE"),
+        (["{capture}", "-o", "{dir}/a.bmp"], 2, ".bmp"),
+        (["{capture}", "-o", "{dir}/a.exr", "--luminance"], 2, "calibration"),
+        (["{capture}", "-o", "{dir}/a.png", "--scale", "5"], 2, "LOW,HIGH"),
+        (["{capture}", "-o", "{dir}/a.exr", "--pattern", "stripes"], 1, "stripes"),
+        (["{dir}/none", "-o", "{dir}/a.exr"], 1, "does not exist"),
+        (["{dir}", "-o", "{dir}/a.exr"], 2, "--response"),
+        (["{capture}", "-o", "{dir}/a.exr", "--response", "{curve}"], 1, "8 bits"),
+    ],
+)
+def test_misuse_of_the_command_is_one_line(words, code, message, capture, tmp_path, capsys):
+    """And nothing is written."""
+    curve = tmp_path / "curve.yaml"
+    ResponseCurve(np.linspace(-5, 1, 256), np.zeros(256)).write(curve)
+    places = {"capture": capture[0], "dir": tmp_path, "curve": curve}
+    assert run(["merge", *(word.format(**places) for word in words)]) == code
+    said = capsys.readouterr().err
+    assert message in said
+    assert len(said.strip().splitlines()) == 1
+    assert not list(tmp_path.glob("a.*"))
+
+
+def test_colour_photographs_are_merged_by_channel(tmp_path, capsys):
+    """Three curves by channel, one command, an .exr with R, G and B in their proportion."""
+    truth = np.geomspace(0.05, 4.0, 64)[None, :].repeat(16, 0)
+    rng = np.random.default_rng(7)
+    folder = tmp_path / "photographs"
+    folder.mkdir()
+    lines = []
+    for k in range(6):
+        seconds = 2.0**-k
+        planes = [
+            np.clip(np.rint(255 * (truth * tint * seconds) ** (1 / 2.2) + rng.normal(0, 0.3, truth.shape)), 0, 255)
+            for tint in (0.25, 0.5, 1.0)  # blue, green, red as OpenCV orders them
+        ]
+        cv2.imwrite(str(folder / f"{k}.png"), np.stack(planes, -1).astype(np.uint8))
+        lines.append(f"{k}.png {seconds}")
+    (folder / "exposures.txt").write_text("\n".join(lines) + "\n")
+    curves = []
+    with np.errstate(divide="ignore"):
+        g = 2.2 * np.log(np.arange(256.0) / 128)
+    for name in ("red", "green", "blue"):
+        ResponseCurve(g, np.full(256, 1e-3), valid_dn=(3, 254), channel=name).write(tmp_path / f"{name}.yaml")
+        curves += ["--response", str(tmp_path / f"{name}.yaml")]
+    assert run(["merge", str(folder), "--channel", "each", *curves, "-o", str(tmp_path / "a.exr")]) == 0
+    channels = OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True).channels()
+    red, green, blue = (channels[name].pixels[:, 20:60].mean() for name in "RGB")
+    assert red / green == pytest.approx(2.0, rel=0.01)
+    assert green / blue == pytest.approx(2.0, rel=0.01)

@@ -1,0 +1,368 @@
+"""The merge: at the limit of what can be known, honest about it, and indifferent to how frames arrive."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from radiometer import compiled as merge_compile
+from radiometer.analysis.merge import censored as merge_censored
+from radiometer.analysis.merge import records as merge_records
+from radiometer.analysis.merge.bracket import StreamingMerge, merge
+from radiometer.data import (
+    BlackLevel,
+    Bracket,
+    CameraDescription,
+    FlatField,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    PixelMask,
+    ResponseCurve,
+    SensorNoise,
+    StatedUncertainties,
+)
+from radiometer.errors import CalibrationError, MeasurementError
+
+EXACT = {
+    "uncertainties": StatedUncertainties(exposure_u_rel=0.0, linearity_u_rel=0.0),
+    "black_level": BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0),
+}
+LADDER_S = tuple(20e-6 * 2.0**k for k in range(14))
+
+
+@pytest.fixture(scope="module")
+def four_decades():
+    """Return a function that merges a ramp over four decades: truth by column, the map, and the noise limit."""
+
+    def make(rig, rows=150, columns=1200):
+        top = 0.8 * rig.radiance_of_full_scale(LADDER_S[0])
+        truth = np.geomspace(top, top * 1e-4, columns)
+        frames = rig.frames(np.tile(truth, (rows, 1)), np.random.default_rng(11), LADDER_S)
+        found = merge(Bracket.from_frames(frames), rig.description, rig.lens, rig.calibration(**EXACT))
+        return truth, found, cramer_rao_variance(rig, truth)
+
+    return make
+
+
+def cramer_rao_variance(rig, truth):
+    """Return the Cramér–Rao bound of the radiance from the frames that do not clip in the mean."""
+    electrons = rig.electrons_per_s(truth)[:, None] * np.array(LADDER_S)
+    variance = electrons + rig.read_e**2 + rig.gain_e_per_dn**2 / 12.0
+    used = electrons < min(0.97 * rig.full_well_e, (4094.5 - rig.black_dn) * rig.gain_e_per_dn)
+    return 1.0 / np.sum(np.where(used, (electrons / truth[:, None]) ** 2 / variance, 0.0), axis=1)
+
+
+def test_variance_is_at_the_cramer_rao_bound_over_four_decades(rig, four_decades):
+    """Within 5 % in each of ten parts of the range (18 000 values each: the sampling error is 1 %)."""
+    _, found, bound = four_decades(rig)
+    ratio = found.radiance.astype(float).var(axis=0, ddof=1) / bound
+    for part in np.split(ratio, 10):
+        assert 0.95 < part.mean() < 1.05
+
+
+def test_the_uncertainty_map_covers_95_percent(rig, four_decades):
+    """At k = 2, 95 ± 2 % of the pixels hold the truth in each of ten parts of the range."""
+    truth, found, _ = four_decades(rig)
+    inside = np.abs(found.radiance - truth) < 2.0 * found.u_radiance
+    for part in np.split(inside, 10, axis=1):
+        assert 0.93 < part.mean() < 0.97
+
+
+def test_no_bias_where_a_frame_begins_to_clip(rig, four_decades):
+    """Each column's mean of 150 pixels stays within 5 sigma of its own error, clipping or not."""
+    truth, found, bound = four_decades(rig)
+    off = (found.radiance.astype(float).mean(axis=0) - truth) / np.sqrt(bound / 150)
+    assert np.abs(off).max() < 5.0
+    assert abs(off.mean()) < 5.0 / np.sqrt(off.size)
+
+
+def test_a_steady_scene_has_no_inconsistent_pixel(rig, four_decades):
+    """The limit is five sigma: of 180 000 pixels none is called inconsistent, and all masks are clean."""
+    _, found, _ = four_decades(rig)
+    assert not found.mask.any()
+    assert np.all(np.isfinite(found.radiance))
+
+
+@pytest.mark.parametrize("step", [1.2, 2.0, 4.0, 16.0])
+def test_two_sums_are_as_good_as_all_weights(step):
+    """The mixture of Σx and Σtx has a variance within 1.5 % of the optimum for any ladder and noise ratio."""
+    exposures = step ** np.arange(10.0)
+    kappa = 1.0
+    for readout in np.geomspace(1e-4, 1e4, 33) * exposures[-1]:
+        frames = np.array([[t, readout, 1e30, 1.0, 0.0] for t in exposures])
+        record = np.zeros(merge_records.RECORD_SIZE)
+        merge_records.fill_record(record, np.uint64(2**10 - 1), frames, kappa)
+        inverse = 1.0 / (record[merge_records.R0] + record[merge_records.R1])
+        gap = record[merge_records.G0] + record[merge_records.G1]
+        variance = record[merge_records.A0] + record[merge_records.A1] - gap**2 * inverse
+        best = 1.0 / np.sum(exposures**2 / (readout + kappa * exposures))
+        assert 1.0 - 1e-9 < variance / best < 1.015
+
+
+def test_the_hazard_of_the_normal_distribution_is_right():
+    """To 1e-6 where it is tabulated (h²/8 of its curvature), to 3e-4 of the value in its asymptotic series."""
+    inside = np.linspace(-3.5, 7.999, 5000)
+    beyond = np.linspace(8.001, 30.0, 100)
+    found = np.array([merge_censored.hazard(z) for z in inside])
+    truth = np.exp(norm.logpdf(inside) - norm.logsf(inside))
+    assert np.max(np.abs(found - truth)) < 1e-6
+    tail = np.array([merge_censored.hazard(z) for z in beyond])
+    assert np.max(np.abs(tail / np.exp(norm.logpdf(beyond) - norm.logsf(beyond)) - 1.0)) < 3e-4
+
+
+def scene(rig, exposure_s=1e-3, size=24, level=0.5):
+    return np.full((size, size), level * rig.radiance_of_full_scale(exposure_s))
+
+
+def merged(rig, frames, **changes):
+    return merge(frames, rig.description, rig.lens, rig.calibration(**changes))
+
+
+def test_a_stream_gives_what_the_bracket_gives(rig):
+    """Frame by frame or block by block: the same numbers, whatever the size of the blocks."""
+    frames = rig.frames(scene(rig, size=300), np.random.default_rng(1), (2.5e-4, 5e-4, 1e-3, 2e-3))
+    at_once, streamed = merged(rig, Bracket.from_frames(frames)), merged(rig, iter(frames))
+    np.testing.assert_array_equal(at_once.radiance, streamed.radiance)
+    np.testing.assert_array_equal(at_once.u_radiance, streamed.u_radiance)
+    np.testing.assert_array_equal(at_once.mask, streamed.mask)
+
+
+def test_the_order_of_exposures_does_not_matter(rig):
+    """Longest first gives the same as shortest first, to single precision."""
+    frames = rig.frames(scene(rig), np.random.default_rng(1), (2.5e-4, 5e-4, 1e-3, 2e-3))
+    up, down = merged(rig, iter(frames)), merged(rig, reversed(frames))
+    np.testing.assert_allclose(up.radiance, down.radiance, rtol=1e-5)
+    np.testing.assert_array_equal(up.mask, down.mask)
+
+
+def test_streaming_holds_less_than_three_planes_beyond_the_result(rig):
+    """Peak memory while frames are made, merged and released, in planes of float32."""
+    size = 600
+    plane = size * size * 4
+    description, lens, calibration = rig.description, rig.lens, rig.calibration()
+    merging = StreamingMerge(description, lens, calibration)
+    dn = np.full((size, size), 500, np.uint16)
+    merging.add(Frame(dn, 12, FrameSettings(1e-3, f_number=4.0, black_level_dn=64.0)))  # compiles
+    tracemalloc.start()
+    merging = StreamingMerge(description, lens, calibration)
+    for exposure_s in (1e-3, 2e-3, 4e-3, 8e-3):
+        merging.add(Frame(dn.copy(), 12, FrameSettings(exposure_s, f_number=4.0, black_level_dn=64.0)))
+    found = merging.result()
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    result = found.radiance.nbytes + found.u_radiance.nbytes + found.mask.nbytes
+    assert peak - result < 3.0 * plane
+
+
+def test_what_clips_everywhere_is_a_marked_lower_bound(rig):
+    """Ten times too bright in every frame."""
+    truth = scene(rig, level=10.0)
+    found = merged(rig, rig.frames(truth, np.random.default_rng(1), (1e-3, 2e-3)))
+    assert np.all(found.mask == PixelMask.SATURATED)
+    assert np.all((found.radiance > 0) & (found.radiance < truth))
+    assert np.all(found.u_radiance >= found.radiance)
+
+
+def test_darkness_is_marked_and_averages_to_zero(rig):
+    """No light: about half the values are negative, the mean is zero within its error, nothing is NaN."""
+    found = merged(rig, rig.frames(scene(rig, size=100, level=0.0), np.random.default_rng(1), (1e-3, 1e-2)), **EXACT)
+    assert np.mean(found.mask == PixelMask.BELOW_NOISE) > 0.95
+    assert abs(found.radiance.mean()) < 4.0 * found.radiance.std() / 100
+    assert np.all(found.u_radiance > 0)
+
+
+def test_what_moves_is_marked(rig):
+    """A spot that is twice as bright in one of four frames is inconsistent; its surroundings are not."""
+    moving = scene(rig)
+    moving[5:8, 5:8] *= 2.0
+    rng = np.random.default_rng(1)
+    frames = [rig.frame(moving if k == 2 else scene(rig), 2.5e-4 * (k + 1) ** 0, rng) for k in range(4)]
+    marked = merged(rig, frames).mask & PixelMask.INCONSISTENT > 0
+    assert marked[5:8, 5:8].all()
+    assert marked.sum() == 9
+
+
+def test_a_flash_in_a_long_frame_is_marked(rig):
+    """A frame that clips where the others say it must not."""
+    rng = np.random.default_rng(1)
+    flash = scene(rig, level=0.3)
+    flash[3, 3] *= 100.0
+    frames = [rig.frame(scene(rig, level=0.3), t, rng) for t in (2.5e-4, 5e-4)] + [rig.frame(flash, 1e-3, rng)]
+    marked = merged(rig, frames).mask & PixelMask.INCONSISTENT > 0
+    assert marked[3, 3]
+    assert marked.sum() == 1
+
+
+def test_dark_frames_take_hot_pixels_out(rig):
+    """A pixel with 300 DN of dark signal reads as its neighbours once dark frames of the exposure are given."""
+    rng = np.random.default_rng(4)
+    truth = scene(rig, level=0.3)
+
+    def hot(frame):
+        dn = frame.dn.copy()
+        dn[7, 7] += 300
+        return Frame(dn, 12, frame.settings)
+
+    dark = [hot(rig.frame(truth, 1e-3, rng, shutter="closed")) for _ in range(8)]
+    light = [hot(rig.frame(truth, 1e-3, rng)) for _ in range(8)]
+    with_dark, without = merged(rig, Bracket.from_frames([*dark, *light])), merged(rig, light)
+    assert without.radiance[7, 7] / truth[7, 7] > 1.2
+    assert abs(with_dark.radiance[7, 7] - truth[7, 7]) < 4.0 * with_dark.u_radiance[7, 7]
+    inside = np.abs(with_dark.radiance - truth) < 2.0 * with_dark.u_radiance
+    assert inside.mean() > 0.92
+
+
+def test_defective_pixels_are_filled_in_and_marked(rig):
+    """Two dead pixels side by side take the mean of their sound neighbours."""
+    frames = rig.frames(scene(rig), np.random.default_rng(1), (1e-3,))
+    dead = frames[0].dn.copy()
+    dead[4, 4:6] = 0
+    found = merged(rig, [Frame(dead, 12, frames[0].settings)], defects=((4, 4), (5, 4)))
+    truth = scene(rig)[0, 0]
+    assert np.all(found.mask[4, 4:6] & PixelMask.DEFECTIVE)
+    assert np.all(np.abs(found.radiance[4, 4:6] - truth) < 4.0 * found.u_radiance[4, 4:6])
+    assert (found.mask > 0).sum() == 2
+
+
+def test_a_flat_field_evens_the_picture_out(rig):
+    """A field that falls to 70 % at the corner is read even, to the noise."""
+    flat = FlatField(principal_point_px=(0.0, 0.0), radius_px=30.0, coefficients=(-0.3, 0.0, 0.0), shape=(24, 24))
+    y, x = np.mgrid[:24, :24]
+    uneven = scene(rig) * (1.0 - 0.3 * (x**2 + y**2) / 900.0)
+    found = merged(rig, rig.frames(uneven, np.random.default_rng(1), (1e-3,)), flat_field=flat)
+    pull = (found.radiance - scene(rig)) / found.u_radiance
+    assert abs(pull.mean()) < 4.0 / 24
+    assert 0.9 < pull.std() < 1.1
+
+
+def test_cos4_of_the_lens_is_taken_out_where_it_holds(rig):
+    """With `vignetting: cos4` the corner counts for more, by the fourth power of the cosine."""
+    lens = LensDescription(focal_length_mm=1.0, f_number=4.0, vignetting="cos4", principal_point_px=(0.0, 0.0))
+    camera = rig.description.model_copy(update={"pixel_pitch_um": 10.0})
+    frames = [Frame(np.full((101, 101), 1064, np.uint16), 12, FrameSettings(1e-3, f_number=4.0, black_level_dn=64.0))]
+    calibration = rig.calibration()
+    fitted = type(calibration)(camera, lens, calibration.scale, None, calibration.noise, calibration.black_level)
+    found = merge(frames, camera, lens, fitted)
+    assert found.radiance[0, 100] / found.radiance[0, 0] == pytest.approx(4.0, rel=1e-5)  # 45°: cos⁴ is 1/4
+
+
+def test_gains_may_be_mixed(rig):
+    """Frames at 0 and 12 dB of the same scene agree, clip each at its own light, and are combined."""
+    rng = np.random.default_rng(6)
+    truth = scene(rig, level=0.4)
+    frames = [rig.frame(truth, 1e-3, rng, gain_db) for gain_db in (0.0, 6.0, 12.0)]
+    found = merged(rig, frames, **EXACT)
+    pull = (found.radiance - truth) / found.u_radiance
+    assert not found.mask.any()
+    assert abs(pull.mean()) < 4.0 / 24
+
+
+def gamma_frames(rng, bits, truth, exposures_s, noise_dn=0.4):
+    """Return photographs through M = full·x^(1/2.2), with a little noise."""
+    full = 2**bits - 1
+    frames = []
+    for t in exposures_s:
+        numbers = full * (truth * t) ** (1 / 2.2) + rng.normal(0, noise_dn, truth.shape)
+        stored = np.clip(np.rint(numbers), 0, full).astype(np.uint8 if bits == 8 else np.uint16)
+        frames.append(Frame(stored, bits, FrameSettings(t)))
+    return frames
+
+
+@pytest.mark.parametrize("bits", [8, 10, 16])
+def test_photographs_are_merged_through_their_curve(rig, bits):
+    """A gamma camera over three decades: ratios of radiance come out to 1 % after the noise."""
+    full = 2**bits - 1
+    dn = np.arange(full + 1.0)
+    with np.errstate(divide="ignore"):
+        curve = ResponseCurve(2.2 * np.log(dn / (full + 1) * 2), np.full(full + 1, 1e-3), valid_dn=(3, full - 1))
+    camera = CameraDescription(bit_depth=bits, black_level_dn=0.0, full_well_e=50_000, read_noise_e=3.0)
+    base = rig.calibration()
+    calibration = type(base)(
+        camera, LensDescription(), base.scale.model_copy(update={"f_number": None}), curve, SensorNoise.of(camera)
+    )
+    truth = np.tile(np.geomspace(0.2, 200.0, 64), (64, 1))
+    frames = gamma_frames(np.random.default_rng(2), bits, truth, tuple(2.0**k / 256 for k in range(10)))
+    found = merge(frames, camera, LensDescription(), calibration)
+    relative = found.radiance.mean(axis=0) / truth[0]
+    np.testing.assert_allclose(relative / np.median(relative), 1.0, atol=0.01)
+
+
+def test_numbers_outside_the_curve_s_data_are_marked(rig):
+    """A pixel whose longest exposure lies below the curve's lowest supported number is extrapolated."""
+    dn = np.arange(4096.0)
+    with np.errstate(divide="ignore"):
+        curve = ResponseCurve(np.log(np.maximum(dn - 64, 0)), np.full(4096, 1e-3), absolute=True, valid_dn=(1000, 4000))
+    base = rig.calibration()
+    calibration = type(base)(base.camera, base.lens, base.scale, curve, base.noise, base.black_level)
+    frames = [Frame(np.array([[300, 2000]], np.uint16), 12, FrameSettings(1e-3, f_number=4.0, black_level_dn=64.0))]
+    found = merge(frames, rig.description, rig.lens, calibration)
+    assert (found.mask & PixelMask.EXTRAPOLATED).tolist() == [[PixelMask.EXTRAPOLATED, 0]]
+
+
+def test_without_a_calibration_the_map_is_relative(rig):
+    """The unit says so."""
+    found = merge(rig.frames(scene(rig), np.random.default_rng(1), (1e-3,)), rig.description, rig.lens)
+    assert found.unit == "relative"
+    assert found.radiance.mean() == pytest.approx(0.5 * 4031 / 1e-3, rel=0.01)
+
+
+def test_the_common_uncertainty_is_stated_apart(rig):
+    """Scale, exposure time and linearity add in quadrature for all pixels alike."""
+    found = merged(rig, rig.frames(scene(rig), np.random.default_rng(1), (1e-3,)), u_rel=0.01)
+    assert found.u_rel_common == pytest.approx((0.01**2 + 1e-3**2 + 1e-4**2) ** 0.5)
+
+
+def test_more_than_thirty_two_frames(rig):
+    """Forty repeats average down by √40."""
+    frames = rig.frames(scene(rig), np.random.default_rng(1), (1e-3,) * 40)
+    one, many = merged(rig, frames[:1]), merged(rig, frames)
+    assert np.mean(one.u_radiance) / np.mean(many.u_radiance) == pytest.approx(np.sqrt(40), rel=0.02)
+    streamed = merged(rig, iter(frames))
+    np.testing.assert_array_equal(streamed.radiance, many.radiance)
+
+
+def misfits(rig):
+    rng = np.random.default_rng(1)
+    light = rig.frame(scene(rig), 1e-3, rng)
+    dark = rig.frame(scene(rig), 1e-3, rng, shutter="closed")
+    return {
+        "no frame": ([], "shutter open"),
+        "dark only": ([dark], "shutter open"),
+        "dark late": ([light, dark], "dark frames first"),
+        "sizes": ([light, rig.frame(scene(rig, size=12), 1e-3, rng)], "12 × 12"),
+        "levels": ([light, rig.frame(scene(rig), 1e-3, rng, source_level=0.5)], "source level"),
+        "bits": ([Frame(light.dn, 14, light.settings)], "14 bits"),
+        "many": ([light] * 65, "64"),
+    }
+
+
+@pytest.mark.parametrize("case", ["no frame", "dark only", "dark late", "sizes", "levels", "bits", "many"])
+def test_frames_that_do_not_belong_together_are_refused(rig, case):
+    """The message says what does not fit."""
+    frames, message = misfits(rig)[case]
+    with pytest.raises(MeasurementError, match=message):
+        merge(frames, rig.description, rig.lens)
+
+
+def test_another_camera_s_calibration_is_refused(rig):
+    """As for readings."""
+    other = rig.description.model_copy(update={"serial": "2"})
+    with pytest.raises(CalibrationError, match="serial"):
+        merge([], other, rig.lens, rig.calibration())
+
+
+def test_without_a_place_for_compiled_code_it_is_compiled_anew(monkeypatch):
+    """A read-only installation must not keep anyone from merging."""
+    compile_function = merge_compile.numba.njit
+
+    def no_cache(*args, cache=False, **options):
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available")
+        return compile_function(*args, **options)
+
+    monkeypatch.setattr(merge_compile.numba, "njit", no_cache)
+    assert merge_compile.compiled(lambda x: x + 1)(2) == 3

@@ -1,0 +1,124 @@
+"""Stacks through known responses, made here from nothing that the analysis uses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
+
+Response = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+def _sigmoid(exposure: NDArray[np.float64]) -> NDArray[np.float64]:
+    power = exposure**0.9
+    return power / (power + 0.18**0.9) * (1 + 0.18**0.9)
+
+
+def _tone_curve(seed: int) -> Response:
+    """A gamma with gentle bends of its own, as cameras apply it."""
+    rng = np.random.default_rng(seed)
+    gamma, bends = rng.uniform(1.6, 2.6), rng.normal(0.0, 0.02, 12)
+
+    def response(exposure: NDArray[np.float64]) -> NDArray[np.float64]:
+        plain = exposure ** (1 / gamma)
+        return plain + sum(bend * np.sin(np.pi * k * plain) / k for k, bend in enumerate(bends, start=1))
+
+    return response
+
+
+def _film_curve(seed: int) -> Response:
+    """A gamma drawn through points whose steps scatter by 5 %, as curves measured on film and cameras have them."""
+    rng = np.random.default_rng(100 + seed)
+    steps = rng.lognormal(0.0, 0.05, 24)
+    value = np.concatenate([[0.0], np.cumsum(steps) / steps.sum()])
+    return PchipInterpolator(np.linspace(0.0, 1.0, value.size) ** rng.uniform(1.6, 2.6), value)
+
+
+# Exposure and value of a curve with kinks and near-plateaus, as some films and enhanced pictures have.
+_KINKS = PchipInterpolator(
+    [0.0, 0.04, 0.07, 0.09, 0.15, 0.21, 0.26, 0.35, 0.42, 0.60, 1.0],
+    [0.0, 0.23, 0.33, 0.37, 0.52, 0.58, 0.60, 0.72, 0.74, 0.89, 1.0],
+)
+
+RESPONSES: dict[str, Response] = {
+    **{f"tone{seed}": _tone_curve(seed) for seed in range(8)},
+    **{f"film{seed}": _film_curve(seed) for seed in range(10)},
+    "gamma": lambda exposure: exposure ** (1 / 2.2),
+    "linear": lambda exposure: exposure,
+    "sigmoid": _sigmoid,
+    "kinked": _KINKS,
+}
+
+
+@dataclass(frozen=True)
+class StackMaker:
+    """Makes brackets of a scene that runs smoothly over some 6 e-folds, with shot and read noise before the curve."""
+
+    def __call__(
+        self,
+        response: str,
+        *,
+        bit_depth: int = 12,
+        frames: int = 9,
+        shape: tuple[int, int] = (192, 256),
+        ratio: float = 2.0,
+        full_well_e: float = 10_500.0,
+        seed: int = 1,
+        time_errors: dict[int, float] | None = None,
+    ) -> Bracket:
+        rng = np.random.default_rng(seed)
+        height, width = shape
+        y, x = np.mgrid[:height, :width]
+        log_radiance = -6.2 * x / width + 0.4 * np.sin(7 * y / height) + 0.2 * rng.standard_normal(shape)
+        result = []
+        for index in range(frames):
+            relative = ratio ** (index - 1.5) * (time_errors or {}).get(index, 1.0)
+            electrons = rng.poisson(np.minimum(np.exp(log_radiance) * relative, 50.0) * full_well_e)
+            exposure = np.clip((electrons + 2.5 * rng.standard_normal(shape)) / full_well_e, 0.0, 1.0)
+            numbers = np.round(RESPONSES[response](exposure) * (2**bit_depth - 1))
+            stored = numbers.astype(np.uint8 if bit_depth <= 8 else np.uint16)
+            result.append(
+                Frame(stored, bit_depth, FrameSettings(1e-3 * ratio**index), extra={"file": f"{index:04}.png"})
+            )
+        return Bracket.from_frames(result, origin="simulated")
+
+
+@pytest.fixture(scope="session")
+def make_stack() -> StackMaker:
+    """Return the maker of simulated brackets."""
+    return StackMaker()
+
+
+@pytest.fixture(scope="session")
+def true_log_exposure() -> Callable[[str, int], NDArray[np.float64]]:
+    """Return the function (response, bit depth) -> ln H at every digital number, gauge 0 in the middle."""
+
+    def values(response: str, bit_depth: int) -> NDArray[np.float64]:
+        full_scale = 2**bit_depth - 1
+        exposure = np.concatenate([[0.0], np.logspace(-8, 0, 400_001)])
+        numbers = RESPONSES[response](exposure) * full_scale
+        inverse = np.interp(np.arange(1, full_scale + 1), numbers, exposure)
+        g = np.concatenate([[-np.inf], np.log(inverse)])
+        return g - g[2 ** (bit_depth - 1)]
+
+    return values
+
+
+@pytest.fixture(scope="session")
+def inner_error(
+    true_log_exposure: Callable[[str, int], NDArray[np.float64]],
+) -> Callable[[ResponseCurve, str], NDArray]:
+    """Return the function (curve, response) -> error of ln H over 5–95 % of the digital numbers."""
+
+    def errors(curve: ResponseCurve, response: str) -> NDArray[np.float64]:
+        full_scale = 2**curve.bit_depth - 1
+        inside = slice(int(np.ceil(0.05 * full_scale)), int(0.95 * full_scale) + 1)
+        return (curve.log_exposure - true_log_exposure(response, curve.bit_depth))[inside]
+
+    return errors

@@ -1,0 +1,38 @@
+"""Exposure labels that lie are found and named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from radiometer.analysis.response.labels import refuse_lying_labels
+from radiometer.data import Bracket
+from radiometer.errors import CaptureError
+
+
+def _relabelled(bracket: Bracket, index: int, exposure_s: float) -> Bracket:
+    frames = list(bracket.frames)
+    frames[index] = replace(frames[index], settings=replace(frames[index].settings, exposure_s=exposure_s))
+    return Bracket.from_frames(frames)
+
+
+def test_honest_labels_pass(make_stack):
+    """A bracket whose brightness rises with its times is accepted."""
+    refuse_lying_labels(make_stack("gamma", bit_depth=8))
+
+
+@pytest.mark.parametrize(("index", "exposure_s", "looks"), [(2, 0.1, "shorter"), (6, 0.0011, "longer")])
+def test_wrong_label_is_named(make_stack, index, exposure_s, looks):
+    """The frame whose stated time contradicts its brightness is named, and so is the direction."""
+    with pytest.raises(CaptureError, match=rf"{index:04}\.png says .* looks like a {looks} exposure") as caught:
+        refuse_lying_labels(_relabelled(make_stack("gamma", bit_depth=8), index, exposure_s))
+    assert str(caught.value).count(".png says") == 1
+
+
+def test_reciprocal_times_are_recognised(make_stack):
+    """Times that are wrong throughout are said to be so instead of accusing every frame."""
+    bracket = make_stack("linear")
+    frames = [replace(f, settings=replace(f.settings, exposure_s=1 / f.settings.exposure_s)) for f in bracket]
+    with pytest.raises(CaptureError, match="1/t instead of t"):
+        refuse_lying_labels(Bracket.from_frames(frames))

@@ -1,0 +1,43 @@
+"""Correction of readings for light of another colour than the camera was calibrated with."""
+
+from __future__ import annotations
+
+import pytest
+
+from radiometer.analysis.signal.spectral_correction import spectral_factor
+from radiometer.errors import InputError
+
+HEADER = "wavelength_nm,responsivity\n"
+
+
+def test_photon_counter_goes_as_wavelength():
+    """With a flat quantum efficiency the responsivity per watt is proportional to λ."""
+    assert spectral_factor("line:550", 453.0, 0.0) == pytest.approx(550 / 453, rel=1e-9)
+
+
+def test_same_light_needs_no_correction():
+    """Calibrated and measured with the same line: factor 1."""
+    assert spectral_factor("line:640", 640.0, 0.0) == pytest.approx(1.0, rel=1e-12)
+
+
+def test_narrow_line_acts_as_its_mean_wavelength():
+    """A symmetric line of 20 nm is its centre's wavelength to a part in 10⁴."""
+    assert spectral_factor("line:550", 640.0, 20.0) == pytest.approx(550 / 640, rel=1e-4)
+
+
+def test_stated_responsivity_is_used(tmp_path):
+    """A responsivity twice as high at the light as at the calibration halves the reading."""
+    file = tmp_path / "camera.csv"
+    file.write_text("wavelength_nm,responsivity\n380,2\n500,2\n520,1\n780,1\n")
+    assert spectral_factor("line:550", 453.0, 0.0, file) == pytest.approx(0.5, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "text", ["a,b\n1,2\n", "wavelength_nm,responsivity\n500,1\n600,1\n", "wavelength_nm,responsivity\n"]
+)
+def test_unusable_responsivity_is_named(tmp_path, text):
+    """A file of another form or too short a reach is refused."""
+    file = tmp_path / "camera.csv"
+    file.write_text(text)
+    with pytest.raises(InputError, match=r"camera\.csv"):
+        spectral_factor("line:550", 453.0, 0.0, file)
