@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks._sections import write_section
-from radiometer.reconcile.capture_pool import CapturePool
+from radiometer.reconcile.advice.capture_pool import CapturePool
 from radiometer.reconcile.engine import Reconciled, examine
-from radiometer.reconcile.statistics import frame_reader
+from radiometer.reconcile.measure.reduce import frame_reader
 from tests.roundtrip.generator.plan import Setting, bracket
 from tests.roundtrip.generator.session import make_session
 

@@ -20,7 +20,7 @@ from scipy.stats import beta
 
 from benchmarks._sections import write_section
 from radiometer.reconcile.engine import examine
-from radiometer.reconcile.statistics import frame_reader
+from radiometer.reconcile.measure.reduce import frame_reader
 from tests.roundtrip.generator.session import make_session
 
 RESULTS = Path("out") / "reconcile_null.jsonl"

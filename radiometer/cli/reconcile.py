@@ -46,7 +46,7 @@ def command(
     physical effect of the catalogue, and keeps what predicts held-out settings better. `-o` writes the model with
     what was found; the simulator loads it.
     """
-    from radiometer.reconcile.sources import reconcile_source
+    from radiometer.other_data.sources import reconcile_source
 
     _refuse_unknown(without or [])
     photographs = _photographs(capture)
@@ -79,7 +79,7 @@ def command(
 def _photographs(path: Path) -> Sequence[Frame] | None:
     """Return the frames of a folder of photographs; None where the path is something else."""
     from radiometer.data.capture_set import HEADER_NAME
-    from radiometer.reconcile.emva_sets import find_descriptor
+    from radiometer.other_data.emva_sets import find_descriptor
 
     if not path.is_dir() or (path / HEADER_NAME).exists() or find_descriptor(path) or (path / "frames").is_dir():
         return None

@@ -1,7 +1,7 @@
 """Measured against simulated: where they disagree, which effect is missing, and the model with it added."""
 
 from radiometer.reconcile.engine import Reconciled, gap_of, gaps_of, reconcile, reconcile_capture
-from radiometer.reconcile.result import FittedParameter, FoundEffect, ReconcileResult, Verdict
+from radiometer.reconcile.report.result import FittedParameter, FoundEffect, ReconcileResult, Verdict
 
 __all__ = [
     "FittedParameter",

@@ -12,15 +12,15 @@ import numpy as np
 
 from radiometer.data import CaptureHeader, CaptureSet, Frame
 from radiometer.errors import CaptureError
-from radiometer.reconcile.design import Design
-from radiometer.reconcile.excess import is_scattered, place_of_scatter
-from radiometer.reconcile.limits import limits
-from radiometer.reconcile.localise import Disagreement
-from radiometer.reconcile.next_capture import propose, propose_for_blind, propose_for_unnamed
-from radiometer.reconcile.nuisances import dark_current_is_free
-from radiometer.reconcile.parameters import fitted_parameters
-from radiometer.reconcile.places import axis_of, places
-from radiometer.reconcile.result import (
+from radiometer.reconcile.advice.limits import limits
+from radiometer.reconcile.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
+from radiometer.reconcile.fit.nuisances import dark_current_is_free
+from radiometer.reconcile.fit.state import FitState, first_state
+from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.reduce import FrameReader, frame_reader, reduce_frames
+from radiometer.reconcile.model.parameters import fitted_parameters
+from radiometer.reconcile.model.starting_model import adopted
+from radiometer.reconcile.report.result import (
     CovariateGap,
     FittedParameter,
     FoundEffect,
@@ -29,10 +29,10 @@ from radiometer.reconcile.result import (
     ReconcileResult,
     Verdict,
 )
-from radiometer.reconcile.search import Search, Step, search
-from radiometer.reconcile.starting_model import adopted
-from radiometer.reconcile.state import FitState, first_state
-from radiometer.reconcile.statistics import FrameReader, frame_reader, reduce_frames
+from radiometer.reconcile.search.excess import is_scattered, place_of_scatter
+from radiometer.reconcile.search.localise import Disagreement
+from radiometer.reconcile.search.places import axis_of, places
+from radiometer.reconcile.search.search import Search, Step, search
 from radiometer.reconcile.verdict import doubts_of, verdict_of
 from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect

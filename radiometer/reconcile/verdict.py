@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Final
 
-from radiometer.reconcile.excess import (
+from radiometer.reconcile.fit.state import FitState, refit, with_effects
+from radiometer.reconcile.model.parameters import fitted_parameters
+from radiometer.reconcile.report.result import Verdict
+from radiometer.reconcile.search.excess import (
     contested,
     hollow,
     is_scattered,
@@ -14,11 +17,8 @@ from radiometer.reconcile.excess import (
     outdone,
     replaceable,
 )
-from radiometer.reconcile.own_law import unlike
-from radiometer.reconcile.parameters import fitted_parameters
-from radiometer.reconcile.result import Verdict
-from radiometer.reconcile.search import Search
-from radiometer.reconcile.state import FitState, refit, with_effects
+from radiometer.reconcile.search.own_law import unlike
+from radiometer.reconcile.search.search import Search
 
 _PUSH: Final = 9.0  # χ² that the end of a range must bring to count: what the data hardly tell runs there by chance
 _REFITS: Final = 8

@@ -1,0 +1,1 @@
+"""What the data would have shown, and the capture to take next."""

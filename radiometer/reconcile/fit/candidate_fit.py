@@ -1,0 +1,261 @@
+"""Fits one further effect, the nuisances following linearly, and judges it by what it predicts of held-out settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from radiometer.errors import ConfigurationError
+from radiometer.reconcile.fit.comparison import FAMILY
+from radiometer.reconcile.fit.held_out import leave_one_group_out
+from radiometer.reconcile.fit.state import FitState, refit, settled
+from radiometer.reconcile.measure.design import Array
+from radiometer.reconcile.model.parameters import EffectParameters
+from radiometer.reconcile.search.screening import Candidate
+from simulators.effects.catalogue import CatalogueEffect
+
+_ITERATIONS: Final = 25
+_CONVERGED: Final = 0.02
+_PROFILE_POINTS: Final = 61
+_PROFILE_SPANS: Final = (0.002, 0.0002)
+
+
+class UnfitError(ArithmeticError):
+    """An effect cannot be fitted to the data; its name is the argument."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedCandidate:
+    """An effect at its best parameters.
+
+    Attributes:
+        effect: The effect.
+        gain: χ² that it explains.
+        evidence: χ² that it explains in the statistics that must show it.
+        parameters: Number of fitted parameters.
+        flexible: Whether it is a flexible form.
+        residual: Whitened residual with the effect, nuisances where they were; prior rows included.
+        columns: −d(residual)/d(scaled parameter of the effect), prior rows included.
+        tries: Number of starts that the entry had.
+        stated: χ² that it explains in the stated radiances alone.
+        overrated: Nats that the scores of few frames' variances promise beyond their exact likelihood.
+    """
+
+    effect: CatalogueEffect
+    gain: float
+    evidence: float
+    parameters: int
+    flexible: bool
+    residual: Array
+    columns: Array
+    tries: int = 1
+    stated: float = 0.0
+    overrated: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Return the effect's name."""
+        return self.effect.name
+
+
+def fit_candidate(state: FitState, candidate: Candidate) -> FittedCandidate:
+    """Return the effect at the least χ², all nuisances and earlier effects following linearly."""
+    trials = [_Trial.of(state, start) for start in (candidate.effect, *candidate.others)]
+    best = min(trials, key=lambda trial: trial.cost)
+    if best.effect.profiled:
+        best = _descended(state, _Trial.of(state, _profiled(state, best.effect)))
+    else:
+        best = min((_descended(state, trial) for trial in _variants(trials)), key=lambda trial: trial.cost)
+    return _judged(state, best, candidate)
+
+
+def _variants(trials: Sequence[_Trial]) -> list[_Trial]:
+    """Return the best trial of each variant: starts that differ in what is not fitted must each be fitted."""
+    found: dict[tuple[object, ...], _Trial] = {}
+    for trial in sorted(trials, key=lambda trial: trial.cost):
+        free = {name.split("[")[0] for name in trial.effect.free()}
+        found.setdefault(tuple(v for k, v in trial.effect.values().items() if k not in free), trial)
+    return list(found.values())
+
+
+def _descended(state: FitState, best: _Trial) -> _Trial:
+    """Return the trial at the least χ² by damped Gauss–Newton steps."""
+    damping = 1e-3
+    for _ in range(_ITERATIONS if best.effect.free() else 0):
+        columns = best.columns(state)
+        better = None
+        for _ in range(5):
+            trial = best.stepped(state, columns, damping)
+            if trial is not None and trial.cost < best.cost:
+                better, damping = trial, damping * 0.3
+                break
+            damping = max(damping * 10.0, 1e-3)
+        if better is None:
+            break
+        gained, best = best.cost - better.cost, better
+        if gained < _CONVERGED:
+            break
+    return best
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    effect: CatalogueEffect
+    residual: Array
+    cost: float
+
+    @classmethod
+    def of(cls, state: FitState, effect: CatalogueEffect) -> _Trial:
+        """Return the trial of an effect: its residual, and its χ² after the nuisances followed."""
+        predicted = state.predicted_with((*state.effects, effect))
+        data = state.comparison.residual(predicted) - state.term_residual
+        fit = state.fit
+        residual = fit.followed(np.concatenate([data, state.residual[data.size :]]))
+        pulled = fit.half(fit.pull(residual))
+        return cls(effect, residual, float(residual @ residual - pulled @ pulled))
+
+    def columns(self, state: FitState) -> Array:
+        """Return −d(residual)/d(scaled parameter), prior rows included."""
+        own = _own_parameters(self.effect)
+        values, found = own.values, []
+        for index in range(own.size):
+            step = 1e-3 if values[index] + 1e-3 * own.scale[index] <= own.high[index] else -1e-3
+            moved = values.copy()
+            moved[index] += step * own.scale[index]
+            other = _Trial.of(state, own.replaced(moved)[0])
+            found.append((self.residual - other.residual) / step)
+        return np.stack(found, axis=1) if found else np.zeros((self.residual.size, 0))
+
+    def stepped(self, state: FitState, columns: Array, damping: float) -> _Trial | None:
+        """Return the trial after one damped Gauss–Newton step; None where the step is no number."""
+        own = _own_parameters(self.effect)
+        fit = state.fit
+        part = fit.half(fit.pull(columns))
+        pulled = fit.half(fit.pull(self.residual))
+        normal = columns.T @ columns - part.T @ part
+        right = columns.T @ self.residual - part.T @ pulled
+        lifted = normal + np.diag(damping * np.diag(normal) + 1e-9 * max(float(np.trace(normal)), 1e-12))
+        step = np.linalg.solve(lifted, right)
+        if not np.isfinite(step).all():
+            return None
+        (effect,), _ = own.moved(np.clip(step, -30.0, 30.0))
+        return _Trial.of(state, effect)
+
+
+def _own_parameters(effect: CatalogueEffect) -> EffectParameters:
+    return EffectParameters.of((effect,))
+
+
+def _profiled(state: FitState, effect: CatalogueEffect) -> CatalogueEffect:
+    """Search the parameter in which the prediction jumps on ever denser grids about its start."""
+    name = effect.profiled
+    for span in _PROFILE_SPANS:
+        middle = float(getattr(effect, name))
+        grid = middle * np.linspace(1.0 - span, 1.0 + span, _PROFILE_POINTS)
+        trials = [_Trial.of(state, effect.with_parameters(**{name: float(value)})) for value in grid]
+        effect = min(trials, key=lambda trial: trial.cost).effect
+    return effect
+
+
+def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandidate:
+    columns = _off_bounds(best.effect, best.columns(state))
+    fit = state.fit.extended(columns, best.residual)
+    before = family_chi2(state, state.fit.projected)
+    after = family_chi2(state, fit.projected)
+    rows = state.comparison.size
+    stated = float(np.sum(state.fit.projected[rows:] ** 2) - np.sum(fit.projected[rows:] ** 2))
+    gain = sum(before.values()) - sum(after.values()) + stated
+    shown = (best.effect.block, *best.effect.also)
+    evidence = sum(before.get(block, 0.0) - after.get(block, 0.0) for block in shown)
+    if "mean" in shown:  # what the means say against the stated radiances stands in the prior rows
+        evidence += stated
+    overrated = _overrated(state, best.effect, {name: before[name] - after[name] for name in ("common", "bands")})
+    return FittedCandidate(
+        best.effect,
+        gain - 2.0 * overrated,
+        evidence - 2.0 * overrated,
+        candidate.parameters,
+        candidate.flexible,
+        best.residual,
+        columns,
+        candidate.tries,
+        stated,
+        overrated,
+    )
+
+
+def _overrated(state: FitState, effect: CatalogueEffect, promised: Mapping[str, float]) -> float:
+    """Return by how many nats the normal scores of few frames' variances flatter a variance fitted to them."""
+    predicted = state.predicted_with((*state.effects, effect))
+    exact = {"common": state.comparison.common_deviance, "bands": state.comparison.band_deviance}
+    shown = {
+        name: exact[name](state.prediction) - exact[name](predicted) for name, gain in promised.items() if gain > 0
+    }
+    return sum(max(promised[name] - gain, 0.0) for name, gain in shown.items()) / 2.0
+
+
+def _off_bounds(effect: CatalogueEffect, columns: Array) -> Array:
+    """Return the columns of parameters that are free to move; those on a bound are frozen."""
+    own = _own_parameters(effect)
+    span = 1e-6 * own.scale
+    free = (own.values - own.low > span) & (own.high - own.values > span)
+    return columns[:, free]
+
+
+def family_chi2(state: FitState, residual: Array) -> dict[str, float]:
+    """Return χ² by statistic, directions of one statistic together."""
+    found: dict[str, float] = {}
+    for name, cut in state.comparison.cuts.items():
+        family = FAMILY.get(name, name)
+        found[family] = found.get(family, 0.0) + float(np.sum(residual[cut] ** 2))
+    return found
+
+
+def judged_gain(state: FitState, fitted: FittedCandidate) -> float:
+    """Return by how many nats a fitted effect improves the prediction of held-out settings."""
+    return held_out_gain(state, fitted.residual, fitted.columns) - fitted.overrated
+
+
+def held_out_gain(state: FitState, residual: Array, columns: Array) -> float:
+    """Return by how many nats further columns improve the prediction of held-out settings.
+
+    Args:
+        state: The model without them.
+        residual: Whitened residual with the addition, prior rows included, followers followed.
+        columns: Its columns, the same.
+    """
+    with_it = leave_one_group_out(state.fit.extended(columns, residual), state.groups)
+    return float(np.sum(with_it.log_density - state.held_out.log_density))
+
+
+def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
+    """Return the state with the effect in the model, not refitted yet; one that repeats joins its like."""
+    effects = tuple(old.joined(effect) if old.name == effect.name else old for old in state.effects)
+    if all(old.name != effect.name for old in state.effects):
+        effects = (*effects, effect)
+    return replace(state, model=state.model.with_effects(effects), frozen=frozenset())
+
+
+def included(state: FitState, effect: CatalogueEffect, *, far: bool) -> FitState:
+    """Return the state with the effect in the model, refitted in full.
+
+    Args:
+        state: The model without it.
+        effect: The effect at its best parameters, nuisances having followed linearly.
+        far: Whether the nuisances stand so far off that they had better move first, and the effect's parameters then.
+
+    Raises:
+        UnfitError: If with it the model predicts what no camera does.
+    """
+    following = accepted(state, effect)
+    try:
+        if far:
+            own = following.parameters.owner
+            mine = frozenset(i for i, at in enumerate(own) if following.effects[at].name == effect.name)
+            following = replace(refit(replace(following, frozen=mine)), frozen=frozenset())
+        return settled(refit(following))
+    except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
+        raise UnfitError(effect.name) from error

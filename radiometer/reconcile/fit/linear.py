@@ -1,0 +1,208 @@
+"""Least squares on the whitened vector, linearised: projection and score tests.
+
+The nuisances touch few of the statistics (the means, mostly), the effects any: their columns are kept apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from radiometer.reconcile.measure.design import Array
+
+_RIDGE = 1e-12  # relative; keeps a Cholesky factor regular
+_OWN_SHARE = 1e-4  # of a trend's square that the parameters must leave for it to be tested
+
+
+@dataclass(frozen=True, eq=False)
+class RowBlock:
+    """Columns that are zero but in some rows.
+
+    Attributes:
+        rows: (n,) those rows, rising.
+        values: (n, columns) what stands there.
+    """
+
+    rows: NDArray[np.intp]
+    values: Array
+
+    @classmethod
+    def of(cls, *matrices: Array, below: Array | None = None, first: int = 0) -> RowBlock:
+        """Return the block of matrices side by side, their missing rows zero, and of one below from row `first` on."""
+        there = np.zeros(max(matrix.shape[0] for matrix in matrices), np.bool_)
+        for matrix in matrices:
+            there[: matrix.shape[0]] |= matrix.any(axis=1)
+        rows = np.flatnonzero(there)
+        more = 0 if below is None else below.shape[0]
+        values = np.zeros((rows.size + more, sum(matrix.shape[1] for matrix in matrices)))
+        at = 0
+        for matrix in matrices:
+            held = rows[rows < matrix.shape[0]]  # rising: the first ones
+            values[: held.size, at : at + matrix.shape[1]] = matrix[held]
+            at += matrix.shape[1]
+        if below is None:
+            return cls(rows, values)
+        values[rows.size :] = below
+        return cls(np.concatenate([rows, first + np.arange(more)]), values)
+
+    @property
+    def columns(self) -> int:
+        """Return the number of columns."""
+        return int(self.values.shape[1])
+
+    @cached_property
+    def normal(self) -> Array:
+        """Return NᵀN."""
+        return np.asarray(self.values.T @ self.values)
+
+    @cached_property
+    def factor(self) -> Array:
+        """Return the lower Cholesky factor of NᵀN."""
+        return cholesky(self.normal)
+
+    def pull(self, vectors: Array, start: int = 0) -> Array:
+        """Return Nᵀ·v for vectors whose entries begin at row `start`, (entries,) or (entries, n)."""
+        low, high = np.searchsorted(self.rows, [start, start + vectors.shape[0]])
+        return np.asarray(self.values[low:high].T @ vectors[self.rows[low:high] - start])
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFit:
+    """Residual = N·a + E·b + noise of unit variance, priors standing as further rows.
+
+    Attributes:
+        residual: Whitened residual at the point of linearisation, priors included, followers followed.
+        nuisances: N = −d(residual)/d(nuisance).
+        effects: E = −d(residual)/d(effect parameter), (rows, parameters), followers followed.
+        followers: The same as N in rows that go with the nuisances but have no say in them.
+    """
+
+    residual: Array
+    nuisances: RowBlock
+    effects: Array
+    followers: RowBlock
+
+    @classmethod
+    def of(cls, residual: Array, nuisances: RowBlock, effects: Array, followers: RowBlock) -> LinearFit:
+        """Return the fit of a residual and of effect columns in which the followers stand still."""
+        bare = cls(residual, nuisances, np.zeros((residual.size, 0)), followers)
+        return cls(bare.followed(residual), nuisances, bare.followed(effects), followers)
+
+    @cached_property
+    def normal(self) -> Array:
+        """Return JᵀJ for J = [N, E]."""
+        cross = self.nuisances.pull(self.effects)
+        return np.block([[self.nuisances.normal, cross], [cross.T, self.effects.T @ self.effects]])
+
+    @cached_property
+    def factor(self) -> Array:
+        """Return the lower Cholesky factor of JᵀJ, a little ridge keeping it regular."""
+        return cholesky(self.normal) if self.effects.shape[1] else self.nuisances.factor
+
+    @cached_property
+    def step(self) -> Array:
+        """Return the change of the parameters that minimises the residual."""
+        return self.solve(self.pull(self.residual))
+
+    def pull(self, vectors: Array, start: int = 0) -> Array:
+        """Return Jᵀ·v for vectors whose entries begin at row `start`, (entries,) or (entries, n)."""
+        own = self.effects[start : start + vectors.shape[0]].T @ vectors
+        return np.concatenate([self.nuisances.pull(vectors, start), own])
+
+    def followed(self, vectors: Array) -> Array:
+        """Return vectors with the followers where the nuisances take them: v − F·(NᵀN)⁻¹·Nᵀ·v; not to be done twice.
+
+        Args:
+            vectors: (entries,) or (entries, n); prior rows may be left out.
+        """
+        return self._moved(vectors, self._led(self.nuisances.pull(vectors)))
+
+    def followed_with_half(self, vectors: Array) -> tuple[Array, Array]:
+        """Return `followed(vectors)` and L⁻¹·Jᵀ of it, the part that the parameters take up.
+
+        Args:
+            vectors: (entries, n); prior rows may be left out.
+        """
+        pulled = self.nuisances.pull(vectors)
+        led = self._led(pulled)
+        moved = self._moved(vectors, led)
+        own = self.effects[: moved.shape[0]].T @ moved
+        return moved, self.half(np.concatenate([pulled - self._crossed @ led, own]))
+
+    def _led(self, pulled: Array) -> Array:
+        """Return (NᵀN)⁻¹·Nᵀ·v from Nᵀ·v, as far as followers go with it."""
+        half = solve_triangular(self.nuisances.factor, pulled, lower=True, check_finite=False)
+        step = solve_triangular(self.nuisances.factor, half, lower=True, trans="T", check_finite=False)
+        return np.asarray(step[: self.followers.columns])
+
+    def _moved(self, vectors: Array, led: Array) -> Array:
+        moved = vectors.copy()
+        moved[self.followers.rows] -= self.followers.values @ led
+        return moved
+
+    @cached_property
+    def _crossed(self) -> Array:
+        """Return Nᵀ·F."""
+        _, own, theirs = np.intersect1d(
+            self.nuisances.rows, self.followers.rows, assume_unique=True, return_indices=True
+        )
+        return np.asarray(self.nuisances.values[own].T @ self.followers.values[theirs])
+
+    def solve(self, right: Array) -> Array:
+        """Return (JᵀJ)⁻¹ · right."""
+        return np.asarray(solve_triangular(self.factor, self.half(right), lower=True, trans="T", check_finite=False))
+
+    def half(self, right: Array) -> Array:
+        """Return L⁻¹ · right for JᵀJ = L·Lᵀ."""
+        return np.asarray(solve_triangular(self.factor, right, lower=True, check_finite=False))
+
+    @property
+    def covariance(self) -> Array:
+        """Return (JᵀJ)⁻¹, the parameters' covariance."""
+        return self.solve(np.eye(self.factor.shape[0]))
+
+    @cached_property
+    def projected(self) -> Array:
+        """Return the residual after the best change of the parameters."""
+        known = self.nuisances.columns
+        left = self.residual - self.effects @ self.step[known:]
+        left[self.nuisances.rows] -= self.nuisances.values @ self.step[:known]
+        return np.asarray(left)
+
+    def extended(self, columns: Array, residual: Array | None = None) -> LinearFit:
+        """Return the fit with further effect columns, and possibly another residual, followers followed in both."""
+        changed = self.residual if residual is None else residual
+        return LinearFit(changed, self.nuisances, np.hstack([self.effects, columns]), self.followers)
+
+    def score(self, rows: slice, basis: Array, part: Array | None = None) -> tuple[float, int]:
+        """Return (χ², rank) of what a basis that touches only some rows would explain beside the parameters.
+
+        Args:
+            rows: Rows that the basis touches.
+            basis: Its whitened columns, (rows, terms).
+            part: L⁻¹·Jᵀ·basis, where it is known already.
+        """
+        products = basis.T @ basis
+        lengths = np.sqrt(np.diag(products))
+        there = lengths > 0
+        if not there.any():
+            return 0.0, 0
+        taken = self.half(self.pull(basis, rows.start)) if part is None else part
+        unit = np.diag(1.0 / lengths[there])
+        gram = unit @ (products - taken.T @ taken)[np.ix_(there, there)] @ unit
+        right = unit @ (basis.T @ self.projected[rows])[there]
+        values, vectors = np.linalg.eigh(gram)
+        kept = values > _OWN_SHARE
+        if not kept.any():
+            return 0.0, 0
+        return float(np.sum((vectors[:, kept].T @ right) ** 2 / values[kept])), int(kept.sum())
+
+
+def cholesky(normal: Array) -> Array:
+    """Return the lower Cholesky factor of a normal matrix, a little ridge keeping it regular."""
+    ridge = _RIDGE * np.maximum(np.diag(normal), 1e-300)
+    return np.asarray(np.linalg.cholesky(normal + np.diag(ridge)))

@@ -1,0 +1,321 @@
+"""The parameters that are always fitted and never named: responsivity, patch radiances, what nobody declared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data.capture_header import CameraDescription
+from radiometer.reconcile.fit.comparison import Comparison
+from radiometer.reconcile.fit.linear import RowBlock
+from radiometer.reconcile.measure.design import Array, Design
+from radiometer.reconcile.model.tile_model import Nuisance, Prediction, TileModel
+
+_FREE_LOG: Final = 5.0  # prior standard deviation of the logarithm of what is unknown: e^±5
+_DEFAULT_U_REL: Final = 0.02  # of a radiance that is stated without an uncertainty
+_SAME_U_REL: Final = 5e-3  # by how much the same patch differs between patterns
+_STEP: Final = 1e-4
+_BRIGHT_SHARE: Final = 0.05  # of the brightest tile: enough to tell the responsivity roughly
+_FREE_RESPONSIVITY: Final = 50.0  # where no radiance is known its unit is arbitrary too
+_SCALARS: Final = ("log_responsivity", "log_gain", "log_read", "black_dn", "dark_e_per_s")
+_SCALAR_STEP: Final = {"black_dn": 1e-2, "dark_e_per_s": 1e-2}
+_SCALAR_PRIOR: Final = {"log_responsivity": _FREE_RESPONSIVITY, "black_dn": 1e4, "dark_e_per_s": 1e3}
+_STATED: Final = 1.0  # prior standard deviation below which a radiance counts as stated
+_LINEAR: Final = (-0.5, 1.0)  # relative errors of a radiance between which its factor is linear
+_FREE_SLOPE: Final = 3.0
+_FREE_TEXTURE: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NuisanceLayout:
+    """Which nuisances are fitted, in which order, and with which prior.
+
+    Attributes:
+        scalars: Names of scalar nuisances.
+        patterns: Patterns that were seen in light.
+        tiles: Number of tiles.
+        shared: (patterns, tiles) number of the error that each radiance has in common with others.
+        free_scene: Whether slope and texture of every tile are fitted too.
+        prior: Prior standard deviation of each parameter.
+    """
+
+    scalars: tuple[str, ...]
+    patterns: tuple[int, ...]
+    tiles: int
+    shared: NDArray[np.intp]
+    free_scene: bool
+    prior: Array
+
+    @classmethod
+    def of(cls, design: Design) -> NuisanceLayout:
+        """Return what must be fitted for a design."""
+        camera = design.header.camera
+        scalars = ["log_responsivity"]
+        if camera.conversion_gain_e_per_dn is None:
+            scalars.append("log_gain")
+        if camera.read_noise_e is None:
+            scalars.append("log_read")
+        if np.isnan(design.black_level_dn).any():
+            scalars.append("black_dn")
+        if dark_current_is_free(camera) and np.ptp(np.log(design.exposure_s)) > 0:
+            scalars.append("dark_e_per_s")
+        lit = ~design.closed & (design.source_level > 0)
+        patterns = tuple(sorted(set(design.pattern_index[lit].tolist())))
+        free_scene = not design.uniform
+        prior = [_SCALAR_PRIOR.get(name, _FREE_LOG) for name in scalars]
+        own = [_radiance_prior(design, p, k) for p in patterns for k in range(len(design.tiles))]
+        # A calibration error may be one and the same for several radiances, or not: each has a part of its own and
+        # one that it shares.
+        shared = _shared_errors(design, patterns)
+        prior += [*own, *_shared_priors(design, shared, own)]
+        if free_scene:
+            count = len(patterns) * len(design.tiles)
+            prior += [_FREE_SLOPE] * (2 * count) + [_FREE_TEXTURE] * len(design.tiles)
+        return cls(tuple(scalars), patterns, len(design.tiles), shared, free_scene, np.array(prior))
+
+    @property
+    def size(self) -> int:
+        """Return the number of parameters."""
+        return self.prior.size
+
+    @property
+    def _radiances(self) -> slice:
+        return slice(len(self.scalars), len(self.scalars) + len(self.patterns) * self.tiles)
+
+    @property
+    def _common(self) -> slice:
+        count = int(self.shared.max(initial=-1)) + 1
+        return slice(self._radiances.stop, self._radiances.stop + count)
+
+    def _summed(self, own: Array) -> Array:
+        """Return the columns of the shared errors from those of each radiance, (rows, patterns · tiles)."""
+        found = np.zeros((own.shape[0], self._common.stop - self._common.start))
+        for number, errors in enumerate(self.shared):  # one pattern has each error once
+            found[:, errors] += own[:, number * self.tiles : (number + 1) * self.tiles]
+        return found
+
+    def unpack(self, design: Design, values: Array) -> Nuisance:
+        """Return the nuisances that a parameter vector stands for."""
+        start = Nuisance.start(design)
+        radiance, slope, texture = start.log_radiance, start.slope, start.texture
+        index = list(self.patterns)
+        if index:
+            radiance[index] = self._light(values)[0]
+        if self.free_scene:
+            at = self._common.stop
+            count = 2 * len(index) * self.tiles
+            slope[index] = values[at : at + count].reshape(len(index), 2, self.tiles)
+            texture = values[at + count : at + count + self.tiles]
+        known = dict(zip(self.scalars, values[: len(self.scalars)].tolist(), strict=True))
+        # The means fix responsivity times gain: what K gains the responsivity loses.
+        known["log_responsivity"] -= known.get("log_gain", 0.0)
+        return replace(start, log_radiance=radiance, slope=slope, texture=texture, **known)
+
+    def jacobian(self, model: TileModel, comparison: Comparison, values: Array, base: Prediction) -> Array:
+        """Return −d(residual)/d(parameter), shape (entries, parameters); what lies beyond the last row is zero."""
+        design = model.design
+        at = comparison.residual(base)
+        nuisance = self.unpack(design, values)
+        matrix = np.zeros((self._rows(comparison), self.size))
+        for column, name in enumerate(self.scalars):
+            step = _SCALAR_STEP.get(name, _STEP)
+            shifted = {name: getattr(nuisance, name) + step}
+            if name == "log_gain":
+                shifted["log_responsivity"] = nuisance.log_responsivity - step
+            moved = replace(nuisance, **shifted)
+            change = (at - comparison.residual(model.predict(moved))) / step
+            matrix[:, column] = change[: matrix.shape[0]]
+            if name == "log_responsivity":
+                _only_means(matrix, comparison, column)
+        moved = replace(nuisance, log_radiance=nuisance.log_radiance + _STEP)
+        first = self._radiances.start
+        self._spread(matrix, comparison, base, model.predict(moved), _STEP, first, _TILE_ROWS)
+        if self.patterns:
+            matrix[:, self._radiances] *= self._light(values)[1].ravel()
+            matrix[:, self._common] = self._summed(matrix[:, self._radiances])
+        if self.free_scene:
+            self._scene_columns(matrix, model, comparison, nuisance, base)
+        return matrix
+
+    def followers(self, model: TileModel, comparison: Comparison, values: Array, base: Prediction) -> RowBlock:
+        """Return −d(residual)/d(parameter) of the variances, as far as they follow the light.
+
+        They do not say how much light there is (see `_only_means`), but the light says how large they are.
+        """
+        nuisance = self.unpack(model.design, values)
+        matrix = np.zeros((comparison.size, self.size))
+        if not self.patterns:
+            return RowBlock.of(matrix[:0])
+        moved = model.predict(replace(nuisance, log_radiance=nuisance.log_radiance + _STEP))
+        self._spread(matrix, comparison, base, moved, _STEP, self._radiances.start, _FOLLOWING)
+        cuts = [comparison.cuts[block] for block in _FOLLOWING]
+        first = min(cut.start for cut in cuts)
+        matrix = matrix[first : max(cut.stop for cut in cuts)]
+        own = matrix[:, self._radiances]
+        if "log_gain" not in self.scalars:
+            matrix[:, 0] = own.sum(axis=1)
+        own *= self._light(values)[1].ravel()
+        matrix[:, self._common] = self._summed(own)
+        block = RowBlock.of(matrix)
+        return RowBlock(first + block.rows, block.values)
+
+    def _light(self, values: Array) -> tuple[Array, Array]:
+        """Return ln of the factor on each patch's radiance, and its derivative, (patterns, tiles).
+
+        A patch is off by its own part and by that which it shares. Where its radiance is stated the factor is 1 + x:
+        means are then linear in x, and what an effect had been mistaken for is given back at once when the effect
+        enters. Where it is free it is exp x, so that brighter patches and a lower responsivity are the same thing.
+        """
+        shape = (len(self.patterns), self.tiles)
+        relative = values[self._radiances].reshape(shape) + values[self._common][self.shared]
+        stated = (self.prior[self._radiances].reshape(shape) < _STATED) & (self.prior[self._common] < _STATED)[
+            self.shared
+        ]
+        factor, slope = _light_factor(np.where(stated, relative, 0.0))
+        return np.where(stated, np.log(factor), relative), np.where(stated, slope / factor, 1.0)
+
+    def _rows(self, comparison: Comparison) -> int:
+        """Return how many of the first entries can change at all: of known scenes the means and slopes alone."""
+        if self.free_scene or len(self.scalars) > 1:
+            return comparison.size
+        return int(max(comparison.cuts[block].stop for block in _TILE_ROWS))
+
+    def _scene_columns(
+        self, matrix: Array, model: TileModel, comparison: Comparison, nuisance: Nuisance, base: Prediction
+    ) -> None:
+        start = self._common.stop
+        for axis, name in enumerate(("slope_x", "slope_y")):
+            slope = nuisance.slope.copy()
+            slope[:, axis] += 1e-3
+            moved = model.predict(replace(nuisance, slope=slope))
+            for number, pattern in enumerate(self.patterns):
+                first = start + (2 * number + axis) * self.tiles
+                self._spread(matrix, comparison, base, moved, 1e-3, first, (name,), only=pattern)
+        first = start + 2 * len(self.patterns) * self.tiles
+        step = 1e-6
+        moved = model.predict(replace(nuisance, texture=nuisance.texture + step))
+        for pattern in self.patterns:
+            self._spread(matrix, comparison, base, moved, step, first, ("spatial",), only=pattern)
+
+    def _spread(
+        self,
+        matrix: Array,
+        comparison: Comparison,
+        base: Prediction,
+        moved: Prediction,
+        step: float,
+        first: int,
+        blocks: tuple[str, ...],
+        only: int | None = None,
+    ) -> None:
+        """Write the change of each tile into the column of that tile (and pattern)."""
+        position = {pattern: number for number, pattern in enumerate(self.patterns)}
+        before, after = comparison.residual(base), comparison.residual(moved)
+        pattern_of = comparison.design.pattern_index
+        chosen = [
+            c for c in range(pattern_of.size) if pattern_of[c] in position and (only is None or pattern_of[c] == only)
+        ]
+        captures = np.array(chosen, dtype=np.intp)
+        tiles = np.arange(self.tiles)
+        offset = np.array([0 if only is not None else position[pattern_of[c]] * self.tiles for c in chosen], np.intp)
+        own = first + offset[:, None] + tiles
+        for block in blocks:
+            cut = comparison.cuts[block]
+            if block == "mean":
+                change = np.where(comparison.usable["mean"], (moved.mean - base.mean) / step, 0.0)
+                values = comparison.whiteners["mean"][captures] * change[captures][:, None, :]
+                rows = cut.start + captures[:, None] * self.tiles + tiles
+                matrix[rows[:, :, None], own[:, None, :]] += values
+                continue
+            change = ((before[cut] - after[cut]) / step).reshape(-1, self.tiles)
+            if not change.any():
+                continue
+            rows = cut.start + captures[:, None] * self.tiles + tiles
+            matrix[rows, own] += change[captures]
+
+
+_TILE_ROWS: Final = ("mean", "slope_x", "slope_y")
+_FOLLOWING: Final = ("variance", "spatial")
+
+
+def _light_factor(relative: Array) -> tuple[Array, Array]:
+    """Return the factor on a radiance that is off by so much, and its derivative.
+
+    It is 1 + x in the middle, and goes on as an exponential beyond, so that it stays above zero.
+    """
+    low, high = _LINEAR
+    below, above = relative < low, relative > high
+    middle = 1.0 + np.clip(relative, low, high)
+    slope = np.where(below, np.exp(np.minimum(relative - low, 0.0) / (1.0 + low)), 1.0)
+    slope = np.where(above, np.exp(np.maximum(relative - high, 0.0) / (1.0 + high)), slope)
+    return np.asarray(middle * slope), np.asarray(slope)
+
+
+def _only_means(matrix: Array, comparison: Comparison, column: int) -> None:
+    """Let the means alone say how much light there is.
+
+    They tell it a hundred times better than the noise does; a wrong noise figure (crosstalk, a wrong conversion
+    gain) would otherwise pull at the responsivity and show as a disagreement of all means.
+    """
+    for block, cut in comparison.cuts.items():
+        if block not in _TILE_ROWS:
+            matrix[cut, column] = 0.0
+
+
+def _radiance_prior(design: Design, pattern: int, tile: int) -> float:
+    known = design.tiles[tile].radiance[pattern]
+    if known is None or known <= 0:
+        return _SAME_U_REL if pattern in design.same_patches else _FREE_LOG
+    stated = design.tiles[tile].u_rel
+    return max(stated, 1e-6) if stated is not None else _DEFAULT_U_REL
+
+
+def dark_current_is_free(camera: CameraDescription) -> bool:
+    """Tell whether the dark current is a nuisance: a camera whose noise is stated has the one stated, or none."""
+    noise_stated = camera.conversion_gain_e_per_dn is not None and camera.read_noise_e is not None
+    return camera.dark_current_e_per_s is None and not noise_stated
+
+
+def _shared_errors(design: Design, patterns: tuple[int, ...]) -> NDArray[np.intp]:
+    """Return which error of calibration each radiance has in common with others, (patterns, tiles).
+
+    A number that is stated at several places, where the chart was turned or shifted, was measured once: its error goes
+    with the number. What a place shows otherwise under several patterns has an error of the place.
+    """
+    keys = np.array([[f"tile {k}" for k in range(len(design.tiles))] for _ in patterns], dtype=object)
+    places: dict[float, list[tuple[int, int]]] = {}
+    for number, pattern in enumerate(patterns):
+        for k, tile in enumerate(design.tiles):
+            if tile.radiance[pattern]:
+                places.setdefault(float(tile.radiance[pattern] or 0.0), []).append((number, k))
+    for stated, entries in places.items():
+        alone = len({number for number, _ in entries}) == len(entries)
+        if alone and len({k for _, k in entries}) > 1:
+            for entry in entries:
+                keys[entry] = f"value {stated!r}"
+    if not patterns:
+        return np.zeros((0, len(design.tiles)), dtype=np.intp)
+    return np.unique(keys.astype(str), return_inverse=True)[1].reshape(keys.shape).astype(np.intp)
+
+
+def _shared_priors(design: Design, shared: NDArray[np.intp], own: list[float]) -> list[float]:
+    """Return the prior standard deviation of each shared error: that of the first radiance that has it."""
+    _, first = np.unique(shared, return_index=True)
+    found = []
+    for at in first.tolist():
+        unknown = design.same_patches and design.tiles[at % len(design.tiles)].radiance[0] is None
+        found.append(_FREE_LOG if unknown else own[at])
+    return found
+
+
+def rough_log_responsivity(design: Design, seen_mean: Array, base: Prediction, usable: NDArray[np.bool_]) -> float:
+    """Return a robust first guess of the logarithm of the responsivity over the declared one."""
+    black = np.where(np.isnan(design.black_level_dn), np.nanmin(seen_mean), design.black_level_dn)[:, None]
+    seen, expected = seen_mean - black, base.signal * base.gain[:, None]
+    bright = usable & (expected > 0) & (seen > _BRIGHT_SHARE * float(np.max(seen, where=usable, initial=0.0)))
+    if not bright.any():
+        return 0.0
+    return float(np.median(np.log(seen[bright] / expected[bright])))

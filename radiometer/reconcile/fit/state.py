@@ -1,0 +1,396 @@
+"""The model as fitted so far: effects, nuisances and unnamed terms, with the residual that is left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from radiometer.reconcile.fit.comparison import Comparison, compare
+from radiometer.reconcile.fit.held_out import Groups, HeldOut, leave_one_group_out
+from radiometer.reconcile.fit.linear import LinearFit, RowBlock
+from radiometer.reconcile.fit.nuisances import NuisanceLayout, rough_log_responsivity
+from radiometer.reconcile.fit.terms import LinearTerm, prior_rows
+from radiometer.reconcile.measure.design import Array, Design
+from radiometer.reconcile.measure.pattern_images import PatternImages
+from radiometer.reconcile.measure.reduce import CaptureStatistics
+from radiometer.reconcile.measure.usable import usable_entries
+from radiometer.reconcile.model.parameters import EffectParameters
+from radiometer.reconcile.model.tile_model import Nuisance, Prediction, TileModel, Trace
+from radiometer.reconcile.noise.form_floors import form_floors
+from radiometer.reconcile.noise.realisations import edge_terms, realisation_terms
+from radiometer.reconcile.noise.repeatability import capture_scale, estimate_tau
+from radiometer.reconcile.noise.scatter import Repeatability, relative_bands, relative_flicker
+from simulators.effects.catalogue import CatalogueEffect
+
+_ITERATIONS: Final = 25
+_IDLE: Final = 1e-3  # sigmas that a parameter moves by its whole scale
+_CONVERGED: Final = 1e-3  # change of χ² below which an iteration ends the fit
+_SENSITIVITY_STEP: Final = 1e-3
+_REWEIGHTINGS: Final = 3
+_SETTLED: Final = 0.02  # share of a parameter's size
+
+
+@dataclass(frozen=True, eq=False)
+class FitState:
+    """One fitted model of one capture set.
+
+    Attributes:
+        seen: Measured statistics.
+        model: The camera with its effects.
+        layout: Which nuisances are fitted.
+        values: Nuisance parameters.
+        terms: Smooth unnamed terms that were added.
+        weights: Their coefficients and those of the realisations, in order.
+        comparison: Measured against predicted, with weights.
+        tau: Capture-to-capture repeatability.
+    """
+
+    seen: CaptureStatistics
+    model: TileModel
+    layout: NuisanceLayout
+    values: Array
+    terms: tuple[LinearTerm, ...]
+    weights: Array
+    comparison: Comparison
+    tau: float
+    frozen: frozenset[int] = field(default_factory=frozenset)
+
+    @property
+    def design(self) -> Design:
+        """Return captures and tiles."""
+        return self.model.design
+
+    @property
+    def effects(self) -> tuple[CatalogueEffect, ...]:
+        """Return the effects that were added."""
+        return self.model.effects
+
+    @cached_property
+    def nuisance(self) -> Nuisance:
+        """Return the nuisances."""
+        return self.layout.unpack(self.design, self.values)
+
+    @cached_property
+    def prediction(self) -> Prediction:
+        """Return the expected statistics, unnamed terms left out."""
+        return self.trace.prediction
+
+    @cached_property
+    def trace(self) -> Trace:
+        """Return the chain of the model as it runs."""
+        return self.model.trace(self.nuisance)
+
+    def predicted_with(self, effects: Sequence[CatalogueEffect]) -> Prediction:
+        """Return the expected statistics with other effects, nuisances as they are."""
+        return self.model.predict_again(self.trace, effects)
+
+    @cached_property
+    def sensitivity(self) -> Array:
+        """Return d(mean)/d(log light) in DN, (captures, tiles)."""
+        return light_sensitivity(self.model, self.nuisance, self.prediction)
+
+    @cached_property
+    def term_columns(self) -> Array:
+        """Return the whitened columns of all linear terms."""
+        pieces = [term.build(self.comparison, self.prediction, self.sensitivity) for term in self.terms]
+        return np.hstack(pieces) if pieces else np.zeros((self.comparison.size, 0))
+
+    @cached_property
+    def parameters(self) -> EffectParameters:
+        """Return the fitted parameters of the effects."""
+        return EffectParameters.of(self.effects)
+
+    @cached_property
+    def plain_residual(self) -> Array:
+        """Return the whitened residual of the data without the linear terms."""
+        return self.comparison.residual(self.prediction)
+
+    @cached_property
+    def data_residual(self) -> Array:
+        """Return the whitened residual of the data, without prior rows."""
+        return self.plain_residual - self.term_residual
+
+    @cached_property
+    def term_residual(self) -> Array:
+        """Return what the linear terms take up of the whitened residual."""
+        return np.asarray(self.term_columns @ self.weights)
+
+    @cached_property
+    def residual(self) -> Array:
+        """Return the whitened residual with the prior rows of nuisances and terms behind it."""
+        nuisance_rows, _ = prior_rows(self.layout.prior, self.values)
+        term_rows, _ = prior_rows(self._term_prior, self.weights)
+        return np.concatenate([self.data_residual, nuisance_rows, term_rows])
+
+    @property
+    def cost(self) -> float:
+        """Return χ², priors included."""
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def nuisance_jacobian(self) -> RowBlock:
+        """Return −d(residual)/d(nuisances and term weights), prior rows included."""
+        data = self.layout.jacobian(self.model, self.comparison, self.values, self.prediction)
+        prior = np.concatenate([self.layout.prior, self._term_prior])
+        _, priors = prior_rows(prior, np.zeros(prior.size))
+        return RowBlock.of(data, self.term_columns, below=priors, first=self.comparison.size)
+
+    @cached_property
+    def effect_jacobian(self) -> Array:
+        """Return −d(residual)/d(scaled effect parameter), prior rows (zero) included."""
+        return self.pad(self.parameters.jacobian(self))
+
+    @cached_property
+    def fit(self) -> LinearFit:
+        """Return the linearised fit in nuisances, term weights and effect parameters."""
+        effects = self.effect_jacobian
+        if self.frozen:
+            effects = np.delete(effects, sorted(self.frozen), axis=1)
+        followers = self.layout.followers(self.model, self.comparison, self.values, self.prediction)
+        return LinearFit.of(self.residual, self.nuisance_jacobian, effects, followers)
+
+    def effect_step(self, step: Array) -> Array:
+        """Return the effects' part of a step of the whole fit, 0 for parameters that are frozen."""
+        scaled = np.zeros(self.parameters.size)
+        free = [i for i in range(scaled.size) if i not in self.frozen]
+        scaled[free] = step[self.layout.size + self.weights.size :]
+        return scaled
+
+    @cached_property
+    def _term_prior(self) -> Array:
+        return np.concatenate([term.prior for term in self.terms]) if self.terms else np.zeros(0)
+
+    def pad(self, columns: Array) -> Array:
+        """Return data columns with zero prior rows behind them."""
+        below = np.zeros((self.residual.size - columns.shape[0], columns.shape[1]))
+        return np.vstack([columns, below])
+
+    @cached_property
+    def groups(self) -> Groups:
+        """Return group of each row and whether it counts: settings first, then each prior row as its own group."""
+        setting = self.design.setting_id[self.comparison.capture_of_rows()]
+        priors = self.residual.size - setting.size
+        behind = setting.max() + 1 + np.arange(priors)
+        informative = np.concatenate([self.layout.prior < 1.0, np.zeros(self._term_prior.size, np.bool_)])
+        counts = np.concatenate([self.comparison.counts(), informative])
+        return Groups(self.nuisance_jacobian, np.concatenate([setting, behind]), counts)
+
+    @cached_property
+    def held_out(self) -> HeldOut:
+        """Return how well each setting is predicted by the others."""
+        return leave_one_group_out(self.fit, self.groups)
+
+    @property
+    def evidence(self) -> float:
+        """Return the held-out log density with the weights' determinants: comparable between different weights."""
+        comparison = self.comparison
+        together = comparison.whiteners.values()
+        common = sum(float(np.sum(np.log(np.diagonal(whitener, axis1=1, axis2=2)))) for whitener in together)
+        others = [n for n in comparison.cuts if n not in comparison.whiteners]
+        spread = sum(float(np.sum(np.log(comparison.deviation[n][comparison.usable[n]]))) for n in others)
+        return float(np.sum(self.held_out.log_density)) + common - spread
+
+    @property
+    def gap(self) -> float:
+        """Return the reduced χ² of held-out settings; prior rows left out."""
+        settings = int(self.design.setting_id.max()) + 1
+        return float(self.held_out.chi2[:settings].sum() / max(self.held_out.count[:settings].sum(), 1.0))
+
+
+def light_sensitivity(model: TileModel, nuisance: Nuisance, base: Prediction) -> Array:
+    """Return d(mean)/d(log light) in DN by a finite difference."""
+    return light_response(model, nuisance, base)[0]
+
+
+def light_response(model: TileModel, nuisance: Nuisance, base: Prediction) -> tuple[Array, Array]:
+    """Return d(mean)/d(log light) in DN and |d(ln variance)/d(log light)| by a finite difference."""
+    moved = model.predict(replace(nuisance, log_responsivity=nuisance.log_responsivity + _SENSITIVITY_STEP))
+    mean = (moved.mean - base.mean) / _SENSITIVITY_STEP
+    variance = np.abs(np.log(moved.variance / base.variance)) / _SENSITIVITY_STEP
+    return np.asarray(mean), np.asarray(variance)
+
+
+def first_state(
+    design: Design, seen: CaptureStatistics, images: PatternImages, given: tuple[CatalogueEffect, ...] = ()
+) -> FitState:
+    """Return the starting camera fitted to the statistics: nuisances only.
+
+    Args:
+        design: Captures and tiles.
+        seen: Measured statistics.
+        images: Mean picture of each pattern.
+        given: Effects that the starting model holds beside the ideal chain; they are not fitted.
+    """
+    model = replace(TileModel.of(design, images), given=given)
+    layout = NuisanceLayout.of(design)
+    values = np.zeros(layout.size)
+    if "black_dn" in layout.scalars:  # else darks would be predicted at zero, and left out as clipped for good
+        values[layout.scalars.index("black_dn")] = float(np.nanmin(seen.mean))
+    rough = model.predict(layout.unpack(design, values))
+    unclipped = (seen.high < 1e-3) & (seen.low < 1e-3)
+    values[0] = rough_log_responsivity(design, seen.mean, rough, unclipped)
+    state = _weighted(seen, model, layout, values, (), tau=1e-3, floors={}, usable=None)
+    state = refit(state)
+    return refit(reweighted(state))
+
+
+def reweighted(state: FitState) -> FitState:
+    """Return the state with repeatability, weights and realisations brought up to date; parameters as they are."""
+    tau = _estimate_tau(state)
+    smooth = tuple(term for term in state.terms if term.is_smooth)
+    kept = _kept_weights(state, smooth)
+    terms = (
+        *smooth,
+        *realisation_terms(
+            (*state.model.given, *state.effects), state.prediction, state.seen, state.design, state.model.context
+        ),
+        *edge_terms(state.comparison.usable["edge"]),
+    )
+    floors = form_floors(state.model, state.nuisance, state.prediction)
+    mask = state.comparison.usable
+    again = _weighted(state.seen, state.model, state.layout, state.values, terms, tau, floors, mask)
+    return replace(again, weights=np.concatenate([kept, np.zeros(sum(t.size for t in terms) - kept.size)]))
+
+
+def settled(state: FitState) -> FitState:
+    """Return the state refitted under weights of its own, until these no longer move the parameters."""
+    for _ in range(_REWEIGHTINGS):
+        before, state = state.parameters.values, refit(reweighted(state))
+        after = state.parameters.values
+        if before.size != after.size:  # a further term fell to nothing, and the form is the plain one again
+            continue
+        if not after.size or float(np.max(np.abs(after - before) / state.parameters.scale)) < _SETTLED:
+            break
+    return state
+
+
+def with_terms(state: FitState, terms: Sequence[LinearTerm]) -> FitState:
+    """Return the state with exactly these smooth terms (realisations kept), not refitted."""
+    realised = tuple(term for term in state.terms if not term.is_smooth)
+    everything = (*terms, *realised)
+    return replace(state, terms=everything, weights=np.zeros(sum(term.size for term in everything)))
+
+
+def with_effects(state: FitState, effects: Sequence[CatalogueEffect]) -> FitState:
+    """Return the state with exactly these effects, not refitted."""
+    return replace(state, model=state.model.with_effects(effects), frozen=frozenset())
+
+
+def refit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
+    """Return the state at the least χ² over nuisances, term weights and effect parameters (damped Gauss–Newton).
+
+    Parameters that come frozen within their bounds stay so.
+    """
+    on_low, on_high = state.parameters.on_bounds()
+    fixed = state.frozen - frozenset(np.flatnonzero(on_low | on_high).tolist())
+    state = _held_at_bounds(state, fixed)
+    for _ in range(iterations):
+        following = _improved(state)
+        if following is None:
+            return state
+        gained = state.cost - following.cost
+        state = _held_at_bounds(following, fixed)
+        if gained < _CONVERGED:
+            break
+    return state
+
+
+def _held_at_bounds(state: FitState, fixed: frozenset[int]) -> FitState:
+    """Return the state with those effect parameters frozen that stand on a bound and would leave it, and the fixed.
+
+    Were they free, the linearised fit would take up beyond the bound what the model cannot, and hide it. A parameter
+    that moves nothing where it stands is frozen too: the fit would send it anywhere.
+    """
+    on_low, on_high = state.parameters.on_bounds()
+    idle = np.flatnonzero(np.linalg.norm(state.effect_jacobian, axis=0) < _IDLE)
+    held = fixed | frozenset(idle.tolist())
+    while True:
+        state = state if state.frozen == held else replace(state, frozen=held)
+        if not (on_low | on_high).any():
+            return state
+        step = state.effect_step(state.fit.step)
+        more = held | frozenset(np.flatnonzero((on_low & (step < 0)) | (on_high & (step > 0))).tolist())
+        if more == held:
+            return state
+        held = more
+
+
+def _improved(state: FitState) -> FitState | None:
+    step = state.fit.step
+    damping = 1.0
+    for _ in range(6):
+        trial = _moved(state, damping * step)
+        if _cost_within_range(trial) < state.cost:
+            return trial
+        damping *= 0.3
+    return None
+
+
+def _cost_within_range(trial: FitState) -> float:
+    """Return the χ² of a trial step; infinite where it went so far that the light overflows."""
+    try:
+        with np.errstate(over="raise"):
+            return trial.cost
+    except FloatingPointError:
+        return np.inf
+
+
+def _moved(state: FitState, step: Array) -> FitState:
+    m, k = state.layout.size, state.weights.size
+    effects, at_bound = state.parameters.moved(state.effect_step(step))
+    return replace(
+        state,
+        values=state.values + step[:m],
+        weights=state.weights + step[m : m + k],
+        model=state.model.with_effects(effects),
+        frozen=frozenset(at_bound),
+    )
+
+
+def _weighted(
+    seen: CaptureStatistics,
+    model: TileModel,
+    layout: NuisanceLayout,
+    values: Array,
+    terms: tuple[LinearTerm, ...],
+    tau: float,
+    floors: dict[str, Array],
+    usable: object,
+) -> FitState:
+    design = model.design
+    nuisance = layout.unpack(design, values)
+    prediction = model.predict(nuisance)
+    sensitivity, response = light_response(model, nuisance, prediction)
+    flicker = relative_flicker(prediction) * (prediction.common_variance.max(axis=1) > 0)
+    bands = (relative_bands(prediction), prediction.band_frequency)
+    repeatability = Repeatability(tau, flicker, prediction.row_variance, *bands)
+    mask = usable if isinstance(usable, dict) else usable_entries(design, seen, prediction)
+    comparison = compare(design, seen, prediction, sensitivity, repeatability, response, floors, mask)
+    weights = np.zeros(sum(term.size for term in terms))
+    return FitState(seen, model, layout, values, terms, weights, comparison, tau)
+
+
+def _estimate_tau(state: FitState) -> float:
+    comparison = state.comparison
+    cut, whitener = comparison.cuts["mean"], comparison.whiteners["mean"]
+    unnamed = np.linalg.solve(whitener, state.term_residual[cut].reshape(*whitener.shape[:2], 1))[:, :, 0]
+    scale, variance = capture_scale(
+        state.seen.mean - state.prediction.mean - unnamed,
+        state.sensitivity,
+        comparison.deviation["mean"],
+        comparison.usable["mean"],
+    )
+    return estimate_tau(state.design, scale, variance)
+
+
+def _kept_weights(state: FitState, smooth: tuple[LinearTerm, ...]) -> Array:
+    kept, at = [], 0
+    for term in state.terms:
+        if term in smooth:
+            kept.append(state.weights[at : at + term.size])
+        at += term.size
+    return np.concatenate(kept) if kept else np.zeros(0)

@@ -1,0 +1,51 @@
+"""Linear additions to the residual: smooth empirical terms without a name, and realisations of fixed patterns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from radiometer.reconcile.fit.comparison import Comparison
+from radiometer.reconcile.measure.design import Array
+from radiometer.reconcile.model.tile_model import Prediction
+
+ColumnBuilder = Callable[[Comparison, Prediction, Array], Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearTerm:
+    """Something that adds to the statistics in proportion to its coefficients.
+
+    Attributes:
+        name: What it is, for messages.
+        build: Gives its whitened columns, (entries, coefficients), for a comparison, prediction and sensitivity.
+        prior: (coefficients,) prior standard deviation; infinite for none.
+        block: Statistic that it acts on.
+        where: Covariate along which it acts.
+        form: multiplicative, additive, or additive × gain.
+    """
+
+    name: str
+    build: ColumnBuilder
+    prior: Array
+    block: str = ""
+    where: str = ""
+    form: str = ""
+
+    @property
+    def size(self) -> int:
+        """Return the number of coefficients."""
+        return int(self.prior.size)
+
+    @property
+    def is_smooth(self) -> bool:
+        """Tell whether it is an unnamed empirical term (and not a realisation of an accepted effect)."""
+        return bool(self.where)
+
+
+def prior_rows(prior: Array, values: Array) -> tuple[Array, Array]:
+    """Return (residual, Jacobian) of the prior rows of parameters; infinite priors give rows of zeros."""
+    inverse = np.where(np.isfinite(prior), 1.0 / np.where(np.isfinite(prior), prior, 1.0), 0.0)
+    return -values * inverse, np.diag(inverse)

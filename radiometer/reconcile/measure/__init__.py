@@ -1,0 +1,1 @@
+"""Frames reduced to statistics: captures and tiles, sums over frames, and along what they may differ."""

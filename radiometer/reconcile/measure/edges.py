@@ -1,0 +1,150 @@
+"""How sharp the borders of patches are: the share of a step that lies in the last line before it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.reconcile.measure.design import Array
+from radiometer.reconcile.measure.layout import PatchSides
+
+_LEAVES: Final = 0.2  # share of the largest deviation at which a line is no longer the patch
+_OUTLYING: Final = 4.0  # sigmas from the median of all sides
+_OUTLYING_SHARE: Final = 0.1
+SHARPEST: Final = 5e-4  # a blur of 0.26 px: what a border that is not quite straight does by itself
+_WIDE: Final = 0.15  # a wide blur reaches beyond narrow surrounds, so that its share is less certain
+_CALM: Final = 0.03  # largest deviation of the line before the last, in shares of the step
+_FALLS: Final = 0.5  # a blur that leaves the line before the last calm falls off from line to line by more than this
+_SEEN: Final = 2.0  # sigmas by which a line must differ from the patch to tell anything
+_LARGEST_SHARE: Final = 0.45
+_FEW: Final = 0.5  # of the borders that are clear at one f-number, below which others are too blurred to tell them
+_CLEAR_STEP: Final = 5.0  # sigmas of a line's mean that a step must have to tell anything
+
+
+def edge_shares(
+    sides: PatchSides,
+    lines: Array,
+    mean: Array,
+    spatial: Array,
+    high: Array,
+    pattern: NDArray[np.intp],
+    f_number: Array | None = None,
+) -> tuple[Array, Array]:
+    """Return the blended share of each capture's borders and its standard uncertainty (infinite where none is seen).
+
+    Each pattern's steps are found in the mean of its captures: the first line, going outwards, that leaves the
+    patch's level. Where most captures are too blurred to tell, those of the smallest aperture do. A sharp picture has
+    the patch's own level up to that line; what a blur carries into it is taken relative to the sum of what both lines
+    differ from the patch, which a symmetric blur leaves as it is. Sides that disagree with the others (a faint step
+    hidden before a strong one) are left out.
+
+    Args:
+        sides: Lines across the sides of the patches.
+        lines: (captures, sides, lines) their means in DN.
+        mean: (captures, tiles) mean of each tile in DN.
+        spatial: (captures, tiles) variance of the time mean from pixel to pixel in DN².
+        high: (captures, tiles) share of samples at full scale.
+        pattern: (captures,) pattern of each capture.
+        f_number: (captures,) f-number of each; all alike where there is none.
+    """
+    captures = mean.shape[0]
+    share, u = np.zeros(captures), np.full(captures, np.inf)
+    if not sides.tile.size:
+        return share, u
+    step = lines - mean[:, sides.tile][:, :, None]
+    clipped = (high[:, sides.tile] > 0) | ~np.isfinite(step).all(axis=2)
+    noise = spatial[:, sides.tile] / sides.rows.shape[2]
+    at = _positions(step, clipped, noise, pattern, np.zeros(captures) if f_number is None else f_number)
+    index = np.arange(sides.tile.size)
+    for capture in range(captures):
+        line, clear = at[int(pattern[capture])]
+        before = step[capture, index, line]
+        after = step[capture, index, line + 1]
+        whole = before + after
+        usable = clear & ~clipped[capture] & (noise[capture] > 0) & (whole**2 > _CLEAR_STEP**2 * noise[capture])
+        if usable.any():
+            share[capture], u[capture] = _agreed(before[usable], whole[usable], noise[capture][usable])
+    return share, u
+
+
+def _agreed(before: Array, whole: Array, noise: Array) -> tuple[float, float]:
+    """Return the mean share of the sides that agree with the median, and its standard uncertainty."""
+    single, sigma = before / whole, np.sqrt(noise) / np.abs(whole)
+    order = np.argsort(single)
+    weight = np.cumsum(1.0 / sigma[order])
+    middle = float(single[order][np.searchsorted(weight, 0.5 * weight[-1])])
+    kept = np.abs(single - middle) < _OUTLYING * sigma + _OUTLYING_SHARE * abs(middle)
+    information = float(np.sum(1.0 / sigma[kept] ** 2)) if kept.any() else 0.0
+    if information <= 0:
+        return 0.0, np.inf
+    share = float(np.sum(single[kept] / sigma[kept] ** 2)) / information
+    return share, float(np.sqrt(1.0 / information + SHARPEST**2 + (_WIDE * share**2) ** 2))
+
+
+def _positions(
+    step: Array, clipped: NDArray[np.bool_], noise: Array, pattern: NDArray[np.intp], f_number: Array
+) -> dict[int, tuple[NDArray[np.intp], NDArray[np.bool_]]]:
+    """Return for each pattern the line before the step of every side, and whether that step is a clear one.
+
+    The smallest aperture at which they are clear tells where they lie. In a pattern that is seen only at f-numbers
+    that are blurred in another one no step is clear.
+    """
+    found, blurred, stops_of = {}, set[float](), {}
+    for number in np.unique(pattern):
+        shown = pattern == number
+        stops_of[int(number)] = stops = np.unique(f_number[shown]).tolist()
+        of_all, *of_stops = (
+            _steps_of(step[chosen], clipped[chosen], noise[chosen])
+            for chosen in (shown, *(shown & (f_number == stop) for stop in stops))
+        )
+        most = max(clear.sum() for _, clear in of_stops)
+        line, clear = next(entry for entry in reversed(of_stops) if entry[1].sum() >= _FEW * most)
+        agree = [np.sum(clear & other[1] & (line == other[0])) >= _FEW * clear.sum() for other in (of_all, *of_stops)]
+        found[int(number)] = of_all if agree[0] else (line, clear)
+        if not agree[0]:
+            blurred |= {stop for stop, same in zip(stops, agree[1:], strict=True) if not same}
+    return {
+        number: (line, clear & (not blurred.issuperset(stops_of[number]))) for number, (line, clear) in found.items()
+    }
+
+
+def _steps_of(step: Array, clipped: NDArray[np.bool_], noise: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Return the line before the step of every side in the mean of some captures, and whether it is a clear one."""
+    weight = np.where(clipped | ~(noise > 0), 0.0, 1.0 / np.maximum(noise, 1e-12))
+    average = np.sum(np.nan_to_num(step) * np.sqrt(weight)[:, :, None], axis=0)
+    return _first_step(average, np.sqrt(np.sum(weight > 0, axis=0)))
+
+
+def _first_step(average: Array, sigma: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Return the line before the step of each side, and whether that step is a clear one.
+
+    Args:
+        average: (sides, lines) deviation of each line from the patch.
+        sigma: (sides,) its noise.
+    """
+    sides, lines = average.shape
+    index = np.arange(sides)
+    size = np.abs(average)
+    leaves = size > _LEAVES * size.max(axis=1, keepdims=True)
+    first = np.argmax(leaves, axis=1)
+    following = np.minimum(first + 1, lines - 1)
+    same = np.sign(average[index, first]) == np.sign(average[index, following])
+    inner = np.where(first > 0, size[index, np.maximum(first - 1, 0)], 0.0)
+    blended = same & (size[index, following] - size[index, first] > size[index, first] - inner)
+    after = np.where(blended, following, first)
+    earlier = np.maximum(after - 2, 0)
+    calm = size[index, earlier] < _CALM * size[index, after]
+    calm &= ~_false_start(average, after, earlier, sigma)
+    clear = (after >= 2) & calm | ((after == 1) & (size[index, 0] < _LARGEST_SHARE * size[index, 1]))
+    line = np.clip(after - 1, 0, lines - 2)
+    return line.astype(np.intp), np.asarray(clear & (size[index, after] > 0))
+
+
+def _false_start(average: Array, after: NDArray[np.intp], earlier: NDArray[np.intp], sigma: Array) -> NDArray[np.bool_]:
+    """Tell where a small step came before the large one: it does not fall off inwards as a blur would."""
+    index = np.arange(sigma.size)
+    far, near, step = (average[index, line] for line in (earlier, np.maximum(after - 1, 0), after))
+    rising = (np.abs(far) > _FALLS * np.abs(near)) | (np.sign(far) != np.sign(step))
+    return np.asarray(rising & (np.abs(far) > _SEEN * sigma))

@@ -1,0 +1,220 @@
+"""Reduces frames to the statistics that are compared: one pass, three frames in memory at most."""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data import Frame
+from radiometer.errors import CaptureError
+from radiometer.reconcile.measure.design import Array, Design
+from radiometer.reconcile.measure.edges import edge_shares
+from radiometer.reconcile.measure.layout import patch_sides, tile_groups
+from radiometer.reconcile.measure.pattern_images import PatternImages
+from radiometer.reconcile.measure.row_bands import RowBins
+from radiometer.reconcile.measure.sums import CaptureSums
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CaptureStatistics:
+    """What was seen, per capture and tile: arrays (captures, tiles) in DN, and (captures,) where said so.
+
+    Attributes:
+        mean: Mean of all frames.
+        variance: Temporal variance of a pixel, each frame's tile mean removed.
+        variance_dof: Degrees of freedom of `variance`.
+        spatial: Variance of the time mean from pixel to pixel about a quadratic surface.
+        spatial_dof: Degrees of freedom of `spatial`.
+        slope_x: Rise of the time mean from the tile's centre to its right edge.
+        slope_y: Rise from the centre to the bottom edge.
+        neighbour_x: Correlation of the temporal fluctuation of horizontal neighbours.
+        neighbour_y: The same of vertical neighbours.
+        first: First frame minus the mean of the others.
+        pixels: Pixels of the tile that count (defects taken out).
+        peak: Time mean of the brightest of them.
+        low: Share of samples at 0 DN.
+        high: Share of samples at full scale.
+        common: (captures,) variance of the frame-common relative fluctuation over what pixel noise alone gives.
+        common_unit: (captures,) relative variance that pixel noise alone gives it.
+        row_temporal: (captures,) variance of row means from frame to frame over what pixel noise alone gives.
+        row_temporal_weight: (captures,) its sensitivity: mean over rows of Σ 1/variance, in DN⁻².
+        row_temporal_dof: (captures,) its degrees of freedom.
+        row_temporal_light: (captures,) what rows whose light differs by 100 % would add to it.
+        bands: (captures, orders) variance of a spatial frequency of the rows' light over what pixel noise alone gives.
+        bands_basis: (captures, 1 + orders, bins) functions of the rows, see `row_bands`.
+        bands_of_rows: (captures, orders) what 1 DN² of row noise adds.
+        columns: (captures,) variance of fixed column means over what the fixed pixel pattern alone gives.
+        columns_weight: (captures,) its sensitivity in DN⁻².
+        columns_dof: (captures,) its degrees of freedom.
+        rows: (captures,) the same of rows.
+        rows_weight: (captures,) in DN⁻².
+        rows_dof: (captures,) degrees of freedom.
+        edge: (captures,) share of a step at a patch's edge that lies in the last line inside it.
+        edge_u: (captures,) its standard uncertainty; infinite where no edge is seen.
+        outliers: (captures,) pixels that stand out of their tile by more than 6 robust sigmas.
+        comb: (captures, periods) amplitude of a regular comb in the histogram, real part of its Fourier term.
+        comb_count: (captures,) samples in that histogram.
+    """
+
+    mean: Array
+    variance: Array
+    variance_dof: Array
+    spatial: Array
+    spatial_dof: Array
+    slope_x: Array
+    slope_y: Array
+    neighbour_x: Array
+    neighbour_y: Array
+    first: Array
+    pixels: Array
+    peak: Array
+    low: Array
+    high: Array
+    common: Array
+    common_unit: Array
+    row_temporal: Array
+    row_temporal_weight: Array
+    row_temporal_dof: Array
+    row_temporal_light: Array
+    bands: Array
+    bands_basis: Array
+    bands_of_rows: Array
+    columns: Array
+    columns_weight: Array
+    columns_dof: Array
+    rows: Array
+    rows_weight: Array
+    rows_dof: Array
+    edge: Array
+    edge_u: Array
+    outliers: Array
+    comb: Array
+    comb_count: Array
+
+
+_AHEAD: Final = 2  # frames that are read before they are wanted
+
+FrameReader = Callable[[int], Frame]
+Progress = Callable[[int], None]
+
+
+def reduce_frames(
+    design: Design, read: FrameReader, progress: Progress | None = None
+) -> tuple[CaptureStatistics, PatternImages]:
+    """Return the statistics of all captures and the mean image of each pattern.
+
+    Dark captures come first, so that their outlying pixels (defects) are left out everywhere.
+
+    Args:
+        design: Captures and tiles.
+        read: Gives the frame at a position of the header.
+        progress: Called with the number of frames done.
+
+    Raises:
+        CaptureError: If a frame's size differs from the design's.
+    """
+    groups, sides, bins = tile_groups(design), patch_sides(design), RowBins.of(design)
+    images = PatternImages.empty(design)
+    defects: NDArray[np.bool_] = np.zeros(design.shape, dtype=np.bool_)
+    collected: dict[int, dict[str, NDArray[np.float64] | float]] = {}
+    done = 0
+    darkest = np.nan  # stands for a black level that is not stated
+    order = _darks_first(design)
+    frames = _read_ahead(design, [index for number in order for index in design.captures[number].frames], read)
+    for number in order:
+        count = len(design.captures[number].frames)
+        sums = CaptureSums.start(groups, sides, len(design.tiles), defects)
+        apart = not design.uniform and count > 2
+        first = CaptureSums.start(groups, sides, len(design.tiles), defects)
+        for position, frame in enumerate(itertools.islice(frames, count)):
+            sums.add(frame)
+            images.add(frame, number)
+            if apart and position == 0:
+                first.add(frame)
+            done += 1
+            if progress is not None:
+                progress(done)
+        structured = not design.uniform and design.source_level[number] > 0
+        stated = float(design.black_level_dn[number])
+        black_dn = stated if np.isfinite(stated) or design.closed[number] else darkest
+        collected[number], outlying = sums.finish(black_dn, bins, structured=structured)
+        if apart:
+            later, _ = sums.without(first).finish(black_dn, bins, structured=structured)
+            collected[number] |= _later_noise(later, count, structured=structured)
+        if design.closed[number]:
+            defects = defects | outlying
+            darkest = float(np.fmin(darkest, np.median(np.asarray(collected[number]["mean"]))))
+    names = [entry.name for entry in fields(CaptureStatistics)]
+    rows = [collected[number] for number in range(len(design.captures))]
+    lines = np.array([row["side_lines"] for row in rows])
+    gathered = {name: np.array([row[name] for row in rows]) for name in names if name not in ("edge", "edge_u")}
+    gathered["edge"], gathered["edge_u"] = edge_shares(
+        sides, lines, gathered["mean"], gathered["spatial"], gathered["high"], design.pattern_index, design.f_number
+    )
+    return CaptureStatistics(**gathered), images
+
+
+_NOISE: Final = (
+    "variance",
+    "variance_dof",
+    "neighbour_x",
+    "neighbour_y",
+    "row_temporal",
+    "row_temporal_weight",
+    "row_temporal_dof",
+    "row_temporal_light",
+)
+
+
+def _later_noise(
+    later: Mapping[str, NDArray[np.float64] | float], frames: int, *, structured: bool
+) -> dict[str, NDArray[np.float64] | float]:
+    """Return the noise of a scene's frames after the first, by name: a picture left behind in that is no noise.
+
+    The spatial variance of darks is brought to what the mean of all frames would have; mostly noise, it scatters more.
+
+    Args:
+        later: Statistics of the frames after the first.
+        frames: Number of all frames.
+        structured: Whether the scene is seen.
+    """
+    noise: dict[str, NDArray[np.float64] | float] = {name: later[name] for name in _NOISE}
+    if not structured:
+        white = np.asarray(later["variance"]) * (1.0 / (frames - 1) - 1.0 / frames)
+        noise["spatial"] = np.asarray(later["spatial"]) - white
+        noise["spatial_dof"] = np.asarray(later["spatial_dof"]) * ((frames - 1) / frames) ** 2
+    return noise
+
+
+def frame_reader(frames: Sequence[Frame]) -> FrameReader:
+    """Return a reader of frames that are in memory already."""
+    return frames.__getitem__
+
+
+def _darks_first(design: Design) -> list[int]:
+    """Return the captures' numbers, darks first and the longest of them foremost: it shows the most defects."""
+    return sorted(
+        range(len(design.captures)), key=lambda n: (not design.closed[n], -design.exposure_s[n] * design.closed[n], n)
+    )
+
+
+def _read_ahead(design: Design, indices: Sequence[int], read: FrameReader) -> Iterator[Frame]:
+    """Yield frames in the order given; a second thread reads the next ones meanwhile."""
+    with ThreadPoolExecutor(max_workers=1) as reader:
+        waiting = deque(reader.submit(read, index) for index in indices[:_AHEAD])
+        for position, index in enumerate(indices):
+            frame = waiting.popleft().result()
+            waiting.extend(reader.submit(read, later) for later in indices[position + _AHEAD : position + _AHEAD + 1])
+            if frame.shape != design.shape:
+                raise CaptureError(
+                    f"frame {index} is {frame.shape[1]} × {frame.shape[0]} pixels, the first one {design.shape[1]} × "
+                    f"{design.shape[0]}; all frames of a capture set need one size"
+                )
+            yield frame

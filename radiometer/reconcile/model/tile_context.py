@@ -1,0 +1,237 @@
+"""All captures of a design at once, in the form in which effects see one frame.
+
+Arrays have the axes captures × tiles × points; the points are the four Gauss points of a tile, so that means are
+exact for cubic shading and slopes come with them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data import CameraDescription, LensDescription
+from radiometer.reconcile.measure.design import Array, Design
+from radiometer.reconcile.measure.pattern_images import PatternImages
+from simulators.effects.context import ExposureContext, FrameGeometry, Signal
+
+GAUSS_POINT: Final = 1.0 / math.sqrt(3.0)
+_DENSE: Final = 12  # points per side of a tile where light from elsewhere varies within it
+_POINTS: Final = ((-1, -1), (1, -1), (-1, 1), (1, 1))  # (x, y) signs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BatchSettings:
+    """The settings of all captures, with the names of FrameSettings; arrays of shape (captures, 1, 1)."""
+
+    exposure_s: Array
+    gain_db: Array
+    f_number: Array
+    black_level_dn: Array
+    temperature_c: Array
+    timestamp_s: Array
+    source_level: Array
+    is_dark: NDArray[np.bool_]
+    pattern: NDArray[np.str_]
+
+    @classmethod
+    def of(cls, design: Design) -> BatchSettings:
+        """Return the settings of a design's captures."""
+        return cls(
+            design.exposure_s[:, None, None],
+            design.gain_db[:, None, None],
+            design.f_number[:, None, None],
+            design.black_level_dn[:, None, None],
+            design.temperature_c[:, None, None],
+            design.timestamp_s[:, None, None],
+            design.source_level[:, None, None],
+            design.closed[:, None, None],
+            np.array(design.patterns)[design.pattern_index][:, None, None],
+        )
+
+
+class PictureSurroundings:
+    """Looks up what surrounds the tiles in the mean picture of each pattern.
+
+    Ratios to the tiles' own signal are kept, so that they follow whatever the chain does to all light alike.
+    """
+
+    def __init__(self, design: Design, images: PatternImages) -> None:
+        self._design, self._images = design, images
+        self._spread: dict[float, Array] = {}
+        self._tiles = self._sampled([images.picture(p) for p in range(len(design.patterns))])
+        self._norm = np.maximum(self._tiles.mean(axis=(1, 2)), 1e-30)
+        self._mean = np.array([images.picture(p).mean() for p in range(len(design.patterns))]) / self._norm
+        self._reflected: dict[float, Array] = {}
+
+    def frame_mean(self, signal: Signal) -> Signal:
+        """Return the mean over the whole frame, shape (captures, 1, 1)."""
+        return np.asarray(self._level(signal) * self._mean[self._design.pattern_index][:, None, None])
+
+    def spread(self, signal: Signal, radius_fraction: float) -> Signal:
+        """Return the signal at each tile spread over a fraction of the frame's longer side."""
+        key = round(radius_fraction, 6)
+        if key not in self._spread:
+            pictures = [_soft(self._images.picture(p), key) for p in range(len(self._design.patterns))]
+            self._spread[key] = self._smoothed(pictures)
+        return self._relative(signal, self._spread[key])
+
+    def reflected(self, signal: Signal, radius_fraction: float = 0.0) -> Signal:
+        """Return the signal at the point reflected about the optical axis, spread where asked for."""
+        key = round(radius_fraction, 6)
+        if key not in self._reflected:
+            pictures = [self._images.picture(p) for p in range(len(self._design.patterns))]
+            soft = [_soft(picture, key) for picture in pictures] if key else pictures
+            self._reflected[key] = self._smoothed([self._turned(picture) for picture in soft])
+        return self._relative(signal, self._reflected[key])
+
+    def _relative(self, signal: Signal, sampled: Array) -> Signal:
+        ratio = sampled / self._norm[:, None, None]
+        return np.asarray(self._level(signal) * ratio[self._design.pattern_index])
+
+    def _level(self, signal: Signal) -> Signal:
+        level: Signal = np.asarray(signal.mean(axis=(1, 2), keepdims=True))
+        return level
+
+    def _sampled(self, pictures: list[Array]) -> Array:
+        x, y = tile_points(self._design)
+        cell = self._images.cell_px
+        return np.stack([_bilinear(picture, (x + 0.5) / cell - 0.5, (y + 0.5) / cell - 0.5) for picture in pictures])
+
+    def _smoothed(self, pictures: list[Array]) -> Array:
+        """Return values at the tiles' points that have the mean and the least-squares slopes of each tile's pixels."""
+        x, y, u, v = _dense_points(self._design)
+        cell = self._images.cell_px
+        found = []
+        for picture in pictures:
+            values = _bilinear(picture, (x + 0.5) / cell - 0.5, (y + 0.5) / cell - 0.5)
+            rises = [values @ axis / float(axis @ axis) for axis in (u, v)]
+            signs = np.array(_POINTS, dtype=np.float64) * GAUSS_POINT
+            tilt = rises[0][:, None] * signs[:, 0] + rises[1][:, None] * signs[:, 1]
+            found.append(values.mean(axis=1)[:, None] + tilt)
+        return np.stack(found)
+
+    def _turned(self, picture: Array) -> Array:
+        centre = self._design.header.lens.principal_point_px
+        height, width = self._design.shape
+        x0, y0 = centre or ((width - 1) / 2, (height - 1) / 2)
+        rows, columns = np.indices(picture.shape)
+        cell = self._images.cell_px
+        far_x = np.asarray(2 * (x0 + 0.5) / cell - 1.0 - columns)
+        far_y = np.asarray(2 * (y0 + 0.5) / cell - 1.0 - rows)
+        inside = (
+            (far_x >= -0.5) & (far_x <= picture.shape[1] - 0.5) & (far_y >= -0.5) & (far_y <= picture.shape[0] - 0.5)
+        )
+        return np.where(inside, _bilinear(picture, far_x, far_y), 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TileContext(ExposureContext):
+    """The context of all captures at once."""
+
+    surroundings: PictureSurroundings | None = None
+    frames: Any = 1.0
+    tile_pixels: Any = 1.0
+    tile_height: Any = 1.0
+
+    def frame_mean(self, signal: Signal) -> Any:
+        """Return the mean over the whole frame, shape (captures, 1, 1)."""
+        return self.surroundings.frame_mean(signal) if self.surroundings else signal.mean(axis=(1, 2), keepdims=True)
+
+
+def tile_points(design: Design) -> tuple[Array, Array]:
+    """Return column and row coordinates of the tiles' Gauss points in pixels, each (tiles, 4)."""
+    middle = np.array([(t.x + (t.width - 1) / 2, t.y + (t.height - 1) / 2) for t in design.tiles])
+    half = np.array([(t.width / 2, t.height / 2) for t in design.tiles]) * GAUSS_POINT
+    signs = np.array(_POINTS, dtype=np.float64)
+    x = middle[:, :1] + half[:, :1] * signs[:, 0]
+    y = middle[:, 1:] + half[:, 1:] * signs[:, 1]
+    return x, y
+
+
+def _dense_points(design: Design) -> tuple[Array, Array, Array, Array]:
+    """Return image coordinates of a grid of points in each tile, (tiles, points), and their places −1 … 1 in it."""
+    steps = (2.0 * np.arange(_DENSE) + 1.0) / _DENSE - 1.0
+    v, u = (axis.ravel() for axis in np.meshgrid(steps, steps, indexing="ij"))
+    x = np.array([t.x + (t.width - 1) / 2 + 0.5 * t.width * u for t in design.tiles])
+    y = np.array([t.y + (t.height - 1) / 2 + 0.5 * t.height * v for t in design.tiles])
+    return x, y, u, v
+
+
+def tile_context(design: Design, images: PatternImages, previous: Array | None = None) -> TileContext:
+    """Return the context of all captures of a design.
+
+    Args:
+        design: Captures and tiles.
+        images: Mean picture of each pattern.
+        previous: Signal of the frame before each capture in electrons, (captures, tiles, 1).
+    """
+    x, y = tile_points(design)
+    camera, lens = design.header.camera, design.header.lens
+    geometry = FrameGeometry(
+        x[None],
+        y[None],
+        design.shape[1],
+        design.shape[0],
+        principal_point_px=lens.principal_point_px,
+        pixel_spacing_um=camera.pixel_spacing_um or camera.pixel_pitch_um or 4.5,
+    )
+    radiance = scene_radiance(design, images)
+    peak = float(np.nanmax(radiance))
+    return TileContext(
+        cast(Any, BatchSettings.of(design)),
+        geometry,
+        camera if isinstance(camera, CameraDescription) else design.header.camera,
+        lens if isinstance(lens, LensDescription) else LensDescription(),
+        design.header.source.wavelength_nm or 550.0,
+        code=np.maximum(radiance / peak, 1e-9)[design.pattern_index][:, :, None],
+        peak_radiance=peak,
+        previous_e=previous,
+        surroundings=PictureSurroundings(design, images),
+        frames=design.frame_count[:, None, None],
+        tile_pixels=np.array([t.width * t.height for t in design.tiles], dtype=np.float64)[None, :, None],
+        tile_height=np.array([t.height for t in design.tiles], dtype=np.float64)[None, :, None],
+    )
+
+
+def scene_radiance(design: Design, images: PatternImages) -> Array:
+    """Return the radiance of every tile under every pattern, (patterns, tiles) in W·sr⁻¹·m⁻².
+
+    What is unknown is taken from the pattern's mean picture, brought to the scale of what is known (or of the
+    declared camera where nothing is).
+    """
+    known = np.array([[np.nan if v is None else v for v in tile.radiance] for tile in design.tiles]).T
+    x, y = tile_points(design)
+    cell = images.cell_px
+    seen = np.stack(
+        [
+            _bilinear(images.picture(p), (x + 0.5) / cell - 0.5, (y + 0.5) / cell - 0.5).mean(axis=1)
+            for p in range(len(design.patterns))
+        ]
+    )
+    both = np.isfinite(known) & (seen > 0)
+    declared = 1.0 / np.pi  # any positive number serves: the responsivity is fitted
+    scale = float(np.sum(known[both]) / np.sum(seen[both])) if both.any() else declared
+    guess = np.maximum(seen * scale, 1e-6 * max(float(seen.max()) * scale, 1e-30))
+    guess[list(design.same_patches)] = guess[0]
+    return np.where(np.isfinite(known) & (known > 0), known, guess)
+
+
+def _bilinear(picture: Array, x: Array, y: Array) -> Array:
+    x = np.clip(x, 0, picture.shape[1] - 1)
+    y = np.clip(y, 0, picture.shape[0] - 1)
+    left, top = np.floor(x).astype(int), np.floor(y).astype(int)
+    right, bottom = np.minimum(left + 1, picture.shape[1] - 1), np.minimum(top + 1, picture.shape[0] - 1)
+    fx, fy = x - left, y - top
+    upper = picture[top, left] * (1 - fx) + picture[top, right] * fx
+    lower = picture[bottom, left] * (1 - fx) + picture[bottom, right] * fx
+    return cast(Array, upper * (1 - fy) + lower * fy)
+
+
+def _soft(picture: Array, radius_fraction: float) -> Array:
+    from scipy.ndimage import gaussian_filter
+
+    return cast(Array, gaussian_filter(picture, radius_fraction * max(picture.shape), mode="nearest"))

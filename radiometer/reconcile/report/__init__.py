@@ -1,0 +1,1 @@
+"""What was found, as result, report and camera model."""

@@ -1,0 +1,1 @@
+"""Which effects are missing: places of disagreement, candidates, names, rivals."""

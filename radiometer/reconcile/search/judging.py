@@ -1,0 +1,90 @@
+"""How far a fitted candidate is believed: what it must bring, and what it pays for its freedom."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from radiometer.reconcile.fit.candidate_fit import FittedCandidate, included
+from radiometer.reconcile.fit.state import FitState
+from radiometer.reconcile.noise.chances import chi2_beyond
+from radiometer.reconcile.search.rivals import PARAMETER_NATS
+
+_NEEDED_NATS: Final = 8.0
+_LATER_NATS: Final = 2.0
+_FEW_TRIES: Final = 2.0
+_EVIDENCE: Final = 8.0  # χ² that the statistic which must show the effect has to lose
+FLEXIBLE_NATS: Final = 5.0  # a flexible form must beat the rigid one by so much
+_STATED_NATS: Final = 6.0  # more where stated radiances carry the evidence: measured once, their errors go together
+_STATED_SHARE: Final = 0.5
+HUGE_NATS: Final = 2000.0
+_NEAR_SHARE: Final = 0.05
+# Entries that physics does not expect, or that can imitate others by their freedom, must be that much better.
+_UNLIKELY_NATS: Final[Mapping[str, float]] = {
+    "reciprocity_failure": 5.0,
+    "source_not_proportional_to_exposure": 3.0,
+    "exposure_label_error": 6.0,
+    "exposure_quantisation": 20.0,  # a grid of steps: real ones move all short exposures and bring thousands
+    "shutter_dead_time": 2.0,
+    "rolling_shutter_banding": 3.0,
+    "angle_dependence": 2.0,
+    "dark_current_clamped": 1.0,
+    "soft_saturation": 3.0,
+}
+
+
+def penalised_chi2(fitted: FittedCandidate) -> float:
+    """Return the χ² that a candidate explains, less what it pays for its parameters and for being unlikely."""
+    return fitted.gain - 2.0 * _penalty(fitted)
+
+
+def _penalty(fitted: FittedCandidate) -> float:
+    return PARAMETER_NATS * fitted.parameters + _UNLIKELY_NATS.get(fitted.name, 0.0)
+
+
+def score(entry: tuple[FittedCandidate, float]) -> float:
+    """Return the nats of a judged candidate less what it pays."""
+    fitted, nats = entry
+    return nats - _penalty(fitted) - (FLEXIBLE_NATS if fitted.flexible else 0.0)
+
+
+def contenders_of(
+    state: FitState, judged: list[tuple[FittedCandidate, float]], fewest: int = 1
+) -> list[tuple[FittedCandidate, float]]:
+    """Return the candidates, those of a very large and nearly equal gain judged anew after a full fit of each.
+
+    Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges. With fewer
+    than `fewest` left all are returned as they came.
+    """
+    best = max((nats for _, nats in judged), default=0.0)
+    near = [entry for entry in judged if entry[1] > best - _NEAR_SHARE * best]
+    if best < HUGE_NATS or len(near) < max(fewest, 2):
+        return judged
+    base = state.evidence
+    return [(f, included(state, f.effect, far=True).evidence - base) for f, _ in near]
+
+
+def likeliest(judged: list[tuple[FittedCandidate, float]]) -> tuple[FittedCandidate, float] | None:
+    """Return the judged candidate of the highest score."""
+    return max(judged, key=score) if judged else None
+
+
+def log_chance(gain: float, parameters: int) -> float:
+    """Return ln of the chance that so many idle parameters gain so much χ²."""
+    chance = chi2_beyond(max(gain, 1e-9), parameters)
+    return float(np.log(chance)) if chance > 0 else -np.inf
+
+
+def is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool) -> bool:
+    """Tell whether settings held out are predicted better, beyond chance, and in the statistic that must show it.
+
+    Of many starts one fits by chance, and beside an effect that is there already a further one is less likely. The
+    radiances of patches are stated once: an error of their measurement that goes with the level looks like an effect.
+    """
+    needed = _NEEDED_NATS + _UNLIKELY_NATS.get(fitted.name, 0.0) + float(np.log(max(fitted.tries / _FEW_TRIES, 1.0)))
+    needed += _STATED_NATS if fitted.stated > _STATED_SHARE * fitted.gain else 0.0
+    needed += FLEXIBLE_NATS if fitted.flexible else 0.0
+    beyond_chance = log_chance(fitted.gain, fitted.parameters) < limit
+    return beyond_chance and nats >= needed + (_LATER_NATS if later else 0.0) and fitted.evidence >= _EVIDENCE

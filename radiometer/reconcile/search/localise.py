@@ -1,0 +1,219 @@
+"""Finds where measured and simulated disagree, without any idea of why.
+
+Score tests of smooth trends: each statistic along each covariate, in three forms (in proportion to the light, as a
+constant in DN, as a constant in electrons). The residual and the trends are first freed of all that the nuisances
+can explain. Bonferroni over all tests holds the false-alarm rate.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.special import gammaln
+
+from radiometer.reconcile.fit.comparison import CAPTURE_BLOCKS, FAMILY, Comparison
+from radiometer.reconcile.fit.linear import LinearFit
+from radiometer.reconcile.fit.state import FitState
+from radiometer.reconcile.fit.terms import LinearTerm
+from radiometer.reconcile.measure.covariates import Covariate, covariates
+from radiometer.reconcile.measure.design import Array
+from radiometer.reconcile.model.tile_model import Prediction
+from radiometer.reconcile.noise.chances import chi2_beyond
+
+MULTIPLICATIVE: Final = "multiplicative"
+ADDITIVE: Final = "additive"
+ADDITIVE_GAIN: Final = "additive × gain"
+SIGNIFICANT: Final = 0.005  # chance of any false alarm among all tests of one pass; a search makes two or more
+
+_CAPTURE_AXES: Final = (
+    "exposure_s",
+    "gain_db",
+    "f_number",
+    "temperature_C",
+    "source_level",
+    "timestamp_s",
+    "time_waves",
+    "pattern",
+    "previous_frame",
+)
+_TILE_AXES: Final = ("signal", "patch_level", "field_radius", "image_x", "image_y", "half_x", "half_y")
+_NOISE_AXES: Final = ("constant", "signal", "gain_db", "exposure_s", "temperature_C", "image_y", "half_x", "half_y")
+_FORMS_OF_MEAN: Final = (MULTIPLICATIVE, ADDITIVE, ADDITIVE_GAIN)
+
+# Statistic → (axes, forms). A trend must be possible physically: hot pixels do not depend on the f-number.
+_TESTS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
+    "mean": ((*_CAPTURE_AXES, *_TILE_AXES, "constant"), _FORMS_OF_MEAN),
+    "slope_x": (("constant", "image_x", "image_y", "field_radius", "f_number", "exposure_s"), (MULTIPLICATIVE,)),
+    "slope_y": (("constant", "image_x", "image_y", "field_radius", "f_number", "exposure_s"), (MULTIPLICATIVE,)),
+    "variance": (
+        ("constant", "signal", "gain_db", "exposure_s", "temperature_C", "image_y", "half_x", "half_y"),
+        (MULTIPLICATIVE, ADDITIVE_GAIN),
+    ),
+    "spatial": (
+        ("constant", "signal", "gain_db", "exposure_s", "temperature_C", "image_y", "half_x", "half_y"),
+        (MULTIPLICATIVE, ADDITIVE_GAIN),
+    ),
+    "neighbour_x": (("constant", "signal", "gain_db"), (MULTIPLICATIVE,)),
+    "neighbour_y": (("constant", "signal", "gain_db"), (MULTIPLICATIVE,)),
+    "first": (("constant", "previous_frame"), (MULTIPLICATIVE, ADDITIVE)),
+    "common": (("constant", "exposure_s", "source_level"), (MULTIPLICATIVE,)),
+    "row_temporal": (("constant", "gain_db", "exposure_s"), (MULTIPLICATIVE,)),
+    "columns": (("constant", "gain_db", "exposure_s"), (MULTIPLICATIVE,)),
+    "rows": (("constant", "gain_db", "exposure_s"), (MULTIPLICATIVE,)),
+    "edge": (("constant", "f_number"), (MULTIPLICATIVE,)),
+    "outliers": (("constant", "exposure_s", "temperature_C"), (MULTIPLICATIVE,)),
+    "comb": (("constant",), (MULTIPLICATIVE,)),
+    "bands": (("constant", "exposure_s", "image_y"), (MULTIPLICATIVE,)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """One test.
+
+    Attributes:
+        block: Statistic.
+        where: Covariate.
+        form: Form of the trend.
+        chi2: What the trend would explain.
+        rank: Its free parameters.
+        p_value: Chance of that much without a disagreement.
+    """
+
+    block: str
+    where: str
+    form: str
+    chi2: float
+    rank: int
+    p_value: float
+
+    @property
+    def log_p(self) -> float:
+        """Return ln p, finite also where p underflows."""
+        if self.p_value > 1e-280:
+            return float(np.log(self.p_value))
+        half = self.chi2 / 2.0
+        return float(-half + (self.rank / 2.0 - 1.0) * np.log(half) - gammaln(self.rank / 2.0))
+
+    @property
+    def family(self) -> str:
+        """Return the statistic without its direction."""
+        return FAMILY.get(self.block, self.block)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Basis:
+    """The trend of one test.
+
+    Attributes:
+        block: Statistic.
+        where: Covariate.
+        form: Form of the trend.
+        columns: (entries of the block, terms) whitened.
+    """
+
+    block: str
+    where: str
+    form: str
+    columns: Array
+
+
+def localise(state: FitState) -> tuple[Disagreement, ...]:
+    """Return all tests, the most significant first."""
+    tests = (score(state, basis, state.fit) for basis in trend_bases(state, covariates(state.model, state.prediction)))
+    return tuple(sorted((test for test in tests if test is not None), key=lambda test: test.log_p))
+
+
+def trend_bases(state: FitState, axes: Mapping[str, Covariate]) -> Iterator[Basis]:
+    """Yield the trend of every test that the data allow.
+
+    Args:
+        state: The fitted model.
+        axes: The covariates that vary, by name.
+    """
+    for block, (names, forms) in _TESTS.items():
+        if not state.comparison.usable[block].any():
+            continue
+        for name, form in itertools.product((n for n in names if n == "constant" or n in axes), forms):
+            columns = whitened_basis(state.comparison, state.prediction, state.sensitivity, block, form, axes.get(name))
+            if columns.shape[1]:
+                yield Basis(block, name, form, columns)
+
+
+def score(state: FitState, basis: Basis, fit: LinearFit) -> Disagreement | None:
+    """Return the test of one trend beside a linear fit; None where the fit leaves nothing of the trend."""
+    explained, rank = fit.score(state.comparison.cuts[basis.block], basis.columns)
+    if not rank:
+        return None
+    return Disagreement(basis.block, basis.where, basis.form, explained, rank, chi2_beyond(explained, rank))
+
+
+def significant(tests: Sequence[Disagreement]) -> tuple[Disagreement, ...]:
+    """Return the tests that stand out at the level of `SIGNIFICANT` after Bonferroni's correction."""
+    limit = np.log(SIGNIFICANT / max(len(tests), 1))
+    return tuple(test for test in tests if test.log_p < limit)
+
+
+def whitened_basis(
+    comparison: Comparison,
+    prediction: Prediction,
+    sensitivity: Array,
+    block: str,
+    form: str,
+    axis: Covariate | None,
+) -> Array:
+    """Return the whitened columns of a smooth trend in one block, (entries of the block, terms)."""
+    captures, tiles = prediction.mean.shape
+    smooth = np.ones((captures, tiles, 1)) if axis is None else axis.basis()
+    if block == "comb":
+        return _flat(comparison.whiten(block, np.ones((*comparison.usable[block].shape, 1))))
+    if block == "bands":
+        return _flat(comparison.whiten(block, _of_bands(comparison, axis)))
+    if block in CAPTURE_BLOCKS:
+        values = smooth[:, 0, :] if axis is None or axis.per_capture else smooth.mean(axis=1)
+        return comparison.whiten(block, values)
+    return _flat(comparison.whiten(block, smooth * _form(block, form, prediction, sensitivity)[:, :, None]))
+
+
+def _of_bands(comparison: Comparison, axis: Covariate | None) -> Array:
+    """Return the trend over captures and spatial frequencies; along the image these take the place of the rows."""
+    captures, orders = comparison.usable["bands"].shape
+    if axis is None:
+        return np.ones((captures, orders, 1))
+    if axis.per_capture:
+        return np.repeat(axis.basis()[:, :1, :], orders, axis=1)
+    return Covariate(axis.name, np.tile(np.arange(orders, dtype=np.float64), (captures, 1)), per_capture=False).basis()
+
+
+def _form(block: str, form: str, prediction: Prediction, sensitivity: Array) -> Array:
+    gain = np.broadcast_to(prediction.gain[:, None], sensitivity.shape)
+    if block in ("variance", "spatial"):
+        return np.ones_like(sensitivity) if form == MULTIPLICATIVE else gain**2 / getattr(prediction, block)
+    if block.startswith("neighbour"):
+        return np.ones_like(sensitivity)
+    if form == MULTIPLICATIVE:
+        return sensitivity
+    return np.ones_like(sensitivity) if form == ADDITIVE else np.asarray(gain)
+
+
+def _flat(values: Array) -> Array:
+    return values.reshape(-1, values.shape[-1])
+
+
+def smooth_term(state: FitState, test: Disagreement) -> LinearTerm:
+    """Return the empirical term that takes up a disagreement without naming it."""
+    axis = covariates(state.model, state.prediction).get(test.where)
+    size = whitened_basis(state.comparison, state.prediction, state.sensitivity, test.block, test.form, axis).shape[1]
+
+    def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
+        part = whitened_basis(comparison, prediction, sensitivity, test.block, test.form, axis)
+        columns = np.zeros((comparison.size, part.shape[1]))
+        columns[comparison.cuts[test.block]] = part
+        return columns
+
+    name = f"{test.block} | {test.where} | {test.form}"
+    return LinearTerm(name, build, np.full(size, np.inf), test.block, test.where, test.form)

@@ -1,0 +1,204 @@
+"""Tries every entry of the catalogue quickly: how much of the disagreement could it explain at best?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Final
+
+import numpy as np
+
+from radiometer.errors import MeasurementError
+from radiometer.reconcile.fit.state import FitState
+from radiometer.reconcile.measure.design import Array
+from radiometer.reconcile.measure.reduce import CaptureStatistics
+from radiometer.reconcile.measure.sums import COMB_PERIODS
+from radiometer.reconcile.measure.usable import seen_step
+from radiometer.reconcile.model.parameters import EffectParameters
+from radiometer.reconcile.search.start_pool import StartPool
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.missing_codes import MissingCodes
+
+_OTHER_STARTS: Final = 2  # of an entry that are kept for the fit beside the best
+_LARGEST_AMPLITUDE: Final = 300.0  # a start may be that much too small …
+_SMALLEST_CURVATURE: Final = 1e-9
+AT_ONCE: Final = 32  # changes that are projected together: one at a time would read the whole fit for each
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One start of one entry.
+
+    Attributes:
+        effect: The effect at its start.
+        gain: χ² that it would explain if it acted linearly.
+        parameters: Number of its fitted parameters (one more where it acts without any).
+        flexible: Whether it is a cover, a flexible form that takes up any equation of the effect.
+        others: Further starts that did about as well.
+        tries: Number of starts that the entry had: the more, the likelier one fits by chance.
+    """
+
+    effect: CatalogueEffect
+    gain: float
+    parameters: int
+    flexible: bool = False
+    others: tuple[CatalogueEffect, ...] = ()
+    tries: int = 1
+
+
+def usable_catalogue(
+    state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]
+) -> dict[str, type[CatalogueEffect]]:
+    """Return the entries that the data can speak about at all and that are not in the model yet."""
+    taken = {effect.name for effect in state.effects if not effect.repeats}
+    return {n: kind for n, kind in catalogue.items() if n not in taken and kind.usable(state.model.context)}
+
+
+def screen(
+    state: FitState, catalogue: Mapping[str, type[CatalogueEffect]], pool: StartPool | None = None
+) -> list[Candidate]:
+    """Return the best start of every usable entry (rigid and flexible apart), the most promising first.
+
+    Args:
+        state: The fitted model.
+        catalogue: Entries to try, by name.
+        pool: Their starts, where they were made before.
+    """
+    pool = pool or StartPool()
+    kinds = usable_catalogue(state, catalogue).values()
+    likeliest = [of_seen_codes(state.comparison.seen, pool.likeliest(state, kind)) for kind in kinds]
+    covers = [kind.covers(state.model.context) for kind in kinds]
+    rigid = iter(_rigid(state, [start for starts in likeliest for start in starts]))
+    flexible = iter(_flexible(state, [cover for several in covers for cover in several]))
+    found: list[Candidate] = []
+    for kind, starts, several in zip(kinds, likeliest, covers, strict=True):
+        best = _best(list(islice(rigid, len(starts))))
+        found += [replace(candidate, tries=pool.count(kind)) for candidate in best]
+        found += _best(list(islice(flexible, len(several))))
+    return sorted(found, key=lambda candidate: -candidate.gain)
+
+
+def of_seen_codes(seen: CaptureStatistics, starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
+    """Return the starts that leave no gaps where codes occur: a step too coarse may mend what another effect moves.
+
+    Args:
+        seen: What was measured.
+        starts: Starts of one entry.
+    """
+    step = seen_step(seen)
+    if step == 1:  # nothing tells
+        return starts
+    gaps = [period for period in COMB_PERIODS if step % period]
+    coarse = (s for s in starts if isinstance(s, MissingCodes) and s.kept_codes == 1.0)
+    impossible = [s for s in coarse if any(s.step_codes % period == 0.0 for period in gaps)]
+    return tuple(s for s in starts if s not in impossible)
+
+
+def best_start(state: FitState, starts: Sequence[CatalogueEffect]) -> Candidate | None:
+    """Return the start that would explain most; None where there is none."""
+    return next(iter(_best(_rigid(state, starts))), None)
+
+
+def _best(candidates: Sequence[Candidate]) -> list[Candidate]:
+    ranked = sorted(candidates, key=lambda candidate: -candidate.gain)
+    near = ranked[: 1 + _OTHER_STARTS]
+    others = [start for candidate in near for start in (candidate.effect, *candidate.others)]
+    return [replace(ranked[0], others=tuple(others[1:]))] if ranked else []
+
+
+def change_of(state: FitState, effects: Sequence[CatalogueEffect]) -> Array:
+    """Return what a set of effects changes in the whitened data residual (minus the residual's change).
+
+    Raises:
+        MeasurementError: If the prediction with them is not finite.
+    """
+    moved = state.predicted_with(effects)
+    changed = state.comparison.residual(moved)
+    if not np.isfinite(changed).all():
+        names = ", ".join(effect.name for effect in effects)
+        raise MeasurementError(f"the prediction with {names} is not finite; report this with the capture set")
+    return np.asarray(state.plain_residual - changed)
+
+
+def changes_of(state: FitState, effects: Sequence[CatalogueEffect]) -> Array:
+    """Return what each of some further effects alone changes, (entries, effects).
+
+    Raises:
+        MeasurementError: If the prediction with one of them is not finite.
+    """
+    return np.stack([change_of(state, (*state.effects, effect)) for effect in effects], axis=1)
+
+
+def _rigid(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate]:
+    batches = (starts[first : first + AT_ONCE] for first in range(0, len(starts), AT_ONCE))
+    return [candidate for batch in batches for candidate in _rigid_batch(state, batch)]
+
+
+def _rigid_batch(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate]:
+    rows = state.comparison.size
+    fit = state.fit
+    changes, part = fit.followed_with_half(changes_of(state, starts))
+    whole = np.einsum("ij,ij->j", changes, changes)
+    curvature = whole - np.einsum("ij,ij->j", part, part)
+    slope = changes.T @ fit.projected[:rows]
+    floor = _SMALLEST_CURVATURE * np.maximum(whole, 1e-12)
+    safe = np.maximum(curvature, floor)
+    amplitude = np.clip(slope / safe, 0.0, _LARGEST_AMPLITUDE)
+    free = np.array([bool(effect.free()) for effect in starts])
+    amplitude = np.where(free, amplitude, 1.0)  # what has no amplitude acts as it is or not at all
+    gain = np.where(curvature > floor, 2.0 * amplitude * slope - amplitude**2 * curvature, 0.0)
+    scaled = (_scaled(effect, float(a)) for effect, a in zip(starts, amplitude, strict=True))
+    return [
+        Candidate(effect, float(g), max(len(effect.free()), 1), others=others)
+        for effect, g, others in zip(starts, gain.tolist(), scaled, strict=True)
+    ]
+
+
+def _scaled(effect: CatalogueEffect, amplitude: float) -> tuple[CatalogueEffect, ...]:
+    """Return the effect with its first parameter times the amplitude, and times its root, within bounds."""
+    if not effect.free() or "[" in effect.free()[0] or amplitude <= 0:
+        return ()
+    name = effect.free()[0]
+    known = next(entry for entry in effect.parameters() if entry.name == name)
+    value = float(getattr(effect, name))
+    wanted = {float(np.clip(value * factor, known.low, known.high)) for factor in (amplitude, amplitude**0.5)}
+    return tuple(effect.with_parameters(**{name: v}) for v in sorted(wanted))
+
+
+def _flexible(state: FitState, covers: Sequence[CatalogueEffect]) -> list[Candidate]:
+    found: list[Candidate] = []
+    waiting: list[tuple[CatalogueEffect, Array]] = []
+    for number, cover in enumerate(covers, start=1):
+        waiting.append((cover, _flexible_columns(state, cover)))
+        if sum(columns.shape[1] for _, columns in waiting) >= AT_ONCE or number == len(covers):
+            found += _flexible_batch(state, waiting)
+            waiting = []
+    return found
+
+
+def _flexible_batch(state: FitState, covers: Sequence[tuple[CatalogueEffect, Array]]) -> list[Candidate]:
+    rows = slice(0, state.comparison.size)
+    followed, part = state.fit.followed_with_half(np.hstack([columns for _, columns in covers]))
+    found, at = [], 0
+    for cover, columns in covers:
+        own = slice(at, at + columns.shape[1])
+        gain, _ = state.fit.score(rows, followed[:, own], part[:, own])
+        found.append(Candidate(cover, gain, columns.shape[1] - 1, flexible=True))
+        at = own.stop
+    return found
+
+
+def _flexible_columns(state: FitState, cover: CatalogueEffect) -> Array:
+    """Return what a cover changes in the residual, and what its parameters do then, (entries, 1 + parameters)."""
+    effects = (*state.effects, cover)
+    parameters = EffectParameters.of(effects)
+    own = [i for i, owner in enumerate(parameters.owner) if owner == len(state.effects)]
+    at = change_of(state, effects)
+    columns = [at]
+    values = parameters.values
+    for index in own:
+        moved = values.copy()
+        moved[index] += 0.1 * parameters.scale[index]
+        columns.append(change_of(state, parameters.replaced(moved)) - at)
+    return np.stack(columns, axis=1)

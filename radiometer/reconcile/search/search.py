@@ -1,0 +1,342 @@
+"""Names missing effects one after the other until nothing structured is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from radiometer.reconcile.fit.candidate_fit import (
+    FittedCandidate,
+    UnfitError,
+    fit_candidate,
+    held_out_gain,
+    included,
+    judged_gain,
+)
+from radiometer.reconcile.fit.state import FitState, refit, reweighted, with_terms
+from radiometer.reconcile.search.joining import better, simpler
+from radiometer.reconcile.search.judging import (
+    FLEXIBLE_NATS,
+    HUGE_NATS,
+    contenders_of,
+    is_shown,
+    likeliest,
+    log_chance,
+    penalised_chi2,
+    score,
+)
+from radiometer.reconcile.search.localise import SIGNIFICANT, Disagreement, localise, significant, smooth_term
+from radiometer.reconcile.search.loosening import Loosened, loosened
+from radiometer.reconcile.search.own_law import unlike
+from radiometer.reconcile.search.plain_trends import TRENDS
+from radiometer.reconcile.search.pruning import KEPT_NATS, pruned
+from radiometer.reconcile.search.rivals import PARAMETER_NATS, rivals_of
+from radiometer.reconcile.search.screening import Candidate, screen
+from radiometer.reconcile.search.start_pool import StartPool
+from simulators.effects.catalogue import CatalogueEffect
+
+MOST_STEPS: Final = 7
+_FITTED: Final = 7  # candidates that are fitted in each step
+_JUDGED: Final = 4  # of them, those that are judged on held-out settings
+_OUTDONE_NATS: Final = 3.0
+_NEEDED_SMOOTH_NATS: Final = 3.0
+_SMOOTHS_TRIED: Final = 4
+_NEAR_FORM: Final = 0.5
+_SMOOTH_SHARE: Final = 0.8
+_SMOOTH_NATS: Final = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One effect (or unnamed term) as it was added.
+
+    Attributes:
+        name: Name of the effect, or `unnamed`.
+        where: Covariate along which the disagreement lay.
+        gain_nats: Improvement of the held-out log density.
+        gap_before: Reduced χ² of held-out settings before.
+        gap_after: The same after.
+        rivals: Effects within 5 nats.
+        closest: For an unnamed term, the closest entry and the share of it that it explains.
+        block: For an unnamed term, the statistic that shows it.
+        outdone: Whether a plain trend of fewer parameters along the same covariate, or another entry, predicts better:
+            only what is usual speaks for the name then.
+    """
+
+    name: str
+    where: str
+    gain_nats: float
+    gap_before: float
+    gap_after: float
+    rivals: tuple[CatalogueEffect, ...] = ()
+    closest: tuple[str, float] | None = None
+    block: str = ""
+    outdone: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """The outcome.
+
+    Attributes:
+        state: The fitted model.
+        start: The ideal camera fitted.
+        steps: What was added and stayed, in order.
+        left: Disagreements that stay significant.
+        tests: All tests of the final model.
+        first_tests: All tests of the ideal camera.
+    """
+
+    state: FitState
+    start: FitState
+    steps: tuple[Step, ...]
+    left: tuple[Disagreement, ...]
+    tests: tuple[Disagreement, ...]
+    first_tests: tuple[Disagreement, ...]
+
+
+@dataclass(slots=True)
+class _Run:
+    catalogue: Mapping[str, type[CatalogueEffect]]
+    say: Callable[[str], None]
+    steps: list[Step] = field(default_factory=list)
+    refused: set[str] = field(default_factory=set)
+    pool: StartPool = field(default_factory=StartPool)
+
+
+def search(
+    start: FitState, catalogue: Mapping[str, type[CatalogueEffect]], say: Callable[[str], None] = lambda line: None
+) -> Search:
+    """Return the model with every missing effect that the data can name.
+
+    Args:
+        start: The ideal camera fitted.
+        catalogue: Entries to try, by name.
+        say: Told what happens, line by line.
+    """
+    run = _Run(catalogue, say)
+    state, first = start, localise(start)
+    tests = first
+    for _ in range(MOST_STEPS):
+        try:
+            following = _one_step(state, tests, run)
+        except UnfitError as unfit:
+            run.refused.add(str(unfit))
+            continue
+        if following is None and (following := _exchanged(state, tests, run)) is None:
+            break
+        state, dropped = pruned(following, run.say)
+        for name in dropped:
+            _forget(run, name)
+        state = _joined(state, run)
+        tests = localise(state)
+    return Search(state, start, tuple(run.steps), significant(tests), tests, first)
+
+
+def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
+    loud = significant(tests)
+    screened = screen(state, run.catalogue, run.pool)
+    limit = float(np.log(SIGNIFICANT / max(len(screened), 1)))
+    promising = _promising(screened, limit, loud)
+    promising = [candidate for candidate in promising if candidate.effect.name not in run.refused]
+    strange = [] if loud else unlike(tests, state.effects)
+    if not loud and not promising and not strange:
+        return None
+    fitted = sorted((fit_candidate(state, c) for c in promising[:_FITTED]), key=lambda f: -penalised_chi2(f))
+    judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
+    shown = [entry for entry in judged if is_shown(*entry, limit, later=bool(state.effects))]
+    looser = loosened(state) if loud else loosened(state, strange) if strange else None
+    while shown:
+        contenders = contenders_of(state, shown)
+        chosen = likeliest(contenders)
+        if chosen is None:
+            break
+        plain = _plain_leads(state, chosen)
+        if not _convinces(state, chosen, loud, plain) or _is_likelier(state, looser, chosen):
+            break
+        others = judged if contenders is shown else contenders
+        outdone = any(_is_plainer(kind, chosen[0]) and lead > 0.0 for kind, lead in plain.items())
+        outdone |= any(_outdoes(other, chosen) for other in others)
+        following = _named(state, chosen, others, judged, run, outdone=outdone)
+        if following is not None:
+            return following
+        shown = [entry for entry in shown if entry[0].name != chosen[0].name]
+    if looser is not None:
+        return _taken(state, looser, run)
+    return _unnamed(state, loud, judged, run) if loud else None
+
+
+def _is_likelier(state: FitState, looser: Loosened | None, chosen: tuple[FittedCandidate, float]) -> bool:
+    """Tell whether another form of an effect that is there predicts better than a further effect.
+
+    The form was fitted in full; where the two are near, the further effect is too, before they are compared.
+    """
+    if looser is None:
+        return False
+    form = looser.nats - PARAMETER_NATS * looser.further - FLEXIBLE_NATS
+    if form > score(chosen) or form < _NEAR_FORM * score(chosen):
+        return form > score(chosen)
+    fitted = included(state, chosen[0].effect, far=False)
+    return form > score((chosen[0], fitted.evidence - state.evidence))
+
+
+def _taken(state: FitState, looser: Loosened, run: _Run) -> FitState:
+    at = next(i for i, step in enumerate(run.steps) if step.name == looser.name)
+    gap = looser.state.gap
+    run.steps[at] = replace(run.steps[at], gain_nats=run.steps[at].gain_nats + looser.nats, gap_after=gap)
+    run.say(f"{looser.name} in a more flexible form: {looser.nats:.1f} nats, gap {state.gap:.3f} → {gap:.3f}")
+    return looser.state
+
+
+def _promising(candidates: list[Candidate], limit: float, loud: tuple[Disagreement, ...]) -> list[Candidate]:
+    """Return candidates whose gain is significant among all that were tried, or may yet become so."""
+    slack = 0.5 if loud else 1.0  # a start far from the best parameters shows only part of its gain
+    return [c for c in candidates if log_chance(c.gain, c.parameters) < slack * limit]
+
+
+def _convinces(
+    state: FitState,
+    chosen: tuple[FittedCandidate, float],
+    loud: tuple[Disagreement, ...],
+    plain: Mapping[type[CatalogueEffect], float],
+) -> bool:
+    fitted, nats = chosen
+    if any(lead > (0.0 if _is_constant(kind, fitted) else _SMOOTH_NATS) for kind, lead in plain.items()):
+        return False
+    same = [test for test in loud if test.family == fitted.effect.block]
+    if not same:
+        return True
+    smooth = _smooth_gain(state, same[0])
+    return nats >= _SMOOTH_SHARE * smooth or nats >= smooth - _SMOOTH_NATS
+
+
+def _plain_leads(state: FitState, chosen: tuple[FittedCandidate, float]) -> dict[type[CatalogueEffect], float]:
+    """Return by how many nats each plain trend of no more freedom predicts better than the chosen effect."""
+    effect = chosen[0].effect
+    return {
+        kind: _plain_lead(state, kind, chosen)
+        for kind in TRENDS
+        if kind.block == effect.block and kind.where in ("", effect.where) and len(kind.fitted) <= chosen[0].parameters
+    }
+
+
+def _plain_lead(state: FitState, kind: type[CatalogueEffect], chosen: tuple[FittedCandidate, float]) -> float:
+    starts = kind.starts(state.model.context)
+    plain = fit_candidate(state, Candidate(starts[0], 0.0, len(kind.fitted), others=starts[1:]))
+    (_, named), (_, trend) = contenders_of(state, [chosen, (plain, judged_gain(state, plain))], fewest=2)
+    return trend + PARAMETER_NATS * (chosen[0].parameters - plain.parameters) - named
+
+
+def _is_constant(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
+    """Tell whether a trend is a mere constant, of fewer parameters than an effect that hangs on some setting."""
+    return not kind.where and len(kind.fitted) == 1 < fitted.parameters
+
+
+def _is_plainer(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
+    """Tell whether a trend follows an effect's very covariate with fewer parameters than it."""
+    return kind.where == fitted.effect.where and len(kind.fitted) < fitted.parameters
+
+
+def _outdoes(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate, float]) -> bool:
+    """Tell whether another entry predicts better, each parameter paid for, but for what is thought of it beforehand."""
+    mine, others = (nats - PARAMETER_NATS * fitted.parameters for fitted, nats in (chosen, other))
+    return other[0].name != chosen[0].name and others > mine + _OUTDONE_NATS
+
+
+def _smooth_gain(state: FitState, test: Disagreement) -> float:
+    term = smooth_term(state, test)
+    columns = state.pad(term.build(state.comparison, state.prediction, state.sensitivity))
+    return held_out_gain(state, state.fit.residual, state.fit.followed(columns))
+
+
+def _named(
+    state: FitState,
+    chosen: tuple[FittedCandidate, float],
+    contenders: list[tuple[FittedCandidate, float]],
+    judged: list[tuple[FittedCandidate, float]],
+    run: _Run,
+    *,
+    outdone: bool,
+) -> FitState | None:
+    """Return the model with the chosen effect; None where, all refitted, it does not predict better after all.
+
+    Contenders are judged as the chosen one is, `judged` are all those of this step before any full fit.
+    """
+    fitted, nats = chosen
+    following = included(state, fitted.effect, far=nats > HUGE_NATS)
+    if following.evidence - state.evidence < KEPT_NATS:
+        run.refused.add(fitted.name)
+        return None
+    linear = next(entry for entry in judged if entry[0] is fitted)
+    rivals = rivals_of(state, chosen, contenders, linear, run.catalogue)
+    gap_before = state.gap
+    again = next((i for i, step in enumerate(run.steps) if step.name == fitted.name), None)
+    if again is None:
+        where = fitted.effect.where
+        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals, outdone=outdone))
+    else:
+        old = run.steps[again]
+        run.steps[again] = replace(old, gain_nats=old.gain_nats + nats, gap_after=following.gap)
+    run.say(f"{fitted.name}: {nats:.1f} nats, gap {gap_before:.3f} → {following.gap:.3f}")
+    return following
+
+
+def _joined(state: FitState, run: _Run) -> FitState:
+    """Return the model with one entry in place of names that may be no more than it."""
+    found = simpler(state, run.catalogue)
+    return state if found is None else _in_place(state, found, found[1].stands_for, run)
+
+
+def _exchanged(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
+    """Return the model with another name in place of one that leaves structure beside what came later, if any."""
+    for name in unlike(tests, state.effects) if len(state.effects) > 1 else ():
+        found = better(state, name, run.catalogue, run.pool)
+        if found is not None:
+            run.refused.add(name)
+            return _in_place(state, found, (name,), run)
+    return None
+
+
+def _in_place(state: FitState, found: tuple[FitState, CatalogueEffect], names: Sequence[str], run: _Run) -> FitState:
+    changed, effect = found
+    old = [step for step in run.steps if step.name in names]
+    nats = sum(step.gain_nats for step in old) + changed.evidence - state.evidence
+    run.steps[run.steps.index(old[0])] = Step(effect.name, effect.where, nats, old[0].gap_before, changed.gap)
+    run.steps = [step for step in run.steps if step not in old]
+    run.say(f"{effect.name} in place of {' and '.join(names)}: gap {state.gap:.3f} → {changed.gap:.3f}")
+    return changed
+
+
+def _unnamed(
+    state: FitState,
+    loud: tuple[Disagreement, ...],
+    judged: list[tuple[FittedCandidate, float]],
+    run: _Run,
+) -> FitState | None:
+    tried = {old.name for old in state.terms} | run.refused
+    fresh = [t for t in loud if smooth_term(state, t).name not in tried]
+    rated = ((test, _smooth_gain(state, test)) for test in fresh[:_SMOOTHS_TRIED])
+    found = next(((test, nats) for test, nats in rated if nats > _NEEDED_SMOOTH_NATS), None)
+    if found is None:
+        return None
+    (test, nats), term = found, smooth_term(state, found[0])
+    old = tuple(t for t in state.terms if t.is_smooth)
+    following = refit(reweighted(refit(with_terms(state, (*old, term)))))
+    fitting = [entry for entry in judged if entry[0].effect.block == test.family]
+    best = max(fitting, key=lambda entry: entry[1], default=None)
+    closest = (best[0].name, float(np.clip(best[1] / max(nats, 1e-9), 0.0, 1.0))) if best else None
+    run.steps.append(Step("unnamed", test.where, nats, state.gap, following.gap, closest=closest, block=test.family))
+    run.say(f"unnamed {term.name}: {nats:.1f} nats, gap {state.gap:.3f} → {following.gap:.3f}")
+    return following
+
+
+def _forget(run: _Run, name: str) -> None:
+    where = name.split(" | ")
+    run.refused.add(name)
+    for step in list(run.steps):
+        if step.name == name or (step.name == "unnamed" and len(where) > 1 and step.where == where[1]):
+            run.steps.remove(step)
+            break

@@ -1,0 +1,140 @@
+"""Light-meter tables, photograph stacks and EMVA 1288 sets."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from radiometer.cli.main import run
+from radiometer.data import Frame, FrameSettings
+from radiometer.errors import InputError
+from radiometer.other_data.emva_sets import find_descriptor, read_emva_set
+from radiometer.other_data.light_meter import read_meter_table, reconcile_meter_table
+from radiometer.other_data.photographs import reconcile_photographs
+from radiometer.reconcile.report.result import Verdict
+
+THESIS = """\
+screen,luminance,f_number,time,iso
+Lenovo,250,16,1/8,136
+Lenovo,250,5.6,1/60,136
+Lenovo,250,1.7,1/640,136
+AOC,350,16,1/13,136
+AOC,350,5.6,1/100,136
+AOC,350,1.7,1/1000,136
+"""
+
+
+def _table(folder: Path, text: str) -> Path:
+    path = folder / "meter.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_thesis_constants_scatter_by_rounding(tmp_path: Path) -> None:
+    """K at f/16 and f/5.6 agrees once exact stops are used; the printed values are those of the thesis."""
+    done = reconcile_meter_table(_table(tmp_path, THESIS))
+    assert [effect.name for effect in done.result.effects] == ["nominal_settings"]
+    assert done.result.effects[0].gap_after < 1e-9
+    assert [round(row.k_printed, 4) for row in done.rows] == [16.6016, 18.0697, 18.3824, 14.3029, 15.1786, 16.4706]
+
+
+def test_rest_at_full_aperture_is_not_guessed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The sixth of a stop at f/1.7 is told, with both causes that these data cannot tell apart."""
+    assert run(["reconcile", str(_table(tmp_path, THESIS)), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["rest"]["stops"] == pytest.approx(1 / 6, abs=1e-6)
+    assert "fnumber_tstop_error" in printed["rest"]["alternatives"]
+    assert "cannot be told from light lost at full aperture" in " ".join(printed["remarks"])
+
+
+def test_constant_meter_agrees(tmp_path: Path) -> None:
+    """Exact stops of one constant: nothing is missing."""
+    rows = "".join(f"A,100,{n},{t},100\n" for n, t in ((4, 0.0625), (8, 0.25), (16, 1)))
+    done = reconcile_meter_table(_table(tmp_path, "source,luminance,f_number,time,iso\n" + rows))
+    assert done.result.verdict is Verdict.AGREES
+
+
+def test_meter_drift_that_is_no_rounding_gets_no_name(tmp_path: Path) -> None:
+    """K that changes by a fifth from row to row is `unnamed`."""
+    rows = "".join(f"A,{100 * 1.2**i},{n},{t},100\n" for i, (n, t) in enumerate(((4, 0.0625), (8, 0.25), (16, 1))))
+    done = reconcile_meter_table(_table(tmp_path, "source,luminance,f_number,time,iso\n" + rows))
+    assert done.result.verdict is Verdict.UNNAMED
+    assert [effect.name for effect in done.result.effects] == ["unnamed"]
+
+
+@pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "luminance,f_number,time,iso\n1,2,x,4\n5,6,7,8\n"])
+def test_unusable_table_is_refused(tmp_path: Path, text: str) -> None:
+    """An empty file, missing columns, or a value that is no number."""
+    with pytest.raises(InputError):
+        read_meter_table(_table(tmp_path, text))
+
+
+def _photographs(printed: list[float], real: list[float]) -> list[Frame]:
+    rng = np.random.default_rng(4)
+    scene = 10 ** cv2.resize(rng.uniform(-1.5, 1.2, (6, 9)), (144, 96), interpolation=cv2.INTER_CUBIC)
+    frames = []
+    for label, seconds in zip(printed, real, strict=True):
+        exposure = rng.poisson(np.minimum(0.2 * scene * seconds / real[len(real) // 2], 4) * 20_000) / 20_000
+        tone = (exposure / (1 + 0.3 * exposure) * 1.3) ** (1 / 2.2)
+        dn = np.clip(np.rint(255 * tone), 0, 255).astype(np.uint8)
+        frames.append(Frame(dn, 8, FrameSettings(label)))
+    return frames
+
+
+EXACT = [2.0**-k for k in range(4, 13)]
+PRINTED = [1 / d for d in (15, 30, 60, 125, 250, 500, 1000, 2000, 4000)]
+
+
+def test_rounded_stops_of_photographs_are_named() -> None:
+    """Printed 1/60 s exposed for 1/64 s and so on, through an unknown tone curve."""
+    done = reconcile_photographs(_photographs(PRINTED, EXACT))
+    assert [effect.name for effect in done.result.effects] == ["nominal_settings"]
+
+
+def test_truthful_labels_agree() -> None:
+    """Exposures that are what they say: nothing is missing."""
+    assert reconcile_photographs(_photographs(EXACT, EXACT)).result.verdict is Verdict.AGREES
+
+
+def test_label_that_lies_is_named_with_its_ratio() -> None:
+    """One photograph labelled a stop too short: its label and the factor 2 come out."""
+    printed = [*EXACT[:3], EXACT[3] * 1.9, *EXACT[4:]]
+    done = reconcile_photographs(_photographs(printed, EXACT))
+    (effect,) = done.result.effects
+    assert effect.name == "exposure_label_error"
+    assert effect.parameters["label_s"].value == pytest.approx(EXACT[3] * 1.9)
+    assert math.log(effect.parameters["ratio"].value) == pytest.approx(-math.log(1.9), abs=0.03)
+
+
+def test_light_that_fell_on_one_photograph_is_no_wrong_label() -> None:
+    """A corner glows in the shortest exposures but one; the rest of the picture is in order, and so is the label."""
+    frames = _photographs(EXACT, EXACT)
+    dn = frames[7].dn.copy()
+    dn[60:, :70] = np.maximum(dn[60:, :70], 90)
+    done = reconcile_photographs([*frames[:7], Frame(dn, 8, FrameSettings(EXACT[7])), frames[8]])
+    assert done.result.verdict is Verdict.AGREES
+
+
+def test_one_of_four_labels_may_lie() -> None:
+    """Of four photographs the last was exposed 1.6 times as long, not twice: only its label is called wrong."""
+    real = [EXACT[6], EXACT[5], EXACT[4], EXACT[4] * 1.6]
+    done = reconcile_photographs(_photographs([*real[:3], EXACT[3]], real))
+    (effect,) = done.result.effects
+    assert effect.name == "exposure_label_error"
+    assert effect.parameters["ratio"].value == pytest.approx(0.8, abs=0.03)
+
+
+def test_emva_descriptor_becomes_a_capture_set(shared_data: Path) -> None:
+    """Bright and dark pairs of the real set: times in s, levels in shares of the brightest flux, size of the frames."""
+    path = find_descriptor(shared_data / "emva" / "ref001_ccd_12bit")
+    assert path is not None
+    header, read, shape = read_emva_set(path)
+    assert shape == (480, 640)
+    assert header.frames[0].exposure_s == pytest.approx(40e-6)
+    assert {entry.shutter for entry in header.frames} == {"open", "closed"}
+    assert read(0).dn.shape == shape

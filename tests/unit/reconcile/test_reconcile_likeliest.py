@@ -1,0 +1,108 @@
+"""Where the search for a flicker begins, and what charge that neighbours exchange does to the means of lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.ndimage import convolve
+
+from radiometer.reconcile.fit.candidate_fit import UnfitError, included
+from radiometer.reconcile.fit.state import FitState, first_state
+from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconcile.noise.row_scatter import mixing_of_bands, mixing_of_lines
+from radiometer.reconcile.search.screening import of_seen_codes
+from radiometer.reconcile.search.start_pool import StartPool
+from simulators.effects.base import EXPOSURE, Stage, parameter
+from simulators.effects.catalogue import Scaling
+from simulators.effects.context import ExposureContext
+from simulators.effects.missing_codes import MissingCodes
+from simulators.effects.pwm_flicker import PwmFlicker
+
+
+def _state(captured: Any) -> FitState:
+    design = Design.of(captured.header, captured.frames[0].shape)
+    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+
+
+def test_search_for_a_flicker_begins_near_it(make_capture: Callable[..., Any]) -> None:
+    """A sine of 9 % at 480 Hz, up to three periods in an exposure, is met within a hundredth of its frequency."""
+    rng = np.random.default_rng(11)
+
+    def flickering(image: Any, setting: Any) -> Any:
+        wave = 0.09 * np.sinc(480.0 * setting["t"]) * np.cos(2 * np.pi * rng.random())
+        return image * (1.0 + wave)
+
+    state = _state(make_capture(5, picture=flickering))
+    (first, *_) = StartPool().likeliest(state, PwmFlicker)
+    assert isinstance(first, PwmFlicker)
+    assert first.frequency_hz == pytest.approx(480.0, rel=0.02)
+    if first.duty == 0:
+        assert first.modulation == pytest.approx(0.09, rel=0.4)
+
+
+@pytest.mark.parametrize(("step", "possible"), [(2, {2.0}), (4, {2.0, 4.0, 8.0, 16.0, 32.0, 64.0})])
+def test_codes_that_occur_rule_out_a_coarser_step(
+    make_capture: Callable[..., Any], step: int, possible: set[float]
+) -> None:
+    """Of all steps only those remain that leave no code empty which occurs, as far as periods up to 5 tell."""
+    captured = make_capture(7)
+    coarse = [replace(frame, dn=frame.dn - frame.dn % step) for frame in captured.frames]
+    seen, _ = reduce_frames(Design.of(captured.header, coarse[0].shape), frame_reader(coarse))
+    left = of_seen_codes(seen, MissingCodes.starts(_state(captured).model.context))
+    assert {effect.step_codes for effect in left if effect.kept_codes == 1.0} == possible
+
+
+def test_charge_that_neighbours_exchange_stays_in_the_means_of_lines(make_capture: Callable[..., Any]) -> None:
+    """Means of lines of mixed noise scatter as predicted, over what the mixed pixels' own variance would give."""
+    state = _state(make_capture(6))
+    height, width = state.design.tiles[0].height, state.design.tiles[0].width
+    x, y = 0.02, 0.01
+    kernel = np.array([[0, y, 0], [x, 1 - 2 * x - 2 * y, x], [0, y, 0]])
+    noise = convolve(np.random.default_rng(2).standard_normal((height * 200, width * 200)), kernel, mode="wrap")
+    variance = float(noise.var())
+    own = kernel[1, 1]
+    ones = np.ones_like(state.prediction.variance)
+    mixed = replace(state.prediction, mixed_x=2 * x * own / variance * ones, mixed_y=2 * y * own / variance * ones)
+    rows = noise.reshape(-1, width).mean(axis=1).var() * width / variance - 1.0
+    predicted = mixing_of_lines(mixed, state.design, "row_temporal")
+    assert rows == pytest.approx(float(predicted[0]), abs=4 * np.sqrt(2 * width / noise.size))
+    # Slow bands keep more of it than fast ones; order k of n rows is k/(2n) periods per row.
+    bands = mixing_of_bands(mixed, state.design)[0]
+    of_rows = noise.reshape(noise.shape[0], -1, width).mean(axis=2)
+    power = (np.abs(np.fft.rfft(of_rows, axis=0)) ** 2).mean(axis=1) * width / noise.shape[0] / variance
+    for order in (1, bands.size):
+        middle = order / state.design.shape[0] * (power.size - 1)
+        near = slice(max(int(middle) - 40, 1), int(middle) + 40)
+        uncertainty = 1.0 / np.sqrt(len(power[near]) * of_rows.shape[1])
+        assert float(power[near].mean()) - 1.0 == pytest.approx(float(bands[order - 1]), abs=4 * uncertainty)
+
+
+@dataclass(frozen=True)
+class _Impossible(Scaling):
+    """Scales light by what is no number."""
+
+    name = "impossible"
+    stage = Stage.SHUTTER
+    unit_in = EXPOSURE
+    unit_out = EXPOSURE
+    where = "exposure_s"
+    trials = ({"size": 0.5},)
+    fitted = ("size",)
+    size: float = parameter(0.0, "1", -1.0, 1.0, source="a test")
+
+    def factor(self, context: ExposureContext) -> Any:
+        """Return the root of a negative number."""
+        with np.errstate(invalid="ignore"):
+            return np.sqrt(-abs(self.size) * np.ones_like(context.settings.exposure_s))
+
+
+def test_effect_that_cannot_be_is_refused_by_name(make_capture: Callable[..., Any]) -> None:
+    """Where an effect leads to what no camera does, the search is told which it was, and goes on without it."""
+    state = _state(make_capture(6))
+    with pytest.raises(UnfitError, match="impossible"):
+        included(state, _Impossible(0.5), far=False)

@@ -1,0 +1,60 @@
+"""When a named effect takes a more flexible form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.reconcile.fit.state import FitState, first_state, refit, settled, with_effects
+from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconcile.model.parameters import fitted_parameters
+from radiometer.reconcile.search.localise import localise
+from radiometer.reconcile.search.loosening import loosened
+from radiometer.reconcile.search.own_law import unlike
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
+from simulators.effects.led_thermal_droop import LedThermalDroop
+
+
+def _with(effect: CatalogueEffect, captured: Any) -> FitState:
+    design = Design.of(captured.header, captured.frames[0].shape)
+    state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    return settled(refit(with_effects(state, [effect])))
+
+
+def _weaker(loss: float, onset: float) -> Callable[[Any, Any], Any]:
+    """Return what hides a lamp that loses light beyond some drive only."""
+    return lambda image, setting: image * (1.0 - loss * max(setting["d"] - onset, 0.0))
+
+
+@pytest.mark.parametrize(("onset", "mended"), [(1.0 / 3.0, True), (0.0, False)])
+def test_droop_beyond_some_drive_takes_one_term_more(
+    make_capture: Callable[..., Any], onset: float, mended: bool
+) -> None:
+    """Light lost beyond a third of full drive leaves structure along the drive that a cubic law takes up; else none."""
+    state = _with(LedThermalDroop(0.02, 0.01), make_capture(3, picture=_weaker(0.12, onset)))
+    strange = unlike(localise(state), state.effects)
+    assert strange == (["led_thermal_droop"] if mended else [])
+    form = loosened(state, ["led_thermal_droop"])
+    assert (form is not None) is mended
+    if form is not None:
+        assert unlike(localise(form.state), form.state.effects) == []
+
+
+def test_leaks_that_double_slowly_bring_their_own_doubling(make_capture: Callable[..., Any]) -> None:
+    """A pattern of leaks that doubles every 10 K instead of 7 is found to do so within three of its uncertainties."""
+    each = np.random.default_rng(5).gamma(4.0, 0.25, (64, 96)) - 1.0  # none leaks less than nothing
+    darks = [{"t": t, "T": c, "shutter": "closed"} for t in (1.0, 3.0, 10.0) for c in (25.0, 35.0, 45.0)]
+    plan = [*darks, *darks, *({"t": t} for t in (1e-3, 3e-3, 5e-3) for _ in range(2))]
+    captured = make_capture(4, extra_e=lambda s: each * 2.0 ** ((s["T"] - 25.0) / 10.0) * s["t"], plan=plan)
+    form = loosened(_with(DarkCurrentNonuniformity(0.6), captured), ["dark_current_nonuniformity"])
+    assert form is not None
+    found = fitted_parameters(form.state)["dark_current_nonuniformity"]
+    for name, truth in (("doubling_K", 10.0), ("sigma_e_per_s", 0.5)):
+        u = found[name].u
+        assert u is not None
+        assert abs(found[name].value - truth) < 3.0 * u < 0.1 * truth
