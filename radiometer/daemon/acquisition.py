@@ -118,8 +118,8 @@ class Acquisition:
         committed.add_done_callback(lambda future: _pass_on(future, request.done))
 
     async def _measure_continuously(self) -> None:
-        assert self._every_s is not None
-        self._due_at = max(self._due_at + self._every_s, time.monotonic())
+        every_s = self._every_s or 0.0  # clients may change or end it while this measurement runs
+        self._due_at = max(self._due_at + every_s, time.monotonic())
         try:
             await self._measure(self.settings)
             self._alarms.clear(ALARM)
@@ -127,7 +127,7 @@ class Acquisition:
             self._due_at = time.monotonic() + _PAUSE_AFTER_ERROR_S  # the keeper has its alarm up already
         except RadiometerError as error:
             self._alarms.put_up(ALARM, f"measuring failed: {error}")
-            self._due_at = time.monotonic() + max(self._every_s, _PAUSE_AFTER_ERROR_S)
+            self._due_at = time.monotonic() + max(every_s, _PAUSE_AFTER_ERROR_S)
 
     async def _measure(self, settings: MeasurementSettings) -> asyncio.Future[Reading]:
         started = time.perf_counter()

@@ -23,6 +23,8 @@ class Limits:
         messages_per_s: SCPI messages per second of one client, sustained; more are delayed.
         reply_bytes_waiting: Reply bytes that a client has not taken; execution pauses at more.
         stuck_s: A client that does not take its replies, or does not finish a line, is dropped after this time in s.
+        vetting_s: A message that lights is held back for this time in s after the first bytes of a connection: if lines
+            of HTTP follow, it is never executed.
         http_connections: Open HTTP connections.
         http_requests_per_s: HTTP requests per second of one address, sustained; more are refused (429).
         body_bytes: Size of an HTTP request body.
@@ -37,6 +39,7 @@ class Limits:
     messages_per_s: float = 1000.0
     reply_bytes_waiting: int = 262_144
     stuck_s: float = 30.0
+    vetting_s: float = 0.1
     http_connections: int = 128
     http_requests_per_s: float = 100.0
     body_bytes: int = 16_384

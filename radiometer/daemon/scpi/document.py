@@ -29,7 +29,9 @@ the command table by `python -m radiometer.daemon.scpi.document`; a test keeps i
   9.91E+37 stands for "not a number", 9.9E+37 for infinity.
 * Blocks (`#` + number of digits + length + bytes) may hold any byte.
 * **SCPI has no authentication.** The daemon listens on the loopback address; on another one only with a list of those
-  who may connect (`--scpi-allow`).
+  who may connect (`--scpi-allow`). A client that speaks HTTP or TLS, as a web page can make a browser do, is hung up on
+  before anything that it sends is executed; for that, a message with `SOURce` in the first 0.1 s of a connection waits
+  for the end of that time.
 * Limits: 256 connections, 4096 bytes per message, 1000 messages per second and client (more are delayed). A client that
   does not take its replies or does not finish a message within 30 s is dropped.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import re
 import socket
 import stat
 from collections import deque
@@ -18,6 +19,7 @@ from radiometer.daemon.limits import Limits, Network, TokenBucket, is_allowed, i
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.lexer import block_end
 from radiometer.daemon.scpi.session import Session
+from radiometer.daemon.scpi.strangers import is_strange
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
 from radiometer.errors import OutputError, UsageError
@@ -26,6 +28,7 @@ _log = structlog.get_logger(__name__)
 INTERFACE: Final = "scpi"
 _DISCARD_LIMIT: Final = 16  # times the line limit that may be thrown away before the client is dropped
 _MESSAGES_AT_ONCE: Final = 32
+_LIGHTS: Final = re.compile(rb"sour", re.IGNORECASE)  # no message that lights does without this root
 
 
 class ScpiConnection(asyncio.Protocol):
@@ -42,6 +45,7 @@ class ScpiConnection(asyncio.Protocol):
         self._resume: asyncio.Handle | None = None
         self._discarding = 0
         self._cannot_write = False
+        self._vetted_at: float | None = None
         self.session: Session | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -76,9 +80,14 @@ class ScpiConnection(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Cut what came into messages and run them."""
-        if self.session is None:
+        if self.session is None or self._is_ending():
             return
         self._buffer += data
+        if not self._discarding and is_strange(self._buffer):
+            self._hang_up()
+            return
+        if self._vetted_at is None:
+            self._vetted_at = asyncio.get_running_loop().time() + self._limits.vetting_s
         self._cut()
         self._watch()
         if self._task is None and self._resume is None:
@@ -101,6 +110,19 @@ class ScpiConnection(asyncio.Protocol):
         """End the connection at once."""
         self._server.station.metrics.refused.labels(INTERFACE, "dropped").inc()
         _log.warning("scpi client dropped", reason=reason)
+        if self._transport is not None:
+            self._transport.abort()
+
+    def _is_ending(self) -> bool:
+        return self._transport is None or self._transport.is_closing()
+
+    def _hang_up(self) -> None:
+        """End the connection of a client that speaks HTTP or TLS; nothing that it sent and still waits is executed."""
+        peer = str(self._transport.get_extra_info("peername")) if self._transport is not None else ""
+        self._server.station.metrics.refused.labels(INTERFACE, "not scpi").inc()
+        _log.warning("scpi client speaks http or tls and was hung up on: perhaps a web page", peer=peer)
+        self._messages.clear()
+        self._buffer.clear()
         if self._transport is not None:
             self._transport.abort()
 
@@ -145,7 +167,7 @@ class ScpiConnection(asyncio.Protocol):
         for _ in range(_MESSAGES_AT_ONCE):
             if not self._messages or self._cannot_write or self._transport is None:
                 break
-            if (pause_s := self._bucket.take()) > 0:
+            if (pause_s := self._vetting_pause_s() or self._bucket.take()) > 0:
                 self._resume = asyncio.get_running_loop().call_later(pause_s, self._work)
                 break
             outcome = self._run(self._messages.popleft())
@@ -157,6 +179,12 @@ class ScpiConnection(asyncio.Protocol):
             self._resume = asyncio.get_running_loop().call_soon(self._work)
         if len(self._messages) <= self._limits.messages_waiting // 2 and self._transport is not None:
             self._transport.resume_reading()
+
+    def _vetting_pause_s(self) -> float:
+        """Return how long the next message must wait in s: what lights waits whether lines of HTTP follow it."""
+        if self._vetted_at is None or not _LIGHTS.search(self._messages[0]):
+            return 0.0
+        return max(0.0, self._vetted_at - asyncio.get_running_loop().time())
 
     def _run(self, message: bytes) -> str | Coroutine[Any, Any, str | None] | None:
         assert self.session is not None

@@ -228,3 +228,17 @@ async def test_events_are_in_the_journal(station: Station, instrument: Any, even
     reader = JournalReader(station.journal_path)
     await eventually(lambda: len(reader.events()) == 2)
     assert [event["kind"] for event in reader.events()] == ["alarm", "cleared"]
+
+
+async def test_ending_continuous_measurement_while_it_fails_ends_nothing_else(
+    station: Station, instrument: Any, eventually: Eventually
+) -> None:
+    """The measurement in hand fails after its period was taken away; the loop that measures goes on."""
+    instrument.failing, instrument.measure_s = True, 0.1
+    station.set_every(0.0)
+    await eventually(lambda: station.acquisition.busy)
+    station.set_every(None)
+    await eventually(lambda: [alarm.name for alarm in station.alarms.active] == ["measurement"])
+    assert station.failed_task() is None
+    instrument.failing = False
+    assert (await station.measure(deadline_s=20.0)).sequence == 1

@@ -1,0 +1,119 @@
+"""What speaks HTTP or TLS to the SCPI port is hung up on before anything is executed."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import urllib.error
+import urllib.request
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+import structlog
+
+from radiometer.daemon.scpi.server import ScpiServer
+from radiometer.daemon.scpi.strangers import is_strange
+from radiometer.daemon.scpi.table import command_table
+from radiometer.daemon.station import Station
+
+Eventually = Callable[..., Awaitable[None]]
+LIGHTING = b"SOUR:LED1:LEV 0.9\nSENS:EXP 0.002\nSENS:PATC 1,2,3,4\nINIT:CONT ON\n"
+
+
+def _port(server: ScpiServer) -> int:
+    return int(server._servers[0].sockets[0].getsockname()[1])
+
+
+async def _throw(server: ScpiServer, *parts: bytes) -> bytes:
+    """Send parts one after the other and return what comes back until the server hangs up."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
+    try:
+        for part in parts:
+            writer.write(part)
+            await writer.drain()
+            await asyncio.sleep(0.01)
+        async with asyncio.timeout(20):
+            return await reader.read()
+    except ConnectionError:
+        return b""
+    finally:
+        writer.close()
+        with contextlib.suppress(ConnectionError):
+            await writer.wait_closed()
+
+
+def _unchanged(station: Station, box: Any) -> bool:
+    settings = station.settings
+    dark = set(box.levels.values()) == {0.0}
+    return dark and settings.auto_exposure and settings.patch is None and station.acquisition.every_s is None
+
+
+@pytest.mark.parametrize(
+    "beginning",
+    [
+        b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+        b"GET / HTTP/1.1\r\n",
+        b"OPTIONS / HTTP/1.1\r\n",
+        b"QUERY / HTTP/1.1\r\n",
+        b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+        b"\r\n\r\nPOST / HTTP/1.1\r\n",
+        b"\x00\x01garbage\n \tPOST / HTTP/1.1\r\n",
+        b"\xff\xfe\n\nget / http/1.1\n",
+        b"*IDN?\nHost: 127.0.0.1:5025\n",
+        b"*CLS\nContent-Length: 20\n",
+        b"*CLS\nsec-fetch-mode:no-cors\n",
+        b"\x16\x03\x01\x02\x00\x01\n",
+        b"*CLS\n\x16\x03\x01\n",
+    ],
+)
+async def test_http_and_tls_light_nothing(
+    scpi: ScpiServer, station: Station, box: Any, eventually: Eventually, beginning: bytes
+) -> None:
+    """Whatever comes before the request, what follows it in the same connection is never executed."""
+    await _throw(scpi, beginning + LIGHTING)
+    await eventually(lambda: not scpi.connections)
+    assert _unchanged(station, box)
+
+
+async def test_a_request_in_pieces_lights_nothing(scpi: ScpiServer, station: Station, box: Any) -> None:
+    """The request line is known by its first word, before its end has come."""
+    assert await _throw(scpi, b"PO", b"ST / HT", b"TP/1.1\r\n", LIGHTING) == b""
+    assert _unchanged(station, box)
+
+
+async def test_a_first_line_that_lights_waits_for_what_follows(scpi: ScpiServer, box: Any) -> None:
+    """A lighting line sent ahead of HTTP, even in a packet of its own, is never executed."""
+    await _throw(scpi, b"SOUR:LED1:LEV 0.9\n", b"POST / HTTP/1.1\r\n", b"\r\n")
+    await _throw(scpi, b"*CLS\nSOUR:LED1:LEV 0.9\nHost: x\n")
+    await asyncio.sleep(2 * scpi.limits.vetting_s)
+    assert set(box.levels.values()) == {0.0}
+
+
+async def test_a_client_of_ours_lights_after_the_pause(client: Any, box: Any) -> None:
+    """The pause ends by itself, and lines keep their order across it."""
+    assert float(await client.ask("SOUR:LED2:LEV 0.5\nSOUR:LED2:LEV?")) == 0.5
+    assert box.levels["red"] == 0.5
+
+
+async def test_a_real_http_client_is_hung_up_on_and_logged(scpi: ScpiServer, station: Station, box: Any) -> None:
+    """Python's own HTTP client gets no reply; log and figures name the case and the peer."""
+
+    def post() -> None:
+        urllib.request.urlopen(f"http://127.0.0.1:{_port(scpi)}/", data=b"\n" + LIGHTING, timeout=20).close()
+
+    with structlog.testing.capture_logs() as log, pytest.raises((OSError, urllib.error.URLError)):
+        await asyncio.to_thread(post)
+    (entry,) = [line for line in log if "http" in line["event"]]
+    assert "127.0.0.1" in entry["peer"]
+    assert b'reason="not scpi"} 1.0' in station.metrics.render()
+    assert _unchanged(station, box)
+
+
+@pytest.mark.parametrize("command", command_table().commands, ids=lambda command: command.pattern)
+def test_no_command_of_ours_looks_like_http(command: Any) -> None:
+    """No example, and no spelling with arguments or as a query, is taken for a stranger's."""
+    assert not is_strange(command.example.encode() + b"\n")
+    for spelling in command.spellings():
+        header = spelling.replace("<n>", "1").encode()
+        assert not is_strange(header + b" 1,2,3,4\n" + b":" + header.lower() + b"? MAX\n")
