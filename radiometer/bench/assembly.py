@@ -28,7 +28,7 @@ def open_bench_camera(bench: Path | None, name: str | None) -> Iterator[tuple[Be
         ConfigurationError: If the bench file is wrong.
         DeviceError: If the camera cannot be opened.
     """
-    config, where = read_bench(bench)
+    config, where = read_bench(bench, name)
     camera = open_camera(config, where, name)
     try:
         yield config, camera

@@ -5,12 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from radiometer.bench.config import BenchConfig, CameraConfig, GenicamCameraConfig, SimulatedCameraConfig
+from radiometer.bench.config import (
+    SIMULATED as SIMULATED,
+)
+from radiometer.bench.config import (
+    BenchConfig,
+    CameraConfig,
+    GenicamCameraConfig,
+    SimulatedCameraConfig,
+)
 from radiometer.data.config_files import shipped_config
 from radiometer.devices import Camera, CameraCapabilities, CameraIdentity, CameraPreset, CameraSettings
 from radiometer.errors import ConfigurationError, MissingLibrary
 
-SIMULATED = "sim"
 _NEAREST_FORMATS = ("Mono12", "Mono12p", "Mono12Packed", "Mono16", "Mono10", "Mono10p", "Mono8")
 
 
@@ -69,7 +76,7 @@ def _genicam(config: BenchConfig, name: str | None) -> Camera:
 
     own = config.camera if isinstance(config.camera, GenicamCameraConfig) else None
     wanted = name or (own.id if own else None)
-    return find(wanted, preset=own.preset if own else None, lens=config.lens.description)
+    return find(wanted, preset=own.preset if own else None, lens=config.lens_description)
 
 
 def _first_settings(wanted: CameraConfig, limits: CameraCapabilities) -> CameraSettings:
@@ -95,7 +102,7 @@ def _simulated(config: BenchConfig, wanted: SimulatedCameraConfig, where: Path) 
     preset = CameraPreset.read(file)
     limits = preset.require_limits(str(file)).capabilities(has_shutter=True)
     limits = replace(limits, width=wanted.width or limits.width, height=wanted.height or limits.height)
-    lens = config.lens.description
+    lens = config.lens_description
     model = CameraModel.read(where.parent / wanted.model) if wanted.model else CameraModel.ideal(preset.camera, lens)
     return SimulatedCamera(
         model,

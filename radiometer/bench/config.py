@@ -14,6 +14,7 @@ from radiometer.data.validation import ConfigSection, validate
 from radiometer.errors import ConfigurationError, InputError
 
 DEFAULT_BENCH = "bench-simulated.yaml"
+SIMULATED = "sim"
 
 
 class SimulatedCameraConfig(ConfigSection):
@@ -82,13 +83,13 @@ class BenchConfig(ConfigSection):
     """The whole of a bench file.
 
     `patches` are regions of even light and their radiances, as far as known, for `radiometer reconcile`; `patch` is
-    the one that is measured.
+    the one that is measured. `lens: null` is a lens of which nothing is known.
     """
 
     format: Literal["radiometer-bench/1"] = "radiometer-bench/1"
     name: str = "bench"
     camera: CameraConfig
-    lens: LensConfig
+    lens: LensConfig | None
     scene: dict[str, Any] | None = None
     source: SourceDescription = SourceDescription()
     calibration: str | None = None
@@ -97,13 +98,25 @@ class BenchConfig(ConfigSection):
     patches: tuple[PatchDescription, ...] = ()
     time_limit_s: float = Field(60.0, gt=0)
 
+    @property
+    def lens_description(self) -> LensDescription:
+        """Return the lens as it stands in capture sets; all unknown where the bench does not know it."""
+        return self.lens.description if self.lens else LensDescription()
 
-def read_bench(path: Path | None = None) -> tuple[BenchConfig, Path]:
-    """Return a validated bench file and where it lies; the simulated bench where none is named.
+
+def read_bench(path: Path | None = None, camera: str | None = None) -> tuple[BenchConfig, Path]:
+    """Return a validated bench file and where it lies; the simulated bench where neither file nor camera is named.
+
+    Args:
+        path: The bench file.
+        camera: Name of a camera. A real one without a bench file stands on no bench: its lens, what it looks at and
+            its calibration are unknown, and stay so.
 
     Raises:
         ConfigurationError: If the file is missing or holds something not allowed.
     """
+    if path is None and camera is not None and camera != SIMULATED:
+        return BenchConfig(name="no bench", camera=GenicamCameraConfig(kind="genicam", id=camera), lens=None), Path()
     file = path or shipped_config(DEFAULT_BENCH)
     try:
         mapping = read_yaml(file)

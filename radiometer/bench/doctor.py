@@ -27,7 +27,7 @@ def examine(bench: Path | None = None, name: str | None = None) -> list[Finding]
     findings = check_host(load_library)
     if name is None:
         return findings
-    config, where = read_bench(bench)
+    config, where = read_bench(bench, name)
     try:
         camera = open_camera(config, where, name)
     except DeviceError as error:

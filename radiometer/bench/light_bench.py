@@ -158,7 +158,7 @@ def _simulated_instrument(
     limits = preset.require_limits(wanted.preset).capabilities(has_shutter=True)
     limits = replace(limits, width=wanted.width or limits.width, height=wanted.height or limits.height)
     clock = HookedClock(opened.box.link.line.now, opened.wait)
-    model = CameraModel.ideal(preset.camera, config.lens.description)
+    model = CameraModel.ideal(preset.camera, config.lens_description)
     camera = LightBoxCamera(
         model, BoxView(twin, ambient_w_sr_m2), limits=limits, clock=clock, seed=wanted.seed, serial=wanted.serial
     )

@@ -206,7 +206,7 @@ def _simulated_bench(name: str, bench: Path | None, calibration: Path | None, se
     width, height = _SIMULATED_SIZE
     display = SimulatedDisplay(DISPLAYS[name])
     camera = WatchingCamera(
-        CameraModel.ideal(preset.camera, config.lens.description),
+        CameraModel.ideal(preset.camera, config.lens_description),
         display,
         seed=seed,
         serial=wanted.serial,

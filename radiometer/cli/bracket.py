@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from radiometer.acquire.bracketing import BracketRequest
     from radiometer.acquire.exposure_plan import ExposurePlan
     from radiometer.bench.config import BenchConfig
-    from radiometer.data import CaptureSet
+    from radiometer.data import CaptureSet, Patch
     from radiometer.devices import Camera
 
 
@@ -58,7 +58,7 @@ def command(
             return
         exposures = _plan(device, request, ladder, repeat)
         written = _capture(out, device, exposures, request, config)
-        _report(written, exposures, as_json=json)
+        _report(written, exposures, region, as_json=json)
 
 
 def _ladder_bounds(stops: float | None, shortest: str | None, longest: str | None) -> tuple[float, float, float] | None:
@@ -150,10 +150,10 @@ def _shutter_by_hand(device: Camera) -> Callable[[bool], None]:
     return ask
 
 
-def _report(written: CaptureSet, plan: ExposurePlan, *, as_json: bool) -> None:
+def _report(written: CaptureSet, plan: ExposurePlan, region: Patch | None, *, as_json: bool) -> None:
     from radiometer.acquire.reach import assess_reach
 
-    reach = assess_reach(written.frames(), written.header.camera)
+    reach = assess_reach(written.frames(), written.header.camera, region)
     exposures = [entry.exposure_s for entry in written.header.frames if entry.shutter == "open"]
     late = len(plan.exposures_s) - len(exposures)
     missing = reach.sentences() + (["the time limit left out the longest exposures"] if plan.cut_short else [])
@@ -173,6 +173,7 @@ def _report(written: CaptureSet, plan: ExposurePlan, *, as_json: bool) -> None:
         print(json_module.dumps(report))
         return
     note(f"{written.path}: {len(exposures)} exposures from {min(exposures):.4g} s to {max(exposures):.4g} s")
-    note(f"{100 * float((reach.cover >= 2).mean()):.2f} % of the pixels are well exposed at least twice")
+    pixels = "patch's pixels" if region else "pixels"
+    note(f"{100 * float((reach.cover >= 2).mean()):.2f} % of the {pixels} are well exposed at least twice")
     for sentence in missing:
         note(f"not reached: {sentence}")

@@ -41,7 +41,9 @@ def command(
     spectrum: Annotated[str | None, typer.Option(help="Spectrum assumed for the luminance.")] = None,
     u_rel: Annotated[float | None, typer.Option(help="Repeat until noise is below this relative u (k = 1).")] = None,
     repeat: Annotated[int, typer.Option(min=1, help="Number of readings.")] = 1,
-    watch: Annotated[bool, typer.Option("--watch", help="Read until stopped by Ctrl-C.")] = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Read until stopped by Ctrl-C; a camera that is lost is waited for.")
+    ] = False,
     every: Annotated[float, typer.Option(min=0.0, help="Seconds from one reading's start to the next's.")] = 0.0,
     budget: Annotated[bool, typer.Option("--budget", help="Print the uncertainty budget.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object per reading on standard output.")] = False,
@@ -79,7 +81,7 @@ def command(
             _introduce(instrument)
         for number in itertools.count(1) if watch else range(1, repeat + 1):
             begun = time.monotonic()
-            reading = _one(instrument, number, u_rel, shown=not json)
+            reading = _one(instrument, number, u_rel, shown=not json, patient=watch)
             if json:
                 print(reading.to_json(), flush=True)
             else:
@@ -115,7 +117,24 @@ def _photographed(
     return with_iso_in_reading(read_patch(bracket, patch, known, camera, lens, spectrum=spectrum), bracket)
 
 
-def _one(instrument: Instrument, number: int, u_rel: float | None, *, shown: bool) -> Reading:
+def _one(instrument: Instrument, number: int, u_rel: float | None, *, shown: bool, patient: bool) -> Reading:
+    """Return a reading; where `patient`, a camera that was lost is waited for and the reading taken anew."""
+    from radiometer.bench.reopening import reopen
+    from radiometer.errors import DeviceLost, DeviceTimeout
+
+    camera, settings = instrument.camera, instrument.camera.settings
+    while True:
+        try:
+            return _taken(instrument, number, u_rel, shown=shown)
+        except (DeviceLost, DeviceTimeout) as error:
+            if not patient:
+                raise
+            note(f"{error}; waiting for it")
+        reopen(camera, settings, note)
+        note(f"{camera.identity.model} {camera.identity.serial} is back")
+
+
+def _taken(instrument: Instrument, number: int, u_rel: float | None, *, shown: bool) -> Reading:
     with progress_bar(shown=shown) as bar:
         task = bar.add_task("measuring", total=None)
         return instrument.measure(

@@ -46,7 +46,7 @@ class BenchInstrument:
         uncalibrated: bool = False,
         spectrum_name: str | None = None,
     ) -> None:
-        self._config, self._where = read_bench(bench)
+        self._config, self._where = read_bench(bench, camera_name)
         self._name = camera_name
         self._path = None if uncalibrated else calibration or calibration_path(self._config, bench)
         self._spectrum = spectrum_name or self._config.spectrum

@@ -87,7 +87,8 @@ class CaptureHeader(FileSection):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the plain mapping that stands in the file; what is unknown is left out."""
-        return self.model_dump(mode="json", exclude_none=True)
+        unknown = {name for name in ("lens", "source") if getattr(self, name) == type(getattr(self, name))()}
+        return self.model_dump(mode="json", exclude_none=True, exclude=unknown)
 
 
 @dataclass(frozen=True, slots=True)

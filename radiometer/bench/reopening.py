@@ -1,0 +1,47 @@
+"""Waits for a camera that was lost, and opens it again as it was set."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Final
+
+from radiometer.devices import Camera, CameraSettings
+from radiometer.errors import DeviceError, MissingLibrary
+
+PAUSE_S: Final = 0.5  # between two tries: what an opening of a camera that is there takes at most
+
+
+def reopen(
+    camera: Camera,
+    settings: CameraSettings,
+    told: Callable[[str], None],
+    sleep: Callable[[float], None] = time.sleep,
+) -> None:
+    """Close a camera that was lost, and try to open it until it is back with its settings in force.
+
+    Args:
+        camera: The camera; nothing more is asked of it before it is open again.
+        settings: What it is to be set to.
+        told: Called with why it cannot be opened, once for each reason.
+        sleep: Waits so many seconds.
+
+    Raises:
+        MissingLibrary: If it can never be opened here.
+    """
+    camera.close()
+    reason = ""
+    while True:
+        try:
+            camera.open()
+            camera.configure(settings)
+        except MissingLibrary:
+            raise
+        except DeviceError as error:
+            camera.close()
+            if str(error) != reason:
+                reason = str(error)
+                told(reason)
+            sleep(PAUSE_S)
+        else:
+            return

@@ -1,0 +1,181 @@
+"""A real camera named without a bench file: what nobody said of it stays unknown, and it may come and go."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+import yaml
+
+from radiometer.bench.reopening import reopen
+from radiometer.cli import measure
+from radiometer.cli.main import run
+from radiometer.data import LensDescription
+from radiometer.devices import CameraPreset, CameraSettings
+from radiometer.errors import DeviceLost, DeviceNotFound, MissingLibrary
+from simulators.camera_model import CameraModel
+from simulators.scenes import scene_from_mapping
+from simulators.simulated_camera import SimulatedCamera, default_limits
+
+PATCHES = [{"name": "lamp", "x": 40, "y": 20, "width": 20, "height": 10, "drive": 1.0}]
+SCENE = {"kind": "screen", "peak_radiance_W_per_sr_m2": 2.0, "gamma": 2.2, "background": 1e-6, "patches": PATCHES}
+
+
+class RealCamera(SimulatedCamera):
+    """Stands in for the driver's camera: behind a lens, but told only what the bench told it."""
+
+    def __init__(self, lens: LensDescription) -> None:
+        model = CameraModel.ideal(CameraPreset.shipped("BFS-U3-19S4M").camera, LensDescription(f_number=4.0))
+        limits = replace(default_limits(), width=80, height=60)
+        super().__init__(model, scene_from_mapping(SCENE), seed=3, limits=limits)
+        self.told, self.lost_at, self.openings, self.frames = lens, (), 0, 0
+
+    @property
+    def lens(self) -> LensDescription:
+        return self.told
+
+    def open(self) -> None:
+        self.openings += 1
+        super().open()
+
+    def capture(self, count: int = 1):
+        self.frames += 1
+        if self.frames in self.lost_at:
+            raise DeviceLost("camera FLIR 20497219 stopped answering")
+        frames = super().capture(count)
+        return [replace(frame, settings=replace(frame.settings, f_number=self.told.f_number)) for frame in frames]
+
+
+@pytest.fixture
+def real(monkeypatch):
+    """Have the driver find one camera under every name, and return the list of those that were made."""
+    made: list[RealCamera] = []
+
+    def find(name: str | None, preset=None, lens: LensDescription | None = None) -> RealCamera:
+        made.append(RealCamera(lens or LensDescription()))
+        return made[-1]
+
+    monkeypatch.setattr("drivers.aravis_camera.open_camera", find)
+    return made
+
+
+def test_a_bracket_without_a_bench_holds_nothing_of_the_simulated_one(real, tmp_path, capsys):
+    """No lens, no source, no patch and no f-number of the simulated bench stand in capture.yaml."""
+    assert run(["bracket", str(tmp_path / "set"), "--camera", "20497219"]) == 0
+    written = yaml.safe_load((tmp_path / "set" / "capture.yaml").read_text(encoding="utf-8"))
+    assert "lens" not in written
+    assert "source" not in written
+    assert written["patches"] == []
+    assert all("f_number" not in frame for frame in written["frames"])
+    assert real[0].told == LensDescription()
+
+
+def test_a_bracket_of_the_simulated_camera_keeps_its_bench(tmp_path):
+    """`--camera sim` is the simulated bench: its lens is known and written."""
+    assert run(["bracket", str(tmp_path / "set"), "--from", "1ms", "--to", "2ms", "--camera", "sim"]) == 0
+    written = yaml.safe_load((tmp_path / "set" / "capture.yaml").read_text(encoding="utf-8"))
+    assert written["lens"]["focal_length_mm"] == 16
+    assert written["source"]["wavelength_nm"] == 550
+
+
+def test_a_reading_without_a_bench_is_not_calibrated_by_the_simulated_one(real, capsys):
+    """The simulated bench's calibration is of its own camera: the reading is relative, and says so."""
+    assert run(["measure", "--camera", "20497219", "--patch", "42,22,8,6", "--json"]) == 0
+    reading = json.loads(capsys.readouterr().out)
+    assert "uncalibrated" in reading["flags"]
+
+
+def test_a_bracket_of_a_patch_speaks_of_the_patch_only(real, tmp_path, capsys):
+    """Pixels outside the patch, which nobody asked for, are neither counted nor complained of."""
+    words = ["bracket", str(tmp_path / "set"), "--camera", "20497219", "--patch", "42,22,8,6"]
+    assert run([*words, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["pixels"], told["well_exposed_twice"], told["below_noise"]) == (48, 48, 0)
+    words[1] = str(tmp_path / "again")
+    assert run(words) == 0
+    said = capsys.readouterr().err
+    assert "100.00 % of the patch's pixels are well exposed" in said
+    assert "not reached" not in said
+
+
+def test_what_a_patch_lacks_is_named_in_the_frames_pixels(real, tmp_path, capsys):
+    """A dark patch is said to be dark, with the place it has in the frame."""
+    words = ["bracket", str(tmp_path / "set"), "--camera", "20497219", "--patch", "2,40,6,4"]
+    assert run([*words, "--from", "100us", "--to", "200us"]) == 0
+    assert "24 of 24 pixels stay under the noise floor" in (said := capsys.readouterr().err)
+    assert "(within x 2, y 40, 6 × 4)" in said
+
+
+def test_watching_survives_a_camera_that_comes_back(real, monkeypatch, capsys):
+    """A camera lost in the second reading is opened anew, and its reading follows with the same number."""
+
+    class Enough(Exception):
+        """Ends the watch."""
+
+    pauses = []
+
+    def find(*_arguments: object, **_known: object) -> RealCamera:
+        real.append(RealCamera(LensDescription()))
+        real[-1].lost_at = (9,)
+        return real[-1]
+
+    def sleep(_seconds: float) -> None:
+        pauses.append(_seconds)
+        if len(pauses) == 3:
+            raise Enough
+
+    monkeypatch.setattr("drivers.aravis_camera.open_camera", find)
+    monkeypatch.setattr(measure.time, "sleep", sleep)
+    with pytest.raises(Enough):
+        run(["measure", "--camera", "20497219", "--patch", "42,22,8,6", "--watch", "--json"])
+    told = capsys.readouterr()
+    assert [json.loads(line)["sequence"] for line in told.out.splitlines()] == [1, 2, 3]
+    assert real[0].openings == 2
+    assert "stopped answering; waiting for it" in told.err
+    assert "is back" in told.err
+
+
+def test_without_watch_a_lost_camera_is_an_error(real, monkeypatch, capsys):
+    """A single reading of a camera that is lost fails, and says so."""
+
+    def find(*_arguments: object, **_known: object) -> RealCamera:
+        real.append(RealCamera(LensDescription()))
+        real[-1].lost_at = (1,)
+        return real[-1]
+
+    monkeypatch.setattr("drivers.aravis_camera.open_camera", find)
+    assert run(["measure", "--camera", "20497219", "--patch", "42,22,8,6"]) == 1
+    assert "stopped answering" in capsys.readouterr().err
+
+
+def test_a_camera_is_waited_for_as_long_as_it_takes():
+    """Every reason is told once, pauses lie between the tries, and the settings are in force afterwards."""
+    camera, reasons, pauses = RealCamera(LensDescription()), [], []
+    errors = [DeviceNotFound("absent"), DeviceNotFound("absent"), DeviceLost("gone again")]
+    real_open = camera.open
+
+    def open_() -> None:
+        if errors:
+            raise errors.pop(0)
+        real_open()
+
+    camera.open = open_
+    wanted = CameraSettings(exposure_s=0.003, black_level_dn=64)
+    reopen(camera, wanted, reasons.append, pauses.append)
+    assert reasons == ["absent", "gone again"]
+    assert len(pauses) == 3
+    assert camera.settings == wanted
+    camera.close()
+
+
+def test_a_camera_that_can_never_be_opened_is_not_waited_for():
+    """A library that is not installed does not appear by waiting."""
+    camera = RealCamera(LensDescription())
+
+    def open_() -> None:
+        raise MissingLibrary("apt install gir1.2-aravis-0.8")
+
+    camera.open = open_
+    with pytest.raises(MissingLibrary):
+        reopen(camera, CameraSettings(exposure_s=0.003), lambda _reason: None, lambda _seconds: None)
