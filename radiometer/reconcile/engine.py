@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
+import structlog
 
 from radiometer.data import CaptureHeader, CaptureSet, Frame
 from radiometer.errors import CaptureError
@@ -42,6 +44,9 @@ CATALOGUE: Final[dict[str, type[CatalogueEffect]]] = {
     name: kind for name, kind in EFFECTS.items() if issubclass(kind, CatalogueEffect)
 }
 
+_log = structlog.get_logger(__name__)
+
+_T = TypeVar("_T")
 _PLACES: Final = 6
 _CALL: Final = 0.01
 _MOST_LISTED: Final = 4  # unnamed covariates in a result; the whole list stands under localisation
@@ -199,21 +204,25 @@ def _result(
 ) -> ReconcileResult:
     doubts = doubts_of(outcome)
     verdict = verdict_of(outcome, doubts)
-    effects = _found(outcome, provisional=verdict is Verdict.INCOMPLETE)
+    failed: list[str] = []
+    effects = _found(outcome, failed, provisional=verdict is Verdict.INCOMPLETE)
     state = outcome.state
-    shown = limits(state, entries) if with_limits else {}
+    shown: Mapping[str, Limit] = {}
+    if with_limits:
+        shown = _spared("the limits", lambda: limits(state, entries), failed) or {}
     settled = any(effect.next_capture for effect in effects) or verdict is Verdict.EFFECTS_FOUND
+    further = None if settled else _spared("the next capture", lambda: _further(state, entries, shown, effects), failed)
     return ReconcileResult(
         verdict=verdict,
         effects=effects,
-        next_capture=None if settled else _further(state, entries, shown, effects),
+        next_capture=further,
         gap_before=outcome.start.gap,
         gap_after=state.gap,
         limits=shown,
         covariates=_by_covariate(outcome.first_tests, outcome.tests),
         tests=(len(outcome.tests), len(outcome.left)),
         repeatability=state.tau,
-        assumptions=_assumptions(outcome, doubts),
+        assumptions=(*_assumptions(outcome, doubts), *failed),
         localisation=tuple(_place(test) for test in places(outcome.start, _PLACES)),
         calls=(sum(test.p_value < _CALL for test in outcome.first_tests), len(outcome.first_tests)),
         added=(*state.model.given, *state.effects),
@@ -221,6 +230,22 @@ def _result(
         frames=frames,
         seconds=time.monotonic() - begun,
     )
+
+
+def _spared(what: str, work: Callable[[], _T], failed: list[str]) -> _T | None:
+    """Return what is worked out beside the answer; None where that fails, for advice never costs the answer.
+
+    Args:
+        what: What it is, for the log and for the user.
+        work: Works it out.
+        failed: Is told why it is missing.
+    """
+    try:
+        return work()
+    except Exception as error:  # noqa: BLE001  (whatever it is: minutes of fitting are not thrown away for a hint)
+        _log.exception("advice failed", what=what)
+        failed.append(f"{what} could not be worked out ({type(error).__name__}: {error}); the rest stands")
+        return None
 
 
 def _further(
@@ -233,7 +258,7 @@ def _further(
     return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
 
 
-def _found(outcome: Search, *, provisional: bool) -> tuple[FoundEffect, ...]:
+def _found(outcome: Search, failed: list[str], *, provisional: bool) -> tuple[FoundEffect, ...]:
     state = outcome.state
     parameters = fitted_parameters(state)
     present = {effect.name: effect for effect in state.effects}
@@ -242,8 +267,10 @@ def _found(outcome: Search, *, provisional: bool) -> tuple[FoundEffect, ...]:
         if step.name == "unnamed":
             found.append(_unnamed(step))
         elif step.name in present:
-            advice = propose(state, present[step.name], step.rivals)
-            found.append(_effect(step, present[step.name], parameters[step.name], advice, provisional=provisional))
+            own, rivals = present[step.name], step.rivals
+            what = f"the capture that tells {step.name} from its rivals"
+            advice = _spared(what, partial(propose, state, own, rivals), failed)
+            found.append(_effect(step, own, parameters[step.name], advice, provisional=provisional))
     listed = {entry.where for entry in found if entry.name == "unnamed"}
     for test in outcome.left:
         where = axis_of(test.where, test.block)

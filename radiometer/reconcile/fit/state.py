@@ -283,10 +283,13 @@ def with_effects(state: FitState, effects: Sequence[CatalogueEffect]) -> FitStat
 def refit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
     """Return the state at the least χ² over nuisances, term weights and effect parameters (damped Gauss–Newton).
 
-    Parameters that come frozen within their bounds stay so.
+    Parameters that come frozen within their bounds stay so. They are known by effect and name: a further term that
+    falls to nothing on the way is none of its effect's parameters any more, and all behind it move up.
     """
     on_low, on_high = state.parameters.on_bounds()
-    fixed = state.frozen - frozenset(np.flatnonzero(on_low | on_high).tolist())
+    inside = state.frozen - frozenset(np.flatnonzero(on_low | on_high).tolist())
+    own = state.parameters
+    fixed = frozenset((own.owner[i], own.names[i]) for i in inside)
     state = _held_at_bounds(state, fixed)
     for _ in range(iterations):
         following = _improved(state)
@@ -299,7 +302,7 @@ def refit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
     return state
 
 
-def _held_at_bounds(state: FitState, fixed: frozenset[int]) -> FitState:
+def _held_at_bounds(state: FitState, fixed: frozenset[tuple[int, str]]) -> FitState:
     """Return the state with those effect parameters frozen that stand on a bound and would leave it, and the fixed.
 
     Were they free, the linearised fit would take up beyond the bound what the model cannot, and hide it. A parameter
@@ -307,7 +310,8 @@ def _held_at_bounds(state: FitState, fixed: frozenset[int]) -> FitState:
     """
     on_low, on_high = state.parameters.on_bounds()
     idle = np.flatnonzero(np.linalg.norm(state.effect_jacobian, axis=0) < _IDLE)
-    held = fixed | frozenset(idle.tolist())
+    named = zip(state.parameters.owner, state.parameters.names, strict=True)
+    held = frozenset(i for i, entry in enumerate(named) if entry in fixed) | frozenset(idle.tolist())
     while True:
         state = state if state.frozen == held else replace(state, frozen=held)
         if not (on_low | on_high).any():

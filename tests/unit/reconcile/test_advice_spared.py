@@ -1,0 +1,46 @@
+"""Limits and next captures are advice: whatever happens to them, the answer stands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.reconcile import engine
+from radiometer.reconcile.fit.state import first_state, refit, with_effects
+from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from simulators.effects.full_well_saturation import FullWellSaturation
+from simulators.effects.veiling_glare import VeilingGlare
+
+PLAN = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 6) for _ in range(2)] + [{"t": 1e-2, "shutter": "closed"}]
+
+
+def test_answer_stands_where_advice_fails(make_capture: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error in the limits and in the next capture is told among the assumptions; the name is found nevertheless."""
+
+    def broken(*given: object) -> None:
+        raise IndexError("index 7 is out of bounds for axis 1 with size 7")
+
+    captured = make_capture(seed=31, plan=PLAN, extra_dn=lambda s: 3.0)
+    for name in ("limits", "propose", "propose_for_unnamed", "propose_for_blind"):
+        monkeypatch.setattr(engine, name, broken)
+    after = engine.reconcile(captured.header, captured.frames)
+    assert [effect.name for effect in after.effects] == ["black_level_offset"]
+    assert (after.limits, after.next_capture) == ({}, None)
+    assert any(text.startswith("the limits could not be worked out (IndexError: index 7") for text in after.assumptions)
+
+
+def test_fit_holds_a_parameter_though_a_term_before_it_falls_to_nothing(make_capture: Callable[..., Any]) -> None:
+    """A ceiling's spread goes to zero, where the ceiling is sharp and has one parameter less; the veil stays held."""
+    captured = make_capture(seed=32, plan=PLAN)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    start = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    added = with_effects(start, [FullWellSaturation(9_000.0, 0.05), VeilingGlare(0.01)])
+    assert added.parameters.names == ("full_well_e", "spread_rel", "share")
+    fitted = refit(replace(added, frozen=frozenset({2})))
+    assert fitted.parameters.names == ("full_well_e", "share")
+    assert fitted.effects[1] == VeilingGlare(0.01)
