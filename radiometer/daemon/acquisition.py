@@ -74,6 +74,8 @@ class Acquisition:
         """Set the period of continuous measurement in s; None stops it."""
         self._every_s = every_s
         self._due_at = time.monotonic()
+        if every_s is None:
+            self._alarms.clear(ALARM, "continuous measurement was ended")
         self._wake.set()
 
     async def measure(self, settings: MeasurementSettings, deadline_s: float) -> Reading:
@@ -126,6 +128,8 @@ class Acquisition:
         except DeviceError:
             self._due_at = time.monotonic() + _PAUSE_AFTER_ERROR_S  # the keeper has its alarm up already
         except RadiometerError as error:
+            if self._every_s is None:  # ended meanwhile: nobody waits for a next turn that might clear an alarm
+                return
             self._alarms.put_up(ALARM, f"measuring failed: {error}")
             self._due_at = time.monotonic() + max(every_s, _PAUSE_AFTER_ERROR_S)
 

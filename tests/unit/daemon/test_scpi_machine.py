@@ -1,0 +1,28 @@
+"""Random sequences of SCPI messages: the daemon lives through all of them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+
+import pytest
+import structlog
+from hypothesis.stateful import run_state_machine_as_test
+
+from tests.unit.daemon.scpi_machine import ScpiMachine, machine_settings
+
+
+@pytest.fixture(autouse=True)
+def _quiet() -> Iterator[None]:
+    """Keep a thousand warnings about lost devices out of the report."""
+    before = structlog.get_config()
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
+    yield
+    structlog.configure(**before)
+
+
+@pytest.mark.timeout(120)
+def test_no_sequence_of_messages_ends_the_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All commands, right and wrong, of three sessions, while camera and light box fail and come back."""
+    monkeypatch.setattr("radiometer.daemon.acquisition._PAUSE_AFTER_ERROR_S", 0.001)
+    run_state_machine_as_test(ScpiMachine, settings=machine_settings(25))
