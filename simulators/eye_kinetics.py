@@ -11,12 +11,13 @@ from typing import Final
 
 import numpy as np
 
-# Rushton and Henry 1968 (Vision Res 8:617) for cones, Rushton 1965 (J Physiol 181:645) for rods: exposure in td·s that
-# bleaches 1 − 1/e of the pigment, and time constant of its regeneration in s.
-CONE_EXPOSURE_TD_S: Final = 2.4e6
-CONE_REGENERATION_S: Final = 120.0
-ROD_EXPOSURE_TD_S: Final = 1.6e7
-ROD_REGENERATION_S: Final = 400.0
+from radiometer.data import bleaching_constants as table
+
+# Exposure in td·s that bleaches 1 − 1/e of the pigment, and time constant of its regeneration in s.
+CONE_EXPOSURE_TD_S: Final = table.CONE_HALF_BLEACH.value * table.CONE_REGENERATION.value
+CONE_REGENERATION_S: Final = table.CONE_REGENERATION.value
+ROD_EXPOSURE_TD_S: Final = table.ROD_EXPOSURE.value
+ROD_REGENERATION_S: Final = table.ROD_REGENERATION.value
 # Rate-limited regeneration (Mahroo and Lamb 2004, J Physiol 554:417; Lamb and Pugh 2004): dB/dt = −ν·B/(K + B).
 SEMI_SATURATION: Final = 0.2
 FULL_CONE_AMPLITUDE: Final = 3.0  # log10 units above the plateau just after all cone pigment is bleached

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from radiometer.adaptation.branch_fit import BranchFit, fit_model
 from radiometer.adaptation.branch_models import MODELS
+from radiometer.adaptation.break_evidence import BreakEvidence, break_evidence, with_power
 from radiometer.adaptation.intervals import Interval, bootstrap_values, percentile_interval, profile_interval
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import MeasurementError
@@ -75,6 +76,7 @@ class AdaptationFit:
             not cross it.
         verdict: What the curve shows, in words.
         request: How it was fitted.
+        evidence: What speaks for a break.
     """
 
     chosen: BranchFit
@@ -83,6 +85,7 @@ class AdaptationFit:
     criterion: float | None
     verdict: str
     request: FitRequest
+    evidence: BreakEvidence
 
     @property
     def has_break(self) -> bool:
@@ -101,14 +104,16 @@ def fit_adaptation(series: ThresholdSeries, request: FitRequest, rng: np.random.
     Raises:
         MeasurementError: If the series shows no adaptation, or none that a branch model describes.
     """
-    chosen, fits = _chosen(series)
+    chosen, fits, evidence = _chosen(series)
+    if not _has_break(chosen):
+        evidence = with_power(evidence, chosen)
     criterion = _criterion(chosen, request)
     draws = bootstrap_values(chosen, request.bootstrap_draws, rng) if request.bootstrap_draws else []
     estimates = {
         **{name: _parameter(chosen, name, draws, request) for name in chosen.model.parameters},
         **_derived_estimates(chosen, criterion, draws, request),
     }
-    return AdaptationFit(chosen, fits, estimates, criterion, _verdict(chosen), request)
+    return AdaptationFit(chosen, fits, estimates, criterion, _verdict(chosen, evidence), request, evidence)
 
 
 def best_branches(series: ThresholdSeries) -> BranchFit:
@@ -120,11 +125,20 @@ def best_branches(series: ThresholdSeries) -> BranchFit:
     return _chosen(series)[0]
 
 
-def _chosen(series: ThresholdSeries) -> tuple[BranchFit, tuple[BranchFit, ...]]:
-    """Return the best member, and all that were tried."""
+def _chosen(series: ThresholdSeries) -> tuple[BranchFit, tuple[BranchFit, ...], BreakEvidence]:
+    """Return the best member, all that were tried, and what speaks for a break."""
     series.require_recovery()
     fits = _fit_family(series)
-    return _choose([fit for fit in fits if makes_sense(fit)]), fits
+    sensible = [fit for fit in fits if makes_sense(fit)]
+    broken = [fit for fit in sensible if _has_break(fit)]
+    evidence = break_evidence(min(broken, key=lambda fit: fit.aicc) if broken else None)
+    if broken and evidence.shown:
+        return _choose(broken), fits, evidence
+    return _choose([fit for fit in sensible if not _has_break(fit)]), fits, evidence
+
+
+def _has_break(fit: BranchFit) -> bool:
+    return "break_min" in fit.values
 
 
 def _fit_family(series: ThresholdSeries) -> tuple[BranchFit, ...]:
@@ -251,10 +265,16 @@ def _estimate(
     return Estimate(value, u, _UNITS.get(name, "min"), profile, boot)
 
 
-def _verdict(fit: BranchFit) -> str:
+def _verdict(fit: BranchFit, evidence: BreakEvidence) -> str:
     values = fit.values
     if "break_min" not in values:
-        return "one branch: no rod–cone break is seen in these thresholds"
+        earliest = evidence.earliest_visible_min
+        power = (
+            "with these none could be seen"
+            if earliest is None
+            else f"with these a break earlier than {earliest:.1f} min cannot be seen"
+        )
+        return f"one branch: no rod–cone break is seen in these thresholds; {power}"
     slope = values["s2_slope_per_min"]
     return f"rod–cone break at {values['break_min']:.1f} min, S2 slope {slope:.3f} log10 units per min"
 

@@ -6,6 +6,13 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from radiometer.data.bleaching_constants import (
+    CONE_HALF_BLEACH,
+    CONE_REGENERATION,
+    ROD_EXPOSURE,
+    ROD_REGENERATION,
+)
+
 Receptor = Literal["rods", "cones"]
 
 
@@ -27,11 +34,26 @@ class PigmentKinetics:
         return self.td_s / self.regeneration_s
 
 
-# Rushton and Powell 1972 (rods, scotopic td) and Rushton and Henry 1968 (cones, photopic td), rounded as usual.
+# Rods count scotopic trolands, cones photopic ones.
 KINETICS: Final[dict[Receptor, PigmentKinetics]] = {
-    "rods": PigmentKinetics(1.0e7, 400.0),
-    "cones": PigmentKinetics(5.0e6, 120.0),
+    "rods": PigmentKinetics(ROD_EXPOSURE.value, ROD_REGENERATION.value),
+    "cones": PigmentKinetics(CONE_HALF_BLEACH.value * CONE_REGENERATION.value, CONE_REGENERATION.value),
 }
+
+
+def _extremes(receptor: Receptor) -> tuple[PigmentKinetics, ...]:
+    """Return the kinetics at all ends of the published spread."""
+    if receptor == "rods":
+        return tuple(
+            PigmentKinetics(td_s, time_s)
+            for td_s in (ROD_EXPOSURE.low, ROD_EXPOSURE.high)
+            for time_s in (ROD_REGENERATION.low, ROD_REGENERATION.high)
+        )
+    return tuple(
+        PigmentKinetics(half_td * time_s, time_s)
+        for half_td in (CONE_HALF_BLEACH.low, CONE_HALF_BLEACH.high)
+        for time_s in (CONE_REGENERATION.low, CONE_REGENERATION.high)
+    )
 
 
 def pupil_diameter_mm(luminance_cd_m2: float, field_deg2: float = 100.0, age_years: float = 28.58) -> float:
@@ -62,14 +84,29 @@ def bleached_fraction(
     dB/dt = (1 − B)·I/Q_e − B/τ, solved for constant I.
 
     Args:
-        retinal_td: Retinal illuminance I in trolands, 0 or more.
+        retinal_td: Retinal illuminance I in trolands, 0 or more: scotopic for rods, photopic for cones.
         duration_s: Duration in s, 0 or more.
         receptor: Rods or cones.
         before: Fraction bleached when it begins.
 
     Source: Rushton and Henry 1968, Vision Research 8, 617; first-order kinetics.
     """
-    kinetics = KINETICS[receptor]
+    return _fraction(KINETICS[receptor], retinal_td, duration_s, before)
+
+
+def bleached_range(retinal_td: float, duration_s: float, receptor: Receptor = "rods") -> tuple[float, float]:
+    """Return the least and the most that a steady light bleaches by any of the published constants.
+
+    Args:
+        retinal_td: Retinal illuminance in trolands, 0 or more.
+        duration_s: Duration in s, 0 or more.
+        receptor: Rods or cones.
+    """
+    fractions = [_fraction(kinetics, retinal_td, duration_s, 0.0) for kinetics in _extremes(receptor)]
+    return min(fractions), max(fractions)
+
+
+def _fraction(kinetics: PigmentKinetics, retinal_td: float, duration_s: float, before: float) -> float:
     rate = retinal_td / kinetics.td_s + 1.0 / kinetics.regeneration_s
     steady = retinal_td / kinetics.td_s / rate
     return steady + (before - steady) * math.exp(-rate * duration_s)

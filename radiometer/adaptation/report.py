@@ -6,6 +6,7 @@ import base64
 import csv
 import html
 import io
+import math
 from pathlib import Path
 from typing import Any, Final
 
@@ -45,6 +46,9 @@ def to_mapping(fit: AdaptationFit) -> dict[str, Any]:
         "verdict": fit.verdict,
         "model": fit.chosen.model.name,
         "break_found": fit.has_break,
+        "break_deviance": fit.evidence.deviance if math.isfinite(fit.evidence.deviance) else None,
+        "break_deviance_needed": fit.evidence.needed,
+        "earliest_visible_break_min": fit.evidence.earliest_visible_min,
         "thresholds": int(fit.chosen.series.time_min.size),
         "sigma_log10": fit.chosen.sigma,
         "criterion_log10": fit.criterion,

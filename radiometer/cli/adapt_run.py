@@ -229,7 +229,12 @@ def bleach(
     json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False,
 ) -> None:
     """Say how much of the visual pigment a field bleaches: trolands, rods, cones."""
-    from radiometer.adaptation.bleach import bleached_fraction, pupil_diameter_mm, retinal_illuminance_td
+    from radiometer.adaptation.bleach import (
+        bleached_fraction,
+        bleached_range,
+        pupil_diameter_mm,
+        retinal_illuminance_td,
+    )
 
     diameter = pupil if pupil is not None else pupil_diameter_mm(luminance, field, age)
     trolands = retinal_illuminance_td(luminance, diameter)
@@ -239,6 +244,8 @@ def bleach(
         "retinal_td_s": trolands * duration,
         "rods_bleached": bleached_fraction(trolands * scotopic_ratio, duration, "rods"),
         "cones_bleached": bleached_fraction(trolands, duration, "cones"),
+        "rods_bleached_range": bleached_range(trolands * scotopic_ratio, duration, "rods"),
+        "cones_bleached_range": bleached_range(trolands, duration, "cones"),
     }
     if json:
         print(json_module.dumps(result))
@@ -247,5 +254,11 @@ def bleach(
     natural = "" if pupil is not None else " (natural, Watson and Yellott 2012)"
     out.print(f"pupil      {diameter:.2f} mm{natural}")
     out.print(f"retina     {trolands:.4g} td, {trolands * duration:.4g} td·s")
-    out.print(f"rods       {100 * result['rods_bleached']:.1f} % bleached (scotopic/photopic {scotopic_ratio:g})")
-    out.print(f"cones      {100 * result['cones_bleached']:.1f} % bleached")
+    rods, cones = (
+        f"{100 * result[f'{name}_bleached']:.1f} % bleached "
+        f"(published constants: {100 * low:.0f} to {100 * high:.0f} %)"
+        for name in ("rods", "cones")
+        for low, high in [result[f"{name}_bleached_range"]]
+    )
+    out.print(f"rods       {rods}; scotopic/photopic {scotopic_ratio:g}")
+    out.print(f"cones      {cones}")

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 
 from radiometer.adaptation.bleach import (
     KINETICS,
     bleached_fraction,
+    bleached_range,
     pupil_diameter_mm,
     retinal_exposure_for,
     retinal_illuminance_td,
 )
+from radiometer.data.bleaching_constants import CONSTANTS
+from simulators import eye_kinetics
 
 
 def test_half_bleach_illuminance_bleaches_half_in_the_end() -> None:
@@ -56,3 +60,28 @@ def test_pupil_spans_its_known_range_and_shrinks_with_light() -> None:
     assert 2.0 < pupil_diameter_mm(1e6) < 2.3
     assert pupil_diameter_mm(100.0) < pupil_diameter_mm(1.0)
     assert pupil_diameter_mm(0.0, age_years=70) < 6
+
+
+def test_cones_are_half_bleached_at_twenty_thousand_trolands() -> None:
+    """Rushton and Henry 1968 as given by CVRL: 4.3 log td; 120 s of regeneration make it 2.4·10⁶ td·s."""
+    assert KINETICS["cones"].half_bleach_td == pytest.approx(10**4.3, rel=0.01)
+    assert KINETICS["cones"].td_s == pytest.approx(2.4e6)
+
+
+def test_range_spans_the_published_constants() -> None:
+    """10⁵ td for 600 s: rods lie between those of 1.6·10⁷ td·s with 360 s and of 10⁷ td·s with 450 s."""
+    low, high = bleached_range(1e5, 600.0)
+    least, most = 1e5 / 1.6e7, 1e5 / 1e7
+    assert low == pytest.approx(least / (least + 1 / 360) * (1 - math.exp(-(least + 1 / 360) * 600)))
+    assert high == pytest.approx(most / (most + 1 / 450) * (1 - math.exp(-(most + 1 / 450) * 600)))
+    assert low < bleached_fraction(1e5, 600.0) <= high
+
+
+def test_calculator_eye_and_docs_share_one_table(project_root: Path) -> None:
+    """Each value of the table stands in the docs with its spread; the simulated eye bleaches by the same ones."""
+    page = (project_root / "docs" / "adaptation-test.md").read_text(encoding="utf-8")
+    for constant in CONSTANTS:
+        assert f"| {constant.name} | {constant.value:g} | {constant.low:g} to {constant.high:g} |" in page
+        assert constant.low <= constant.value <= constant.high
+    assert KINETICS["cones"].half_bleach_td == eye_kinetics.CONE_EXPOSURE_TD_S / eye_kinetics.CONE_REGENERATION_S
+    assert KINETICS["rods"].td_s == eye_kinetics.ROD_EXPOSURE_TD_S
