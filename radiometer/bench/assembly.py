@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from radiometer.bench.cameras import open_camera
-from radiometer.bench.config import BenchConfig, read_bench
+from radiometer.bench.config import BenchConfig, SimulatedCameraConfig, read_bench
 from radiometer.bench.instrument import Instrument, central_patch
 from radiometer.data import Calibration, Patch, PatchDescription
 from radiometer.data.config_files import shipped_config
 from radiometer.devices import Camera
-from radiometer.errors import ConfigurationError
+from radiometer.errors import ConfigurationError, UsageError
 
 
 @contextmanager
@@ -45,6 +45,7 @@ def open_instrument(
     *,
     uncalibrated: bool = False,
     spectrum: str | None = None,
+    f_number: float | None = None,
 ) -> Iterator[Instrument]:
     """Open camera and calibration of a bench file for the block.
 
@@ -55,6 +56,7 @@ def open_instrument(
         calibration: Calibration file; the bench's own where None.
         uncalibrated: Use no calibration at all.
         spectrum: Spectrum assumed for the luminance; the bench's, else the calibration's, where None.
+        f_number: f-number that a real lens is set to; the bench's where None.
 
     Raises:
         RadiometerError: If anything named cannot be used.
@@ -67,7 +69,21 @@ def open_instrument(
             where,
             calibration=_calibration(chosen, spectrum or config.spectrum) if chosen else None,
             time_limit_s=config.time_limit_s,
+            f_number=_set_by_hand(config, camera, f_number),
         )
+
+
+def _set_by_hand(config: BenchConfig, camera: Camera, f_number: float | None) -> float | None:
+    """Return the f-number stated by hand; a simulated lens is what its bench says."""
+    if f_number is None:
+        return None
+    if f_number <= 0:
+        raise UsageError(f"--f-number {f_number:g}: must be above 0")
+    if isinstance(config.camera, SimulatedCameraConfig) and abs(f_number / config.lens.f_number - 1.0) > 1e-9:
+        raise UsageError(
+            f"--f-number {f_number:g}: the simulated lens is at f/{config.lens.f_number:g}; change its bench file"
+        )
+    return f_number
 
 
 def _calibration(path: Path, spectrum: str | None) -> Calibration:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from radiometer.data import LensDescription, Patch, PatchDescription, SourceDescription
+from radiometer.data.capture_header import LensHandling
 from radiometer.data.config_files import shipped_config
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
@@ -52,17 +53,18 @@ class LensConfig(ConfigSection):
 
     focal_length_mm: float = Field(gt=0)
     f_number: float = Field(gt=0)
-    transmittance: float = Field(1.0, gt=0, le=1)
-    transmittance_u_rel: float = Field(0.0, ge=0)
+    transmittance: float | None = Field(None, gt=0, le=1)
+    transmittance_u_rel: float | None = Field(None, ge=0)
     magnification: float = Field(0.0, ge=0)
     pupil_magnification: float = Field(1.0, gt=0)
     principal_point_px: tuple[float, float] | None = None
     vignetting: Literal["none", "cos4"] = "none"
+    since_calibration: tuple[LensHandling, ...] = ()
 
     @property
     def description(self) -> LensDescription:
-        """Return the lens as it stands in capture sets."""
-        return LensDescription.model_validate(self.model_dump())
+        """Return the lens as it stands in capture sets; what the bench does not say stays unsaid."""
+        return LensDescription.model_validate(self.model_dump(exclude_unset=True))
 
 
 class PatchConfig(ConfigSection):

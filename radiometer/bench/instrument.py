@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from radiometer.acquire.bracketing import DEFAULT_TIME_LIMIT_S, BracketRequest, Progress, plan_for_scene, take_plan
 from radiometer.analysis.patch.reading import read_patch
-from radiometer.data import Bracket, Calibration, Frame, Patch, Reading
+from radiometer.data import Bracket, Calibration, Frame, LensDescription, Patch, Reading
 from radiometer.devices import Camera
 from radiometer.errors import UsageError
 
@@ -22,6 +22,7 @@ class Instrument:
         patch: Where to read where nothing else is said.
         calibration: Absolute calibration of this camera; None gives relative readings flagged so.
         time_limit_s: Bound on the sum of the exposure times of one reading in s.
+        f_number: f-number that the lens is set to where the camera's description does not hold.
         clock: Steady clock in s.
     """
 
@@ -29,6 +30,7 @@ class Instrument:
     patch: Patch
     calibration: Calibration | None = None
     time_limit_s: float = DEFAULT_TIME_LIMIT_S
+    f_number: float | None = None
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
@@ -65,9 +67,13 @@ class Instrument:
 
     def read(self, bracket: Bracket, *, sequence: int = 0) -> Reading:
         """Return the radiance of the patch in frames already taken. Raises CalibrationError if it does not fit."""
-        return read_patch(
-            bracket, self.patch, self.calibration, self.camera.description, self.camera.lens, sequence=sequence
-        )
+        return read_patch(bracket, self.patch, self.calibration, self.camera.description, self.lens, sequence=sequence)
+
+    @property
+    def lens(self) -> LensDescription:
+        """Return the lens in front of the camera, with the f-number stated by hand where there is one."""
+        lens = self.camera.lens
+        return lens if self.f_number is None else lens.model_copy(update={"f_number": self.f_number})
 
 
 def refuse_outside(patch: Patch, camera: Camera) -> None:

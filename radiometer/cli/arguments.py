@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
 from radiometer.data.reading import Patch
 from radiometer.errors import UsageError
+from radiometer.units import exact_f_number
+
+# Printed f-numbers lie this near to the exact stop behind them.
+_SAME_STOP_REL: Final = 0.03
 
 if TYPE_CHECKING:
-    from radiometer.data import Calibration
+    from radiometer.data import Bracket, Calibration
     from radiometer.data.iso_speeds import IsoSpeeds
 
 
@@ -63,6 +68,33 @@ def parse_bounds(text: str, option: str) -> tuple[float, float]:
     if not 0.0 < low < high < math.inf:
         raise UsageError(f"{option} {text!r}: needs 0 < LOW < HIGH")
     return low, high
+
+
+F_NUMBER_HELP: Final = "f-number (1 of a lens whose iris cannot change) where the frames or the bench do not state it."
+
+
+def with_f_number(bracket: Bracket, f_number: float | None) -> Bracket:
+    """Return the bracket with an f-number stated by hand for the frames that do not state theirs.
+
+    Raises:
+        UsageError: If it is not above 0, or frames state another one.
+    """
+    if f_number is None:
+        return bracket
+    if not (math.isfinite(f_number) and f_number > 0):
+        raise UsageError(f"--f-number {f_number:g}: must be above 0")
+    other = {n for frame in bracket if (n := frame.settings.f_number) and abs(n / f_number - 1.0) > _SAME_STOP_REL}
+    if other:
+        raise UsageError(f"--f-number {f_number:g}: the frames state f/{min(other):.4g} themselves; leave it out")
+    exact = exact_f_number(f_number)
+    number = exact if abs(exact / f_number - 1.0) < _SAME_STOP_REL else f_number
+    from radiometer.data import Bracket
+
+    frames = (
+        frame if frame.settings.f_number else replace(frame, settings=replace(frame.settings, f_number=number))
+        for frame in (*bracket.frames, *bracket.dark_frames)
+    )
+    return Bracket.from_frames(frames, origin=bracket.origin)
 
 
 ISO_HELP: Final = "Photographs: ISO speed stated as STATED is really REAL, such as 200=136; may be repeated."

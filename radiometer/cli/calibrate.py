@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch, parse_seconds
+from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch, parse_seconds, with_f_number
 from radiometer.cli.calibrate_range import with_dynamic_range
 from radiometer.cli.calibrate_report import calibration_report, show_report
 from radiometer.cli.iso_record import at_iso, is_photographs, reference_iso
@@ -46,7 +46,9 @@ def command(
         float | None, typer.Option("--luminance-meter-k", help="Constant K of the camera's light meter (ISO 2720).")
     ] = None,
     k_u_rel: Annotated[float, typer.Option(min=0.0, help="Relative u of K beyond the meter's ±1/6 stop.")] = 0.0,
-    f_number: Annotated[float | None, typer.Option(help="f-number of the reference photograph.")] = None,
+    f_number: Annotated[
+        float | None, typer.Option(help="f-number of the reference photograph, or of frames that do not state theirs.")
+    ] = None,
     exposure: Annotated[str | None, typer.Option(help="Its exposure time, such as 1/125.")] = None,
     iso: Annotated[
         float | None, typer.Option(help="Its ISO speed: as really measured, or stated (--measured-iso).")
@@ -97,6 +99,8 @@ def command(
     real_iso = measured.get(iso, iso) if iso is not None else None
     speeds = IsoSpeeds(measured, real_iso, iso if iso in measured else None)
     seen = _seen(capture, camera, bench, patch, channel, speeds, patch_needed=source_stated or meter_k is None)
+    if seen is not None and (meter_k is None or source_stated):
+        seen = _with_f_number(seen, f_number, needed=meter_k is None)
     meter_wanted = _meter_settings(meter_k, f_number, exposure, real_iso, as_printed=as_printed)
     source = _known_source(seen, radiance, luminance, u_rel, spectrum)
     if source is None and meter_wanted is None:
@@ -251,6 +255,21 @@ def _meter_settings(
         raise UsageError("--f-number and --iso must be above 0")
     printed = MeterSettings(parse_seconds(exposure, "--exposure"), f_number, iso)
     return printed if as_printed else printed.exact()
+
+
+def _with_f_number(seen: _Seen, f_number: float | None, *, needed: bool) -> _Seen:
+    """Return the known source as captured with the f-number stated by hand where its frames do not state it."""
+    unstated = seen.lens.f_number is None and any(frame.settings.f_number is None for frame in seen.bracket)
+    if unstated and f_number is None:
+        raise UsageError(
+            "the f-number of the frames is not stated: give --f-number N (1 of a lens whose iris cannot change); "
+            "without it the scale could be used at no other"
+        )
+    if not unstated and not needed:
+        return seen
+    if f_number is not None and seen.lens.f_number is not None:
+        raise UsageError(f"--f-number: the capture states f/{seen.lens.f_number:.4g} itself; leave it out")
+    return replace(seen, bracket=with_f_number(seen.bracket, f_number))
 
 
 def _camera_and_lens(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from radiometer.cli.arguments import ISO_HELP, parse_iso_speeds, parse_patch
+from radiometer.cli.arguments import F_NUMBER_HELP, ISO_HELP, parse_iso_speeds, parse_patch, with_f_number
 from radiometer.cli.console import console, note, progress_bar, significant
 from radiometer.errors import UsageError
 
@@ -38,6 +38,7 @@ def command(
     photographs: Annotated[Path | None, typer.Option(help="Folder of photographs to read instead of a camera.")] = None,
     channel: Annotated[str, typer.Option(help="Of colour photographs: luminance, red, green or blue.")] = "luminance",
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
+    f_number: Annotated[float | None, typer.Option(help=F_NUMBER_HELP)] = None,
     spectrum: Annotated[str | None, typer.Option(help="Spectrum assumed for the luminance.")] = None,
     u_rel: Annotated[float | None, typer.Option(help="Repeat until noise is below this relative u (k = 1).")] = None,
     repeat: Annotated[int, typer.Option(min=1, help="Number of readings.")] = 1,
@@ -60,7 +61,7 @@ def command(
         if photographs is None or camera or bench:
             raise UsageError("--photographs takes the place of --camera and --bench; --measured-iso belongs to it")
         reading = _photographed(
-            photographs, wanted, calibration, channel, measured_iso, spectrum, relative=uncalibrated
+            photographs, wanted, calibration, channel, measured_iso, spectrum, f_number, relative=uncalibrated
         )
         said = reading.provenance
         if json:
@@ -75,7 +76,7 @@ def command(
     from radiometer.bench.assembly import open_instrument
 
     with open_instrument(
-        bench, camera, wanted, calibration, uncalibrated=uncalibrated, spectrum=spectrum
+        bench, camera, wanted, calibration, uncalibrated=uncalibrated, spectrum=spectrum, f_number=f_number
     ) as instrument:
         if not json:
             _introduce(instrument)
@@ -97,6 +98,7 @@ def _photographed(
     channel: str,
     measured_iso: list[str] | None,
     spectrum: str | None,
+    f_number: float | None,
     *,
     relative: bool,
 ) -> Reading:
@@ -112,8 +114,9 @@ def _photographed(
         raise UsageError("--photographs needs --calibration (or --uncalibrated for relative values)")
     known = Calibration.read(calibration) if calibration else None
     bracket = open_brackets(path, channel, speeds=parse_iso_speeds(measured_iso, known))[0]
+    bracket = with_f_number(bracket, f_number)
     camera = known.camera if known else CameraDescription(bit_depth=bracket.bit_depth)
-    lens = LensDescription(f_number=bracket.frames[0].settings.f_number)
+    lens = LensDescription()
     return with_iso_in_reading(read_patch(bracket, patch, known, camera, lens, spectrum=spectrum), bracket)
 
 

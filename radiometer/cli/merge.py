@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from radiometer.cli.arguments import ISO_HELP, parse_bounds, parse_iso_speeds
+from radiometer.cli.arguments import F_NUMBER_HELP, ISO_HELP, parse_bounds, parse_iso_speeds, with_f_number
 from radiometer.cli.console import console, progress_bar
 from radiometer.cli.iso_record import with_iso_in_map
 from radiometer.errors import CaptureError, UsageError
@@ -34,6 +34,7 @@ def command(
     ] = "luminance",
     pattern: Annotated[str | None, typer.Option(help="Displayed pattern of the capture set; the first.")] = None,
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
+    f_number: Annotated[float | None, typer.Option(help=F_NUMBER_HELP)] = None,
     luminance: Annotated[bool, typer.Option("--luminance", help="Write cd·m⁻² instead of W·sr⁻¹·m⁻².")] = False,
     spectrum: Annotated[str | None, typer.Option(help="Spectrum for the luminance; the calibration's.")] = None,
     scale: Annotated[str | None, typer.Option(help="LOW,HIGH of the false colours; the picture's.")] = None,
@@ -55,7 +56,7 @@ def command(
     bounds = parse_bounds(scale, "--scale") if scale else None
     known = _calibration(calibration)
     speeds = parse_iso_speeds(measured_iso, known)
-    maps = _maps(path, known, _curves(response), channel, pattern, speeds)
+    maps = _maps(path, known, _curves(response), channel, pattern, speeds, f_number)
     if luminance:
         chosen = spectrum_of(spectrum or (known.spectrum if known else "equal_energy"))
         maps = {name: in_luminance(found, chosen) for name, found in maps.items()}
@@ -90,6 +91,7 @@ def _maps(
     channel: str,
     pattern: str | None,
     speeds: IsoSpeeds,
+    f_number: float | None,
 ) -> dict[str, RadianceMap]:
     from radiometer.data.capture_set import HEADER_NAME
 
@@ -97,16 +99,20 @@ def _maps(
         raise CaptureError(f"{path} does not exist or is no folder; give a capture set or a folder of photographs")
     if (path / HEADER_NAME).exists():
         speeds.refuse_unstated(str(path), set())
-        return {"mono": _merge_capture(path, calibration, curves, pattern)}
+        return {"mono": _merge_capture(path, calibration, curves, pattern, f_number)}
     if calibration is None and not curves:
         raise UsageError(
             "photographs are not linear: give --response, recovered with `radiometer response`, or --calibration"
         )
-    return _merge_photographs(path, calibration, curves, channel, speeds)
+    return _merge_photographs(path, calibration, curves, channel, speeds, f_number)
 
 
 def _merge_capture(
-    path: Path, calibration: Calibration | None, curves: dict[str, ResponseCurve], pattern: str | None
+    path: Path,
+    calibration: Calibration | None,
+    curves: dict[str, ResponseCurve],
+    pattern: str | None,
+    f_number: float | None,
 ) -> RadianceMap:
     from radiometer.analysis.merge.bracket import merge
     from radiometer.data import CaptureSet
@@ -116,9 +122,14 @@ def _merge_capture(
     levels = (header.camera.black_level_dn, *(entry.black_level_dn for entry in header.frames))
     black_dn = next((level for level in levels if level is not None), 0.0)
     known = calibration or _relative(curves, "mono", header.camera, header.lens, black_dn)
+    lens = header.lens
+    if f_number is not None:
+        if lens.f_number is not None:
+            raise UsageError(f"--f-number: the capture set states f/{lens.f_number:.4g} itself; leave it out")
+        lens = lens.model_copy(update={"f_number": f_number})
     with progress_bar() as bar:
         task = bar.add_task("merging", total=len(capture))
-        return merge(_frames(capture, pattern, lambda: bar.update(task, advance=1)), header.camera, header.lens, known)
+        return merge(_frames(capture, pattern, lambda: bar.update(task, advance=1)), header.camera, lens, known)
 
 
 def _frames(capture: CaptureSet, pattern: str | None, step: Any) -> Iterator[Frame]:
@@ -143,6 +154,7 @@ def _merge_photographs(
     curves: dict[str, ResponseCurve],
     channel: str,
     speeds: IsoSpeeds,
+    f_number: float | None,
 ) -> dict[str, RadianceMap]:
     from radiometer.analysis.merge.bracket import merge
     from radiometer.bench.sources import open_brackets
@@ -154,7 +166,7 @@ def _merge_photographs(
             path, channel, report=lambda done, total: bar.update(task, completed=done, total=total), speeds=speeds
         )
     maps: dict[str, RadianceMap] = {}
-    for bracket in brackets:
+    for bracket in (with_f_number(one, f_number) for one in brackets):
         name = str(bracket.frames[0].extra.get("channel", "mono"))
         camera = calibration.camera if calibration else CameraDescription(bit_depth=bracket.bit_depth)
         black_dn = bracket.frames[0].settings.black_level_dn or 0.0

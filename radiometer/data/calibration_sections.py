@@ -112,16 +112,18 @@ class FlatField(FileSection):
 
 
 class StatedUncertainties(FileSection):
-    """Relative standard uncertainties that the user states or the program assumes.
+    """Standard uncertainties that the user states or the program assumes.
 
     Attributes:
         exposure_u_rel: Of exposure times.
         f_number_u_rel: Of the effective f-number, counted where it differs from the one of the scale.
         linearity_u_rel: Departure from a straight line where no response curve is given.
         spectral_u_rel: From the difference between the assumed spectrum and that of the source.
+        magnification_u_rel: Of the change of magnification where the lens is focused otherwise than at calibration.
     """
 
     exposure_u_rel: float = Field(1e-4, ge=0)
     f_number_u_rel: float = Field(0.02, ge=0)
     linearity_u_rel: float = Field(1e-3, ge=0)
     spectral_u_rel: float = Field(0.0, ge=0)
+    magnification_u_rel: float = Field(0.1, ge=0)

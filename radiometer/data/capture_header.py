@@ -9,6 +9,8 @@ from pydantic import Field
 from radiometer.data.reading import Patch
 from radiometer.data.validation import FileSection
 
+LensHandling = Literal["reseated", "refocused", "iris_reset"]
+
 
 class CameraDescription(FileSection):
     """The camera as its datasheet or calibration believes it to be; all but the bit depth may be unknown."""
@@ -35,7 +37,11 @@ class CameraDescription(FileSection):
 
 
 class LensDescription(FileSection):
-    """The lens: focal length in mm, f-number, transmittance with relative standard uncertainty, vignetting."""
+    """The lens: focal length in mm, f-number, transmittance with relative standard uncertainty, vignetting.
+
+    `since_calibration` names what was done to it after the camera was calibrated: taken off and on again (reseated),
+    focused anew (refocused), its iris turned and set again (iris_reset).
+    """
 
     focal_length_mm: float | None = Field(None, gt=0)
     f_number: float | None = Field(None, gt=0)
@@ -45,6 +51,7 @@ class LensDescription(FileSection):
     pupil_magnification: float = Field(1.0, gt=0)
     principal_point_px: tuple[float, float] | None = None
     vignetting: Literal["none", "cos4"] = "none"
+    since_calibration: tuple[LensHandling, ...] = ()
 
 
 class SourceDescription(FileSection):

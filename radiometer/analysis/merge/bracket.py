@@ -14,7 +14,7 @@ from radiometer.analysis.merge.finish import finish
 from radiometer.analysis.merge.frames import FrameTerms, frame_terms
 from radiometer.analysis.merge.sums import FRAMES_PER_PLANE, MergeSample, MergeSums
 from radiometer.analysis.merge.tables import merge_tables
-from radiometer.analysis.signal.lens import lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.lens import known_f_number, lens_factor_sr, relative_sensitivity
 from radiometer.analysis.signal.situation import common_u_rel, flat_field_for, situation_of
 from radiometer.data import Bracket, Calibration, CameraDescription, Frame, LensDescription, Provenance, RadianceMap
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
@@ -146,6 +146,7 @@ class StreamingMerge:
     def _sample(self, frame: Frame) -> MergeSample:
         if len(self._terms) == MOST_FRAMES:
             raise MeasurementError(f"more than {MOST_FRAMES} frames; merge fewer, or average repeats first")
+        known_f_number(self._calibration, frame.settings, self._situation.lens)
         terms = frame_terms(frame.settings, self._situation, self._dark, through_lens=self._through_lens)
         if self._terms and frame.settings.source_level != self._terms[0].settings.source_level:
             raise MeasurementError("the frames were taken at different source levels; merge those of one level")

@@ -12,7 +12,12 @@ from radiometer.analysis.patch.estimate import PatchEstimate, curve_u_rel
 from radiometer.analysis.patch.frames import PatchFrame
 from radiometer.analysis.signal.dark import DarkLevel
 from radiometer.analysis.signal.model import SignalModel
-from radiometer.analysis.signal.situation import f_number_u_rel, spectral_u_rel, transmittance_u_rel
+from radiometer.analysis.signal.situation import (
+    f_number_u_rel,
+    magnification_u_rel,
+    spectral_u_rel,
+    transmittance_u_rel,
+)
 from radiometer.analysis.uncertainty.budget import Term
 from radiometer.data import Calibration, LensDescription, StatedUncertainties
 
@@ -141,6 +146,7 @@ def _stated(situation: PatchSituation) -> list[Term]:
         ),
         _f_number(situation, value),
         _transmittance(situation, value),
+        _magnification(situation, value),
         Term(
             "flat field",
             value * (calibration.flat_field.u_rel if calibration.flat_field else 0.0),
@@ -165,6 +171,11 @@ def _f_number(situation: PatchSituation, value: float) -> Term:
 def _transmittance(situation: PatchSituation, value: float) -> Term:
     u_rel, note = transmittance_u_rel(situation.calibration, situation.lens)
     return Term("lens transmittance", value * u_rel, correlated=True, note=note)
+
+
+def _magnification(situation: PatchSituation, value: float) -> Term:
+    u_rel, note = magnification_u_rel(situation.calibration, situation.lens)
+    return Term("focus", value * u_rel, correlated=True, note=note)
 
 
 def _clipped(situation: PatchSituation) -> list[Term]:

@@ -14,7 +14,7 @@ from radiometer.analysis.patch.estimate import estimate_patch
 from radiometer.analysis.patch.flags import reading_flags
 from radiometer.analysis.patch.frames import PatchFrame, crop_frames
 from radiometer.analysis.signal.dark import dark_levels
-from radiometer.analysis.signal.lens import lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.lens import known_f_number, lens_factor_sr, relative_sensitivity
 from radiometer.analysis.signal.photometry import luminous_efficacy_lm_per_w
 from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of
 from radiometer.analysis.signal.spectra import spectrum as spectrum_of
@@ -158,9 +158,10 @@ def _lens_factors(
     chosen: list[PatchFrame], calibration: Calibration | None, lens: LensDescription
 ) -> NDArray[np.float64]:
     """Return irradiance per radiance in sr of every frame; relative to the first without a calibration."""
+    numbers = [known_f_number(calibration, one.settings, lens) for one in chosen]
     if calibration is not None and calibration.scale.f_number is None:
         return np.ones(len(chosen))
-    factors = np.array([lens_factor_sr(lens, one.settings.f_number) for one in chosen])
+    factors = np.array([lens_factor_sr(lens, number) for number in numbers])
     return factors if calibration is not None else np.asarray(factors / factors[0])
 
 

@@ -7,7 +7,62 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from radiometer.data import CameraDescription, FlatField, LensDescription
+from radiometer.data import Calibration, CameraDescription, FlatField, FrameSettings, LensDescription
+from radiometer.errors import CalibrationError
+
+_FOCUS = ("magnification", "pupil_magnification")
+
+
+def lens_in_use(calibration: Calibration, lens: LensDescription) -> LensDescription:
+    """Return the calibration's lens with all that the lens in use states of itself: f-number, transmittance, focus.
+
+    Where the lens in use says nothing of transmittance and magnification it is as it was at calibration. An f-number
+    that it does not state stays unknown: it changes from picture to picture.
+
+    Args:
+        calibration: The camera's calibration.
+        lens: The lens in use.
+
+    Raises:
+        CalibrationError: If it states a transmittance and the calibration none, so that they cannot be compared.
+    """
+    stated = {name: getattr(lens, name) for name in _FOCUS if name in lens.model_fields_set}
+    if lens.transmittance is not None:
+        stated |= {"transmittance": lens.transmittance, "transmittance_u_rel": lens.transmittance_u_rel}
+    if "transmittance" in stated and calibration.lens.transmittance is None and calibration.absolute:
+        raise CalibrationError(
+            f"the lens in use states a transmittance of {lens.transmittance:g}, the calibration states none: they "
+            "cannot be compared; state lens.transmittance in the calibration file too, or leave it out of the bench"
+        )
+    handled = {"since_calibration": lens.since_calibration, "f_number": lens.f_number}
+    return calibration.lens.model_copy(update={**stated, **handled})
+
+
+def known_f_number(calibration: Calibration | None, settings: FrameSettings, lens: LensDescription) -> float | None:
+    """Return the f-number of a frame: its own, else that of the lens in use; None only where values are relative.
+
+    Args:
+        calibration: The camera's calibration; None for relative values.
+        settings: Of the frame.
+        lens: The lens in use.
+
+    Raises:
+        CalibrationError: If frame or calibration do not say, and a radiance rests on it.
+    """
+    number = settings.f_number or lens.f_number
+    if calibration is None or not calibration.absolute:
+        return number
+    if number is None:
+        raise CalibrationError(
+            "the f-number is not stated: without it the radiance could be wrong by any factor; give --f-number N, "
+            "or state lens.f_number in the capture set or bench file"
+        )
+    if calibration.scale.f_number is None:
+        raise CalibrationError(
+            f"the calibration does not say at which f-number its scale holds, the frames were taken at f/{number:g}; "
+            "calibrate again with --f-number, or add scale.f_number to the calibration file"
+        )
+    return number
 
 
 def lens_factor_sr(lens: LensDescription, f_number: float | None) -> float:
@@ -15,8 +70,7 @@ def lens_factor_sr(lens: LensDescription, f_number: float | None) -> float:
 
     Args:
         lens: Transmittance τ (1 where unknown), magnification m and pupil magnification p.
-        f_number: N of the frame; None takes the lens's own, and 1 sr where that is unknown too (the lens is then
-            part of the scale).
+        f_number: N of the frame; None takes the lens's own, and 1 sr where that is unknown too (for relative values).
 
     Source: thesis equation (2.11), with transmittance and magnification added.
     """

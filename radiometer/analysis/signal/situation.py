@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
+from radiometer.analysis.signal.lens import lens_in_use
 from radiometer.analysis.signal.model import SignalModel, signal_model
 from radiometer.analysis.signal.photometry import spectral_mismatch_factor
 from radiometer.analysis.signal.spectra import spectrum
@@ -20,6 +22,9 @@ from radiometer.data import (
     StatedUncertainties,
 )
 from radiometer.errors import CalibrationError
+
+# A filter or lens of which only the nominal transmittance is known: sold to some ±10 %, taken as a rectangle.
+FILTER_U_REL: Final = 0.1 / math.sqrt(3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +72,7 @@ def situation_of(calibration: Calibration | None, camera: CameraDescription, len
     of_source = (f"spectrum {calibration.spectrum}",) if calibration.absolute else ()
     factor, correction = spectral_correction(calibration)
     assumed = (*of_source, *correction, *(f"typical {name}" for name in calibration.noise.assumed))
-    in_use = calibration.lens.model_copy(update={"f_number": lens.f_number or calibration.lens.f_number})
-    return Situation(model, black, stated, calibration.scale.value * factor, in_use, assumed)
+    return Situation(model, black, stated, calibration.scale.value * factor, lens_in_use(calibration, lens), assumed)
 
 
 def spectral_correction(calibration: Calibration) -> tuple[float, tuple[str, ...]]:
@@ -124,10 +128,42 @@ def f_number_u_rel(
 
 
 def transmittance_u_rel(calibration: Calibration | None, lens: LensDescription) -> tuple[float, str]:
-    """Return the relative standard uncertainty that the lens's transmittance brings, and why."""
-    if calibration is not None and calibration.scale.method == "datasheet":
+    """Return the relative standard uncertainty that the lens's transmittance brings, and why.
+
+    Args:
+        calibration: The calibration, with the lens that its scale was got through.
+        lens: The lens in use, with the transmittance that is reckoned with.
+    """
+    if calibration is None:
+        return 0.0, "no scale"
+    if calibration.scale.method == "datasheet":
         return lens.transmittance_u_rel or 0.0, "datasheet"
-    return 0.0, "calibrated through the lens, so it drops out"
+    if lens.transmittance == calibration.lens.transmittance:
+        return 0.0, "calibrated through the lens, so it drops out"
+    parts = [_transmittance_u_rel(one) for one in (calibration.lens, lens)]
+    note = f"{lens.transmittance:g} in use, {calibration.lens.transmittance:g} at calibration"
+    return math.hypot(*parts), note
+
+
+def _transmittance_u_rel(lens: LensDescription) -> float:
+    stated = lens.transmittance_u_rel
+    return FILTER_U_REL if stated is None else stated
+
+
+def magnification_u_rel(calibration: Calibration | None, lens: LensDescription) -> tuple[float, str]:
+    """Return the relative standard uncertainty that another focus than at calibration brings, and why.
+
+    Args:
+        calibration: The calibration, with the lens as it was focused.
+        lens: The lens in use.
+    """
+    if calibration is None:
+        return 0.0, "no scale"
+    here, there = (one.magnification / one.pupil_magnification for one in (lens, calibration.lens))
+    if here == there:
+        return 0.0, "focused as at calibration, so it drops out"
+    u = calibration.uncertainties.magnification_u_rel * abs(here - there)
+    return 2.0 * u / (1.0 + here), f"magnification {here:.3g} in use, {there:.3g} at calibration"
 
 
 def common_u_rel(situation: Situation, calibration: Calibration | None, numbers: set[float | None]) -> float:
@@ -146,6 +182,7 @@ def common_u_rel(situation: Situation, calibration: Calibration | None, numbers:
         lens_parts = (
             f_number_u_rel(calibration, stated, numbers)[0],
             transmittance_u_rel(calibration, situation.lens)[0],
+            magnification_u_rel(calibration, situation.lens)[0],
         )
         parts += [calibration.scale.u_rel, spectral_u_rel(calibration, stated), flat, *lens_parts]
     return math.hypot(*parts)

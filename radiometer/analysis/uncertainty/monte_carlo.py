@@ -9,7 +9,12 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.patch.contributions import PatchSituation, local_scatter
 from radiometer.analysis.patch.estimate import curve_u_rel
-from radiometer.analysis.signal.situation import f_number_u_rel, spectral_u_rel, transmittance_u_rel
+from radiometer.analysis.signal.situation import (
+    f_number_u_rel,
+    magnification_u_rel,
+    spectral_u_rel,
+    transmittance_u_rel,
+)
 
 Array = NDArray[np.float64]
 
@@ -54,6 +59,7 @@ def propagate_distributions(situation: PatchSituation, rng: np.random.Generator,
         number_u = f_number_u_rel(calibration, stated, numbers)[0] / 2.0
         value *= (1.0 + number_u * rng.standard_normal(trials)) ** 2
         value /= 1.0 + transmittance_u_rel(calibration, situation.lens)[0] * rng.standard_normal(trials)
+        value *= 1.0 + magnification_u_rel(calibration, situation.lens)[0] * rng.standard_normal(trials)
         flat_u = calibration.flat_field.u_rel if calibration.flat_field else 0.0
         value /= 1.0 + flat_u * rng.standard_normal(trials)
     return _summary(value)

@@ -15,6 +15,7 @@ from radiometer.analysis.merge.bracket import StreamingMerge, merge
 from radiometer.data import (
     BlackLevel,
     Bracket,
+    Calibration,
     CameraDescription,
     FlatField,
     Frame,
@@ -280,10 +281,8 @@ def test_photographs_are_merged_through_their_curve(rig, bits):
     with np.errstate(divide="ignore"):
         curve = ResponseCurve(2.2 * np.log(dn / (full + 1) * 2), np.full(full + 1, 1e-3), valid_dn=(3, full - 1))
     camera = CameraDescription(bit_depth=bits, black_level_dn=0.0, full_well_e=50_000, read_noise_e=3.0)
-    base = rig.calibration()
-    calibration = type(base)(
-        camera, LensDescription(), base.scale.model_copy(update={"f_number": None}), curve, SensorNoise.of(camera)
-    )
+    scale = rig.calibration().scale.model_copy(update={"f_number": None, "method": "relative"})
+    calibration = Calibration(camera, LensDescription(), scale, curve, SensorNoise.of(camera))
     truth = np.tile(np.geomspace(0.2, 200.0, 64), (64, 1))
     frames = gamma_frames(np.random.default_rng(2), bits, truth, tuple(2.0**k / 256 for k in range(10)))
     found = merge(frames, camera, LensDescription(), calibration)
