@@ -69,20 +69,19 @@ def open_instrument(
             where,
             calibration=_calibration(chosen, spectrum or config.spectrum) if chosen else None,
             time_limit_s=config.time_limit_s,
-            f_number=_set_by_hand(config, camera, f_number),
+            f_number=_set_by_hand(config, f_number),
         )
 
 
-def _set_by_hand(config: BenchConfig, camera: Camera, f_number: float | None) -> float | None:
+def _set_by_hand(config: BenchConfig, f_number: float | None) -> float | None:
     """Return the f-number stated by hand; a simulated lens is what its bench says."""
     if f_number is None:
         return None
     if f_number <= 0:
         raise UsageError(f"--f-number {f_number:g}: must be above 0")
-    if isinstance(config.camera, SimulatedCameraConfig) and abs(f_number / config.lens.f_number - 1.0) > 1e-9:
-        raise UsageError(
-            f"--f-number {f_number:g}: the simulated lens is at f/{config.lens.f_number:g}; change its bench file"
-        )
+    own = config.lens.f_number if config.lens and isinstance(config.camera, SimulatedCameraConfig) else f_number
+    if abs(f_number / own - 1.0) > 1e-9:
+        raise UsageError(f"--f-number {f_number:g}: the simulated lens is at f/{own:g}; change its bench file")
     return f_number
 
 
