@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import structlog
 
 from radiometer.daemon.alarms import Alarms
-from radiometer.daemon.instrument import Instrument, Measurement, MeasurementSettings
+from radiometer.daemon.instrument import Instrument, Measurement, MeasurementSettings, Origin
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.keeper import DeviceKeeper
 from radiometer.data import Reading
@@ -26,20 +26,22 @@ _PAUSE_AFTER_ERROR_S: Final = 0.5
 class _Request:
     settings: MeasurementSettings
     done: asyncio.Future[Reading]
+    sessions: list[str] = field(default_factory=list)
 
 
 class Acquisition:
     """Runs the measurements.
 
     Requests that wait for the same settings share one measurement, so the queue stays as short as the number of
-    different settings asked for.
+    different settings asked for. A measurement made with the settings in force belongs to all; any other is the own
+    one of the sessions that asked for it, and its reading says so.
 
     Args:
         instrument: The camera with its calibration.
         keeper: Keeps that camera open.
         writer: Commits the readings.
         alarms: Where failures of continuous measurement are reported.
-        on_measured: Called with every measurement and its duration in s, before it is committed.
+        on_measured: Called with every measurement, what it was made for and its duration in s, before it is committed.
     """
 
     def __init__(
@@ -48,7 +50,7 @@ class Acquisition:
         keeper: DeviceKeeper,
         writer: JournalWriter,
         alarms: Alarms,
-        on_measured: Callable[[Measurement, float], None],
+        on_measured: Callable[[Measurement, Origin, float], None],
     ) -> None:
         self._instrument, self._keeper, self._writer, self._alarms = instrument, keeper, writer, alarms
         self._on_measured = on_measured
@@ -78,12 +80,13 @@ class Acquisition:
             self._alarms.clear(ALARM, "continuous measurement was ended")
         self._wake.set()
 
-    async def measure(self, settings: MeasurementSettings, deadline_s: float) -> Reading:
+    async def measure(self, settings: MeasurementSettings, deadline_s: float, session: str = "") -> Reading:
         """Return a reading that was begun after this call, committed to the journal.
 
         Args:
             settings: What to measure with.
             deadline_s: Longest wait in s.
+            session: Who asks.
 
         Raises:
             DeviceError: If the camera is not there.
@@ -98,6 +101,8 @@ class Acquisition:
             future.add_done_callback(_retrieve)
             request = self._requests[settings] = _Request(settings, future)
             self._wake.set()
+        if session not in request.sessions:
+            request.sessions.append(session)
         return await asyncio.wait_for(asyncio.shield(request.done), deadline_s)
 
     async def run(self) -> None:
@@ -113,7 +118,7 @@ class Acquisition:
 
     async def _serve(self, request: _Request) -> None:
         try:
-            committed = await self._measure(request.settings)
+            committed = await self._measure(self._origin(request))
         except RadiometerError as error:
             request.done.set_exception(error)
             return
@@ -123,7 +128,7 @@ class Acquisition:
         every_s = self._every_s or 0.0  # clients may change or end it while this measurement runs
         self._due_at = max(self._due_at + every_s, time.monotonic())
         try:
-            await self._measure(self.settings)
+            await self._measure(Origin(self.settings))
             self._alarms.clear(ALARM)
         except DeviceError:
             self._due_at = time.monotonic() + _PAUSE_AFTER_ERROR_S  # the keeper has its alarm up already
@@ -133,18 +138,25 @@ class Acquisition:
             self._alarms.put_up(ALARM, f"measuring failed: {error}")
             self._due_at = time.monotonic() + max(every_s, _PAUSE_AFTER_ERROR_S)
 
-    async def _measure(self, settings: MeasurementSettings) -> asyncio.Future[Reading]:
+    def _origin(self, request: _Request) -> Origin:
+        """Return whose a measurement is: everybody's where it is made with the settings in force."""
+        if request.settings == self.settings:
+            return Origin(request.settings)
+        return Origin(request.settings, tuple(filter(None, request.sessions)) or ("unnamed",))
+
+    async def _measure(self, origin: Origin) -> asyncio.Future[Reading]:
         started = time.perf_counter()
         self.busy = True
         try:
-            measurement = await self._keeper.use(self._instrument.measure, settings)
+            measurement = await self._keeper.use(self._instrument.measure, origin.settings)
         except RadiometerError:
             self.failures += 1
             raise
         finally:
             self.busy = False
-        self._on_measured(measurement, time.perf_counter() - started)
-        return self._writer.submit(measurement.reading)
+        self._on_measured(measurement, origin, time.perf_counter() - started)
+        reading = replace(measurement.reading, name=origin.name, session=",".join(origin.sessions))
+        return self._writer.submit(reading, origin)
 
     def _is_due(self) -> bool:
         return self._every_s is not None and self._keeper.is_ready and time.monotonic() >= self._due_at

@@ -30,6 +30,26 @@ class MeasurementSettings:
     gain_db: float = 0.0
     wavelength_nm: float | None = None
 
+    @property
+    def subject(self) -> tuple[Patch | None, float | None]:
+        """Return what decides of what a reading is a reading: exposure and gain only decide how good it is."""
+        return self.patch, self.wavelength_nm
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """What a measurement was made with and for whom.
+
+    Attributes:
+        settings: What it was made with.
+        sessions: The clients whose own measurement it is; empty where it belongs to all.
+        name: Name of the patch; "" for the patch that is measured for all.
+    """
+
+    settings: MeasurementSettings
+    sessions: tuple[str, ...] = ()
+    name: str = ""
+
 
 @dataclass(frozen=True, slots=True)
 class DeviceReport:

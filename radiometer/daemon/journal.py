@@ -1,4 +1,8 @@
-"""The journal: every reading in an SQLite file (WAL), numbered without holes."""
+"""The journal: every reading in an SQLite file (WAL), numbered without holes.
+
+Each reading belongs to a stream: "" is the patch that is measured for all, "patch NAME" a patch with a name, "own" what
+clients measured for themselves. Beside the readings stands their trend by the minute, so that a month can be drawn.
+"""
 
 from __future__ import annotations
 
@@ -12,16 +16,47 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Final, Self
+from typing import IO, Any, Final, Self
 
 from radiometer.daemon.timestamps import microseconds, now_us
 from radiometer.data import Reading
 from radiometer.errors import OutputError
 
 APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": tells `file` and us that this is a radiometer journal
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
+OWN_STREAM: Final = "own"
 _BUSY_TIMEOUT_S: Final = 2.0
 _RETENTION_CHUNK: Final = 5000
+MINUTE_US: Final = 60_000_000
+_TREND: Final = """
+CREATE INDEX readings_by_stream ON readings (stream, sequence);
+CREATE TABLE trend (
+    stream TEXT NOT NULL,
+    minute INTEGER NOT NULL,
+    unit TEXT NOT NULL,
+    count INTEGER NOT NULL,
+    total REAL NOT NULL,
+    total_u REAL NOT NULL,
+    low REAL NOT NULL,
+    high REAL NOT NULL,
+    flagged INTEGER NOT NULL,
+    PRIMARY KEY (stream, minute, unit)
+) WITHOUT ROWID;
+CREATE TABLE patches (name TEXT PRIMARY KEY, json TEXT NOT NULL) WITHOUT ROWID;
+"""
+_UPGRADE_FROM_1: Final = f"""
+ALTER TABLE readings ADD COLUMN stream TEXT NOT NULL DEFAULT '';
+{_TREND}
+INSERT INTO trend SELECT '', time_us / 60000000 AS minute, json_extract(json, '$.radiance.unit') AS unit, count(*),
+    sum(radiance), sum(coalesce(json_extract(json, '$.radiance.u'), 0)), min(radiance), max(radiance), sum(flags <> '')
+    FROM readings WHERE radiance IS NOT NULL GROUP BY minute, unit;
+PRAGMA user_version = {SCHEMA_VERSION};
+"""
+_ADD_TO_TREND: Final = """
+INSERT INTO trend VALUES (:stream, :minute, :unit, 1, :value, :u, :value, :value, :flagged)
+ON CONFLICT DO UPDATE SET count = count + 1, total = total + :value, total_u = total_u + :u,
+    low = min(low, :value), high = max(high, :value), flagged = flagged + :flagged
+"""
 _SCHEMA: Final = f"""
 PRAGMA application_id = {APPLICATION_ID};
 CREATE TABLE readings (
@@ -30,13 +65,15 @@ CREATE TABLE readings (
     radiance REAL,
     flags TEXT NOT NULL,
     json TEXT NOT NULL,
-    budget TEXT NOT NULL
+    budget TEXT NOT NULL,
+    stream TEXT NOT NULL DEFAULT ''
 );
 CREATE INDEX readings_by_time ON readings (time_us);
 CREATE TABLE events (id INTEGER PRIMARY KEY, time_us INTEGER NOT NULL, kind TEXT NOT NULL, message TEXT NOT NULL);
 CREATE INDEX events_by_time ON events (time_us);
 CREATE TABLE counters (name TEXT PRIMARY KEY, value INTEGER NOT NULL);
 INSERT INTO counters VALUES ('last_sequence', 0);
+{_TREND}
 PRAGMA user_version = {SCHEMA_VERSION};
 """
 
@@ -115,7 +152,8 @@ class Journal:
             (last,) = connection.execute("SELECT value FROM counters WHERE name = 'last_sequence'").fetchone()
             for sequence, reading in enumerate(readings, start=last + 1):
                 numbered.append(replace(reading, sequence=sequence))
-            connection.executemany("INSERT INTO readings VALUES (?, ?, ?, ?, ?, ?)", map(_row, numbered))
+            connection.executemany("INSERT INTO readings VALUES (?, ?, ?, ?, ?, ?, ?)", map(_row, numbered))
+            connection.executemany(_ADD_TO_TREND, filter(None, map(_trend_row, numbered)))
             connection.execute("UPDATE counters SET value = ? WHERE name = 'last_sequence'", (last + len(numbered),))
         return numbered
 
@@ -133,7 +171,10 @@ class Journal:
     def drop_older(self, before_us: int) -> int:
         """Delete readings and events older than a time, oldest first, and return how many readings went.
 
-        The newest reading always stays. Works in small transactions so that writing is never held up for long.
+        The newest reading always stays, and all that were made after the first that is young enough: where the clock
+        was set back, an old time stands among young ones, and a hole in the numbers would be damage.
+
+        Works in small transactions so that writing is never held up for long.
 
         Args:
             before_us: Time in µs since 1970 (UTC).
@@ -144,13 +185,18 @@ class Journal:
         dropped = 0
         while True:
             with self._transaction() as connection:
+                (kept,) = connection.execute(
+                    "SELECT coalesce((SELECT sequence FROM readings WHERE +time_us >= ? ORDER BY sequence LIMIT 1),"
+                    " value) FROM counters WHERE name = 'last_sequence'",
+                    (before_us,),
+                ).fetchone()
                 count = connection.execute(
-                    "DELETE FROM readings WHERE sequence IN (SELECT sequence FROM readings WHERE time_us < ? AND"
-                    " sequence < (SELECT value FROM counters WHERE name = 'last_sequence')"
+                    "DELETE FROM readings WHERE sequence IN (SELECT sequence FROM readings WHERE sequence < ?"
                     " ORDER BY sequence LIMIT ?)",
-                    (before_us, _RETENTION_CHUNK),
+                    (kept, _RETENTION_CHUNK),
                 ).rowcount
                 connection.execute("DELETE FROM events WHERE time_us < ?", (before_us,))
+                connection.execute("DELETE FROM trend WHERE minute < ?", (before_us // MINUTE_US,))
             dropped += count
             if count < _RETENTION_CHUNK:
                 break
@@ -176,6 +222,8 @@ class Journal:
         connection.execute("PRAGMA cache_size = -512")  # KiB: only the newest pages are ever touched
         if not tables:
             connection.executescript(f"BEGIN EXCLUSIVE; {_SCHEMA} COMMIT;")
+        elif version < SCHEMA_VERSION:
+            connection.executescript(f"BEGIN EXCLUSIVE; {_UPGRADE_FROM_1} COMMIT;")
         if self._max_bytes is not None:
             (page_size,) = connection.execute("PRAGMA page_size").fetchone()
             connection.execute(f"PRAGMA max_page_count = {max(1, self._max_bytes // page_size)}")
@@ -283,7 +331,29 @@ def default_journal_path() -> Path:
     return Path(state_home) / "radiometer" / "journal.sqlite"
 
 
-def _row(reading: Reading) -> tuple[int, int, float | None, str, str, str]:
+def stream_of(reading: Reading) -> str:
+    """Return the stream that a reading belongs to."""
+    if reading.session:
+        return OWN_STREAM
+    return f"patch {reading.name}" if reading.name else ""
+
+
+def _trend_row(reading: Reading) -> dict[str, Any] | None:
+    """Return what a reading adds to the trend of its minute; None for a client's own, and for what is undefined."""
+    value, u = reading.radiance.value, reading.radiance.u
+    if reading.session or not math.isfinite(value):
+        return None
+    return {
+        "stream": stream_of(reading),
+        "minute": microseconds(reading.time) // MINUTE_US,
+        "unit": reading.radiance.unit,
+        "value": value,
+        "u": u if math.isfinite(u) else 0.0,
+        "flagged": int(bool(reading.flags)),
+    }
+
+
+def _row(reading: Reading) -> tuple[int, int, float | None, str, str, str, str]:
     value = reading.radiance.value
     budget = {entry.name: entry.u_rel for entry in reading.budget if math.isfinite(entry.u_rel)}
     flags = " ".join(str(flag) for flag in reading.flags)
@@ -294,4 +364,5 @@ def _row(reading: Reading) -> tuple[int, int, float | None, str, str, str]:
         flags,
         reading.to_json(),
         json.dumps(budget),
+        stream_of(reading),
     )

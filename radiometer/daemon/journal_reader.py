@@ -9,7 +9,7 @@ import sqlite3
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
@@ -36,6 +36,8 @@ CSV_COLUMNS: Final = (
     "width",
     "height",
     "exposures_s",
+    "name",
+    "session",
 )
 _STEPS_BETWEEN_CHECKS: Final = 10_000
 
@@ -52,6 +54,7 @@ class ReadingFilter:
         without_flags: Only readings without any flag.
         limit: At most this many; None for all.
         newest_first: Take (and give) the newest first.
+        stream: Only readings of this stream ("" is the patch measured for all); None for all.
     """
 
     since_us: int | None = None
@@ -61,6 +64,7 @@ class ReadingFilter:
     without_flags: bool = False
     limit: int | None = None
     newest_first: bool = False
+    stream: str | None = None
 
     def where(self) -> tuple[str, list[Any]]:
         """Return the SQL condition and its values."""
@@ -69,6 +73,7 @@ class ReadingFilter:
             ("time_us >= ?", self.since_us),
             ("time_us < ?", self.until_us),
             ("sequence > ?", self.after),
+            ("stream = ?", self.stream),
             ("(' ' || flags || ' ') LIKE ('% ' || ? || ' %')", self.flag),
         ):
             if value is not None:
@@ -100,10 +105,15 @@ class JournalReader:
 
     def iterate(self, wanted: ReadingFilter) -> Iterator[str]:
         """Yield the JSON lines of the readings asked for. Raises InputError."""
-        condition, values = wanted.where()
         order = "DESC" if wanted.newest_first else "ASC"
         limit = -1 if wanted.limit is None else wanted.limit
         with self._connect() as connection:
+            (version,) = connection.execute("PRAGMA user_version").fetchone()
+            if version < 2:  # written before there were streams: all of it is the first
+                if wanted.stream:
+                    return
+                wanted = replace(wanted, stream=None)
+            condition, values = wanted.where()
             rows = connection.execute(
                 f"SELECT json FROM readings WHERE {condition} ORDER BY sequence {order} LIMIT ?", [*values, limit]
             )
@@ -186,4 +196,6 @@ def _csv_row(line: str) -> list[Any]:
         patch["width"],
         patch["height"],
         " ".join(map(repr, reading["exposures_s"])),
+        reading.get("name", ""),
+        reading.get("session", ""),
     ]

@@ -12,6 +12,7 @@ from typing import Final, TypeVar
 import structlog
 
 from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.instrument import Origin
 from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.timestamps import now_us
 from radiometer.data import Reading
@@ -30,7 +31,8 @@ class JournalWriter:
     Args:
         journal: The journal, not yet open.
         alarms: Where trouble is reported.
-        on_commit: Called in the event loop with every reading once it is on disk; the only way to a client.
+        on_commit: Called in the event loop with every reading once it is on disk, with what was given with it and the
+            time in s that the commit took; the only way to a client.
         capacity: Readings that may wait; when as many wait, `wait_for_room` blocks, so measuring pauses.
         keep_days: Age at which readings are deleted; None keeps all.
         retry_s: Pause in s between two tries while the journal cannot be written.
@@ -41,7 +43,7 @@ class JournalWriter:
         self,
         journal: Journal,
         alarms: Alarms,
-        on_commit: Callable[[Reading, float], None],
+        on_commit: Callable[[Reading, Origin | None, float], None],
         *,
         capacity: int = 1000,
         keep_days: float | None = None,
@@ -50,7 +52,7 @@ class JournalWriter:
     ) -> None:
         self._journal, self._alarms, self._on_commit = journal, alarms, on_commit
         self._capacity, self._keep_days, self._retry_s, self._sleep = capacity, keep_days, retry_s, sleep
-        self._waiting: deque[tuple[Reading, asyncio.Future[Reading]]] = deque()
+        self._waiting: deque[tuple[Reading, asyncio.Future[Reading], Origin | None]] = deque()
         self._events: deque[tuple[str, str]] = deque(maxlen=capacity)
         self._work = asyncio.Event()
         self._room = asyncio.Event()
@@ -73,10 +75,10 @@ class JournalWriter:
         except JournalError as error:
             self._alarms.put_up(ALARM, str(error))
 
-    def submit(self, reading: Reading) -> asyncio.Future[Reading]:
+    def submit(self, reading: Reading, origin: Origin | None = None) -> asyncio.Future[Reading]:
         """Queue a reading and return the future of its committed, numbered form."""
         future: asyncio.Future[Reading] = asyncio.get_running_loop().create_future()
-        self._waiting.append((reading, future))
+        self._waiting.append((reading, future, origin))
         if len(self._waiting) >= self._capacity:
             self._room.clear()
         self._work.set()
@@ -109,9 +111,9 @@ class JournalWriter:
             async with asyncio.timeout(_CLOSING_DEADLINE_S):
                 await self._commit_until_empty()
         except TimeoutError:
-            for reading, _ in self._waiting:
+            for reading, _, _ in self._waiting:
                 _log.error("reading could not be committed", reading=reading.to_json())
-        for _, future in self._waiting:
+        for _, future, _ in self._waiting:
             future.cancel()
         await self._in_thread(self._journal.close)
         self._thread.shutdown(wait=False)
@@ -137,7 +139,7 @@ class JournalWriter:
         while self._events:
             await self._in_thread(self._journal.note, *self._events[0])
             self._events.popleft()
-        batch = [reading for reading, _ in self._waiting]
+        batch = [reading for reading, _, _ in self._waiting]
         if not batch:
             return
         started = time.perf_counter()
@@ -146,8 +148,8 @@ class JournalWriter:
 
     def _hand_out(self, committed: Sequence[Reading], seconds: float) -> None:
         for reading in committed:
-            _, future = self._waiting.popleft()
-            self._on_commit(reading, seconds)
+            _, future, origin = self._waiting.popleft()
+            self._on_commit(reading, origin, seconds)
             if not future.done():
                 future.set_result(reading)
         if len(self._waiting) < self._capacity:

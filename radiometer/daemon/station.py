@@ -15,7 +15,7 @@ import radiometer
 from radiometer.daemon.acquisition import Acquisition
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.hub import Event, Hub
-from radiometer.daemon.instrument import Instrument, LightSource, Measurement, MeasurementSettings
+from radiometer.daemon.instrument import Instrument, LightSource, Measurement, MeasurementSettings, Origin
 from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.keeper import DeviceKeeper, DeviceState, KeeperTimes
@@ -67,6 +67,7 @@ class Station:
         self.latest_line = ""
         self.latest_measurement: Measurement | None = None
         self._uncommitted: Measurement | None = None
+        self._own_measurement: Measurement | None = None
         self.levels: dict[str, float] = {}
         self.started = time.monotonic()
         self.on_change: list[Callable[[], None]] = []
@@ -110,8 +111,12 @@ class Station:
                 return task.exception() or RuntimeError("a loop of the daemon ended")
         return None
 
-    async def measure(self, settings: MeasurementSettings | None = None, deadline_s: float = 120.0) -> Reading:
+    async def measure(
+        self, settings: MeasurementSettings | None = None, deadline_s: float = 120.0, session: str = ""
+    ) -> Reading:
         """Return a fresh reading, committed to the journal.
+
+        One made with other settings than those in force is the session's own: no other client comes to see it.
 
         Raises:
             JournalError: If it was measured but cannot be committed now; it waits, and clients see it later.
@@ -121,7 +126,7 @@ class Station:
         blocked = self._journal_trouble()
         wait_s = min(deadline_s, _JOURNAL_PATIENCE_S) if blocked else deadline_s
         try:
-            return await self.acquisition.measure(settings or self.settings, wait_s)
+            return await self.acquisition.measure(settings or self.settings, wait_s, session)
         except TimeoutError as error:
             if trouble := self._journal_trouble() or blocked:
                 raise JournalError(trouble) from error
@@ -139,7 +144,7 @@ class Station:
         """
         wanted = replace(self.settings, **changes)
         self.check_settings(wanted)
-        self.acquisition.settings = wanted
+        self._take_settings(wanted)
         self._tell_status()
         return wanted
 
@@ -168,8 +173,17 @@ class Station:
 
     def reset(self) -> None:
         """Return to the settings the daemon was started with; readings and journal stay."""
-        self.acquisition.settings = self._initial_settings
+        self._take_settings(self._initial_settings)
         self._tell_status()
+
+    def measurement_of(self, reading: Reading | None) -> Measurement | None:
+        """Return the frames of a reading as far as they are still held; those of the latest where None."""
+        if reading is None:
+            return self.latest_measurement
+        for measurement in (self.latest_measurement, self._own_measurement):
+            if measurement is not None and _is_of(measurement, reading):
+                return measurement
+        return None
 
     async def set_level(self, channel: str, level: float) -> float:
         """Set a light channel's level, 0 to 1, and return it as read back.
@@ -252,24 +266,41 @@ class Station:
         if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
             raise SettingOutOfRange(self.instrument.identity.model, name, value, low, high, unit)
 
-    def _measured(self, measurement: Measurement, seconds: float) -> None:
+    def _take_settings(self, wanted: MeasurementSettings) -> None:
+        """Take settings over; where they change what is measured, the latest reading is of something else now."""
+        if wanted.subject != self.settings.subject:
+            self.latest, self.latest_line, self.latest_measurement = None, "", None
+        self.acquisition.settings = wanted
+
+    def _measured(self, measurement: Measurement, origin: Origin, seconds: float) -> None:
         self.metrics.measuring_s.observe(seconds)
-        self._uncommitted = measurement
+        if origin.sessions:
+            self._own_measurement = measurement
+        elif not origin.name:
+            self._uncommitted = measurement
         self.camera.report = measurement.report or self.camera.report
 
-    def _publish(self, reading: Reading, commit_s: float) -> None:
-        """Make a committed reading visible; nothing else ever does."""
-        self.latest, self.latest_line = reading, reading.to_json()
-        self.latest_measurement = self._uncommitted
+    def _publish(self, reading: Reading, origin: Origin | None, commit_s: float) -> None:
+        """Make a committed reading visible to all; nothing else ever does, and a client's own never is."""
+        self.metrics.readings.inc()
+        self.metrics.committing_s.observe(commit_s)
+        if origin is None or not origin.sessions:
+            self._show(reading, current=origin is None or origin.settings.subject == self.settings.subject)
+
+    def _show(self, reading: Reading, *, current: bool) -> None:
+        line = reading.to_json()
+        self.hub.publish(Event("reading", line, reading.sequence))
+        if not current:  # the patch was moved meanwhile: no latest reading of what is measured now
+            return
+        self.latest, self.latest_line = reading, line
+        if self._uncommitted is not None and _is_of(self._uncommitted, reading):
+            self.latest_measurement = self._uncommitted
         metrics, unit = self.metrics, reading.radiance.unit
-        metrics.readings.inc()
-        metrics.committing_s.observe(commit_s)
         metrics.radiance.labels(unit).set(reading.radiance.value)
         metrics.u_radiance.labels(unit).set(reading.radiance.u)
         metrics.exposure_s.set(max(reading.exposures_s, default=0.0))
         for flag in reading.flags:
             metrics.flagged.labels(str(flag)).inc()
-        self.hub.publish(Event("reading", self.latest_line, reading.sequence))
 
     def _alarm_changed(self, kind: str, name: str, message: str) -> None:
         self.writer.note(kind, f"{name}: {message}")
@@ -283,6 +314,11 @@ class Station:
         for callback in self.on_change:
             callback()
         self.hub.publish(Event("status", json.dumps(self.status(), ensure_ascii=False)))
+
+
+def _is_of(measurement: Measurement, reading: Reading) -> bool:
+    made = measurement.reading
+    return (made.time, made.patch, made.radiance) == (reading.time, reading.patch, reading.radiance)
 
 
 def _patch_mapping(patch: Patch) -> dict[str, int]:

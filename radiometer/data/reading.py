@@ -106,6 +106,8 @@ class Reading:
         exposures_s: Exposure times that took part, in s.
         budget: Contributions to the uncertainty; empty where none was made up.
         sequence: Running number within the instrument's journal.
+        name: Name of the patch where it has one; "" for the patch that is measured by default.
+        session: Whose measurement it was, where it was a client's own; "" where it belongs to all.
         coverage_factor: k of the expanded uncertainty.
         time: ISO 8601 in UTC.
     """
@@ -121,6 +123,8 @@ class Reading:
     coverage_factor: float = 2.0
     time: str = field(default_factory=utc_now)
     provenance: Provenance | None = None
+    name: str = ""
+    session: str = ""
 
     @property
     def expanded_u_rel(self) -> float:
@@ -146,6 +150,8 @@ class Reading:
             "exposures_s": list(self.exposures_s),
             "sequence": self.sequence,
         }
+        mapping |= {"name": self.name} if self.name else {}
+        mapping |= {"session": self.session} if self.session else {}
         return {key: finite_or_null(value) for key, value in mapping.items()}
 
     def to_json(self) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 from dataclasses import replace
 from typing import Any, Final
@@ -18,6 +19,7 @@ from radiometer.daemon.station import Station
 from radiometer.errors import UsageError
 
 _MEASURING_DEADLINE_S: Final = 120.0
+_NUMBERS: Final = itertools.count(1)
 _CURVE_POINTS: Final = 512
 _FULL_SCALE_DN: Final = 4095
 
@@ -29,7 +31,7 @@ async def measure(request: web.Request) -> web.Response:
     settings = replace(station.settings, **changes)
     if changes:
         station.check_settings(settings)
-    reading = await station.measure(settings, _MEASURING_DEADLINE_S)
+    reading = await station.measure(settings, _MEASURING_DEADLINE_S, f"http-{next(_NUMBERS)}")
     return web.Response(text=reading.to_json() + "\n", content_type="application/json")
 
 

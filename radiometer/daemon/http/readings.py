@@ -11,6 +11,7 @@ from aiohttp import web
 from radiometer.daemon.http.requests import read_query
 from radiometer.daemon.http.route import LIMITS, QUERIES, STATION, QueryParameter, Route
 from radiometer.daemon.hub import Event, Subscription
+from radiometer.daemon.journal import OWN_STREAM
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.station import Station
 from radiometer.daemon.timestamps import parse_moment
@@ -31,6 +32,12 @@ _LIST_QUERY: Final = (
     QueryParameter("clean", "boolean", "Only readings without any flag."),
     QueryParameter(
         "limit", "integer", f"At most this many; {DEFAULT_ROWS} unless told otherwise. The newest are kept."
+    ),
+    QueryParameter(
+        "stream",
+        "string",
+        "main (the patch measured for all; the default), patch NAME, own (what clients measured for"
+        " themselves) or all.",
     ),
     QueryParameter("format", "string", "json (an array), jsonl (a line each) or csv; else the Accept header decides."),
 )
@@ -102,7 +109,7 @@ async def _follow(response: web.StreamResponse, subscription: Subscription, form
 async def _replay(response: web.StreamResponse, station: Station, after: int, form: str) -> int:
     """Send what the journal holds above a number and return the last number sent."""
     reader, last = JournalReader(station.journal_path, deadline_s=_QUERY_DEADLINE_S), after
-    while lines := await asyncio.to_thread(reader.lines, ReadingFilter(after=last, limit=_REPLAY_ROWS)):
+    while lines := await asyncio.to_thread(reader.lines, ReadingFilter(after=last, limit=_REPLAY_ROWS, stream="")):
         for line in lines:
             last = int(json.loads(line)["sequence"])
             await _write(response, _encoded(Event("reading", line, last), form))
@@ -151,7 +158,16 @@ def _filter(query: dict[str, Any], most: int) -> ReadingFilter:
         without_flags=query.get("clean", False),
         limit=limit,
         newest_first=after is None,
+        stream=_stream(query.get("stream", "main")),
     )
+
+
+def _stream(asked: str) -> str | None:
+    if asked in ("main", "all"):
+        return "" if asked == "main" else None
+    if asked != OWN_STREAM and not asked.startswith("patch "):
+        raise UsageError(f"stream must be main, own, all, or patch NAME, not {asked[:40]!r}")
+    return asked
 
 
 def _render(reader: JournalReader, wanted: ReadingFilter, form: str) -> bytes:

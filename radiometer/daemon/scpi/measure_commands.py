@@ -55,8 +55,7 @@ def patch_from(call: Call) -> Patch | None:
 def _configure(function: str) -> Handler:
     def handler(call: Call) -> None:
         own_patch = (patch_from(call),) if call.values else None
-        call.session.abort()
-        call.session.function, call.session.own_patch = function, own_patch
+        call.session.choose(function, own_patch)
 
     return handler
 
@@ -148,8 +147,10 @@ def _measuring(quantity: str, unit: str) -> tuple[Command, ...]:
         Command(f"CONFigure:{quantity}", f"Chooses {quantity.lower()}, and the patch, for READ? and INITiate of this"
                 " session.", do=_configure(function), parameters=PATCH_PARAMETERS, required=0,
                 example=f"CONF:{quantity[:3].upper()}", group=GROUP),
-        Command(f"FETCh:{quantity}", f"Replies {quantity.lower()} and standard uncertainty of the newest reading (this"
-                " session's own while nothing measures continuously). One message sees one reading.",
+        Command(f"FETCh:{quantity}", f"Replies {quantity.lower()} and standard uncertainty of the newest reading of"
+                " this session's patch: where MEASure? or CONFigure gave one, of readings that this session made; else"
+                " of SENSe:PATCh (its own while nothing measures continuously). −230 where there is none yet, as after"
+                " the patch was moved. One message sees one reading.",
                 ask=_fetch(function), reply="value,u", example=f"READ?;:FETC:{quantity[:3].upper()}?", group=GROUP),
         Command(f"FETCh:{quantity}:UNCertainty", "Replies its standard uncertainty (k=1) alone.",
                 ask=_fetch(function, uncertainty), reply="u", example=f"READ?;:FETC:{quantity[:3].upper()}:UNC?",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import replace
 from functools import lru_cache
@@ -11,6 +12,7 @@ from typing import Any, Final
 import structlog
 
 from radiometer.daemon.alarms import Alarm
+from radiometer.daemon.instrument import Measurement, MeasurementSettings
 from radiometer.daemon.keeper import DeviceState
 from radiometer.daemon.scpi import status as bits
 from radiometer.daemon.scpi.command import CommandTable, Outcome
@@ -25,6 +27,7 @@ _log = structlog.get_logger(__name__)
 MEASURING_DEADLINE_S: Final = 120.0
 _DEFAULT_ELEMENTS: Final = ("READing", "UNCertainty")
 _CALIBRATION_FLAGS: Final = {Flag.UNCALIBRATED, Flag.STALE_CALIBRATION}
+_NUMBERS: Final = itertools.count(1)
 _split_cached = lru_cache(maxsize=512)(split_message)
 
 
@@ -38,6 +41,7 @@ class Session:
 
     def __init__(self, station: Station, table: CommandTable) -> None:
         self.station, self.table = station, table
+        self.name = f"scpi-{next(_NUMBERS)}"
         self.status = Status()
         self.function = "RADiance"
         self.elements: tuple[str, ...] = _DEFAULT_ELEMENTS
@@ -45,6 +49,7 @@ class Session:
         self.own_patch: tuple[Patch | None] | None = None  # (None,) is the middle; None the shared patch
         self.pending: asyncio.Task[Reading] | None = None
         self._own: Reading | None = None
+        self._own_settings: MeasurementSettings | None = None
         self._held: Reading | None = None
         self.responses: list[str] = []
         self._known_alarms: tuple[Alarm, ...] = ()
@@ -88,11 +93,9 @@ class Session:
         """Begin a measurement and return its task. Raises ScpiError -213 if one is pending."""
         if self.pending is not None and not self.pending.done():
             raise ScpiError(-213, "a measurement is pending; ABORt ends it")
-        settings = self.station.settings
-        if self.own_patch is not None:
-            settings = replace(settings, patch=self.own_patch[0])
-        task = asyncio.create_task(self.station.measure(settings, MEASURING_DEADLINE_S))
-        task.add_done_callback(self._finished)
+        settings = self._settings()
+        task = asyncio.create_task(self.station.measure(settings, MEASURING_DEADLINE_S, self.name))
+        task.add_done_callback(lambda done: self._finished(done, settings))
         self.pending = task
         return task
 
@@ -114,30 +117,48 @@ class Session:
             raise ScpiError(-230, "the measurement was aborted")
         if (error := task.exception()) is not None:
             raise scpi_error(error) if isinstance(error, Exception) else error
-        self._held = self._own = task.result()
+        self._held = task.result()
         return self._held
 
     def fetched(self) -> Reading:
         """Return the reading that FETCh? stands for; one message always sees one reading.
 
+        A session with a patch of its own sees its own readings only. Any other sees the newest of the patch that is
+        measured for all: its own while nothing measures continuously.
+
         Raises:
             ScpiError: If there is none yet.
         """
         if self._held is None:
-            if self.station.acquisition.every_s is not None or self._own is None:
-                self._held = self.station.latest or self._own
-            else:
-                self._held = self._own
+            own = self._own_if_current()
+            everybodys = self.own_patch is None and (self.station.acquisition.every_s is not None or own is None)
+            self._held = self.station.latest if everybodys else own
         if self._held is None:
-            raise ScpiError(-230, "there is no reading yet; READ? makes one")
+            raise ScpiError(-230, "there is no reading yet of this session's patch; READ? makes one")
         return self._held
 
     def reset(self) -> None:
         """Put the session and the instrument's settings back to those at start (*RST)."""
         self.abort()
+        self.forget()
         self.function, self.elements, self.big_endian, self.own_patch = "RADiance", _DEFAULT_ELEMENTS, True, None
-        self._own = self._held = None
         self.station.reset()
+
+    def choose(self, function: str, own_patch: tuple[Patch | None] | None) -> None:
+        """Choose quantity and patch; a reading of another patch is not this one's."""
+        self.abort()
+        if own_patch != self.own_patch:
+            self.forget()
+        self.function, self.own_patch = function, own_patch
+
+    def forget(self) -> None:
+        """Forget the readings of this session."""
+        self._own = self._own_settings = self._held = None
+
+    def measurement(self) -> Measurement | None:
+        """Return the frames behind the reading that this session would fetch; None where they are no longer held."""
+        own = self._held or (self._own_if_current() if self.own_patch is not None else None)
+        return self.station.measurement_of(own)
 
     def _execute_from(
         self, units: tuple[Unit, ...], index: int, path: str, error: ScpiError | None
@@ -187,11 +208,21 @@ class Session:
     def _reply(self) -> str | None:
         return ";".join(self.responses) if self.responses else None
 
-    def _finished(self, task: asyncio.Task[Reading]) -> None:
+    def _settings(self) -> MeasurementSettings:
+        settings = self.station.settings
+        return settings if self.own_patch is None else replace(settings, patch=self.own_patch[0])
+
+    def _own_if_current(self) -> Reading | None:
+        """Return this session's own reading; None where its patch or wavelength is no longer the one chosen."""
+        if self._own is None or self._own_settings is None or self._own_settings.subject != self._settings().subject:
+            return None
+        return self._own
+
+    def _finished(self, task: asyncio.Task[Reading], settings: MeasurementSettings) -> None:
         if self.pending is task:
             self.pending = None
         if not task.cancelled() and task.exception() is None:
-            self._own = task.result()
+            self._own, self._own_settings = task.result(), settings
         self.update_status()
 
     def _tell_alarms(self) -> None:

@@ -85,10 +85,10 @@ def _headers(call: Call) -> str:
 
 
 def _frame(call: Call) -> Frame:
-    measurement = call.session.station.latest_measurement
+    measurement = call.session.measurement()
     frame = measurement.frame if measurement else None
     if frame is None:
-        raise ScpiError(-230, "there is no picture yet")
+        raise ScpiError(-230, "no picture of this reading is held; READ? makes one")
     return frame
 
 
@@ -109,7 +109,7 @@ def _trace(call: Call) -> Outcome:
 
 async def _trace_history(call: Call, count: int) -> str:
     reader = JournalReader(call.session.station.journal_path, deadline_s=5.0)
-    lines = await asyncio.to_thread(reader.lines, ReadingFilter(limit=count, newest_first=True))
+    lines = await asyncio.to_thread(reader.lines, ReadingFilter(limit=count, newest_first=True, stream=""))
     rows = [json.loads(line) for line in reversed(lines)]
     table = [[row["sequence"], row["radiance"]["value"], row["radiance"]["u"]] for row in rows]
     return formats.block(_floats(call, np.array(table, dtype=float).reshape(-1, 3)))
@@ -169,7 +169,7 @@ COMMANDS: Final = (
     Command("TRACe[:DATA]", "Replies a block: IMAGe is the latest frame (16-bit digital numbers, row by row),"
             " RESPonse the"
             " response curve (pairs ln H, u of 64-bit floats, one per digital number), HISTory[,count] the"
-            " newest readings"
+            " newest readings of the patch measured for all"
             " (triples sequence, radiance, u of 64-bit floats, oldest first).", ask=_trace,
             ask_parameters=(Choice("trace", ("IMAGe", "RESPonse", "HISTory")), Number("count", "", _history, True)),
             ask_required=1, reply="block", example="READ?;:TRAC:DATA? HIST,10", group=TRACE),

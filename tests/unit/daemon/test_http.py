@@ -18,6 +18,7 @@ from radiometer.daemon.http.openapi import description
 from radiometer.daemon.http.picture import composite, render
 from radiometer.daemon.http.server import ROUTES, HttpServer
 from radiometer.daemon.instrument import Measurement
+from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.station import Station
 from radiometer.data import Frame, FrameSettings, Patch, Quantity, Reading
@@ -56,13 +57,14 @@ async def base(serve: Any) -> str:
 async def test_measure_replies_the_documented_reading(
     base: str, session: aiohttp.ClientSession, station: Station
 ) -> None:
-    """POST /measure measures the patch asked for; the reply is the journal's line."""
+    """POST /measure measures the patch asked for; the reply is the journal's line, and only the asker's."""
     body = {"patch": {"x": 3, "y": 4, "width": 5, "height": 6}}
     async with session.post(f"{base}/measure", json=body) as reply:
         reading = await reply.json()
     assert reply.status == 200
-    assert station.latest is not None
-    assert reading == station.latest.to_mapping()
+    (line,) = JournalReader(station.journal_path).lines(ReadingFilter(stream="own"))
+    assert reading == json.loads(line)
+    assert station.latest is None
     assert (reading["patch"], reading["radiance"]["value"]) == (body["patch"], 4.0)
     assert station.settings.patch is None
 
