@@ -209,9 +209,10 @@ class AravisCamera:
         session.require_answer()
         session.access.check(settings)
         frames.stop()
+        before = session.settings
         session.access.write(settings)
         session.reread()
-        frames.settings_changed()
+        frames.settings_changed(before)
         return session.settings
 
     def capture(self, count: int = 1) -> list[Frame]:

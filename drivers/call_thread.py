@@ -6,6 +6,7 @@ the library's heartbeat, which asks just as patiently: 10 s in all. Nothing in t
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -33,10 +34,18 @@ class CallThread:
         name: How messages call the camera.
         is_gone: Asks the camera whether it is there, past the library; called while a call takes long.
         patience_s: How long a call may take before that is asked, and between two questions, in s.
+        deadline_s: How long a call may take at all in s; None for as long as the camera is there.
     """
 
-    def __init__(self, name: str, is_gone: Callable[[], bool], patience_s: float = PATIENCE_S) -> None:
+    def __init__(
+        self,
+        name: str,
+        is_gone: Callable[[], bool],
+        patience_s: float = PATIENCE_S,
+        deadline_s: float | None = None,
+    ) -> None:
         self._name, self._is_gone, self._patience_s = name, is_gone, patience_s
+        self._questions = math.inf if deadline_s is None else math.ceil(deadline_s / patience_s)
         self._jobs: SimpleQueue[_Job | None] = SimpleQueue()
         self._ended = False
         threading.Thread(target=_work, args=(self._jobs,), name="camera calls", daemon=True).start()
@@ -45,15 +54,17 @@ class CallThread:
         """Return `method(*arguments)`, or raise what it raises.
 
         Raises:
-            DeviceLost: If the camera was found gone while the call waited, or the thread has ended. A call left behind
-                ends by itself, unheeded.
+            DeviceLost: If the camera was found gone while the call waited, its deadline passed, or the thread has
+                ended. A call left behind ends by itself, unheeded.
         """
         if self._ended:
             raise self._lost()
         job = _Job(lambda: method(*arguments))
         self._jobs.put(job)
+        asked = 0
         while not job.done.wait(self._patience_s):
-            if self._is_gone() and not job.done.is_set():
+            asked += 1
+            if (asked >= self._questions or self._is_gone()) and not job.done.is_set():
                 self.close()
                 raise self._lost()
         error, job.error = job.error, None

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from drivers.aravis_camera import AravisCamera
 from drivers.camera_opening import CameraSession
+from drivers.host_checks import USB3_MBIT_S
+from drivers.link_throughput import SPEED
 from radiometer.devices import Finding, Health
 
+USB3_BYTES_S = USB3_MBIT_S * 1_000_000 // 10  # ten symbols to a byte
 _ADC_BITS = {"Bit8": 8, "Bit10": 10, "Bit12": 12, "Bit14": 14, "Bit16": 16}
 
 
 def check_features(camera: AravisCamera) -> list[Finding]:
     """Return what was found of an open camera's features. Raises DeviceError if it does not answer."""
     session = camera.session
-    return [*_hygiene(session), _link(session), *_alignment(session)]
+    return [*_hygiene(session), *_notes(session), *_links(session), *_alignment(session)]
 
 
 def _hygiene(session: CameraSession) -> list[Finding]:
@@ -33,9 +36,27 @@ def _hygiene(session: CameraSession) -> list[Finding]:
     return findings
 
 
+def _notes(session: CameraSession) -> list[Finding]:
+    return [Finding("opening", Health.NOTE, note) for note in session.notes]
+
+
+def _links(session: CameraSession) -> list[Finding]:
+    return [_link(session)] if session.camera.is_gv_device() else [_usb(session)]
+
+
+def _usb(session: CameraSession) -> Finding:
+    message = session.identity.interface or "USB3 Vision"
+    speed = session.features.read_if_there(SPEED, int)
+    if speed is None:
+        return Finding("link", Health.OK, message)
+    message = f"{message}, {int(speed) / 1e6:g} MB/s"
+    if int(speed) >= USB3_BYTES_S:
+        return Finding("link", Health.OK, message)
+    cure = "plug it into a USB 3 port (blue, or marked SS) with a USB 3 cable, without a hub in between"
+    return Finding("link", Health.WARNING, f"{message}: a USB 2 link, on which it drops frames or sends none", cure)
+
+
 def _link(session: CameraSession) -> Finding:
-    if not session.camera.is_gv_device():
-        return Finding("link", Health.OK, session.identity.interface or "USB3 Vision")
     size = int(session.features.call(session.camera.gv_get_packet_size))
     message = f"{session.identity.interface}, packets of {size} bytes"
     if size > 1500:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import Final
 
+from radiometer.data.serials import same_serial, serial_shown
 from radiometer.devices import CameraIdentity
 from radiometer.errors import DeviceNotFound
 
@@ -38,9 +39,11 @@ def find_camera(aravis: ModuleType, name: str | None, discover: Callable[[], lis
         return CameraIdentity("", "", "", name, f"GigEVision {name}")
     cameras = discover()
     matching = [camera for camera in cameras if name is None or name in (camera.device_id, camera.serial)]
+    if not matching and name is not None:
+        matching = [camera for camera in cameras if same_serial(camera.serial, name)]
     if len(matching) == 1:
         return matching[0]
-    there = ", ".join(f"{camera.device_id} (serial {camera.serial})" for camera in cameras) or "none"
+    there = ", ".join(f"{camera.device_id} (serial {serial_shown(camera.serial)})" for camera in cameras) or "none"
     if matching:
         raise DeviceNotFound(f"several cameras answer; name one of them: {there}")
     wanted = f"camera {name}" if name else "camera"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -10,14 +11,19 @@ from typing import Any, Final
 import structlog
 
 from drivers.call_thread import CallThread
+from drivers.camera_finding import FAKE_ID
 from drivers.camera_quirks import CameraQuirks, quirks_for
+from drivers.chunk_data import switch_on_chunks
 from drivers.farewell import drop_in_background
 from drivers.feature_access import FeatureAccess, translated
 from drivers.feature_hygiene import HygieneFinding, switch_off_falsifiers
-from drivers.gige_ping import answers
+from drivers.gige_ping import answers, is_controlled, name_at
+from drivers.host_checks import usb_link
+from drivers.link_throughput import LinkThroughput, choose_throughput
 from drivers.pixel_unpacking import MONO_FORMATS
 from drivers.settings_access import SettingsAccess, bit_depth_of
 from radiometer.data import CameraDescription
+from radiometer.data.serials import serial_shown
 from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound
 
@@ -29,12 +35,13 @@ _PREFERRED_FORMATS: Final = ("Mono12", "Mono12p", "Mono12Packed", "Mono16", "Mon
 # The converter at its full depth (some models start at 10 bits for speed); exposure by its time, not by a line.
 _PREPARED_FEATURES: Final = (
     ("AdcBitDepth", "Bit12"),
+    ("AcquisitionFrameRateEnable", False),  # a set frame rate would cut the longest exposure
     ("ExposureMode", "Timed"),
     ("GainSelector", "All"),
     ("BlackLevelSelector", "All"),
     ("DeviceTemperatureSelector", "Sensor"),
 )
-_CHUNKS: Final = ("ExposureTime", "Gain")
+_USB_DEADLINE_S: Final = 5.0  # libusb's own patience with a transfer is endless; an access takes ms
 
 
 @dataclass(slots=True)
@@ -51,6 +58,8 @@ class CameraSession:
         preset: What its datasheet says; None where there is none.
         hygiene: What was found of the falsifying features.
         chunk_names: Chunk values it sends with every frame.
+        notes: What it refused or was changed in while it was opened, for people.
+        throughput: How fast it may send; None where that cannot be set.
         settings: In force, as read back.
         capabilities: Its limits in the pixel format in force.
     """
@@ -64,6 +73,8 @@ class CameraSession:
     preset: CameraDescription | None
     hygiene: tuple[HygieneFinding, ...]
     chunk_names: tuple[str, ...]
+    notes: tuple[str, ...]
+    throughput: LinkThroughput | None
     settings: CameraSettings
     capabilities: CameraCapabilities
     _temperature: tuple[float, float | None] = field(default=(float("-inf"), None))
@@ -101,6 +112,15 @@ class CameraSession:
             temperature_c = float(self.features.read("DeviceTemperature", float))
             self._temperature = (time.monotonic(), temperature_c)
         return temperature_c
+
+    @property
+    def black_level_scale(self) -> float:
+        """Return the DN in a unit of the camera's black level, in the pixel format in force."""
+        return self.access.black_level_scale(self.settings.pixel_format)
+
+    def slow_down(self) -> bool:
+        """Have it send more slowly, and tell whether it does; the acquisition must be stopped."""
+        return self.throughput is not None and self.throughput.slow_down()
 
     def is_lost(self) -> bool:
         """Tell whether the camera is known to be gone."""
@@ -142,12 +162,17 @@ def open_session(
         DeviceInUse: If another program holds it.
         DeviceError: If it has no usable pixel format or refuses a write.
     """
-    camera = _new_camera(aravis, library_error, identity)
+    if (address := _gige_address_of(identity)) and is_controlled(address):
+        # Asked past the library, which takes 5 s to say so.
+        vendor, model, serial = name_at(address)
+        known = replace(identity, vendor=vendor, model=model, serial=serial) if serial else identity
+        raise DeviceInUse(f"{_named(known)} is in use by another program; close that program and try again")
+    camera = _opened(aravis, library_error, identity)
     known = _completed(camera, identity, library_error)
     name = f"camera {known.vendor} {known.model} {known.serial}"
     if camera.is_gv_device() and not camera.get_device().is_controller():
         raise DeviceInUse(f"{name} is in use by another program; close that program and try again")
-    features = FeatureAccess(camera, name, library_error, _call_thread(camera, name))
+    features = FeatureAccess(camera, name, library_error, _call_thread(camera, known, name))
     try:
         return _controlled_session(aravis, features, camera, known, identity.device_id, preset)
     except BaseException:
@@ -174,8 +199,14 @@ def _controlled_session(
     info = str(features.read_if_there("DeviceManufacturerInfo", str) or "")
     quirks = quirks_for(known.vendor, known.model, info)
     access = SettingsAccess(camera, features, quirks, name)
-    hygiene = _prepare(aravis, camera, features, quirks, access)
+    notes: list[str] = []
+    hygiene = _prepare(aravis, camera, features, quirks, notes)
+    _choose_pixel_format(camera, features, access)
+    throughput = choose_throughput(camera, features, name, notes)
+    chunk_names = switch_on_chunks(camera, features, notes)
     settings = access.read()
+    for noted in notes:
+        _LOG.info("camera opened all the same", camera=name, note=noted)
     return CameraSession(
         camera=camera,
         features=features,
@@ -185,23 +216,53 @@ def _controlled_session(
         opened_by=opened_by,
         preset=preset or quirks.preset_of(known.model),
         hygiene=hygiene,
-        chunk_names=_switch_on_chunks(camera, features),
+        chunk_names=chunk_names,
+        notes=tuple(notes),
+        throughput=throughput,
         settings=settings,
         capabilities=access.capabilities(settings.pixel_format),
     )
 
 
-def _call_thread(camera: Any, name: str) -> CallThread | None:
-    """Return the thread for a camera that can be asked past the library whether it is there."""
-    if not camera.is_gv_device():
+def _call_thread(camera: Any, identity: CameraIdentity, name: str) -> CallThread | None:
+    """Return the thread for a camera whose calls may never return; None for the one inside the library."""
+    if camera.is_gv_device():
+        address = gige_address(camera)
+        return CallThread(name, lambda: not answers(address))
+    if not camera.is_uv_device():
         return None
-    address = gige_address(camera)
-    return CallThread(name, lambda: not answers(address))
+    seen = usb_link(identity.serial) is not None  # in some containers the kernel's list is hidden
+    return CallThread(name, lambda: seen and usb_link(identity.serial) is None, deadline_s=_USB_DEADLINE_S)
 
 
 def gige_address(camera: Any) -> str:
     """Return the IPv4 address of an open GigE Vision camera."""
     return str(camera.get_device().get_device_address().get_address().to_string())
+
+
+def _gige_address_of(identity: CameraIdentity) -> str:
+    """Return the IPv4 address that a camera is known by before it is opened; "" for any other link."""
+    for text in (identity.device_id, identity.interface.rpartition(" ")[2]):
+        with suppress(ValueError):
+            return str(ipaddress.IPv4Address(text))
+    return ""
+
+
+def _named(identity: CameraIdentity) -> str:
+    """Return how messages call a camera that is not open."""
+    known = (identity.vendor, identity.model, serial_shown(identity.serial))
+    return "camera " + (" ".join(part for part in known if part) or identity.device_id)
+
+
+def _opened(aravis: Any, library_error: type[Exception], identity: CameraIdentity) -> Any:
+    """Return the library's camera; a USB camera that hangs is given up."""
+    if _gige_address_of(identity) or identity.device_id == FAKE_ID:
+        return _new_camera(aravis, library_error, identity)
+    thread = CallThread(_named(identity), lambda: False, deadline_s=2 * _USB_DEADLINE_S)
+    try:
+        return thread.run(_new_camera, aravis, library_error, identity)
+    finally:
+        thread.close()
 
 
 def _new_camera(aravis: Any, library_error: type[Exception], identity: CameraIdentity) -> Any:
@@ -237,33 +298,43 @@ def _completed(camera: Any, identity: CameraIdentity, library_error: type[Except
 
 
 def _prepare(
-    aravis: Any, camera: Any, features: FeatureAccess, quirks: CameraQuirks, access: SettingsAccess
+    aravis: Any, camera: Any, features: FeatureAccess, quirks: CameraQuirks, notes: list[str]
 ) -> tuple[HygieneFinding, ...]:
     features.call(camera.stop_acquisition)  # a program that died may have left it streaming
     if quirks.load_default_user_set and features.has("UserSetLoad"):
-        features.write("UserSetSelector", "Default")
-        features.execute("UserSetLoad")
+        _load_default_user_set(features, notes)
     findings = switch_off_falsifiers(features)
     for feature, value in _PREPARED_FEATURES:
-        _set_if_offered(features, feature, value)
-    if features.has("AcquisitionFrameRateEnable"):  # a set frame rate would cut the longest exposure
-        features.write("AcquisitionFrameRateEnable", False)
+        _set_if_offered(features, feature, value, notes)
     features.call(camera.set_acquisition_mode, aravis.AcquisitionMode.CONTINUOUS)
     if camera.is_gv_device():
         _choose_packet_size(camera, features)
-    _choose_pixel_format(camera, features, access)
     return findings
 
 
-def _set_if_offered(features: FeatureAccess, feature: str, value: str) -> None:
-    if not features.has(feature) or features.read(feature, str) == value:
-        return
+def _load_default_user_set(features: FeatureAccess, notes: list[str]) -> None:
     try:
-        features.write(feature, value)
+        features.write("UserSetSelector", "Default")
+        features.execute("UserSetLoad")
     except (DeviceLost, DeviceInUse):
         raise
-    except DeviceError as error:  # this model has no such entry; what it has is told by `radiometer doctor`
-        _LOG.info("feature kept", feature=feature, wanted=value, reason=str(error))
+    except DeviceError as error:
+        notes.append(f"the factory's user set was not loaded ({error})")
+
+
+def _set_if_offered(features: FeatureAccess, feature: str, value: str | bool, notes: list[str]) -> None:
+    """Set a feature; one that is locked, or has no such entry, is noted and left as it is."""
+    if not features.has(feature) or features.read(feature, type(value)) == value:
+        return
+    reason = "it took the write and kept its value"
+    try:
+        if features.write(feature, value) == value:
+            return
+    except (DeviceLost, DeviceInUse):
+        raise
+    except DeviceError as error:
+        reason = str(error)
+    notes.append(f"{feature} stays at {features.read(feature, type(value))}, not {value} ({reason})")
 
 
 def _choose_packet_size(camera: Any, features: FeatureAccess) -> None:
@@ -281,12 +352,3 @@ def _choose_pixel_format(camera: Any, features: FeatureAccess, access: SettingsA
     if not usable:
         raise DeviceError(f"{access.name}: offers no monochrome pixel format (only {', '.join(offered)})")
     features.call(camera.set_pixel_format_from_string, usable[0])
-
-
-def _switch_on_chunks(camera: Any, features: FeatureAccess) -> tuple[str, ...]:
-    if not features.call(camera.are_chunks_available):
-        return ()
-    offered = features.call(camera.dup_available_enumerations_as_strings, "ChunkSelector")
-    wanted = tuple(name for name in _CHUNKS if name in offered)
-    features.call(camera.set_chunks, ",".join(wanted))
-    return wanted

@@ -11,11 +11,21 @@ from radiometer.errors import DeviceError, DeviceInUse, DeviceLost
 
 @dataclass(frozen=True, slots=True)
 class FalsifyingFeature:
-    """A camera feature that makes digital numbers differ from light, its harmless value, and what it does."""
+    """A camera feature that makes digital numbers differ from light, its harmless value, and what it does.
+
+    Attributes:
+        name: The feature.
+        harmless: Its value that falsifies nothing.
+        effect: What any other value does.
+        selector: Feature that selects which of several of this name is meant; "" where there is one only.
+        selected: Its entries, each of which is treated.
+    """
 
     name: str
     harmless: FeatureValue
     effect: str
+    selector: str = ""
+    selected: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +73,14 @@ FALSIFYING_FEATURES: Final = (
     FalsifyingFeature("ColorTransformationEnable", False, "colours are mixed"),
     FalsifyingFeature("IspEnable", False, "the camera processes pictures before it sends them"),
     FalsifyingFeature("SequencerMode", "Off", "settings change from frame to frame by themselves"),
+    FalsifyingFeature("ImageCompressionMode", "Off", "what is sent is not the digital numbers themselves"),
+    FalsifyingFeature(
+        "TestPattern",
+        "Off",
+        "the camera draws the pictures itself, whatever it sees",
+        "TestPatternGeneratorSelector",
+        ("Sensor", "PipelineStart"),
+    ),
 )
 
 
@@ -73,7 +91,26 @@ def switch_off_falsifiers(features: FeatureAccess) -> tuple[HygieneFinding, ...]
         DeviceLost: If the camera stopped answering.
         DeviceInUse: If another program controls it.
     """
-    return tuple(_switch_off(features, known) for known in FALSIFYING_FEATURES if features.has(known.name))
+    return tuple(
+        _switch_off(features, known)
+        for known in FALSIFYING_FEATURES
+        for entry in known.selected or ("",)
+        if _is_selected(features, known, entry) and features.has(known.name)
+    )
+
+
+def _is_selected(features: FeatureAccess, known: FalsifyingFeature, entry: str) -> bool:
+    """Select one of several features of a name, and tell whether there is such a one."""
+    if not entry:
+        return True
+    if not features.has(known.selector):
+        return entry == known.selected[0]  # a camera without the selector has one such feature
+    try:
+        return features.write(known.selector, entry) == entry
+    except (DeviceLost, DeviceInUse):
+        raise
+    except DeviceError:  # this model has no such entry
+        return False
 
 
 def _switch_off(features: FeatureAccess, known: FalsifyingFeature) -> HygieneFinding:

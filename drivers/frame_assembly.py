@@ -3,24 +3,12 @@
 from __future__ import annotations
 
 from drivers.camera_quirks import CameraQuirks
+from drivers.chunk_data import exposure_of
 from drivers.frame_stream import RawFrame
 from drivers.pixel_unpacking import pixel_format_of_code, unpack_pixels
 from radiometer.data import Frame, FrameSettings, LensDescription
 from radiometer.devices import CameraSettings
 from radiometer.errors import DeviceError
-
-_SAME_EXPOSURE_REL = 1e-3  # the chunk is rounded as the register is; neighbouring settings differ by more
-
-
-def holds_other_settings(raw: RawFrame, settings: CameraSettings) -> bool:
-    """Tell whether a frame's chunks say that it was exposed under other settings than those in force."""
-    exposure_us = raw.chunks.get("ExposureTime")
-    gain_db = raw.chunks.get("Gain")
-    other_exposure = (
-        exposure_us is not None
-        and abs(exposure_us * 1e-6 - settings.exposure_s) > _SAME_EXPOSURE_REL * settings.exposure_s
-    )
-    return other_exposure or (gain_db is not None and abs(gain_db - settings.gain_db) > 0.01)
 
 
 def assemble(
@@ -61,7 +49,7 @@ def assemble(
         dn=dn,
         bit_depth=bit_depth,
         settings=FrameSettings(
-            exposure_s=raw.chunks.get("ExposureTime", settings.exposure_s * 1e6) * 1e-6,
+            exposure_s=exposure_of(raw, settings),
             gain_db=raw.chunks.get("Gain", settings.gain_db),
             f_number=lens.f_number,
             black_level_dn=settings.black_level_dn,

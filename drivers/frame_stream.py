@@ -24,6 +24,10 @@ _POLL_S: Final = 0.2  # how often a wait looks whether the camera is still there
 _LEGACY_FRAME_IDS: Final = 65535  # GigE Vision 1.x counts frames 1 to 65535 and starts again
 
 
+class LossyLink(DeviceTimeout):
+    """Frame after frame comes incomplete: the link carries less than the camera sends."""
+
+
 @dataclass(slots=True)
 class Tally:
     """Running counts of what went wrong and was put right."""
@@ -60,7 +64,7 @@ class RawFrame:
         format_code: PFNC value of the pixel format.
         width: Picture width in pixels.
         height: Picture height in pixels.
-        frame_id: Running number given by the camera.
+        frame_id: Running number of the acquisition; goes on rising where the camera's own starts again.
         timestamp_s: Time of the camera's clock in s; the computer's where the camera has none.
         chunks: Chunk values by name.
     """
@@ -103,6 +107,7 @@ class FrameStream:
         self._chunk_parser: Any = camera.create_chunk_parser() if chunk_names else None
         self._stream: Any = None
         self._last_id: int | None = None
+        self._turns = 0  # how often the camera's own numbers have started again
 
     def start(self) -> None:
         """Open a stream channel, hand it buffers and start the acquisition. Raises DeviceError."""
@@ -117,7 +122,7 @@ class FrameStream:
             self._stream.set_property("socket-buffer", self._aravis.GvStreamSocketBuffer.AUTO)
         for _ in range(BUFFER_COUNT):
             self._stream.push_buffer(self._aravis.Buffer.new_allocate(payload))
-        self._last_id = None
+        self._last_id, self._turns = None, 0
         call(self._camera.start_acquisition)
 
     def stop(self, *, camera_is_there: bool = True) -> None:
@@ -143,7 +148,7 @@ class FrameStream:
             trigger: Called before each attempt; None in free running.
 
         Raises:
-            DeviceTimeout: If MAX_ATTEMPTS frames in a row came incomplete.
+            LossyLink: If MAX_ATTEMPTS frames in a row came incomplete.
         """
         for _ in range(MAX_ATTEMPTS):
             if trigger is not None:
@@ -158,7 +163,7 @@ class FrameStream:
                 self._tally.frames += 1
                 return frame
             self._tally.retried += 1
-        raise DeviceTimeout(
+        raise LossyLink(
             f"{self._name}: {MAX_ATTEMPTS} frames in a row came incomplete; the link loses packets "
             "(`radiometer doctor` checks packet size and socket buffers)"
         )
@@ -192,7 +197,7 @@ class FrameStream:
 
     def _accept(self, buffer: Any) -> RawFrame | None:
         frame_id = int(buffer.get_frame_id())
-        self._count_missed(frame_id)
+        running_id = self._count_missed(frame_id)
         if buffer.get_status() != self._aravis.BufferStatus.SUCCESS:
             self._tally.incomplete += 1
             _LOG.debug("incomplete frame", camera=self._name, frame_id=frame_id, status=buffer.get_status().value_nick)
@@ -202,16 +207,21 @@ class FrameStream:
             format_code=int(buffer.get_image_pixel_format()),
             width=int(buffer.get_image_width()),
             height=int(buffer.get_image_height()),
-            frame_id=frame_id,
+            frame_id=running_id,
             timestamp_s=(buffer.get_timestamp() or buffer.get_system_timestamp()) / 1e9,
             chunks=self._chunks(buffer),
         )
 
-    def _count_missed(self, frame_id: int) -> None:
-        missed = missed_between(self._last_id, frame_id)
+    def _count_missed(self, frame_id: int) -> int:
+        """Count the frames missed before this one, and return its number in this acquisition."""
+        last_id, missed = self._last_id, missed_between(self._last_id, frame_id)
         self._tally.extra["missed_frames"] += missed
         if missed >= 0:
+            self._turns += last_id is not None and frame_id < last_id
             self._last_id = frame_id
+            return frame_id + self._turns * _LEGACY_FRAME_IDS
+        before_the_turn = last_id is not None and frame_id > last_id  # late, from before the numbers started again
+        return frame_id + (self._turns - before_the_turn) * _LEGACY_FRAME_IDS
 
     def _chunks(self, buffer: Any) -> dict[str, float]:
         if self._chunk_parser is None or not buffer.has_chunks():

@@ -7,10 +7,12 @@ from types import ModuleType
 from typing import Final
 
 from drivers.camera_opening import CameraSession
-from drivers.frame_assembly import assemble, holds_other_settings
-from drivers.frame_stream import FrameStream, RawFrame, Tally
+from drivers.chunk_data import CHUNKS, changed_chunks, holds_other_settings, told_by_chunks
+from drivers.frame_assembly import assemble
+from drivers.frame_stream import FrameStream, LossyLink, RawFrame, Tally
 from drivers.settings_access import bit_depth_of
 from radiometer.data import Frame, LensDescription
+from radiometer.devices import CameraSettings
 from radiometer.errors import DeviceTimeout
 
 MAX_RESTARTS: Final = 2  # of the acquisition, where nothing comes but the camera still answers
@@ -35,17 +37,24 @@ class FreshFrames:
         self._frame_deadline_s = frame_deadline_s
         self._stream: FrameStream | None = None
         self._stale = session.quirks.discard_after_change
+        self._changed = frozenset(CHUNKS)
+        self._longest_s = session.settings.exposure_s
 
     def next(self) -> Frame:
-        """Return the next frame exposed under the settings in force. Raises DeviceTimeout or DeviceLost."""
+        """Return the next frame exposed under the settings in force. Raises DeviceTimeout or DeviceLost.
+
+        Where chunks tell which settings a frame was exposed under, the first one under those in force is taken; else
+        as many are thrown away as the quirk file says. A chunk that lags by a frame (aravis issue 312) costs one more.
+        """
         session = self._session
         for _ in range(MAX_STALE + session.quirks.discard_after_change + 1):
             raw = self._raw_frame()
-            if holds_other_settings(raw, session.settings):
-                self._stale = max(self._stale, 1)  # its neighbour may carry the chunk of the frame before
-            elif self._stale:
+            if holds_other_settings(raw, session.settings, session.capabilities.exposure_step_s):
+                self._stale = max(self._stale - 1, 0)
+            elif self._stale and not self._is_told(raw):
                 self._stale -= 1
             else:
+                self._stale, self._longest_s = 0, session.settings.exposure_s
                 pixel_bits = bit_depth_of(session.settings.pixel_format, session.quirks)
                 return assemble(raw, session.settings, session.quirks, pixel_bits, self._lens, session.temperature_c())
             self._tally.extra["stale_discarded"] += 1
@@ -57,15 +66,31 @@ class FreshFrames:
         if stream is not None:
             stream.stop(camera_is_there=self._session.answers())
 
-    def settings_changed(self) -> None:
-        """Remember that the camera's next frames may have been exposed under other settings."""
+    def settings_changed(self, before: CameraSettings) -> None:
+        """Remember that the camera's next frames may have been exposed under other settings.
+
+        Args:
+            before: What was in force until now. A change that no frame has shown yet is still waited for.
+        """
+        changed = changed_chunks(before, self._session.settings)
+        self._changed = changed | self._changed if self._stale else changed
         self._stale = self._session.quirks.discard_after_change
+        self._longest_s = max(self._longest_s, before.exposure_s)
+
+    def _is_told(self, raw: RawFrame) -> bool:
+        """Tell whether the chunks of a frame confirm all that was changed; never where there are none."""
+        session = self._session
+        full_scale_dn = (1 << bit_depth_of(session.settings.pixel_format, session.quirks)) - 1
+        return bool(raw.chunks) and told_by_chunks(
+            raw, self._changed, session.settings, session.black_level_scale, full_scale_dn
+        )
 
     def _raw_frame(self) -> RawFrame:
         session = self._session
-        deadline_s = 2 * session.settings.exposure_s + self._frame_deadline_s
+        # A frame still exposed under the settings before takes as long as those say.
+        deadline_s = 2 * max(session.settings.exposure_s, self._longest_s) + self._frame_deadline_s
         for _ in range(MAX_RESTARTS + 1):
-            raw = self._running().next_frame(deadline_s, self._trigger())
+            raw = self._next_whole(deadline_s)
             if raw is not None:
                 return raw
             session.require_answer()
@@ -75,6 +100,16 @@ class FreshFrames:
             f"{session.label}: no frame within {deadline_s:.1f} s, {MAX_RESTARTS + 1} times over, though it answers; "
             "see `radiometer doctor`"
         )
+
+    def _next_whole(self, deadline_s: float) -> RawFrame | None:
+        """Return the next whole frame; the camera is slowed down as far as it goes where none comes whole."""
+        while True:
+            try:
+                return self._running().next_frame(deadline_s, self._trigger())
+            except LossyLink:
+                self.stop()
+                if not self._session.slow_down():
+                    raise
 
     def _running(self) -> FrameStream:
         if self._stream is None:

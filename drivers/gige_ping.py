@@ -11,6 +11,12 @@ GVCP_PORT: Final = 3956
 _DISCOVERY_COMMAND: Final = struct.pack(">BBHHH", 0x42, 0x01, 0x0002, 0, 1)
 _DISCOVERY_ACK: Final = 0x0003
 _HEADER: Final = struct.Struct(">HHHH")
+_READ_MEMORY_ACK: Final = 0x0085
+# READMEM, not READREG: some devices (Aravis's own server) take a register read of the privilege for a heartbeat, and
+# asking again and again would keep a controller that died in control for ever.
+_CONTROL_PRIVILEGE: Final = 0x0A00
+_NAMES: Final = ((0x48, 32), (0x68, 32), (0xD8, 16))  # manufacturer, model, serial number in the acknowledgement
+_ASK_CONTROL: Final = struct.pack(">BBHHHIHH", 0x42, 0x01, 0x0084, 8, 2, _CONTROL_PRIVILEGE, 0, 4)
 
 
 def answers(address: str, attempts: int = 3, timeout_s: float = 0.4, port: int = GVCP_PORT) -> bool:
@@ -22,17 +28,54 @@ def answers(address: str, attempts: int = 3, timeout_s: float = 0.4, port: int =
         timeout_s: Longest wait for each answer in s.
         port: UDP port of its control channel.
     """
+    return _answer(_DISCOVERY_COMMAND, _DISCOVERY_ACK, address, attempts, timeout_s, port) is not None
+
+
+def is_controlled(address: str, attempts: int = 2, timeout_s: float = 0.4, port: int = GVCP_PORT) -> bool:
+    """Tell whether some program controls the camera at an address; False where nothing answers.
+
+    Args:
+        address: IPv4 address.
+        attempts: Questions asked before giving up.
+        timeout_s: Longest wait for each answer in s.
+        port: UDP port of its control channel.
+
+    Source: GigE Vision 2.0, control channel privilege register, bits 30 (exclusive) and 31 (control).
+    """
+    packet = _answer(_ASK_CONTROL, _READ_MEMORY_ACK, address, attempts, timeout_s, port)
+    if packet is None or len(packet) < _HEADER.size + 8:
+        return False
+    (told_address, privilege) = struct.unpack_from(">II", packet, _HEADER.size)
+    return bool(told_address == _CONTROL_PRIVILEGE and privilege & 0x3)
+
+
+def name_at(address: str, attempts: int = 2, timeout_s: float = 0.4, port: int = GVCP_PORT) -> tuple[str, str, str]:
+    """Return vendor, model and serial number of the camera at an address; empty where nothing answers.
+
+    Args:
+        address: IPv4 address.
+        attempts: Questions asked before giving up.
+        timeout_s: Longest wait for each answer in s.
+        port: UDP port of its control channel.
+    """
+    packet = _answer(_DISCOVERY_COMMAND, _DISCOVERY_ACK, address, attempts, timeout_s, port) or b""
+    registers = packet[_HEADER.size :]
+    vendor, model, serial = (
+        registers[at : at + size].split(b"\0")[0].decode("ascii", "replace") for at, size in _NAMES
+    )
+    return vendor, model, serial
+
+
+def _answer(command: bytes, wanted: int, address: str, attempts: int, timeout_s: float, port: int) -> bytes | None:
+    """Return the acknowledgement of a command; None where none comes."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         line.settimeout(timeout_s)
         for _ in range(attempts):
             try:
-                line.sendto(_DISCOVERY_COMMAND, (address, port))
-                if _is_acknowledgement(line.recv(1024)):
-                    return True
+                line.sendto(command, (address, port))
+                packet = line.recv(1024)
             except OSError:  # timed out, refused or unreachable: ask again, then take it for gone
                 continue
-    return False
-
-
-def _is_acknowledgement(packet: bytes) -> bool:
-    return len(packet) >= _HEADER.size and _HEADER.unpack_from(packet)[1] == _DISCOVERY_ACK
+            if len(packet) >= _HEADER.size and _HEADER.unpack_from(packet)[1] == wanted:
+                return packet
+    return None

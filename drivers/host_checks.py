@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from radiometer.data.serials import same_serial, serial_shown
 from radiometer.devices import Finding, Health
 from radiometer.errors import MissingLibrary
 
@@ -15,7 +17,9 @@ WANTED_BUFFER_BYTES: Final = 33_554_432  # several frames; what camera makers' g
 JUMBO_MTU: Final = 9000
 USBFS_MB: Final = 1000  # FLIR's guide for USB3 cameras on Linux
 FLIR_USB_VENDOR: Final = "1e10"
+USB3_MBIT_S: Final = 5000
 _ETHERNET: Final = "1"  # ARPHRD_ETHER, if_arp.h
+_USB3_VISION: Final = ("ef", "05")  # class and subclass of a control interface, USB3 Vision 1.0
 _UDEV_RULE: Final = 'SUBSYSTEM=="usb", ATTRS{idVendor}=="1e10", MODE="0660", GROUP="plugdev", TAG+="uaccess"'
 
 
@@ -30,6 +34,7 @@ def check_host(load: Callable[[], object], root: Path = Path("/")) -> list[Findi
         check_library(load),
         check_usb_permissions(root),
         check_usb_memory(root),
+        *check_usb_links(root),
         *check_network(root),
         check_socket_buffers(root),
     ]
@@ -71,6 +76,57 @@ def check_usb_memory(root: Path) -> Finding:
     return Finding(
         "USB memory", Health.WARNING, f"usbfs may hold {limit_mb} MB only: frames of USB3 cameras get lost", cure
     )
+
+
+@dataclass(frozen=True, slots=True)
+class UsbLink:
+    """How a USB3 Vision camera hangs on this computer: its names, and the speed in Mbit/s that was agreed on."""
+
+    product: str
+    serial: str
+    mbit_s: float
+
+
+def usb_links(root: Path = Path("/")) -> list[UsbLink]:
+    """Return the USB3 Vision cameras that the kernel sees, whether or not they may be opened."""
+    folder = root / "sys/bus/usb/devices"
+    devices = sorted(path for path in folder.iterdir() if ":" not in path.name) if folder.is_dir() else []
+    return [
+        UsbLink(_text(path / "product"), _text(path / "serial"), _number(_text(path / "speed")))
+        for path in devices
+        if _text(path / "idVendor").lower() == FLIR_USB_VENDOR or _has_vision_interface(folder, path.name)
+    ]
+
+
+def usb_link(serial: str, root: Path = Path("/")) -> UsbLink | None:
+    """Return how the camera of a serial number hangs on this computer; None where the kernel sees no such one."""
+    return next((link for link in usb_links(root) if same_serial(link.serial, serial)), None)
+
+
+def check_usb_links(root: Path) -> list[Finding]:
+    """Return one finding for each USB3 Vision camera: whether it hangs on a port that is fast enough."""
+    return [_link_finding(link) for link in usb_links(root)]
+
+
+def _link_finding(link: UsbLink) -> Finding:
+    check = f"USB link {serial_shown(link.serial)}".strip()
+    message = f"{link.product or 'USB3 Vision camera'} at {link.mbit_s:g} Mbit/s"
+    if link.mbit_s >= USB3_MBIT_S:
+        return Finding(check, Health.OK, message)
+    cure = "plug it into a USB 3 port (blue, or marked SS) with a USB 3 cable, without a hub in between"
+    return Finding(check, Health.WARNING, f"{message}: a USB 2 link, on which it drops frames or sends none", cure)
+
+
+def _has_vision_interface(folder: Path, device: str) -> bool:
+    interfaces = folder.glob(f"{device}:*")
+    return any((_text(i / "bInterfaceClass"), _text(i / "bInterfaceSubClass")) == _USB3_VISION for i in interfaces)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0
 
 
 def check_network(root: Path) -> list[Finding]:

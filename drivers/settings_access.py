@@ -47,7 +47,7 @@ class SettingsAccess:
             exposure_s=(shortest_us * 1e-6, longest_us * 1e-6),
             gain_db=self._bounds("is_gain_available", "get_gain_bounds", self.quirks.gain_db_per_unit),
             black_level_dn=self._bounds(
-                "is_black_level_available", "get_black_level_bounds", self._black_level_dn_per_unit(format_name)
+                "is_black_level_available", "get_black_level_bounds", self.black_level_scale(format_name)
             ),
             pixel_formats=tuple(name for name in MONO_FORMATS if name in offered),
             width=width,
@@ -88,7 +88,7 @@ class SettingsAccess:
         if camera.is_gain_available():
             call(camera.set_gain, settings.gain_db / self.quirks.gain_db_per_unit)
         if camera.is_black_level_available():
-            scale = self._black_level_dn_per_unit(settings.pixel_format)
+            scale = self.black_level_scale(settings.pixel_format)
             call(camera.set_black_level, settings.black_level_dn / scale)
         call(camera.set_exposure_time, settings.exposure_s * 1e6)
         if settings.software_trigger:
@@ -98,7 +98,7 @@ class SettingsAccess:
         """Return the settings as the camera reports them."""
         call, camera = self.features.call, self.camera
         format_name = str(call(camera.get_pixel_format_as_string))
-        scale = self._black_level_dn_per_unit(self._usable(format_name))
+        scale = self.black_level_scale(self._usable(format_name))
         region, binning = call(camera.get_region), self._binning()
         width, height = self._sensor_size()
         whole = (region.x, region.y, region.width, region.height) == (0, 0, width // binning, height // binning)
@@ -126,7 +126,8 @@ class SettingsAccess:
         low, high = self.features.call(getattr(self.camera, bounds))
         return (float(low * scale), float(high * scale))
 
-    def _black_level_dn_per_unit(self, format_name: str) -> float:
+    def black_level_scale(self, format_name: str) -> float:
+        """Return the DN of a pixel format in a unit of the camera's black level feature."""
         if self.quirks.black_level_dn_per_unit is not None:
             return self.quirks.black_level_dn_per_unit
         if self.features.unit("BlackLevel") == "%":  # of full scale, as FLIR counts it

@@ -7,6 +7,7 @@ from pathlib import Path
 from radiometer.bench.camera_health import check_camera
 from radiometer.bench.cameras import open_camera
 from radiometer.bench.config import read_bench
+from radiometer.data.serials import serial_shown
 from radiometer.devices import Camera, Finding, Health
 from radiometer.errors import DeviceError, RadiometerError
 
@@ -38,7 +39,7 @@ def examine(bench: Path | None = None, name: str | None = None) -> list[Finding]
 
 def _examined(camera: Camera) -> list[Finding]:
     who = camera.identity
-    named = f"{who.vendor} {who.model}, serial {who.serial}, firmware {who.firmware or 'unknown'}"
+    named = f"{who.vendor} {who.model}, serial {serial_shown(who.serial)}, firmware {who.firmware or 'unknown'}"
     findings = [Finding("camera", Health.OK, named)]
     try:
         findings += _features(camera)

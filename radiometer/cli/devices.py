@@ -20,13 +20,16 @@ def command(
     from radiometer.bench.boxes import find_boxes
     from radiometer.bench.cameras import SIMULATED, list_cameras
     from radiometer.bench.config import read_bench
+    from radiometer.data.serials import other_notation, serial_shown
 
     config, where = read_bench(bench)
     cameras, missing = list_cameras(config, where)
     boxes, held = find_boxes()
     if json:
         found = {
-            "cameras": [dataclasses.asdict(entry) for entry in cameras],
+            "cameras": [
+                {**dataclasses.asdict(entry), "serial_also": other_notation(entry.serial)} for entry in cameras
+            ],
             "light_boxes": [dataclasses.asdict(entry) for entry in boxes],
             "ports_in_use": held,
             "note": missing,
@@ -35,7 +38,7 @@ def command(
         return
     for entry in cameras:
         how = f"--camera {SIMULATED}" if entry.interface == "simulated" else f"--camera {entry.serial}"
-        console().print(f"{entry.vendor} {entry.model}  serial {entry.serial}  {entry.interface}  {how}")
+        console().print(f"{entry.vendor} {entry.model}  serial {serial_shown(entry.serial)}  {entry.interface}  {how}")
     for box in boxes:
         console().print(f"light box  serial {box.serial}  firmware {box.firmware}  {box.port}  --box {box.serial}")
     for port in held:

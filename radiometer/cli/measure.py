@@ -148,8 +148,11 @@ def _taken(instrument: Instrument, number: int, u_rel: float | None, *, shown: b
 
 
 def _introduce(instrument: Instrument) -> None:
+    from radiometer.data.serials import serial_shown
+
     who, patch = instrument.camera.identity, instrument.patch
-    note(f"{who.vendor} {who.model} {who.serial}, patch {patch.x},{patch.y} {patch.width} × {patch.height} pixels")
+    name = f"{who.vendor} {who.model} {serial_shown(who.serial)}"
+    note(f"{name}, patch {patch.x},{patch.y} {patch.width} × {patch.height} pixels")
     if instrument.calibration is None:
         note("assumed: the response is linear above the black level")
         return

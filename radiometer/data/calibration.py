@@ -16,6 +16,7 @@ from radiometer.data.capture_header import CameraDescription, LensDescription
 from radiometer.data.provenance import Provenance, utc_now
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.data.sensor_noise import SensorNoise
+from radiometer.data.serials import same_serial
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.data.validation import FileSection, validate
 from radiometer.errors import CalibrationError
@@ -87,7 +88,9 @@ class Calibration:
             ("bit depth", self.camera.bit_depth, camera.bit_depth),
         )
         for name, mine, theirs in checks:
-            if mine is not None and theirs is not None and mine != theirs:
+            if mine is None or theirs is None or (name == "serial" and same_serial(str(mine), str(theirs))):
+                continue
+            if mine != theirs:
                 raise CalibrationError(
                     f"the calibration is of another camera: its {name} is {mine!s}, the camera's is {theirs!s}; "
                     "use this camera's own calibration, or make one with `radiometer calibrate`"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -61,6 +62,14 @@ def test_another_camera_is_refused(calibration, change, named):
     """The message names what differs."""
     with pytest.raises(CalibrationError, match=named):
         calibration.require_camera(CAMERA.model_copy(update=change))
+
+
+def test_a_serial_number_fits_in_either_notation(calibration):
+    """A file that was written with the label's number fits the camera that USB reports; another camera's does not."""
+    known = replace(calibration, camera=CAMERA.model_copy(update={"serial": "20497219"}))
+    known.require_camera(CameraDescription(bit_depth=12, serial="0138C343"))
+    with pytest.raises(CalibrationError, match="its serial is 20497219"):
+        known.require_camera(CameraDescription(bit_depth=12, serial="0138C344"))
 
 
 def test_what_is_unknown_is_not_compared(calibration):

@@ -9,7 +9,8 @@ import pytest
 from drivers import aravis_camera
 from drivers.camera_finding import find_camera
 from drivers.camera_quirks import quirks_for
-from drivers.frame_assembly import assemble, holds_other_settings
+from drivers.chunk_data import holds_other_settings
+from drivers.frame_assembly import assemble
 from drivers.frame_stream import RawFrame
 from radiometer.data import LensDescription
 from radiometer.devices import CameraIdentity, CameraSettings
@@ -62,6 +63,24 @@ def test_only_one_module_imports_the_library(project_root):
     assert set(importers) == {"drivers/aravis_camera.py"}
 
 
+USB = [
+    CameraIdentity("FLIR", "BFS-U3-19S4M", "0138C343", "FLIR-1E100138C343-0138C343", "USB3Vision"),
+    CameraIdentity("FLIR", "BFS-U3-19S4M", "0138C344", "FLIR-1E100138C344-0138C344", "USB3Vision"),
+]
+
+
+@pytest.mark.parametrize("name", ["0138C343", "0138c343", "20497219", "FLIR-1E100138C343-0138C343"])
+def test_a_usb_camera_is_found_by_either_notation_of_its_number(name):
+    """USB reports the number in hexadecimal, its label and people in decimal: both mean the same camera."""
+    assert find_camera(SimpleNamespace(), name, lambda: USB).serial == "0138C343"
+
+
+def test_an_unknown_usb_camera_is_told_with_both_notations():
+    """Those that answer are listed with the number on their label too."""
+    with pytest.raises(DeviceNotFound, match=r"serial 0138C344 \(20497220\)"):
+        find_camera(SimpleNamespace(), "20497218", lambda: USB)
+
+
 @pytest.mark.parametrize("name", ["22500002", "FLIR-22500002-01"])
 def test_a_camera_is_found_by_serial_number_or_id(name):
     """Serial number and device id mean the same camera."""
@@ -100,6 +119,35 @@ def test_a_chunk_of_another_exposure_marks_a_stale_frame():
     assert holds_other_settings(raw_frame(ExposureTime=10_000.0, Gain=0.0), settings)
     assert not holds_other_settings(raw_frame(ExposureTime=10_000.4, Gain=6.0), settings)
     assert not holds_other_settings(raw_frame(), settings)
+
+
+@pytest.mark.parametrize(
+    ("set_us", "chunk_us", "step_s", "is_other"),
+    [
+        (11.4, 11.0, 0.0, False),
+        (11.4, 12.0, 0.0, False),
+        (11.0, 12.0, 0.0, True),
+        (12.0, 11.0, 0.0, True),
+        (11.4, 14.0, 5e-6, False),
+        (11.4, 17.0, 5e-6, True),
+    ],
+    ids=["rounded down", "rounded up", "one more", "one less", "within a coarse step", "beyond a coarse step"],
+)
+def test_a_chunk_is_compared_to_the_cameras_own_step(set_us, chunk_us, step_s, is_other):
+    """At 11.4 µs a chunk in whole µs is 4 % off and still the same setting; a whole step away is another one."""
+    settings = CameraSettings(exposure_s=set_us * 1e-6, pixel_format="Mono8")
+    assert holds_other_settings(raw_frame(ExposureTime=chunk_us), settings, step_s) is is_other
+
+
+def test_a_chunk_in_whole_microseconds_does_not_coarsen_the_exposure():
+    """A register that says 11.4 µs is believed before a chunk of 11 µs; a chunk with decimals is believed itself."""
+    settings = CameraSettings(exposure_s=11.4e-6, pixel_format="Mono8")
+    quirks, lens = quirks_for("FLIR", "BFS-U3-19S4M"), LensDescription()
+    exposures = [
+        assemble(raw_frame(ExposureTime=chunk_us), settings, quirks, 8, lens, None).settings.exposure_s
+        for chunk_us in (11.0, 11.25, 14.0)
+    ]
+    assert exposures == pytest.approx([11.4e-6, 11.25e-6, 14e-6], rel=1e-12)
 
 
 def test_a_frame_carries_the_chunk_values():

@@ -128,3 +128,27 @@ def test_camera_left_behind_is_known_as_lost(stuck: Stuck) -> None:
     with pytest.raises(DeviceLost):
         features.call(stuck)
     assert features.lost.is_set()
+
+
+def test_a_call_that_outlasts_its_deadline_is_left_behind(stuck: Stuck) -> None:
+    """A USB camera that is there and hangs is given up after its deadline, however often it says that it is there."""
+    questions = []
+    thread = CallThread("camera W1", lambda: bool(questions.append(1)), patience_s=0.01, deadline_s=0.05)
+    with pytest.raises(DeviceLost, match="camera W1 stopped answering"):
+        thread.run(stuck)
+    assert len(questions) == 4  # the fifth pause is the deadline
+    with pytest.raises(DeviceLost):
+        thread.run(len, "abc")
+
+
+def test_without_a_deadline_a_call_may_take_as_long_as_the_camera_is_there(stuck: Stuck) -> None:
+    """A network camera that answers past the library is waited for."""
+    questions = []
+
+    def still_there() -> bool:
+        questions.append(1)
+        if len(questions) == 8:
+            stuck.let_go.set()
+        return False
+
+    assert CallThread("camera W1", still_there, patience_s=0.01).run(stuck) == "late"

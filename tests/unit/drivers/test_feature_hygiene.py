@@ -21,6 +21,36 @@ def test_what_falsifies_is_switched_off_and_read_back(wooden_camera, feature):
     assert finding.now == feature.harmless
 
 
+class SelectedPatterns(dict):
+    """Two test patterns behind one name, as a selector chooses them."""
+
+    def __init__(self, **patterns: str) -> None:
+        super().__init__(TestPatternGeneratorSelector="Sensor")
+        self.patterns = patterns
+
+    def __contains__(self, name: object) -> bool:
+        return name in ("TestPattern", "TestPatternGeneratorSelector")
+
+    def __getitem__(self, name: str) -> str:
+        if name == "TestPattern":
+            return self.patterns[super().__getitem__("TestPatternGeneratorSelector")]
+        return str(super().__getitem__(name))
+
+    def __setitem__(self, name: str, value: str) -> None:
+        if name == "TestPattern":
+            self.patterns[super().__getitem__("TestPatternGeneratorSelector")] = value
+        else:
+            super().__setitem__(name, value)
+
+
+def test_every_test_pattern_generator_is_switched_off(wooden_camera):
+    """A pattern drawn behind the second selector entry is found and ended, as the one behind the first."""
+    camera, features = wooden_camera({})
+    camera.features = SelectedPatterns(Sensor="Off", PipelineStart="Increment")
+    assert [found.state for found in switch_off_falsifiers(features)] == ["off", "switched_off"]
+    assert camera.features.patterns == {"Sensor": "Off", "PipelineStart": "Off"}
+
+
 def test_what_is_off_is_not_written(wooden_camera):
     """A feature that is harmless already is left alone."""
     camera, features = wooden_camera({"GammaEnable": False, "Gamma": 1.0, "ExposureAuto": "Off"})

@@ -79,3 +79,45 @@ def test_interfaces_that_are_up_are_judged_by_their_mtu(write, mtu, health):
     (finding,) = host_checks.check_network(root)
     assert finding.check == "network eth0"
     assert finding.health is health
+
+
+@pytest.fixture
+def usb_camera(write):
+    """Return a function that plugs a USB camera into a port of a given speed, and the root it lies below."""
+
+    def plug(speed: str, vendor: str = "1e10", kind: tuple[str, str] = ("ff", "ff")) -> Path:
+        device = "sys/bus/usb/devices/2-1"
+        for name, text in (("idVendor", vendor), ("product", "Blackfly S BFS-U3-19S4M"), ("speed", speed)):
+            write(f"{device}/{name}", f"{text}\n")
+        write(f"{device}:1.0/bInterfaceClass", kind[0])
+        write(f"{device}:1.0/bInterfaceSubClass", kind[1])
+        return write(f"{device}/serial", "0138C343\n")
+
+    return plug
+
+
+@pytest.mark.parametrize(("speed", "health"), [("480", Health.WARNING), ("5000", Health.OK), ("10000", Health.OK)])
+def test_a_usb3_camera_on_a_usb2_port_is_found(usb_camera, speed, health):
+    """480 Mbit/s is a USB 2 link: it is warned of with the camera's number in both notations, and the cure."""
+    (finding,) = host_checks.check_usb_links(usb_camera(speed))
+    assert finding.health is health
+    assert finding.check == "USB link 0138C343 (20497219)"
+    assert f"{speed} Mbit/s" in finding.message
+    assert ("USB 3 port" in finding.cure) is (health is Health.WARNING)
+
+
+@pytest.mark.parametrize(("kind", "count"), [(("ef", "05"), 1), (("08", "06"), 0)], ids=["USB3 Vision", "a disk"])
+def test_cameras_of_other_makers_are_known_by_their_interface(usb_camera, kind, count):
+    """Any USB3 Vision interface is a camera; other USB devices are none of our business."""
+    assert len(host_checks.check_usb_links(usb_camera("480", vendor="2bdf", kind=kind))) == count
+
+
+@pytest.mark.parametrize(("serial", "there"), [("20497219", True), ("0138C343", True), ("0138C344", False)])
+def test_the_kernel_is_asked_whether_a_camera_is_plugged_in(usb_camera, serial, there):
+    """A camera is looked up by its serial number in either notation."""
+    assert (host_checks.usb_link(serial, usb_camera("5000")) is not None) is there
+
+
+def test_without_usb_there_is_no_link_to_judge(tmp_path):
+    """A computer without a USB subsystem has no finding."""
+    assert host_checks.check_usb_links(tmp_path) == []

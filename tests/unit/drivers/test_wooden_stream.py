@@ -9,7 +9,7 @@ import pytest
 from drivers import fresh_frames
 from drivers.camera_quirks import quirks_for
 from drivers.feature_access import FeatureAccess
-from drivers.frame_stream import BUFFER_COUNT, MAX_ATTEMPTS, FrameStream, RawFrame, Tally
+from drivers.frame_stream import BUFFER_COUNT, MAX_ATTEMPTS, FrameStream, LossyLink, RawFrame, Tally
 from drivers.fresh_frames import FreshFrames
 from radiometer.data import LensDescription
 from radiometer.devices import CameraSettings
@@ -130,6 +130,14 @@ def test_frames_that_never_came_are_counted(started):
     assert tally.extra["missed_frames"] == 1
 
 
+def test_running_numbers_go_on_rising_over_the_cameras_wrap(started):
+    """GigE Vision 1.x starts again at 1 after 65535; numbers of an acquisition do not, late frames included."""
+    ids = (65533, 65535, 1, 65534, 2, 4)
+    _, tally, stream = started(*(WoodenBuffer(n) for n in ids))
+    assert [stream.next_frame(1.0).frame_id for _ in ids] == [65533, 65535, 65536, 65534, 65537, 65539]
+    assert tally.extra["missed_frames"] == 1
+
+
 def test_a_link_that_delivers_nothing_whole_is_given_up(started):
     """After the stated number of attempts the error says what to look at."""
     _, _, stream = started(*(WoodenBuffer(n, BROKEN) for n in range(1, MAX_ATTEMPTS + 5)))
@@ -204,6 +212,9 @@ def wooden_session(discard: int, answers: bool = True):
     return SimpleNamespace(
         quirks=quirks,
         settings=CameraSettings(exposure_s=0.005, pixel_format="Mono8"),
+        capabilities=SimpleNamespace(exposure_step_s=0.0),
+        black_level_scale=2.55,
+        slow_down=lambda: False,
         label="camera W1",
         temperature_c=lambda: None,
         answers=lambda: answers,
@@ -211,8 +222,8 @@ def wooden_session(discard: int, answers: bool = True):
     )
 
 
-def frame(frame_id: int, exposure_us: float | None = None) -> RawFrame:
-    chunks = {} if exposure_us is None else {"ExposureTime": exposure_us}
+def frame(frame_id: int, exposure_us: float | None = None, **others: float) -> RawFrame:
+    chunks = others if exposure_us is None else {"ExposureTime": exposure_us, **others}
     return RawFrame(bytes(4), 0x01080001, 2, 2, frame_id, float(frame_id), chunks)
 
 
@@ -233,15 +244,106 @@ def test_frames_after_a_change_are_discarded_by_count(fresh):
     """Without chunks as many frames are thrown away as the quirk file says, and no more."""
     frames, tally = fresh([frame(n) for n in range(1, 6)], discard=2)
     assert [frames.next().frame_id, frames.next().frame_id] == [3, 4]
-    frames.settings_changed()
     assert tally.extra["stale_discarded"] == 2
 
 
-def test_a_lagging_chunk_costs_one_more_frame(fresh):
-    """After a chunk of the old exposure the first frame of the new one is thrown away too (aravis issue 312)."""
-    old, new = 9000.0, 5000.0
-    frames, _ = fresh([frame(1, old), frame(2, old), frame(3, new), frame(4, new)], discard=0)
+OLD, NEW = 9000.0, 5000.0  # µs; the wooden session is set to the second
+BEFORE = CameraSettings(exposure_s=0.009, pixel_format="Mono8")
+
+
+def test_chunks_tell_how_many_frames_are_stale(fresh):
+    """Two frames of the old exposure are thrown away, and the first of the new one is taken: none is waited for."""
+    frames, tally = fresh([frame(1, NEW), frame(2, OLD), frame(3, OLD), frame(4, NEW), frame(5, NEW)], discard=2)
+    frames._stale = 0
+    assert frames.next().frame_id == 1
+    frames.settings_changed(BEFORE)
     assert frames.next().frame_id == 4
+    assert tally.extra["stale_discarded"] == 2
+
+
+def test_a_new_exposure_of_30_s_is_not_waited_for_thrice(fresh):
+    """A first frame whose chunk has the exposure that was set is the answer: one exposure, not three."""
+    frames, tally = fresh([frame(1, NEW)], discard=2)
+    frames._stale = 0
+    frames.settings_changed(BEFORE)
+    assert frames.next().frame_id == 1
+    assert tally.extra["stale_discarded"] == 0
+
+
+def test_a_change_that_no_chunk_tells_is_waited_for_by_number(fresh):
+    """The black level has no chunk here: that the exposure's agrees says nothing of it."""
+    frames, tally = fresh([frame(n, NEW) for n in range(1, 5)], discard=2)
+    frames._stale = 0
+    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
+    assert frames.next().frame_id == 3
+    assert tally.extra["stale_discarded"] == 2
+
+
+@pytest.mark.parametrize(("percent", "taken"), [(0.0, 1), (2.0, 3)], ids=["confirmed", "another"])
+def test_a_black_level_is_confirmed_by_its_chunk(fresh, percent, taken):
+    """A chunk of the black level that was set ends the wait; one of another never makes it endless."""
+    frames, _ = fresh([frame(n, NEW, BlackLevel=percent) for n in range(1, 5)], discard=2)
+    frames._stale = 0
+    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
+    assert frames.next().frame_id == taken
+
+
+def test_a_change_that_no_frame_has_shown_is_not_forgotten(fresh):
+    """A second change before the first frame leaves the first one to be waited for too."""
+    frames, _ = fresh([frame(n, NEW) for n in range(1, 5)], discard=2)
+    frames._stale = 0
+    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
+    frames.settings_changed(BEFORE)
+    assert frames.next().frame_id == 3
+
+
+def test_a_frame_of_the_settings_before_is_waited_for_as_long_as_they_say(fresh, monkeypatch):
+    """After 30 s a short exposure's deadline is that of the frame still in the sensor, until the first fresh one."""
+    frames, _ = fresh([], discard=0)
+    deadlines = []
+    monkeypatch.setattr(frames, "_next_whole", lambda deadline_s: deadlines.append(deadline_s) or frame(1, NEW))
+    monkeypatch.setattr(frames, "_raw_frame", FreshFrames._raw_frame.__get__(frames))
+    frames.next()
+    frames.settings_changed(CameraSettings(exposure_s=30.0, pixel_format="Mono8"))
+    frames.next()
+    frames.next()
+    assert deadlines == pytest.approx([0.11, 60.1, 0.11])
+
+
+class Lossy:
+    """An acquisition of which no frame comes whole before the camera is slowed down often enough."""
+
+    starts, needed = 0, 3
+
+    def __init__(self, *_arguments: object) -> None: ...
+
+    def start(self) -> None:
+        type(self).starts += 1
+
+    def stop(self, *, camera_is_there: bool) -> None: ...
+
+    def next_frame(self, _deadline_s: float, _trigger: object) -> RawFrame:
+        if self.starts < self.needed:
+            raise LossyLink("camera W1: 40 frames in a row came incomplete")
+        return frame(1, NEW)
+
+
+@pytest.mark.parametrize(("possible", "starts"), [(5, 3), (1, 2)], ids=["slow enough in time", "as slow as it goes"])
+def test_a_camera_that_sends_too_fast_is_slowed_down(monkeypatch, possible, starts):
+    """Each time that no frame comes whole it is slowed down and started anew, until it can be slowed down no more."""
+    monkeypatch.setattr(fresh_frames, "FrameStream", Lossy)
+    monkeypatch.setattr(Lossy, "starts", 0)
+    frames, _ = silent(answers=True)
+    session = frames._session
+    session.camera = session.features = session.chunk_names = session.is_lost = None
+    left = iter([True] * possible)
+    session.slow_down = lambda: next(left, False)
+    if possible == 1:
+        with pytest.raises(LossyLink):
+            frames.next()
+    else:
+        assert frames.next().frame_id == 1
+    assert Lossy.starts == starts
 
 
 def test_a_camera_that_keeps_its_old_exposure_is_an_error(fresh):
