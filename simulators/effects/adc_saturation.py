@@ -35,8 +35,12 @@ class AdcSaturation(CatalogueEffect):
     trials = ()
     fitted = ("clip_dn",)
     settles = "over-exposed captures at two gains: a converter clips at one DN, a full well at one signal"
-    clip_dn: float = parameter(0.0, "DN", 0.0, 65535.0, source="highest code that occurs; 0 for full scale")
-    spread_dn: float = parameter(0.0, "DN", 0.0, 4096.0, source="scatter of that code from pixel to pixel")
+    clip_dn: float = parameter(
+        0.0, "DN", 0.0, 1.0, source="highest code that occurs; 0 for full scale", of_full_scale=True
+    )
+    spread_dn: float = parameter(
+        0.0, "DN", 0.0, 0.06, source="scatter of that code from pixel to pixel", of_full_scale=True
+    )
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return DN within the converter's range."""

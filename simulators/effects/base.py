@@ -41,6 +41,7 @@ ELECTRONS: Final = "e-"
 DIGITAL_NUMBER: Final = "DN"
 
 _RELATIVE_STEP: Final = 1e-4
+_LARGEST_FULL_SCALE_DN: Final = 2.0**32  # of any converter that may ever stand in a model file
 
 
 class Stage(IntEnum):
@@ -68,6 +69,7 @@ class Parameter:
         high: Highest allowed value.
         source: Where its default and bounds come from.
         default: Its default.
+        of_full_scale: Whether the range goes with the converter's; `low` and `high` are then those of the widest one.
     """
 
     name: str
@@ -76,6 +78,12 @@ class Parameter:
     high: float
     source: str
     default: Any
+    of_full_scale: bool = False
+
+    def bounds(self, full_scale_dn: float) -> tuple[float, float]:
+        """Return the lowest and the highest value for a camera of this highest digital number."""
+        share = full_scale_dn / _LARGEST_FULL_SCALE_DN if self.of_full_scale else 1.0
+        return self.low * share, self.high * share
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +109,7 @@ class Moments:
         return cls(mean, nothing, nothing, nothing)
 
 
-def parameter(default: Any, unit: str, low: float, high: float, *, source: str) -> Any:
+def parameter(default: Any, unit: str, low: float, high: float, *, source: str, of_full_scale: bool = False) -> Any:
     """Declare a parameter of an effect (a dataclass field).
 
     Args:
@@ -110,8 +118,11 @@ def parameter(default: Any, unit: str, low: float, high: float, *, source: str) 
         low: Lowest allowed value.
         high: Highest allowed value.
         source: Where default and bounds come from.
+        of_full_scale: Whether the bounds are shares of the camera's highest digital number, whatever its bit depth.
     """
-    return field(default=default, metadata={"unit": unit, "low": low, "high": high, "source": source})
+    widest = _LARGEST_FULL_SCALE_DN if of_full_scale else 1.0
+    known = {"unit": unit, "low": low * widest, "high": high * widest, "source": source}
+    return field(default=default, metadata=known | {"of_full_scale": of_full_scale})
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,9 @@ class BlackLevel(Effect):
     stage = Stage.READOUT
     unit_in = DIGITAL_NUMBER
     unit_out = DIGITAL_NUMBER
-    black_level_dn: float = parameter(0.0, "DN", 0.0, 65535.0, source="datasheet; used where the frame gives none")
+    black_level_dn: float = parameter(
+        0.0, "DN", 0.0, 1.0, source="datasheet; used where the frame gives none", of_full_scale=True
+    )
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return DN with black level."""

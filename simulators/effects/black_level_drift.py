@@ -34,10 +34,14 @@ class BlackLevelDrift(Offset):
         "reference_C",
     )
     settles = "dark frames at the shortest exposure at three temperatures"
-    drift_dn_per_K: float = parameter(0.0, "DN/K", -50.0, 50.0, source="engineering prior; refined on a real rig")  # noqa: N815
+    drift_dn_per_K: float = parameter(  # noqa: N815
+        0.0, "DN/K", -0.0125, 0.0125, source="engineering prior; refined on a real rig", of_full_scale=True
+    )
     reference_C: float = parameter(25.0, "°C", -60.0, 120.0, source="temperature at which the stated black level holds")  # noqa: N815
 
-    bend_dn_per_K2: float = parameter(0.0, "DN/K²", -5.0, 5.0, source="leakage in the black clamp grows with heat")  # noqa: N815
+    bend_dn_per_K2: float = parameter(  # noqa: N815
+        0.0, "DN/K²", -0.00125, 0.00125, source="leakage in the black clamp grows with heat", of_full_scale=True
+    )
 
     def offset(self, context: ExposureContext) -> Any:
         """Return the offset in DN."""

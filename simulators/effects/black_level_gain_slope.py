@@ -38,7 +38,9 @@ class BlackLevelGainSlope(Offset):
     )
     fitted = ("slope_dn",)
     settles = "dark frames at the shortest exposure over all gains"
-    slope_dn: float = parameter(0.0, "DN", -1000.0, 1000.0, source="engineering prior; refined on a real rig")
+    slope_dn: float = parameter(
+        0.0, "DN", -0.25, 0.25, source="engineering prior; refined on a real rig", of_full_scale=True
+    )
 
     from_db: float = parameter(0.0, "dB", 0.0, 100.0, source="cameras mix analog and digital gain")
 

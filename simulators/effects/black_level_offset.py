@@ -32,10 +32,12 @@ class BlackLevelOffset(Offset):
     )
     fitted = ("offset_dn",)
     settles = "dark frames at the shortest exposure at three gains"
-    offset_dn: float = parameter(0.0, "DN", -4000.0, 4000.0, source="engineering prior; refined on a real rig")
+    offset_dn: float = parameter(
+        0.0, "DN", -1.0, 1.0, source="engineering prior; refined on a real rig", of_full_scale=True
+    )
 
-    tilt_x_dn: float = parameter(0.0, "DN", -100.0, 100.0, source="amplifiers settle along a line")
-    tilt_y_dn: float = parameter(0.0, "DN", -100.0, 100.0, source="references sag along a frame")
+    tilt_x_dn: float = parameter(0.0, "DN", -0.025, 0.025, source="amplifiers settle along a line", of_full_scale=True)
+    tilt_y_dn: float = parameter(0.0, "DN", -0.025, 0.025, source="references sag along a frame", of_full_scale=True)
 
     def offset(self, context: ExposureContext) -> Any:
         """Return the offset in DN."""

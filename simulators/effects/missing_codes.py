@@ -17,7 +17,7 @@ from simulators.effects.tile_moments import TileMoments
 _SAMPLES: Final = 4096  # of one step, for its Fourier series
 _HARMONICS: Final = 8
 _PER_CODE: Final = 2  # harmonics per code where single codes are left out
-_STEPS: Final = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 32.0, 64.0)
+_STEPS: Final = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 32.0, 64.0, 128.0, 256.0)
 
 
 @cache
@@ -71,9 +71,9 @@ class MissingCodes(CatalogueEffect):
     )
     fitted = ()
     settles = "any capture with noise above three steps"
-    step_codes: float = parameter(1.0, "1", 1.0, 4096.0, source="period of the codes that occur")
-    kept_codes: float = parameter(1.0, "1", 1.0, 4095.0, source="codes of each period that occur")
-    added_codes: float = parameter(0.0, "1", 0.0, 2048.0, source="half a step where it is rounded to the nearest")
+    step_codes: float = parameter(1.0, "1", 1.0, 1e9, source="period of the codes that occur")
+    kept_codes: float = parameter(1.0, "1", 1.0, 1e9, source="codes of each period that occur")
+    added_codes: float = parameter(0.0, "1", 0.0, 1e9, source="half a step where it is rounded to the nearest")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the code that stands for a value."""

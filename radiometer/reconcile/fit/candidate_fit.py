@@ -13,7 +13,6 @@ from radiometer.reconcile.fit.comparison import FAMILY
 from radiometer.reconcile.fit.held_out import leave_one_group_out
 from radiometer.reconcile.fit.state import FitState, refit, settled
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.model.parameters import EffectParameters
 from radiometer.reconcile.search.screening import Candidate
 from simulators.effects.catalogue import CatalogueEffect
 
@@ -119,19 +118,12 @@ class _Trial:
 
     def columns(self, state: FitState) -> Array:
         """Return −d(residual)/d(scaled parameter), prior rows included."""
-        own = _own_parameters(self.effect)
-        values, found = own.values, []
-        for index in range(own.size):
-            step = 1e-3 if values[index] + 1e-3 * own.scale[index] <= own.high[index] else -1e-3
-            moved = values.copy()
-            moved[index] += step * own.scale[index]
-            other = _Trial.of(state, own.replaced(moved)[0])
-            found.append((self.residual - other.residual) / step)
-        return np.stack(found, axis=1) if found else np.zeros((self.residual.size, 0))
+        own = state.parameters_of((self.effect,))
+        return -own.differences(lambda effects: _Trial.of(state, effects[0]).residual, self.residual)
 
     def stepped(self, state: FitState, columns: Array, damping: float) -> _Trial | None:
         """Return the trial after one damped Gauss–Newton step; None where the step is no number."""
-        own = _own_parameters(self.effect)
+        own = state.parameters_of((self.effect,))
         fit = state.fit
         part = fit.half(fit.pull(columns))
         pulled = fit.half(fit.pull(self.residual))
@@ -143,10 +135,6 @@ class _Trial:
             return None
         (effect,), _ = own.moved(np.clip(step, -30.0, 30.0))
         return _Trial.of(state, effect)
-
-
-def _own_parameters(effect: CatalogueEffect) -> EffectParameters:
-    return EffectParameters.of((effect,))
 
 
 def _profiled(state: FitState, effect: CatalogueEffect) -> CatalogueEffect:
@@ -161,7 +149,7 @@ def _profiled(state: FitState, effect: CatalogueEffect) -> CatalogueEffect:
 
 
 def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandidate:
-    columns = _off_bounds(best.effect, best.columns(state))
+    columns = _off_bounds(state, best.effect, best.columns(state))
     fit = state.fit.extended(columns, best.residual)
     before = family_chi2(state, state.fit.projected)
     after = family_chi2(state, fit.projected)
@@ -197,9 +185,9 @@ def _overrated(state: FitState, effect: CatalogueEffect, promised: Mapping[str, 
     return sum(max(promised[name] - gain, 0.0) for name, gain in shown.items()) / 2.0
 
 
-def _off_bounds(effect: CatalogueEffect, columns: Array) -> Array:
+def _off_bounds(state: FitState, effect: CatalogueEffect, columns: Array) -> Array:
     """Return the columns of parameters that are free to move; those on a bound are frozen."""
-    own = _own_parameters(effect)
+    own = state.parameters_of((effect,))
     span = 1e-6 * own.scale
     free = (own.values - own.low > span) & (own.high - own.values > span)
     return columns[:, free]

@@ -22,7 +22,8 @@ _BRIGHT_SHARE: Final = 0.05  # of the brightest tile: enough to tell the respons
 _FREE_RESPONSIVITY: Final = 50.0  # where no radiance is known its unit is arbitrary too
 _SCALARS: Final = ("log_responsivity", "log_gain", "log_read", "black_dn", "dark_e_per_s")
 _SCALAR_STEP: Final = {"black_dn": 1e-2, "dark_e_per_s": 1e-2}
-_SCALAR_PRIOR: Final = {"log_responsivity": _FREE_RESPONSIVITY, "black_dn": 1e4, "dark_e_per_s": 1e3}
+_FREE_BLACK: Final = 2.5  # of the full scale: anywhere in the converter's range
+_SCALAR_PRIOR: Final = {"log_responsivity": _FREE_RESPONSIVITY, "dark_e_per_s": 1e3}
 _STATED: Final = 1.0  # prior standard deviation below which a radiance counts as stated
 _LINEAR: Final = (-0.5, 1.0)  # relative errors of a radiance between which its factor is linear
 _FREE_SLOPE: Final = 3.0
@@ -65,7 +66,8 @@ class NuisanceLayout:
         lit = ~design.closed & (design.source_level > 0)
         patterns = tuple(sorted(set(design.pattern_index[lit].tolist())))
         free_scene = not design.uniform
-        prior = [_SCALAR_PRIOR.get(name, _FREE_LOG) for name in scalars]
+        wide = _SCALAR_PRIOR | {"black_dn": _FREE_BLACK * camera.full_scale_dn}
+        prior = [wide.get(name, _FREE_LOG) for name in scalars]
         own = [_radiance_prior(design, p, k) for p in patterns for k in range(len(design.tiles))]
         # A calibration error may be one and the same for several radiances, or not: each has a part of its own and
         # one that it shares.

@@ -102,7 +102,11 @@ class FitState:
     @cached_property
     def parameters(self) -> EffectParameters:
         """Return the fitted parameters of the effects."""
-        return EffectParameters.of(self.effects)
+        return self.parameters_of(self.effects)
+
+    def parameters_of(self, effects: Sequence[CatalogueEffect]) -> EffectParameters:
+        """Return the fitted parameters of any effects, within the bounds of this camera."""
+        return EffectParameters.of(effects, self.design.header.camera.full_scale_dn)
 
     @cached_property
     def plain_residual(self) -> Array:
@@ -142,7 +146,11 @@ class FitState:
     @cached_property
     def effect_jacobian(self) -> Array:
         """Return −d(residual)/d(scaled effect parameter), prior rows (zero) included."""
-        return self.pad(self.parameters.jacobian(self))
+
+        def residual_of(effects: tuple[CatalogueEffect, ...]) -> Array:
+            return self.comparison.residual(self.predicted_with(effects))
+
+        return self.pad(-self.parameters.differences(residual_of, self.plain_residual))
 
     @cached_property
     def fit(self) -> LinearFit:

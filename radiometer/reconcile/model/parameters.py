@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final
 
@@ -42,8 +42,8 @@ class EffectParameters:
     high: Array
 
     @classmethod
-    def of(cls, effects: Sequence[CatalogueEffect]) -> EffectParameters:
-        """Return the fitted parameters of effects."""
+    def of(cls, effects: Sequence[CatalogueEffect], full_scale_dn: float) -> EffectParameters:
+        """Return the fitted parameters of effects, bounds in digital numbers being those of a camera's full scale."""
         owner, names, scale, low, high = [], [], [], [], []
         for index, effect in enumerate(effects):
             known = {entry.name: entry for entry in effect.parameters()}
@@ -52,8 +52,9 @@ class EffectParameters:
                 names.append(name)
                 plain = name.split("[")[0]
                 scale.append(max(abs(value_of(effect, name)), 0.1 * _typical(effect, plain), 1e-12))
-                low.append(known[plain].low)
-                high.append(known[plain].high)
+                lowest, highest = known[plain].bounds(full_scale_dn)
+                low.append(lowest)
+                high.append(highest)
         return cls(tuple(effects), tuple(owner), tuple(names), np.array(scale), np.array(low), np.array(high))
 
     @property
@@ -91,18 +92,30 @@ class EffectParameters:
             changes[owner][plain] = tuple(table)
         return tuple(_changed(e, c) for e, c in zip(self.effects, changes, strict=True))
 
-    def jacobian(self, state: FitState) -> Array:
-        """Return −d(residual)/d(scaled parameter) of the data rows, (entries, parameters)."""
-        at = state.comparison.residual(state.prediction)
-        columns = np.zeros((at.size, self.size))
-        values = self.values
+    def differences(
+        self,
+        statistics_of: Callable[[tuple[CatalogueEffect, ...]], Array],
+        at: Array,
+        share: float = _STEP,
+        owner: int | None = None,
+    ) -> Array:
+        """Return d(statistics)/d(scaled parameter) by one-sided steps within the bounds, (entries, parameters).
+
+        Args:
+            statistics_of: Gives (entries,) statistics for effects.
+            at: The same for the parameters as they are.
+            share: Step in units of the scales.
+            owner: Position of the effect whose parameters are moved alone; by default all are.
+        """
+        values, found = self.values, []
         for index in range(self.size):
-            step = _STEP if values[index] + _STEP * self.scale[index] <= self.high[index] else -_STEP
+            if owner is not None and self.owner[index] != owner:
+                continue
+            step = share if values[index] + share * self.scale[index] <= self.high[index] else -share
             moved = values.copy()
             moved[index] += step * self.scale[index]
-            changed = state.comparison.residual(state.predicted_with(self.replaced(moved)))
-            columns[:, index] = (at - changed) / step
-        return columns
+            found.append((statistics_of(self.replaced(moved)) - at) / step)
+        return np.stack(found, axis=1) if found else np.zeros((at.size, 0))
 
 
 def _changed(effect: CatalogueEffect, values: dict[str, Any]) -> CatalogueEffect:

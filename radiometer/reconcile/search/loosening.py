@@ -10,7 +10,6 @@ import numpy as np
 
 from radiometer.errors import ConfigurationError
 from radiometer.reconcile.fit.state import FitState, refit, settled, with_effects
-from radiometer.reconcile.model.parameters import EffectParameters
 from radiometer.reconcile.search.rivals import PARAMETER_NATS
 from radiometer.reconcile.search.screening import change_of
 from simulators.effects.catalogue import CatalogueEffect
@@ -72,15 +71,9 @@ def _further(effect: CatalogueEffect, form: CatalogueEffect) -> int:
 def _linear_gain(state: FitState, index: int, form: CatalogueEffect) -> float:
     """Return the χ² that a form in an effect's place explains by itself and by its parameters' directions."""
     effects = [form if place == index else effect for place, effect in enumerate(state.effects)]
-    parameters = EffectParameters.of(effects)
     at = change_of(state, effects)
-    columns, values = [at], parameters.values
-    for place in (i for i, owner in enumerate(parameters.owner) if owner == index):
-        moved = values.copy()
-        step = _STEP * parameters.scale[place]
-        moved[place] += step if moved[place] + step <= parameters.high[place] else -step
-        columns.append(change_of(state, parameters.replaced(moved)) - at)
-    gain, _ = state.fit.score(slice(0, state.comparison.size), state.fit.followed(np.stack(columns, axis=1)))
+    own = state.parameters_of(effects).differences(lambda changed: change_of(state, changed), at, _STEP, index)
+    gain, _ = state.fit.score(slice(0, state.comparison.size), state.fit.followed(np.column_stack([at, own])))
     return float(gain)
 
 

@@ -31,7 +31,7 @@ class ConstantTrend(Offset):
     block = "mean"
     trials = ({"offset_dn": 1.0}, {"offset_dn": -1.0})
     fitted = ("offset_dn",)
-    offset_dn: float = parameter(0.0, "DN", -4096.0, 4096.0, source="free")
+    offset_dn: float = parameter(0.0, "DN", -1.0, 1.0, source="free", of_full_scale=True)
 
     def offset(self, context: ExposureContext) -> float:
         """Return b in DN."""

@@ -15,13 +15,13 @@ from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.measure.reduce import CaptureStatistics
 from radiometer.reconcile.measure.sums import COMB_PERIODS
 from radiometer.reconcile.measure.usable import seen_step
-from radiometer.reconcile.model.parameters import EffectParameters
 from radiometer.reconcile.search.start_pool import StartPool
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.missing_codes import MissingCodes
 
 _OTHER_STARTS: Final = 2  # of an entry that are kept for the fit beside the best
 _LARGEST_AMPLITUDE: Final = 300.0  # a start may be that much too small …
+_FLEXIBLE_STEP: Final = 0.1  # of a parameter's size: a start is far from the best values
 _SMALLEST_CURVATURE: Final = 1e-9
 AT_ONCE: Final = 32  # changes that are projected together: one at a time would read the whole fit for each
 
@@ -192,13 +192,8 @@ def _flexible_batch(state: FitState, covers: Sequence[tuple[CatalogueEffect, Arr
 def _flexible_columns(state: FitState, cover: CatalogueEffect) -> Array:
     """Return what a cover changes in the residual, and what its parameters do then, (entries, 1 + parameters)."""
     effects = (*state.effects, cover)
-    parameters = EffectParameters.of(effects)
-    own = [i for i, owner in enumerate(parameters.owner) if owner == len(state.effects)]
     at = change_of(state, effects)
-    columns = [at]
-    values = parameters.values
-    for index in own:
-        moved = values.copy()
-        moved[index] += 0.1 * parameters.scale[index]
-        columns.append(change_of(state, parameters.replaced(moved)) - at)
-    return np.stack(columns, axis=1)
+    own = state.parameters_of(effects).differences(
+        lambda changed: change_of(state, changed), at, _FLEXIBLE_STEP, len(state.effects)
+    )
+    return np.column_stack([at, own])
