@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("radiometer", "drivers", "simulators")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
-LONGEST_MODULE = 400
+LONGEST_MODULE = 500
 # A command's docstring is its help text for people; what it raises becomes an exit code.
 LIBRARY = [path for path in SOURCES if "cli" not in path.parts]
 
