@@ -21,7 +21,7 @@ define install_packages
 	fi
 endef
 
-.PHONY: help measure test check bench soak firmware calibration clean
+.PHONY: help measure test check mutants bench soak firmware calibration clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -37,6 +37,9 @@ check: $(VENV)/.ready-test  ## Format, lint, types, layers
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+mutants: $(VENV)/.ready-test  ## Make plausible mistakes one at a time and count which the fast tests notice (AREA=planning for one)
+	$(BIN)/python -m tests.mutants $(AREA)
 
 bench: $(VENV)/.ready-test  ## Run the long benchmarks and rewrite the tables in docs/benchmarks.md
 	$(BIN)/python -m benchmarks

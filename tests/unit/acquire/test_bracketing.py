@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from radiometer.acquire.bracketing import BracketRequest, plan_for_scene, take_plan
-from radiometer.acquire.exposure_plan import ExposurePlan
+from radiometer.acquire.exposure_plan import ExposurePlan, ExposureWindow
 from radiometer.acquire.metering import meter
 from radiometer.acquire.reach import assess_reach
-from radiometer.data import LensDescription, Patch
+from radiometer.data import Frame, FrameSettings, LensDescription, Patch
 from radiometer.devices import CameraCapabilities, CameraPreset, CameraSettings
 from radiometer.errors import DeviceError, UsageError
 from simulators.camera_model import CameraModel
@@ -54,6 +54,49 @@ def test_metering_finds_the_brightness_of_every_patch():
         expected = expected_rate(camera, patch.radiance())
         # The dimmest trial signal is five times its noise; the mean of n pixels is √n better.
         assert found.mean() == pytest.approx(expected, rel=4 * 0.2 / np.sqrt(found.size))
+
+
+def test_metered_rates_do_not_depend_on_the_gain():
+    """Rates are stated at 0 dB: at 12 dB the same scene has the same."""
+    camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": 0.05})
+    camera.configure(CameraSettings(0.01, gain_db=12.0, black_level_dn=64.0))
+    expected = expected_rate(camera, 0.05)
+    assert meter(camera).rates_dn_per_s.mean() == pytest.approx(expected, rel=0.01)
+
+
+def test_dim_light_at_high_gain_is_metered_though_its_noise_is_many_digital_numbers():
+    """At 30 dB the read noise is some 40 DN: a signal of ten times that in the longest trial counts as light."""
+    camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": 1e-6})
+    camera.configure(CameraSettings(0.01, gain_db=30.0, black_level_dn=64.0))
+    radiance = 400.0 / (10 ** (30 / 20) * 1.0) / expected_rate(camera, 1.0)
+    camera.set_scene(scene_from_mapping({"kind": "uniform", "radiance_W_per_sr_m2": radiance}))
+    rates = meter(camera, longest_s=1.0).rates_dn_per_s
+    assert np.mean(rates > 0) > 0.9
+    assert rates.mean() == pytest.approx(expected_rate(camera, radiance), rel=0.1)
+
+
+def test_the_dark_signal_of_a_warm_camera_is_not_metered_as_light():
+    """Cap on at 70 °C, where the expected dark signal is many times its noise: nothing stands out."""
+    warm = CameraPreset.shipped("BFS-U3-19S4M").camera.model_copy(update={"dark_current_e_per_s": 400.0})
+    model = CameraModel.ideal(warm, LensDescription(focal_length_mm=16, f_number=4.0))
+    scene = scene_from_mapping({"kind": "uniform", "radiance_W_per_sr_m2": 0.0})
+    camera = SimulatedCamera(model, scene, seed=3, limits=LIMITS, temperature_c=warm.dark_current_reference_C)
+    camera.open()
+    camera.configure(CameraSettings(0.01, black_level_dn=64.0))
+    assert np.mean(meter(camera, longest_s=1.0).rates_dn_per_s > 0) < 0.01
+
+
+def test_reach_is_judged_above_the_black_level():
+    """Codes just above and just below black plus the lowest and the clipping signal, at a black level of 400 DN."""
+    about = CameraPreset.shipped("BFS-U3-19S4M").camera
+    window = ExposureWindow.of(about, 0.0, 400.0)
+    edges = [400 + window.lowest_dn - 2, 400 + window.lowest_dn + 2, 400 + 0.99 * window.clipping_dn, 4095]
+    settings = FrameSettings(exposure_s=0.01, black_level_dn=400.0)
+    frame = Frame(np.array([edges], dtype=np.uint16), 12, settings)
+    reach = assess_reach([frame], about)
+    assert reach.cover.tolist() == [[0, 1, 1, 0]]
+    assert reach.below_noise.tolist() == [[True, False, False, False]]
+    assert reach.saturated.tolist() == [[False, False, False, True]]
 
 
 def test_five_decades_are_well_exposed_twice():

@@ -106,6 +106,28 @@ def test_repeats_reach_the_uncertainty_asked_for():
     assert repeats_for(plan, rate, CAMERA, 0.0, 0.001) == expected
 
 
+@pytest.mark.parametrize("gain_db", [0.0, 6.0, 20.0])
+def test_a_plan_covers_the_scene_at_the_gain_it_is_made_for(gain_db):
+    """Amplified by hand, every pixel lies in the window of that gain twice, and none above it in both."""
+    window = ExposureWindow.of(CAMERA, gain_db, 64.0)
+    rates = np.geomspace(100.0, 1e6, 60)
+    plan = plan_exposures(rates, window, gain_db, LIMITS_S)
+    signal = np.multiply.outer(np.asarray(plan.exposures_s), rates * 10 ** (gain_db / 20))
+    inside = (signal >= window.lowest_dn) & (signal <= window.highest_dn * (1 + 1e-6))
+    assert inside.sum(axis=0).min() >= 2
+
+
+def test_repeats_count_gain_and_pixels():
+    """A hundred pixels at 12 dB: information by hand from the photon-transfer law at that gain."""
+    factor = 10 ** (12 / 20)
+    rates = np.full(100, 1000.0)
+    plan = plan_exposures(rates, ExposureWindow.of(CAMERA, 12.0, 64.0), 12.0, LIMITS_S)
+    signal_e = 1000.0 * 2.6 * np.array(plan.exposures_s)
+    noise_e2 = signal_e + 2.4**2 + (2.6 / factor) ** 2 / 12
+    expected = math.ceil(1.0 / ((signal_e**2 / noise_e2).sum() * 100 * 1e-5**2))
+    assert repeats_for(plan, rates, CAMERA, 12.0, 1e-5) == expected
+
+
 def test_a_ladder_has_the_ends_and_the_steps_asked_for():
     """One stop apart from 1 ms to 8 ms."""
     assert exposure_ladder(0.001, 0.008, 1.0, LIMITS_S).exposures_s == pytest.approx((0.001, 0.002, 0.004, 0.008))
