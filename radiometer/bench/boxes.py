@@ -6,7 +6,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -16,6 +16,7 @@ from pydantic import Field
 from drivers.light_box import SerialLightBox
 from drivers.light_box_link import BoxLink
 from drivers.serial_line import SerialLine, list_serial_ports
+from radiometer.bench.box_holder import holding, is_ours
 from radiometer.data.config_files import shipped_config
 from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.storage import read_yaml
@@ -32,6 +33,7 @@ SIMULATED_SERIAL: Final = "SIM00001"
 DEFAULT_PRESET: Final = "light_boxes/reference.yaml"
 PORT_VARIABLE: Final = "RADIOMETER_LIGHT_BOX_PORTS"
 TEND_SLICE_S: Final = 0.2
+SIMULATED_PORTS: Final = "radiometer-light-boxes"
 
 
 class ChannelConfig(ConfigSection):
@@ -96,14 +98,15 @@ def read_preset(path: Path | None = None) -> LightBoxConfig:
 def candidate_ports() -> list[str]:
     """Return the ports on which a light box may answer: serial ports, simulated boxes, and those the user names."""
     named = [port for port in os.environ.get(PORT_VARIABLE, "").split(os.pathsep) if port]
-    simulated = sorted(str(link) for link in simulated_port_folder().glob("*") if link.exists())
+    folder = simulated_port_folder()
+    simulated = sorted(str(link) for link in folder.glob("*") if link.exists()) if is_ours(folder) else []
     return list(dict.fromkeys([*named, *simulated, *list_serial_ports()]))
 
 
 def simulated_port_folder() -> Path:
     """Return the folder in which `radiometer simulate box` keeps links to its ports."""
     base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
-    return Path(base) / f"radiometer-light-boxes-{os.getuid()}"
+    return Path(base) / f"{SIMULATED_PORTS}-{os.getuid()}"
 
 
 def find_boxes(ports: list[str] | None = None) -> tuple[list[LightBoxIdentity], list[str]]:
@@ -154,7 +157,8 @@ def open_light_box(
         file = calibration or calibration_file(box.identity.serial)
         known = read_box_calibration(file, box.identity.serial) if calibration or file.is_file() else None
         box.calibration = known
-        yield OpenedBox(box, config, known, opened.wait, opened.twin)
+        with nullcontext() if opened.twin else holding(box.identity.serial, box.link.line.name, box.safe):
+            yield OpenedBox(box, config, known, opened.wait, opened.twin)
 
 
 def read_box_calibration(path: Path, serial: str) -> LightCalibration:

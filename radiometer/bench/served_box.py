@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from radiometer.bench.box_adaptation import seat_subject
-from radiometer.bench.boxes import simulated_port_folder
+from radiometer.bench.box_holder import runtime_folder
+from radiometer.bench.boxes import SIMULATED_PORTS
 from radiometer.errors import OutputError, UsageError
 from simulators.avr_box import AvrBox
 from simulators.light_box import LightBoxTwin, TwinSettings
@@ -62,7 +63,7 @@ def served_box(
         OutputError: If the link cannot be made.
         MissingLibrary: If simavr is asked for and not installed.
     """
-    place = link or simulated_port_folder() / serial
+    place = link or runtime_folder(SIMULATED_PORTS) / serial
     try:
         place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:

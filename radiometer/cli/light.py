@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_module
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,11 +12,14 @@ from radiometer.cli.arguments import parse_seconds
 from radiometer.cli.console import console, note
 from radiometer.cli.light_calibrate import calibrate
 from radiometer.cli.light_report import status_report, tell_event, tell_state, tell_status
-from radiometer.errors import UsageError
+from radiometer.errors import DeviceError, UsageError
 
 if TYPE_CHECKING:
     from radiometer.bench.boxes import OpenedBox
     from radiometer.devices.light_box import Level
+
+_LOOK_S = 0.25  # how often the light is looked at
+_BUDGET_USED_UP = 0.02  # of the full budget: it refills from the moment the light went out
 
 app = typer.Typer(
     add_completion=False,
@@ -58,7 +60,7 @@ def set_level(
     with open_light_box(box, calibration=calibration, preset=preset) as opened:
         state = opened.box.set_level(channel, wanted)
         tell_state(opened, state, radiance, json=json)
-        _stay(opened, lit_s)
+        _stay(opened, lit_s, channel if state.drive.level else None)
 
 
 @app.command()
@@ -107,7 +109,7 @@ def blink(
     with open_light_box(box, calibration=calibration, preset=preset) as opened:
         state = opened.box.blink(channel, wanted, on_s, off_s, count)
         tell_state(opened, state, radiance, json=json)
-        _stay(opened, lit_s)
+        _stay(opened, lit_s, channel if count == 0 else None)
 
 
 @app.command()
@@ -116,9 +118,21 @@ def off(
     box: Box = None,
     json: Json = False,
 ) -> None:
-    """Darken the box, or one channel."""
-    from radiometer.bench.boxes import open_light_box
+    """Darken the box, or one channel; also while another program, such as the daemon, holds the box.
 
+    A program that holds it darkens all of it. The button of the box does so too, held for 3 s.
+    """
+    from radiometer.bench.box_holder import ask_for_darkness, held_boxes
+    from radiometer.bench.boxes import SIMULATED, open_light_box
+
+    held = [entry for entry in held_boxes() if box in (None, entry.serial, entry.port)] if box != SIMULATED else []
+    for entry in held:
+        ask_for_darkness(entry)
+        told = {"box": entry.serial, "darkened_by": entry.pid}
+        text = f"light box {entry.serial}: dark, by process {entry.pid}, which holds it"
+        print(json_module.dumps(told)) if json else console().print(text)
+    if held:
+        return
     with open_light_box(box) as opened:
         if channel is not None:
             opened.box.off(channel)
@@ -183,17 +197,46 @@ def _level(radiance: float | None, level: int | None, low: bool) -> Level:
     return DriveLevel(level, CurrentRange.LOW if low else CurrentRange.HIGH)
 
 
-def _stay(opened: OpenedBox, lit_s: float | None) -> None:
-    """Keep the box lit for a time, or until Ctrl-C; the simulated box in this process needs nobody to wait for it."""
-    if opened.twin is not None:
-        opened.wait(lit_s or 0.0)
+def _stay(opened: OpenedBox, lit_s: float | None, channel: str | None = None) -> None:
+    """Keep the box lit for a time, or until Ctrl-C, and watch it; the simulated box in this process needs no watching.
+
+    Args:
+        opened: The box.
+        lit_s: How long in s; None until Ctrl-C.
+        channel: The channel that must stay lit for that time; None where it ends by itself.
+
+    Raises:
+        DeviceError: If the box was lost, or ended the light before its time.
+    """
+    from radiometer.devices import ChannelMode
+
+    if lit_s is None and opened.twin is not None:
         return
     if lit_s is None:
         note("stop with Ctrl-C")
-    end_s = time.monotonic() + (lit_s if lit_s is not None else 1e9)
+    now_s = opened.box.link.line.now
+    start_s = now_s()
+    end_s = start_s + (lit_s if lit_s is not None else 1e9)
     try:
-        while (left_s := end_s - time.monotonic()) > 0:
-            opened.wait(min(left_s, 1.0))
-            opened.box.status()  # raises where the box was lost
+        while (left_s := end_s - now_s()) > 0:
+            opened.wait(min(left_s, _LOOK_S))
+            if channel is None:
+                opened.box.status()  # raises where the box was lost
+            elif opened.box.read_channel(channel).mode is ChannelMode.OFF and now_s() < end_s - _LOOK_S:
+                raise _ended_early(opened, channel, now_s() - start_s, lit_s)
     except KeyboardInterrupt:
         return
+
+
+def _ended_early(opened: OpenedBox, channel: str, after_s: float, lit_s: float | None) -> DeviceError:
+    left = opened.box.read_channel(channel).energy_left
+    reason = (
+        "its energy budget is used up; take a lower level or a shorter time"
+        if left < _BUDGET_USED_UP
+        else "another program asked for darkness, or the button of the box was held"
+    )
+    wanted = "" if lit_s is None else f" of {lit_s:g} s"
+    return DeviceError(
+        f"the light box ended the light of {channel} by itself after {after_s:.1f} s{wanted}"
+        f" (known to {_LOOK_S:g} s): {reason}"
+    )

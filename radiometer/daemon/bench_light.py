@@ -8,7 +8,7 @@ from pathlib import Path
 
 from radiometer.bench.boxes import open_light_box
 from radiometer.daemon.instrument import DeviceReport
-from radiometer.devices.light_box import FULL_LEVEL, CurrentRange, DriveLevel, LightBox
+from radiometer.devices.light_box import FULL_LEVEL, ChannelState, CurrentRange, DriveLevel, LightBox
 from radiometer.errors import DeviceError
 
 
@@ -59,14 +59,15 @@ class BenchLight:
         self._held.close()
 
     def check(self) -> DeviceReport:
-        """Ask the box for its temperature and counts, as a sign of life. Raises DeviceError."""
-        status = self._opened().status()
+        """Ask the box for temperature, counts and what each channel really does. Raises DeviceError."""
+        box = self._opened()
+        status, levels = box.status(), {name: _level(box.read_channel(name)) for name in self._channels}
         counts = {
             "damaged_lines": status.damaged_lines,
             "lost_bytes": status.lost_bytes,
             "darkened": status.darkened,
         }
-        return DeviceReport(status.temperature_celsius, counts)
+        return DeviceReport(status.temperature_celsius, counts, levels)
 
     def set_level(self, channel: str, level: float) -> float:
         """Set a channel's level, 0 to 1, and return it as read back. Raises DeviceError."""
@@ -75,12 +76,17 @@ class BenchLight:
             box.off(channel)
             return 0.0
         state = box.set_level(channel, DriveLevel(max(1, round(level * FULL_LEVEL)), CurrentRange.HIGH))
-        return state.drive.level / FULL_LEVEL
+        return _level(state)
 
     def _opened(self) -> LightBox:
         if self._box is None:
             raise DeviceError(f"the {self._name} is not open")
         return self._box
+
+
+def _level(state: ChannelState) -> float:
+    """Return the level on the high range that a channel is driven at; one on the low range counts as what it is."""
+    return state.drive.level / FULL_LEVEL
 
 
 def bench_light(name: str, calibration: Path | None = None, preset: Path | None = None) -> BenchLight:

@@ -58,10 +58,12 @@ class DeviceReport:
     Attributes:
         temperature_c: Sensor or box temperature in °C; None where not reported.
         counters: Counts since it was opened, such as "missing_packets".
+        levels: Levels of the light channels as the device itself has just told them; None where it does not.
     """
 
     temperature_c: float | None = None
     counters: Mapping[str, int] = field(default_factory=dict)
+    levels: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

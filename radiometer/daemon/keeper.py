@@ -88,6 +88,7 @@ class DeviceKeeper:
         alarms: Where its loss is reported.
         times: Pauses and deadlines.
         after_open: Called in the event loop after each opening.
+        after_check: Called in the event loop with what an idle device reported.
         sleep: Waits for a number of seconds.
     """
 
@@ -99,10 +100,12 @@ class DeviceKeeper:
         *,
         times: KeeperTimes | None = None,
         after_open: Callable[[], None] = lambda: None,
+        after_check: Callable[[DeviceReport], None] = lambda report: None,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
         self.name, self.state, self.report, self.losses = name, DeviceState.CLOSED, DeviceReport(), 0
         self._device, self._alarms, self._after_open, self._sleep = device, alarms, after_open, sleep
+        self._after_check = after_check
         self._times = times or KeeperTimes()
         self._busy = asyncio.Lock()
         self._trouble = asyncio.Event()
@@ -201,6 +204,7 @@ class DeviceKeeper:
             return
         try:
             self.report = await self.use(self._device.check)
+            self._after_check(self.report)
         except DeviceError as error:
             _log.debug("check failed", device=self.name, error=str(error))
 

@@ -15,18 +15,19 @@ import radiometer
 from radiometer.daemon.acquisition import Acquisition
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.hub import Event, Hub
-from radiometer.daemon.instrument import Instrument, LightSource, Measurement, MeasurementSettings, Origin
+from radiometer.daemon.instrument import DeviceReport, Instrument, LightSource, Measurement, MeasurementSettings, Origin
 from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.keeper import DeviceKeeper, DeviceState, KeeperTimes
 from radiometer.daemon.metrics import Metrics
 from radiometer.data import Patch, Reading
 from radiometer.data.provenance import utc_now
-from radiometer.errors import DeviceLost, RadiometerError, SettingOutOfRange, UsageError
+from radiometer.errors import DeviceError, DeviceLost, RadiometerError, SettingOutOfRange, UsageError
 
 _log = structlog.get_logger(__name__)
 WAVELENGTH_LIMITS_NM = (300.0, 1200.0)
 EVERY_LIMITS_S = (0.0, 86400.0)
+_LEVEL_TOLERANCE = 1e-6  # levels are 16-bit numbers, read back as such
 _JOURNAL_PATIENCE_S = 5.0  # a client is not kept waiting for a journal that is known to be blocked
 
 
@@ -58,7 +59,11 @@ class Station:
         self.writer = JournalWriter(journal, self.alarms, self._publish, keep_days=keep_days)
         self.camera = DeviceKeeper("camera", instrument, self.alarms, times=times)
         self.box_keeper = (
-            DeviceKeeper("light box", box, self.alarms, times=times, after_open=self._box_opened) if box else None
+            DeviceKeeper(
+                "light box", box, self.alarms, times=times, after_open=self._box_opened, after_check=self._box_reported
+            )
+            if box
+            else None
         )
         self.acquisition = Acquisition(instrument, self.camera, self.writer, self.alarms, self._measured)
         self._initial_settings = settings or MeasurementSettings()
@@ -195,9 +200,36 @@ class Station:
         if self.box is None or self.box_keeper is None:
             raise DeviceLost("no light box is configured; name one in the bench file")
         self._refuse_outside(f"level of {channel}", level, 0.0, 1.0, "")
+        before = self.levels.get(channel, 0.0)
         self.levels[channel] = await self.box_keeper.use(self.box.set_level, channel, level)
+        if bool(before) != bool(self.levels[channel]):
+            self.writer.note("light", f"{channel} lit at {level:.4g}" if level else f"{channel} switched off")
+        self.alarms.clear(_light_alarm(channel), f"{channel} was set anew")
         self._tell_status()
         return self.levels[channel]
+
+    async def lights_off(self) -> None:
+        """Darken every channel, whatever is known of it; each is tried although another failed.
+
+        Raises:
+            DeviceLost: If there is no box, or it is lost: it is dark by itself 1 s after it was.
+            DeviceError: If a channel could not be darkened.
+        """
+        if self.box is None or self.box_keeper is None:
+            raise DeviceLost("no light box is configured; name one in the bench file")
+        failure: DeviceError | None = None
+        for channel in self.box.channels:
+            try:
+                await self.set_level(channel, 0.0)
+            except DeviceError as error:
+                failure = error
+        if failure is not None:
+            raise failure
+
+    @property
+    def light_is_confirmed(self) -> bool:
+        """Tell whether the box itself has told the levels and can be asked again: a lost one may do anything."""
+        return self.box_keeper is not None and self.box_keeper.state is DeviceState.READY
 
     async def reload_calibration(self) -> str:
         """Read the calibration again; a bad file puts up an alarm and the old one stays in use."""
@@ -228,7 +260,8 @@ class Station:
                 "gain_db": settings.gain_db,
                 "wavelength_nm": settings.wavelength_nm,
             },
-            "light": self.levels,
+            "light": {channel: level if self.light_is_confirmed else None for channel, level in self.levels.items()},
+            "light_confirmed": self.light_is_confirmed,
             "calibration": dict(self.instrument.calibration_summary),
             "latest_sequence": self.latest.sequence if self.latest else None,
             "queue": {"measurements": self.acquisition.queue_depth, "journal": self.writer.depth},
@@ -310,10 +343,30 @@ class Station:
         """A box that comes back is dark: the levels set before are gone, and must not be believed."""
         self.levels = dict.fromkeys(self.box.channels, 0.0) if self.box else {}
 
+    def _box_reported(self, report: DeviceReport) -> None:
+        """Take over what the box says that it does; light that is not as it was set is an alarm."""
+        for channel, level in (report.levels or {}).items():
+            believed = self.levels.get(channel, 0.0)
+            if abs(level - believed) <= _LEVEL_TOLERANCE:
+                continue
+            self.levels[channel] = level
+            message = (
+                f"{channel} was set to {believed:.4g} and went dark by itself: its energy budget is used up, its button"
+                " was held, or another program asked for darkness"
+                if level == 0.0
+                else f"{channel} is at {level:.4g} where {believed:.4g} was set"
+            )
+            self.alarms.put_up(_light_alarm(channel), message)
+            self._tell_status()
+
     def _tell_status(self) -> None:
         for callback in self.on_change:
             callback()
         self.hub.publish(Event("status", json.dumps(self.status(), ensure_ascii=False)))
+
+
+def _light_alarm(channel: str) -> str:
+    return f"light {channel}"
 
 
 def _is_of(measurement: Measurement, reading: Reading) -> bool:

@@ -56,6 +56,13 @@ async def set_light(request: web.Request) -> web.Response:
     return _json({"channel": body.channel, "level": level})
 
 
+async def switch_off(request: web.Request) -> web.Response:
+    """Darken every channel of the light box and reply the levels."""
+    station = request.app[STATION]
+    await station.lights_off()
+    return _json({"light": dict(station.levels)})
+
+
 async def show_status(request: web.Request) -> web.Response:
     """Reply the state of everything."""
     return _json(request.app[STATION].status())
@@ -119,6 +126,7 @@ ROUTES: Final = (
     Route("POST", "/settings", change_settings, "Change settings for all later measurements.", body=SettingsBody,
           schema="Status"),
     Route("POST", "/light", set_light, "Set the level of a light channel.", body=LightBody, schema="Light"),
+    Route("POST", "/light/off", switch_off, "Switch every light channel off.", schema="Light"),
     Route("GET", "/status", show_status, "State of devices, settings, calibration and alarms.", schema="Status"),
     Route("GET", "/response", show_response, "Response curve in use, at most 512 points; `linear` tells that none is.",
           schema="Response"),

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from radiometer.daemon.scpi import formats
-from radiometer.daemon.scpi.command import Call, Command, Handler
+from radiometer.daemon.scpi.command import Call, Command, Handler, Outcome
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.measure_commands import PATCH_PARAMETERS, patch_from
 from radiometer.daemon.scpi.parameters import Boolean, Choice, Limits, Number
@@ -109,13 +109,27 @@ async def _set_level(call: Call) -> None:
 
 
 def _ask_level(call: Call) -> str:
-    return formats.number(call.session.station.levels[_channel(call)])
+    station, channel = call.session.station, _channel(call)
+    if not station.light_is_confirmed:
+        raise ScpiError(-230, f"the level of {channel} is not confirmed: the light box does not answer")
+    return formats.number(station.levels[channel])
 
 
 async def _lights_off(call: Call) -> None:
+    await call.session.station.lights_off()
+
+
+def _set_output(call: Call) -> Outcome:
+    if call.values[0]:
+        raise ScpiError(-221, "there is no one level for all: SOURce:LED<n>:LEVel lights a channel")
+    return _lights_off(call)
+
+
+def _ask_output(call: Call) -> str:
     station = call.session.station
-    for channel in station.box.channels if station.box else ():
-        await station.set_level(channel, 0.0)
+    if not station.light_is_confirmed:
+        raise ScpiError(-230, "the light box does not answer")
+    return str(int(any(station.levels.values())))
 
 
 def _catalogue(call: Call) -> str:
@@ -156,11 +170,17 @@ COMMANDS: Final = (
             example="CAL:STAT?", group=CALIBRATION),
     Command("CALibration:RELoad", "Reads the calibration file named at start again, as SIGHUP does.", do=_reload,
             example="CAL:REL", group=CALIBRATION),
-    Command("SOURce:LED<n>:LEVel", "Sets the level of a channel of the light box, 0 (off) to 1. The query replies the"
-            " level read back.", do=_set_level, ask=_ask_level, parameters=(Number("level", "PCT", _level),),
+    Command("SOURce:LED<n>:LEVel", "Sets the level of a channel of the light box, 0 (off) to 1. The query replies"
+            " the level that the box itself told last (twice a second); −230 while it does not answer. A light that the"
+            " box ended by itself (energy budget, its button) is 0 and an alarm.",
+            do=_set_level, ask=_ask_level, parameters=(Number("level", "PCT", _level),),
             reply="level",
             example="SOUR:LED1:LEV 0.25;LEV?", group=SOURCE),
     Command("SOURce:LED:CATalog", "Names the channels, from 1 on.", ask=_catalogue, reply='"name",…',
             example="SOUR:LED:CAT?", group=SOURCE),
+    Command("OUTPut:ALL", "OFF switches every channel off, at once also as the first message of a connection; ON is"
+            " refused (−221). The query replies 1 while any channel is lit, as the box itself tells.",
+            do=_set_output, ask=_ask_output, parameters=(Boolean(),), reply="0 or 1", example="OUTP:ALL OFF;ALL?",
+            group=SOURCE),
     Command("SOURce:LED:OFF", "Switches every channel off.", do=_lights_off, example="SOUR:LED:OFF", group=SOURCE),
 )  # fmt: skip

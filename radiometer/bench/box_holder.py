@@ -1,0 +1,168 @@
+"""Asks whoever holds a light box to darken it: a socket beside each open box, for programs of the same user."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import socket
+import struct
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from radiometer.errors import DeviceInUse, OutputError
+
+_PATIENCE_S: Final = 3.0  # the box answers, or is dark by its dead-man timer, in less
+_LONGEST_WORD: Final = 200
+
+
+@dataclass(frozen=True, slots=True)
+class HeldBox:
+    """A light box that a program holds.
+
+    Attributes:
+        serial: Its serial number.
+        port: The port it is on.
+        pid: Process that holds it.
+        address: Socket on which that program can be asked.
+    """
+
+    serial: str
+    port: str
+    pid: int
+    address: Path
+
+
+def runtime_folder(name: str) -> Path:
+    """Return a folder of this user alone, made where missing.
+
+    Raises:
+        OutputError: If it cannot be made, is no folder, or belongs to (or is open to) another user.
+    """
+    folder = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()) / f"{name}-{os.getuid()}"
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        owner = folder.lstat()
+    except OSError as error:
+        raise OutputError(f"cannot make {folder}: {error.strerror or error}") from error
+    if not is_ours(folder):
+        raise OutputError(
+            f"{folder} belongs to user {owner.st_uid} or is open to others (mode {owner.st_mode & 0o777:o}):"
+            " remove it, or set XDG_RUNTIME_DIR to a folder of your own"
+        )
+    return folder
+
+
+def is_ours(folder: Path) -> bool:
+    """Tell whether a path is a folder, no link, of this user, into which no other user may write."""
+    try:
+        found = folder.lstat()
+    except OSError:
+        return False
+    return folder.is_dir() and not folder.is_symlink() and found.st_uid == os.getuid() and not found.st_mode & 0o022
+
+
+@contextmanager
+def holding(serial: str, port: str, darken: Callable[[], None]) -> Iterator[None]:
+    """Let other programs of this user ask for darkness while the block runs.
+
+    Args:
+        serial: Serial number of the box held.
+        port: Its port.
+        darken: Darkens every channel; called from a thread of its own.
+    """
+    folder = runtime_folder("radiometer-held-boxes")
+    address = folder / f"{hashlib.sha256(port.encode()).hexdigest()[:12]}-{os.getpid()}-{threading.get_ident()}"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
+        with _short(address) as short:
+            listener.bind(short)
+        listener.listen(4)
+        thread = threading.Thread(
+            target=_serve, args=(listener, f"{serial} {os.getpid()} {port}", darken), name="box holder", daemon=True
+        )
+        thread.start()
+        try:
+            yield
+        finally:
+            address.unlink(missing_ok=True)
+            listener.shutdown(socket.SHUT_RDWR)
+            thread.join(_PATIENCE_S)
+
+
+def held_boxes() -> list[HeldBox]:
+    """Return the light boxes that programs of this user hold; what a killed program left behind is removed."""
+    found = []
+    for address in sorted(runtime_folder("radiometer-held-boxes").iterdir()):
+        words = _asked(address, "who").split(" ", 2)
+        if len(words) == 3 and words[1].isdigit():
+            found.append(HeldBox(words[0], words[2], int(words[1]), address))
+    return sorted(found, key=lambda held: held.port)
+
+
+def ask_for_darkness(held: HeldBox) -> None:
+    """Have the program that holds a box darken it. Raises DeviceInUse if it does not answer."""
+    if _asked(held.address, "off") != "dark":
+        raise DeviceInUse(
+            f"process {held.pid} holds light box {held.serial} and does not darken it; end that process"
+            " (the box goes dark 1 s later), or hold the button of the box for 3 s"
+        )
+
+
+def _asked(address: Path, word: str) -> str:
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
+            line.settimeout(_PATIENCE_S)
+            with _short(address) as short:
+                line.connect(short)
+            line.sendall(word.encode() + b"\n")
+            with line.makefile("r", encoding="utf-8", errors="replace") as answer:
+                return answer.readline(_LONGEST_WORD).strip()
+    except ConnectionRefusedError:
+        address.unlink(missing_ok=True)
+        return ""
+    except OSError:
+        return ""
+
+
+@contextmanager
+def _short(address: Path) -> Iterator[str]:
+    """Name a socket by a path of few bytes: it may have 107, which folders in folders outgrow (unix(7))."""
+    folder = os.open(address.parent, os.O_PATH | os.O_DIRECTORY)
+    try:
+        yield f"/proc/self/fd/{folder}/{address.name}"
+    finally:
+        os.close(folder)
+
+
+def _serve(listener: socket.socket, name: str, darken: Callable[[], None]) -> None:
+    while True:
+        try:
+            line, _ = listener.accept()
+        except OSError:
+            return  # the block has ended
+        with line, contextlib.suppress(OSError):
+            line.settimeout(_PATIENCE_S)
+            if _peer_uid(line) not in (os.getuid(), 0):
+                continue
+            with line.makefile("r", encoding="utf-8", errors="replace") as asked:
+                word = asked.readline(_LONGEST_WORD).strip()
+            line.sendall(_answer(word, name, darken).encode() + b"\n")
+
+
+def _answer(word: str, name: str, darken: Callable[[], None]) -> str:
+    if word == "off":
+        darken()
+        return "dark"
+    return name if word == "who" else "?"
+
+
+def _peer_uid(line: socket.socket) -> int:
+    """Return the user of the process at the other end (Linux, unix(7): SO_PEERCRED)."""
+    size = struct.calcsize("3i")
+    _, uid, _ = struct.unpack("3i", line.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))
+    return int(uid)

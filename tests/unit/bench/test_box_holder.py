@@ -1,0 +1,115 @@
+"""Whoever holds a light box darkens it on request; the folders for that are one user's alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from radiometer.bench.box_holder import ask_for_darkness, held_boxes, holding, is_ours, runtime_folder
+from radiometer.bench.boxes import candidate_ports, open_light_box, simulated_port_folder
+from radiometer.bench.served_box import served_box
+from radiometer.cli.main import run
+from radiometer.devices.light_box import DriveLevel
+from radiometer.errors import DeviceInUse, OutputError
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+
+
+def test_light_off_works_while_another_program_holds_the_box(capsys: pytest.CaptureFixture[str]) -> None:
+    """The box on its port is lit and held; `light off` has its holder darken it, and says who that was."""
+    with served_box("HELD0001", None).server as server, open_light_box(server.port) as opened:
+        opened.box.set_level("spot", DriveLevel(1000))
+        done: list[int] = []
+        asking = threading.Thread(target=lambda: done.append(run(["light", "off", "--json"])))
+        asking.start()
+        asking.join(20)
+        assert done == [0]
+        assert opened.box.read_channel("spot").drive.level == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == {"box": "HELD0001", "darkened_by": os.getpid()}
+
+
+def test_light_off_asks_only_the_holder_of_the_box_named(capsys: pytest.CaptureFixture[str]) -> None:
+    """Another box stays as it is."""
+    dark: list[str] = []
+    with (
+        holding("AAAA0001", "/dev/a", lambda: dark.append("a")),
+        holding("BBBB0001", "/dev/b", lambda: dark.append("b")),
+    ):
+        assert [(box.serial, box.port) for box in held_boxes()] == [("AAAA0001", "/dev/a"), ("BBBB0001", "/dev/b")]
+        assert run(["light", "off", "--box", "BBBB0001"]) == 0
+        assert run(["light", "off", "--box", "/dev/a"]) == 0
+    assert dark == ["b", "a"]
+    assert held_boxes() == []
+
+
+def test_a_holder_that_does_not_darken_is_named() -> None:
+    """The message gives the process and the ways that are left."""
+
+    def stuck() -> None:
+        raise OSError("the port has gone")
+
+    with holding("AAAA0001", "/dev/a", stuck):
+        (held,) = held_boxes()
+        with pytest.raises(DeviceInUse, match=rf"process {os.getpid()} .* button"):
+            ask_for_darkness(held)
+
+
+def test_what_a_killed_holder_left_behind_is_removed(tmp_path: Path) -> None:
+    """A socket that nobody serves is no holder."""
+    import socket
+
+    left = runtime_folder("radiometer-held-boxes") / "left"
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(left))
+    assert held_boxes() == []
+    assert not left.exists()
+
+
+@pytest.mark.parametrize("spoil", ["open to others", "a link", "a file"])
+def test_a_folder_that_others_could_have_made_is_refused(tmp_path: Path, spoil: str) -> None:
+    """Ports and requests of another user are not believed: neither served there nor looked for there."""
+    folder = simulated_port_folder()
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "TRAP0001").symlink_to("/dev/null")
+    if spoil == "a link":
+        folder.symlink_to(elsewhere)
+    elif spoil == "a file":
+        folder.write_text("")
+    else:
+        folder.mkdir()
+        (folder / "TRAP0001").symlink_to("/dev/null")
+        folder.chmod(0o777)
+    assert not is_ours(folder)
+    assert not [port for port in candidate_ports() if "TRAP" in port]
+    with pytest.raises(OutputError, match=r"open to others|cannot make"):
+        served_box("TWIN0001", None)
+
+
+def test_a_folder_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who owns the folder could put any port into it."""
+    folder = simulated_port_folder()
+    folder.mkdir(mode=0o700)
+    uid = os.getuid()
+    monkeypatch.setattr("radiometer.bench.box_holder.os.getuid", lambda: uid + 1)
+    assert not is_ours(folder)
+
+
+def test_light_that_the_box_ends_is_told(capsys: pytest.CaptureFixture[Any]) -> None:
+    """The bleach's energy budget lasts 200 s at its limit: 230 s end with exit code 1 and the time it lasted."""
+    words = ["light", "set", "bleach", "--level", "60000", "--for", "230s", "--box", "sim"]
+    assert run(words) == 1
+    error = capsys.readouterr().err
+    assert "energy budget" in error
+    assert float(error.split("after ")[1].split(" s")[0]) == pytest.approx(200.0, abs=1.0)
+    assert run([*words[:6], "150s", "--box", "sim"]) == 0

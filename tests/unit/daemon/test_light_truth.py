@@ -1,0 +1,133 @@
+"""The light shown is the light that the box confirms; off is reached from every interface."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import aiohttp
+import pytest
+
+from radiometer.daemon.http.server import HttpServer
+from radiometer.daemon.instrument import DeviceReport
+from radiometer.daemon.journal_reader import JournalReader
+from radiometer.daemon.keeper import DeviceState
+from radiometer.daemon.station import Station
+from radiometer.errors import DeviceLost
+
+Eventually = Callable[..., Awaitable[None]]
+
+
+@pytest.fixture
+def _telling(box: Any) -> None:
+    """Let the fake box tell its levels when it is asked how it is."""
+    box.check = lambda: DeviceReport(30.0, {}, dict(box.levels))
+
+
+@pytest.mark.usefixtures("_telling")
+async def test_a_light_that_the_box_ended_is_not_believed_on(
+    station: Station, client: Any, box: Any, eventually: Eventually
+) -> None:
+    """Level 0 on every interface, an alarm that names the channel, and a line in the journal."""
+    await station.set_level("red", 0.91)
+    box.levels["red"] = 0.0  # the firmware's energy budget is used up
+    await eventually(lambda: station.levels["red"] == 0.0)
+    assert station.status()["light"] == {"white": 0.0, "red": 0.0}
+    assert float(await client.ask("SOUR:LED2:LEV?")) == 0.0
+    (alarm,) = station.alarms.active
+    assert (alarm.name, "0.91" in alarm.message, "energy budget" in alarm.message) == ("light red", True, True)
+    reader = JournalReader(station.journal_path)
+    await eventually(lambda: any("went dark by itself" in event["message"] for event in reader.events()))
+    await station.set_level("red", 0.2)
+    assert station.alarms.active == ()
+
+
+@pytest.mark.usefixtures("_telling")
+async def test_light_that_agrees_is_no_alarm(station: Station, box: Any, eventually: Eventually) -> None:
+    """What is read back as it was set, to the resolution of its 16 bits, stays without a word."""
+    await station.set_level("red", 0.91)
+    asked = []
+    box.check = lambda: asked.append(1) or DeviceReport(30.0, {}, dict(box.levels))
+    await eventually(lambda: len(asked) > 2)
+    assert station.alarms.active == ()
+    assert station.levels["red"] == 0.91
+
+
+async def test_the_level_of_a_lost_box_is_unconfirmed(
+    station: Station, client: Any, box: Any, eventually: Eventually
+) -> None:
+    """While the box does not answer no level is shown: null in the state, -230 over SCPI."""
+    await station.set_level("red", 0.5)
+    assert (station.status()["light"]["red"], station.status()["light_confirmed"]) == (0.5, True)
+    box.unplugged = True
+    assert station.box_keeper is not None
+    await eventually(lambda: station.box_keeper.state is DeviceState.LOST)
+    assert (station.status()["light"]["red"], station.status()["light_confirmed"]) == (None, False)
+    await client.send("*CLS")
+    for question in ("SOUR:LED2:LEV?", "OUTP:ALL?"):
+        await client.send(question)
+        assert (await client.ask("SYST:ERR?")).startswith("-230")
+
+
+async def test_the_journal_tells_when_light_went_on_and_off(station: Station, eventually: Eventually) -> None:
+    """Each change between dark and lit is one event; a change of level is none."""
+    for level in (0.25, 0.5, 0.0, 0.0):
+        await station.set_level("red", level)
+    reader = JournalReader(station.journal_path)
+    await eventually(lambda: len([e for e in reader.events() if e["kind"] == "light"]) >= 2)
+    told = [event["message"] for event in reader.events() if event["kind"] == "light"]
+    assert told == ["red lit at 0.25", "red switched off"]
+
+
+async def test_scpi_switches_all_off(client: Any, box: Any) -> None:
+    """OUTP:ALL OFF darkens every channel; ON has no meaning and is refused; the query tells."""
+    assert float(await client.ask("SOUR:LED2:LEV 0.5;:SOUR:LED1:LEV 0.5;LEV?")) == 0.5
+    assert await client.ask("OUTP:ALL?") == "1"
+    await client.send("OUTP:ALL ON")
+    assert (await client.ask("SYST:ERR?")).startswith("-221")
+    assert await client.ask("OUTP:ALL OFF;ALL?") == "0"
+    assert box.levels == {"white": 0.0, "red": 0.0}
+
+
+async def test_off_as_the_first_message_does_not_wait(connect: Any, station: Station, box: Any) -> None:
+    """The pause that vets what lights does not hold up what darkens."""
+    await station.set_level("red", 0.5)
+    one = await connect()
+    one_server = station.on_change  # the connection is new: its first message
+    assert one_server
+    assert await one.ask("OUTPUT:ALL OFF;*OPC?") == "1"
+    assert box.levels["red"] == 0.0
+
+
+async def test_http_switches_all_off(station: Station, box: Any) -> None:
+    """POST /light/off darkens every channel and replies the levels."""
+    server = HttpServer(station)
+    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
+    await station.set_level("red", 0.5)
+    async with aiohttp.ClientSession() as session, session.post(f"{base}/light/off") as reply:
+        assert (reply.status, await reply.json()) == (200, {"light": {"white": 0.0, "red": 0.0}})
+    assert box.levels == {"white": 0.0, "red": 0.0}
+    await server.close()
+
+
+async def test_a_channel_that_fails_does_not_keep_the_next_one_lit(station: Station, box: Any) -> None:
+    """All channels are tried, then the failure is told."""
+    await station.set_level("red", 0.5)
+    whole = box.set_level
+
+    def failing(channel: str, level: float) -> float:
+        if channel == "white":
+            raise ValueError("no such channel")
+        return float(whole(channel, level))
+
+    box.set_level = failing
+    keeper = station.box_keeper
+    assert keeper is not None
+    keeper_lost = keeper._set_lost
+    keeper._set_lost = lambda error: None  # type: ignore[method-assign]  (the box stays open for the next channel)
+    with pytest.raises(DeviceLost):
+        await station.lights_off()
+    keeper._set_lost = keeper_lost  # type: ignore[method-assign]
+    assert box.levels["red"] == 0.0
+    assert json.dumps(station.status())
