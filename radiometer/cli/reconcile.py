@@ -37,6 +37,7 @@ def command(
     report: Annotated[Path | None, typer.Option(help="Where the HTML report is written.")] = None,
     plan: Annotated[Path | None, typer.Option(help="Write the next capture as a plan for `bracket`.")] = None,
     without: Annotated[list[str] | None, typer.Option(help="Leave an entry out of the catalogue.")] = None,
+    effects: Annotated[list[Path] | None, typer.Option(help="Python file with further effects to look for.")] = None,
     provisional: Annotated[bool, typer.Option("--provisional", help="Switch provisional effects on in -o.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
 ) -> None:
@@ -48,6 +49,7 @@ def command(
     """
     from radiometer.other_data.sources import reconcile_source
 
+    _read_effects(effects or [])
     _refuse_unknown(without or [])
     photographs = _photographs(capture)
     with progress_bar(shown=not json) as bar:
@@ -90,11 +92,19 @@ def _photographs(path: Path) -> Sequence[Frame] | None:
 
 
 def _refuse_unknown(names: list[str]) -> None:
-    from radiometer.reconcile.engine import CATALOGUE
+    from radiometer.reconcile.engine import whole_catalogue
 
+    known = whole_catalogue() if names else {}
     for name in names:
-        if name not in CATALOGUE:
-            raise UsageError(f"--without {name}: there is no such effect; known are {', '.join(sorted(CATALOGUE))}")
+        if name not in known:
+            raise UsageError(f"--without {name}: there is no such effect; known are {', '.join(sorted(known))}")
+
+
+def _read_effects(paths: Sequence[Path]) -> None:
+    from simulators.effects.registry import register_file
+
+    for path in paths:
+        note(f"{path}: looks for {', '.join(register_file(path))} too")
 
 
 def _show(result: ReconcileResult) -> None:

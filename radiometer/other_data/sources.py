@@ -12,7 +12,7 @@ from radiometer.errors import CaptureError, OutputError
 from radiometer.other_data.emva_sets import find_descriptor, read_emva_set
 from radiometer.other_data.light_meter import reconcile_meter_table
 from radiometer.other_data.photographs import reconcile_photographs
-from radiometer.reconcile.engine import CATALOGUE, Progress, Reconciled, Say, examine, reconcile_capture
+from radiometer.reconcile.engine import Progress, Reconciled, Say, examine, reconcile_capture, whole_catalogue
 from radiometer.reconcile.report.result import ReconcileResult
 from simulators.camera_model import CameraModel
 
@@ -94,7 +94,7 @@ def reconcile_source(
         CaptureError: If the path holds nothing that can be reconciled.
     """
     model = CameraModel.read(model_path) if model_path else None
-    entries = {name: kind for name, kind in CATALOGUE.items() if name not in without}
+    entries = {name: kind for name, kind in whole_catalogue().items() if name not in without}
     if path.suffix.lower() == ".csv":
         return reconcile_meter_table(path)
     if photographs is not None:

@@ -38,11 +38,7 @@ from radiometer.reconcile.search.search import Search, Step, search
 from radiometer.reconcile.verdict import doubts_of, verdict_of
 from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
-from simulators.effects.registry import EFFECTS
-
-CATALOGUE: Final[dict[str, type[CatalogueEffect]]] = {
-    name: kind for name, kind in EFFECTS.items() if issubclass(kind, CatalogueEffect)
-}
+from simulators.effects.registry import all_effects
 
 _log = structlog.get_logger(__name__)
 
@@ -53,6 +49,15 @@ _MOST_LISTED: Final = 4  # unnamed covariates in a result; the whole list stands
 
 Say = Callable[[str], None]
 Progress = Callable[[int, int], None]
+
+
+def whole_catalogue() -> dict[str, type[CatalogueEffect]]:
+    """Return all entries that reconcile tries, by name; those of installed packages and files that were read too.
+
+    Raises:
+        ConfigurationError: If an installed package's effect cannot be loaded.
+    """
+    return {name: kind for name, kind in all_effects().items() if issubclass(kind, CatalogueEffect)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +100,9 @@ def reconcile(
     held = frames if isinstance(frames, Sequence) else list(frames)
     if len(held) != len(header.frames):
         raise CaptureError(f"the header lists {len(header.frames)} frames, but {len(held)} were given")
-    entries = {n: kind for n, kind in (CATALOGUE if catalogue is None else catalogue).items() if n not in without}
+    entries = {
+        n: kind for n, kind in (whole_catalogue() if catalogue is None else catalogue).items() if n not in without
+    }
     return examine(
         header, frame_reader(held), held[0].shape, model, catalogue=entries, with_limits=with_limits, say=say
     ).result
@@ -189,7 +196,7 @@ def examine(
         raise CaptureError(
             "no part of any frame is free of clipping: capture with shorter exposures and a black level above zero"
         )
-    entries = CATALOGUE if catalogue is None else catalogue
+    entries = whole_catalogue() if catalogue is None else catalogue
     outcome = search(start, entries, say)
     return Reconciled(_result(outcome, entries, total, begun, with_limits=with_limits), outcome)
 

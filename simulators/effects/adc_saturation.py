@@ -32,6 +32,7 @@ class AdcSaturation(CatalogueEffect):
 
     where = "signal"
     block = "mean"
+    saturates = "sharply"
     trials = ()
     fitted = ("clip_dn",)
     settles = "over-exposed captures at two gains: a converter clips at one DN, a full well at one signal"

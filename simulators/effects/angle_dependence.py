@@ -27,6 +27,8 @@ class AngleDependence(Scaling):
     unit_out = IRRADIANCE
     where = "f_number"
     block = "slope"
+    log_prior_odds = -2.0
+    prior_reason = "bends like the fall-off of any lens"
     trials = (
         {"strength": 0.05},
         {"strength": -0.05},

@@ -10,7 +10,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, ClassVar, Self, cast
+from typing import Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 
@@ -34,6 +34,15 @@ class CatalogueEffect(Effect):
         essential: Parameters without which it is not this effect, however well the others fit.
         stands_for: Other entries that may together be no more than this one.
         endless: Parameters whose range ends in a form of the effect as good as any, not where physics ends.
+        log_prior_odds: Natural logarithm of how likely the effect is before any data, against a usual one; added to
+            its score.
+        prior_reason: Why they are not even.
+        weight_unseen: How much more than others it is worth seeing where data are blind to it.
+        acts_by_square: Whether its first parameter is a standard deviation, whose square is what shows.
+        is_stepwise: Whether it does not grow from nothing with its first parameter; its limit is a form that shows.
+        saturates: `sharply` or `softly` for what limits the signal: the higher the limit the milder. Below a sharp one
+            nothing bends.
+        neutral_at_one: Parameters that do nothing at 1, as others do at 0.
     """
 
     where: ClassVar[str]
@@ -48,6 +57,13 @@ class CatalogueEffect(Effect):
     profiled: ClassVar[str] = ""  # a parameter that is searched on a dense grid, for the fit is not smooth in it
     repeats: ClassVar[bool] = False  # whether it may act more than once (several wrong labels); `joined` makes it one
     proportional: ClassVar[bool] = False  # whether a fixed pattern grows with the light
+    log_prior_odds: ClassVar[float] = 0.0
+    prior_reason: ClassVar[str] = ""
+    weight_unseen: ClassVar[float] = 1.0
+    acts_by_square: ClassVar[bool] = False
+    is_stepwise: ClassVar[bool] = False
+    saturates: ClassVar[Literal["", "softly", "sharply"]] = ""
+    neutral_at_one: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
@@ -58,6 +74,32 @@ class CatalogueEffect(Effect):
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return flexible forms of the effect that cover other equations of it; none by default."""
         return ()
+
+    @classmethod
+    def neutral(cls, parameter: str) -> float:
+        """Return the value at which a parameter does nothing."""
+        return 1.0 if parameter in cls.neutral_at_one else 0.0
+
+    def between(self) -> tuple[Self, ...]:
+        """Return this start and those between it and the next, looked at where there are many; by default itself."""
+        return (self,)
+
+    def nearby(self, rows: int, turn: int) -> tuple[Self, ...]:
+        """Return starts in finer steps about this one, tried where the statistic that it shows in resolves them.
+
+        Args:
+            rows: Rows of a frame.
+            turn: Parameters may be refined in turns; 0 or 1.
+        """
+        return ()
+
+    def keeps_only_every(self, period: int) -> bool:
+        """Tell whether only every so many-th code is left: where others were seen it cannot be there."""
+        return False
+
+    def responsivity_taken(self) -> float:
+        """Return the factor on the mean signal that the fitted responsivity has taken up already."""
+        return 1.0
 
     @classmethod
     def in_place_of_others(cls) -> Self:

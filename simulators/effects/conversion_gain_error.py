@@ -47,6 +47,10 @@ class ConversionGainError(CatalogueEffect):
         """Return the electrons as the converter counts them."""
         return cast(Signal, (signal * (1.0 + self.error_rel)).astype(signal.dtype))
 
+    def responsivity_taken(self) -> float:
+        """Return 1 + e: in the fit the mean stays, and the responsivity has it."""
+        return 1.0 + self.error_rel
+
     def slope(self, signal: Signal, context: ExposureContext) -> float:
         """Return 1 + e."""
         return 1.0 + self.error_rel

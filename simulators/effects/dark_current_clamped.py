@@ -27,6 +27,8 @@ class DarkCurrentClamped(CatalogueEffect):
     unit_out = ELECTRONS
     where = "exposure_s"
     block = "variance"
+    log_prior_odds = -1.0
+    prior_reason = "rarer than a plain dark current, most of which it can imitate"
     trials = (
         {"rate_e_per_s": 3.0},
         {"rate_e_per_s": 30.0},

@@ -34,6 +34,7 @@ class DarkCurrentNonuniformity(CatalogueEffect):
     before = "shot_noise"
     where = "exposure_s"
     block = "spatial"
+    acts_by_square = True
     trials = (
         {"sigma_e_per_s": 1.0},
         {"sigma_e_per_s": 10.0},

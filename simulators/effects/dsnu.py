@@ -25,6 +25,7 @@ class Dsnu(CatalogueEffect):
     unit_out = ELECTRONS
     where = "gain_db"
     block = "spatial"
+    acts_by_square = True
     trials = (
         {"sigma_e": 0.5},
         {"sigma_e": 2.0},

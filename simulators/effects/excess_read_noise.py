@@ -25,6 +25,7 @@ class ExcessReadNoise(CatalogueEffect):
     unit_out = ELECTRONS
     where = "gain_db"
     block = "variance"
+    acts_by_square = True
     trials = (
         {"excess_e": 1.0},
         {"excess_e": 4.0},

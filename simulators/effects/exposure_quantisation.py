@@ -29,6 +29,9 @@ class ExposureQuantisation(Scaling):
     unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
+    is_stepwise = True
+    log_prior_odds = -20.0
+    prior_reason = "a grid of steps fits anything; a real one moves all short exposures and brings thousands of nats"
     trials = tuple({"quantum_s": float(q), "rounding": r} for r in (0.0, 0.5, 1.0) for q in _LINE_TIMES_S)
     fitted = ()
     settles = "four exposures within one line time of each other"

@@ -30,6 +30,7 @@ class FullWellSaturation(CatalogueEffect):
     unit_out = ELECTRONS
     where = "signal"
     block = "mean"
+    saturates = "sharply"
     trials = ()
     fitted = ("full_well_e",)
     settles = "a ladder of exposures to 120 % of the full well at 0 dB"

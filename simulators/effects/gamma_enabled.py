@@ -28,6 +28,7 @@ class GammaEnabled(CatalogueEffect):
     before = "quantisation"
     where = "signal"
     block = "mean"
+    neutral_at_one = ("gamma",)
     trials = (
         {"gamma": 1.02},
         {"gamma": 0.98},

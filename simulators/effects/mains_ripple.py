@@ -28,6 +28,7 @@ class MainsRipple(CatalogueEffect):
     unit_out = RADIANCE
     where = "exposure_s"
     block = "common"
+    acts_by_square = True
     trials = (
         {"modulation": 0.02, "frequency_hz": 100.0},
         {"modulation": 0.02, "frequency_hz": 120.0},

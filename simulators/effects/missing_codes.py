@@ -60,6 +60,7 @@ class MissingCodes(CatalogueEffect):
     unit_out = DIGITAL_NUMBER
     where = "signal"
     block = "comb"
+    is_stepwise = True
     trials = (
         *({"step_codes": step} for step in _STEPS),
         *({"step_codes": step, "added_codes": step // 2.0} for step in _STEPS),
@@ -80,6 +81,10 @@ class MissingCodes(CatalogueEffect):
         lifted = signal + self.added_codes
         whole = self.step_codes * np.floor((lifted + 1e-6) / self.step_codes)
         return cast(Signal, whole + np.clip(np.floor(lifted - whole + 1e-6), 0.0, self.kept_codes - 1.0))
+
+    def keeps_only_every(self, period: int) -> bool:
+        """Tell whether only every so many-th code is left."""
+        return self.kept_codes == 1.0 and self.step_codes % period == 0.0
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
         """Return the moments of the coarser code."""

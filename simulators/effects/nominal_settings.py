@@ -37,6 +37,7 @@ class NominalSettings(Scaling):
     unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
+    is_stepwise = True
     trials = ({"times": 1.0, "stops": 1.0}, {"times": 1.0, "stops": 0.0}, {"times": 0.0, "stops": 1.0})
     fitted = ()
     settles = "nothing further: the exact stops are known"

@@ -26,6 +26,7 @@ class Prnu(CatalogueEffect):
     before = "dark_current"
     where = "signal"
     block = "spatial"
+    acts_by_square = True
     trials = (
         {"sigma_rel": 0.005},
         {"sigma_rel": 0.02},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.flicker import flicker_sample, flicker_variance
 
 _FREQUENCIES_HZ: Final = np.geomspace(60.0, 4000.0, 36)
+_COMB: Final = np.geomspace(0.94, 1.06, 9)  # from halfway to one neighbour to halfway to the other
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class PwmFlicker(CatalogueEffect):
     unit_out = RADIANCE
     where = "exposure_s"
     block = "common"
+    acts_by_square = True
     trials = tuple(
         {"modulation": 0.02, "frequency_hz": float(f), "duty": d} for d in (0.0, 0.5, 0.25) for f in _FREQUENCIES_HZ
     )
@@ -41,6 +43,13 @@ class PwmFlicker(CatalogueEffect):
     modulation: float = parameter(0.0, "1", 0.0, 3.0, source="engineering prior; refined on a real rig")
     frequency_hz: float = parameter(200.0, "Hz", 20.0, 100000.0, source="engineering prior; refined on a real rig")
     duty: float = parameter(0.0, "1", 0.0, 0.95, source="0 for a sine")
+
+    def between(self) -> tuple[Self, ...]:
+        """Return a dense comb of frequencies.
+
+        Over many periods the light that an exposure leaves hangs on the frequency to a small part of a period.
+        """
+        return tuple(self.with_parameters(frequency_hz=float(self.frequency_hz * factor)) for factor in _COMB)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the light averaged over the phase: unchanged."""

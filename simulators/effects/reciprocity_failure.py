@@ -28,6 +28,8 @@ class ReciprocityFailure(Scaling):
     unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
+    log_prior_odds = -5.0
+    prior_reason = "silicon counts photons: nothing of the kind is expected of it"
     trials = (
         {"exponent": 0.005},
         {"exponent": -0.005},

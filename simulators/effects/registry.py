@@ -1,9 +1,20 @@
-"""The table of effects: a new effect is one file and one line here."""
+"""The table of effects: a new effect is one file and one line here, or comes from outside.
+
+What a laboratory keeps for itself is found by the entry points of installed packages (group `radiometer.effects`, the
+effect's name and its class), or is read from a file.
+"""
 
 from __future__ import annotations
 
+import importlib.util
+import inspect
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from types import ModuleType
 from typing import Any, Final
 
 from pydantic import Field
@@ -19,6 +30,7 @@ from simulators.effects.black_level_drift import BlackLevelDrift
 from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.brighter_fatter import BrighterFatter
+from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.column_pattern import ColumnPattern
 from simulators.effects.conversion_gain import ConversionGain
 from simulators.effects.conversion_gain_error import ConversionGainError
@@ -142,6 +154,94 @@ EFFECTS: Final[dict[str, type[Effect]]] = {
 }
 
 
+ENTRY_POINTS: Final = "radiometer.effects"
+
+
+def all_effects() -> Mapping[str, type[Effect]]:
+    """Return all effects by name: those of this table, of installed packages, and of files that were read.
+
+    Raises:
+        ConfigurationError: If an installed package's effect cannot be loaded.
+    """
+    _load_installed()
+    return EFFECTS
+
+
+@cache
+def _load_installed() -> None:
+    for found in entry_points(group=ENTRY_POINTS):
+        _register(_loaded(found), f"entry point {found.name!r} of {found.value}")
+
+
+def _loaded(found: EntryPoint) -> Any:
+    try:
+        return found.load()
+    except Exception as error:  # whatever a foreign package does when it is imported
+        raise ConfigurationError(
+            f"effect {found.name!r} ({found.value}) cannot be loaded: {type(error).__name__}: {error}; "
+            "mend or uninstall its package"
+        ) from error
+
+
+def register_file(path: Path) -> tuple[str, ...]:
+    """Take the effects that a Python file defines into the table, and return their names.
+
+    The file is run: it is code of the user's own.
+
+    Raises:
+        ConfigurationError: If it cannot be run, defines no effect, or one whose name is taken.
+    """
+    module = _module_of(path)
+    kinds = [
+        kind
+        for kind in vars(module).values()
+        if inspect.isclass(kind) and kind.__module__ == module.__name__ and issubclass(kind, Effect)
+        if not inspect.isabstract(kind) and isinstance(getattr(kind, "name", None), str)
+    ]
+    if not kinds:
+        raise ConfigurationError(f"{path}: defines no effect; see docs/add-an-effect.md for what one is")
+    for kind in kinds:
+        _register(kind, str(path))
+    return tuple(kind.name for kind in kinds)
+
+
+def _module_of(path: Path) -> ModuleType:
+    name = f"_effects_of_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise ConfigurationError(f"{path}: is no Python file; give one that ends in .py and defines effects")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever the user's file does
+        del sys.modules[name]
+        raise ConfigurationError(f"{path}: cannot be run: {type(error).__name__}: {error}") from error
+    return module
+
+
+def _register(kind: Any, where: str) -> None:
+    """Take one effect into the table; the same class under the same name again changes nothing."""
+    if not (inspect.isclass(kind) and issubclass(kind, Effect)):
+        raise ConfigurationError(f"{where}: is no effect; derive it from simulators.effects.base.Effect")
+    if inspect.isabstract(kind):
+        raise ConfigurationError(f"{where}: the effect leaves out {', '.join(sorted(kind.__abstractmethods__))}")
+    lacking = [key for key in _NEEDED if not hasattr(kind, key)]
+    lacking += [key for key in _SEARCHED if issubclass(kind, CatalogueEffect) and not hasattr(kind, key)]
+    if lacking:
+        raise ConfigurationError(
+            f"{where}: the effect does not say its {', '.join(lacking)}; see docs/add-an-effect.md"
+        )
+    known = EFFECTS.get(kind.name)
+    if known is not None and (known.__module__, known.__qualname__) != (kind.__module__, kind.__qualname__):
+        raise ConfigurationError(f"{where}: there is an effect {kind.name!r} already; give yours another name")
+    EFFECTS[kind.name] = kind
+
+
+_NEEDED: Final = ("name", "stage", "unit_in", "unit_out")
+_SEARCHED: Final = ("where", "trials", "fitted")
+
+
 class _EntryFile(ConfigSection):
     name: str
     enabled: bool = True
@@ -190,7 +290,7 @@ def make_effect(name: str, parameters: Mapping[str, Any] | None = None, where: s
     Raises:
         ConfigurationError: If the effect or a parameter is unknown, or a value is out of its bounds.
     """
-    kind = EFFECTS.get(name)
+    kind = EFFECTS.get(name) or all_effects().get(name)
     if kind is None:
         raise ConfigurationError(f"{where}: there is no effect {name!r}; known are {', '.join(sorted(EFFECTS))}")
     given = {k: tuple(v) if isinstance(v, list) else v for k, v in (parameters or {}).items()}

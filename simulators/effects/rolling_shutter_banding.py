@@ -17,6 +17,8 @@ _FREQUENCIES_HZ: Final = np.geomspace(100.0, 4000.0, 12)
 _MOST_PERIODS: Final = 48.0
 _ROWS_PER_PERIOD: Final = 8.0
 _ROW_TIMES_S: Final = (1e-6, 3e-4)
+_SHIFTS: Final = np.linspace(-0.5, 0.5, 21)  # periods per frame
+_NEARBY_HZ: Final = np.arange(60.0, 4500.0, 20.0)  # no lobe over the exposures slips through
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,9 @@ class RollingShutterBanding(CatalogueEffect):
     where = "image_y"
     block = "bands"
     also = ("row_temporal",)
+    acts_by_square = True
+    log_prior_odds = -3.0
+    prior_reason = "one of hundreds of waves fits by chance"
     trials = ()
     fitted = (
         "modulation",
@@ -74,3 +79,17 @@ class RollingShutterBanding(CatalogueEffect):
         rows = ((p / height / f, f) for p in periods for f in _FREQUENCIES_HZ.tolist())
         chosen = [(row_s, f) for row_s, f in rows if _ROW_TIMES_S[0] < row_s < _ROW_TIMES_S[1]]
         return tuple(cls(_START, f, row_s) for row_s, f in chosen)
+
+    def nearby(self, rows: int, turn: int) -> tuple[Self, ...]:
+        """Return waves of the same frequency but others along the rows; in the second turn the reverse."""
+        per_row = self.frequency_hz * self.row_time_s
+        if turn == 0:
+            found = [(self.frequency_hz, per_row + shift / rows) for shift in _SHIFTS.tolist()]
+        else:
+            found = [(hertz, per_row) for hertz in _NEARBY_HZ.tolist()]
+        known = next(entry for entry in self.parameters() if entry.name == "row_time_s")
+        return tuple(
+            self.with_parameters(frequency_hz=hertz, row_time_s=step / hertz)
+            for hertz, step in found
+            if known.low <= step / hertz <= known.high
+        )

@@ -26,6 +26,7 @@ class RowPattern(CatalogueEffect):
     unit_out = ELECTRONS
     where = "image_y"
     block = "rows"
+    acts_by_square = True
     trials = (
         {"sigma_e": 0.3},
         {"sigma_e": 1.0},

@@ -26,6 +26,7 @@ class RowTemporalNoise(CatalogueEffect):
     unit_out = ELECTRONS
     where = "image_y"
     block = "row_temporal"
+    acts_by_square = True
     trials = (
         {"sigma_e": 0.3},
         {"sigma_e": 1.0},

@@ -28,6 +28,8 @@ class ShutterDeadTime(CatalogueEffect):
     unit_out = EXPOSURE
     where = "exposure_s"
     block = "first"
+    log_prior_odds = -2.0
+    prior_reason = "a constant beside the exposure is the usual error of timing"
     trials = (
         {"dead_time_s": 2e-06},
         {"dead_time_s": 1e-05},

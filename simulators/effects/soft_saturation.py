@@ -30,6 +30,9 @@ class SoftSaturation(CatalogueEffect):
     unit_out = ELECTRONS
     where = "signal"
     block = "mean"
+    saturates = "softly"
+    log_prior_odds = -3.0
+    prior_reason = "its knees take fourteen forms"
     trials = (
         {"knee": 0.8, "ceiling": 1.0, "hardness": 1.0},
         {"knee": 0.8, "ceiling": 1.0, "hardness": 2.0},

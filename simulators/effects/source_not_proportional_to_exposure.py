@@ -27,6 +27,8 @@ class SourceNotProportionalToExposure(Scaling):
     unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
+    log_prior_odds = -3.0
+    prior_reason = "only sources that are lit for the exposure do this"
     trials = (
         {"droop_rel": 0.02, "tau_s": 0.0003},
         {"droop_rel": -0.02, "tau_s": 0.0003},

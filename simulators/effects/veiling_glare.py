@@ -28,6 +28,7 @@ class VeilingGlare(CatalogueEffect):
     unit_out = IRRADIANCE
     where = "patch_level"
     block = "mean"
+    weight_unseen = 6.0  # every lens has some
     trials = (
         {"share": 0.005},
         {"share": 0.02},

@@ -81,3 +81,25 @@ def test_nothing_names_a_package_registry():
     files = [ROOT / name for name in names if (ROOT / name).exists()]
     host = re.compile(r"https?://[a-z0-9.-]*(pypi|python|debian|npm)[a-z0-9.-]*\.(org|com)|index-url")
     assert [file.name for file in files if host.search(file.read_text(encoding="utf-8"))] == []
+
+
+# The chain of the ideal camera, which the model of tiles repeats, still asks for effects by name.
+CHAIN = {"radiometer/reconcile/model/tile_model.py", "radiometer/reconcile/model/chain_steps.py"}
+CHAIN |= {"radiometer/reconcile/model/starting_model.py"}
+RECONCILE = [path for path in SOURCES if name_of(path).startswith("radiometer/reconcile/")]
+COMMON = {"__init__", "base", "catalogue", "context", "registry", "rounding", "tile_moments"}
+EFFECT_FILES = {path.stem for path in (ROOT / "simulators" / "effects").glob("*.py")} - COMMON
+# Settings and figures of the camera's description that have the name of a link of the ideal chain.
+SETTINGS = {"source_level", "quantum_efficiency", "shutter", "lens"}
+
+
+@pytest.mark.parametrize("path", [path for path in RECONCILE if name_of(path) not in CHAIN], ids=name_of)
+def test_reconcile_knows_no_effect_by_name(path):
+    """What is peculiar to an effect stands in its own file: no name of one as a string, no import of one."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found += {node.value} & (EFFECT_FILES - SETTINGS)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("simulators.effects"):
+            found += {part for part in node.module.split(".")[2:] if part in EFFECT_FILES}
+    assert found == []

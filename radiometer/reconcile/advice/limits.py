@@ -15,31 +15,13 @@ from radiometer.reconcile.search.screening import AT_ONCE, changes_of
 from simulators.effects.catalogue import CatalogueEffect
 
 SIGMAS: Final = 5.0
-NEUTRAL: Final[Mapping[str, float]] = {"gamma": 1.0, "ratio": 1.0}  # parameters that do nothing at another value than 0
 _BLIND: Final = 1e-6  # share of a change that must survive the nuisances
 _LARGEST_FACTOR: Final = 50.0  # times the typical size, beyond which the effect would be absurd
 _LOOKS: Final = 12
 _STRIDE: Final = 30.0  # largest factor from one look to the next
 _CLOSE: Final = 0.1  # of ln χ²
 _NOTHING: Final = 1e-6  # a χ² that stands for none
-_MILD_WHEN_LARGE: Final = frozenset(("full_well_saturation", "soft_saturation", "adc_saturation"))
-_SHARP: Final = frozenset(("full_well_saturation", "adc_saturation"))  # nothing bends below it
-_STEPWISE: Final = _MILD_WHEN_LARGE | {"exposure_quantisation", "missing_codes", "nominal_settings"}
 _ABSOLUTE_LIGHT: Final = "W m-2"  # has no scale where no radiance is known: the responsivity takes any
-_SQUARED: Final = frozenset(  # a standard deviation acts by its square
-    (
-        "excess_read_noise",
-        "column_pattern",
-        "row_pattern",
-        "row_temporal_noise",
-        "dsnu",
-        "prnu",
-        "dark_current_nonuniformity",
-        "pwm_flicker",
-        "mains_ripple",
-        "rolling_shutter_banding",
-    )
-)
 
 
 def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> dict[str, Limit]:
@@ -58,7 +40,7 @@ def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> d
 
 
 def _can_show(state: FitState, kind: type[CatalogueEffect], unit: str) -> bool:
-    if kind.name in _SHARP and partly_at_the_top(state.design, state.seen, state.prediction).any():
+    if kind.saturates == "sharply" and partly_at_the_top(state.design, state.seen, state.prediction).any():
         return False  # the very tiles that would show it are left out, wherever it lies
     return kind.usable(state.model.context) and (unit != _ABSOLUTE_LIGHT or state.design.has_known_radiance)
 
@@ -111,7 +93,8 @@ class _Grown:
     @property
     def grows(self) -> bool:
         """Tell whether it grows from nothing; if not, what counts is whether this very form would show."""
-        return self.effect.name not in _STEPWISE and self.parameter in self.effect.values()
+        jumps = self.effect.is_stepwise or bool(self.effect.saturates)
+        return not jumps and self.parameter in self.effect.values()
 
     @property
     def is_limit(self) -> bool:
@@ -129,13 +112,13 @@ class _Grown:
         """Return this or another limit, whichever is the milder effect."""
         if other is None:
             return self
-        mildest = max if self.effect.name in _MILD_WHEN_LARGE else min
+        mildest = max if self.effect.saturates else min
         return mildest(other, self, key=lambda grown: abs(grown.size))
 
     def times(self, factor: float) -> CatalogueEffect | None:
         """Return the effect with its size times a factor; None beyond the parameter's bounds."""
         known = next(entry for entry in self.effect.parameters() if entry.name == self.parameter)
-        values, neutral = self.effect.values()[self.parameter], NEUTRAL.get(self.parameter, 0.0)
+        values, neutral = self.effect.values()[self.parameter], self.effect.neutral(self.parameter)
         table = isinstance(values, tuple)
         old = np.atleast_1d(np.asarray(values, dtype=np.float64))
         new = neutral + factor * (old - neutral)
@@ -182,7 +165,7 @@ def _next_size(below: _Grown | None, above: _Grown | None) -> float:
     if below is None or above is None:
         known = below or above
         assert known is not None
-        power = 0.25 if known.effect.name in _SQUARED else 0.5
+        power = 0.25 if known.effect.acts_by_square else 0.5
         factor = (SIGMAS**2 / max(known.information, _NOTHING)) ** power
         return known.size * float(np.clip(factor * (0.9 if below is None else 1.1), 1.0 / _STRIDE, _STRIDE))
     low, high = (np.log(max(grown.information, _NOTHING) / SIGMAS**2) for grown in (below, above))
@@ -217,5 +200,5 @@ def _amplitude(effect: CatalogueEffect, name: str) -> float:
     """Return how far a parameter lies from doing nothing; of a table, its largest entry."""
     if name not in effect.values():
         return 1.0
-    values = np.atleast_1d(np.asarray(effect.values()[name], dtype=np.float64)) - NEUTRAL.get(name, 0.0)
+    values = np.atleast_1d(np.asarray(effect.values()[name], dtype=np.float64)) - effect.neutral(name)
     return float(values[np.argmax(np.abs(values))])

@@ -19,7 +19,6 @@ import numpy as np
 from radiometer.data import FrameEntry
 from radiometer.data.storage import write_yaml_atomic
 from radiometer.reconcile.advice.capture_pool import FRAMES, CapturePool
-from radiometer.reconcile.advice.limits import NEUTRAL
 from radiometer.reconcile.fit.state import FitState, refit, with_effects, with_terms
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.report.result import Limit, ReconcileResult
@@ -32,7 +31,6 @@ _REFITS: Final = 4
 _WELL_BELOW: Final = 0.5
 _STARTS: Final = 4  # of an entry, that are fitted
 _EXPLAINS: Final = 0.3  # of what the best entry explains: below it an entry is no cause of a disagreement
-_LIKELY: Final[Mapping[str, float]] = {"veiling_glare": 6.0}  # every lens has some
 _MOST_NAMED: Final = 6  # in a sentence
 
 
@@ -149,7 +147,7 @@ def _would_show(limit: Limit, typical: CatalogueEffect) -> bool:
     value = typical.values().get(limit.parameter)
     if limit.amplitude is None or limit.parameter not in typical.free() or value is None:
         return limit.amplitude is not None
-    return limit.amplitude < _WELL_BELOW * abs(float(value) - NEUTRAL.get(limit.parameter, 0.0))
+    return limit.amplitude < _WELL_BELOW * abs(float(value) - typical.neutral(limit.parameter))
 
 
 def _best(
@@ -162,7 +160,7 @@ def _best(
     expected = pool.predicted(state)
     apart = np.stack([pool.separation(expected, pool.predicted(model)) for model in models.values()])
     apart = np.nan_to_num(apart)
-    weight = np.array([_LIKELY.get(name, 1.0) for name in models])
+    weight = np.array([_weight_unseen(name, model) for name, model in models.items()])
     worth = weight @ np.minimum(apart, _TOLD_CHI2)
     index = int(np.lexsort((apart.min(axis=0), worth))[-1])
     told: Array = apart[:, index]
@@ -170,6 +168,10 @@ def _best(
     if not names:
         return None
     return pool.frame(index), names, float(min(chi2 for chi2 in told if chi2 >= enough))
+
+
+def _weight_unseen(name: str, model: FitState) -> float:
+    return next((effect.weight_unseen for effect in model.effects if effect.name == name), 1.0)
 
 
 def _advice(frame: FrameEntry, purpose: str) -> dict[str, Any]:

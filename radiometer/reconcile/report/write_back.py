@@ -21,7 +21,6 @@ from radiometer.reconcile.noise.dependence import effect_covariance
 from radiometer.reconcile.report.result import FoundEffect, Verdict
 from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
-from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.registry import EffectEntry
 
 _SMALLEST, _LARGEST = 0.01, 1.0  # quantum efficiency
@@ -64,8 +63,7 @@ def _base(state: FitState) -> CameraModel:
     camera = _completed(state)
     responsivity = float(np.exp(state.nuisance.log_responsivity))
     for effect in state.effects:
-        if isinstance(effect, ConversionGainError):
-            responsivity /= 1.0 + effect.error_rel
+        responsivity /= effect.responsivity_taken()
     efficiency = camera.quantum_efficiency or TYPICAL_QUANTUM_EFFICIENCY
     if any(value is not None for tile in state.design.tiles for value in tile.radiance):
         # Beyond the bounds the pixels must be larger or smaller, or the light other, than declared.

@@ -14,7 +14,7 @@ from radiometer.reconcile.fit.state import FitState, refit, settled, with_effect
 from radiometer.reconcile.search.judging import contenders_of, likeliest
 from radiometer.reconcile.search.rivals import PARAMETER_NATS
 from radiometer.reconcile.search.screening import screen
-from radiometer.reconcile.search.start_pool import StartPool
+from radiometer.reconcile.search.starts import StartPool
 from simulators.effects.catalogue import CatalogueEffect
 
 _FITTED: Final = 4  # entries that are fitted in another's place

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -21,18 +20,6 @@ _STATED_NATS: Final = 6.0  # more where stated radiances carry the evidence: mea
 _STATED_SHARE: Final = 0.5
 HUGE_NATS: Final = 2000.0
 _NEAR_SHARE: Final = 0.05
-# Entries that physics does not expect, or that can imitate others by their freedom, must be that much better.
-_UNLIKELY_NATS: Final[Mapping[str, float]] = {
-    "reciprocity_failure": 5.0,
-    "source_not_proportional_to_exposure": 3.0,
-    "exposure_label_error": 6.0,
-    "exposure_quantisation": 20.0,  # a grid of steps: real ones move all short exposures and bring thousands
-    "shutter_dead_time": 2.0,
-    "rolling_shutter_banding": 3.0,
-    "angle_dependence": 2.0,
-    "dark_current_clamped": 1.0,
-    "soft_saturation": 3.0,
-}
 
 
 def penalised_chi2(fitted: FittedCandidate) -> float:
@@ -41,7 +28,7 @@ def penalised_chi2(fitted: FittedCandidate) -> float:
 
 
 def _penalty(fitted: FittedCandidate) -> float:
-    return PARAMETER_NATS * fitted.parameters + _UNLIKELY_NATS.get(fitted.name, 0.0)
+    return PARAMETER_NATS * fitted.parameters - fitted.effect.log_prior_odds
 
 
 def score(entry: tuple[FittedCandidate, float]) -> float:
@@ -83,7 +70,7 @@ def is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool)
     Of many starts one fits by chance, and beside an effect that is there already a further one is less likely. The
     radiances of patches are stated once: an error of their measurement that goes with the level looks like an effect.
     """
-    needed = _NEEDED_NATS + _UNLIKELY_NATS.get(fitted.name, 0.0) + float(np.log(max(fitted.tries / _FEW_TRIES, 1.0)))
+    needed = _NEEDED_NATS - fitted.effect.log_prior_odds + float(np.log(max(fitted.tries / _FEW_TRIES, 1.0)))
     needed += _STATED_NATS if fitted.stated > _STATED_SHARE * fitted.gain else 0.0
     needed += FLEXIBLE_NATS if fitted.flexible else 0.0
     beyond_chance = log_chance(fitted.gain, fitted.parameters) < limit

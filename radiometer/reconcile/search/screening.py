@@ -15,9 +15,8 @@ from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.measure.reduce import CaptureStatistics
 from radiometer.reconcile.measure.sums import COMB_PERIODS
 from radiometer.reconcile.measure.usable import seen_step
-from radiometer.reconcile.search.start_pool import StartPool
+from radiometer.reconcile.search.starts import StartPool
 from simulators.effects.catalogue import CatalogueEffect
-from simulators.effects.missing_codes import MissingCodes
 
 _OTHER_STARTS: Final = 2  # of an entry that are kept for the fit beside the best
 _LARGEST_AMPLITUDE: Final = 300.0  # a start may be that much too small …
@@ -90,9 +89,7 @@ def of_seen_codes(seen: CaptureStatistics, starts: tuple[CatalogueEffect, ...]) 
     if step == 1:  # nothing tells
         return starts
     gaps = [period for period in COMB_PERIODS if step % period]
-    coarse = (s for s in starts if isinstance(s, MissingCodes) and s.kept_codes == 1.0)
-    impossible = [s for s in coarse if any(s.step_codes % period == 0.0 for period in gaps)]
-    return tuple(s for s in starts if s not in impossible)
+    return tuple(start for start in starts if not any(start.keeps_only_every(period) for period in gaps))
 
 
 def best_start(state: FitState, starts: Sequence[CatalogueEffect]) -> Candidate | None:

@@ -35,7 +35,7 @@ from radiometer.reconcile.search.plain_trends import TRENDS
 from radiometer.reconcile.search.pruning import KEPT_NATS, pruned
 from radiometer.reconcile.search.rivals import PARAMETER_NATS, rivals_of
 from radiometer.reconcile.search.screening import Candidate, screen
-from radiometer.reconcile.search.start_pool import StartPool
+from radiometer.reconcile.search.starts import StartPool
 from simulators.effects.catalogue import CatalogueEffect
 
 MOST_STEPS: Final = 7

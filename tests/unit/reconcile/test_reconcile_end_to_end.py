@@ -57,10 +57,10 @@ def test_gap_shrinks_to_chance(offset: ReconcileResult) -> None:
 
 def test_effect_left_out_of_the_catalogue_gets_no_confident_false_name(make_capture: Callable[..., Any]) -> None:
     """A response to temperature without its entry: never `effects_found`, and the covariate is named."""
-    from radiometer.reconcile.engine import CATALOGUE
+    from radiometer.reconcile.engine import whole_catalogue
 
     captured = make_capture(seed=13, picture=lambda image, s: image * (1 + 0.02 * (s["T"] - 35) / 10))
-    entries = {name: kind for name, kind in CATALOGUE.items() if name != "quantum_efficiency_temperature"}
+    entries = {name: kind for name, kind in whole_catalogue().items() if name != "quantum_efficiency_temperature"}
     result = reconcile(captured.header, captured.frames, catalogue=entries)
     assert result.verdict in (Verdict.UNNAMED, Verdict.INCOMPLETE)
     assert "temperature_C" in [effect.where for effect in result.effects]

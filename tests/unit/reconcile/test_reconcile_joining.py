@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconcile.engine import CATALOGUE
+from radiometer.reconcile.engine import whole_catalogue
 from radiometer.reconcile.fit.candidate_fit import UnfitError
 from radiometer.reconcile.fit.state import FitState, first_state, refit, settled, with_effects
 from radiometer.reconcile.measure.design import Design
@@ -16,7 +16,7 @@ from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.model.parameters import fitted_parameters
 from radiometer.reconcile.search import joining
 from radiometer.reconcile.search.joining import better, simpler
-from radiometer.reconcile.search.start_pool import StartPool
+from radiometer.reconcile.search.starts import StartPool
 from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.fnumber_tstop_error import FnumberTstopError
@@ -41,7 +41,7 @@ def test_losses_by_slant_and_cone_are_one_effect(make_capture: Callable[..., Any
     """Pixels that lose slanting rays, and the rim of every cone by 0.15/N², are no lens with wrong stops."""
     captured = make_capture(picture=lambda image, s: image * _fall_off(image) * (1.0 - 0.15 / s["N"] ** 2))
     state = _fitted(captured, NaturalVignetting(0.05), FnumberTstopError(0.001))
-    found = simpler(state, CATALOGUE)
+    found = simpler(state, whole_catalogue())
     assert found is not None
     joined, effect = found
     assert effect.name == "angle_dependence"
@@ -56,8 +56,8 @@ def test_fall_off_that_no_stop_changes_is_the_lens(make_capture: Callable[..., A
     captured = make_capture(picture=lambda image, s: image * _fall_off(image) * 1.02 ** (2.0 * np.log2(s["N"] / 4.0)))
     stops = FnumberTstopError(0.02)
     plain = _fitted(captured, NaturalVignetting(0.05), stops)
-    assert simpler(plain, CATALOGUE) is None
-    found = simpler(_fitted(captured, AngleDependence(0.1, 2.0, 0.01), stops), CATALOGUE)
+    assert simpler(plain, whole_catalogue()) is None
+    found = simpler(_fitted(captured, AngleDependence(0.1, 2.0, 0.01), stops), whole_catalogue())
     assert found is not None
     assert [effect.name for effect in found[0].effects] == ["fnumber_tstop_error", "natural_vignetting"]
 
@@ -66,7 +66,7 @@ def test_what_was_named_too_early_gives_way(make_capture: Callable[..., Any]) ->
     """Beside the veil that was found later, an offset of 0.9 DN predicts better than the exponent it was taken for."""
     captured = make_capture(picture=lambda image, s: 0.98 * image + 0.02 * image.mean(), extra_dn=lambda s: 0.9)
     names = ("black_level_offset", "black_level_drift", "gamma_enabled", "response_nonlinearity", "veiling_glare")
-    entries = {name: CATALOGUE[name] for name in names}
+    entries = {name: whole_catalogue()[name] for name in names}
     found = better(_fitted(captured, GammaEnabled(1.002), VeilingGlare(0.02)), "gamma_enabled", entries, StartPool())
     assert found is not None
     state, effect = found
@@ -87,5 +87,5 @@ def test_what_cannot_be_fitted_takes_no_place(
 
     state = _fitted(make_capture(extra_dn=lambda s: 0.9), GammaEnabled(1.002), VeilingGlare(0.001))
     monkeypatch.setattr(joining, "included", refused)
-    entries = {"black_level_offset": CATALOGUE["black_level_offset"]}
+    entries = {"black_level_offset": whole_catalogue()["black_level_offset"]}
     assert better(state, "gamma_enabled", entries, StartPool()) is None

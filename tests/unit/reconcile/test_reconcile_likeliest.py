@@ -16,7 +16,7 @@ from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.noise.row_scatter import mixing_of_bands, mixing_of_lines
 from radiometer.reconcile.search.screening import of_seen_codes
-from radiometer.reconcile.search.start_pool import StartPool
+from radiometer.reconcile.search.starts import StartPool
 from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext

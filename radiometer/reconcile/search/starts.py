@@ -1,0 +1,211 @@
+"""Picks the likeliest of many starts of one entry without running the whole chain for each.
+
+An exposure quantum or a wrong label scales whole captures, a flickering source shakes whole frames, a wave runs along
+the rows: what thousands of starts would explain follows from one small matrix, or from the exact likelihood of one
+statistic alone. Which starts there are, and which lie between and about them, the entry itself says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from radiometer.reconcile.fit.state import FitState
+from radiometer.reconcile.measure.design import Array
+from radiometer.reconcile.noise.row_scatter import mixing_of_bands
+from radiometer.reconcile.noise.scatter import relative_bands
+from radiometer.reconcile.noise.variance_scores import deviances
+from simulators.effects.catalogue import CatalogueEffect, Scaling
+from simulators.effects.tile_moments import TileMoments
+
+Starts = tuple[CatalogueEffect, ...]
+_MANY: Final = 20  # starts, beyond which the likeliest are picked first
+_KEPT: Final = 8
+_LARGEST_AMPLITUDE: Final = 300.0
+_SIZES: Final = np.geomspace(0.01, 30.0, 25)  # times the size that starts have
+_SCALES: Final = np.geomspace(1e-3, 1e1, 9)  # of a wave's variance, about the one that has all of what is seen
+_REFINED: Final = 3  # waves of different spatial frequency that are searched about
+_WORTH_IT: Final = 20.0  # deviance that the best of the coarse grid must bring before
+_ROUNDS: Final = 2
+
+
+class StartPool:
+    """The starts of all entries for one capture set; they are made once."""
+
+    def __init__(self) -> None:
+        self._starts: dict[str, Starts] = {}
+        self._between: dict[str, Starts] = {}
+        self._moves: dict[str, Array] = {}
+
+    def likeliest(self, state: FitState, kind: type[CatalogueEffect]) -> Starts:
+        """Return the starts of an entry; of many only those that explain most at first sight.
+
+        Args:
+            state: The fitted model.
+            kind: The entry.
+        """
+        if kind.name not in self._starts:
+            self._starts[kind.name] = kind.starts(state.model.context)
+        starts = self._starts[kind.name]
+        if len(starts) <= _MANY:
+            return starts
+        if issubclass(kind, Scaling):
+            return self._of_captures(state, starts)
+        picks: Mapping[str, Callable[[FitState, Starts], Starts]] = {"common": self._of_frames, "bands": _of_bands}
+        return picks[kind.block](state, starts) if kind.block in picks and kind.acts_by_square else starts
+
+    def count(self, kind: type[CatalogueEffect]) -> int:
+        """Return how many starts an entry has; 1 before they were asked for."""
+        return len(self._starts.get(kind.name, (None,)))
+
+    def _of_captures(self, state: FitState, starts: Starts) -> Starts:
+        """Return the likeliest of those that scale whole captures."""
+        moves = self._known(starts[0].name, lambda: np.stack([_factor(state, start) for start in starts])) - 1.0
+        gram, slope = _of_all_captures(state)
+        rise = moves @ slope
+        curvature = np.einsum("sc,cd,sd->s", moves, gram, moves, optimize=True)
+        free = bool(starts[0].free())  # what has no amplitude acts as it is or not at all
+        amplitude = np.clip(rise / np.maximum(curvature, 1e-12), 0.0, _LARGEST_AMPLITUDE) if free else 1.0
+        gain = amplitude * (2.0 * rise - amplitude * curvature)
+        return tuple(starts[int(i)] for i in np.argsort(-gain)[:_KEPT])
+
+    def _known(self, name: str, work: Callable[[], Array]) -> Array:
+        if name not in self._moves:
+            self._moves[name] = work()
+        return self._moves[name]
+
+    def _of_frames(self, state: FitState, starts: Starts) -> Starts:
+        """Return the likeliest of what shakes whole frames, of each variant one at least, in their likeliest sizes."""
+        name, context = starts[0].name, state.model.context
+        if name not in self._between:
+            self._between[name] = tuple(between for start in starts for between in start.between())
+        dense, captures = self._between[name], len(state.design.captures)
+        added = partial(_stacked, (start.common_variance(np.ones(()), context) for start in dense), captures)
+        moves = self._known(name, added)
+        here, rows = state.comparison.flicker_of(state.prediction), state.prediction.row_variance
+        sizes = np.square(_SIZES)
+        rated = [state.comparison.deviances_of_flicker(here + size * moves, rows).sum(axis=1) for size in sizes]
+        best, least = np.argmin(rated, axis=0), np.min(rated, axis=0)
+        order = [int(i) for i in np.argsort(least)]
+        first = {_variant(dense[i]): i for i in reversed(order)}
+        chosen = list(dict.fromkeys([*sorted(first.values(), key=lambda i: least[i]), *order]))[:_KEPT]
+        return tuple(_resized(dense[i], float(np.sqrt(sizes[best[i]]))) for i in chosen)
+
+
+def _stacked(values: Any, captures: int) -> Array:
+    return np.stack([np.broadcast_to(np.ravel(v), (captures,)) for v in values])
+
+
+def _variant(start: CatalogueEffect) -> tuple[object, ...]:
+    """Return what of a start is not fitted."""
+    free = start.free()
+    return tuple(value for name, value in start.values().items() if name not in free)
+
+
+def _resized(start: CatalogueEffect, factor: float) -> CatalogueEffect:
+    """Return a start with its first parameter times a factor, within its bounds."""
+    name = start.free()[0]
+    known = next(entry for entry in start.parameters() if entry.name == name)
+    size = float(getattr(start, name)) * factor
+    return start.with_parameters(**{name: min(max(size, known.low), known.high)})
+
+
+def _of_all_captures(state: FitState) -> tuple[Array, Array]:
+    """Return the Gram matrix and the slope of χ² for factors on the light of each capture, nuisances following.
+
+    A factor f on the light of capture c moves its means by s·(f − 1).
+    """
+    moves = _moves(state)
+    cut = state.comparison.cuts["mean"]
+    part = state.fit.half(state.fit.pull(moves, cut.start))
+    return moves.T @ moves - part.T @ part, moves.T @ state.fit.projected[cut]
+
+
+def _moves(state: FitState) -> Array:
+    """Return the whitened change of all means per unit factor of each capture, (entries, captures)."""
+    captures, tiles = state.sensitivity.shape
+    raw = np.zeros((captures, tiles, captures))
+    index = np.arange(captures)
+    raw[index, :, index] = state.sensitivity
+    return state.comparison.whiten("mean", raw).reshape(captures * tiles, captures)
+
+
+def _factor(state: FitState, start: CatalogueEffect) -> Array:
+    if not isinstance(start, Scaling):
+        raise TypeError(f"{start.name} is searched densely but is no Scaling")
+    factor: Any = start.factor(state.model.context)
+    captures = len(state.design.captures)
+    return np.asarray(np.broadcast_to(np.asarray(factor).reshape(-1), (captures,)))
+
+
+# ---- waves along the rows -------------------------------------------------------------------------------------
+
+
+def _of_bands(state: FitState, starts: Starts) -> Starts:
+    """Return the likeliest waves along the rows with their likeliest size, the best first.
+
+    They are rated by the exact likelihood of the bands alone. A wave that stands out by far has its lobes over the
+    exposures resolved: about the best of each spatial frequency the starts nearby are looked at.
+    """
+    rater = _WaveRater(state)
+    ranked = sorted((rater.sized(start) for start in starts), key=lambda rated: rated.deviance)
+    best: dict[float, _Rated] = {}
+    for rated in ranked:
+        best.setdefault(round(rated.per_row, 9), rated)
+    found = list(best.values())[:_REFINED]
+    if rater.nothing - found[0].deviance > _WORTH_IT:
+        found = [rater.refined(rated) for rated in found]
+    found = sorted([*found, *ranked[:_KEPT]], key=lambda rated: rated.deviance)
+    return tuple(rated.wave for rated in found[:_KEPT])
+
+
+@dataclass(frozen=True, slots=True)
+class _Rated:
+    """A wave of its likeliest size: the deviance of the bands under it, and its periods per row."""
+
+    deviance: float
+    wave: CatalogueEffect
+    per_row: float
+
+
+class _WaveRater:
+    def __init__(self, state: FitState) -> None:
+        self._comparison, self._context = state.comparison, state.model.context
+        self._captures, self._rows = len(state.design.captures), state.design.shape[0]
+        prediction, seen = state.prediction, state.comparison.seen
+        here = self._comparison.band_power(relative_bands(prediction), prediction.band_frequency)
+        mixed = mixing_of_bands(prediction, state.design) if prediction.mixed_x.any() else 0.0
+        self._steady = 1.0 + prediction.row_variance[:, None] * seen.bands_of_rows + here + mixed
+        self._mask = self._comparison.usable["bands"]
+        self._more = float(np.sum(np.where(self._mask, np.maximum(seen.bands - self._steady, 0.0), 0.0)))
+        self._waves: dict[float, Array] = {}
+        self.nothing = self._deviance(self._steady)
+
+    def sized(self, start: CatalogueEffect) -> _Rated:
+        """Return a wave of the size that has the least deviance."""
+        one = TileMoments.exactly(np.ones((self._captures, 1, 1)))
+        after = start.tile(one, one, self._context)
+        per_row = after.band_frequency
+        if per_row not in self._waves:
+            self._waves[per_row] = self._comparison.band_power(np.ones(self._captures), per_row)
+        variance = np.broadcast_to(after.band_variance, (self._captures, 1, 1))[:, :, 0]
+        added = variance * self._waves[per_row]
+        whole = self._more / max(float(np.sum(np.where(self._mask, added, 0.0))), 1e-30)
+        rated = [(self._deviance(self._steady + scale * whole * added), scale * whole) for scale in _SCALES.tolist()]
+        least, scale = min(rated)
+        return _Rated(least, _resized(start, float(np.sqrt(scale))), per_row)
+
+    def refined(self, rated: _Rated) -> _Rated:
+        """Return the likeliest wave about one: each turn of what the entry calls nearby, twice."""
+        for turn in (0, 1) * _ROUNDS:
+            nearby = (self.sized(start) for start in rated.wave.nearby(self._rows, turn))
+            rated = min((rated, *nearby), key=lambda entry: entry.deviance)
+        return rated
+
+    def _deviance(self, expected: Array) -> float:
+        comparison = self._comparison
+        return float(np.sum(deviances(comparison.seen.bands, expected, comparison.band_freedom, self._mask)))
