@@ -38,12 +38,13 @@ INFO_TEXT: Final = "simulated by radiometer"  # DeviceManufacturerInfo, by which
 
 
 @dataclass(frozen=True, slots=True)
-class _Picture:
-    """A picture ready to be sent, and the settings that it was made under."""
+class Picture:
+    """A picture ready to be sent: the registers at the time, its bytes, and the settings that it was made under."""
 
     asked: tuple[PictureRequest, str]
     payload: bytes
     mean_dn: float
+    made_under: PictureRequest
 
 
 class BlackflyGige:
@@ -79,11 +80,12 @@ class BlackflyGige:
         self._source, self._limits, self._native_bits = source, limits, native_bit_depth
         self._vendor, self._model, self._serial, self._address = vendor, model, serial, address
         self._temperature_c, self._real_time, self._sleep = temperature_c, real_time, sleep
+        self._info = INFO_TEXT
         self._device: FakeGigeDevice | None = None
         self._worker: threading.Thread | None = None
         self._closing, self._sent = threading.Event(), threading.Event()
-        self._ready: _Picture | None = None
-        self._last: _Picture | None = None
+        self._ready: Picture | None = None
+        self._last: Picture | None = None
         self.frames_sent = 0
         self.failure: RadiometerError | None = None
 
@@ -99,7 +101,7 @@ class BlackflyGige:
 
     def open(self) -> None:
         """Serve the camera. Raises DeviceInUse if the address is taken, MissingLibrary without Aravis."""
-        features = registers.blackfly_features(self._limits, self._native_bits, self._temperature_c)
+        features = self._features()
         with tempfile.TemporaryDirectory(prefix="radiometer-") as folder:
             description = Path(folder) / "blackfly.xml"
             description.write_bytes(genicam_xml(features, self._vendor, self._model))
@@ -152,16 +154,19 @@ class BlackflyGige:
         """Leave the network."""
         self.close()
 
+    def _features(self) -> list[Feature]:
+        return registers.blackfly_features(self._limits, self._native_bits, self._temperature_c)
+
     def _power_on(self, device: FakeGigeDevice, features: list[Feature]) -> None:
         for feature in features:
-            if isinstance(feature.initial, float):
+            if isinstance(feature.initial, float) and not feature.whole:
                 device.write_float(feature.address, feature.initial)
-            elif isinstance(feature.initial, int):
-                device.write_word(feature.address, feature.initial)
+            elif isinstance(feature.initial, int | float):
+                device.write_word(feature.address, int(feature.initial))
         for address, text, length in (
             (registers.VENDOR, self._vendor, 32),
             (registers.MODEL, self._model, 32),
-            (registers.INFO, INFO_TEXT, 48),
+            (registers.INFO, self._info, 48),
         ):
             device.write_text(address, text, length)
         device.write_word(registers.INNER_TRIGGER_MODE, 1)
@@ -237,18 +242,18 @@ class BlackflyGige:
             period_s = max(period_s, 1 / device.read_float(registers.FRAME_RATE_HZ))
         return period_s
 
-    def _picture(self, device: FakeGigeDevice) -> _Picture:
+    def _picture(self, device: FakeGigeDevice) -> Picture:
         """Return the next picture; a blank one where the model fails (see `failure`)."""
         asked = read_request(device)
         request, format_name = asked
         size = request.width * request.height * WIRE_FORMATS[format_name].bits_per_pixel // 8
         try:
             dn = processed(device, self._source(request), request)
-            return _Picture(asked, pack_pixels(dn, format_name)[:size], float(dn.mean()))
+            return Picture(asked, pack_pixels(dn, format_name)[:size], float(dn.mean()), request)
         except RadiometerError as error:
             self.failure = error
             _LOG.error("no picture", serial=self._serial, reason=str(error))
-            return _Picture(asked, bytes(size), 0.0)
+            return Picture(asked, bytes(size), 0.0, request)
 
     def _payload(self) -> bytes:
         """Return the bytes of the picture that is being sent; runs in the device's own thread."""

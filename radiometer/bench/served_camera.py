@@ -13,6 +13,8 @@ from radiometer.bench.cameras import SIMULATED, make_camera
 from radiometer.bench.config import BenchConfig, SimulatedCameraConfig, read_bench
 from radiometer.data.storage import read_yaml
 from radiometer.errors import ConfigurationError, InputError
+from simulators.blackfly_awkward import SERIAL as AWKWARD_SERIAL
+from simulators.blackfly_awkward import AwkwardBlackfly
 from simulators.blackfly_gige import BlackflyGige
 from simulators.blackfly_pictures import ForwardModelSource, PictureSource, PooledSource
 from simulators.scenes.factory import SCENES
@@ -48,6 +50,7 @@ def served_camera(
     seed: int | None = None,
     real_time: bool = True,
     pool: int = 0,
+    awkward: bool = False,
 ) -> BlackflyGige:
     """Return the simulated camera of a bench, ready to be served.
 
@@ -60,6 +63,7 @@ def served_camera(
         seed: Makes the noise; the bench's where None.
         real_time: Frames take their exposure time.
         pool: Frames served again and again; 0 makes every frame anew.
+        awkward: Serve one that is as awkward as a real Blackfly, with a serial number of its own where none is given.
 
     Raises:
         ConfigurationError: If the bench has no simulated camera, or a file holds something not allowed.
@@ -77,8 +81,18 @@ def served_camera(
     with camera:
         limits = replace(camera.capabilities, has_shutter=False)
     source: PictureSource = ForwardModelSource(camera.sensor)
+    source = PooledSource(source, pool) if pool else source
+    if awkward:
+        return AwkwardBlackfly(
+            source,
+            limits,
+            serial=serial or AWKWARD_SERIAL,
+            address=address,
+            temperature_c=wanted.temperature_C,
+            real_time=real_time,
+        )
     return BlackflyGige(
-        PooledSource(source, pool) if pool else source,
+        source,
         limits,
         vendor=camera.identity.vendor,
         model=camera.identity.model,

@@ -26,6 +26,10 @@ def command(
     frame_pool: Annotated[
         int, typer.Option(min=0, help="Serve so many frames again and again; 0 makes every frame anew.")
     ] = 0,
+    awkward: Annotated[
+        bool,
+        typer.Option("--awkward", help="As awkward as a real one: no Mono12, chunks, stale frames, locked features."),
+    ] = False,
 ) -> None:
     """Serve a simulated Blackfly S that any GenICam program can open, until stopped by Ctrl-C.
 
@@ -36,7 +40,7 @@ def command(
     from radiometer.bench.served_camera import Faults, serve, served_camera
 
     camera = served_camera(
-        bench, scene, serial=serial, address=address, seed=seed, real_time=real_time, pool=frame_pool
+        bench, scene, serial=serial, address=address, seed=seed, real_time=real_time, pool=frame_pool, awkward=awkward
     )
     with camera:
         print(f"{camera.label} is served at {address}; stop with Ctrl-C", flush=True)

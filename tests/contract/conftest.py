@@ -19,6 +19,7 @@ from drivers.gige_ping import answers
 from radiometer.data import LensDescription
 from radiometer.devices import Camera, CameraPreset, Roi
 from radiometer.errors import MissingLibrary
+from simulators.blackfly_awkward import AwkwardBlackfly
 from simulators.blackfly_gige import BlackflyGige
 from simulators.blackfly_pictures import ForwardModelSource
 from simulators.camera_model import CameraModel
@@ -111,7 +112,30 @@ def blackfly(aravis_installed: None, gige_port: None) -> Iterator[BlackflyGige]:
     assert served.failure is None
 
 
-@pytest.fixture(params=["simulated", "fake_1", "fake_gige", "blackfly"])
+@pytest.fixture
+def serve_awkward(aravis_installed: None, gige_port: None) -> Iterator[Callable[..., AwkwardBlackfly]]:
+    """Return a function that serves the Blackfly that is as awkward as the real one, before the same even field."""
+    running: list[AwkwardBlackfly] = []
+
+    def serve(**options: int) -> AwkwardBlackfly:
+        limits = replace(default_limits(), width=160, height=120, has_shutter=False)
+        running.append(AwkwardBlackfly(ForwardModelSource(_simulated(radiance=0.4).sensor), limits, **options))
+        running[-1].open()
+        return running[-1]
+
+    yield serve
+    for served in running:
+        served.close()
+        assert served.failure is None
+
+
+@pytest.fixture
+def awkward(serve_awkward: Callable[..., AwkwardBlackfly]) -> AwkwardBlackfly:
+    """Serve the awkward Blackfly."""
+    return serve_awkward()
+
+
+@pytest.fixture(params=["simulated", "fake_1", "fake_gige", "blackfly", "awkward"])
 def subject(request: pytest.FixtureRequest) -> Subject:
     """Return each camera in turn."""
     if request.param == "simulated":
@@ -119,8 +143,8 @@ def subject(request: pytest.FixtureRequest) -> Subject:
     request.getfixturevalue("aravis_installed")
     if request.param == "fake_1":
         return Subject("Fake_1", lambda: open_camera("Fake_1"), lambda _: open_camera("Fake_1"))
-    if request.param == "blackfly":
-        request.getfixturevalue("blackfly")
+    if request.param in ("blackfly", "awkward"):
+        request.getfixturevalue(request.param)
     else:
         request.getfixturevalue("fake_gige_process")()
     return Subject(request.param, lambda: open_camera(LOOPBACK), lambda _: open_camera(LOOPBACK))

@@ -63,3 +63,9 @@ def test_a_picture_can_be_the_scene(tmp_path):
     file = tmp_path / "scene.png"
     cv2.imwrite(str(file), np.full((20, 30), 128, np.uint8))
     assert served_camera(scene=str(file)).label
+
+
+def test_the_awkward_camera_has_a_hexadecimal_number_unless_one_is_given():
+    """It is known by model and number; those of the bench are not its own."""
+    assert served_camera(awkward=True).label == "simulated camera FLIR Blackfly S BFS-PGE-19S4M 0138C343"
+    assert served_camera(awkward=True, serial="0138C344").label.endswith("0138C344")
