@@ -12,6 +12,7 @@ from radiometer.data import Bracket, CaptureSet, Frame
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.errors import CaptureError
+from radiometer.importing import is_foreign, open_capture
 
 
 def open_brackets(
@@ -21,13 +22,14 @@ def open_brackets(
     report: Callable[[int, int], None] | None = None,
     speeds: IsoSpeeds | None = None,
 ) -> list[Bracket]:
-    """Return the brackets in a capture set or a folder of photographs.
+    """Return the brackets in a capture set, a folder of photographs, or files of a laboratory (FITS, raw TIFF, EMVA).
 
     Every frame carries its file's name in `extra["file"]`. A capture set gives one bracket per displayed pattern; a
     folder of colour photographs one of the wanted channel, or three for "each".
 
     Args:
-        path: Folder with `capture.yaml`, or with photographs whose times are in EXIF or in a list beside them.
+        path: Folder with `capture.yaml`, or with photographs whose times are in EXIF or in a list beside them; FITS or
+            raw TIFF files, a folder or pattern of them, or an EMVA 1288 descriptor.
         channel: "luminance", "red", "green", "blue" or "each"; grey frames have one channel whatever is asked.
         report: Called with (files read, files in all) as the work goes on.
         speeds: Photographs: what is known of the camera's ISO speeds beyond what it states.
@@ -36,6 +38,9 @@ def open_brackets(
         CaptureError: If the folder is missing, empty, unfinished or inconsistent.
         UsageError: If there is no such channel, or ISO speeds were given for frames that have none.
     """
+    if is_foreign(path):
+        (speeds or IsoSpeeds()).refuse_unstated(str(path), set())
+        return _capture_brackets(open_capture(path), report)
     if not path.exists():
         raise CaptureError(f"{path} does not exist; give a capture set or a folder of photographs")
     if not path.is_dir():

@@ -178,9 +178,9 @@ def _seen_in_photographs(path: Path, patch: str | None, channel: str, speeds: Is
 
 
 def _seen_in_capture(capture: Path, patch: str | None, *, needed: bool) -> _Seen:
-    from radiometer.data import CaptureSet
+    from radiometer.cli.direct import opened
 
-    found = CaptureSet.read(capture)
+    found = opened(capture)
     named = {entry.name: entry for entry in found.header.patches}
     known = named.get(patch or "")
     if patch is None:
@@ -289,9 +289,9 @@ def _camera_and_lens(
 def _flat_field(path: Path, base: Calibration, source_u_rel: float) -> FlatField:
     from radiometer.analysis.calibration.flat_field import fit_flat_field
     from radiometer.analysis.merge.bracket import merge
-    from radiometer.data import CaptureSet
+    from radiometer.cli.direct import opened
 
-    even = merge(CaptureSet.read(path).bracket(), base.camera, base.lens, replace(base, lens=_uncorrected(base.lens)))
+    even = merge(opened(path).bracket(), base.camera, base.lens, replace(base, lens=_uncorrected(base.lens)))
     return fit_flat_field(even, base.camera, base.lens, source_u_rel=source_u_rel)
 
 

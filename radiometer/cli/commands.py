@@ -26,6 +26,9 @@ COMMANDS: Final[dict[str, CommandEntry]] = {
     "characterise": CommandEntry(
         "radiometer.cli.characterise", "Find gain, noise, dark current and linearity of a camera (EMVA 1288)."
     ),
+    "import": CommandEntry(
+        "radiometer.cli.import_", "Turn FITS, raw TIFF, EMVA 1288 sets and tables into capture sets."
+    ),
     "flux": CommandEntry("radiometer.cli.flux", "Find the radiant flux of a light-emitting diode."),
     "reconcile": CommandEntry("radiometer.cli.reconcile", "Find what a simulation lacks, name it and add it."),
     "serve": CommandEntry("radiometer.cli.serve", "Measure for weeks and serve readings over SCPI, HTTP and MQTT."),

@@ -47,12 +47,13 @@ def command(
     """
     from radiometer.analysis.flux.estimate import led_flux
     from radiometer.analysis.flux.sensor import flux_scale
-    from radiometer.data import Calibration, CaptureSet
+    from radiometer.cli.direct import opened
+    from radiometer.data import Calibration
     from radiometer.devices import CameraPreset
 
     region = parse_patch(patch) if patch else None
     emitter = _emitter(half_angle, half_angle_u, diameter, diameter_u, distance, distance_u, datasheet_mw)
-    taken = CaptureSet.read(capture)
+    taken = opened(capture)
     if calibration and camera_file:
         raise UsageError("--calibration and --camera-file exclude each other")
     known = Calibration.read(calibration) if calibration else None

@@ -32,8 +32,12 @@ def iso_text(record: Sequence[dict[str, float]]) -> str:
 
 
 def is_photographs(path: Path) -> bool:
-    """Tell whether a folder is one of photographs: there is one, and it is no capture set."""
-    return path.is_dir() and not (path / "capture.yaml").exists() and not (path / "frames").is_dir()
+    """Tell whether a path is a folder of photographs: neither a capture set nor files of another kind."""
+    from radiometer.importing import is_foreign
+
+    if not path.is_dir() or (path / "capture.yaml").exists() or (path / "frames").is_dir():
+        return False
+    return not is_foreign(path)
 
 
 def reference_iso(frames: Iterable[Frame], speeds: IsoSpeeds) -> tuple[float | None, float | None]:

@@ -94,7 +94,10 @@ def _maps(
     f_number: float | None,
 ) -> dict[str, RadianceMap]:
     from radiometer.data.capture_set import HEADER_NAME
+    from radiometer.importing import is_foreign
 
+    if is_foreign(path):
+        return {"mono": _merge_capture(path, calibration, curves, pattern)}
     if not path.is_dir():
         raise CaptureError(f"{path} does not exist or is no folder; give a capture set or a folder of photographs")
     if (path / HEADER_NAME).exists():
@@ -115,9 +118,9 @@ def _merge_capture(
     f_number: float | None,
 ) -> RadianceMap:
     from radiometer.analysis.merge.bracket import merge
-    from radiometer.data import CaptureSet
+    from radiometer.cli.direct import opened
 
-    capture = CaptureSet.read(path)
+    capture = opened(path)
     header = capture.header
     levels = (header.camera.black_level_dn, *(entry.black_level_dn for entry in header.frames))
     black_dn = next((level for level in levels if level is not None), 0.0)

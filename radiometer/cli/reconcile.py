@@ -29,7 +29,8 @@ def command(
     capture: Annotated[
         Path,
         typer.Argument(
-            help="Capture set, photograph folder, EMVA 1288 descriptor (.txt) or light-meter table (.csv).",
+            help="Capture set, photograph folder, FITS or raw TIFF files, EMVA 1288 descriptor (.txt) or light-meter "
+            "table (.csv).",
         ),
     ],
     model: Annotated[Path | None, typer.Option(help="Model to start from; the ideal camera by default.")] = None,
@@ -61,6 +62,7 @@ def command(
             photographs=photographs,
             progress=lambda count, total: bar.update(task, completed=count, total=total),
             say=lambda line: bar.update(task, description=line),
+            doubt=lambda line: note(f"{capture.name}: {line}"),
         )
     result = done.result.written(
         done.write_model(output, provisional=provisional) if output else None,
@@ -81,9 +83,9 @@ def command(
 def _photographs(path: Path) -> Sequence[Frame] | None:
     """Return the frames of a folder of photographs; None where the path is something else."""
     from radiometer.data.capture_set import HEADER_NAME
-    from radiometer.other_data.emva_sets import find_descriptor
+    from radiometer.importing import is_foreign
 
-    if not path.is_dir() or (path / HEADER_NAME).exists() or find_descriptor(path) or (path / "frames").is_dir():
+    if not path.is_dir() or (path / HEADER_NAME).exists() or (path / "frames").is_dir() or is_foreign(path):
         return None
     from radiometer.bench.sources import open_brackets
 

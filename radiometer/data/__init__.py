@@ -9,7 +9,7 @@ from radiometer.data.capture_header import (
     PatchDescription,
     SourceDescription,
 )
-from radiometer.data.capture_set import CaptureHeader, CaptureSet, FrameEntry
+from radiometer.data.capture_set import CaptureHeader, CaptureSet, FrameEntry, SettingStatistics
 from radiometer.data.capture_writer import CaptureSetWriter
 from radiometer.data.frame import Frame, FrameSettings
 from radiometer.data.provenance import Provenance
@@ -43,6 +43,7 @@ __all__ = [
     "ResponseCurve",
     "Scale",
     "SensorNoise",
+    "SettingStatistics",
     "SourceDescription",
     "SpectralResponse",
     "StatedUncertainties",

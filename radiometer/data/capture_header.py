@@ -16,6 +16,7 @@ class CameraDescription(FileSection):
     """The camera as its datasheet or calibration believes it to be; all but the bit depth may be unknown."""
 
     bit_depth: int = Field(ge=1, le=16)
+    code_step_dn: int | None = Field(None, ge=1)  # distance between codes where the low bits are padding; 1 if unknown
     vendor: str | None = None
     model: str | None = None
     serial: str | None = None

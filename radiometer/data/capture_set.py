@@ -6,11 +6,11 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, Self
 
 import cv2
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from radiometer.data.bracket import Bracket
 from radiometer.data.capture_header import (
@@ -32,7 +32,7 @@ class FrameEntry(FileSection):
     """One frame of a capture set as `capture.yaml` lists it."""
 
     file: str
-    exposure_s: float = Field(gt=0)
+    exposure_s: float = Field(ge=0)  # 0 stands for a bias frame: shutter closed, read out at once
     gain_db: float = 0.0
     f_number: float | None = Field(None, gt=0)
     black_level_dn: float | None = None
@@ -41,6 +41,13 @@ class FrameEntry(FileSection):
     source_level: float = Field(1.0, ge=0)
     pattern: str = "default"
     shutter: Literal["open", "closed"] = "open"
+    photons: float | None = Field(None, ge=0)  # mean per pixel, where a descriptor states them
+
+    @model_validator(mode="after")
+    def _refuse_light_without_exposure(self) -> Self:
+        if self.exposure_s == 0 and self.shutter == "open":
+            raise ValueError("an exposure of 0 s stands for a dark frame; say shutter: closed, or the real exposure")
+        return self
 
     @property
     def settings(self) -> FrameSettings:
@@ -58,8 +65,8 @@ class FrameEntry(FileSection):
         )
 
     @classmethod
-    def of(cls, file: str, settings: FrameSettings) -> FrameEntry:
-        """Return the entry for a frame stored under `file` (relative to the capture set)."""
+    def of(cls, file: str, settings: FrameSettings, **further: Any) -> FrameEntry:
+        """Return the entry for a frame stored under `file` (relative to the capture set), with further facts."""
         return cls(
             file=file,
             exposure_s=settings.exposure_s,
@@ -71,6 +78,44 @@ class FrameEntry(FileSection):
             source_level=settings.source_level,
             pattern=settings.pattern,
             shutter=settings.shutter,
+            **further,
+        )
+
+
+class SettingStatistics(FileSection):
+    """What is known of the frames of one setting where their pictures are not: their statistics.
+
+    `variance_dn2` is the temporal variance of a pixel (half that of the difference of a pair), None where one frame is
+    all there is.
+    """
+
+    exposure_s: float = Field(ge=0)
+    mean_dn: float
+    variance_dn2: float | None = Field(None, ge=0)
+    frames: int = Field(2, ge=1)
+    pixels: int = Field(ge=1)
+    gain_db: float = 0.0
+    temperature_C: float | None = None  # noqa: N815 (the file's key)
+    timestamp_s: float | None = None
+    source_level: float = Field(1.0, ge=0)
+    pattern: str = "default"
+    shutter: Literal["open", "closed"] = "open"
+    photons: float | None = Field(None, ge=0)
+    spatial_variance_dn2: float | None = None
+    clipped_share: float = Field(0.0, ge=0, le=1)  # of the pixels at full scale
+    floor_share: float = Field(0.0, ge=0, le=1)  # of the pixels at 0
+
+    @property
+    def settings(self) -> FrameSettings:
+        """Return the setting."""
+        return FrameSettings(
+            exposure_s=self.exposure_s,
+            gain_db=self.gain_db,
+            temperature_c=self.temperature_C,
+            timestamp_s=self.timestamp_s,
+            source_level=self.source_level,
+            pattern=self.pattern,
+            shutter=self.shutter,
         )
 
 
@@ -83,12 +128,32 @@ class CaptureHeader(FileSection):
     source: SourceDescription = SourceDescription()
     patterns: tuple[str, ...] = ("default",)
     patches: tuple[PatchDescription, ...] = ()
-    frames: tuple[FrameEntry, ...] = Field(min_length=1)
+    frames: tuple[FrameEntry, ...] = ()
+    statistics: tuple[SettingStatistics, ...] = ()  # instead of frames, where pictures are not to be had
+
+    @model_validator(mode="after")
+    def _refuse_nothing(self) -> Self:
+        if not self.frames and not self.statistics:
+            raise ValueError("frames is missing or empty: a capture set holds at least one frame")
+        return self
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the plain mapping that stands in the file; what is unknown is left out."""
         unknown = {name for name in ("lens", "source") if getattr(self, name) == type(getattr(self, name))()}
+        unknown |= set() if self.statistics else {"statistics"}
         return self.model_dump(mode="json", exclude_none=True, exclude=unknown)
+
+
+class FrameStore(Protocol):
+    """Where the frames of a capture set lie when they are not the files of its folder."""
+
+    def read(self, file: str) -> DigitalNumbers:
+        """Return the digital numbers of the frame that the header lists under a name."""
+        ...
+
+    def digest(self) -> str:
+        """Return the SHA-256 of all that the frames were read from, in hexadecimal."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +163,12 @@ class CaptureSet:
     Attributes:
         path: The folder.
         header: What `capture.yaml` says.
+        store: Where the frames lie; None for the files of the folder.
     """
 
     path: Path
     header: CaptureHeader
+    store: FrameStore | None = None
 
     @classmethod
     def read(cls, path: Path) -> CaptureSet:
@@ -117,7 +184,13 @@ class CaptureSet:
             raise CaptureError(
                 f"{path} holds no {HEADER_NAME}: the capture was not finished (it is written last); capture it again"
             )
-        return cls(path, _checked_header(header_path))
+        header = _checked_header(header_path)
+        if not header.frames:
+            raise CaptureError(
+                f"{path} holds statistics of settings and no pictures; radiometer characterise takes it, and what "
+                "works on pixels cannot"
+            )
+        return cls(path, header)
 
     def __len__(self) -> int:
         return len(self.header.frames)
@@ -129,7 +202,7 @@ class CaptureSet:
             CaptureError: If its file is unreadable, not single-channel, or holds values above full scale.
         """
         entry = self.header.frames[index]
-        dn = read_digital_numbers(self.path / entry.file)
+        dn = self.read_numbers(entry.file)
         bit_depth = self.header.camera.bit_depth
         if bit_depth > 8 and dn.dtype == np.uint8:
             dn = dn.astype(np.uint16)
@@ -141,6 +214,14 @@ class CaptureSet:
                 f"{self.header.camera.full_scale_dn} of camera.bit_depth {self.header.camera.bit_depth}"
             )
         return frame
+
+    def read_numbers(self, file: str) -> DigitalNumbers:
+        """Return the digital numbers of the frame that the header lists under a name.
+
+        Raises:
+            CaptureError: If it is unreadable or not single-channel.
+        """
+        return self.store.read(file) if self.store else read_digital_numbers(self.path / file)
 
     def frames(self) -> Iterator[Frame]:
         """Yield all frames in the header's order, one in memory at a time.
@@ -173,12 +254,23 @@ class CaptureSet:
 
     def content_hash(self) -> str:
         """Return the SHA-256 of the header and all frame files, in hexadecimal."""
+        if self.store is not None:
+            return self.store.digest()
         digest = hashlib.sha256((self.path / HEADER_NAME).read_bytes())
         for entry in self.header.frames:
             with (self.path / entry.file).open("rb") as stream:
                 while block := stream.read(1 << 20):
                     digest.update(block)
         return digest.hexdigest()
+
+
+def read_header(path: Path) -> CaptureHeader:
+    """Return what the `capture.yaml` of a folder says, of frames or of statistics alone.
+
+    Raises:
+        CaptureError: If it is missing or wrong, or names absent files.
+    """
+    return _checked_header(path / HEADER_NAME)
 
 
 def read_digital_numbers(path: Path) -> DigitalNumbers:

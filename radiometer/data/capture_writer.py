@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import cv2
 
@@ -64,8 +64,12 @@ class CaptureSetWriter:
             raise OutputError(f"cannot create {self.path}: {error.strerror or error}") from error
         return self
 
-    def add(self, frame: Frame) -> None:
+    def add(self, frame: Frame, **further: Any) -> None:
         """Write one frame.
+
+        Args:
+            frame: The frame.
+            further: Further keys of its entry in `capture.yaml`.
 
         Raises:
             OutputError: If the disk refuses it.
@@ -75,7 +79,7 @@ class CaptureSetWriter:
         if not done:
             raise OutputError(f"cannot encode frame {len(self._entries)} as PNG")
         write_bytes_atomic(self.path / name, encoded.tobytes())
-        self._entries.append(FrameEntry.of(name, frame.settings))
+        self._entries.append(FrameEntry.of(name, frame.settings, **further))
 
     def finish(self) -> CaptureSet:
         """Write `capture.yaml` and return the finished set.

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
 
-from radiometer.data import Frame
-from radiometer.data.capture_set import HEADER_NAME
+from radiometer.data import CaptureHeader, CaptureSet, Frame
 from radiometer.errors import CaptureError, OutputError
-from radiometer.other_data.emva_sets import find_descriptor, read_emva_set
+from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
 from radiometer.other_data.light_meter import reconcile_meter_table
 from radiometer.other_data.photographs import reconcile_photographs
-from radiometer.reconcile.engine import Progress, Reconciled, Say, examine, reconcile_capture, whole_catalogue
+from radiometer.reconcile.engine import Progress, Reconciled, Say, examine, whole_catalogue
 from radiometer.reconcile.report.result import ReconcileResult
 from simulators.camera_model import CameraModel
+
+_STAND_IN_SHARE: Final = 1e-3  # of the shortest exposure
 
 
 class Done(Protocol):
@@ -79,8 +81,9 @@ def reconcile_source(
     photographs: Sequence[Frame] | None = None,
     progress: Progress | None = None,
     say: Say = lambda line: None,
+    doubt: Say = lambda line: None,
 ) -> Done:
-    """Return the result for a capture set, photograph folder, EMVA 1288 descriptor or light-meter table.
+    """Return the result for a capture set, photographs, files of a laboratory (FITS, TIFF, EMVA) or a meter table.
 
     Args:
         path: What the user names.
@@ -89,33 +92,49 @@ def reconcile_source(
         photographs: Frames of a folder of photographs, read by the caller.
         progress: Called with frames done and frames in all.
         say: Told what happens.
+        doubt: Told what is missing and what is doubted of files that are read where they are.
 
     Raises:
         CaptureError: If the path holds nothing that can be reconciled.
     """
     model = CameraModel.read(model_path) if model_path else None
     entries = {name: kind for name, kind in whole_catalogue().items() if name not in without}
-    if path.suffix.lower() == ".csv":
+    if path.suffix.lower() == ".csv" and statistics_of(path) is None:
         return reconcile_meter_table(path)
     if photographs is not None:
         return reconcile_photographs(photographs)
-    descriptor = None if (path / HEADER_NAME).exists() else find_descriptor(path)
-    if descriptor is not None:
-        header, read, shape = read_emva_set(descriptor)
-        found = examine(header, read, shape, model, catalogue=entries, progress=progress, say=say)
-        return DoneCapture(found, descriptor, None)
-    if path.is_file():
+    if path.is_file() and not is_foreign(path):
         raise CaptureError(
-            f"{path}: give a capture set's folder, an EMVA 1288 descriptor (.txt) or a meter table (.csv)"
+            f"{path}: give a capture set's folder, FITS or raw TIFF files, an EMVA 1288 descriptor (.txt) or a meter "
+            "table (.csv)"
         )
-    done = reconcile_capture(path, model, catalogue=entries, progress=progress, say=say)
-    return DoneCapture(done, path, lambda: _hash(path))
+    capture = open_capture(path)
+    for line in imported_of(capture).lines() if capture.store else ():
+        doubt(line)
+    header = _without_zeros(capture.header)
+
+    def read(index: int) -> Frame:
+        return replace(capture.read_frame(index), settings=header.frames[index].settings)
+
+    shape = capture.read_frame(0).shape
+    found = examine(header, read, shape, model, catalogue=entries, progress=progress, say=say)
+    return DoneCapture(found, path, lambda: _hash(capture))
 
 
-def _hash(path: Path) -> str:
-    from radiometer.data import CaptureSet
+def _without_zeros(header: CaptureHeader) -> CaptureHeader:
+    """Return the header with a stand-in for bias frames' exposure of 0 s, far below every other.
 
+    Exposures are compared by their logarithm; what a dark current makes of the stand-in is below what any of them
+    shows.
+    """
+    shortest = min((entry.exposure_s for entry in header.frames if entry.exposure_s > 0), default=1.0)
+    stand_in_s = _STAND_IN_SHARE * shortest
+    frames = tuple(e if e.exposure_s > 0 else e.model_copy(update={"exposure_s": stand_in_s}) for e in header.frames)
+    return header.model_copy(update={"frames": frames})
+
+
+def _hash(capture: CaptureSet) -> str:
     try:
-        return CaptureSet.read(path).content_hash()
+        return capture.content_hash()
     except OSError as error:
-        raise OutputError(f"cannot read {path} again for its hash: {error}") from error
+        raise OutputError(f"cannot read {capture.path} again for its hash: {error}") from error

@@ -13,7 +13,7 @@ import pytest
 from radiometer.cli.main import run
 from radiometer.data import Frame, FrameSettings
 from radiometer.errors import InputError
-from radiometer.other_data.emva_sets import find_descriptor, read_emva_set
+from radiometer.importing import open_capture
 from radiometer.other_data.light_meter import read_meter_table, reconcile_meter_table
 from radiometer.other_data.photographs import reconcile_photographs
 from radiometer.reconcile.report.result import Verdict
@@ -131,10 +131,7 @@ def test_one_of_four_labels_may_lie() -> None:
 
 def test_emva_descriptor_becomes_a_capture_set(shared_data: Path) -> None:
     """Bright and dark pairs of the real set: times in s, levels in shares of the brightest flux, size of the frames."""
-    path = find_descriptor(shared_data / "emva" / "ref001_ccd_12bit")
-    assert path is not None
-    header, read, shape = read_emva_set(path)
-    assert shape == (480, 640)
-    assert header.frames[0].exposure_s == pytest.approx(40e-6)
-    assert {entry.shutter for entry in header.frames} == {"open", "closed"}
-    assert read(0).dn.shape == shape
+    capture = open_capture(shared_data / "emva" / "ref001_ccd_12bit")
+    assert capture.header.frames[0].exposure_s == pytest.approx(40e-6)
+    assert {entry.shutter for entry in capture.header.frames} == {"open", "closed"}
+    assert capture.read_frame(0).dn.shape == (480, 640)

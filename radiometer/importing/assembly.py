@@ -1,0 +1,262 @@
+"""Frames that were found in files, put together as the header of one capture set."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, LensDescription, SourceDescription
+from radiometer.data.frame import DigitalNumbers
+from radiometer.errors import CaptureError
+from radiometer.importing.found import FoundFrame, ImportOptions
+from radiometer.importing.record import ImportRecord, doubts_about, named, taken_from
+
+_LOOKED_AT: Final = 4  # frames whose codes are looked at for padding and clipping
+_FEWEST_CLIPPED: Final = 4
+_CAMERA_KEYS: Final = (
+    "vendor", "model", "serial", "band", "wavelength_nm", "binning", "pixel_pitch_um", "conversion_gain_e_per_dn",
+    "read_noise_e",
+)  # fmt: skip
+_OWN_KEYS: Final = ("vendor", "model", "serial", "band", "binning")  # what a camera is called by among several
+_MASKED_SAME_DN: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Assembled:
+    """The header of one camera's frames, and the frame behind each name in it."""
+
+    title: str
+    header: CaptureHeader
+    frames: Mapping[str, FoundFrame]
+
+
+def by_camera(frames: Iterable[FoundFrame]) -> dict[str, list[FoundFrame]]:
+    """Return the frames by camera: maker, model, serial number, band, binning and frame size."""
+    keys: dict[tuple[Any, ...], list[FoundFrame]] = {}
+    for frame in frames:
+        keys.setdefault((*(frame.camera.get(k) for k in _OWN_KEYS), *frame.shape, frame.camera.get("unit")), []).append(
+            frame
+        )
+    titles = _titles(list(keys))
+    return dict(zip(titles, keys.values(), strict=True))
+
+
+def _titles(keys: Sequence[tuple[Any, ...]]) -> list[str]:
+    """Return a short unique name for each camera: the parts in which they differ."""
+    if len(keys) == 1:
+        return ["camera"]
+    differing = [i for i in range(len(keys[0]) - 1) if len({key[i] for key in keys}) > 1]
+    words = ["-".join(str(key[i]) for i in differing if key[i] is not None) or "camera" for key in keys]
+    clean = ["".join(c if c.isalnum() or c in "-_." else "_" for c in word) for word in words]
+    seen: Counter[str] = Counter()
+    unique = []
+    for word in clean:
+        seen[word] += 1
+        unique.append(word if seen[word] == 1 else f"{word}-{seen[word]}")
+    return unique
+
+
+def assemble(
+    title: str,
+    frames: Sequence[FoundFrame],
+    root: Path,
+    options: ImportOptions,
+    read: Any,
+    left_out: Sequence[str] = (),
+    bit_depth: int | None = None,
+) -> Assembled:
+    """Return the header of a capture set for frames of one camera, by the time they were taken.
+
+    Args:
+        title: Name of the camera among several.
+        frames: Its frames.
+        root: Folder that the names of the frames are relative to.
+        options: How they are taken.
+        read: Returns the digital numbers of a frame, for a look at their codes.
+        left_out: Lines about files that could not be used.
+        bit_depth: Bits per pixel where a descriptor states them.
+
+    Raises:
+        CaptureError: If no frame's exposure is known, or frames of several unknown gains are mixed.
+    """
+    known = [f for f in frames if f.exposure_known and (f.settings.exposure_s > 0 or f.settings.is_dark)]
+    without = [f.label for f in frames if f not in known]
+    if not known:
+        raise CaptureError(
+            f"{root}: no header states an exposure time ({named(without)}); write the frames as a capture set"
+        )
+    lines = [*left_out, *([f"{named(without)}: no exposure time is stated"] if without else [])]
+    ordered = _plain_patterns(_by_time(known))
+    codes = _Codes.of(ordered, options, read, bit_depth)
+    camera, disagreeing = _camera(ordered, codes, options)
+    origin_s = ordered[0].settings.timestamp_s
+    entries = {_name(frame, root): (frame, _entry(frame, root, origin_s)) for frame in ordered}
+    record = ImportRecord(
+        taken_from(ordered),
+        tuple(_missing(ordered, camera)),
+        (*doubts_about(ordered), *disagreeing, *codes.doubts, *_black_by_gain(ordered)),
+        tuple(lines),
+    )
+    header = CaptureHeader.model_validate(
+        {
+            "camera": camera,
+            "lens": _lens(ordered),
+            "source": SourceDescription(kind="sphere" if ordered[0].photons is not None else "scene"),
+            "patterns": tuple(dict.fromkeys(f.settings.pattern for f in ordered)),
+            "frames": tuple(entry for _, entry in entries.values()),
+            "imported": record.to_mapping(),
+            **({"created": datetime.fromtimestamp(origin_s, UTC).isoformat()} if origin_s and origin_s > 1e9 else {}),
+        }
+    )
+    return Assembled(title, header, {name: frame for name, (frame, _) in entries.items()})
+
+
+def _by_time(frames: Sequence[FoundFrame]) -> list[FoundFrame]:
+    stamps = [f.settings.timestamp_s for f in frames]
+    if any(stamp is None for stamp in stamps):
+        return sorted(frames, key=lambda f: (str(f.file), f.part))
+    return sorted(frames, key=lambda f: (f.settings.timestamp_s or 0.0, str(f.file), f.part))
+
+
+def _plain_patterns(frames: Sequence[FoundFrame]) -> list[FoundFrame]:
+    """Return the frames with one pattern's name where only one occurs in the light; darks have none."""
+    lit = {f.settings.pattern for f in frames if not f.settings.is_dark}
+    return [
+        f if len(lit) > 1 and not f.settings.is_dark else replace(f, settings=replace(f.settings, pattern="default"))
+        for f in frames
+    ]
+
+
+def _name(frame: FoundFrame, root: Path) -> str:
+    try:
+        name = frame.file.relative_to(root).as_posix()
+    except ValueError:
+        name = frame.file.as_posix()
+    return name if frame.parts == 1 else f"{name}#{frame.part}"
+
+
+def _entry(frame: FoundFrame, root: Path, origin_s: float | None) -> FrameEntry:
+    settings = frame.settings
+    if origin_s is not None and settings.timestamp_s is not None and origin_s > 1e9:
+        settings = replace(settings, timestamp_s=round(settings.timestamp_s - origin_s, 6))
+    return FrameEntry.of(_name(frame, root), settings, photons=frame.photons, **frame.extra)
+
+
+@dataclass(frozen=True, slots=True)
+class _Codes:
+    """What the codes of some frames say of the converter."""
+
+    bit_depth: int
+    step_dn: int
+    doubts: tuple[str, ...]
+
+    @classmethod
+    def of(cls, frames: Sequence[FoundFrame], options: ImportOptions, read: Any, stated: int | None) -> _Codes:
+        looked = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, _LOOKED_AT).astype(int))]
+        pixels: list[DigitalNumbers] = []
+        for frame in looked:
+            pixels.append(read(frame, options))
+        bits = 0
+        for dn in pixels:
+            bits |= int(np.bitwise_or.reduce(dn, axis=None))
+        step = bits & -bits if bits else 1
+        container = 8 * max(dn.dtype.itemsize for dn in pixels)
+        depth, doubts = (stated, []) if stated else _converter_bits(pixels, container, looked)
+        if step > 1 and not stated:
+            real = container - (step.bit_length() - 1)
+            doubts.append(
+                f"all values are multiples of {step}: {real} bits written in {container} (padded), so that rounding "
+                f"has steps of {step} DN"
+            )
+        if any(np.dtype(f.stored).kind == "f" or np.dtype(f.stored).itemsize > 2 for f in looked):
+            top = options.full_scale or 0.0
+            doubts.append(f"{looked[0].stored} values were taken with the stated full scale of {top:g}")
+        return cls(depth, step, tuple(doubts))
+
+
+def _converter_bits(
+    pixels: Sequence[DigitalNumbers], container: int, frames: Sequence[FoundFrame]
+) -> tuple[int, list[str]]:
+    """Return the bits per pixel: fewer than the container's where pixels pile up at the top of fewer."""
+    highest = max(int(dn.max(initial=0)) for dn in pixels)
+    for bits in (10, 12, 14):
+        top = (1 << bits) - 1
+        piled = sum(int(np.count_nonzero(dn == top)) for dn in pixels)
+        if highest == top and container == 16 and piled >= _FEWEST_CLIPPED:
+            return bits, [f"{piled} pixels pile up at {top}, the highest value: {bits} bits are taken"]
+    tops = {f.camera["stated_top_dn"] for f in frames if "stated_top_dn" in f.camera}
+    top_stated = max(tops, default=0)
+    for bits in (10, 12, 14):
+        if top_stated == (1 << bits) - 1 and highest <= top_stated:
+            return bits, []
+    return container, []
+
+
+def _camera(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOptions) -> tuple[CameraDescription, list[str]]:
+    facts: dict[str, Any] = {"bit_depth": codes.bit_depth}
+    doubts = []
+    for key in _CAMERA_KEYS:
+        values = Counter(f.camera[key] for f in frames if key in f.camera)
+        if values:
+            facts[key] = values.most_common(1)[0][0]
+        if len(values) > 1:
+            doubts.append(f"headers disagree on {key}: {', '.join(map(str, values))}; the most frequent is taken")
+    if codes.step_dn > 1:
+        facts["code_step_dn"] = codes.step_dn
+    if "pixel_pitch_um" in facts and options.sample > 1:
+        facts["pixel_spacing_um"] = facts["pixel_pitch_um"] * options.sample
+    blacks = {f.settings.black_level_dn for f in frames if f.settings.black_level_dn is not None}
+    if len(blacks) == 1:
+        facts["black_level_dn"] = blacks.pop()
+    return CameraDescription.model_validate(facts), doubts
+
+
+def _lens(frames: Sequence[FoundFrame]) -> LensDescription:
+    facts: dict[str, Any] = {}
+    for frame in frames:
+        for key, value in frame.lens.items():
+            facts.setdefault(key, value)
+    stops = {f.settings.f_number for f in frames if f.settings.f_number}
+    if len(stops) == 1:
+        facts["f_number"] = stops.pop()
+    return LensDescription.model_validate(facts)
+
+
+def _black_by_gain(frames: Sequence[FoundFrame]) -> list[str]:
+    """Return a line that says how masked rows lie above the black level tag at each gain."""
+    by_gain: dict[float, list[float]] = {}
+    for frame in frames:
+        masked, stated = frame.extra.get("masked_rows_dn"), frame.settings.black_level_dn
+        if masked is not None and stated is not None:
+            by_gain.setdefault(round(frame.settings.gain_db, 2), []).append(masked - stated)
+    offsets = {gain: float(np.mean(values)) for gain, values in sorted(by_gain.items())}
+    if not offsets or max(map(abs, offsets.values())) < _MASKED_SAME_DN:
+        return []
+    said = ", ".join(f"{offset:+.0f} DN at {gain:g} dB" for gain, offset in offsets.items())
+    kind = "black_level_offset and black_level_gain_slope" if len(offsets) > 1 else "black_level_offset"
+    return [f"masked rows lie off the black level tag by {said}: {kind}"]
+
+
+def _missing(frames: Sequence[FoundFrame], camera: CameraDescription) -> list[str]:
+    found = []
+    if not any(f.settings.is_dark for f in frames):
+        found.append("no dark frames: black level and read noise cannot be told from the light")
+    if all(f.settings.is_dark for f in frames):
+        found.append("no frames with light: no photon transfer, no linearity, no saturation")
+    if all(f.settings.temperature_c is None for f in frames):
+        found.append("sensor temperature")
+    if all(f.settings.timestamp_s is None for f in frames):
+        found.append("time of the frames: their order is that of their names")
+    if camera.conversion_gain_e_per_dn is None:
+        found.append("conversion gain in e-/DN")
+    counts = Counter((f.settings.exposure_s, f.settings.gain_db, f.settings.shutter) for f in frames)
+    single = sum(1 for number in counts.values() if number == 1)
+    if single:
+        found.append(f"{single} of {len(counts)} settings have one frame only: no temporal noise from them")
+    return found

@@ -1,0 +1,90 @@
+"""What a file's name claims of its frame, to be held against what its header says."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+_UNIT_S: Final = {
+    "ns": 1e-9,
+    "us": 1e-6,
+    "µs": 1e-6,
+    "usec": 1e-6,
+    "ms": 1e-3,
+    "msec": 1e-3,
+    "s": 1.0,
+    "sec": 1.0,
+    "secs": 1.0,
+    "m": 60.0,
+    "min": 60.0,
+}
+_NUMBER: Final = r"(\d+(?:[.p]\d+)?)"
+_UNITS: Final = "|".join(sorted(_UNIT_S, key=len, reverse=True))
+_MINUTES_AND_SECONDS: Final = re.compile(rf"(?<![\da-z.]){_NUMBER}m{_NUMBER}s(?![a-z])")
+_TIME: Final = re.compile(rf"(?<![\d.]){_NUMBER}({_UNITS})(?![a-z\d])")
+_BARE: Final = re.compile(rf"(?:expos|exposure|exptime|exp){_NUMBER}(?![\d.]*[a-z])")
+_KINDS: Final = {"bias": "dark", "zero": "dark", "dark": "dark", "flat": "light", "light": "light"}
+_SAME_REL: Final = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class NameClaims:
+    """What a name claims.
+
+    Attributes:
+        exposure_s: Exposure in s; None where it names none.
+        exposure_has_unit: False where a bare number was taken for seconds.
+        kind: "dark", "light", or "".
+    """
+
+    exposure_s: float | None
+    exposure_has_unit: bool
+    kind: str
+
+
+def claims_of(file: Path) -> NameClaims:
+    """Return what a file's name claims, such as 90 s and darkness in `dark_series_0c_1m30s.00000001.DARK.FIT`."""
+    words = file.name.lower()
+    found = [kind for word, kind in _KINDS.items() if word in words]
+    kind = found[0] if len(set(found)) == 1 else ""
+    seconds, has_unit = _exposure(words)
+    return NameClaims(seconds, has_unit, kind)
+
+
+def _exposure(words: str) -> tuple[float | None, bool]:
+    both = _MINUTES_AND_SECONDS.search(words)
+    if both:
+        return 60.0 * _value(both[1]) + _value(both[2]), True
+    timed = _TIME.search(words)
+    if timed:
+        return _value(timed[1]) * _UNIT_S[timed[2]], True
+    bare = _BARE.search(words)
+    return (_value(bare[1]), False) if bare else (None, False)
+
+
+def _value(digits: str) -> float:
+    return float(digits.replace("p", "."))
+
+
+def contradictions(claims: NameClaims, exposure_s: float | None, *, is_dark: bool) -> list[str]:
+    """Return what a name claims against what the header says, in words; empty where they agree.
+
+    Args:
+        claims: What the name claims.
+        exposure_s: Exposure in s of the header; None where it states none.
+        is_dark: The header speaks of a dark frame.
+    """
+    found = []
+    claimed = claims.exposure_s
+    if claimed is not None and exposure_s is not None:
+        close = math.isclose(claimed, exposure_s, rel_tol=_SAME_REL, abs_tol=1e-9)
+        if not close:
+            unit = "s" if claims.exposure_has_unit else "(s?)"
+            found.append(f"the name says {claimed:g} {unit}, the header {exposure_s:g} s: the header is taken")
+    if claims.kind and (claims.kind == "dark") != is_dark:
+        said = "dark" if is_dark else "light"
+        found.append(f"the name says {claims.kind}, the header {said}: the header is taken")
+    return found

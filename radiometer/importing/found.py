@@ -1,0 +1,139 @@
+"""What a file says of the frames in it, before they become a capture set."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data.frame import DigitalNumbers, FrameSettings
+from radiometer.data.reading import Patch
+from radiometer.errors import CaptureError, UsageError
+
+TOP_DN = 65535  # the highest digital number that a capture set holds
+
+
+@dataclass(frozen=True, slots=True)
+class ImportOptions:
+    """How frames are taken.
+
+    Attributes:
+        crop: Region to keep; None for the whole frame.
+        sample: Keep every n-th row and column of it, from its first on.
+        full_scale: Value of full scale where the files hold 32-bit or floating-point numbers; None refuses them.
+        pedestal: Value added before, so that numbers below zero (processed darks) can be held.
+    """
+
+    crop: Patch | None = None
+    sample: int = 1
+    full_scale: float | None = None
+    pedestal: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.sample < 1:
+            raise UsageError(f"sampling every {self.sample} pixels is not possible; give 1 or more")
+        if self.full_scale is not None and not (np.isfinite(self.full_scale) and self.full_scale > 0):
+            raise UsageError(f"a full scale of {self.full_scale:g} is not possible; give a number above 0")
+
+    def cut(self, pixels: NDArray[Any], where: str) -> NDArray[Any]:
+        """Return the wanted part of a picture.
+
+        Raises:
+            CaptureError: If the crop does not lie on it.
+        """
+        if self.crop is not None:
+            height, width = pixels.shape
+            if not self.crop.fits((height, width)):
+                raise CaptureError(
+                    f"{where}: the crop {self.crop.x},{self.crop.y},{self.crop.width},{self.crop.height} does not lie "
+                    f"on the frame of {width} × {height} pixels"
+                )
+            pixels = pixels[self.crop.slices]
+        return np.ascontiguousarray(pixels[:: self.sample, :: self.sample])
+
+    def digital_numbers(self, pixels: NDArray[Any], where: str) -> DigitalNumbers:
+        """Return stored values as the digital numbers of a frame, cut to the wanted part.
+
+        Integers of up to 16 bits without a sign are kept as they are. With a stated full scale above 65535, or one of
+        floating-point numbers, values are scaled so that full scale becomes 65535.
+
+        Raises:
+            CaptureError: If values are negative, above what is stated, not finite, or of a kind that needs a full
+                scale; the message says which option takes them.
+        """
+        part = self.cut(pixels, where)
+        if part.dtype in (np.uint8, np.uint16) and not self.pedestal:
+            kept: DigitalNumbers = part
+            return kept
+        return _converted(part, self, where)
+
+
+def _converted(part: NDArray[Any], options: ImportOptions, where: str) -> DigitalNumbers:
+    wide = part.dtype.kind == "f" or part.dtype.itemsize > 2
+    if wide and options.full_scale is None:
+        raise CaptureError(
+            f"{where}: holds {part.dtype.name} values, whose full scale no header states; "
+            "take them by `radiometer import --full-scale VALUE`"
+        )
+    values = part.astype(np.float64) + options.pedestal
+    if not np.isfinite(values).all():
+        raise CaptureError(f"{where}: holds values that are no numbers (NaN or infinite); they cannot be taken")
+    lowest, highest = float(values.min(initial=0.0)), float(values.max(initial=0.0))
+    if lowest < 0:
+        raise CaptureError(
+            f"{where}: holds negative values down to {lowest:g} (a processed frame?); "
+            f"take them by `radiometer import --pedestal {np.ceil(-lowest) + options.pedestal:g}` or more"
+        )
+    top = options.full_scale + options.pedestal if wide and options.full_scale is not None else float(TOP_DN)
+    if highest > top:
+        raise CaptureError(f"{where}: holds the value {highest:g}, above the full scale of {top:g}")
+    scale = TOP_DN / top if wide and (top > TOP_DN or part.dtype.kind == "f") else 1.0
+    return np.rint(values * scale).astype(np.uint16)
+
+
+@dataclass(frozen=True, slots=True)
+class FoundFrame:
+    """One frame in a file, not read yet.
+
+    Attributes:
+        file: The file.
+        part: Number of the plane or page in it.
+        parts: How many frames the file holds.
+        shape: (height, width) as stored.
+        stored: Kind of the stored numbers, as NumPy names it.
+        settings: What it was taken with.
+        exposure_known: False where no source states the exposure.
+        camera: What the file says of the camera, by the keys of the capture set's header.
+        lens: The same of the lens.
+        taken: Where each fact came from, such as {"exposure_s": "EXPTIME"}.
+        doubts: What contradicts itself.
+        extra: Further facts for the frame's entry.
+        photons: Mean photons per pixel; None where unknown.
+    """
+
+    file: Path
+    shape: tuple[int, int]
+    stored: str
+    settings: FrameSettings
+    part: int = 0
+    parts: int = 1
+    exposure_known: bool = True
+    camera: Mapping[str, Any] = field(default_factory=dict)
+    lens: Mapping[str, Any] = field(default_factory=dict)
+    taken: Mapping[str, str] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    photons: float | None = None
+
+    def doubting(self, *lines: str) -> FoundFrame:
+        """Return the frame with further doubts."""
+        return replace(self, doubts=(*self.doubts, *lines)) if lines else self
+
+    @property
+    def label(self) -> str:
+        """Return the name of file and part, for messages."""
+        return self.file.name if self.parts == 1 else f"{self.file.name}#{self.part}"

@@ -1,0 +1,374 @@
+"""Whatever a laboratory names (file, folder, pattern, list of them) as capture sets."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from numpy.typing import NDArray
+
+from radiometer.data import CaptureHeader, CaptureSet, CaptureSetWriter, FrameSettings
+from radiometer.data.capture_set import HEADER_NAME, read_digital_numbers, read_header
+from radiometer.data.frame import DigitalNumbers
+from radiometer.data.storage import write_yaml_atomic
+from radiometer.errors import CaptureError, InputError, MissingLibrary, OutputError
+from radiometer.importing.assembly import Assembled, assemble, by_camera
+from radiometer.importing.emva_listing import EmvaListing, find_descriptor
+from radiometer.importing.file_bytes import kind_of
+from radiometer.importing.fits_files import read_fits_headers, read_fits_pixels
+from radiometer.importing.found import FoundFrame, ImportOptions
+from radiometer.importing.record import ImportRecord, named
+from radiometer.importing.statistics_table import is_statistics_table, read_statistics_table
+from radiometer.importing.tiff_files import read_tiff_headers, read_tiff_pixels
+
+FITS_SUFFIXES: Final = (".fit", ".fits", ".fts", ".fz")
+TIFF_SUFFIXES: Final = (".tif", ".tiff")
+_RAW_TIFF_FACTS: Final = ("black_level_dn", "band", "temperature_C")
+_WILDCARDS: Final = "*?["
+
+
+@dataclass(slots=True)
+class FileStore:
+    """Frames that are read from the files they were found in.
+
+    Attributes:
+        frames: The frame behind each name of the header.
+        options: How they are taken.
+    """
+
+    frames: dict[str, FoundFrame]
+    options: ImportOptions = field(default_factory=ImportOptions)
+
+    def read(self, file: str) -> DigitalNumbers:
+        """Return the digital numbers of a frame by its name in the header."""
+        return read_found(self.frames[file], self.options)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the files and of how they are taken, in hexadecimal."""
+        digest = hashlib.sha256(repr(self.options).encode())
+        for file in dict.fromkeys(frame.file for frame in self.frames.values()):
+            digest.update(file.name.encode())
+            with file.open("rb") as stream:
+                while block := stream.read(1 << 20):
+                    digest.update(block)
+        return digest.hexdigest()
+
+
+def read_found(frame: FoundFrame, options: ImportOptions) -> DigitalNumbers:
+    """Return the digital numbers of a found frame, as the options have it.
+
+    Raises:
+        CaptureError: If the file is damaged, or its numbers need a full scale or a pedestal that is not stated.
+    """
+    return options.digital_numbers(_pixels(frame), str(frame.file.with_name(frame.label)))
+
+
+def _pixels(frame: FoundFrame) -> NDArray[Any]:
+    name = frame.file.name.lower().removesuffix(".gz")
+    if name.endswith(FITS_SUFFIXES):
+        return read_fits_pixels(frame.file, frame.part)
+    if name.endswith(TIFF_SUFFIXES) and frame.photons is None:
+        return read_tiff_pixels(frame.file, frame.part)
+    if frame.photons is None and kind_of(frame.file) == "fits":
+        return read_fits_pixels(frame.file, frame.part)
+    return read_digital_numbers(frame.file)
+
+
+def is_foreign(path: Path) -> bool:
+    """Tell whether a path names frames or statistics that are no capture set and no plain folder of photographs.
+
+    Foreign are FITS files, raw TIFF files of cameras, EMVA 1288 descriptors and tables of statistics; a folder that
+    holds some at any depth; and a pattern such as `night/*_1.tif.gz`.
+    """
+    if path.is_file():
+        return find_descriptor(path) is not None or is_statistics_table(path) or _is_frame_file(path)
+    if not path.is_dir():
+        return any(sign in str(path) for sign in _WILDCARDS) and bool(_matching(path))
+    if (path / HEADER_NAME).exists() or (path / "frames").is_dir():
+        return False
+    if find_descriptor(path) is not None:
+        return True
+    files = _frame_files(path)
+    fits = any(_plain_suffix(file) in FITS_SUFFIXES or file.suffix.lower() == ".gz" for file in files)
+    return fits or (bool(files) and _is_raw_tiff(files[0]))
+
+
+def open_capture(path: Path, options: ImportOptions | None = None) -> CaptureSet:
+    """Return the capture set that a path names: its own, or one put together from what the files say.
+
+    Args:
+        path: Capture set, FITS or TIFF file, folder of them, pattern, or EMVA 1288 descriptor.
+        options: How the frames of files are taken.
+
+    Raises:
+        CaptureError: If there is nothing to read, a named file is unreadable, or several cameras are mixed.
+    """
+    if not is_foreign(path):
+        return CaptureSet.read(path)
+    if path.is_file() and is_statistics_table(path):
+        raise CaptureError(
+            f"{path}: a table of statistics holds no pictures; radiometer characterise takes it, and what works on "
+            "pixels cannot"
+        )
+    found = import_sources([path], options)
+    if len(found) > 1:
+        cameras = ", ".join(one.title for one in found)
+        raise CaptureError(
+            f"{path} holds frames of {len(found)} cameras or bands ({cameras}); take one by a pattern such as "
+            "'folder/*_1.tif', or write each as a capture set with `radiometer import`"
+        )
+    return as_capture(found[0], path, options)
+
+
+def as_capture(one: Assembled, path: Path, options: ImportOptions | None = None) -> CaptureSet:
+    """Return the frames of one camera as a capture set that reads them where they are."""
+    return CaptureSet(path, one.header, FileStore(dict(one.frames), options or ImportOptions()))
+
+
+def statistics_of(path: Path) -> CaptureHeader | None:
+    """Return the statistics that a table or a capture set without pictures holds; None where a path is neither.
+
+    Raises:
+        CaptureError: If the table is damaged.
+    """
+    if path.is_file():
+        return read_statistics_table(path) if is_statistics_table(path) else None
+    if not (path / HEADER_NAME).is_file():
+        return None
+    header = read_header(path)
+    return None if header.frames else header
+
+
+def import_sources(
+    paths: Sequence[Path],
+    options: ImportOptions | None = None,
+    report: Callable[[int, int], None] | None = None,
+) -> list[Assembled]:
+    """Return what files, folders and patterns hold, one entry per camera or band.
+
+    A file of a folder that cannot be read is left out and named in the record; one that is named itself is an error.
+
+    Args:
+        paths: What the user names.
+        options: How frames are taken.
+        report: Called with (files read, files in all).
+
+    Raises:
+        CaptureError: If nothing can be read, or a named file is damaged.
+    """
+    taking = options or ImportOptions()
+    descriptors = [d for path in paths if path.exists() and (d := find_descriptor(path))]
+    if descriptors:
+        if len(paths) > 1:
+            raise CaptureError("an EMVA 1288 descriptor is a source of its own; name it alone")
+        return [_of_descriptor(descriptors[0], taking)]
+    files = [(file, path == file) for path in paths for file in _listed(path)]
+    if not files:
+        raise CaptureError(
+            f"{named([str(p) for p in paths])}: no FITS or TIFF file, EMVA 1288 descriptor or table of statistics "
+            "there; name one, or a folder that holds some"
+        )
+    frames, left_out = _found_in(files, report)
+    root = _common_root(paths)
+    sets = []
+    for title, several in by_camera(frames).items():
+        readable, broken = _readable(several, taking)
+        if readable:
+            sets.append(assemble(title, readable, root, taking, read_found, [*left_out, *broken]))
+        else:
+            left_out += broken
+    if not sets:
+        raise CaptureError(left_out[0] if len(left_out) == 1 else f"{left_out[0]} (and {len(left_out) - 1} more)")
+    return sets
+
+
+def copy_into(capture: CaptureSet, out: Path, report: Callable[[int, int], None] | None = None) -> CaptureSet:
+    """Write a capture set's frames, as they are taken, as a capture set of its own and return it.
+
+    Raises:
+        OutputError: If the folder exists already and is not empty, or cannot be written.
+        CaptureError: If a frame is unreadable.
+    """
+    header = capture.header
+    known = {"format", "camera", "lens", "source", "patterns", "patches", "frames", "statistics"}
+    extra = {key: value for key, value in (header.model_extra or {}).items() if key not in known}
+    with CaptureSetWriter(
+        out, header.camera, header.lens, header.source, header.patches, header.patterns, extra
+    ) as writer:
+        for index, entry in enumerate(header.frames):
+            further = {"original": entry.file, **(entry.model_extra or {})}
+            writer.add(capture.read_frame(index), photons=entry.photons, **further)
+            if report is not None:
+                report(index + 1, len(capture))
+        return writer.finish()
+
+
+def write_statistics(header: CaptureHeader, out: Path) -> None:
+    """Write statistics without pictures as a capture set.
+
+    Raises:
+        OutputError: If the folder exists already and is not empty, or cannot be written.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise OutputError(f"{out} exists already and is not empty; name a new folder")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot create {out}: {error.strerror or error}") from error
+    write_yaml_atomic(out / HEADER_NAME, header.to_mapping())
+
+
+def _plain_suffix(file: Path) -> str:
+    return Path(file.name.lower().removesuffix(".gz")).suffix
+
+
+def _is_frame_file(path: Path) -> bool:
+    suffix = _plain_suffix(path)
+    return suffix in FITS_SUFFIXES or suffix in TIFF_SUFFIXES
+
+
+def _is_raw_tiff(file: Path) -> bool:
+    """Tell whether a TIFF is a camera's raw frame, with facts that photographs do not carry."""
+    try:
+        first = read_tiff_headers(file)[0]
+    except (CaptureError, MissingLibrary):
+        return False
+    return any(fact in first.taken for fact in _RAW_TIFF_FACTS)
+
+
+def _frame_files(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.rglob("*") if _is_frame_file(p) and p.is_file() and not p.name.startswith("."))
+
+
+def _matching(path: Path) -> list[Path]:
+    return sorted(Path(found) for found in glob.glob(str(path), recursive=True))  # noqa: PTH207 (any root)
+
+
+def _listed(path: Path) -> list[Path]:
+    """Return the files that a path stands for."""
+    if path.is_dir():
+        return _frame_files(path)
+    if path.is_file():
+        return [path]
+    if any(sign in str(path) for sign in _WILDCARDS):
+        return [file for found in _matching(path) for file in _listed(found)]
+    raise CaptureError(f"{path} does not exist; name a file, a folder or a pattern")
+
+
+def _common_root(paths: Sequence[Path]) -> Path:
+    first = paths[0]
+    if len(paths) == 1 and first.is_dir():
+        return first
+    listed = [file.parent for path in paths for file in _listed(path)]
+    root = listed[0]
+    while not all(parent.is_relative_to(root) for parent in listed) and root != root.parent:
+        root = root.parent
+    return root
+
+
+def _found_in(
+    files: Iterable[tuple[Path, bool]], report: Callable[[int, int], None] | None
+) -> tuple[list[FoundFrame], list[str]]:
+    frames, left_out = list[FoundFrame](), list[str]()
+    listed = list(files)
+    for number, (file, is_named) in enumerate(listed, start=1):
+        try:
+            frames += _headers(file)
+        except CaptureError as error:
+            if is_named and len(listed) == 1:
+                raise
+            left_out.append(str(error))
+        if report is not None:
+            report(number, len(listed))
+    return frames, left_out
+
+
+def _headers(file: Path) -> list[FoundFrame]:
+    kind = kind_of(file)
+    if kind == "fits":
+        return read_fits_headers(file)
+    if kind == "tiff":
+        return read_tiff_headers(file)
+    raise CaptureError(
+        f"{file}: not FITS or TIFF by its first bytes, no EMVA 1288 descriptor, and no table of means and variances "
+        "over exposure (damaged, or of a kind that is not read)"
+    )
+
+
+def _readable(frames: Sequence[FoundFrame], options: ImportOptions) -> tuple[list[FoundFrame], list[str]]:
+    """Return the frames whose kind of numbers can be taken, and lines about the others."""
+    kept, refused = [], list[str]()
+    for frame in frames:
+        kind = frame.stored
+        if kind in ("uint8", "uint16", "int16") or options.full_scale is not None:
+            kept.append(frame)
+        else:
+            refused.append(
+                f"{frame.file.with_name(frame.label)}: holds {kind} values, whose full scale no header states; take "
+                "them by `radiometer import --full-scale VALUE`"
+            )
+    return kept, refused
+
+
+def _of_descriptor(path: Path, options: ImportOptions) -> Assembled:
+    """Return a descriptor's images; the photons tell the light, whatever the exposures say."""
+    try:
+        listing = EmvaListing.read(path)
+    except InputError as error:
+        raise CaptureError(str(error)) from error
+    if not 1 <= listing.bit_depth <= 16:
+        raise CaptureError(f"{path}: {listing.bit_depth} bits per pixel; 1 to 16 can be read")
+    stated = [e.exposure_s for e in listing.entries if e.photons > 0]
+    shortest = min((s for s in stated if s > 0), default=1e-6)
+    lit = [(e.exposure_s or shortest, e.photons) for e in listing.entries if e.photons > 0]
+    brightest = max((photons / seconds for seconds, photons in lit), default=1.0)
+    frames = []
+    for entry in listing.entries:
+        dark = entry.photons <= 0
+        exposure_s = entry.exposure_s if dark else entry.exposure_s or shortest
+        settings = FrameSettings(
+            exposure_s,
+            source_level=1.0 if dark else entry.photons / exposure_s / brightest,
+            shutter="closed" if dark else "open",
+        )
+        shape = (listing.height, listing.width)
+        taken = {"exposure_s": "b and d lines", "photons": "b lines"}
+        frames += [FoundFrame(f, shape, "uint16", settings, taken=taken, photons=entry.photons) for f in entry.files]
+    unsteady = _light_off_exposure(lit)
+    doubts = [unsteady] if unsteady else []
+    if any(s == 0 for s in stated):
+        doubts.append(
+            f"images with light state an exposure of 0: {shortest:g} s stands in; the photons are what counts"
+        )
+    frames[0] = frames[0].doubting(*doubts)
+    return assemble("camera", frames, path.parent, options, read_found, bit_depth=listing.bit_depth)
+
+
+def _light_off_exposure(lit: Sequence[tuple[float, float]]) -> str | None:
+    """Return a line where the photons do not go with the exposure."""
+    fluxes = [photons / seconds for seconds, photons in lit]
+    if not fluxes or math.isclose(max(fluxes), min(fluxes), rel_tol=0.02):
+        return None
+    return (
+        f"the photons do not follow the exposure (their ratio varies by {max(fluxes) / min(fluxes):.3g}): the photons "
+        "are taken as the light"
+    )
+
+
+__all__ = [
+    "FileStore",
+    "ImportRecord",
+    "as_capture",
+    "copy_into",
+    "import_sources",
+    "is_foreign",
+    "open_capture",
+    "read_found",
+    "statistics_of",
+    "write_statistics",
+]

@@ -1,0 +1,159 @@
+"""No file crashes an import, whole or cut anywhere; what cannot be read is named in one line."""
+
+from __future__ import annotations
+
+import gzip
+
+import numpy as np
+import pytest
+
+from radiometer.cli.main import run
+from radiometer.data import CaptureSet
+from radiometer.errors import RadiometerError
+from radiometer.importing import copy_into, import_sources, imported_of, open_capture
+from radiometer.importing.sources import as_capture
+
+PICTURE = (np.random.default_rng(1).integers(300, 3000, (40, 60)) * 16).astype(np.uint16)
+
+
+@pytest.fixture
+def said(capsys):
+    """Return a function that runs the command line and returns exit code, standard output and standard error."""
+
+    def call(*words):
+        code = run([str(word) for word in words])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return call
+
+
+def test_an_import_is_a_capture_set(write_fits, said, tmp_path):
+    """What was written reads back with the same pixels, settings, record and original name."""
+    for index in range(2):
+        source = write_fits(
+            f"s/{index}.fits", PICTURE + np.uint16(index), EXPTIME=1.0 + index, IMAGETYP="dark", CCD_TEMP=1.5
+        )
+    code, _, err = said("import", source.parent, "-o", tmp_path / "out")
+    assert code == 0
+    assert "exposure_s from EXPTIME (2 frames)" in err
+    capture = CaptureSet.read(tmp_path / "out")
+    assert [e.exposure_s for e in capture.header.frames] == [1.0, 2.0]
+    assert capture.header.frames[1].model_extra["original"] == "1.fits"
+    assert np.array_equal(capture.read_frame(1).dn, PICTURE + np.uint16(1))
+    assert imported_of(capture).taken
+
+
+def test_several_bands_become_several_sets(write_raw_tiff, said, tmp_path):
+    """Each band has its folder."""
+    write_raw_tiff("s/IMG_1.tif", PICTURE, band="Blue")
+    folder = write_raw_tiff("s/IMG_2.tif", PICTURE, band="Red").parent
+    assert said("import", folder, "-o", tmp_path / "out")[0] == 0
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["Blue", "Red"]
+
+
+def test_nothing_is_left_of_an_import_that_fails(write_raw_tiff, write_fits, said, tmp_path):
+    """A second camera that cannot be taken leaves no first one behind."""
+    write_fits("s/a.fits", PICTURE, EXPTIME=1.0)
+    write_fits("s/b.fits", PICTURE[:20].astype(np.int16) - 9000, EXPTIME=1.0)
+    code, _, err = said("import", tmp_path / "s", "-o", tmp_path / "out")
+    assert code == 1
+    assert "--pedestal" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_damaged_file_of_a_folder_is_left_out_and_named(write_fits, tmp_path):
+    """The others are taken; the record says which was not and why."""
+    whole = write_fits("s/a.fits", PICTURE, EXPTIME=1.0)
+    cut = write_fits("s/b.fits", PICTURE, EXPTIME=1.0)
+    cut.write_bytes(cut.read_bytes()[:4000])
+    capture = open_capture(whole.parent)
+    assert [e.file for e in capture.header.frames] == ["a.fits"]
+    assert any("b.fits" in line and "truncated" in line for line in imported_of(capture).left_out)
+
+
+@pytest.mark.parametrize("kind", ["fits", "fits.gz", "tif", "tif.gz"])
+def test_a_file_cut_anywhere_is_one_line(kind, write_fits, write_raw_tiff, said, tmp_path):
+    """Cut at twelve places from the first byte to the last, a file gives exit code 1 and one line that names it."""
+    writer = write_fits if kind.startswith("fits") else write_raw_tiff
+    facts = {"EXPTIME": 1.0} if kind.startswith("fits") else {}
+    path = writer(f"a.{kind.removesuffix('.gz')}", PICTURE, **facts)
+    content = path.read_bytes() if not kind.endswith(".gz") else gzip.compress(path.read_bytes())
+    # FITS data end where the last block of 2880 bytes is padded: cuts inside the padding lose nothing.
+    end = 2880 + PICTURE.nbytes if kind == "fits" else len(content)
+    target = tmp_path / f"cut.{kind}"
+    for share in (0.0, 0.001, 0.01, 0.05, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 0.99, 0.999):
+        target.write_bytes(content[: int(share * end)])
+        out = tmp_path / f"out-{share}"
+        code, _, err = said("import", target, "-o", out)
+        assert code == 1, (share, err)
+        assert err.startswith("error: ")
+        assert "cut." in err
+        assert "defect" not in err
+        assert len(err.strip().splitlines()) == 1, err
+        assert not out.exists()
+
+
+def refused(path):
+    """Return why a path is refused; None where it is read to the last pixel."""
+    try:
+        for one in import_sources([path]):
+            as_capture(one, path).read_frame(0)
+    except RadiometerError as error:
+        return str(error)
+    return None
+
+
+def test_every_file_of_the_real_folders(shared_data, tmp_path):
+    """Whole or cut in half, each real file is read or refused in one line of ours."""
+    files = [
+        p for name in ("sensors", "displays", "emva") for p in sorted((shared_data / name).rglob("*")) if p.is_file()
+    ]
+    read = 0
+    for file in files[::4]:
+        half = tmp_path / file.name
+        half.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+        for path in (file, half):
+            refusal = refused(path)
+            read += refusal is None
+            assert refusal is None or (path.name in refusal and "\n" not in refusal)
+        half.unlink()
+    assert read > 5
+
+
+def test_the_real_ccd_night(shared_data):
+    """32 FITS frames: 60 s in files called expos1 is doubted, one header gain, exposures 0 to 300 s."""
+    folder = shared_data / "sensors" / "sbig_stl1001_2017"
+    if not folder.is_dir():
+        pytest.skip("the CCD frames are not on this machine")
+    one = import_sources([folder])[0]
+    capture = as_capture(one, folder)
+    assert len(capture) == 32
+    assert capture.header.camera.conversion_gain_e_per_dn == 2.06
+    assert {e.exposure_s for e in capture.header.frames} == {0, 10, 20, 23, 30, 60, 150, 300}
+    assert "expos1-" in imported_of(capture).doubts[0]
+
+
+def test_real_multispectral_frames(shared_data):
+    """RedEdge: 12 bits in 16, masked rows 4899 to 5562 off the tag of 4800, corners between 0.54 and 0.86."""
+    folder = shared_data / "sensors" / "micasense_raw"
+    if not folder.is_dir():
+        pytest.skip("the multispectral frames are not on this machine")
+    sets = {one.title: one.header for one in import_sources([folder])}
+    red_edge = [header for title, header in sets.items() if "RedEdge" in title]
+    assert {header.camera.code_step_dn for header in red_edge} == {16}
+    assert {h.camera.code_step_dn for t, h in sets.items() if "Sequoia" in t} == {64}
+    masked = [f.model_extra["masked_rows_dn"] for header in red_edge for f in header.frames]
+    assert 4899 <= min(masked) < 5000
+    assert 5300 < max(masked) <= 5562
+    corners = [c for header in red_edge for c in header.lens.model_extra["maker_corner_illumination"]]
+    assert 0.53 < min(corners) < 0.56
+    assert 0.80 < max(corners) < 0.86
+
+
+def test_a_copy_has_the_pixels_of_the_crop(write_fits, tmp_path):
+    """What is copied is what was taken, not the whole file."""
+    capture = open_capture(write_fits("a.fits", PICTURE, EXPTIME=1.0))
+    written = copy_into(capture, tmp_path / "copy")
+    assert written.content_hash() != capture.content_hash()
+    assert np.array_equal(written.read_frame(0).dn, PICTURE)
