@@ -97,7 +97,7 @@ def _maps(
     from radiometer.importing import is_foreign
 
     if is_foreign(path):
-        return {"mono": _merge_capture(path, calibration, curves, pattern)}
+        return {"mono": _merge_capture(path, calibration, curves, pattern, f_number)}
     if not path.is_dir():
         raise CaptureError(f"{path} does not exist or is no folder; give a capture set or a folder of photographs")
     if (path / HEADER_NAME).exists():
