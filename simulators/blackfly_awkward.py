@@ -130,9 +130,9 @@ class AwkwardBlackfly(BlackflyGige):
             time.monotonic_ns(),
         )
         too_fast = device.read_word(awkward.THROUGHPUT_LIMIT) > self._link_bytes_s
-        sender.send(sent, to, device.read_word(awkward.STREAM_PACKET) & 0xFFFF, lose_last=too_fast)
-        self.frames_sent += 1
+        self.frames_sent += 1  # before it arrives: whoever gets it may look at once
         self.exposed_s.append(made_under.exposure_s)
+        sender.send(sent, to, device.read_word(awkward.STREAM_PACKET) & 0xFFFF, lose_last=too_fast)
 
 
 def _read_request(device: FakeGigeDevice) -> tuple[PictureRequest, str]:
