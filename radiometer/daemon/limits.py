@@ -23,6 +23,8 @@ class Limits:
         messages_per_s: SCPI messages per second of one client, sustained; more are delayed.
         reply_bytes_waiting: Reply bytes that a client has not taken; execution pauses at more.
         stuck_s: A client that does not take its replies, or does not finish a line, is dropped after this time in s.
+        idle_s: An SCPI session that sends nothing for this time in s is ended, with an entry in its error queue before.
+        head_s: An HTTP connection must have sent its first request head within this time in s.
         vetting_s: A message that lights is held back for this time in s after the first bytes of a connection: if lines
             of HTTP follow, it is never executed.
         http_connections: Open HTTP connections.
@@ -39,6 +41,8 @@ class Limits:
     messages_per_s: float = 1000.0
     reply_bytes_waiting: int = 262_144
     stuck_s: float = 30.0
+    idle_s: float = 14_400.0
+    head_s: float = 5.0
     vetting_s: float = 0.1
     http_connections: int = 128
     http_requests_per_s: float = 100.0

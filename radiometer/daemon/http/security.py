@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hmac
 import json
 from collections.abc import Awaitable, Callable, Sequence
@@ -14,13 +15,15 @@ from aiohttp.typedefs import Middleware
 
 from radiometer.daemon.http.route import STATION, Route
 from radiometer.daemon.journal import JournalError
-from radiometer.daemon.limits import TokenBucket
+from radiometer.daemon.limits import TokenBucket, is_loopback
+from radiometer.daemon.places import Places
 from radiometer.errors import DeviceError, InputError, RadiometerError, SettingOutOfRange, UnsafeStimulus, UsageError
 
 _log = structlog.get_logger(__name__)
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 LOOPBACK_HOSTS: Final = frozenset({"localhost", "127.0.0.1", "::1"})
-_BUCKETS: Final = 4096
+_BUCKETS: Final = 512
+_TURNS: Final = 50  # at most so often a newcomer tries to get its turn
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:;"
     " connect-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -71,21 +74,37 @@ async def report_errors(request: web.Request, handler: Handler) -> web.StreamRes
     return response
 
 
-def guard(routes: Sequence[Route], token: str | None, requests_per_s: float) -> Middleware:
+def guard(
+    routes: Sequence[Route],
+    token: str | None,
+    requests_per_s: float,
+    places: Places[web.RequestHandler[web.Request]],
+) -> Middleware:
     """Return the middleware that limits rates, refuses foreign origins, and asks for the token where one is set.
 
     Args:
         routes: The route table; its public routes need no token.
         token: The token; None where only this machine can connect.
-        requests_per_s: Sustained rate that one address may have.
+        requests_per_s: Sustained rate that one address may have; on loopback, where all clients have one address, one
+            connection, and all new connections together: those wait their turn.
+        places: Whose connection is known by now.
     """
     public = {route.path for route in routes if route.public}
-    buckets: dict[str, TokenBucket] = {}
+    rates = _Rates(requests_per_s, places)
 
     @web.middleware
     async def check(request: web.Request, handler: Handler) -> web.StreamResponse:
-        if not _within_rate(buckets, request.remote or "", requests_per_s):
-            return _refused(request, "rate", 429, f"more than {requests_per_s:g} requests per second")
+        within_rate = await rates.admits(request)
+        places.note(request.protocol, busy=True)
+        try:
+            return await serve(request, handler) if within_rate else _too_fast(request)
+        finally:
+            places.note(request.protocol, busy=False)
+
+    def _too_fast(request: web.Request) -> web.Response:
+        return _refused(request, "rate", 429, f"more than {requests_per_s:g} requests per second")
+
+    async def serve(request: web.Request, handler: Handler) -> web.StreamResponse:
         if token is None and _host_of(request.host) not in LOOPBACK_HOSTS:
             return _refused(request, "host", 403, "this daemon answers to localhost only")  # DNS rebinding
         if request.method not in ("GET", "HEAD") and not _same_origin(request):
@@ -99,14 +118,40 @@ def guard(routes: Sequence[Route], token: str | None, requests_per_s: float) -> 
     return check
 
 
-def _within_rate(buckets: dict[str, TokenBucket], peer: str, per_s: float) -> bool:
-    bucket = buckets.get(peer)
-    if bucket is None:
-        if len(buckets) >= _BUCKETS:
-            for idle in [name for name, entry in buckets.items() if entry.is_full]:
-                del buckets[idle]
-        bucket = buckets[peer] = TokenBucket(per_s)
-    return bucket.take() == 0.0
+class _Rates:
+    """Who may make how many requests.
+
+    Args:
+        per_s: Sustained rate.
+        places: Whose connection is known by now.
+    """
+
+    def __init__(self, per_s: float, places: Places[web.RequestHandler[web.Request]]) -> None:
+        self._per_s, self._places = per_s, places
+        self._buckets: dict[object, TokenBucket] = {}
+        self._newcomers = TokenBucket(per_s)
+
+    async def admits(self, request: web.Request) -> bool:
+        """Tell whether a request is within its rate; the first one of a new connection of loopback may have to wait."""
+        peer = request.remote or ""
+        if not is_loopback(peer):
+            return self._bucket(peer).take() == 0.0
+        if self._places.is_known(request.protocol):
+            return self._bucket(request.protocol).take() == 0.0
+        for _ in range(_TURNS):
+            if (wait_s := self._newcomers.take()) == 0.0:
+                return self._bucket(request.protocol).take() == 0.0
+            await asyncio.sleep(wait_s)
+        return False
+
+    def _bucket(self, whose: object) -> TokenBucket:
+        bucket = self._buckets.get(whose)
+        if bucket is None:
+            if len(self._buckets) >= _BUCKETS:
+                for idle in [name for name, entry in self._buckets.items() if entry.is_full]:
+                    del self._buckets[idle]
+            bucket = self._buckets[whose] = TokenBucket(self._per_s)
+        return bucket
 
 
 def _host_of(host: str) -> str:

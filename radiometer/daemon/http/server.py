@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Callable
 from importlib import resources
 from typing import Final
 
@@ -16,6 +17,7 @@ from radiometer.daemon.http.openapi import description
 from radiometer.daemon.http.route import LIMITS, QUERIES, STATION, Route
 from radiometer.daemon.http.security import guard, report_errors
 from radiometer.daemon.limits import Limits, is_loopback
+from radiometer.daemon.places import Places
 from radiometer.daemon.station import Station
 from radiometer.errors import OutputError, UsageError
 
@@ -58,8 +60,9 @@ class HttpServer:
 
     def __init__(self, station: Station, *, limits: Limits | None = None, token: str | None = None) -> None:
         self._station, self._limits, self._token = station, limits or Limits(), token
+        self._places: Places[web.RequestHandler[web.Request]] = Places(self._limits.http_connections)
         self._runner = web.AppRunner(
-            application(station, self._limits, token),
+            application(station, self._limits, token, self._places),
             access_log=None,
             logger=_logger(),
             keepalive_timeout=_KEEP_ALIVE_S,  # also ends a connection that never finishes its request head
@@ -102,27 +105,62 @@ class HttpServer:
         return len(self._runner.server.connections) if self._runner.server else 0
 
     def _accept(self) -> asyncio.BaseProtocol:
+        """Return what serves the next connection: its address is known once it is made."""
+        return _Doorman(self._admit)
+
+    def _admit(self, peer: str) -> web.RequestHandler[web.Request] | None:
+        """Return the handler of a new connection; None where it is refused."""
         assert self._runner.server is not None
-        if self._count() >= self._limits.http_connections:
-            self._station.metrics.refused.labels("http", "too many connections").inc()
-            return _Refusal()
-        return self._runner.server()
+        for gone in self._places.connections() - set(self._runner.server.connections):
+            self._places.leave(gone)
+        if (outdone := self._places.make_room()) is not None:
+            self._end(outdone)
+        reason = self._places.refusal(peer) or ("too many connections" if self._places.is_full else "")
+        if reason:
+            self._station.metrics.refused.labels("http", reason).inc()
+            return None
+        handler = self._runner.server()
+        self._places.enter(handler, peer)
+        asyncio.get_running_loop().call_later(self._limits.head_s, self._look_at_head, handler)
+        return handler
+
+    def _look_at_head(self, handler: web.RequestHandler[web.Request]) -> None:
+        """End a connection whose first request head has not come in time."""
+        assert self._runner.server is not None
+        if handler in self._runner.server.connections and not self._places.is_known(handler):
+            self._end(handler)
+
+    def _end(self, handler: web.RequestHandler[web.Request]) -> None:
+        self._station.metrics.refused.labels("http", "dropped").inc()
+        handler.force_close()
+        self._places.leave(handler)
 
 
-class _Refusal(asyncio.Protocol):
-    """Tells one client too many so, and hangs up."""
+class _Doorman(asyncio.Protocol):
+    """Hands a new connection to its handler, or tells one client too many so and hangs up."""
+
+    def __init__(self, admit: Callable[[str], web.RequestHandler[web.Request] | None]) -> None:
+        self._admit = admit
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
-        transport.write(b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n")
-        transport.close()
+        peer = transport.get_extra_info("peername")
+        handler = self._admit(str(peer[0]) if isinstance(peer, tuple) else "")
+        if handler is None:
+            transport.write(b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n")
+            transport.close()
+            return
+        transport.set_protocol(handler)
+        handler.connection_made(transport)
 
 
-def application(station: Station, limits: Limits, token: str | None) -> web.Application:
+def application(
+    station: Station, limits: Limits, token: str | None, places: Places[web.RequestHandler[web.Request]]
+) -> web.Application:
     """Return the application: every route of the table, and the page."""
     app = web.Application(
         client_max_size=limits.body_bytes,
-        middlewares=[report_errors, guard(ROUTES, token, limits.http_requests_per_s)],
+        middlewares=[report_errors, guard(ROUTES, token, limits.http_requests_per_s, places)],
     )
     app[STATION], app[LIMITS], app[QUERIES] = station, limits, asyncio.Semaphore(limits.queries)
     app[picture.CACHE], app[picture.ONE_AT_A_TIME] = picture.PictureCache(), asyncio.Lock()

@@ -16,6 +16,7 @@ from typing import Any, Final
 import structlog
 
 from radiometer.daemon.limits import Limits, Network, TokenBucket, is_allowed, is_loopback
+from radiometer.daemon.places import Places
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.lexer import block_end
 from radiometer.daemon.scpi.session import Session
@@ -26,6 +27,7 @@ from radiometer.errors import OutputError, UsageError
 
 _log = structlog.get_logger(__name__)
 INTERFACE: Final = "scpi"
+_IDLE_S: Final = 60.0  # a session idle for so long makes room where all places are held
 _DISCARD_LIMIT: Final = 16  # times the line limit that may be thrown away before the client is dropped
 _MESSAGES_AT_ONCE: Final = 32
 _LIGHTS: Final = re.compile(rb"sour", re.IGNORECASE)  # no message that lights does without this root
@@ -46,6 +48,8 @@ class ScpiConnection(asyncio.Protocol):
         self._discarding = 0
         self._cannot_write = False
         self._vetted_at: float | None = None
+        self._idle_timer: asyncio.TimerHandle | None = None
+        self._heard_at = 0.0
         self.session: Session | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -56,18 +60,21 @@ class ScpiConnection(asyncio.Protocol):
         raw_socket = transport.get_extra_info("socket")
         if raw_socket is not None and raw_socket.family != socket.AF_UNIX:
             raw_socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        if reason := self._server.refusal(transport.get_extra_info("peername")):
+        if reason := self._server.refusal(transport.get_extra_info("peername")) or self._server.make_room():
             self._server.station.metrics.refused.labels(INTERFACE, reason).inc()
             _log.warning("scpi client refused", reason=reason, peer=str(transport.get_extra_info("peername")))
             transport.abort()
             return
         self.session = Session(self._server.station, self._server.table)
         self._server.connections.add(self)
+        self._server.places.enter(self, _host(transport.get_extra_info("peername")))
+        self._start_idle_timer()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the client."""
         self._server.connections.discard(self)
-        for handle in (self._timer, self._resume):
+        self._server.places.leave(self)
+        for handle in (self._timer, self._resume, self._idle_timer):
             if handle is not None:
                 handle.cancel()
         if self._task is not None:
@@ -83,6 +90,7 @@ class ScpiConnection(asyncio.Protocol):
         if self.session is None or self._is_ending():
             return
         self._buffer += data
+        self._heard_at = asyncio.get_running_loop().time()
         if not self._discarding and is_strange(self._buffer):
             self._hang_up()
             return
@@ -190,7 +198,10 @@ class ScpiConnection(asyncio.Protocol):
         assert self.session is not None
         self._server.served.inc()
         try:
-            return self.session.execute(message.rstrip(b"\r").decode("latin-1"))
+            outcome = self.session.execute(message.rstrip(b"\r").decode("latin-1"))
+            if outcome is not None:  # a reply: a client of ours, that asks what we understand
+                self._server.places.note(self, busy=isinstance(outcome, Coroutine))
+            return outcome
         except Exception as error:  # noqa: BLE001 (the daemon's edge: one client's message must not end the daemon)
             self._unexpected(error)
             return None
@@ -202,6 +213,7 @@ class ScpiConnection(asyncio.Protocol):
             self._unexpected(error)
             reply = None
         self._task = None
+        self._server.places.note(self, busy=False)
         self._send(reply)
         self._work()
 
@@ -223,6 +235,26 @@ class ScpiConnection(asyncio.Protocol):
         elif not (self._buffer or self._discarding):
             self._stop_timer()
 
+    def _start_idle_timer(self) -> None:
+        """Look again when the session may have been idle for long: warn at nine tenths of the time, end it then."""
+        loop, limit_s = asyncio.get_running_loop(), self._limits.idle_s
+        self._heard_at = loop.time()
+
+        def look(warned_for: float) -> None:
+            idle_s = loop.time() - self._heard_at
+            busy = self._task is not None
+            if idle_s >= limit_s and not busy:
+                self.drop(f"idle for {idle_s:.0f} s")
+                return
+            if idle_s >= 0.9 * limit_s and warned_for != self._heard_at and self.session is not None:
+                text = f"this session has sent nothing for {idle_s:.0f} s and is ended after {limit_s:.0f} s"
+                self.session.status.push(ScpiError(-200, text))
+                warned_for = self._heard_at
+            next_s = limit_s - idle_s if warned_for == self._heard_at else 0.9 * limit_s - idle_s
+            self._idle_timer = loop.call_later(max(next_s, 0.01 * limit_s), look, warned_for)
+
+        self._idle_timer = loop.call_later(0.9 * limit_s, look, -1.0)
+
     def _start_timer(self, reason: str) -> None:
         self._stop_timer()
         self._timer = asyncio.get_running_loop().call_later(self._limits.stuck_s, self.drop, reason)
@@ -231,6 +263,10 @@ class ScpiConnection(asyncio.Protocol):
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
+
+
+def _host(peer: Any) -> str:
+    return str(peer[0]) if isinstance(peer, tuple) else ""
 
 
 class ScpiServer:
@@ -245,6 +281,7 @@ class ScpiServer:
     def __init__(self, station: Station, *, limits: Limits | None = None, allow: Sequence[Network] = ()) -> None:
         self.station, self.limits, self.table = station, limits or Limits(), command_table()
         self.connections: set[ScpiConnection] = set()
+        self.places: Places[ScpiConnection] = Places(self.limits.scpi_connections, idle_s=_IDLE_S)
         self.served = station.metrics.requests.labels(INTERFACE)
         self._allow = tuple(allow)
         self._servers: list[asyncio.Server] = []
@@ -301,11 +338,17 @@ class ScpiServer:
 
     def refusal(self, peer: Any) -> str:
         """Return why a client is refused; "" where it is taken."""
-        if len(self.connections) >= self.limits.scpi_connections:
-            return "too many connections"
         if isinstance(peer, tuple) and not is_allowed(peer[0], self._allow):
             return "not on the allow-list"
-        return ""
+        return self.places.refusal(_host(peer))
+
+    def make_room(self) -> str:
+        """Put the connection out that has the least claim to its place; return why the next one gets none."""
+        if (outdone := self.places.make_room()) is not None:
+            outdone.drop("makes room for another client")
+            self.connections.discard(outdone)
+            self.places.leave(outdone)
+        return "too many connections" if self.places.is_full else ""
 
     def _state_changed(self) -> None:
         for connection in self.connections:

@@ -1,0 +1,197 @@
+"""Slow, idle and noisy clients lock nobody out."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Any
+
+import aiohttp
+import pytest
+
+from radiometer.daemon.http.server import HttpServer
+from radiometer.daemon.limits import Limits
+from radiometer.daemon.places import Places
+from radiometer.daemon.scpi.server import ScpiServer
+from radiometer.daemon.station import Station
+
+Eventually = Callable[..., Awaitable[None]]
+Stream = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+@pytest.fixture
+async def opened() -> AsyncIterator[Callable[[int], Awaitable[Stream]]]:
+    """Return an opener of raw connections that are closed at the end."""
+    streams: list[Stream] = []
+
+    async def open_one(port: int) -> Stream:
+        streams.append(await asyncio.open_connection("127.0.0.1", port))
+        return streams[-1]
+
+    yield open_one
+    for _, writer in streams:
+        writer.close()
+        with contextlib.suppress(ConnectionError):
+            await writer.wait_closed()
+
+
+def _made(limit: int, now: list[float]) -> Places[str]:
+    return Places(limit, patience_s=1.0, idle_s=2.0, clock=lambda: now[0])
+
+
+def test_the_silent_go_first_then_the_longest_idle() -> None:
+    """A stranger after its patience, then the known one that has been idle longest; the busy stay."""
+    now = [0.0]
+    places = _made(4, now)
+    for name in ("busy", "idle", "idler", "silent"):
+        places.enter(name, "127.0.0.1")
+    for name in ("idler", "idle"):
+        places.note(name, busy=False)
+        now[0] += 0.1
+    places.note("busy", busy=True)
+    assert (places.is_full, places.make_room()) == (True, None)
+    now[0] = 1.0
+    assert places.make_room() == "silent"
+    places.leave("silent")
+    assert places.make_room() is None
+    places.enter("new", "127.0.0.1")
+    places.note("new", busy=True)
+    now[0] = 3.0
+    assert places.make_room() == "idler"
+    places.leave("idler")
+    places.leave("idle")
+    for name in ("c", "d"):
+        places.enter(name, "127.0.0.1")
+        places.note(name, busy=True)
+    now[0] = 99.0
+    assert places.make_room() is None
+
+
+def test_a_crowd_of_silent_ones_makes_room_at_once() -> None:
+    """So many at a time are no accident: their patience is not waited for."""
+    now = [0.0]
+    places = _made(16, now)
+    for number in range(16):
+        places.enter(str(number), "127.0.0.1")
+        now[0] += 0.001
+    assert places.make_room() == "0"
+
+
+def test_one_address_beyond_loopback_has_a_quarter() -> None:
+    """Others find room; loopback is one address for all of this machine and has no such limit."""
+    places = _made(8, [0.0])
+    for name in ("a", "b"):
+        places.enter(name, "10.0.0.1")
+    assert places.refusal("10.0.0.1") != ""
+    assert places.refusal("10.0.0.2") == ""
+    for name in "cdefg":
+        places.enter(name, "127.0.0.1")
+    assert places.refusal("127.0.0.1") == ""
+
+
+async def test_half_open_connections_lock_nobody_out_of_http(station: Station, opened: Any) -> None:
+    """140 sockets that never finish their request: the next client is served at once."""
+    server = HttpServer(station)
+    port = await server.listen("127.0.0.1", 0)
+    for _ in range(140):
+        _, writer = await opened(port)
+        writer.write(b"GET /status HTTP/1.1\r\nHost: local")
+    async with aiohttp.ClientSession() as session, asyncio.timeout(20):
+        for _ in range(3):
+            async with session.get(f"http://127.0.0.1:{port}/status") as reply:
+                assert reply.status == 200
+    await server.close()
+
+
+async def test_a_request_head_has_a_deadline(station: Station, opened: Any) -> None:
+    """A connection that sends its head drop by drop is ended; one that has made a request may stay."""
+    server = HttpServer(station, limits=Limits(head_s=0.2))
+    port = await server.listen("127.0.0.1", 0)
+    reader, writer = await opened(port)
+    good_reader, good = await opened(port)
+    writer.write(b"GET /status HT")
+    good.write(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    async with asyncio.timeout(20):
+        assert (await good_reader.readline()).split()[1] == b"200"
+        with contextlib.suppress(ConnectionError):
+            assert await reader.read() == b""
+    good.write(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    async with asyncio.timeout(20):
+        await good_reader.readuntil(b"HTTP/1.1 200")
+    await server.close()
+
+
+async def test_a_noisy_connection_does_not_take_the_others_rate(station: Station) -> None:
+    """One client runs into its rate; another one of the same address is served all the time."""
+    server = HttpServer(station, limits=Limits(http_requests_per_s=20.0))
+    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
+    async with aiohttp.ClientSession() as noisy, aiohttp.ClientSession() as calm:
+
+        async def statuses(session: aiohttp.ClientSession, count: int) -> list[int]:
+            found = []
+            for _ in range(count):
+                async with session.get(f"{base}/healthz") as reply:
+                    found.append(reply.status)
+            return found
+
+        assert 429 in await statuses(noisy, 400)
+        assert await statuses(calm, 5) == [200] * 5
+        assert 429 in await statuses(noisy, 100)
+    await server.close()
+
+
+async def test_noisy_new_connections_wait_and_others_get_their_turn(station: Station) -> None:
+    """A client that opens a connection per request is slowed down, not given an allowance each time."""
+    server = HttpServer(station, limits=Limits(http_requests_per_s=20.0))
+    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
+    begun = asyncio.get_running_loop().time()
+
+    async def one() -> int:
+        async with aiohttp.ClientSession() as session, session.get(f"{base}/healthz") as reply:
+            return reply.status
+
+    async with asyncio.timeout(30):
+        found = [await one() for _ in range(40)]
+    assert found == [200] * 40
+    assert asyncio.get_running_loop().time() - begun > 0.9  # 20 at once, 20 more at 20 per second
+    await server.close()
+
+
+async def test_idle_scpi_sessions_make_room(
+    station: Station, opened: Any, monkeypatch: pytest.MonkeyPatch, eventually: Eventually
+) -> None:
+    """256 sessions that never say a thing keep nobody out, and one that works stays."""
+    server = ScpiServer(station, limits=Limits(scpi_connections=20))
+    port = await server.listen_tcp("127.0.0.1", 0)
+    reader, writer = await opened(port)
+    writer.write(b"*OPC?\n")
+    assert await reader.readline() == b"1\n"
+    for _ in range(40):
+        await opened(port)
+    late_reader, late = await opened(port)
+    late.write(b"*OPC?\n")
+    async with asyncio.timeout(20):
+        assert await late_reader.readline() == b"1\n"
+        writer.write(b"*OPC?\n")
+        assert await reader.readline() == b"1\n"
+    assert len(server.connections) <= 20
+    await server.close()
+
+
+async def test_an_idle_session_is_warned_then_ended(station: Station, opened: Any, eventually: Eventually) -> None:
+    """At nine tenths of the time an error is queued, at the end the connection closes; who speaks stays."""
+    server = ScpiServer(station, limits=Limits(idle_s=1.0))
+    port = await server.listen_tcp("127.0.0.1", 0)
+    reader, writer = await opened(port)
+    writer.write(b"*CLS;*OPC?\n")
+    assert await reader.readline() == b"1\n"
+    (connection,) = server.connections
+    assert connection.session is not None
+    status = connection.session.status
+    await eventually(lambda: status.error_count)
+    assert "sent nothing for" in status.next_error()
+    async with asyncio.timeout(20):
+        with contextlib.suppress(ConnectionError):
+            assert await reader.read() == b""
+    await server.close()
