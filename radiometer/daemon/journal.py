@@ -95,6 +95,9 @@ class Journal:
         self._max_bytes = max_bytes
         self._connection: sqlite3.Connection | None = None
         self._lock_file: IO[str] | None = None
+        self.newest_at_opening_us: int | None = None
+        self.clock_doubt_us = 0
+        self._was_open = False
 
     def open(self) -> None:
         """Open the journal, making it where missing.
@@ -122,6 +125,9 @@ class Journal:
             self._release_lock()
             raise
         self._connection = connection
+        if not self._was_open:
+            self._was_open = True
+            self._learn_times(connection)
 
     def close(self) -> None:
         """Close the journal; closing twice does nothing."""
@@ -166,6 +172,20 @@ class Journal:
         with self._transaction() as connection:
             connection.execute(
                 "INSERT INTO events (time_us, kind, message) VALUES (?, ?, ?)", (now_us(), kind, message)
+            )
+
+    def note_jump(self, by_us: int) -> None:
+        """Commit that the clock was set forward by a time in µs: what is stamped from now on is in doubt by that.
+
+        A clock that is set back takes the doubt away again.
+
+        Raises:
+            JournalError: If it cannot be committed now.
+        """
+        with self._transaction() as connection:
+            connection.execute(
+                "INSERT INTO counters VALUES ('clock_doubt_us', :by) ON CONFLICT DO UPDATE SET value = value + :by",
+                {"by": by_us},
             )
 
     def drop_older(self, before_us: int) -> int:
@@ -228,6 +248,13 @@ class Journal:
             (page_size,) = connection.execute("PRAGMA page_size").fetchone()
             connection.execute(f"PRAGMA max_page_count = {max(1, self._max_bytes // page_size)}")
         self._verify(connection)
+
+    def _learn_times(self, connection: sqlite3.Connection) -> None:
+        """Note the time of the newest reading, and how far the clock that stamped it is in doubt."""
+        newest = connection.execute("SELECT time_us FROM readings ORDER BY sequence DESC LIMIT 1").fetchone()
+        doubt = connection.execute("SELECT value FROM counters WHERE name = 'clock_doubt_us'").fetchone()
+        self.newest_at_opening_us = newest[0] if newest else None
+        self.clock_doubt_us = doubt[0] if doubt else 0
 
     def _verify(self, connection: sqlite3.Connection) -> None:
         low, high, count = connection.execute(

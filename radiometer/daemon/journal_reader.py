@@ -166,11 +166,12 @@ class JournalReader:
             raise InputError(f"cannot read the journal {self._path}: {error}") from error
 
 
-def to_csv(lines: Iterable[str]) -> str:
-    """Return readings, given as JSON lines, as CSV with a header line."""
+def to_csv(lines: Iterable[str], *, header: bool = True) -> str:
+    """Return readings, given as JSON lines, as CSV with (or without) a header line."""
     target = io.StringIO()
     writer = csv.writer(target, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
+    if header:
+        writer.writerow(CSV_COLUMNS)
     writer.writerows(map(_csv_row, lines))
     return target.getvalue()
 

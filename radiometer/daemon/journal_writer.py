@@ -12,9 +12,9 @@ from typing import Final, TypeVar
 import structlog
 
 from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.clock_watch import Jump, RetentionClock
 from radiometer.daemon.instrument import Origin
 from radiometer.daemon.journal import Journal, JournalError
-from radiometer.daemon.timestamps import now_us
 from radiometer.data import Reading
 from radiometer.errors import OutputError
 
@@ -54,6 +54,8 @@ class JournalWriter:
         self._capacity, self._keep_days, self._retry_s, self._sleep = capacity, keep_days, retry_s, sleep
         self._waiting: deque[tuple[Reading, asyncio.Future[Reading], Origin | None]] = deque()
         self._events: deque[tuple[str, str]] = deque(maxlen=capacity)
+        self._jumps_us = 0
+        self._retention: RetentionClock | None = None
         self._work = asyncio.Event()
         self._room = asyncio.Event()
         self._room.set()
@@ -88,6 +90,11 @@ class JournalWriter:
         """Queue an event for the journal."""
         self._events.append((kind, message))
         self._work.set()
+
+    def note_jump(self, jump: Jump) -> None:
+        """Queue for the journal that the clock was set."""
+        self._jumps_us += jump.by_us
+        self.note("clock", str(jump))
 
     async def wait_for_room(self) -> None:
         """Return once fewer than `capacity` readings wait."""
@@ -139,6 +146,9 @@ class JournalWriter:
         while self._events:
             await self._in_thread(self._journal.note, *self._events[0])
             self._events.popleft()
+        if jumped_us := self._jumps_us:
+            await self._in_thread(self._journal.note_jump, jumped_us)
+            self._jumps_us -= jumped_us
         batch = [reading for reading, _, _ in self._waiting]
         if not batch:
             return
@@ -157,7 +167,12 @@ class JournalWriter:
 
     async def _drop_old(self, keep_days: float) -> None:
         try:
-            dropped = await self._in_thread(self._journal.drop_older, now_us() - int(keep_days * 86400e6))
+            if self._retention is None:
+                journal = self._journal
+                await self._in_thread(journal.open)
+                self._retention = RetentionClock(journal.newest_at_opening_us, journal.clock_doubt_us)
+            before_us = self._retention.now_us() - int(keep_days * 86400e6)
+            dropped = await self._in_thread(self._journal.drop_older, before_us)
             if dropped:
                 _log.info("old readings deleted", count=dropped, keep_days=keep_days)
         except OutputError as error:

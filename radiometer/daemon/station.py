@@ -14,12 +14,14 @@ import structlog
 import radiometer
 from radiometer.daemon.acquisition import Acquisition
 from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.clock_watch import ClockWatch, Jump
 from radiometer.daemon.hub import Event, Hub
 from radiometer.daemon.instrument import DeviceReport, Instrument, LightSource, Measurement, MeasurementSettings, Origin
 from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.keeper import DeviceKeeper, DeviceState, KeeperTimes
 from radiometer.daemon.metrics import Metrics
+from radiometer.daemon.timestamps import iso_time
 from radiometer.data import Patch, Reading
 from radiometer.data.provenance import utc_now
 from radiometer.errors import DeviceError, DeviceLost, RadiometerError, SettingOutOfRange, UsageError
@@ -77,6 +79,8 @@ class Station:
         self.started = time.monotonic()
         self.on_change: list[Callable[[], None]] = []
         self._tasks: list[asyncio.Task[None]] = []
+        self.clock = ClockWatch(self._clock_jumped)
+        self.latest_jump: Jump | None = None
 
     @property
     def settings(self) -> MeasurementSettings:
@@ -93,7 +97,7 @@ class Station:
         await self.camera.open_once()
         if self.box_keeper:
             await self.box_keeper.open_once()
-        loops = [self.writer.run(), self.camera.run(), self.acquisition.run()]
+        loops = [self.writer.run(), self.camera.run(), self.acquisition.run(), self.clock.run()]
         if self.box_keeper:
             loops.append(self.box_keeper.run())
         self._tasks = [asyncio.create_task(loop) for loop in loops]
@@ -265,6 +269,7 @@ class Station:
             "calibration": dict(self.instrument.calibration_summary),
             "latest_sequence": self.latest.sequence if self.latest else None,
             "queue": {"measurements": self.acquisition.queue_depth, "journal": self.writer.depth},
+            "clock_jump": _jump_mapping(self.latest_jump) if self.latest_jump else None,
             "uptime_s": round(time.monotonic() - self.started, 1),
         }
 
@@ -339,6 +344,13 @@ class Station:
         self.writer.note(kind, f"{name}: {message}")
         self._tell_status()
 
+    def _clock_jumped(self, jump: Jump) -> None:
+        """Note in journal and state that times are not comparable across this moment."""
+        _log.warning("the clock was set", by_s=jump.by_us / 1e6)
+        self.latest_jump = jump
+        self.writer.note_jump(jump)
+        self._tell_status()
+
     def _box_opened(self) -> None:
         """A box that comes back is dark: the levels set before are gone, and must not be believed."""
         self.levels = dict.fromkeys(self.box.channels, 0.0) if self.box else {}
@@ -363,6 +375,10 @@ class Station:
         for callback in self.on_change:
             callback()
         self.hub.publish(Event("status", json.dumps(self.status(), ensure_ascii=False)))
+
+
+def _jump_mapping(jump: Jump) -> dict[str, Any]:
+    return {"by_s": jump.by_us / 1e6, "time": iso_time(jump.after_us), "message": str(jump)}
 
 
 def _light_alarm(channel: str) -> str:

@@ -35,14 +35,18 @@ def parse_moment(text: str, now: int | None = None) -> int:
     Raises:
         UsageError: If it is neither.
     """
-    if age := _AGO.fullmatch(text.strip()):
-        return (now_us() if now is None else now) - int(float(age[1]) * _UNITS_S[age[2]] * 1e6)
     try:
+        if age := _AGO.fullmatch(text.strip()):
+            return microseconds(iso_time((now_us() if now is None else now) - int(_seconds(age) * 1e6)))
         return microseconds(text.strip())
     except (ValueError, OverflowError) as error:
         raise UsageError(
             f"{text!r} is no time; give ISO 8601 (2026-11-20T12:00:00Z) or an age (90s, 15min, 2h, 7d)"
         ) from error
+
+
+def _seconds(age: re.Match[str]) -> float:
+    return float(age[1]) * _UNITS_S[age[2]]
 
 
 def iso_time(time_us: int) -> str:

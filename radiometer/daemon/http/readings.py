@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+from dataclasses import replace
 from typing import Any, Final
 
+import structlog
 from aiohttp import web
 
 from radiometer.daemon.http.requests import read_query
@@ -15,8 +17,9 @@ from radiometer.daemon.journal import OWN_STREAM
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.station import Station
 from radiometer.daemon.timestamps import parse_moment
-from radiometer.errors import UsageError
+from radiometer.errors import InputError, UsageError
 
+_log = structlog.get_logger(__name__)
 DEFAULT_ROWS: Final = 1000
 _QUERY_DEADLINE_S: Final = 10.0
 _HEARTBEAT_S: Final = 15.0
@@ -31,7 +34,7 @@ _LIST_QUERY: Final = (
     QueryParameter("flag", "string", "Only readings with this flag."),
     QueryParameter("clean", "boolean", "Only readings without any flag."),
     QueryParameter(
-        "limit", "integer", f"At most this many; {DEFAULT_ROWS} unless told otherwise. The newest are kept."
+        "limit", "integer", f"At most this many, the newest; {DEFAULT_ROWS} for json, all for jsonl and csv by default."
     ),
     QueryParameter(
         "stream",
@@ -47,15 +50,49 @@ _STREAM_QUERY: Final = (
 )
 
 
-async def list_readings(request: web.Request) -> web.Response:
-    """Serve history, oldest first."""
+async def list_readings(request: web.Request) -> web.StreamResponse:
+    """Serve history, oldest first: the newest of an array, the whole range of lines and tables."""
     query = read_query(request, _LIST_QUERY)
     form = _form(request, query.get("format"))
     wanted = _filter(query, request.app[LIMITS].rows)
     reader = JournalReader(request.app[STATION].journal_path, deadline_s=_QUERY_DEADLINE_S)
+    if form != "json" and "limit" not in query:
+        return await _send_all(request, reader, replace(wanted, limit=_REPLAY_ROWS, newest_first=False), form)
     async with request.app[QUERIES]:
         body = await asyncio.to_thread(_render, reader, wanted, form)
     return web.Response(body=body, content_type=_FORMATS[form], charset="utf-8")
+
+
+async def _send_all(
+    request: web.Request, reader: JournalReader, wanted: ReadingFilter, form: str
+) -> web.StreamResponse:
+    """Serve a whole range piece by piece, so that neither memory nor writer of the journal feels its length."""
+    lines = await _piece(request, reader, wanted)  # what is wrong with the query is told before the reply begins
+    response = web.StreamResponse(headers={"Cache-Control": "no-store"})
+    response.content_type, response.charset = _FORMATS[form], "utf-8"
+    if form == "csv":
+        response.headers["Content-Disposition"] = 'attachment; filename="readings.csv"'
+    await response.prepare(request)
+    if request.method == "HEAD":
+        return response
+    header = form == "csv"
+    try:
+        while lines or header:
+            text = to_csv(lines, header=header) if form == "csv" else "".join(line + "\n" for line in lines)
+            header = False
+            await _write(response, text)
+            wanted = replace(wanted, after=int(json.loads(lines[-1])["sequence"])) if lines else wanted
+            lines = await _piece(request, reader, wanted) if lines else []
+    except (TimeoutError, ConnectionError, InputError) as error:
+        _log.warning("export broken off", error=str(error))
+        if request.transport is not None:
+            request.transport.abort()  # a client must not take half a table for all of it
+    return response
+
+
+async def _piece(request: web.Request, reader: JournalReader, wanted: ReadingFilter) -> list[str]:
+    async with request.app[QUERIES]:
+        return await asyncio.to_thread(reader.lines, wanted)
 
 
 async def stream_readings(request: web.Request) -> web.StreamResponse:
@@ -79,6 +116,8 @@ async def stream_readings(request: web.Request) -> web.StreamResponse:
     subscription = station.hub.subscribe()
     try:
         await response.prepare(request)
+        if request.method == "HEAD":
+            return response
         last = await _replay(response, station, after, form) if after is not None else 0
         await _follow(response, subscription, form, last)
     except (TimeoutError, ConnectionError):

@@ -78,7 +78,7 @@ def guard(
     routes: Sequence[Route],
     token: str | None,
     requests_per_s: float,
-    places: Places[web.RequestHandler[web.Request]],
+    places: Places[web.RequestHandler],
 ) -> Middleware:
     """Return the middleware that limits rates, refuses foreign origins, and asks for the token where one is set.
 
@@ -126,7 +126,7 @@ class _Rates:
         places: Whose connection is known by now.
     """
 
-    def __init__(self, per_s: float, places: Places[web.RequestHandler[web.Request]]) -> None:
+    def __init__(self, per_s: float, places: Places[web.RequestHandler]) -> None:
         self._per_s, self._places = per_s, places
         self._buckets: dict[object, TokenBucket] = {}
         self._newcomers = TokenBucket(per_s)

@@ -60,7 +60,7 @@ class HttpServer:
 
     def __init__(self, station: Station, *, limits: Limits | None = None, token: str | None = None) -> None:
         self._station, self._limits, self._token = station, limits or Limits(), token
-        self._places: Places[web.RequestHandler[web.Request]] = Places(self._limits.http_connections)
+        self._places: Places[web.RequestHandler] = Places(self._limits.http_connections)
         self._runner = web.AppRunner(
             application(station, self._limits, token, self._places),
             access_log=None,
@@ -108,7 +108,7 @@ class HttpServer:
         """Return what serves the next connection: its address is known once it is made."""
         return _Doorman(self._admit)
 
-    def _admit(self, peer: str) -> web.RequestHandler[web.Request] | None:
+    def _admit(self, peer: str) -> web.RequestHandler | None:
         """Return the handler of a new connection; None where it is refused."""
         assert self._runner.server is not None
         for gone in self._places.connections() - set(self._runner.server.connections):
@@ -124,13 +124,13 @@ class HttpServer:
         asyncio.get_running_loop().call_later(self._limits.head_s, self._look_at_head, handler)
         return handler
 
-    def _look_at_head(self, handler: web.RequestHandler[web.Request]) -> None:
+    def _look_at_head(self, handler: web.RequestHandler) -> None:
         """End a connection whose first request head has not come in time."""
         assert self._runner.server is not None
         if handler in self._runner.server.connections and not self._places.is_known(handler):
             self._end(handler)
 
-    def _end(self, handler: web.RequestHandler[web.Request]) -> None:
+    def _end(self, handler: web.RequestHandler) -> None:
         self._station.metrics.refused.labels("http", "dropped").inc()
         handler.force_close()
         self._places.leave(handler)
@@ -139,7 +139,7 @@ class HttpServer:
 class _Doorman(asyncio.Protocol):
     """Hands a new connection to its handler, or tells one client too many so and hangs up."""
 
-    def __init__(self, admit: Callable[[str], web.RequestHandler[web.Request] | None]) -> None:
+    def __init__(self, admit: Callable[[str], web.RequestHandler | None]) -> None:
         self._admit = admit
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -155,7 +155,7 @@ class _Doorman(asyncio.Protocol):
 
 
 def application(
-    station: Station, limits: Limits, token: str | None, places: Places[web.RequestHandler[web.Request]]
+    station: Station, limits: Limits, token: str | None, places: Places[web.RequestHandler]
 ) -> web.Application:
     """Return the application: every route of the table, and the page."""
     app = web.Application(
@@ -166,6 +166,8 @@ def application(
     app[picture.CACHE], app[picture.ONE_AT_A_TIME] = picture.PictureCache(), asyncio.Lock()
     for route in ROUTES:
         app.router.add_route(route.method, route.path, route.handler)
+        if route.method == "GET":
+            app.router.add_route("HEAD", route.path, route.handler)  # aiohttp leaves the body out
     return app
 
 

@@ -33,7 +33,9 @@ the command table by `python -m radiometer.daemon.scpi.document`; a test keeps i
   before anything that it sends is executed; for that, a message with `SOURce` in the first 0.1 s of a connection waits
   for the end of that time.
 * Limits: 256 connections, 4096 bytes per message, 1000 messages per second and client (more are delayed). A client that
-  does not take its replies or does not finish a message within 30 s is dropped.
+  does not take its replies or does not finish a message within 30 s is dropped; so is one that sends nothing for 4 h
+  (an entry of the error queue warns 24 min before). Where all connections are taken, the longest idle one makes
+  room after a minute.
 
 ```python
 import pyvisa

@@ -393,3 +393,42 @@ def test_the_page_is_part_of_the_package(project_root: Path) -> None:
     """Every file of the page folder is served."""
     files = {path.name for path in (project_root / "radiometer/daemon/http/page").iterdir()}
     assert files == {"index.html", "page.css", "page.js", "plots.js", "icon.svg"}
+
+
+@pytest.mark.parametrize("path", [route.path for route in ROUTES if route.method == "GET"])
+async def test_head_is_answered_like_get_without_a_body(
+    base: str, session: aiohttp.ClientSession, station: Station, path: str
+) -> None:
+    """Status and content type of GET, no body, also where GET would stream for ever."""
+    await station.measure()
+    (route,) = [entry for entry in ROUTES if (entry.method, entry.path) == ("GET", path)]
+    async with asyncio.timeout(20), session.head(base + path) as reply:
+        assert (reply.status, reply.content_type) == (200, route.reply)
+        assert await reply.read() == b""
+
+
+@pytest.mark.parametrize("age", ["9" * 30 + "d", "9" * 400 + "d", "999999w", "9999-99-99", "0000-01-01"])
+async def test_times_beyond_all_calendars_are_refused(base: str, session: aiohttp.ClientSession, age: str) -> None:
+    """An age longer than the calendar, or a time that does not exist, is the client's mistake: 400."""
+    for name in ("since", "until"):
+        async with session.get(f"{base}/readings", params={name: age}) as reply:
+            assert reply.status == 400
+
+
+async def test_the_table_is_the_whole_range(
+    base: str, session: aiohttp.ClientSession, station: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """readings.csv without a limit holds every reading of the range, in pieces; a limit still limits."""
+    monkeypatch.setattr("radiometer.daemon.http.readings._REPLAY_ROWS", 3)
+    for _ in range(8):
+        await station.measure()
+    for form, header in (("csv", 1), ("jsonl", 0)):
+        async with session.get(f"{base}/readings?format={form}") as reply:
+            assert len((await reply.text()).splitlines()) == 8 + header
+        async with session.get(f"{base}/readings?format={form}&after=6") as reply:
+            assert len((await reply.text()).splitlines()) == 2 + header
+        async with session.get(f"{base}/readings?format={form}&limit=2") as reply:
+            assert len((await reply.text()).splitlines()) == 2 + header
+    async with session.get(f"{base}/readings?format=csv&until=1h") as reply:
+        assert (await reply.text()).startswith("sequence,time,")
+        assert len((await reply.text()).splitlines()) == 1

@@ -1,0 +1,182 @@
+"""A clock that is set is noticed, and deletes nothing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.clock_watch import ClockWatch, Jump, RetentionClock
+from radiometer.daemon.journal import Journal
+from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
+from radiometer.daemon.journal_writer import JournalWriter
+from radiometer.daemon.station import Station
+from radiometer.daemon.timestamps import iso_time, microseconds
+from radiometer.data import Reading
+
+Eventually = Callable[..., Awaitable[None]]
+DAY_US, HOUR_US = 86_400_000_000, 3_600_000_000
+START_US = microseconds("2026-06-01T00:00:00Z")
+
+
+class Clocks:
+    """A wall clock that can be set and a steady one that cannot."""
+
+    def __init__(self, wall_us: int = START_US) -> None:
+        self.wall, self.steady = wall_us, 0
+
+    def go(self, us: int) -> None:
+        self.wall += us
+        self.steady += us
+
+    @property
+    def both(self) -> tuple[Callable[[], int], Callable[[], int]]:
+        return lambda: self.wall, lambda: self.steady
+
+
+@pytest.mark.parametrize(("by_us", "said"), [(-HOUR_US, "back by 60 min"), (10 * DAY_US, "forward by 10 d")])
+def test_a_jump_is_told_once(by_us: int, said: str) -> None:
+    """Set back by an hour or forward by ten days: one jump, with both times; then all is quiet."""
+    clocks, told = Clocks(), list[Jump]()
+    watch = ClockWatch(told.append, *clocks.both)
+    clocks.go(HOUR_US)
+    watch.look()
+    clocks.wall += by_us
+    clocks.go(1_000_000)
+    watch.look()
+    clocks.go(1_000_000)
+    watch.look()
+    (jump,) = told
+    assert jump.by_us == by_us
+    assert said in str(jump)
+
+
+def test_what_a_time_service_does_is_no_jump() -> None:
+    """Half a second per hour, for a day, is followed without a word."""
+    clocks, told = Clocks(), list[Jump]()
+    watch = ClockWatch(told.append, *clocks.both)
+    for _ in range(24):
+        clocks.go(HOUR_US)
+        clocks.wall += 500_000
+        watch.look()
+    assert told == []
+
+
+async def test_a_jump_is_in_journal_and_state(station: Station, eventually: Eventually) -> None:
+    """An event of kind clock, and the jump in the state that the page shows."""
+    assert station.status()["clock_jump"] is None
+    station.clock._offset_us += HOUR_US  # as if the wall clock had been set back
+    station.clock.look()
+    assert station.status()["clock_jump"]["by_s"] == pytest.approx(-3600, abs=1)
+    reader = JournalReader(station.journal_path)
+    await eventually(lambda: [event["kind"] for event in reader.events()] == ["clock"])
+    assert "set back by 60 min" in reader.events()[0]["message"]
+
+
+def test_the_age_is_counted_by_a_clock_that_cannot_be_set() -> None:
+    """Forward jumps while it runs, and one before the start, do not move it; a clock set back holds it back."""
+    clocks = Clocks()
+    retention = RetentionClock(START_US - HOUR_US, 0, *clocks.both)
+    clocks.go(HOUR_US)
+    assert retention.now_us() == START_US + HOUR_US
+    clocks.wall += 10 * DAY_US
+    assert retention.now_us() == START_US + HOUR_US
+    clocks.wall = START_US - DAY_US
+    assert retention.now_us() == START_US - DAY_US
+    jumped_while_off = RetentionClock(START_US - 10 * DAY_US, 0, *Clocks().both)
+    assert jumped_while_off.now_us() == START_US - 10 * DAY_US
+    stamped_ahead = RetentionClock(START_US, 10 * DAY_US, *Clocks().both)
+    assert stamped_ahead.now_us() == START_US - 10 * DAY_US
+    assert RetentionClock(None, 0, *Clocks().both).now_us() == START_US
+
+
+async def _kept_after_start(path: Path, keep_days: float) -> list[int]:
+    """Run a writer with a retention over a journal once, and return the numbers that are left."""
+    alarms = Alarms(lambda *_: None)
+    writer = JournalWriter(Journal(path), alarms, lambda *_: None, keep_days=keep_days)
+    await writer.open()
+    await writer._drop_old(keep_days)
+    await writer.close()
+    return [json.loads(line)["sequence"] for line in JournalReader(path).lines(ReadingFilter())]
+
+
+async def test_keep_days_deletes_what_is_older_and_nothing_else(
+    tmp_path: Path, make_reading: Callable[..., Reading], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Seven days: a reading of eight days goes, one of six stays; with the clock ten days ahead all stay."""
+    path = tmp_path / "j.sqlite"
+    with Journal(path) as journal:
+        journal.append([make_reading(time=iso_time(START_US - days * DAY_US)) for days in (9, 8, 6, 1, 0)])
+    monkeypatch.setattr(RetentionClock.__init__, "__defaults__", (0, lambda: START_US + 10 * DAY_US, lambda: 0))
+    assert await _kept_after_start(path, 7.0) == [3, 4, 5]
+    assert await _kept_after_start(path, 0.5) == [5]
+
+
+async def test_a_jump_before_a_restart_is_remembered(
+    tmp_path: Path, make_reading: Callable[..., Reading], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock jumped, readings were stamped with it, the daemon was started anew: still nothing young goes."""
+    path, wall = tmp_path / "j.sqlite", START_US + 10 * DAY_US
+    with Journal(path) as journal:
+        journal.append([make_reading(time=iso_time(START_US - days * DAY_US)) for days in (9, 6, 1)])
+        journal.note_jump(10 * DAY_US)
+        journal.append([make_reading(time=iso_time(wall))])
+    monkeypatch.setattr(RetentionClock.__init__, "__defaults__", (0, lambda: wall, lambda: 0))
+    assert await _kept_after_start(path, 7.0) == [2, 3, 4]
+    with Journal(path) as journal:
+        journal.note_jump(-10 * DAY_US)
+        assert journal._connection is not None
+    again = Journal(path)
+    again.open()
+    assert again.clock_doubt_us == 0
+    again.close()
+
+
+def test_an_old_time_between_young_ones_leaves_no_hole(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:
+    """The clock was set back for a while: deletion stops at the first young reading, and the file stays whole."""
+    path = tmp_path / "j.sqlite"
+    with Journal(path) as journal:
+        journal.append([make_reading(time=f"2026-01-0{day}T00:00:00Z") for day in (1, 2, 5, 3, 6)])
+        assert journal.drop_older(microseconds("2026-01-04T00:00:00Z")) == 2
+    with Journal(path):
+        assert JournalReader(path).bounds() == (3, 5, 3)
+
+
+async def test_a_journal_error_is_told_not_swallowed(
+    tmp_path: Path, make_reading: Callable[..., Reading], eventually: Eventually
+) -> None:
+    """While appending fails nothing is handed out and the alarm is up; afterwards each reading comes exactly once."""
+    import asyncio
+    import contextlib
+
+    from radiometer.daemon.journal import JournalError
+
+    given: list[int] = []
+    alarms = Alarms(lambda *_: None)
+    journal: Any = Journal(tmp_path / "j.sqlite")
+    writer = JournalWriter(journal, alarms, lambda reading, *_: given.append(reading.sequence), retry_s=0.01)
+    await writer.open()
+    whole = journal.append
+
+    def broken(readings: Any) -> Any:
+        raise JournalError("disk full")
+
+    journal.append = broken
+    running = asyncio.create_task(writer.run())
+    waiting = [writer.submit(make_reading()) for _ in range(3)]
+    await eventually(lambda: alarms.active)
+    assert ([alarm.name for alarm in alarms.active], given, writer.depth) == (["journal"], [], 3)
+    assert "disk full" in alarms.active[0].message
+    assert not any(future.done() for future in waiting)
+    journal.append = whole
+    assert [reading.sequence for reading in await asyncio.gather(*waiting)] == [1, 2, 3]
+    await eventually(lambda: not alarms.active)
+    assert given == [1, 2, 3]
+    running.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await running
+    await writer.close()
