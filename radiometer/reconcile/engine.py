@@ -16,11 +16,11 @@ from radiometer.data import CaptureHeader, CaptureSet, Frame
 from radiometer.errors import CaptureError
 from radiometer.reconcile.advice.limits import limits
 from radiometer.reconcile.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
+from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.nuisances import dark_current_is_free
 from radiometer.reconcile.fit.state import FitState, first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import FrameReader, frame_reader, reduce_frames
-from radiometer.reconcile.model.parameters import fitted_parameters
 from radiometer.reconcile.model.starting_model import adopted
 from radiometer.reconcile.report.result import (
     CovariateGap,

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Final
 
+from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.state import FitState, refit, with_effects
-from radiometer.reconcile.model.parameters import fitted_parameters
 from radiometer.reconcile.report.result import Verdict
 from radiometer.reconcile.search.excess import (
     contested,

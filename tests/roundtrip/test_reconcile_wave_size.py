@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from radiometer.reconcile.fit.candidate_fit import accepted
+from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.state import FitState, first_state, refit, settled, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconcile.model.parameters import fitted_parameters
 from simulators.effects.rolling_shutter_banding import RollingShutterBanding
 from tests.roundtrip.generator.rig import Rig
 from tests.roundtrip.generator.session import make_session

@@ -17,41 +17,45 @@ from numpy.typing import NDArray
 
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.reduce import CaptureStatistics
-from radiometer.reconcile.measure.row_bands import RowBins, wave_correlation, wave_power
+from radiometer.reconcile.measure.row_bands import RowBins, wave_power
 from radiometer.reconcile.measure.sums import COMB_PERIODS
-from radiometer.reconcile.measure.usable import Mask, usable_entries
 from radiometer.reconcile.model.tile_model import Prediction
-from radiometer.reconcile.noise.repeatability import steady_wander2
-from radiometer.reconcile.noise.row_scatter import RowScatter, effective, line_excess, mixing_of_bands, mixing_of_lines
-from radiometer.reconcile.noise.scatter import (
-    Repeatability,
+from radiometer.reconcile.noise.chances import deviances, followed_scores, log_bias, sine_freedom
+from radiometer.reconcile.noise.lines import (
     band_excess,
     common_of_rows,
+    line_excess,
+    mixing_of_bands,
+    mixing_of_lines,
     relative_bands,
     relative_flicker,
-    standard_uncertainties,
-    whitener,
-    whitener_of_rows,
-    whitener_of_tilts,
+    with_heavy_rows,
 )
-from radiometer.reconcile.noise.variance_scores import (
-    deviances,
-    followed_scores,
-    frames_counted,
-    log_bias,
-    sine_freedom,
+from radiometer.reconcile.noise.repeatability import steady_wander2
+from radiometer.reconcile.noise.shared_errors import (
+    Part,
+    Repeatability,
+    phases_of_wave,
+    shared_errors,
+    unsteady_phases,
+    whiteners,
+)
+from radiometer.reconcile.statistics import (
+    STATISTICS,
+    Given,
+    Mask,
+    Scale,
+    Scatter,
+    family_of,
+    named,
+    usable_entries,
 )
 
-TILE_BLOCKS: Final = ("mean", "slope_x", "slope_y", "variance", "spatial", "neighbour_x", "neighbour_y", "first")
-CAPTURE_BLOCKS: Final = ("common", "row_temporal", "columns", "rows", "edge", "outliers")
-FAMILY: Final[dict[str, str]] = {
-    "slope_x": "slope",
-    "slope_y": "slope",
-    "neighbour_x": "neighbour",
-    "neighbour_y": "neighbour",
-}
+TILE_BLOCKS: Final = named(given=Given.TILE)
+CAPTURE_BLOCKS: Final = named(given=Given.CAPTURE)
+FAMILY: Final = {name: family_of(name) for name in STATISTICS}
+_LOGARITHMS: Final = (*named(scale=Scale.LOGARITHM), *named(scale=Scale.LINES))
 _LIGHT_U_REL: Final = 3e-3  # how well the light of one tile is taken to be known where its variance hangs on it
-_TOGETHER: Final = 0.85  # of the correlation of one wave's scores that is trusted: a cube root is no square
 _WANDERS: Final = 61  # relative variances tried, ten to a decade
 _FALSE_OUTLIERS: Final = 0.02  # expected in a capture without hot pixels; keeps the square root finite
 
@@ -65,8 +69,8 @@ class Comparison:
         seen: What was measured.
         usable: Which entries of each block count.
         deviation: Standard uncertainty of each entry (of its logarithm for variances).
-        whiteners: Of the blocks whose tiles scatter together (`mean`, `first`): (captures, tiles, tiles) inverse
-            Cholesky factor of the covariance.
+        whiteners: Of the statistics whose entries share errors: (captures, entries, entries) inverse Cholesky factor of
+            the covariance.
         cuts: Where each block lies in the vector.
         flicker2: (captures,) relative variance from frame to frame of the accepted effects, of a whole frame.
         wander2: The same of the source itself, whatever the exposure, up to what its stated reproducibility allows.
@@ -96,11 +100,8 @@ class Comparison:
 
     def residual(self, prediction: Prediction) -> Array:
         """Return measured minus predicted, whitened; 0 where an entry does not count."""
-        pieces = [self._tile_block(name, prediction) for name in TILE_BLOCKS]
-        pieces += [self._capture_block(name, prediction) for name in CAPTURE_BLOCKS]
-        pieces.append(self._comb(prediction))
-        pieces.append(self._together("bands", self._bands(prediction)))
-        return np.concatenate([piece.ravel() for piece in pieces])
+        pieces = [self._residual_of(name, prediction).ravel() for name in STATISTICS]
+        return np.concatenate(pieces)
 
     def whiten(self, block: str, values: Array) -> Array:
         """Return raw changes of a block (axes as the block, more may follow) in whitened units."""
@@ -110,6 +111,13 @@ class Comparison:
         extra = (None,) * (values.ndim - mask.ndim)
         return np.where(mask[(..., *extra)], values / sigma[(..., *extra)], 0.0)
 
+    def whitened(self, name: str, part: Part) -> Array:
+        """Return what a unit of each z of a shared error does to a statistic, (entries, n) whitened."""
+        columns = part.columns
+        if self.usable[name].ndim == 1:
+            return self.whiten(name, columns[:, 0])
+        return self.whiten(name, columns).reshape(-1, columns.shape[-1])
+
     def degrees(self, block: str) -> int:
         """Return how many entries of a block count."""
         return int(self.usable[block].sum())
@@ -117,12 +125,8 @@ class Comparison:
     def capture_of_rows(self) -> NDArray[np.intp]:
         """Return for each entry of the vector the capture that it belongs to."""
         captures = np.arange(len(self.design.captures))
-        tiles = len(self.design.tiles)
-        per_tile = [np.repeat(captures, tiles)] * len(TILE_BLOCKS)
-        per_capture = [captures] * len(CAPTURE_BLOCKS)
-        return np.concatenate(
-            [*per_tile, *per_capture, np.repeat(captures, len(COMB_PERIODS)), np.repeat(captures, self._bins.orders)]
-        )
+        entries = (int(np.prod(row.shape(self.design)[1:])) for row in STATISTICS.values())
+        return np.concatenate([np.repeat(captures, count) for count in entries])
 
     def counts(self) -> Mask:
         """Tell for each entry of the vector whether it counts."""
@@ -153,41 +157,43 @@ class Comparison:
         """Return the scores of the bands where nothing is predicted to move the rows."""
         return self.band_scores(np.zeros_like(self.seen.bands_of_rows), np.zeros(len(self.design.captures)))
 
-    def _together(self, block: str, scores: Array) -> Array:
-        return self._whitened(block, scores) if block in self.whiteners else scores
+    def _residual_of(self, name: str, prediction: Prediction) -> Array:
+        """Return measured minus predicted of one statistic, whitened; 0 where an entry does not count."""
+        scale = STATISTICS[name].scale
+        if scale is Scale.SCORE:
+            scores = self._common(prediction) if name == "common" else self._bands(prediction)
+            return self.whiten(name, scores) if name in self.whiteners else scores
+        if scale is Scale.LOGARITHM:
+            return self.whiten(name, self._log_seen[name] - np.log(np.maximum(getattr(prediction, name), 1e-12)))
+        if scale is Scale.LINES:
+            return self.whiten(name, self._log_seen[name] - np.log(self._excess(name, prediction)))
+        if scale is Scale.ROOT:
+            expected = _FALSE_OUTLIERS + np.maximum(getattr(prediction, name), 0.0)
+            return self.whiten(name, 2.0 * (np.sqrt(getattr(self.seen, name) + 0.375) - np.sqrt(expected + 0.375)))
+        expected = self._comb(prediction) if scale is Scale.COMB else getattr(prediction, name)
+        return self.whiten(name, self._seen[name] - expected)
 
-    def _tile_block(self, name: str, prediction: Prediction) -> Array:
-        seen, expected = getattr(self.seen, name), getattr(prediction, name)
-        if name in ("variance", "spatial"):
-            difference = self._log_seen[name] - np.log(np.maximum(expected, 1e-12))
-        else:
-            difference = np.where(self.usable[name], seen, 0.0) - expected
-        return self.whiten(name, difference)
+    @cached_property
+    def _seen(self) -> dict[str, Array]:
+        """Return what was measured, 0 where it does not count."""
+        return {name: np.where(mask, getattr(self.seen, name), 0.0) for name, mask in self.usable.items()}
 
     @cached_property
     def _log_seen(self) -> dict[str, Array]:
         """Return the logarithms of measured variances, freed of the bias that few degrees of freedom give."""
         found = {}
-        for name in ("variance", "spatial", "row_temporal", "columns", "rows"):
+        for name in _LOGARITHMS:
             mask = self.usable[name]
             dof = np.where(mask, getattr(self.seen, f"{name}_dof"), 10.0)
             seen = np.where(mask, getattr(self.seen, name), 1.0)
             found[name] = np.log(np.maximum(seen, 1e-12)) - log_bias(dof)
         return found
 
-    def _capture_block(self, name: str, prediction: Prediction) -> Array:
-        mask, sigma, seen = self.usable[name], self.deviation[name], getattr(self.seen, name)
-        if name == "edge":
-            return np.where(mask, (seen - prediction.edge) / sigma, 0.0)
-        if name == "outliers":
-            expected = _FALSE_OUTLIERS + np.maximum(prediction.outliers, 0.0)
-            return np.where(mask, 2.0 * (np.sqrt(seen + 0.375) - np.sqrt(expected + 0.375)) / sigma, 0.0)
-        if name == "common":
-            flicker2 = self.flicker_of(prediction)
-            if not (flicker2.any() or prediction.row_variance.any()):
-                return self._calm_common
-            return self.common_scores(flicker2, prediction.row_variance)
-        return np.where(mask, (self._log_seen[name] - np.log(self._excess(name, prediction))) / sigma, 0.0)
+    def _common(self, prediction: Prediction) -> Array:
+        flicker2 = self.flicker_of(prediction)
+        if not (flicker2.any() or prediction.row_variance.any()):
+            return self._calm_common
+        return self.common_scores(flicker2, prediction.row_variance)
 
     def common_scores(self, flicker2: Array, row_variance: Array) -> Array:
         """Return the residual of the frame-common fluctuation for a relative variance of the light, (captures,).
@@ -214,16 +220,6 @@ class Comparison:
         if not bands2.any():
             return np.zeros_like(self.seen.bands_of_rows)
         return np.asarray(bands2[:, None] * wave_power(self._bins, self.seen.bands_basis, frequency)[0])
-
-    def whitener_of_bands(self) -> Array:
-        """Return the inverse Cholesky factors of the bands' scores: those of one wave follow the same few phases."""
-        frames, mask = frames_counted(self.design.frame_count), self.usable["bands"]
-        share = np.where(mask, self._accepted_bands / (1.0 + self._accepted_bands), 0.0)
-        together = wave_correlation(self._bins, self.seen.bands_basis, self.band_frequency, frames)
-        covariance = _TOGETHER * share[:, :, None] * share[:, None, :] * together
-        index = np.arange(mask.shape[1])
-        covariance[:, index, index] = 1.0
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
     def flicker_of(self, prediction: Prediction) -> Array:
         """Return the relative variance that all light of a frame has in common, bands included, (captures,)."""
@@ -266,11 +262,15 @@ class Comparison:
     def _accepted_bands(self) -> Array:
         return self.band_power(self.bands2, self.band_frequency)
 
+    @property
+    def share_of_bands(self) -> Array:
+        """Return the share of the accepted wave in the ratios of the bands, (captures, orders)."""
+        return self._accepted_bands / (1.0 + self._accepted_bands)
+
     @cached_property
     def band_freedom(self) -> Array:
         """Return how many degrees of freedom each ratio of the bands has, (captures, orders)."""
-        share = self._accepted_bands / (1.0 + self._accepted_bands)
-        return sine_freedom(self.design.frame_count[:, None], share)
+        return sine_freedom(self.design.frame_count[:, None], self.share_of_bands)
 
     def _excess(self, name: str, prediction: Prediction) -> Array:
         """Return what a variance ratio is expected to be: 1 without any common part."""
@@ -280,8 +280,7 @@ class Comparison:
         return np.asarray(1.0 + excess + band_excess(self.design, self.seen, prediction).get(name, 0.0))
 
     def _comb(self, prediction: Prediction) -> Array:
-        expected = np.array([_comb_of(round(prediction.comb_step), prediction.comb_kept, p) for p in COMB_PERIODS])
-        return np.where(self.usable["comb"], (self.seen.comb - expected) / self.deviation["comb"], 0.0)
+        return np.array([_comb_of(round(prediction.comb_step), prediction.comb_kept, p) for p in COMB_PERIODS])
 
 
 def _comb_of(step: int, kept: float, period: int) -> float:
@@ -315,17 +314,11 @@ def compare(
     """
     mask = dict(usable or usable_entries(design, seen, base))
     if repeatability.row_variance.any():
-        seen = effective(design, seen, base)
-    deviation = standard_uncertainties(design, seen, base, mask, sensitivity, repeatability)
-    if variance_response is not None:
-        for name in ("variance", "spatial"):
-            light_u_rel = max(repeatability.tau, _LIGHT_U_REL)
-            deviation[name] = np.hypot(deviation[name], light_u_rel * variance_response)
-    floors = floors or {}
-    for name in deviation:
-        if name in floors:
-            deviation[name] = np.hypot(deviation[name], floors[name])
-    of_rows = common_of_rows(design, seen, mask["mean"], sensitivity)
+        seen = with_heavy_rows(design, seen, base)
+    deviation = _deviations(
+        Scatter(design, seen, base, mask["variance"]), repeatability, variance_response, floors or {}
+    )
+    of_rows = common_of_rows(design, seen, np.where(mask["mean"], sensitivity, 0.0))
     common = repeatability.flicker2 + _common_bands(design, seen, base)
     bands = (repeatability.bands2, repeatability.band_frequency)
     plain = Comparison(
@@ -333,24 +326,26 @@ def compare(
     )
     plain = replace(plain, wander2=_steady_wander2(plain, base))
     repeatability = replace(repeatability, flicker2=repeatability.flicker2 + plain.wander2)
-    frames = design.frame_count
-    shares = {  # of what a frame's tiles share: in the mean of all frames, and in the first less the mean of the others
-        "mean": (repeatability.tau**2, 1.0 / frames),
-        "first": (0.0, 1.0 + 1.0 / np.maximum(frames - 1.0, 1.0)),
-    }
-    whiteners = {
-        name: whitener(design, deviation[name], mask[name], sensitivity, repeatability, *share)
-        for name, share in shares.items()
-    }
-    if repeatability.bands2.any() or repeatability.row_variance.any():
-        tilts = (design, deviation["slope_y"], mask["slope_y"], sensitivity, repeatability, 1.0 / frames)
-        whiteners["slope_y"] = whitener_of_tilts(*tilts)
-    if repeatability.row_variance.any():
-        rows = RowScatter.of(design, base)
-        whiteners |= {name: whitener_of_rows(name, deviation[name], mask[name], rows) for name in rows.moved}
+    errors = shared_errors(design, base, mask, sensitivity, repeatability)
     if repeatability.bands2.any():
-        whiteners["bands"] = plain.whitener_of_bands()
-    return replace(plain, whiteners=whiteners)
+        share, frequency = plain.share_of_bands, plain.band_frequency
+        errors = (*errors, phases_of_wave(design, seen.bands_basis, mask["bands"], share, frequency))
+    return replace(plain, whiteners=whiteners(errors, deviation, mask))
+
+
+def _deviations(
+    scatter: Scatter, repeatability: Repeatability, variance_response: Array | None, floors: Mapping[str, Array]
+) -> dict[str, Array]:
+    """Return the standard uncertainty of each entry by itself, by statistic."""
+    found = {name: row.sigma(scatter) for name, row in STATISTICS.items()}
+    more = [unsteady_phases(scatter.design, scatter.seen, scatter.base), floors]
+    if variance_response is not None:
+        light_u_rel = max(repeatability.tau, _LIGHT_U_REL)
+        follow = (name for name, row in STATISTICS.items() if row.follows_light)
+        more.insert(1, dict.fromkeys(follow, light_u_rel * variance_response))
+    for further in more:
+        found |= {name: np.hypot(found[name], values) for name, values in further.items()}
+    return found
 
 
 def _common_bands(design: Design, seen: CaptureStatistics, prediction: Prediction) -> Array:
@@ -371,12 +366,8 @@ def _steady_wander2(plain: Comparison, base: Prediction) -> float:
 
 
 def _cuts(design: Design) -> dict[str, slice]:
-    captures, tiles = len(design.captures), len(design.tiles)
-    sizes = dict.fromkeys(TILE_BLOCKS, captures * tiles) | dict.fromkeys(CAPTURE_BLOCKS, captures)
-    sizes["comb"] = captures * len(COMB_PERIODS)
-    sizes["bands"] = captures * RowBins.of(design).orders
     cuts, start = {}, 0
-    for name, size in sizes.items():
-        cuts[name] = slice(start, start + size)
-        start += size
+    for name, row in STATISTICS.items():
+        cuts[name] = slice(start, start + int(np.prod(row.shape(design))))
+        start = cuts[name].stop
     return cuts

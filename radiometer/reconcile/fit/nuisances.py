@@ -13,6 +13,7 @@ from radiometer.reconcile.fit.comparison import Comparison
 from radiometer.reconcile.fit.linear import RowBlock
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.model.tile_model import Nuisance, Prediction, TileModel
+from radiometer.reconcile.statistics import STATISTICS
 
 _FREE_LOG: Final = 5.0  # prior standard deviation of the logarithm of what is unknown: e^±5
 _DEFAULT_U_REL: Final = 0.02  # of a radiance that is stated without an uncertainty
@@ -239,8 +240,8 @@ class NuisanceLayout:
             matrix[rows, own] += change[captures]
 
 
-_TILE_ROWS: Final = ("mean", "slope_x", "slope_y")
-_FOLLOWING: Final = ("variance", "spatial")
+_TILE_ROWS: Final = tuple(name for name, row in STATISTICS.items() if row.tells_light)
+_FOLLOWING: Final = tuple(name for name, row in STATISTICS.items() if row.follows_light)
 
 
 def _light_factor(relative: Array) -> tuple[Array, Array]:

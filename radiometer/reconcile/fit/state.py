@@ -17,13 +17,13 @@ from radiometer.reconcile.fit.terms import LinearTerm, prior_rows
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.pattern_images import PatternImages
 from radiometer.reconcile.measure.reduce import CaptureStatistics
-from radiometer.reconcile.measure.usable import usable_entries
 from radiometer.reconcile.model.parameters import EffectParameters
 from radiometer.reconcile.model.tile_model import Nuisance, Prediction, TileModel, Trace
-from radiometer.reconcile.noise.form_floors import form_floors
-from radiometer.reconcile.noise.realisations import edge_terms, realisation_terms
+from radiometer.reconcile.noise.fixed_patterns import error_of_borders, fixed_errors
+from radiometer.reconcile.noise.lines import relative_bands, relative_flicker
 from radiometer.reconcile.noise.repeatability import capture_scale, estimate_tau
-from radiometer.reconcile.noise.scatter import Repeatability, relative_bands, relative_flicker
+from radiometer.reconcile.noise.shared_errors import Repeatability
+from radiometer.reconcile.statistics import STATISTICS, Scale, usable_entries
 from simulators.effects.catalogue import CatalogueEffect
 
 _ITERATIONS: Final = 25
@@ -32,6 +32,7 @@ _CONVERGED: Final = 1e-3  # change of χ² below which an iteration ends the fit
 _SENSITIVITY_STEP: Final = 1e-3
 _REWEIGHTINGS: Final = 3
 _SETTLED: Final = 0.02  # share of a parameter's size
+_FORM_FLOOR: Final = 0.005  # share of an accepted effect's own correction that its form is not trusted with
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,14 +252,13 @@ def reweighted(state: FitState) -> FitState:
     tau = _estimate_tau(state)
     smooth = tuple(term for term in state.terms if term.is_smooth)
     kept = _kept_weights(state, smooth)
-    terms = (
-        *smooth,
-        *realisation_terms(
-            (*state.model.given, *state.effects), state.prediction, state.seen, state.design, state.model.context
-        ),
-        *edge_terms(state.comparison.usable["edge"]),
+    model = state.model
+    errors = (
+        *fixed_errors((*model.given, *model.effects), state.prediction, state.seen, state.design, model.context),
+        *error_of_borders(state.comparison.usable["edge"]),
     )
-    floors = form_floors(state.model, state.nuisance, state.prediction)
+    terms = (*smooth, *(LinearTerm.of(error) for error in errors))
+    floors = _form_floors(state.model, state.nuisance, state.prediction)
     mask = state.comparison.usable
     again = _weighted(state.seen, state.model, state.layout, state.values, terms, tau, floors, mask)
     return replace(again, weights=np.concatenate([kept, np.zeros(sum(t.size for t in terms) - kept.size)]))
@@ -384,6 +384,21 @@ def _weighted(
     comparison = compare(design, seen, prediction, sensitivity, repeatability, response, floors, mask)
     weights = np.zeros(sum(term.size for term in terms))
     return FitState(seen, model, layout, values, terms, weights, comparison, tau)
+
+
+def _form_floors(model: TileModel, nuisance: Nuisance, prediction: Prediction) -> dict[str, Array]:
+    """Return by statistic the uncertainty of the accepted effects' form: a share of each one's own correction."""
+    floors: dict[str, Array] = {}
+    everything = (*model.given, *model.effects)
+    for index in range(len(everything)):
+        without = tuple(effect for i, effect in enumerate(everything) if i != index)
+        other = replace(model, given=(), effects=without).predict(nuisance)
+        for name, row in STATISTICS.items():
+            if row.holds_form:
+                there, bare = getattr(prediction, name), getattr(other, name)
+                change = np.log(there / bare) if row.scale is Scale.LOGARITHM else there - bare
+                floors[name] = np.hypot(floors.get(name, 0.0), _FORM_FLOOR * np.abs(change))
+    return floors
 
 
 def _estimate_tau(state: FitState) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from radiometer.reconcile.fit.comparison import Comparison
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.model.tile_model import Prediction
+from radiometer.reconcile.noise.fixed_patterns import FixedError
 
 ColumnBuilder = Callable[[Comparison, Prediction, Array], Array]
 
@@ -33,6 +34,18 @@ class LinearTerm:
     block: str = ""
     where: str = ""
     form: str = ""
+
+    @classmethod
+    def of(cls, error: FixedError) -> LinearTerm:
+        """Return the term that fits an error which is the same in all captures."""
+
+        def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
+            columns = np.zeros((comparison.size, error.sigma.size))
+            for name, part in error.parts(prediction).items():
+                columns[comparison.cuts[name]] = comparison.whitened(name, part)
+            return columns
+
+        return cls(error.name, build, error.sigma)
 
     @property
     def size(self) -> int:

@@ -22,6 +22,8 @@ DARK_SURROUND: Final = "dark_surround"
 GRID_COLUMNS: Final = 6
 GRID_ROWS: Final = 4
 SMALLEST_TILE_PX: Final = 6
+SURFACE_TERMS: Final = 6  # of a tile's pixels that its quadratic surface takes out
+SURFACE_LINES: Final = 3  # of its rows or columns
 _MARGIN_FRACTION: Final = 0.125  # keeps a tile's interior more than four blur sigmas from the patch's edge
 _TEMPERATURE_STEP_K: Final = 0.75  # a larger change starts a new capture
 _SAME_TEMPERATURE_K: Final = 2.0  # width of a step of temperature within which a setting repeats
@@ -114,6 +116,34 @@ class Design:
         """Tell whether the radiance of any tile is stated."""
         return any(radiance for tile in self.tiles for radiance in tile.radiance)
 
+    @cached_property
+    def tile_height(self) -> Array:
+        """Return the height of each tile in pixels."""
+        return np.array([tile.height for tile in self.tiles], dtype=np.float64)
+
+    @cached_property
+    def tile_width(self) -> Array:
+        """Return the width of each tile in pixels."""
+        return np.array([tile.width for tile in self.tiles], dtype=np.float64)
+
+    @cached_property
+    def rough_rows(self) -> Array:
+        """Return what each tile's variance about its quadratic surface keeps of a pattern of rows."""
+        return rough_share(self.tile_height, self.tile_width)
+
+    @cached_property
+    def rough_columns(self) -> Array:
+        """Return the same of a pattern of columns."""
+        return rough_share(self.tile_width, self.tile_height)
+
+    @cached_property
+    def rows_of_tiles(self) -> Array:
+        """Return the share of each row of the frame in each tile, (tiles, rows)."""
+        found = np.zeros((len(self.tiles), self.shape[0]))
+        for number, tile in enumerate(self.tiles):
+            found[number, tile.y : tile.y + tile.height] = 1.0 / tile.height
+        return found
+
     def _column(self, name: str, missing: float = np.nan) -> Array:
         values = [getattr(capture.settings, name) for capture in self.captures]
         return np.array([missing if v is None else float(v) for v in values])
@@ -191,6 +221,19 @@ class Design:
         keys = list(zip(plain, steps, strict=True))
         order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
         return np.array([order[key] for key in keys], dtype=np.intp)
+
+
+def rough_share(length: Array, across: Array) -> Array:
+    """Return what a tile's variance about its quadratic surface keeps of a pattern of lines.
+
+    The surface takes three of the tile's lines, but six of all its pixels.
+
+    Args:
+        length: Number of lines in the tile.
+        across: Number of pixels in each.
+    """
+    kept = np.maximum(length - SURFACE_LINES, 1.0) * across
+    return np.asarray(kept / np.maximum(length * across - SURFACE_TERMS, kept))
 
 
 def group_captures(header: CaptureHeader) -> tuple[Capture, ...]:

@@ -161,25 +161,6 @@ def wave_power(bins: RowBins, basis: Array, frequency: float) -> tuple[Array, Ar
     return power[:, 1:], np.divide(power[:, 0], whole, out=np.ones_like(whole), where=whole > 0)
 
 
-def wave_correlation(bins: RowBins, basis: Array, frequency: float, frames: Array) -> Array:
-    """Return the correlation of what a wave along the rows adds to two ratios, (captures, orders, orders).
-
-    All coefficients of a frame follow one phase: with ρ the correlation of two of them, over n frames their squares
-    have the covariance 2ρ²/(n − 1) − (½ + ρ²)/n in units of their means.
-
-    Args:
-        bins: Bins of rows.
-        basis: (captures, 1 + orders, bins) functions of the rows.
-        frequency: Periods per row.
-        frames: Frames of each capture that the ratios were taken over.
-    """
-    wave = np.exp(2j * np.pi * frequency * bins.middle)
-    phase = np.angle(basis[:, 1:] @ wave)
-    square = np.square(np.cos(phase[:, :, None] - phase[:, None, :]))
-    n = np.maximum(frames, 2.0)[:, None, None]
-    return np.asarray((2.0 * square / (n - 1.0) - (0.5 + square) / n) / (2.0 / (n - 1.0) - 1.5 / n))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TileBands:
     """What a wave along the rows leaves in each tile, (tiles,), amplitudes or shares of the wave's variance.
@@ -216,10 +197,10 @@ class TileBands:
         middle = np.array([tile.y + (tile.height - 1) / 2 for tile in design.tiles])
         return cls(mean, rise, within, rough, lag, even, middle, frequency)
 
-    def together(self, amplitude: Array) -> Array:
-        """Return the correlation of such amplitudes of two tiles by their distance, (tiles, tiles)."""
-        turns = self.frequency * (self.middle[:, None] - self.middle)
-        return np.asarray(amplitude[:, None] * amplitude * np.cos(2.0 * np.pi * turns))
+    def quadratures(self, amplitude: Array) -> Array:
+        """Return such amplitudes of the tiles for the two phases of a wave, (tiles, 2)."""
+        turns = 2.0 * np.pi * self.frequency * self.middle
+        return np.asarray(amplitude[:, None] * np.column_stack([np.cos(turns), np.sin(turns)]))
 
     def unsteadiness(self, frames: Array) -> Array:
         """Return the relative standard deviation of `within` over the phases of a few frames, (captures, tiles).

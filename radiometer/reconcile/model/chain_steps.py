@@ -15,8 +15,6 @@ from simulators.effects.context import Signal
 from simulators.effects.tile_moments import TileMoments, carried
 
 LIGHT_LINKS: Final = 4  # links that the light passes before it is electrons
-SURFACE_TERMS: Final = 6  # of a tile's pixels that its quadratic surface takes out
-SURFACE_LINES: Final = 3  # of its rows or columns
 _LINK_OF_STAGE: Final = {
     Stage.SOURCE: 0,
     Stage.SCENE: 0,
@@ -85,16 +83,3 @@ def rise_of(points: Signal) -> tuple[Array, Array]:
     x = (points[..., 1] + points[..., 3] - points[..., 0] - points[..., 2]) * per_edge
     y = (points[..., 2] + points[..., 3] - points[..., 0] - points[..., 1]) * per_edge
     return np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-
-
-def rough_share(length: Array, across: Array) -> Array:
-    """Return what a tile's variance about its quadratic surface keeps of a pattern of lines.
-
-    The surface takes three of the tile's lines, but six of all its pixels.
-
-    Args:
-        length: Number of lines in the tile.
-        across: Number of pixels in each.
-    """
-    kept = np.maximum(length - SURFACE_LINES, 1.0) * across
-    return np.asarray(kept / np.maximum(length * across - SURFACE_TERMS, kept))

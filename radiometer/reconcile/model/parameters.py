@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.noise.dependence import effect_covariance
-from radiometer.reconcile.report.result import FittedParameter
 from simulators.effects.catalogue import CatalogueEffect
-
-if TYPE_CHECKING:
-    from radiometer.reconcile.fit.state import FitState
 
 _STEP: Final = 1e-3  # of the parameter's scale
 _AT_BOUND: Final = 1e-9
@@ -137,25 +132,3 @@ def _typical(effect: CatalogueEffect, name: str) -> float:
     tried = [abs(trial[name]) for trial in effect.trials if name in trial]
     usual = {entry.name: entry.default for entry in fields(effect)}.get(name)
     return max(tried, default=abs(usual) if isinstance(usual, float) and usual else 0.01)
-
-
-def fitted_parameters(state: FitState) -> dict[str, dict[str, FittedParameter]]:
-    """Return the parameters of all effects with their standard uncertainties, by effect and parameter name."""
-    own = state.parameters
-    free = [i for i in range(own.size) if i not in state.frozen]
-    sigma = np.full(own.size, np.nan)
-    sigma[free] = np.sqrt(np.maximum(np.diag(effect_covariance(state)), 0.0))
-    found: dict[str, dict[str, FittedParameter]] = {}
-    for index, effect in enumerate(state.effects):
-        units = {entry.name: entry.unit for entry in effect.parameters()}
-        found[effect.name] = {
-            name: FittedParameter(float(value), None, units[name])
-            for name, value in effect.values().items()
-            if isinstance(value, float | int)
-        }
-        for position, name in enumerate(own.names):
-            if own.owner[position] == index:
-                u = float(sigma[position] * own.scale[position])
-                unit = units[name.split("[")[0]]
-                found[effect.name][name] = FittedParameter(value_of(effect, name), u if np.isfinite(u) else None, unit)
-    return found

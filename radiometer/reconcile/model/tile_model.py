@@ -16,7 +16,6 @@ from radiometer.reconcile.model.chain_steps import (
     LIGHT_LINKS,
     link_of,
     rise_of,
-    rough_share,
     scaled,
     textured,
     tilt_of,
@@ -315,11 +314,14 @@ class TileModel:
         within = lines * (1.0 - 1.0 / shared)
         band, left = tiles(final.band_variance), TileBands.of(self.design, final.band_frequency)
         total = np.maximum(variance + within + band * left.within, _SMALLEST_VARIANCE_DN2)
-        height, width = (np.array([getattr(tile, n) for tile in self.design.tiles]) for n in ("height", "width"))
-        flat_rows, flat_columns = rough_share(height, width), rough_share(width, height)
-        white = np.maximum(variance + lines * flat_rows + band * left.rough, _SMALLEST_VARIANCE_DN2)
+        white = np.maximum(variance + lines * self.design.rough_rows + band * left.rough, _SMALLEST_VARIANCE_DN2)
         fixed = tiles(final.spatial_variance)
-        spatial = white / self.design.frame_count[:, None] + fixed + columns * flat_columns + rows * flat_rows
+        spatial = (
+            white / self.design.frame_count[:, None]
+            + fixed
+            + columns * self.design.rough_columns
+            + rows * self.design.rough_rows
+        )
         fixed = fixed + columns + rows
         rise_x, rise_y = rise_of(final.mean)
         safe = np.maximum(total, 1e-30)

@@ -9,15 +9,14 @@ import numpy as np
 from radiometer.data import CameraDescription
 from radiometer.data.provenance import utc_now
 from radiometer.reconcile.engine import Reconciled
+from radiometer.reconcile.fit.covariance import effect_covariance, fitted_parameters
 from radiometer.reconcile.fit.state import FitState
-from radiometer.reconcile.model.parameters import fitted_parameters
 from radiometer.reconcile.model.tile_model import (
     TYPICAL_E_PER_DN,
     TYPICAL_PITCH_UM,
     TYPICAL_QUANTUM_EFFICIENCY,
     TYPICAL_READ_NOISE_E,
 )
-from radiometer.reconcile.noise.dependence import effect_covariance
 from radiometer.reconcile.report.result import FoundEffect, Verdict
 from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect

@@ -23,52 +23,9 @@ from radiometer.reconcile.measure.covariates import Covariate, covariates
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.model.tile_model import Prediction
 from radiometer.reconcile.noise.chances import chi2_beyond
+from radiometer.reconcile.statistics import ADDITIVE, MULTIPLICATIVE, STATISTICS
 
-MULTIPLICATIVE: Final = "multiplicative"
-ADDITIVE: Final = "additive"
-ADDITIVE_GAIN: Final = "additive × gain"
 SIGNIFICANT: Final = 0.005  # chance of any false alarm among all tests of one pass; a search makes two or more
-
-_CAPTURE_AXES: Final = (
-    "exposure_s",
-    "gain_db",
-    "f_number",
-    "temperature_C",
-    "source_level",
-    "timestamp_s",
-    "time_waves",
-    "pattern",
-    "previous_frame",
-)
-_TILE_AXES: Final = ("signal", "patch_level", "field_radius", "image_x", "image_y", "half_x", "half_y")
-_NOISE_AXES: Final = ("constant", "signal", "gain_db", "exposure_s", "temperature_C", "image_y", "half_x", "half_y")
-_FORMS_OF_MEAN: Final = (MULTIPLICATIVE, ADDITIVE, ADDITIVE_GAIN)
-
-# Statistic → (axes, forms). A trend must be possible physically: hot pixels do not depend on the f-number.
-_TESTS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
-    "mean": ((*_CAPTURE_AXES, *_TILE_AXES, "constant"), _FORMS_OF_MEAN),
-    "slope_x": (("constant", "image_x", "image_y", "field_radius", "f_number", "exposure_s"), (MULTIPLICATIVE,)),
-    "slope_y": (("constant", "image_x", "image_y", "field_radius", "f_number", "exposure_s"), (MULTIPLICATIVE,)),
-    "variance": (
-        ("constant", "signal", "gain_db", "exposure_s", "temperature_C", "image_y", "half_x", "half_y"),
-        (MULTIPLICATIVE, ADDITIVE_GAIN),
-    ),
-    "spatial": (
-        ("constant", "signal", "gain_db", "exposure_s", "temperature_C", "image_y", "half_x", "half_y"),
-        (MULTIPLICATIVE, ADDITIVE_GAIN),
-    ),
-    "neighbour_x": (("constant", "signal", "gain_db"), (MULTIPLICATIVE,)),
-    "neighbour_y": (("constant", "signal", "gain_db"), (MULTIPLICATIVE,)),
-    "first": (("constant", "previous_frame"), (MULTIPLICATIVE, ADDITIVE)),
-    "common": (("constant", "exposure_s", "source_level"), (MULTIPLICATIVE,)),
-    "row_temporal": (("constant", "gain_db", "exposure_s"), (MULTIPLICATIVE,)),
-    "columns": (("constant", "gain_db", "exposure_s"), (MULTIPLICATIVE,)),
-    "rows": (("constant", "gain_db", "exposure_s"), (MULTIPLICATIVE,)),
-    "edge": (("constant", "f_number"), (MULTIPLICATIVE,)),
-    "outliers": (("constant", "exposure_s", "temperature_C"), (MULTIPLICATIVE,)),
-    "comb": (("constant",), (MULTIPLICATIVE,)),
-    "bands": (("constant", "exposure_s", "image_y"), (MULTIPLICATIVE,)),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,10 +92,10 @@ def trend_bases(state: FitState, axes: Mapping[str, Covariate]) -> Iterator[Basi
         state: The fitted model.
         axes: The covariates that vary, by name.
     """
-    for block, (names, forms) in _TESTS.items():
+    for block, row in STATISTICS.items():
         if not state.comparison.usable[block].any():
             continue
-        for name, form in itertools.product((n for n in names if n == "constant" or n in axes), forms):
+        for name, form in itertools.product((n for n in row.along if n == "constant" or n in axes), row.forms):
             columns = whitened_basis(state.comparison, state.prediction, state.sensitivity, block, form, axes.get(name))
             if columns.shape[1]:
                 yield Basis(block, name, form, columns)

@@ -14,8 +14,8 @@ from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.measure.reduce import CaptureStatistics
 from radiometer.reconcile.measure.sums import COMB_PERIODS
-from radiometer.reconcile.measure.usable import seen_step
 from radiometer.reconcile.search.starts import StartPool
+from radiometer.reconcile.statistics import seen_step
 from simulators.effects.catalogue import CatalogueEffect
 
 _OTHER_STARTS: Final = 2  # of an entry that are kept for the fit beside the best

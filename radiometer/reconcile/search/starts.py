@@ -16,9 +16,8 @@ import numpy as np
 
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.noise.row_scatter import mixing_of_bands
-from radiometer.reconcile.noise.scatter import relative_bands
-from radiometer.reconcile.noise.variance_scores import deviances
+from radiometer.reconcile.noise.chances import deviances
+from radiometer.reconcile.noise.lines import mixing_of_bands, relative_bands
 from simulators.effects.catalogue import CatalogueEffect, Scaling
 from simulators.effects.tile_moments import TileMoments
 

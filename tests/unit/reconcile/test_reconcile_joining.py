@@ -10,10 +10,10 @@ import pytest
 
 from radiometer.reconcile.engine import whole_catalogue
 from radiometer.reconcile.fit.candidate_fit import UnfitError
+from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.state import FitState, first_state, refit, settled, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconcile.model.parameters import fitted_parameters
 from radiometer.reconcile.search import joining
 from radiometer.reconcile.search.joining import better, simpler
 from radiometer.reconcile.search.starts import StartPool

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.state import FitState, first_state, refit, settled, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconcile.model.parameters import fitted_parameters
 from radiometer.reconcile.search.localise import localise
 from radiometer.reconcile.search.loosening import loosened
 from radiometer.reconcile.search.own_law import unlike

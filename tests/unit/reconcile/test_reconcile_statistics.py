@@ -12,7 +12,9 @@ import pytest
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
 from radiometer.errors import CaptureError
 from radiometer.reconcile.advice.limits import limits
+from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.state import FitState, first_state, refit, settled, with_effects
+from radiometer.reconcile.fit.terms import LinearTerm
 from radiometer.reconcile.measure.design import Design, group_captures
 from radiometer.reconcile.measure.edges import edge_shares
 from radiometer.reconcile.measure.kernels import add_tiles, coarse_cells
@@ -20,8 +22,7 @@ from radiometer.reconcile.measure.layout import LINES, PatchSides, patch_sides, 
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.measure.row_bands import RowBins
 from radiometer.reconcile.measure.sums import CaptureSums
-from radiometer.reconcile.model.parameters import fitted_parameters
-from radiometer.reconcile.noise.realisations import realisation_terms
+from radiometer.reconcile.noise.fixed_patterns import fixed_errors
 from radiometer.reconcile.search.localise import localise, significant
 from simulators.effects.black_level_drift import BlackLevelDrift
 from simulators.effects.black_level_offset import BlackLevelOffset
@@ -254,9 +255,9 @@ def test_rows_alone_move_the_tiles_of_a_grid_as_one() -> None:
     design = Design.of(CaptureHeader(camera=camera, frames=entries), (96, 144))
     state = first_state(design, *reduce_frames(design, frame_reader(frames)))
     model = with_effects(state, [RowPattern(sigma_e=3.0)])
-    terms = realisation_terms(model.effects, model.prediction, state.seen, design, state.model.context)
+    terms = fixed_errors(model.effects, model.prediction, state.seen, design, state.model.context)
     moved = next(term for term in terms if term.name == "additive pattern: mean")
-    columns = moved.build(state.comparison, model.prediction, state.sensitivity)
+    columns = LinearTerm.of(moved).build(state.comparison, model.prediction, state.sensitivity)
     large = np.linalg.svd(columns, compute_uv=False)
     assert np.sum(large > 1e-2 * large[0]) == 4
 

@@ -1,0 +1,294 @@
+"""Errors that several figures share: y = f(θ) + B·z + ε with z ~ N(0, Φ), each source stating its basis and variance.
+
+What is drawn anew in each capture is taken into the weights of the statistic that it moves (its z integrated out);
+what is the same in all captures, a fixed pattern, is fitted beside the parameters with its variance as prior
+(`fixed_patterns`). Where one z moves several statistics, the weights hold it in each of them alone; what that leaves
+out is added to the parameters' covariance (`left_out`).
+
+Source: noise as bases and weights, as pulsar timing has it (Luo et al. 2021, ApJ 911 45; van Haasteren & Vallisneri
+2014, PRD 90 104012).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from radiometer.reconcile.measure.design import SURFACE_LINES, Array, Design
+from radiometer.reconcile.measure.reduce import CaptureStatistics
+from radiometer.reconcile.measure.row_bands import RowBins, TileBands
+from radiometer.reconcile.model.tile_model import Prediction
+from radiometer.reconcile.noise.chances import frames_counted, score_slope
+from radiometer.reconcile.noise.lines import band_excess, line_weights, rows_in_bins
+from radiometer.reconcile.statistics import Mask
+
+_LEAST_ROWS: Final = 1.0
+_LEAST_RATIO: Final = 1e-6
+_TOGETHER: Final = 0.85  # of the correlation of one wave's scores that is trusted: a cube root is no square
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """What a shared error does to one statistic: amplitude · basis · z.
+
+    Attributes:
+        amplitude: (captures, entries) in the statistic's own scale; 0 where an entry does not count.
+        basis: (entries, n) or (captures, entries, n).
+    """
+
+    amplitude: Array
+    basis: Array
+
+    @property
+    def columns(self) -> Array:
+        """Return what a unit of each z does, (captures, entries, n)."""
+        return np.asarray(self.amplitude[:, :, None] * self.basis)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedError:
+    """One source of error whose z are drawn anew in each capture.
+
+    Attributes:
+        name: What it is.
+        parts: What it does, by statistic.
+        variance: (captures,) variance of each z, or (captures, n).
+        within: Whether the statistic's own standard uncertainty holds it already, so that it correlates entries only.
+    """
+
+    name: str
+    parts: Mapping[str, Part]
+    variance: Array
+    within: bool = False
+
+    def covariance(self, name: str) -> Array:
+        """Return the covariance of a statistic's entries in each capture, (captures, entries, entries)."""
+        part = self.parts[name]
+        left = part.basis if self.variance.ndim == 1 else part.basis * self.variance[:, None, :]
+        shape = left @ part.basis.swapaxes(-1, -2)
+        each = self.variance[:, None, None] if self.variance.ndim == 1 else 1.0
+        found = each * shape * (part.amplitude[:, :, None] * part.amplitude[:, None, :])
+        if self.within:
+            index = np.arange(found.shape[1])
+            found[:, index, index] = 0.0
+        return np.asarray(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Repeatability:
+    """How far the light differs from one capture to the next, and from one frame to the next.
+
+    Attributes:
+        tau: Relative standard deviation from capture to capture.
+        flicker2: (captures,) relative variance from frame to frame that an accepted effect predicts.
+        row_variance: (captures,) row noise that an accepted effect predicts, in DN².
+        bands2: (captures,) relative variance of light that goes as a wave along the rows.
+        band_frequency: Periods of that wave per row.
+    """
+
+    tau: float
+    flicker2: Array
+    row_variance: Array
+    bands2: Array
+    band_frequency: float
+
+
+def shared_errors(
+    design: Design, base: Prediction, usable: Mapping[str, Mask], sensitivity: Array, repeatability: Repeatability
+) -> tuple[SharedError, ...]:
+    """Return the sources that the weights of means, slopes and variances hold.
+
+    Args:
+        design: Captures and tiles.
+        base: Prediction of what is accepted.
+        usable: Which entries of each statistic count.
+        sensitivity: (captures, tiles) d(mean)/d(log light) in DN.
+        repeatability: Capture-to-capture and frame-to-frame scatter, the source's own wander included.
+    """
+    n = design.frame_count
+    first = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)  # of what a frame's tiles share, in the first less the others' mean
+    light = {name: np.where(usable[name], sensitivity, 0.0) for name in ("mean", "first", "slope_y")}
+    one = np.ones((len(design.tiles), 1))
+    found = [
+        SharedError("light of a capture", {"mean": Part(light["mean"], one)}, np.full(n.size, repeatability.tau**2)),
+        SharedError("light of its frames", {"mean": Part(light["mean"], one)}, repeatability.flicker2 / n),
+        SharedError("light of its first frame", {"first": Part(light["first"], one)}, repeatability.flicker2 * first),
+    ]
+    if repeatability.row_variance.any():
+        found += _row_noise(design, base, usable, repeatability.row_variance)
+    if repeatability.bands2.any():
+        found += _wave(design, light, repeatability)
+    return tuple(found)
+
+
+def _row_noise(design: Design, base: Prediction, usable: Mapping[str, Mask], variance: Array) -> list[SharedError]:
+    """Return row noise: in means, slopes and first frames, and what its own chance variance does to variances."""
+    n = design.frame_count
+    first = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)
+    count = {name: mask.astype(np.float64) for name, mask in usable.items()}
+    rows = design.rows_of_tiles
+    found = [
+        SharedError("row noise", {"mean": Part(count["mean"], rows)}, variance / n),
+        SharedError("row noise of the first frame", {"first": Part(count["first"], rows)}, variance * first),
+        SharedError("row noise as a tilt", {"slope_y": Part(count["slope_y"], _tilts_of_rows(design))}, variance / n),
+    ]
+    for name, moved in _moved_by_rows(design, base).items():
+        spread, taken = _spread_of_rows(design)[name], SURFACE_LINES if name == "spatial" else 1
+        part = Part(np.where(usable[name], moved, 0.0), _free_rows(design, taken)[:, None] * rows)
+        found.append(SharedError(f"chance variance of rows: {name}", {name: part}, spread))
+    return found
+
+
+def _tilts_of_rows(design: Design) -> Array:
+    """Return what each row adds to the tiles' rises from centre to bottom edge, (tiles, rows)."""
+    tilts = np.zeros((len(design.tiles), design.shape[0]))
+    for number, tile in enumerate(design.tiles):
+        u = (2.0 * np.arange(tile.height) + 1.0) / tile.height - 1.0
+        tilts[number, tile.y : tile.y + tile.height] = u / max(float(u @ u), 1e-12)
+    return tilts
+
+
+def _moved_by_rows(design: Design, base: Prediction) -> dict[str, Array]:
+    """Return by how much the logarithms of variances change per relative change of the rows' variance.
+
+    A row's noise differs from frame to frame by one number. Over n frames its variance is known to √(2/(n − 1)) only,
+    and that deviation is the same in all tiles side by side and in all statistics. What is left of it in the mean of
+    all frames does the same to the spatial variance.
+    """
+    lines = base.row_variance[:, None]
+    share = lines * (1.0 - 1.0 / design.tile_height) / base.variance
+    left = lines / design.frame_count[:, None] * design.rough_rows / base.spatial
+    return {"variance": share, "neighbour_x": share * (1.0 - share), "neighbour_y": share, "spatial": left}
+
+
+def _spread_of_rows(design: Design) -> dict[str, Array]:
+    """Return the relative variance of what one row shows of its variance, by statistic, (captures,)."""
+    frames = np.maximum(design.frame_count, 2.0)
+    square = 2.0 / (frames - 1.0)
+    products = 1.0 / (frames - 1.0)  # of two rows, not squares of one
+    return {
+        "variance": square,
+        "neighbour_x": square,
+        "neighbour_y": products,
+        "spatial": np.full(frames.shape, 2.0),
+    }
+
+
+def _free_rows(design: Design, taken: int) -> Array:
+    """Return √(rows over those that are free where some degrees of freedom were taken), (tiles,)."""
+    height = design.tile_height
+    return np.asarray(np.sqrt(height / np.maximum(height - taken, _LEAST_ROWS)))
+
+
+def _wave(design: Design, light: Mapping[str, Array], repeatability: Repeatability) -> list[SharedError]:
+    """Return light that goes as a wave along the rows, at a new phase in each frame."""
+    n, left = design.frame_count, TileBands.of(design, repeatability.band_frequency)
+    first = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)
+    bands2, mean, rise = repeatability.bands2, left.quadratures(left.mean), left.quadratures(left.rise)
+    return [
+        SharedError("wave", {"mean": Part(light["mean"], mean)}, bands2 / n),
+        SharedError("wave in the first frame", {"first": Part(light["first"], mean)}, bands2 * first),
+        SharedError("wave as a tilt", {"slope_y": Part(light["slope_y"], rise)}, bands2 / n),
+    ]
+
+
+def phases_of_wave(design: Design, basis: Array, usable: Mask, share: Array, frequency: float) -> SharedError:
+    """Return what the few phases of a wave do to the scores of the bands, which follow one phase of each frame.
+
+    With ρ the correlation of two coefficients of a frame, over n frames their squares have the covariance
+    2ρ²/(n − 1) − (½ + ρ²)/n in units of their means.
+
+    Args:
+        design: Captures and tiles.
+        basis: (captures, 1 + orders, bins) functions of the rows.
+        usable: (captures, orders) which scores count.
+        share: (captures, orders) share of the wave in each ratio.
+        frequency: Periods per row.
+    """
+    wave = np.exp(2j * np.pi * frequency * RowBins.of(design).middle)
+    phase = np.angle(basis[:, 1:] @ wave)  # ρ² = ½ + ½·cos 2(φ − φ')
+    n = np.maximum(frames_counted(design.frame_count), 2.0)
+    half = 0.5 * (2.0 / (n - 1.0) - 1.0 / n)
+    variance = np.stack([half - 0.5 / n, half, half], axis=1) / (2.0 / (n - 1.0) - 1.5 / n)[:, None]
+    functions = np.stack([np.ones_like(phase), np.cos(2.0 * phase), np.sin(2.0 * phase)], axis=-1)
+    part = Part(np.where(usable, share, 0.0), functions)
+    return SharedError("phases of a wave", {"bands": part}, _TOGETHER * variance, within=True)
+
+
+def unsteady_phases(design: Design, seen: CaptureStatistics, base: Prediction) -> dict[str, Array]:
+    """Return by how much few phases of a wave along the rows scatter each entry by itself, by statistic."""
+    excess = band_excess(design, seen, base)
+    if not excess:
+        return {}
+    left = TileBands.of(design, base.band_frequency)
+    unsteady = left.unsteadiness(design.frame_count)
+    within = base.band_variance * left.within / base.variance * unsteady
+    lines = {name: np.maximum(more, 0.0) / (1.0 + more) for name, more in excess.items()}
+    return {
+        "variance": within,
+        "neighbour_x": within,
+        "neighbour_y": within,
+        "spatial": base.band_variance * left.rough / design.frame_count[:, None] / base.spatial,
+        "row_temporal": lines["row_temporal"] * unsteady.max(axis=1),
+        "rows": lines["rows"],
+    }
+
+
+def whiteners(
+    errors: Sequence[SharedError], deviation: Mapping[str, Array], usable: Mapping[str, Mask]
+) -> dict[str, Array]:
+    """Return the inverse Cholesky factors of the captures' covariances, of every statistic that shares an error.
+
+    Args:
+        errors: The sources.
+        deviation: Standard uncertainty of each entry by itself, by statistic.
+        usable: Which entries count.
+    """
+    found = {}
+    for name in dict.fromkeys(name for error in errors for name in error.parts):
+        covariance = np.sum([error.covariance(name) for error in errors if name in error.parts], axis=0)
+        index = np.arange(usable[name].shape[1])
+        covariance[:, index, index] += np.where(usable[name], deviation[name] ** 2, 1.0)
+        found[name] = np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+    return found
+
+
+def chances_of_rows(
+    design: Design, seen: CaptureStatistics, base: Prediction, band_freedom: Array
+) -> tuple[SharedError, ...]:
+    """Return what the rows' chance variance does to all statistics at once, bin of rows by bin of rows.
+
+    First what differs from frame to frame, then what is left in the mean of the frames; the two are independent.
+
+    Args:
+        design: Captures and tiles.
+        seen: What was measured.
+        base: The prediction, row noise included.
+        band_freedom: (captures, orders) degrees of freedom of the bands.
+    """
+    if not base.row_variance.any():
+        return ()
+    bins, of_tiles = RowBins.of(design), rows_in_bins(design)
+    of_all = line_weights(design, base)[:, None, :]
+    moved, spread = _moved_by_rows(design, base), _spread_of_rows(design)
+    found = []
+    for tiled, lined, taken in (
+        (("variance", "neighbour_x"), "row_temporal", 1),
+        (("spatial",), "rows", SURFACE_LINES),
+    ):
+        still = lined == "rows"
+        more = base.row_variance / (design.frame_count if still else 1.0) * getattr(seen, f"{lined}_weight")
+        # A row's noise times that of its pixels is shared too.
+        variance = spread[tiled[0]] * (1.0 + 2.0 / np.maximum(more, _LEAST_RATIO)) / bins.step
+        free = _free_rows(design, taken)
+        parts = {name: Part(moved[name], free[:, None] * of_tiles) for name in tiled}
+        whole = 1.0 + more + (base.fixed_row_variance * seen.rows_weight if still else 0.0)
+        parts[lined] = Part((more / whole)[:, None] * float(np.median(free)), of_all)
+        if not still:
+            bands = base.row_variance[:, None] * seen.bands_of_rows
+            parts["bands"] = Part(bands / (1.0 + bands) * score_slope(band_freedom), of_all)
+        found.append(SharedError(f"chance variance of rows: {lined}", parts, variance))
+    return tuple(found)

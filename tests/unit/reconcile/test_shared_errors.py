@@ -1,0 +1,107 @@
+"""Sources of error that several figures share: basis and variance become weights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, FrameSettings, PatchDescription
+from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.reduce import CaptureStatistics
+from radiometer.reconcile.measure.row_bands import RowBins, TileBands
+from radiometer.reconcile.model.tile_model import Prediction
+from radiometer.reconcile.noise.shared_errors import Part, SharedError, phases_of_wave, whiteners
+from radiometer.reconcile.statistics import STATISTICS, Given, family_of
+
+
+@pytest.fixture
+def design() -> Design:
+    """Return a set of five frames with two patches side by side and one below them."""
+    patches = tuple(
+        PatchDescription(name=name, x=x, y=y, width=32, height=40)
+        for name, x, y in (("a", 0, 0), ("b", 40, 0), ("c", 0, 50))
+    )
+    frames = tuple(FrameEntry.of(f"{n}.tif", FrameSettings(0.01)) for n in range(5))
+    header = CaptureHeader(camera=CameraDescription(bit_depth=12), frames=frames, patches=patches)
+    return Design.of(header, (100, 80))
+
+
+def test_basis_and_variance_give_the_covariance() -> None:
+    """Two z of variance 4 and 9 with known bases give B·Φ·Bᵀ, amplitudes on both sides."""
+    basis = np.array([[1.0, 0.0], [1.0, 2.0]])
+    part = Part(np.array([[2.0, 3.0]]), np.broadcast_to(basis, (1, 2, 2)))
+    found = SharedError("test", {"mean": part}, np.array([[4.0, 9.0]])).covariance("mean")[0]
+    assert found.tolist() == [[4.0 * 4.0, 6.0 * 4.0], [6.0 * 4.0, 9.0 * (4.0 + 4.0 * 9.0)]]
+
+
+def test_what_the_uncertainty_holds_already_correlates_only() -> None:
+    """An error within a statistic's own uncertainty adds nothing to its variance."""
+    error = SharedError("test", {"bands": Part(np.ones((1, 3)), np.ones((3, 1)))}, np.array([0.5]), within=True)
+    assert error.covariance("bands")[0].tolist() == [[0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0]]
+
+
+def test_whitened_errors_have_unit_variance() -> None:
+    """The whitener times the covariance of entries that share two errors is the identity; what is left out stays 1."""
+    errors = [
+        SharedError("one", {"mean": Part(np.array([[1.0, 2.0, 0.0]]), np.ones((3, 1)))}, np.array([0.3])),
+        SharedError("two", {"mean": Part(np.array([[1.0, -1.0, 0.0]]), np.ones((3, 1)))}, np.array([2.0])),
+    ]
+    usable, sigma = np.array([[True, True, False]]), np.array([[0.5, 0.2, 7.0]])
+    (whitener,) = whiteners(errors, {"mean": sigma}, {"mean": usable})["mean"]
+    covariance = errors[0].covariance("mean")[0] + errors[1].covariance("mean")[0] + np.diag([0.25, 0.04, 1.0])
+    assert whitener @ covariance @ whitener.T == pytest.approx(np.eye(3), abs=1e-12)
+
+
+def test_tiles_side_by_side_share_their_rows(design: Design) -> None:
+    """Row noise gives two tiles on the same 40 rows the covariance 1/40, one below them none."""
+    shared = design.rows_of_tiles @ design.rows_of_tiles.T
+    assert shared[0, 1] * design.tile_height[0] == pytest.approx(1.0, abs=0.1)  # a margin may take rows off
+    assert shared[0, 2] == 0.0
+    assert shared[0, 1] == pytest.approx(shared[0, 0])
+
+
+def test_a_wave_correlates_tiles_by_the_cosine_of_their_distance(design: Design) -> None:
+    """Two tiles half a period apart move against each other, at a quarter they do not move together."""
+    distance = float(np.diff(TileBands.of(design, 0.1).middle[[0, 2]])[0])
+    for periods, correlation in ((0.5, -1.0), (0.25, 0.0), (1.0, 1.0)):
+        left = TileBands.of(design, periods / distance)
+        quadratures = left.quadratures(np.ones(3))
+        assert quadratures[0] @ quadratures[2] == pytest.approx(correlation, abs=1e-9)
+
+
+def test_scores_of_one_wave_follow_its_few_phases(design: Design) -> None:
+    """The squares of two coefficients of correlation ρ have the covariance 2ρ²/(n−1) − (½+ρ²)/n in units of ρ = 1."""
+    bins = RowBins.of(design)
+    basis = np.zeros((1, 3, bins.number))
+    basis[0, 1, 3], basis[0, 2, 8] = 1.0, 1.0
+    frequency = 0.031
+    error = phases_of_wave(design, basis, np.ones((1, 2), np.bool_), np.ones((1, 2)), frequency)
+    square = np.cos(2.0 * np.pi * frequency * (bins.middle[8] - bins.middle[3])) ** 2
+    n = 4.0  # of five frames the first may differ for a reason of its own
+    expected = (2.0 * square / (n - 1.0) - (0.5 + square) / n) / (2.0 / (n - 1.0) - 1.5 / n)
+    assert error.covariance("bands")[0, 0, 1] == pytest.approx(0.85 * expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", STATISTICS)
+def test_a_row_of_the_table_is_measured(name: str, design: Design) -> None:
+    """Every statistic is one of those that are measured, along axes that are covariates, and captures come first."""
+    row = STATISTICS[name]
+    assert name in CaptureStatistics.__dataclass_fields__
+    assert row.along
+    assert row.forms
+    assert row.shape(design)[0] == len(design.captures)
+    assert (len(row.shape(design)) == 1) == (row.given is Given.CAPTURE)
+
+
+def test_directions_of_one_statistic_are_one_family() -> None:
+    """Slopes along x and y are one family, variances are their own."""
+    assert family_of("slope_x") == family_of("slope_y") == "slope"
+    assert family_of("variance") == "variance"
+
+
+def test_what_follows_the_light_is_predicted(design: Design) -> None:
+    """What tells or follows the light of a tile is given per tile and stands in the prediction."""
+    for name, row in STATISTICS.items():
+        if row.tells_light or row.follows_light:
+            assert row.given is Given.TILE
+            assert name in Prediction.__dataclass_fields__
