@@ -15,14 +15,14 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import polygamma
 
 from radiometer.reconcile.measure.design import Array, Design
-from radiometer.reconcile.measure.layout import tile_groups
+from radiometer.reconcile.measure.layout import slope_lengths
 from radiometer.reconcile.measure.reduce import CaptureStatistics
 from radiometer.reconcile.measure.row_bands import RowBins
 from radiometer.reconcile.measure.sums import COMB_PERIODS
 from radiometer.reconcile.model.tile_model import Prediction
+from radiometer.reconcile.noise.chances import log_variance
 
 Mask = NDArray[np.bool_]
 
@@ -489,16 +489,3 @@ def structure_dn2(design: Design, seen: CaptureStatistics) -> Array:
         (slope * length) ** 2 for slope, length in zip((seen.slope_x, seen.slope_y), slope_lengths(design), strict=True)
     ]
     return np.asarray(np.nan_to_num(seen.spatial + sum(tilts) / np.maximum(seen.pixels, 1.0)))
-
-
-def slope_lengths(design: Design) -> tuple[Array, Array]:
-    """Return the length of the tilts over each tile: a coefficient divided by it is the rise from centre to edge."""
-    x, y = np.empty(len(design.tiles)), np.empty(len(design.tiles))
-    for group in tile_groups(design):
-        x[group.index], y[group.index] = group.slope_norm
-    return x, y
-
-
-def log_variance(dof: Array) -> Array:
-    """Return Var[ln s²] for a variance estimated with so many degrees of freedom."""
-    return np.asarray(polygamma(1, np.maximum(dof, 1.0) / 2.0))

@@ -49,6 +49,14 @@ def tile_groups(design: Design) -> tuple[TileGroup, ...]:
     return tuple(_group(design.tiles, height, width) for height, width in sizes)
 
 
+def slope_lengths(design: Design) -> tuple[Array, Array]:
+    """Return the length of the tilts over each tile: a coefficient divided by it is the rise from centre to edge."""
+    x, y = np.empty(len(design.tiles)), np.empty(len(design.tiles))
+    for group in tile_groups(design):
+        x[group.index], y[group.index] = group.slope_norm
+    return x, y
+
+
 def _group(tiles: Sequence[Tile], height: int, width: int) -> TileGroup:
     index = [i for i, tile in enumerate(tiles) if (tile.height, tile.width) == (height, width)]
     chosen = tuple(tiles[i] for i in index)

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, digamma, gammaincinv, gammaln
+from scipy.special import chdtrc, digamma, gammaincinv, gammaln, polygamma
 
 from radiometer.reconcile.measure.design import Array
 
@@ -105,3 +105,8 @@ def _of_cube_root(dof: Array) -> tuple[Array, Array]:
     half = np.asarray(dof, dtype=np.float64) / 2.0
     mean, square = (half**-p * np.exp(gammaln(half + p) - gammaln(half)) for p in (1.0 / 3.0, 2.0 / 3.0))
     return np.asarray(mean), np.asarray(square - mean**2)
+
+
+def log_variance(dof: Array) -> Array:
+    """Return Var[ln s²] for a variance estimated with so many degrees of freedom."""
+    return np.asarray(polygamma(1, np.maximum(dof, 1.0) / 2.0))
