@@ -15,7 +15,7 @@ from radiometer.analysis.patch.flags import reading_flags
 from radiometer.analysis.patch.frames import PatchFrame, crop_frames
 from radiometer.analysis.signal.dark import dark_levels
 from radiometer.analysis.signal.lens import known_f_number, lens_factor_sr, relative_sensitivity
-from radiometer.analysis.signal.photometry import luminous_efficacy_lm_per_w
+from radiometer.analysis.signal.photometry import holds_visible_light, luminous_efficacy_lm_per_w
 from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of
 from radiometer.analysis.signal.spectra import spectrum as spectrum_of
 from radiometer.analysis.uncertainty.budget import combined_u
@@ -201,9 +201,12 @@ def _reading(
 
 
 def _with_luminance(reading: Reading, calibration: Calibration | None, name: str | None) -> Reading:
-    """Return the reading with the luminance of its radiance; without an absolute scale there is none."""
+    """Return the reading with the luminance of its radiance; relative or invisible light has none."""
     if calibration is None or not calibration.absolute:
         return reading
-    efficacy = luminous_efficacy_lm_per_w(spectrum_of(name or calibration.spectrum))
+    spectrum = spectrum_of(name or calibration.spectrum)
+    if not holds_visible_light(spectrum):
+        return reading
+    efficacy = luminous_efficacy_lm_per_w(spectrum)
     radiance = reading.radiance
     return replace(reading, luminance=Quantity(efficacy * radiance.value, efficacy * radiance.u, LUMINANCE_UNIT))

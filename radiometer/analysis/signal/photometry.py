@@ -51,6 +51,11 @@ def luminous_efficacy_lm_per_w(spectrum: Spectrum, observer: Observer = "photopi
     return efficacy
 
 
+def holds_visible_light(spectrum: Spectrum) -> bool:
+    """Tell whether a spectrum has a luminance: near-infrared and ultraviolet have a radiance only."""
+    return spectrum.integral(*luminous_efficiency()) > 0.0
+
+
 def luminance_cd_m2(radiance_w_sr_m2: float, spectrum: Spectrum, observer: Observer = "photopic") -> float:
     """Return the luminance in cd·m⁻² of a radiance in W·sr⁻¹·m⁻² with a given spectrum."""
     return radiance_w_sr_m2 * luminous_efficacy_lm_per_w(spectrum, observer)

@@ -359,3 +359,14 @@ def test_without_a_known_response_the_difference_is_said_and_not_guessed(rig):
     moved = read(rig, frames, of_spectra(rig.calibration(), "line:500", "line:600", None))
     assert moved.radiance == plain.radiance
     assert any("no spectral correction" in said for said in moved.provenance.assumptions)
+
+
+@pytest.mark.parametrize("nm", [840, 940, 1200])
+def test_near_infrared_reads_as_radiance_without_a_luminance(rig, nm):
+    """Radiance needs no V(λ): the same frames give the same W·sr⁻¹·m⁻² as under a green line, and no luminance."""
+    frames = rig.frames(uniform(2.0), np.random.default_rng(8), (1e-3, 2e-3))
+    green, infrared = (read(rig, frames, rig.calibration(), spectrum=name) for name in ("line:555", f"line:{nm}"))
+    assert infrared.radiance == green.radiance
+    assert infrared.luminance is None
+    assert green.luminance is not None
+    assert green.luminance.value == pytest.approx(683 * green.radiance.value, rel=1e-3)

@@ -221,3 +221,9 @@ def test_efficacies_are_those_of_the_library(colour_science, ours, illuminant):
 def test_a_line_is_not_a_band():
     """Its integral is its power, whatever lies beside it."""
     assert Spectrum("x", np.array([550.0]), np.array([2.0])).integral() == 2.0
+
+
+@pytest.mark.parametrize(("name", "visible"), [("line:555", True), ("line:780", True), ("line:850", False)])
+def test_what_has_a_luminance_is_told(name, visible):
+    """The red end is seen a little; 850 nm is not."""
+    assert photometry.holds_visible_light(spectrum(name)) is visible

@@ -41,3 +41,19 @@ def test_unusable_responsivity_is_named(tmp_path, text):
     file.write_text(text)
     with pytest.raises(InputError, match=r"camera\.csv"):
         spectral_factor("line:550", 453.0, 0.0, file)
+
+
+def test_an_infrared_led_is_counted_by_its_photons():
+    """With a flat efficiency its responsivity per watt is its mean wavelength, beyond the visible band too."""
+    assert spectral_factor("line:550", 850.0, 40.0) == pytest.approx(550 / 850, rel=1e-4)
+    assert spectral_factor("line:850", 550.0, 20.0) == pytest.approx(850 / 550, rel=1e-4)
+
+
+def test_a_responsivity_that_ends_before_the_light_is_refused(tmp_path):
+    """A table of the visible says nothing of 850 nm; one that reaches there is used."""
+    file = tmp_path / "responsivity.csv"
+    file.write_text("wavelength_nm,responsivity\n400,1\n700,1\n", encoding="utf-8")
+    with pytest.raises(InputError, match="the responsivity ends at 700 nm"):
+        spectral_factor("line:550", 850.0, 40.0, file)
+    file.write_text("wavelength_nm,responsivity\n400,1\n700,1\n701,0.25\n1000,0.25\n", encoding="utf-8")
+    assert spectral_factor("line:550", 850.0, 40.0, file) == pytest.approx(4.0, rel=1e-4)
