@@ -1,0 +1,116 @@
+"""Frames from files, as one object that the other functions take."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from radiometer.bench.sources import open_brackets
+from radiometer.data import Bracket, CameraDescription, CaptureHeader, LensDescription
+from radiometer.data.capture_set import HEADER_NAME
+from radiometer.data.storage import read_yaml
+from radiometer.data.validation import validate
+from radiometer.errors import CaptureError, UsageError
+
+PathLike = str | os.PathLike[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Frames of one camera: one bracket per displayed pattern or colour channel.
+
+    Attributes:
+        brackets: The brackets by pattern, or by channel ("red", "luminance", …).
+        camera: The camera as it was described.
+        lens: The lens as it was described.
+        origin: Where the frames came from.
+    """
+
+    brackets: dict[str, Bracket]
+    camera: CameraDescription
+    lens: LensDescription
+    origin: str
+
+    def __len__(self) -> int:
+        """Return the number of brackets."""
+        return len(self.brackets)
+
+    def __iter__(self) -> Iterator[Bracket]:
+        """Yield the brackets."""
+        return iter(self.brackets.values())
+
+    def __getitem__(self, name: str) -> Stack:
+        """Return the stack of one pattern or channel alone. Raises KeyError for one that is not there."""
+        return Stack({name: self.brackets[name]}, self.camera, self.lens, self.origin)
+
+    @property
+    def bracket(self) -> Bracket:
+        """Return the only bracket.
+
+        Raises:
+            UsageError: If there are several.
+        """
+        if len(self.brackets) != 1:
+            raise UsageError(
+                f"{self.origin} holds {len(self.brackets)} brackets; choose one: stack[{next(iter(self.brackets))!r}]"
+            )
+        return next(iter(self.brackets.values()))
+
+    def __repr__(self) -> str:
+        """Return size, number of frames and exposures in one line."""
+        parts = []
+        for name, bracket in self.brackets.items():
+            times = [frame.settings.exposure_s for frame in bracket.frames]
+            height, width = bracket.shape
+            dark = f" + {len(bracket.dark_frames)} dark" if bracket.dark_frames else ""
+            parts.append(
+                f"{name}: {len(bracket)}{dark} frames of {width} × {height} pixels, {bracket.bit_depth} bits, "
+                f"{min(times):.4g} to {max(times):.4g} s"
+            )
+        return f"<Stack {self.origin}: {'; '.join(parts)}>"
+
+
+def read(path: PathLike, channel: str = "luminance") -> Stack:
+    """Read a capture set or a folder of photographs.
+
+    Args:
+        path: Folder with `capture.yaml`, or with photographs and their times.
+        channel: Of colour photographs: "luminance", "red", "green", "blue" or "each".
+
+    Raises:
+        CaptureError: If the folder is missing, empty, unfinished or inconsistent.
+    """
+    folder = Path(path)
+    brackets = open_brackets(folder, channel)
+    header = folder / HEADER_NAME
+    if header.exists():
+        said = validate(CaptureHeader, read_yaml(header), str(header), CaptureError)
+        return Stack({_name(one): one for one in brackets}, said.camera, said.lens, str(path))
+    depth = brackets[0].bit_depth
+    return Stack(
+        {_name(one): one for one in brackets}, CameraDescription(bit_depth=depth), LensDescription(), str(path)
+    )
+
+
+def read_photographs(path: PathLike, channel: str = "each") -> Stack:
+    """Read a folder of photographs whose times are in EXIF or in a list beside them; colours apart by default.
+
+    Args:
+        path: The folder.
+        channel: "luminance", "red", "green", "blue" or "each".
+
+    Raises:
+        CaptureError: If it holds no photographs, or their times are not known.
+    """
+    if (Path(path) / HEADER_NAME).exists():
+        raise CaptureError(f"{path} is a capture set, not a folder of photographs; use radiometer.read")
+    return read(path, channel)
+
+
+def _name(bracket: Bracket) -> str:
+    settings, extra = bracket.frames[0].settings, bracket.frames[0].extra
+    if "channel" in extra:
+        return str(extra["channel"])
+    return settings.pattern if settings.source_level == 1.0 else f"{settings.pattern} at {settings.source_level:g}"

@@ -1,0 +1,175 @@
+"""The Python interface, as a notebook uses it, on a small simulated bench of known radiance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import radiometer as rm
+from radiometer.data import CaptureSetWriter
+from radiometer.errors import CaptureError, MeasurementError, UsageError
+
+TRUE_RADIANCE = 0.3
+
+BENCH = """\
+format: radiometer-bench/1
+camera: {kind: simulated, preset: BFS-U3-19S4M, serial: "22500001", seed: 5, width: 96, height: 64}
+lens: {focal_length_mm: 16, f_number: 4}
+scene: {kind: uniform, radiance_W_per_sr_m2: 0.3}
+patch: {x: 40, y: 24, width: 16, height: 16}
+"""
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the bench file of a small camera before an even field."""
+    path = tmp_path_factory.mktemp("bench") / "bench.yaml"
+    path.write_text(BENCH, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def stack(bench: Path) -> rm.Stack:
+    """Return a bracket of the whole frame, with dark frames."""
+    with rm.open(bench, uncalibrated=True) as meter:
+        return meter.bracket(darks=2)
+
+
+@pytest.fixture(scope="module")
+def capture(stack: rm.Stack, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the same frames as a capture set on disk."""
+    folder = tmp_path_factory.mktemp("capture") / "even"
+    with CaptureSetWriter(folder, stack.camera, stack.lens, None, ()) as writer:
+        for frame in (*stack.bracket.frames, *stack.bracket.dark_frames):
+            writer.add(frame)
+    return folder
+
+
+def test_a_meter_reads_a_patch_and_says_what_it_is(bench):
+    """Two patches of an even field agree within their uncertainties; the meter's line names camera and patch."""
+    with rm.open(bench, uncalibrated=True) as meter:
+        first, second = meter.measure(), meter.measure(patch=(4, 4, 12, 12))
+        assert "BFS-U3-19S4M" in repr(meter)
+        assert "uncalibrated" in repr(meter)
+    gap = first.radiance.value - second.radiance.value
+    assert abs(gap) < 4 * np.hypot(first.radiance.u, second.radiance.u)
+    assert second.patch == rm.Patch(4, 4, 12, 12)
+
+
+def test_a_closed_meter_is_closed_once(bench):
+    """Closing again does nothing; the camera is free for the next."""
+    meter = rm.open(bench, uncalibrated=True)
+    meter.close()
+    meter.close()
+    with rm.open(bench, uncalibrated=True) as again:
+        assert again.calibration is None
+
+
+def test_a_bracket_keeps_light_and_dark_apart(stack):
+    """Two dark frames per distinct exposure; size and count stand in the line."""
+    exposures = {frame.settings.exposure_s for frame in stack.bracket.frames}
+    assert len(stack.bracket.dark_frames) == 2 * len(exposures)
+    assert f"{len(stack.bracket)} + {2 * len(exposures)} dark frames of 96 × 64 pixels, 12 bits" in repr(stack)
+
+
+def test_a_capture_set_is_read_as_it_was_taken(stack, capture):
+    """Frames, camera and lens come back from disk."""
+    again = rm.read(capture)
+    assert again.camera == stack.camera
+    assert again.lens.f_number == stack.lens.f_number
+    for mine, theirs in zip(stack.bracket.frames, again.bracket.frames, strict=True):
+        assert np.array_equal(mine.dn, theirs.dn)
+
+
+def test_a_capture_set_is_no_folder_of_photographs(capture):
+    """The error says which function reads it."""
+    with pytest.raises(CaptureError, match=r"use radiometer\.read"):
+        rm.read_photographs(capture)
+
+
+def test_several_channels_must_be_chosen_from(stack):
+    """A stack of two brackets is refused where one is needed, with the way out."""
+    double = rm.Stack({"red": stack.bracket, "blue": stack.bracket}, stack.camera, stack.lens, "here")
+    with pytest.raises(UsageError, match=r"here holds 2 brackets; choose one: stack\['red'\]"):
+        rm.merge(double)
+    assert rm.merge(double["blue"]).value.shape == (64, 96)
+
+
+def test_a_merged_bracket_is_arrays_with_unit_and_uncertainty(stack, tmp_path):
+    """An even field: the scatter of pixels is what their uncertainties say, within 10 %."""
+    radiance = rm.merge(stack)
+    assert radiance.unit == "relative"
+    pulls = (radiance.value - radiance.value.mean()) / radiance.u
+    assert np.std(pulls) == pytest.approx(1.0, abs=0.1)
+    radiance.write(tmp_path / "map.exr")
+    assert (tmp_path / "map.exr").stat().st_size > 0
+    assert "100 % good" in repr(radiance)
+
+
+def test_a_map_goes_into_xarray_with_units_and_flags(stack):
+    """CF units, the uncertainty as an ancillary variable, one meaning per mask bit."""
+    radiance = rm.merge(stack)
+    dataset = radiance.to_xarray()
+    assert dataset.radiance.attrs["units"] == "1"
+    assert dataset.radiance.attrs["ancillary_variables"] == "u_radiance mask"
+    assert len(dataset.mask.attrs["flag_masks"]) == len(dataset.mask.attrs["flag_meanings"].split())
+    assert np.array_equal(dataset.radiance.values, radiance.value)
+
+
+def test_response_and_calibration_exclude_each_other(stack):
+    """A calibration holds a response of its own."""
+    response = rm.recover_response(_gradient())
+    with pytest.raises(UsageError, match="give one of both"):
+        rm.merge(stack, response, calibration="anything.yaml")
+
+
+def test_a_response_is_recovered_drawn_and_written(tmp_path):
+    """A linear camera: ln H rises as ln(DN − black) within 4 u; plot, notebook picture and table show it."""
+    response = rm.recover_response(_gradient(), method="linear_spline")
+    low, high = response.curve.valid_dn
+    dn = np.arange(max(low, 300), min(high, 3500))
+    middle = response.curve.mid_dn
+    expected = np.log((dn - 64.0) / (middle - 64.0))
+    # The black level of the simulated frames is 64 DN; the gauge point is exact.
+    assert np.abs(response.log_exposure[dn] - expected).max() < 0.02
+    response.to_csv(tmp_path / "curve.csv")
+    assert (tmp_path / "curve.csv").read_text().startswith("dn,log_exposure,u_log_exposure\n")
+    axes = response.plot()
+    assert axes.get_xlabel() == "digital number M (DN)"
+    assert response._repr_html_().startswith('<figure><img alt="&lt;Response by linear_spline')
+
+
+def test_one_frame_a_setting_is_no_photon_transfer(capture):
+    """The error says how to take what is missing."""
+    with pytest.raises(MeasurementError, match="capture with --repeat 2"):
+        rm.characterise(capture)
+
+
+def test_a_reconciliation_tells_verdict_and_names(tmp_path):
+    """A light-meter table of printed stops: the name, the gap and the table that a notebook shows."""
+    table = tmp_path / "meter.csv"
+    rows = [f"screen,{luminance},16,{time},100" for luminance, time in ((250, "1/60"), (500, "1/125"), (1000, "1/250"))]
+    table.write_text("screen,luminance,f_number,time,iso\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    found = rm.reconcile(table)
+    assert found.verdict in repr(found)
+    assert found.gap[1] <= found.gap[0]
+    assert [effect.name for effect in found.effects] == ["nominal_settings"]
+    assert "<td>nominal_settings</td>" in found._repr_html_()
+    assert found.to_mapping()["verdict"] == found.verdict
+
+
+def _gradient() -> rm.Stack:
+    """Return frames of a ramp of light by a linear 12-bit camera with noise, made here."""
+    from radiometer.data import Bracket, CameraDescription, Frame, FrameSettings, LensDescription
+
+    rng = np.random.default_rng(8)
+    light = np.geomspace(40.0, 40000.0, 120)[None, :] * np.ones((60, 1))
+    frames = []
+    for exposure_s in (0.01, 0.02, 0.04, 0.08, 0.16, 0.32):
+        electrons = rng.poisson(light * exposure_s * 10.0)
+        dn = np.clip(np.round(electrons / 2.6 + 64.0 + rng.normal(0, 1.0, light.shape)), 0, 4095).astype(np.uint16)
+        frames.append(Frame(dn, 12, FrameSettings(exposure_s=exposure_s, black_level_dn=64.0)))
+    camera = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=2.6, read_noise_e=2.6, black_level_dn=64.0)
+    return rm.Stack({"ramp": Bracket.from_frames(frames)}, camera, LensDescription(), "ramp")
