@@ -9,8 +9,15 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Final, Protocol, Self
 
-from drivers.light_box_answers import RANGE_LETTERS, read_capabilities, read_identity, read_state, read_status
-from drivers.light_box_frames import Event
+from drivers.light_box_answers import (
+    RANGE_LETTERS,
+    read_capabilities,
+    read_flash,
+    read_identity,
+    read_state,
+    read_status,
+)
+from drivers.light_box_frames import PROTOCOL_VERSIONS, Event
 from drivers.light_box_link import ATTEMPTS, BoxLink, BoxRefusal
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import (
@@ -21,11 +28,12 @@ from radiometer.devices.light_box import (
     ClockEstimate,
     CurrentRange,
     DriveLevel,
+    FlashState,
     Level,
     LightBoxIdentity,
     LightBoxStatus,
 )
-from radiometer.devices.retinal_safety import HazardFractions, hazard_fractions
+from radiometer.devices.retinal_safety import FlashLight, HazardFractions, hazard_fractions
 from radiometer.errors import (
     CalibrationError,
     DeviceError,
@@ -41,6 +49,8 @@ from radiometer.errors import (
 TEND_INTERVAL_S: Final = 0.25  # a quarter of the box's dead-man time
 START_UP_S: Final = 4.0  # opening the port resets an Arduino, whose boot loader waits 1 to 2 s
 LISTEN_S: Final = 0.02
+FLASH: Final = "flash"  # its name in the account of the exposure
+WRONG_VERSION: Final = 9
 
 
 class RadianceTable(Protocol):
@@ -64,12 +74,14 @@ class SerialLightBox:
         ledger: Account of the retinal exposure; refuses what is too much.
         calibration: Level ↔ radiance; None where levels can only be raw.
         keep_alive: Tend the box from a thread of its own; without it the caller calls `tend` often enough.
+        flash: The photographic flash at its trigger; None where there is none.
     """
 
     link: BoxLink
     ledger: ExposureLedger
     calibration: RadianceTable | None = None
     keep_alive: bool = True
+    flash: FlashLight | None = None
     _identity: LightBoxIdentity | None = None
     _channels: dict[str, ChannelCapabilities] = field(default_factory=dict)
     _buckets: dict[str, int] = field(default_factory=dict)
@@ -174,6 +186,57 @@ class SerialLightBox:
             )
         return hazard_fractions(self.ledger.optics[channel], radiance, bright_s)
 
+    @property
+    def flash_exposure_j_sr_m2(self) -> float:
+        """Return the radiant exposure of one flash in J·sr⁻¹·m⁻². Raises CalibrationError where it is not known."""
+        return self._flash_light().exposure_j_sr_m2
+
+    def fire_flash(self) -> FlashState:
+        """Fire the photographic flash once and return what the box allows of it from now on.
+
+        Raises:
+            UnsafeStimulus: If it is too much for the eye, with all that was given before, or for the box's own limits.
+            CalibrationError: If the box's preset says nothing of a flash.
+            UsageError: If the box speaks version 1 of the protocol, which has no flash.
+        """
+        with self._lock:
+            light = self._flash_light()
+            self._require_flash()
+            radiance = light.exposure_bound_j_sr_m2 / light.duration_s
+            self.ledger.refuse_unsafe(FLASH, radiance, light.duration_s)
+            state = read_flash(self._name, self.link.request("FL"))
+            self.ledger.shine(FLASH, radiance, light.duration_s)
+            return state
+
+    def flash_state(self) -> FlashState:
+        """Return what the box allows of its flash. Raises UsageError for a box of protocol version 1."""
+        with self._lock:
+            self._require_flash()
+            return read_flash(self._name, self.link.request("FS"))
+
+    def foresee_flashes(self, count: int) -> HazardFractions:
+        """Return which fractions of the exposure limits a number of flashes would use up, without firing any.
+
+        Raises UnsafeStimulus, CalibrationError, UsageError as `fire_flash` would.
+        """
+        light = self._flash_light()
+        self._require_flash()
+        radiance = light.exposure_bound_j_sr_m2 / light.duration_s
+        self.ledger.refuse_unsafe(FLASH, radiance, light.duration_s)
+        one = hazard_fractions(self.ledger.optics[FLASH], radiance, light.duration_s)
+        return HazardFractions(count * one.blue_light, one.thermal)
+
+    def _flash_light(self) -> FlashLight:
+        if self.flash is None:
+            raise CalibrationError(
+                f"{self._name}: its preset has no `flash`; state its measured exposure, bound and duration there"
+            )
+        return self.flash
+
+    def _require_flash(self) -> None:
+        if self.identity.protocol_version < 2:
+            raise UsageError(f"{self._name} speaks protocol version 1, which has no flash; flash its firmware")
+
     def off(self, channel: str) -> None:
         """Darken one channel."""
         with self._lock:
@@ -225,6 +288,9 @@ class SerialLightBox:
     def tend(self) -> None:
         """Let the box know that the host is there, compare the clocks, fetch lost events. Raises DeviceLost."""
         self.synchronise()
+        if self.link.take_turned_off():
+            for channel in self._channels:
+                self.ledger.darken(channel)
 
     def tend_if_due(self) -> None:
         """Tend the box if a quarter of its dead-man time has passed since it was tended last."""
@@ -249,7 +315,7 @@ class SerialLightBox:
         while True:
             self.link.reset()
             try:
-                fields = self.link.request("HI 1", attempts=2)
+                fields = self._hello()
                 break
             except (DeviceTimeout, DeviceLost) as silent:
                 if isinstance(silent, DeviceLost) or self.link.line.now() > deadline_s:
@@ -262,6 +328,16 @@ class SerialLightBox:
             channel, bucket = read_capabilities(self._name, self.link.request(f"CH {index}"))
             self._channels[channel.name], self._buckets[channel.name] = channel, bucket
             self.ledger.darken(channel.name)  # a session starts dark, however the one before has ended
+
+    def _hello(self) -> tuple[str, ...]:
+        """Return the answer to HI in the newest version that the box speaks."""
+        for version in PROTOCOL_VERSIONS[:-1]:
+            try:
+                return self.link.request(f"HI {version}", attempts=2)
+            except BoxRefusal as refusal:
+                if refusal.code != WRONG_VERSION:
+                    raise
+        return self.link.request(f"HI {PROTOCOL_VERSIONS[-1]}", attempts=2)
 
     def _keep(self) -> None:
         while not self._closing.wait(TEND_INTERVAL_S / 5):
@@ -290,6 +366,11 @@ class SerialLightBox:
             raise DeviceError(f"{self._name}: asked for {drive}, read back {state.drive}; every channel was darkened")
 
     def _drive(self, channel: str, level: Level) -> DriveLevel:
+        if channel not in self.ledger.optics:
+            raise UsageError(
+                f"{self._name}: its preset says nothing of channel {channel}, so what its light does to the eye is not "
+                "known; describe it there (configs/light_boxes/reference.yaml shows how)"
+            )
         if not isinstance(level, DriveLevel):
             if self.calibration is None:
                 raise CalibrationError(

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Final
 
-from drivers.light_box_frames import PROTOCOL_VERSION
+from drivers.light_box_frames import PROTOCOL_VERSIONS
 from radiometer.devices.light_box import (
     ChannelCapabilities,
     ChannelMode,
     ChannelState,
     CurrentRange,
     DriveLevel,
+    FlashState,
     LightBoxIdentity,
     LightBoxStatus,
 )
@@ -35,9 +36,11 @@ def read_identity(port: str, fields: tuple[str, ...]) -> tuple[LightBoxIdentity,
     Raises:
         DeviceNotFound: If it is not a light box that this program can talk to.
     """
-    if len(fields) != 5 or fields[0] != BOX_KIND or fields[1] != str(PROTOCOL_VERSION) or not fields[4].isdigit():
-        raise DeviceNotFound(f"what answers on {port} is not a light box of protocol {PROTOCOL_VERSION}: {fields!r}")
-    return LightBoxIdentity(fields[3], fields[2], PROTOCOL_VERSION, port), int(fields[4])
+    known = {str(version): version for version in PROTOCOL_VERSIONS}
+    if len(fields) != 5 or fields[0] != BOX_KIND or fields[1] not in known or not fields[4].isdigit():
+        spoken = " or ".join(sorted(known))
+        raise DeviceNotFound(f"what answers on {port} is not a light box of protocol {spoken}: {fields!r}")
+    return LightBoxIdentity(fields[3], fields[2], known[fields[1]], port), int(fields[4])
 
 
 def read_capabilities(port: str, fields: tuple[str, ...]) -> tuple[ChannelCapabilities, int]:
@@ -72,6 +75,13 @@ def read_status(port: str, fields: tuple[str, ...]) -> LightBoxStatus:
         reset_cause=_CAUSES[fields[5]],
         button_pressed=fields[6] == "1",
     )
+
+
+def read_flash(port: str, fields: tuple[str, ...]) -> FlashState:
+    """Return how many flashes are left in a row and when the next may be fired, as FL and FS tell it."""
+    if len(fields) != 2 or not all(field.isdigit() for field in fields):
+        raise _senseless(port, "FS", fields)
+    return FlashState(int(fields[0]), int(fields[1]) / 1000.0)
 
 
 def _senseless(port: str, verb: str, fields: tuple[str, ...]) -> DeviceError:

@@ -7,7 +7,7 @@ import zlib
 from dataclasses import dataclass
 from typing import Final
 
-PROTOCOL_VERSION: Final = 1
+PROTOCOL_VERSIONS: Final = (2, 1)  # the newest first
 _REPLY = re.compile(rb"=([0-9A-F]{2}|--) (OK|ER)((?: [!-)+-~]+)*)")
 _EVENT = re.compile(rb"!([0-9A-F]{2}) ([A-Z]{2}) ([0-9A-Z]) ([0-9]{1,10}\.[0-9]{3})")
 _TIMES = re.compile(r"([0-9]{1,10}\.[0-9]{3}) ([0-9]{1,10}\.[0-9]{3}) ([0-9A-F]{2})")
@@ -23,6 +23,8 @@ ERROR_TEXTS: Final = {
     8: "a ramp cannot change the current range; darken the channel first",
     9: "it speaks another version of the protocol; flash the firmware that came with this program",
     10: "it no longer keeps that event",
+    11: "the channel that shares its output is lit; darken that first",
+    12: "its button is held, which keeps every light off; let go of it",
 }
 
 

@@ -59,6 +59,7 @@ class BoxLink:
     _sequence: int = field(default_factory=lambda: secrets.randbelow(256))
     _events: deque[Event] = field(default_factory=lambda: deque(maxlen=EVENT_SLOTS))
     _fault: str | None = None
+    _turned_off: bool = False
 
     def request(self, words: str, attempts: int = ATTEMPTS) -> tuple[str, ...]:
         """Return the fields of the answer to a request.
@@ -107,6 +108,11 @@ class BoxLink:
         self._events.clear()
         return events
 
+    def take_turned_off(self) -> bool:
+        """Tell whether the button, held for 3 s, has turned every light off since the last call."""
+        turned_off, self._turned_off = self._turned_off, False
+        return turned_off
+
     def reset(self) -> None:
         """Forget clocks, events and faults, before a new session."""
         self.clock.samples.clear()
@@ -154,6 +160,8 @@ class BoxLink:
         for event in self.inbox.release():
             if event.kind == "BT":
                 self._events.append(event)
+            elif event.kind == "DK" and event.argument == "B":
+                self._turned_off = True
             elif event.kind == "DK" and event.argument == "D":
                 self._fault = (
                     f"light box on {self.line.name} has gone dark because this program was silent for 1 s; reopen it"

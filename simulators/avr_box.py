@@ -10,7 +10,17 @@ from typing import Final
 from simulators.simavr import SimulatedAvr
 
 PINS: Final = {"bleach": ("B", 3), "spot": ("B", 1), "spot_red": ("B", 2), "fixation": ("D", 3)}
-RANGE_PINS: Final = {"bleach": ("D", 4), "spot": ("D", 5), "spot_red": ("D", 6), "fixation": ("D", 7)}
+RANGE_PINS: Final = {
+    "bleach": ("D", 4),
+    "spot": ("D", 5),
+    "spot_red": ("D", 6),
+    "fixation": ("D", 7),
+    "spot_green": ("C", 4),
+    "field": ("C", 5),
+}
+SELECT_PINS: Final = {"spot_green": ("C", 2), "field": ("C", 3)}  # high: the shared output drives this LED
+SHARED: Final = {"spot_green": "spot_red", "field": "bleach"}
+TRIGGER: Final = ("B", 0)
 BUTTON: Final = ("D", 2)
 BYTE_CYCLES: Final = 1360  # 10 bits at 117 647 Bd, what the firmware's divider gives
 LAG_CYCLES: Final = 1_600_000  # time that is given up at once where the machine cannot keep up: 0.1 s
@@ -61,6 +71,8 @@ class AvrBox:
         self.avr = SimulatedAvr(hex_file, eeprom=serial.encode("ascii"))
         self.pins = {name: PinRecord() for name in PINS}
         self.range_pins = {name: PinRecord() for name in RANGE_PINS}
+        self.select_pins = {name: PinRecord() for name in SELECT_PINS}
+        self.trigger = PinRecord()
         self.sent = bytearray()
         self._incoming: deque[int] = deque()
         self._next_byte = 0
@@ -68,7 +80,11 @@ class AvrBox:
         self.avr.on_byte(self.sent.append)
         for name in PINS:
             self.avr.on_pin(*PINS[name], self.pins[name].note)
-            self.avr.on_pin(*RANGE_PINS[name], self.range_pins[name].note)
+        for name, record in self.range_pins.items():
+            self.avr.on_pin(*RANGE_PINS[name], record.note)
+        for name, record in self.select_pins.items():
+            self.avr.on_pin(*SELECT_PINS[name], record.note)
+        self.avr.on_pin(*TRIGGER, self.trigger.note)
         self.avr.drive_pin(*BUTTON, True)
         self.avr.drive_analogue(0, 750)  # TMP36 at 25 °C
         self.avr.drive_analogue(1, 3000)  # 12 V through 30k/10k
@@ -86,9 +102,14 @@ class AvrBox:
         self.avr.drive_pin(*BUTTON, not pressed)
 
     def duty(self, channel: str, window_s: float = 0.008) -> float:
-        """Return the fraction of the latest `window_s` in which a channel's pin was high."""
+        """Return the fraction of the latest `window_s` in which a channel's pin was high and drove its own LED."""
         end = self.avr.cycle
-        return self.pins[channel].high_fraction(end - round(window_s * self.avr.frequency_hz), end)
+        partners = {**SHARED, **{output: name for name, output in SHARED.items()}}
+        if channel in partners:
+            selected = self.select_pins[channel if channel in SHARED else partners[channel]].level
+            if selected != (channel in SHARED):
+                return 0.0
+        return self.pins[SHARED.get(channel, channel)].high_fraction(end - round(window_s * self.avr.frequency_hz), end)
 
     def is_high_current(self, channel: str) -> bool:
         """Tell whether a channel's current switch is at the high range."""

@@ -69,6 +69,9 @@ REFERENCE_LEDS: Final = {
     "spot": _BLUE,
     "spot_red": _RED,
     "fixation": replace(_RED, full_radiance_w_sr_m2=0.5, pwm_period_s=128e-6, duty_steps=1024, dither_periods=4),
+    "spot_green": replace(_BLUE, peak_nm=505.0, fwhm_nm=30.0),
+    # A chip-on-board field of a few W behind a diffuser: some 12 000 cd/m² cold at full duty; slow and hot.
+    "field": replace(_WHITE, full_radiance_w_sr_m2=38.0, heating_kelvin=40.0, heating_tau_s=90.0),
 }
 
 

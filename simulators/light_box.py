@@ -16,8 +16,10 @@ from zlib import crc32
 from simulators.led_physics import AMBIENT_C, REFERENCE_LEDS, Emission, LedParameters, LedState
 from simulators.light_box_channel import REFERENCE_CHANNELS, Channel, ChannelLimits, steps_of
 from simulators.light_box_commands import Commands, checked
+from simulators.light_box_flash import Flash
 
 DEADMAN_MS: Final = 1000
+HELD_OFF_MS: Final = 3000
 LINE_SIZE: Final = 64
 TICK_MS: Final = 0.004
 BOOT_MS: Final = 0.008  # the clock starts two ticks before the main program
@@ -40,6 +42,7 @@ class TwinSettings:
         supply_v: LED supply in V.
         ambient_celsius: Temperature in °C.
         channels: Channels and their limits.
+        newest_version: Newest version of the protocol that it speaks.
         leds: LED of each channel.
     """
 
@@ -48,6 +51,7 @@ class TwinSettings:
     supply_v: float = 12.0
     ambient_celsius: float = AMBIENT_C
     channels: tuple[ChannelLimits, ...] = REFERENCE_CHANNELS
+    newest_version: int = 2
     leds: dict[str, LedParameters] = field(default_factory=lambda: dict(REFERENCE_LEDS))
 
 
@@ -58,6 +62,7 @@ class LightBoxTwin:
     Attributes:
         settings: What box it is.
         emitted: Lines that left it, oldest first; whoever carries the line takes them off.
+        flash: The photographic flash behind its trigger.
         watch: Called whenever what reaches the LEDs may have changed, such as to keep a record of it.
     """
 
@@ -75,6 +80,9 @@ class LightBoxTwin:
     events: dict[int, str] = field(default_factory=dict)
     latest_event: int = 0
     watch: Callable[[], None] | None = None
+    spoken: int = 2
+    flash: Flash = field(default_factory=Flash)
+    _held_since_ms: int | None = None
     _booted_s: float = 0.0
     _ms: int = 0
     _silent_since_ms: int = 0
@@ -94,9 +102,21 @@ class LightBoxTwin:
         self.session, self.reset_cause = False, cause
         self.bad_lines = self.darkened = self.latest_event = self._ms = self._silent_since_ms = 0
         self.events, self._answered = {}, None
+        self.spoken, self._held_since_ms = 2, 0 if self.button else None
+        self.flash.reset()
         self._line.clear()
         self._booted_s = self.time_s
         self.add_event("BO", cause, BOOT_MS)
+
+    @property
+    def whole_ms(self) -> int:
+        """Return the box's time in whole ms, as its timers count."""
+        return self._ms
+
+    @property
+    def held(self) -> bool:
+        """Tell whether the button has been held so long that every light stays off."""
+        return self._held_since_ms is not None and self._ms >= self._held_since_ms + HELD_OFF_MS
 
     @property
     def box_ms(self) -> float:
@@ -114,6 +134,8 @@ class LightBoxTwin:
         waits_ms = [wait for wait in (channel.ms_to_change() for channel in self.channels) if wait is not None]
         if self.session:
             waits_ms.append(max(self._silent_since_ms + DEADMAN_MS - self._ms, 1))
+        if self._held_since_ms is not None and not self.held:
+            waits_ms.append(max(self._held_since_ms + HELD_OFF_MS - self._ms, 1))
         if waits_ms:
             times.append(self._true_s(self._ms + min(waits_ms)))
         return max(min(times), self.time_s) if times else None
@@ -175,6 +197,8 @@ class LightBoxTwin:
             silent_at = self._silent_since_ms + DEADMAN_MS
             if self._ms < silent_at:
                 waits.append(silent_at - self._ms)
+            if self._held_since_ms is not None and self._ms < self._held_since_ms + HELD_OFF_MS:
+                waits.append(self._held_since_ms + HELD_OFF_MS - self._ms)
             self._step(min([target_ms - self._ms, *waits]))
         self.time_s = target_s
 
@@ -188,6 +212,11 @@ class LightBoxTwin:
                 self.add_event("DK", str(index), self._ms)
         if self._ms == self._silent_since_ms + DEADMAN_MS:
             self._go_silent()
+        if self._held_since_ms is not None and self._ms == self._held_since_ms + HELD_OFF_MS:
+            for channel in self.channels:
+                channel.darken()
+            self.darkened += 1
+            self.add_event("DK", "B", self._ms)
         if before != [(channel.driven_level, channel.high) for channel in self.channels]:
             self._drive_leds()
 
@@ -209,6 +238,7 @@ class LightBoxTwin:
     def _turn_button(self, pressed: bool) -> None:
         if pressed != self.button:
             self.button = pressed
+            self._held_since_ms = self._ms if pressed else None
             self.add_event("BT", "D" if pressed else "U", self.box_ms)
 
     def _take(self, byte: int) -> None:

@@ -23,7 +23,11 @@ REFERENCE_CHANNELS = (
     ChannelLimits("spot", 453, 8192, 65535, 60000, 846_000_000, 1410),
     ChannelLimits("spot_red", 640, 8192, 65535, 60000, 846_000_000, 1410),
     ChannelLimits("fixation", 640, 1024, 65535, 20000, 846_000_000, 1410),
+    ChannelLimits("spot_green", 505, 8192, 65535, 60000, 846_000_000, 1410),
+    ChannelLimits("field", 0, 1024, 65535, 60000, 70_500_000, 118),
 )
+CHANNELS_OF_VERSION = {1: 4, 2: 6}
+PARTNERS = {"bleach": "field", "field": "bleach", "spot_red": "spot_green", "spot_green": "spot_red"}
 
 
 @dataclass(slots=True)

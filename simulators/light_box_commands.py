@@ -7,7 +7,7 @@ import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from simulators.light_box_channel import Channel, steps_of
+from simulators.light_box_channel import CHANNELS_OF_VERSION, PARTNERS, Channel, steps_of
 
 if TYPE_CHECKING:
     from simulators.light_box import LightBoxTwin
@@ -59,11 +59,37 @@ class Commands:
         version = _number(words[0]) if len(words) == 1 else None
         if version is None:
             raise Refused(3)
-        if version != 1:
+        if version not in CHANNELS_OF_VERSION or version > self.box.settings.newest_version:
             raise Refused(9)
+        self.box.spoken = version
         self.box.darken_all()
         self.box.session = True
-        return ["radiometer-light-box", 1, "1.0", self.box.settings.serial, len(self.box.channels)]
+        return ["radiometer-light-box", version, "2.0", self.box.settings.serial, self._channel_count]
+
+    @property
+    def _channel_count(self) -> int:
+        return min(CHANNELS_OF_VERSION[self.box.spoken], len(self.box.channels))
+
+    def _do_fl(self, words: list[str]) -> list[object]:
+        self._require_version_2()
+        _none(words)
+        if not self.box.session:
+            raise Refused(7)
+        if self.box.held:
+            raise Refused(12)
+        if not self.box.flash.fire(self.box.whole_ms):
+            raise Refused(6)
+        self.box.lit()
+        return self._do_fs([])
+
+    def _do_fs(self, words: list[str]) -> list[object]:
+        self._require_version_2()
+        _none(words)
+        return list(self.box.flash.state(self.box.whole_ms))
+
+    def _require_version_2(self) -> None:
+        if self.box.spoken < 2:
+            raise Refused(2)
 
     def _do_ch(self, words: list[str]) -> list[object]:
         limits = self._channel(words, 1).limits
@@ -140,7 +166,12 @@ class Commands:
 
     def _start(self, channel: Channel, mode: str, level: int, high: bool, times: list[int], blinks: int) -> None:
         bright_ms = {"P": times[0] if times else 1, "B": times[0] * blinks if times and blinks else 1}.get(mode, 1)
-        code = channel.refusal(level, high, bright_ms)
+        code = channel.refusal(level, high, 0)
+        if not code and level and self._partner_lit(channel):
+            code = 11
+        if not code and level and self.box.held:
+            code = 12
+        code = code or channel.refusal(level, high, bright_ms)
         if code:
             raise Refused(code)
         if mode == "R":
@@ -150,11 +181,15 @@ class Commands:
         else:
             channel.start(mode, level, high, *times, *([blinks] if mode == "B" else []))
 
+    def _partner_lit(self, channel: Channel) -> bool:
+        partner = PARTNERS.get(channel.limits.name)
+        return any(other.limits.name == partner and other.mode != "O" for other in self.box.channels)
+
     def _channel(self, words: list[str], count: int | None = None) -> Channel:
         number = _number(words[0]) if words else None
         if number is None:
             raise Refused(3)
-        if number >= len(self.box.channels):
+        if number >= self._channel_count:
             raise Refused(4)
         if count is not None and len(words) != count:
             raise Refused(3)

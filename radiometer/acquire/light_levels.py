@@ -20,7 +20,7 @@ from radiometer.devices.light_box import (
     LightBox,
     round_to_steps,
 )
-from radiometer.errors import MeasurementError
+from radiometer.errors import MeasurementError, UnsafeStimulus
 
 REFERENCE_EVERY: Final = 6  # points between two measurements of the reference level
 LOWEST_STEP: Final = 16  # below, neighbouring steps lie more than 6 % apart
@@ -28,7 +28,7 @@ SETTLED_REL: Final = 0.0005
 DARK_TERM: Final = "dark and black level"
 # What is left to come when two readings 20 s apart agree: twice their difference, for time constants up to a minute.
 UNSETTLED_PART: Final = 2 / math.sqrt(3)
-LONGEST_SETTLING_S: Final = 600.0
+LIT_S: Final = (600.0, 280.0, 180.0, 90.0)  # how long a level is lit: the longest of these that is allowed
 SETTLING_STEP_S: Final = 20.0
 ENERGY_KEPT: Final = 0.15  # of a channel's energy budget, so that the box does not darken it while it is measured
 
@@ -120,11 +120,11 @@ class LevelSurvey:
 
     def _point(self, channel: str, drive: DriveLevel, order: float) -> Measured:
         self._let_recover(channel, drive)
-        self.box.set_level(channel, drive)
+        lit_s = self._light(channel, drive)
         first = reading = self.measure()
         waited_s, change = 0.0, math.inf
         # At any level, for the LED may still be warm from the one before; as long as the energy budget lasts.
-        while waited_s < LONGEST_SETTLING_S and self.box.read_channel(channel).energy_left > ENERGY_KEPT:
+        while waited_s < lit_s - 2 * SETTLING_STEP_S and self.box.read_channel(channel).energy_left > ENERGY_KEPT:
             self.wait(SETTLING_STEP_S)
             waited_s += SETTLING_STEP_S
             before, reading = reading, self.measure()
@@ -132,12 +132,26 @@ class LevelSurvey:
             if change < SETTLED_REL + _own_u_rel(reading, DARK_TERM):
                 change = SETTLED_REL
                 break
-        if self.box.read_channel(channel).mode is not ChannelMode.STEADY:
+        if self.box.read_channel(channel).mode is not ChannelMode.PULSE:
             raise MeasurementError(
                 f"channel {channel} went dark at level {drive.level}: its energy budget is used up; "
                 "leave it dark for ten minutes, then calibrate again"
             )
         return self._measured(drive, (first, reading), change, waited_s, order)
+
+    def _light(self, channel: str, drive: DriveLevel) -> float:
+        """Light a channel for as long as eye and energy budget allow, up to the longest settling, and return that time.
+
+        A stated end keeps a bright channel within the limits of the eye, which light without an end would not be.
+        """
+        for lit_s in LIT_S[:-1]:
+            try:
+                self.box.pulse(channel, drive, lit_s)
+                return lit_s
+            except UnsafeStimulus:
+                continue
+        self.box.pulse(channel, drive, LIT_S[-1])
+        return LIT_S[-1]
 
     def _let_recover(self, channel: str, drive: DriveLevel) -> None:
         """Wait in the dark until the channel's energy budget is as full as the level needs it."""

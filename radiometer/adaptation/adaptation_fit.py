@@ -18,8 +18,13 @@ from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import MeasurementError
 
 SHALLOWEST_S2: Final = -0.03  # log10 units per min; a flatter line after the "break" is no rod branch
+STEEPEST_S2: Final = (
+    -0.6
+)  # the steepest published is about −0.3 (Lamb and Pugh 2004); beyond, wild presses make the line
 EVIDENCE_AICC: Final = 4.0  # an evidence ratio of e² = 7 (Burnham and Anderson 2002, section 2.6)
 SETTLED_TAUS: Final = 1.5  # cones have gone 78 % of their way at the break; else rods alone are taken for both
+FASTEST_CONES_MIN: Final = 0.5  # time constant of a cone branch that is seen to fall; published are 1 to 2 min
+SEEN_FALL: Final = 1.0  # log10 units of it in the thresholds from which its time constant is known
 LEAST_ROD_FALL: Final = 0.5  # log10 units by which rods must go below the cones for a break to be one
 CRITERION_BELOW_PLATEAU: Final = 2.0
 SLACK_MIN: Final = 1.0  # a test that ends at its criterion has its last threshold just there
@@ -169,10 +174,15 @@ def makes_sense(fit: BranchFit) -> bool:
     seen = np.count_nonzero(times < values["break_min"]) >= 3 and np.count_nonzero(times > values["break_min"]) >= 3
     settled = values["break_min"] >= SETTLED_TAUS * values["tau_min"]
     s3 = values.get("s3_slope_per_min", 0.0)
+    fallen = values["amplitude"] * math.exp(-float(times[0]) / values["tau_min"])
+    settled = settled and (fallen < SEEN_FALL or values["tau_min"] >= FASTEST_CONES_MIN)
     at_break, at_end = fit.threshold(np.array([values["break_min"], times[-1]]))
     seen = seen and at_break - at_end >= LEAST_ROD_FALL
     return bool(
-        seen and settled and values["s2_slope_per_min"] <= SHALLOWEST_S2 and values["s2_slope_per_min"] < s3 <= 0.05
+        seen
+        and settled
+        and STEEPEST_S2 <= values["s2_slope_per_min"] <= SHALLOWEST_S2
+        and values["s2_slope_per_min"] < s3 <= 0.05
     )
 
 

@@ -74,7 +74,7 @@ def fit_model(series: ThresholdSeries, model: BranchModel, weights: Array | None
         raise MeasurementError(
             f"{count} thresholds are too few for the {len(model.parameters)} parameters of {model.name}"
         )
-    prior = np.ones(count) if series.sigma is None else (series.sigma.min() / series.sigma) ** 2
+    prior = prior_weights(series)
     nonlinear = _best_of_grid(series, model, prior if weights is None else weights)
     if weights is None:
         weights = prior
@@ -86,6 +86,13 @@ def fit_model(series: ThresholdSeries, model: BranchModel, weights: Array | None
     total, linear = project(series.time_min, series.log_threshold, model, weights, nonlinear)
     values = dict(zip(model.parameters, map(float, (*linear, *nonlinear)), strict=True))
     return BranchFit(model, series, values, weights, total, _aicc(total, count, len(model.parameters) + 1))
+
+
+def prior_weights(series: ThresholdSeries) -> Array:
+    """Return the weight of each threshold by its stated uncertainty, 1 for the best, shape (n,)."""
+    if series.sigma is None:
+        return np.ones(series.time_min.size)
+    return np.asarray((series.sigma.min() / series.sigma) ** 2, dtype=np.float64)
 
 
 def project(

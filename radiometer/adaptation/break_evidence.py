@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from radiometer.adaptation.branch_fit import BranchFit
+from radiometer.adaptation.branch_fit import HUBER, REWEIGHTINGS, BranchFit, prior_weights
 
 Array = NDArray[np.float64]
 # Deviance that a break must be worth. Measured: see the section "adaptation_false_breaks" of docs/benchmarks.md.
-LEAST_DEVIANCE: Final = 16.0
+LEAST_DEVIANCE: Final = 20.0
 KNOTS: Final = 48  # of the convex curve, at quantiles of the times
 # A typical eye for the statement of power (Lamb and Pugh 2004: S2 −0.24 log10 per min; cones −1.5 min⁻¹ or so).
 TYPICAL_TAU_MIN: Final = 1.6
@@ -35,8 +35,8 @@ class BreakEvidence:
     """What speaks for a break.
 
     Attributes:
-        deviance: n·ln(SS of the best falling convex curve / SS of the best model with a break); −inf where no model
-            with a break makes sense.
+        deviance: n·ln(loss of the best falling convex curve / loss of the best model with a break), both Huber's with
+            the latter's scale; −inf where no model with a break makes sense.
         needed: Deviance from which a break is claimed.
         earliest_visible_min: A typical eye's break before this time would not be seen in thresholds at these times and
             of this scatter, in min; None where none would be seen at all, or it was not asked for.
@@ -52,8 +52,8 @@ class BreakEvidence:
         return self.deviance >= self.needed
 
 
-def convex_sum_of_squares(time_min: Array, log_threshold: Array, weights: Array) -> float:
-    """Return the weighted sum of squares of the best falling convex curve.
+def convex_curve(time_min: Array, log_threshold: Array, weights: Array) -> Array:
+    """Return the best falling convex curve at the thresholds' times.
 
     f(t) = c + Σ d_k·max(t_k − t, 0), all d_k ≥ 0: least squares with non-negative coefficients.
 
@@ -69,10 +69,21 @@ def convex_sum_of_squares(time_min: Array, log_threshold: Array, weights: Array)
     level = np.ones((time_min.size, 1))
     root = np.sqrt(weights)
     # c is free: it enters with either sign.
-    _, distance = nnls(
-        np.hstack([level, -level, hinges]) * root[:, np.newaxis], log_threshold * root, maxiter=50 * (knots.size + 2)
-    )
-    return float(distance) ** 2
+    columns = np.hstack([level, -level, hinges])
+    found, _ = nnls(columns * root[:, np.newaxis], log_threshold * root, maxiter=50 * (knots.size + 2))
+    return np.asarray(columns @ found, dtype=np.float64)
+
+
+def convex_sum_of_squares(time_min: Array, log_threshold: Array, weights: Array) -> float:
+    """Return the weighted sum of squares that the best falling convex curve leaves; arguments as `convex_curve`."""
+    return float(weights @ (log_threshold - convex_curve(time_min, log_threshold, weights)) ** 2)
+
+
+def _huber_loss(residuals: Array, prior: Array, scale: float) -> float:
+    """Return the sum of residuals squared, beyond HUBER scales only in proportion (Huber 1964): a wild press is one."""
+    size = np.sqrt(prior) * np.abs(residuals)
+    bound = HUBER * scale
+    return float(np.where(size <= bound, size**2, 2 * bound * size - bound**2).sum())
 
 
 def break_evidence(with_break: BranchFit | None) -> BreakEvidence:
@@ -83,11 +94,18 @@ def break_evidence(with_break: BranchFit | None) -> BreakEvidence:
     """
     if with_break is None:
         return BreakEvidence(-math.inf)
-    series = with_break.series
-    convex = convex_sum_of_squares(series.time_min, series.log_threshold, with_break.weights)
-    floor = series.time_min.size * EXACT_LOG10**2
-    ratio = (convex + floor) / (with_break.sum_of_squares + floor)
-    return BreakEvidence(series.time_min.size * math.log(ratio))
+    series, count = with_break.series, with_break.series.time_min.size
+    prior = prior_weights(series)
+    scale = max(with_break.sigma, EXACT_LOG10)
+    broken = _huber_loss(series.log_threshold - with_break.threshold(series.time_min), prior, scale)
+    weights = prior
+    for _ in range(REWEIGHTINGS):
+        residuals = series.log_threshold - convex_curve(series.time_min, series.log_threshold, weights)
+        size = np.sqrt(prior) * np.abs(residuals) / scale
+        weights = prior * np.minimum(1.0, HUBER / np.maximum(size, 1e-12))
+    convex = _huber_loss(residuals, prior, scale)
+    floor = count * EXACT_LOG10**2
+    return BreakEvidence(count * math.log((convex + floor) / (broken + floor)))
 
 
 def with_power(evidence: BreakEvidence, one_branch: BranchFit) -> BreakEvidence:

@@ -13,7 +13,7 @@ from typing import Final, Literal
 
 from pydantic import Field
 
-from drivers.light_box import SerialLightBox
+from drivers.light_box import FLASH, SerialLightBox
 from drivers.light_box_link import BoxLink
 from drivers.serial_line import SerialLine, list_serial_ports
 from radiometer.bench.box_holder import holding, is_ours
@@ -23,7 +23,7 @@ from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import LightBoxIdentity
-from radiometer.devices.retinal_safety import DEFAULT_FRACTION, ChannelOptics
+from radiometer.devices.retinal_safety import DEFAULT_FRACTION, ChannelOptics, FlashLight
 from radiometer.errors import CalibrationError, ConfigurationError, DeviceInUse, DeviceNotFound, InputError
 from simulators.light_box import LightBoxTwin, TwinSettings
 from simulators.virtual_line import VirtualLine
@@ -52,6 +52,22 @@ class ChannelConfig(ConfigSection):
         return ChannelOptics(self.peak_nm, self.fwhm_nm, self.subtense_deg, bound, ratio)
 
 
+class FlashConfig(ConfigSection):
+    """The photographic flash at the trigger output; see FlashLight."""
+
+    exposure_J_per_sr_m2: float = Field(gt=0)  # noqa: N815 (the file's key)
+    exposure_bound_J_per_sr_m2: float = Field(gt=0)  # noqa: N815
+    duration_s: float = Field(gt=1e-5, le=0.25)
+    subtense_deg: float = Field(gt=0, le=180)
+
+    @property
+    def light(self) -> FlashLight:
+        """Return the flash for driver and safety account."""
+        return FlashLight(
+            self.exposure_J_per_sr_m2, self.exposure_bound_J_per_sr_m2, self.duration_s, self.subtense_deg
+        )
+
+
 class LightBoxConfig(ConfigSection):
     """A light-box preset file."""
 
@@ -59,11 +75,13 @@ class LightBoxConfig(ConfigSection):
     name: str = "light box"
     allowed_fraction: float = Field(DEFAULT_FRACTION, gt=0, le=1)
     channels: dict[str, ChannelConfig]
+    flash: FlashConfig | None = None
 
     @property
     def optics(self) -> dict[str, ChannelOptics]:
-        """Return the optics of each channel."""
-        return {name: channel.optics for name, channel in self.channels.items()}
+        """Return the optics of each channel, and of the flash where there is one."""
+        known = {name: channel.optics for name, channel in self.channels.items()}
+        return known if self.flash is None else {**known, FLASH: self.flash.light.optics}
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +193,10 @@ def read_box_calibration(path: Path, serial: str) -> LightCalibration:
 def _serial_box(port: str, config: LightBoxConfig, calibration: LightCalibration | None) -> SerialLightBox:
     line = SerialLine(port)
     return SerialLightBox(
-        BoxLink(line), ExposureLedger(config.optics, line.now, config.allowed_fraction), calibration=calibration
+        BoxLink(line),
+        ExposureLedger(config.optics, line.now, config.allowed_fraction),
+        calibration=calibration,
+        flash=config.flash.light if config.flash else None,
     )
 
 
@@ -202,7 +223,8 @@ def _simulated(config: LightBoxConfig) -> OpenedBox:
     twin = LightBoxTwin(TwinSettings(serial=SIMULATED_SERIAL))
     line = VirtualLine(twin, latency_s=0.0003)
     ledger = ExposureLedger(config.optics, line.now, config.allowed_fraction)
-    box = SerialLightBox(BoxLink(line), ledger, keep_alive=False)
+    flash = config.flash.light if config.flash else None
+    box = SerialLightBox(BoxLink(line), ledger, keep_alive=False, flash=flash)
 
     def wait(duration_s: float) -> None:
         end_s = line.now() + duration_s

@@ -66,7 +66,7 @@ class ChannelCapabilities:
     """Limits of one channel, as the box states them.
 
     Attributes:
-        name: "bleach", "spot", "spot_red" or "fixation".
+        name: "bleach", "spot", "spot_red", "fixation", and from protocol 2 on "spot_green" and "field".
         peak_nm: Peak wavelength in nm; None for white.
         duty_steps: Number of duty steps that a level is rounded to.
         pwm_hz: Lowest frequency in its light, in Hz.
@@ -124,6 +124,19 @@ class LightBoxStatus:
     darkened: int
     reset_cause: str
     button_pressed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class FlashState:
+    """What the box allows of its photographic flash.
+
+    Attributes:
+        left: Flashes that may still be fired in a row.
+        wait_s: Time in s until the next one may be fired.
+    """
+
+    left: int
+    wait_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,6 +251,27 @@ class LightBox(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
+
+
+@runtime_checkable
+class FlashBox(Protocol):
+    """A light box that fires a photographic flash behind a diffuser."""
+
+    @property
+    def flash_exposure_j_sr_m2(self) -> float:
+        """Return the radiant exposure of one flash in J·sr⁻¹·m⁻². Raises CalibrationError where it is not known."""
+        ...
+
+    def fire_flash(self) -> FlashState:
+        """Fire the flash once.
+
+        Raises UnsafeStimulus, CalibrationError, UsageError, DeviceTimeout or DeviceLost.
+        """
+        ...
+
+    def flash_state(self) -> FlashState:
+        """Return what the box allows of its flash. Raises UsageError, DeviceTimeout, DeviceLost."""
+        ...
 
 
 def round_to_steps(level: int, steps: int) -> int:

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from radiometer.errors import UnsafeStimulus
 
 # B(λ) of table 4.2 from 380 nm on; below it B is 0.01.
-_TABLE_NM: Final = np.arange(380.0, 500.0, 5.0)
+_TABLE_NM: Final = np.arange(380.0, 501.0, 5.0)
 # fmt: off
 _BLUE: Final = np.array([
     0.01, 0.013, 0.025, 0.05, 0.10, 0.20, 0.40, 0.80, 0.90, 0.95, 0.98, 1.00,
-    1.00, 0.97, 0.94, 0.90, 0.80, 0.70, 0.62, 0.55, 0.45, 0.40, 0.22, 0.16,
+    1.00, 0.97, 0.94, 0.90, 0.80, 0.70, 0.62, 0.55, 0.45, 0.40, 0.22, 0.16, 0.10,
 ])
 # fmt: on
 BLUE_DOSE_LIMIT_J_SR_M2: Final = 1e6  # 4.3.3: L_B·t, for t up to 10⁴ s
@@ -52,6 +52,28 @@ class ChannelOptics:
 
 
 @dataclass(frozen=True, slots=True)
+class FlashLight:
+    """What the eye meets when the photographic flash is fired.
+
+    Attributes:
+        exposure_j_sr_m2: Radiant exposure of one flash, in J·sr⁻¹·m⁻².
+        exposure_bound_j_sr_m2: What it certainly stays below.
+        duration_s: Time in which it is given; the shortest that it may have, for a shorter one is worse.
+        subtense_deg: Angle that the diffuser subtends at the eye, in degrees.
+    """
+
+    exposure_j_sr_m2: float
+    exposure_bound_j_sr_m2: float
+    duration_s: float
+    subtense_deg: float
+
+    @property
+    def optics(self) -> ChannelOptics:
+        """Return it as a white channel that is as bright as the flash is on average."""
+        return ChannelOptics(None, 0.0, self.subtense_deg, self.exposure_bound_j_sr_m2 / self.duration_s)
+
+
+@dataclass(frozen=True, slots=True)
 class HazardFractions:
     """Fractions of the exposure limits that a stimulus would use up; 1 is the limit itself.
 
@@ -73,7 +95,7 @@ def blue_light_weight(wavelength_nm: NDArray[np.float64]) -> NDArray[np.float64]
     wavelength_nm = np.asarray(wavelength_nm, dtype=np.float64)
     table = np.exp(np.interp(wavelength_nm, _TABLE_NM, np.log(_BLUE)))
     slope = np.maximum(10.0 ** ((450.0 - wavelength_nm) / 50.0), 0.001)
-    weight = np.where(wavelength_nm < 497.5, table, slope)
+    weight = np.where(wavelength_nm < 500.0, table, slope)
     return np.where((wavelength_nm < 300.0) | (wavelength_nm > 700.0), 0.0, weight)
 
 
@@ -86,7 +108,7 @@ def thermal_weight(wavelength_nm: NDArray[np.float64]) -> NDArray[np.float64]:
     wavelength_nm = np.asarray(wavelength_nm, dtype=np.float64)
     table = 10.0 * np.exp(np.interp(wavelength_nm, _TABLE_NM, np.log(_BLUE)))
     infrared = np.maximum(10.0 ** ((700.0 - wavelength_nm) / 500.0), 0.2)
-    weight = np.where(wavelength_nm < 497.5, table, np.where(wavelength_nm <= 700.0, 1.0, infrared))
+    weight = np.where(wavelength_nm < 500.0, table, np.where(wavelength_nm <= 700.0, 1.0, infrared))
     return np.where((wavelength_nm < 380.0) | (wavelength_nm > 1150.0), 0.0, weight)
 
 
@@ -165,6 +187,6 @@ def _blue_light_fraction(radiance: float, alpha_rad: float, bright_s: float) -> 
 
 def _thermal_fraction(radiance: float, alpha_rad: float, bright_s: float) -> float:
     time_s = min(max(bright_s, 1e-5), 10.0)
-    smallest = 1.7e-3 * math.sqrt(max(time_s, 0.25) / 0.25)
+    smallest = 0.011 if time_s >= 10.0 else 1.7e-3 * math.sqrt(max(time_s, 0.25) / 0.25)
     alpha = min(max(alpha_rad, smallest), 0.1)
     return radiance * alpha * math.pow(time_s, 0.25) / THERMAL_CONSTANT

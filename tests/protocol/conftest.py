@@ -66,15 +66,26 @@ class Talker:
             self.twin.press(self.twin.time_s, pressed=pressed)
 
 
-@pytest.fixture(scope="session")
-def light_box_hex(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def built(project_root: Path, build: Path, *options: str) -> Path:
     """Build the firmware; skip where the compiler is absent."""
     if shutil.which("avr-gcc") is None:
         pytest.skip("avr-gcc is not installed (Debian: gcc-avr, avr-libc)")
-    build = tmp_path_factory.mktemp("protocol_firmware")
     source = project_root / "drivers" / "firmware" / "light_box"
-    subprocess.run(["make", "-s", "-C", str(source), f"BUILD={build}"], check=True, capture_output=True, timeout=120)
+    command = ["make", "-s", "-C", str(source), f"BUILD={build}", *options]
+    subprocess.run(command, check=True, capture_output=True, timeout=120)
     return build / "light_box.hex"
+
+
+@pytest.fixture(scope="session")
+def light_box_hex(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the firmware."""
+    return built(project_root, tmp_path_factory.mktemp("protocol_firmware"))
+
+
+@pytest.fixture(scope="session")
+def small_bucket_hex(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the firmware with energy budgets of a 400th and two flashes in a row: used up in seconds."""
+    return built(project_root, tmp_path_factory.mktemp("small_buckets"), "BUCKET_DIVISOR=400", "FLASHES=2")
 
 
 @pytest.fixture(params=["twin", "firmware"])
@@ -87,3 +98,9 @@ def talker(request: pytest.FixtureRequest) -> Iterator[Talker]:
         yield Talker(AvrBox(request.getfixturevalue("light_box_hex"), serial=SERIAL))
     except MissingLibrary as missing:
         pytest.skip(str(missing))
+
+
+@pytest.fixture
+def twin() -> Talker:
+    """Return a freshly powered twin, for what would take the simulated firmware minutes."""
+    return Talker(None)

@@ -7,7 +7,7 @@ from zlib import crc32
 
 import pytest
 
-HELLO = "#00 HI 1"
+HELLO, HELLO_2 = "#00 HI 1", "#00 HI 2"
 
 
 def framed(body: str) -> bytes:
@@ -17,11 +17,37 @@ def framed(body: str) -> bytes:
 
 # requests to make first, request, answer without its checksum
 EXCHANGES = [
-    ([], "#01 HI 1", "=01 OK radiometer-light-box 1 1.0 LB000007 4"),
+    ([], "#01 HI 1", "=01 OK radiometer-light-box 1 2.0 LB000007 4"),
+    ([], "#01 HI 2", "=01 OK radiometer-light-box 2 2.0 LB000007 6"),
     ([], "#02 CH 0", "=02 OK bleach 0 1024 1953 65535 60000 47000000 78"),
     ([], "#03 CH 1", "=03 OK spot 453 8192 1953 65535 60000 846000000 1410"),
     ([], "#04 CH 2", "=04 OK spot_red 640 8192 1953 65535 60000 846000000 1410"),
     ([], "#05 CH 3", "=05 OK fixation 640 1024 1953 65535 20000 846000000 1410"),
+    ([HELLO_2], "#06 CH 4", "=06 OK spot_green 505 8192 1953 65535 60000 846000000 1410"),
+    ([HELLO_2], "#06 CH 5", "=06 OK field 0 1024 1953 65535 60000 70500000 118"),
+    ([HELLO_2], "#06 CH 6", "=06 ER 04"),
+    ([HELLO_2], "#06 SL 4 H 30000", "=06 OK H 30000 3750"),
+    ([HELLO_2], "#06 PU 5 H 60000 300000", "=06 OK H 60000 938"),
+    ([HELLO_2], "#06 PU 5 H 60000 300001", "=06 ER 06"),
+    ([HELLO_2], "#06 BL 5 H 60000 60000 1 6", "=06 ER 06"),
+    ([HELLO_2], "#06 SL 5 H 60001", "=06 ER 05"),
+    ([HELLO_2], "#06 PU 5 H 65535 1", "=06 ER 05"),
+    ([HELLO_2, "#05 SL 2 L 5000"], "#06 SL 4 L 5", "=06 ER 11"),
+    ([HELLO_2, "#05 SL 5 L 5000"], "#06 PU 0 L 5 5", "=06 ER 11"),
+    ([HELLO_2, "#05 SL 5 L 5000"], "#06 RA 0 L 5 5", "=06 ER 11"),
+    ([HELLO_2, "#05 SL 5 L 5000"], "#06 SL 0 L 0", "=06 OK L 0 0"),
+    ([HELLO_2, "#04 SL 2 L 5000", "#05 OF 2"], "#06 SL 4 L 5000", "=06 OK L 5000 625"),
+    ([HELLO_2], "#06 FS", "=06 OK 8 0"),
+    ([HELLO_2], "#06 FL", "=06 OK 7 5000"),
+    ([HELLO_2, "#05 FL"], "#06 FL", "=06 ER 06"),
+    ([HELLO_2], "#06 FL 1", "=06 ER 03"),
+    ([HELLO_2], "#06 FS 1", "=06 ER 03"),
+    ([], "#06 FL", "=06 ER 07"),
+    # an old host has what it knew, and no more
+    ([HELLO], "#06 CH 4", "=06 ER 04"),
+    ([HELLO], "#06 SL 5 H 5", "=06 ER 04"),
+    ([HELLO], "#06 FL", "=06 ER 02"),
+    ([HELLO], "#06 FS", "=06 ER 02"),
     ([HELLO], "#07 SL 1 H 30000", "=07 OK H 30000 3750"),
     ([HELLO], "#08 SL 1 L 65535", "=08 OK L 65535 8192"),
     ([HELLO], "#09 SL 0 H 0", "=09 OK H 0 0"),
@@ -67,7 +93,8 @@ EXCHANGES = [
     ([], "#3B PU 1 H 5 5", "=3B ER 07"),
     ([], "#3C BL 1 H 5 5 5 5", "=3C ER 07"),
     ([HELLO, "#3D SL 1 H 500"], "#3E RA 1 L 500 100", "=3E ER 08"),
-    ([], "#3F HI 2", "=3F ER 09"),
+    ([], "#3F HI 3", "=3F ER 09"),
+    ([], "#3F HI 0", "=3F ER 09"),
     ([], "#40 HI", "=40 ER 03"),
     ([], "#41 HI 1 1", "=41 ER 03"),
     ([], "#42 EV 02", "=42 ER 10"),
@@ -125,7 +152,7 @@ def test_garbage_before_a_request_does_not_harm(talker):
     """A request starts at its #, whatever came before."""
     body = "#01 HI 1"
     assert talker.tell(b"\x00\xff=07 OK #12 SL" + framed(body)) == framed(
-        "=01 OK radiometer-light-box 1 1.0 LB000007 4"
+        "=01 OK radiometer-light-box 1 2.0 LB000007 4"
     )
 
 
@@ -221,3 +248,64 @@ def test_session_starts_dark(talker):
     talker.ask("#01 SL 0 H 40000")
     talker.ask("#02 HI 1")
     assert talker.duty("bleach") == 0
+
+
+def test_button_held_for_three_seconds_turns_every_light_off(talker):
+    """At 2.9 s all are lit; at 3 s every channel is dark, a blink train too; none can be lit until it is let go."""
+    talker.ask(HELLO_2)
+    for number, words in enumerate(("SL 1 L 60000", "SL 5 L 60000", "BL 4 L 30000 500 1 0", "SL 3 L 20000")):
+        talker.ask(f"#{number + 1:02X} {words}")
+    talker.button(True)
+    for number in range(3):
+        talker.run(0.94)
+        talker.ask(f"#1{number} TM")
+    assert all(talker.duty(name) > 0.2 for name in ("spot", "field", "fixation", "spot_green"))
+    talker.run(0.2)
+    assert b" DK B 3" in talker.take()
+    assert all(talker.duty(name) == 0 for name in ("spot", "field", "fixation", "spot_green"))
+    assert talker.ask("#20 SL 1 L 5") == framed("=20 ER 12")
+    assert talker.ask("#21 FL") == framed("=21 ER 12")
+    assert talker.ask("#22 SL 1 L 0") == framed("=22 OK L 0 0")
+    talker.button(False)
+    talker.run(0.05)
+    talker.take()
+    assert talker.ask("#23 SL 1 L 5000") == framed("=23 OK L 5000 625")
+    talker.run(0.02)
+    assert talker.duty("spot") > 0
+
+
+def test_short_press_leaves_the_lights(talker):
+    """2.5 s, as a subject holds it for a pause, let go, and pressed again turn nothing off."""
+    talker.ask(HELLO_2)
+    talker.ask("#01 SL 1 L 60000")
+    for number, pressed in enumerate((True, True, True, False, True)):
+        talker.button(pressed)
+        talker.run(0.8 if pressed else 0.1)
+        talker.ask(f"#1{number} TM")
+    assert b" DK B" not in talker.take()
+    assert talker.duty("spot") > 0.2
+
+
+def test_flashes_are_counted_and_spaced(twin):
+    """Eight in a row, 5 s apart; the ninth is refused, and one more is had 75 s after the first."""
+    twin.ask(HELLO_2)
+    for number in range(8):
+        answer = twin.ask(f"#{number + 16:02X} FL")
+        assert b"OK %d 5000" % (7 - number) in answer, answer
+        for tend in range(6):
+            twin.run(0.85)
+            twin.ask(f"#{number + 1:01X}{tend:01X} TM")
+    assert twin.ask("#A0 FL") == framed("=A0 ER 06")
+    for number in range(40):
+        twin.run(0.9)
+        twin.ask(f"#{number + 176:02X} TM")
+    assert b"OK 1 0" in twin.ask("#A1 FS")
+    assert b"OK 0 5000" in twin.ask("#A2 FL")
+
+
+def test_flash_waits_for_nobody_who_is_silent(talker):
+    """After the dead man's second no flash can be fired without a new session."""
+    talker.ask(HELLO_2)
+    talker.run(1.1)
+    talker.take()
+    assert talker.ask("#31 FL") == framed("=31 ER 07")

@@ -124,6 +124,82 @@ def test_line_is_served_while_all_channels_ramp_and_blink(avr, ask):
     assert status[4:6] == [b"0", b"0"]
 
 
+@pytest.mark.parametrize("words", ["SL 5 H 60000", "RA 5 H 60000 5", "BL 5 H 60000 60000 1 0"])
+def test_light_without_an_end_ends_with_its_energy_budget(small_bucket_hex, words):
+    """With a 400th of the budget (0.75 s at the highest level) the field goes dark by itself, and says so."""
+    avr = AvrBox(small_bucket_hex)
+    avr.run(0.05)
+
+    def ask(body: str, wait_s: float) -> bytes:
+        avr.send(f"{body}*{crc32(body.encode()):08X}\n".encode())
+        avr.run(wait_s)
+        return avr.take_sent()
+
+    ask("#00 HI 2", 0.02)
+    assert b" OK " in ask(f"#01 {words}", 0.3)
+    assert avr.duty("field") == pytest.approx(938 / 1024, abs=0.02)
+    assert b"!" not in ask("#02 TM", 0.3)
+    assert b" DK 5 " in ask("#03 TM", 0.3)
+    assert avr.duty("field") == 0
+    assert b" OK O L 0 0 " in ask("#04 RB 5", 0.02)
+    assert b"ER 06" in ask("#05 PU 5 H 60000 500", 0.02)
+
+
+def test_shared_output_drives_one_of_its_two_leds(avr, ask):
+    """Bleach and field share a pin: the select line says whose light it is, and changes in darkness only."""
+    ask("#00 HI 2")
+    ask("#01 SL 0 L 30000")
+    assert (avr.duty("bleach") > 0.3, avr.duty("field"), avr.select_pins["field"].level) == (True, 0.0, False)
+    ask("#02 OF 0")
+    ask("#03 SL 5 H 30000")
+    assert (avr.duty("bleach"), avr.duty("field") > 0.3, avr.is_high_current("field")) == (0.0, True, True)
+    assert not avr.is_high_current("bleach")
+    for cycle, _ in avr.select_pins["field"].edges:
+        before = [level for when, level in avr.pins["bleach"].edges if when <= cycle]
+        assert not before or before[-1] is False
+    ask("#04 OF 0")  # its partner's light is not this channel's to end
+    assert avr.duty("field") > 0.3
+    ask("#05 OF 5")
+    assert (avr.duty("field"), avr.is_high_current("field")) == (0.0, False)
+
+
+def test_trigger_of_the_flash_is_one_pulse_of_ten_milliseconds(avr, ask):
+    """The trigger rises once for 10 ms; a refused flash makes no edge."""
+    assert not any(level for _, level in avr.trigger.edges)
+    ask("#00 HI 2")
+    ask("#01 FL", 0.05)
+    assert b"ER 06" in ask("#02 FL", 0.05)
+    (rise, _), (fall, _) = [edge for edge in avr.trigger.edges if edge[0] > 1000][-2:]
+    assert (fall - rise) / 16e6 == pytest.approx(0.010, abs=0.0011)
+    assert sum(level for _, level in avr.trigger.edges) == 1
+
+
+def test_flashes_in_a_row_are_limited(small_bucket_hex):
+    """Of a firmware for two in a row the second is had 5 s after the first and no third one."""
+    avr = AvrBox(small_bucket_hex)
+    avr.run(0.05)
+
+    def ask(body: str) -> bytes:
+        avr.send(f"{body}*{crc32(body.encode()):08X}\n".encode())
+        avr.run(0.02)
+        return avr.take_sent()
+
+    ask("#00 HI 2")
+    assert b"OK 1 5000" in ask("#01 FL")
+    for number in range(10):
+        avr.run(0.46)
+        ask(f"#1{number} TM")
+    assert b"ER 06" in ask("#20 FL")
+    avr.run(0.3)
+    assert b"OK 0 5000" in ask("#21 FL")
+    for number in range(10):
+        avr.run(0.49)
+        ask(f"#3{number} TM")
+    assert b"OK 0 0" in ask("#40 FS")
+    assert b"ER 06" in ask("#41 FL")
+    assert sum(level for _, level in avr.trigger.edges) == 2
+
+
 def test_bucket_runs_dry_and_says_so(avr, ask):
     """Steady bleach at its highest level ends by itself after about 200 s of bucket; a fifth is checked here by RB."""
     ask("#00 HI 1")

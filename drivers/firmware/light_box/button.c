@@ -24,7 +24,7 @@ static volatile bool reported;
 static volatile uint32_t locked_since;
 static volatile bool locked;
 
-static bool contact_closed(void)
+bool button_closed(void)
 {
     return (PIND & _BV(PD2)) == 0;
 }
@@ -67,7 +67,7 @@ static void settle(void)
         stamp_t now = clock_now_locked();
         if (locked && now.ms - locked_since >= DEBOUNCE_MS) {
             locked = false;
-            if (contact_closed() != reported)
+            if (button_closed() != reported)
                 report(!reported, now);
         }
     }

@@ -11,5 +11,7 @@ void button_init(void);
 /* Returns false where nothing has happened. */
 bool button_take(bool *pressed, stamp_t *when);
 bool button_pressed(void);
+/* The contact as it is now, bounces and all. */
+bool button_closed(void);
 
 #endif

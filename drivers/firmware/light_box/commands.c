@@ -21,6 +21,7 @@
 #define SERIAL_LENGTH 8 /* characters at the start of the EEPROM */
 
 static bool session;
+static uint8_t spoken = PROTOCOL_VERSION; /* the version that the host asked for */
 static uint16_t bad_lines;
 static uint8_t darkened_count;
 static char cause;
@@ -46,6 +47,10 @@ void commands_watch_light(void)
         session = false;
         darkened_count++;
         events_add("DK", 'D', clock_now());
+    }
+    if (reasons & 0x40) {
+        darkened_count++;
+        events_add("DK", 'B', clock_now());
     }
     for (uint8_t n = 0; n < CHANNELS; n++) {
         if (reasons & (1 << n)) {
@@ -79,20 +84,26 @@ static char *put_serial(char *end)
     return end;
 }
 
+static uint8_t channel_count(void)
+{
+    return spoken == 1 ? CHANNELS_OF_VERSION_1 : CHANNELS;
+}
+
 static uint8_t say_hello(char **end)
 {
     uint32_t version;
     if (word_count != 2 || !read_number(words[1], 0xFFFFFFFFUL, &version))
         return ERROR_ARGUMENTS;
-    if (version != PROTOCOL_VERSION)
+    if (version < 1 || version > PROTOCOL_VERSION)
         return ERROR_VERSION;
+    spoken = (uint8_t)version;
     light_all_off();
     session = true;
     *end = put_text(*end, " " BOX_KIND);
-    *end = put_field(*end, PROTOCOL_VERSION);
+    *end = put_field(*end, spoken);
     *end = put_text(*end, " " FIRMWARE_VERSION " ");
     *end = put_serial(*end);
-    *end = put_field(*end, CHANNELS);
+    *end = put_field(*end, channel_count());
     return 0;
 }
 
@@ -102,7 +113,7 @@ static uint8_t read_channel(uint8_t *channel)
     if (word_count < 2 || !read_number(words[1], 0xFFFFFFFFUL, &number))
         return ERROR_ARGUMENTS;
     *channel = (uint8_t)number;
-    return number < CHANNELS ? 0 : ERROR_CHANNEL;
+    return number < channel_count() ? 0 : ERROR_CHANNEL;
 }
 
 static uint8_t describe_channel(char **end)
@@ -214,6 +225,27 @@ static uint8_t report_status(char **end)
     return 0;
 }
 
+static uint8_t put_flash(char **end)
+{
+    uint8_t left;
+    uint16_t wait_ms;
+    light_flash_state(&left, &wait_ms);
+    *end = put_field(*end, left);
+    *end = put_field(*end, wait_ms);
+    return 0;
+}
+
+static uint8_t fire_flash(char **end)
+{
+    uint8_t error;
+    if (word_count != 1)
+        return ERROR_ARGUMENTS;
+    if (!session)
+        return ERROR_SESSION;
+    error = light_flash();
+    return error ? error : put_flash(end);
+}
+
 static uint8_t tell_time(char **end)
 {
     if (word_count != 1)
@@ -264,6 +296,10 @@ static uint8_t dispatch(char **end)
         return tell_time(end);
     if (strcmp(verb, "EV") == 0)
         return repeat_event(end);
+    if (spoken > 1 && strcmp(verb, "FL") == 0)
+        return fire_flash(end);
+    if (spoken > 1 && strcmp(verb, "FS") == 0)
+        return word_count == 1 ? put_flash(end) : ERROR_ARGUMENTS;
     return ERROR_VERB;
 }
 

@@ -7,8 +7,8 @@
 
 #include <stdint.h>
 
-#define PROTOCOL_VERSION 1
-#define FIRMWARE_VERSION "1.0"
+#define PROTOCOL_VERSION 2 /* version 1 is spoken too, with its four channels */
+#define FIRMWARE_VERSION "2.0"
 #define BOX_KIND "radiometer-light-box"
 
 #define BAUD_RATE 115200UL
@@ -19,10 +19,25 @@
 /* Edges closer than this to an accepted one are contact bounce, in ms. */
 #define DEBOUNCE_MS 8
 
+/* The button held this long turns every light off, in ms. */
+#define HELD_OFF_MS 3000
+
 #define LONGEST_MS 600000UL  /* longest pulse or ramp */
 #define LONGEST_BLINK_MS 60000UL /* longest on or off phase of a blink */
 
-enum { BLEACH, SPOT, SPOT_RED, FIXATION, CHANNELS };
+/* The photographic flash: width of its trigger, least time between two, how many in a row, and after which time one more. */
+#define FLASH_TRIGGER_MS 10
+#define FLASH_GAP_MS 5000
+#ifndef FLASHES_IN_A_ROW
+#define FLASHES_IN_A_ROW 8
+#endif
+#if FLASHES_IN_A_ROW > 8
+#error "fewer flashes may be allowed, not more"
+#endif
+#define FLASH_REFILL_MS 75000UL /* all eight in ten minutes */
+
+enum { BLEACH, SPOT, SPOT_RED, FIXATION, SPOT_GREEN, FIELD, CHANNELS };
+#define CHANNELS_OF_VERSION_1 4
 
 #define LOW_RANGE 0
 #define HIGH_RANGE 1

@@ -2,12 +2,14 @@
 
 #include <util/atomic.h>
 
+#include "button.h"
 #include "config.h"
 #include "limits.h"
 #include "protocol.h"
 #include "pwm.h"
 
 #define DARKENED_BY_SILENCE 0x80
+#define DARKENED_BY_BUTTON 0x40
 
 typedef struct {
     char mode;
@@ -25,6 +27,12 @@ typedef struct {
 
 static channel_t channels[CHANNELS];
 static uint16_t silent_ms;
+static uint16_t held_ms;  /* how long the button has been closed */
+static uint8_t open_ms;   /* how long its contact has been open: a bounce does not end a hold */
+static uint8_t flashes_left = FLASHES_IN_A_ROW;
+static uint8_t trigger_ms;      /* left of the flash's trigger */
+static uint16_t flash_wait_ms;  /* left until the next flash may be fired */
+static uint32_t flash_refill_ms;
 static volatile uint8_t darkened;
 
 void light_init(void)
@@ -59,8 +67,13 @@ static void extinguish(uint8_t n)
 static uint8_t refuse(const stimulus_t *wanted, uint32_t bright_ms)
 {
     uint32_t bucket;
+    uint8_t partner = pwm_partner(wanted->channel);
     if (wanted->level > channel_limits[wanted->channel].limit[wanted->range])
         return ERROR_LEVEL;
+    if (wanted->level && partner < CHANNELS && light_state(partner).mode != 'O')
+        return ERROR_SHARED;
+    if (wanted->level && held_ms >= HELD_OFF_MS)
+        return ERROR_HELD;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { bucket = channels[wanted->channel].bucket; }
     return bright_ms > bucket / cost_per_ms(wanted->range, wanted->level) ? ERROR_ENERGY : 0;
 }
@@ -142,6 +155,11 @@ void light_all_off(void)
 {
     for (uint8_t n = 0; n < CHANNELS; n++)
         light_off(n);
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        trigger_ms = 0;
+        pwm_trigger(false);
+    }
 }
 
 channel_state_t light_state(uint8_t channel)
@@ -156,6 +174,33 @@ channel_state_t light_state(uint8_t channel)
         state.bucket = c->bucket;
     }
     return state;
+}
+
+uint8_t light_flash(void)
+{
+    uint8_t error = ERROR_ENERGY;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        if (held_ms >= HELD_OFF_MS) {
+            error = ERROR_HELD;
+        } else if (flashes_left && flash_wait_ms == 0) {
+            flashes_left--;
+            flash_wait_ms = FLASH_GAP_MS;
+            trigger_ms = FLASH_TRIGGER_MS;
+            pwm_trigger(true);
+            error = 0;
+        }
+    }
+    return error;
+}
+
+void light_flash_state(uint8_t *left, uint16_t *wait_ms)
+{
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        *left = flashes_left;
+        *wait_ms = flash_wait_ms;
+    }
 }
 
 void light_feed_deadman(void)
@@ -242,13 +287,49 @@ static void advance(uint8_t n, channel_t *c)
     }
 }
 
+static void extinguish_all(void)
+{
+    for (uint8_t n = 0; n < CHANNELS; n++)
+        extinguish(n);
+    trigger_ms = 0;
+    pwm_trigger(false);
+}
+
+static void advance_flash(void)
+{
+    if (trigger_ms && --trigger_ms == 0)
+        pwm_trigger(false);
+    if (flash_wait_ms)
+        flash_wait_ms--;
+    if (flashes_left < FLASHES_IN_A_ROW && ++flash_refill_ms == FLASH_REFILL_MS) {
+        flash_refill_ms = 0;
+        flashes_left++;
+    }
+}
+
+/* Reads the contact itself, so that the button turns the lights off whatever the main loop does. */
+static void watch_button(void)
+{
+    if (button_closed()) {
+        open_ms = 0;
+        if (held_ms < HELD_OFF_MS && ++held_ms == HELD_OFF_MS) {
+            extinguish_all();
+            darkened |= DARKENED_BY_BUTTON;
+        }
+    } else if (++open_ms >= DEBOUNCE_MS) {
+        open_ms = DEBOUNCE_MS;
+        held_ms = 0;
+    }
+}
+
 void light_tick(void)
 {
     if (silent_ms < DEADMAN_MS && ++silent_ms == DEADMAN_MS) {
-        for (uint8_t n = 0; n < CHANNELS; n++)
-            extinguish(n);
+        extinguish_all();
         darkened |= DARKENED_BY_SILENCE;
     }
+    watch_button();
+    advance_flash();
     for (uint8_t n = 0; n < CHANNELS; n++)
         advance(n, &channels[n]);
 }

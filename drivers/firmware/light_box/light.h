@@ -33,7 +33,12 @@ channel_state_t light_state(uint8_t channel);
 
 /* The host has been heard. */
 void light_feed_deadman(void);
-/* Returns and clears the reason for which the box itself went dark: bit n: bucket of channel n empty, bit 7: dead man. */
+/* Fires the photographic flash; 0 or an error code. */
+uint8_t light_flash(void);
+/* Flashes that may still be fired in a row, and ms until the next one may. */
+void light_flash_state(uint8_t *left, uint16_t *wait_ms);
+/* Returns and clears the reason for which the box itself went dark: bit n: bucket of channel n empty, bit 6: button held,
+ * bit 7: dead man. */
 uint8_t light_take_darkened(void);
 /* One millisecond has passed; called by the clock's interrupt. */
 void light_tick(void);

@@ -14,7 +14,9 @@ enum {
     ERROR_SESSION = 7,      /* light was asked for without a session: say HI first */
     ERROR_RANGE_CHANGE = 8, /* a ramp cannot change the current range */
     ERROR_VERSION = 9,      /* this box does not speak that version */
-    ERROR_EVENT = 10        /* that event is no longer kept */
+    ERROR_EVENT = 10,       /* that event is no longer kept */
+    ERROR_SHARED = 11,      /* the channel that shares its output is lit */
+    ERROR_HELD = 12         /* the button is held: every light stays off */
 };
 
 void protocol_init(uint8_t reset_cause);

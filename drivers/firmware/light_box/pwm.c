@@ -1,5 +1,8 @@
 /* Pins: bleach OC2A = PB3 (D11), spot OC1A = PB1 (D9), spot_red OC1B = PB2 (D10), fixation OC2B = PD3 (D3);
  * high-current switches PD4 (D4) to PD7 (D7) in the same order, high = high current.
+ * spot_green shares OC1B with spot_red and field shares OC2A with bleach: PC2 (A2) and PC3 (A3) say which of the two LEDs
+ * the output drives, high = spot_green, field; their high-current switches are PC4 (A4) and PC5 (A5).
+ * Trigger of the photographic flash: PB0 (D8).
  *
  * A duty finer than the timer's own step is dithered over 4 or 8 of its periods, spread evenly, by the overflow
  * interrupts. Fast PWM gives a spike of one clock at compare value 0 (ATmega328P datasheet, 15.9.3), so that a period
@@ -13,14 +16,25 @@
 #include "config.h"
 #include "limits.h"
 
+#define OUTPUTS 4
+#define SELECT_SPOT_GREEN _BV(PC2)
+#define SELECT_FIELD _BV(PC3)
+#define RANGE_SPOT_GREEN _BV(PC4)
+#define RANGE_FIELD _BV(PC5)
+#define PORT_C_PINS (SELECT_SPOT_GREEN | SELECT_FIELD | RANGE_SPOT_GREEN | RANGE_FIELD)
+#define TRIGGER _BV(PB0)
+
 #define RANGE_PIN(channel) (_BV(4) << (channel))
 #define BLEACH_OUTPUT _BV(COM2A1)
 #define FIXATION_OUTPUT _BV(COM2B1)
 #define SPOT_OUTPUT _BV(COM1A1)
 #define SPOT_RED_OUTPUT _BV(COM1B1)
 
-static volatile uint16_t duty[CHANNELS];
+static volatile uint16_t duty[OUTPUTS];
 static uint8_t present_range[CHANNELS];
+/* The output of each channel is named after the first channel that has it; `owner` is the one that has it now. */
+static const uint8_t output_of[CHANNELS] = {BLEACH, SPOT, SPOT_RED, FIXATION, SPOT_RED, BLEACH};
+static uint8_t owner[OUTPUTS] = {BLEACH, SPOT, SPOT_RED, FIXATION};
 
 /* Bit n: the n-th period of the cycle carries one count more, for a remainder of 0, 1, 2, ... of 4 or 8. */
 static const uint8_t EXTRA_OF_4[4] = {0x0, 0x1, 0x5, 0x7};
@@ -30,6 +44,10 @@ void pwm_init(void)
 {
     PORTB &= (uint8_t)~(_BV(PB1) | _BV(PB2) | _BV(PB3));
     PORTD &= (uint8_t)~(_BV(PD3) | 0xF0);
+    PORTB &= (uint8_t)~TRIGGER;
+    PORTC &= (uint8_t)~PORT_C_PINS;
+    DDRC |= PORT_C_PINS;
+    DDRB |= TRIGGER;
     DDRB |= _BV(PB1) | _BV(PB2) | _BV(PB3);
     DDRD |= _BV(PD3) | 0xF0;
 
@@ -49,12 +67,12 @@ uint16_t pwm_steps(uint8_t channel, uint16_t level)
 }
 
 /* Takes effect with the next period; no light takes effect at once. */
-static void write_duty(uint8_t channel, uint16_t steps)
+static void write_duty(uint8_t output, uint16_t steps)
 {
-    duty[channel] = steps;
+    duty[output] = steps;
     if (steps)
         return;
-    switch (channel) {
+    switch (output) {
     case BLEACH:
         TCCR2A &= (uint8_t)~BLEACH_OUTPUT;
         PORTB &= (uint8_t)~_BV(PB3);
@@ -74,19 +92,63 @@ static void write_duty(uint8_t channel, uint16_t steps)
     }
 }
 
+static void write_range(uint8_t channel, uint8_t range)
+{
+    volatile uint8_t *port = channel < SPOT_GREEN ? &PORTD : &PORTC;
+    uint8_t pin = channel == SPOT_GREEN ? RANGE_SPOT_GREEN : channel == FIELD ? RANGE_FIELD : RANGE_PIN(channel);
+    if (range == HIGH_RANGE)
+        *port |= pin;
+    else
+        *port &= (uint8_t)~pin;
+    present_range[channel] = range;
+}
+
+static void select(uint8_t channel)
+{
+    uint8_t pin = output_of[channel] == SPOT_RED ? SELECT_SPOT_GREEN : SELECT_FIELD;
+    owner[output_of[channel]] = channel;
+    if (pwm_partner(channel) == CHANNELS)
+        return;
+    if (channel == SPOT_GREEN || channel == FIELD)
+        PORTC |= pin;
+    else
+        PORTC &= (uint8_t)~pin;
+}
+
 void pwm_write(uint8_t channel, uint8_t range, uint16_t steps)
 {
+    uint8_t output = output_of[channel];
     if (steps == 0)
         range = LOW_RANGE; /* a dark channel rests at the low current */
-    if (range != present_range[channel]) {
-        write_duty(channel, 0); /* never a moment of the old duty at the new current */
-        if (range == HIGH_RANGE)
-            PORTD |= RANGE_PIN(channel);
-        else
-            PORTD &= (uint8_t)~RANGE_PIN(channel);
-        present_range[channel] = range;
+    if (steps == 0 && owner[output] != channel)
+        return; /* its partner has the output: what is dark stays dark, what is lit stays lit */
+    if (range != present_range[channel] || owner[output] != channel) {
+        write_duty(output, 0); /* never a moment of the old duty at the new current, or at the other LED */
+        write_range(channel, range);
+        select(channel);
     }
-    write_duty(channel, steps);
+    write_duty(output, steps);
+    if (steps == 0 && (channel == SPOT_GREEN || channel == FIELD))
+        select(output); /* at rest the first of the two has it */
+}
+
+uint8_t pwm_partner(uint8_t channel)
+{
+    switch (channel) {
+    case BLEACH: return FIELD;
+    case FIELD: return BLEACH;
+    case SPOT_RED: return SPOT_GREEN;
+    case SPOT_GREEN: return SPOT_RED;
+    default: return CHANNELS;
+    }
+}
+
+void pwm_trigger(bool on)
+{
+    if (on)
+        PORTB |= TRIGGER;
+    else
+        PORTB &= (uint8_t)~TRIGGER;
 }
 
 /* 15 625 times a second: two tests and two stores where nothing changes. */

@@ -32,7 +32,7 @@ DUTY_TOLERANCE = 0.004  # an 8 ms window cuts one of its 62 or 125 PWM periods s
 def test_it_is_a_light_box(rig):
     """The driver offers the whole protocol and says who it is."""
     assert isinstance(rig.box, LightBox)
-    assert rig.box.identity.protocol_version == 1
+    assert rig.box.identity.protocol_version == 2
     assert list(rig.box.channels) == ["bleach", "spot", "spot_red", "fixation"]
 
 

@@ -39,4 +39,4 @@ def test_garbage_at_start_up_is_survived(rig):
     rig.box.close()
     rig.server.say(b"\x00\xff\x80boot loader\r\n=05 OK radio\n!01 BT D 5.000*00000000\n=07 O")
     rig.box.open()
-    assert rig.box.identity.protocol_version == 1
+    assert rig.box.identity.protocol_version == 2
