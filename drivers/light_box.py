@@ -86,6 +86,7 @@ class SerialLightBox:
     _channels: dict[str, ChannelCapabilities] = field(default_factory=dict)
     _buckets: dict[str, int] = field(default_factory=dict)
     _tended_s: float = -math.inf
+    _flash_over_s: float | None = None
     _lock: threading.RLock = field(default_factory=threading.RLock)
     _closing: threading.Event = field(default_factory=threading.Event)
     _keeper: threading.Thread | None = None
@@ -206,6 +207,7 @@ class SerialLightBox:
             self.ledger.refuse_unsafe(FLASH, radiance, light.duration_s)
             state = read_flash(self._name, self.link.request("FL"))
             self.ledger.shine(FLASH, radiance, light.duration_s)
+            self._flash_over_s = self.link.line.now() + light.duration_s
             return state
 
     def flash_state(self) -> FlashState:
@@ -288,6 +290,9 @@ class SerialLightBox:
     def tend(self) -> None:
         """Let the box know that the host is there, compare the clocks, fetch lost events. Raises DeviceLost."""
         self.synchronise()
+        if self._flash_over_s is not None and self.link.line.now() >= self._flash_over_s:
+            self.ledger.darken(FLASH)  # what it gave stays in the account
+            self._flash_over_s = None
         if self.link.take_turned_off():
             for channel in self._channels:
                 self.ledger.darken(channel)

@@ -46,7 +46,7 @@ def test_box_is_found_by_its_serial_number(served, capsys):
     report = json.loads(capsys.readouterr().out)
     assert report["serial"] == "CLI00001"
     assert report["port"] == served
-    assert set(report["channels"]) == {"bleach", "spot", "spot_red", "fixation"}
+    assert set(report["channels"]) == {"bleach", "spot", "spot_red", "fixation", "spot_green", "field"}
     assert report["supply_v"] == pytest.approx(12.0)
 
 

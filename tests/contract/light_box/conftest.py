@@ -26,6 +26,8 @@ OPTICS = {
     "spot": ChannelOptics(453.0, 22.0, 1.5, 3.0),
     "spot_red": ChannelOptics(640.0, 18.0, 1.5, 3.0),
     "fixation": ChannelOptics(640.0, 18.0, 0.3, 1.0),
+    "spot_green": ChannelOptics(505.0, 30.0, 1.5, 3.0),
+    "field": ChannelOptics(None, 0.0, 40.0, 40.0),
 }
 
 

@@ -33,12 +33,12 @@ def test_it_is_a_light_box(rig):
     """The driver offers the whole protocol and says who it is."""
     assert isinstance(rig.box, LightBox)
     assert rig.box.identity.protocol_version == 2
-    assert list(rig.box.channels) == ["bleach", "spot", "spot_red", "fixation"]
+    assert list(rig.box.channels) == ["bleach", "spot", "spot_red", "fixation", "spot_green", "field"]
 
 
 def test_it_is_dark_after_opening(rig):
     """No channel is lit by opening the box."""
-    assert [rig.duty(name) for name in rig.box.channels] == [0, 0, 0, 0]
+    assert [rig.duty(name) for name in rig.box.channels] == [0] * 6
     assert all(rig.box.read_channel(name).mode is ChannelMode.OFF for name in rig.box.channels)
 
 
@@ -123,7 +123,7 @@ def test_off_darkens_one_channel_only(rig):
 
 def test_safe_darkens_everything(rig):
     """After safe() every pin is low."""
-    for name in rig.box.channels:
+    for name in ("field", "spot", "spot_green", "fixation"):
         rig.box.set_level(name, DriveLevel(10000))
     rig.box.safe()
     assert rig.wait_until(lambda: all(rig.duty(name) == 0 for name in rig.box.channels))

@@ -94,9 +94,9 @@ def test_flash_is_judged_as_a_pulse_and_counted() -> None:
     pass_time(line, box, 1.0)
     spent = 2 * WHITE_BLUE * 120 / 1e6
     limit_s = (0.1 - spent) * 1e6 / (WHITE_BLUE * 36.0)
-    box.ledger.refuse_unsafe("field", 36.0, limit_s * 0.9999)
+    box.ledger.refuse_unsafe("field", 36.0, limit_s * 0.9995)
     with pytest.raises(UnsafeStimulus):
-        box.ledger.refuse_unsafe("field", 36.0, limit_s * 1.0001)
+        box.ledger.refuse_unsafe("field", 36.0, limit_s * 1.0005)
 
 
 def test_too_strong_a_flash_is_refused_by_the_driver() -> None:
