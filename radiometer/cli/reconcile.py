@@ -119,6 +119,9 @@ def _show(result: ReconcileResult) -> None:
             f"{result.tests[1]} of them significant in the end ({result.seconds:.1f} s)"
         )
     out.print(f"gap {result.gap_before:.3f} → {result.gap_after:.3f} ({result.gap_unit})")
+    if result.global_p:
+        before, after = result.global_p
+        out.print(f"chance of as large a disagreement among all tests: {before:.2g} → {after:.2g}")
     for number, effect in enumerate(result.effects, 1):
         _show_effect(number, effect)
     if result.next_capture:
@@ -142,6 +145,8 @@ def _show_effect(number: int, effect: FoundEffect) -> None:
     for name, entry in effect.parameters.items():
         shown = f"{entry.value:.6g}" if entry.u is None else f"{significant(entry.value, entry.u)} ± {entry.u:.2g}"
         out.print(f"   {name} = {shown} {'' if entry.unit == '1' else entry.unit}")
+    if effect.elsewhere:
+        out.print(f"   structure stays along {', '.join(dict.fromkeys(w for w, _ in effect.elsewhere))} too")
     if effect.closest:
         out.print(f"   closest entry: {effect.closest[0]}, which explains {100 * effect.closest[1]:.0f} % of it")
     if effect.alternatives:

@@ -31,11 +31,11 @@ from radiometer.reconcile.report.result import (
     ReconcileResult,
     Verdict,
 )
-from radiometer.reconcile.search.excess import is_scattered, place_of_scatter
-from radiometer.reconcile.search.localise import Disagreement
+from radiometer.reconcile.search.frame_order import FrameLight, Periodic, periodic
+from radiometer.reconcile.search.localise import Disagreement, global_p_value
 from radiometer.reconcile.search.places import axis_of, places
 from radiometer.reconcile.search.search import Search, Step, search
-from radiometer.reconcile.verdict import doubts_of, verdict_of
+from radiometer.reconcile.verdict import doubts_of, faint, faint_names, rest_of, verdict_of
 from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.registry import all_effects
@@ -45,7 +45,7 @@ _log = structlog.get_logger(__name__)
 _T = TypeVar("_T")
 _PLACES: Final = 6
 _CALL: Final = 0.01
-_MOST_LISTED: Final = 4  # unnamed covariates in a result; the whole list stands under localisation
+_CLEAR: Final = 1e-3  # share of samples that may clip in a tile whose light is compared from frame to frame
 
 Say = Callable[[str], None]
 Progress = Callable[[int, int], None]
@@ -190,7 +190,8 @@ def examine(
     header, given = adopted(header, model)
     design = Design.of(header, shape)
     total = len(header.frames)
-    seen, images = reduce_frames(design, read, (lambda done: progress(done, total)) if progress else None)
+    light = FrameLight(design, read)
+    seen, images = reduce_frames(design, light, (lambda done: progress(done, total)) if progress else None)
     start = first_state(design, seen, images, given)
     if not start.comparison.usable["mean"].any():
         raise CaptureError(
@@ -198,21 +199,23 @@ def examine(
         )
     entries = whole_catalogue() if catalogue is None else catalogue
     outcome = search(start, entries, say)
-    return Reconciled(_result(outcome, entries, total, begun, with_limits=with_limits), outcome)
+    again = periodic(design, light, seen.common_unit, (seen.high < _CLEAR) & (seen.low < _CLEAR))
+    return Reconciled(_result(outcome, entries, again, total, begun, with_limits=with_limits), outcome)
 
 
 def _result(
     outcome: Search,
     entries: Mapping[str, type[CatalogueEffect]],
+    again: Periodic | None,
     frames: int,
     begun: float,
     *,
     with_limits: bool,
 ) -> ReconcileResult:
-    doubts = doubts_of(outcome)
-    verdict = verdict_of(outcome, doubts)
+    doubts = [*doubts_of(outcome), *faint(outcome)]
+    verdict = verdict_of(outcome, doubts, again)
     failed: list[str] = []
-    effects = _found(outcome, failed, provisional=verdict is Verdict.INCOMPLETE)
+    effects = _found(outcome, again, failed, provisional=verdict is Verdict.INCOMPLETE)
     state = outcome.state
     shown: Mapping[str, Limit] = {}
     if with_limits:
@@ -231,6 +234,7 @@ def _result(
         repeatability=state.tau,
         assumptions=(*_assumptions(outcome, doubts), *failed),
         localisation=tuple(_place(test) for test in places(outcome.start, _PLACES)),
+        global_p=(global_p_value(outcome.start, outcome.first_tests), global_p_value(state, outcome.tests)),
         calls=(sum(test.p_value < _CALL for test in outcome.first_tests), len(outcome.first_tests)),
         added=(*state.model.given, *state.effects),
         captures=len(state.design.captures),
@@ -265,29 +269,21 @@ def _further(
     return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
 
 
-def _found(outcome: Search, failed: list[str], *, provisional: bool) -> tuple[FoundEffect, ...]:
-    state = outcome.state
+def _found(outcome: Search, again: Periodic | None, failed: list[str], *, provisional: bool) -> tuple[FoundEffect, ...]:
+    """Return the names in the order of finding, and what is left as one entry, where its largest part was found."""
+    state, weak = outcome.state, faint_names(outcome)
     parameters = fitted_parameters(state)
     present = {effect.name: effect for effect in state.effects}
-    found = []
+    rest, found = rest_of(outcome, again), list[FoundEffect]()
     for step in outcome.steps:
-        if step.name == "unnamed":
-            found.append(_unnamed(step))
-        elif step.name in present:
+        if step.name == "unnamed" and rest is not None and rest not in found:
+            found.append(rest)
+        elif step.name in present and step.name not in weak:
             own, rivals = present[step.name], step.rivals
             what = f"the capture that tells {step.name} from its rivals"
             advice = _spared(what, partial(propose, state, own, rivals), failed)
             found.append(_effect(step, own, parameters[step.name], advice, provisional=provisional))
-    listed = {entry.where for entry in found if entry.name == "unnamed"}
-    for test in outcome.left:
-        where = axis_of(test.where, test.block)
-        if where not in listed and len(listed) < _MOST_LISTED:
-            listed.add(where)
-            found.append(FoundEffect("unnamed", {}, where, state.gap, state.gap, block=test.family))
-    if not listed and is_scattered(state):
-        block, where = place_of_scatter(state)
-        found.append(FoundEffect("unnamed", {}, where, state.gap, state.gap, block=block))
-    return tuple(found)
+    return (*found, rest) if rest is not None and rest not in found else tuple(found)
 
 
 def _effect(
@@ -309,19 +305,6 @@ def _effect(
         step.gain_nats,
         effect.block,
         provisional,
-    )
-
-
-def _unnamed(step: Step) -> FoundEffect:
-    return FoundEffect(
-        "unnamed",
-        {},
-        axis_of(step.where, step.block),
-        step.gap_before,
-        step.gap_after,
-        gain_nats=step.gain_nats,
-        block=step.block,
-        closest=step.closest,
     )
 
 

@@ -18,6 +18,7 @@ _SMALLEST_TAU: Final = 1e-6
 _TREND_SHARE: Final = 0.4  # of the repeats' freedom that a slow change in time may take
 _MOST_WAVES: Final = 16
 _DECLARED_WANDER: Final = 1.3  # times the stated reproducibility, which is itself known to a few parts in ten
+_PLAUSIBLE_WANDER: Final = 0.003  # of a source of which nothing is stated: what scatters more is something to name
 _EXPOSURE_GROUPS: Final = 6
 _NORMAL: Final = 1.4826  # standard deviation of normal values over their median deviation
 _STANDS_OUT: Final = 8.0  # sigmas
@@ -76,8 +77,8 @@ def estimate_tau(design: Design, scale: Array, variance: Array) -> float:
 def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: float | None) -> float:
     """Return the relative variance by which the source wanders from frame to frame, alike at all exposures.
 
-    It is the likeliest one. Where the source's reproducibility is stated it is no more than that, and none where it
-    differs between exposures, for light that flickers averages out in long ones.
+    It is the likeliest one. It is no more than the source's stated reproducibility, or 0.3 % where none is stated, and
+    none where it differs between exposures, for light that flickers averages out in long ones.
 
     Args:
         tried: (values,) relative variances, 0 first.
@@ -85,7 +86,7 @@ def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: 
         exposure_s: (captures,) exposure times.
         declared: Stated relative standard uncertainty of the source's reproducibility; None where not stated.
     """
-    allowed = tried <= (np.inf if declared is None else (_DECLARED_WANDER * declared) ** 2)
+    allowed = tried <= (_PLAUSIBLE_WANDER if declared is None else _DECLARED_WANDER * declared) ** 2
     totals = np.where(allowed, deviances.sum(axis=1), np.inf)
     if not exposure_s.size or deviances[0].sum() - totals.min() < _SHOWN_WANDER:
         return 0.0

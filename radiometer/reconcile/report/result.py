@@ -67,6 +67,7 @@ class FoundEffect:
         block: Statistic that shows it.
         provisional: Whether structure stays, so that the name may still change.
         closest: For an unnamed one, the closest entry and the share that it explains.
+        elsewhere: For an unnamed one, where else structure stays: covariate and statistic.
     """
 
     name: str
@@ -80,6 +81,7 @@ class FoundEffect:
     block: str = ""
     provisional: bool = False
     closest: tuple[str, float] | None = None
+    elsewhere: tuple[tuple[str, str], ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the documented JSON form."""
@@ -96,7 +98,10 @@ class FoundEffect:
             "gain_nats": self.gain_nats,
             "strength": "weak" if self.gain_nats < 10.0 else "clear",
             "provisional": self.provisional,
-        } | ({"closest": closest} if self.name == "unnamed" else {})
+        } | ({"closest": closest, "elsewhere": self._elsewhere()} if self.name == "unnamed" else {})
+
+    def _elsewhere(self) -> list[dict[str, str]]:
+        return [{"where": where, "statistic": block} for where, block in self.elsewhere]
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +163,7 @@ class ReconcileResult:
         gap_unit: Unit of the gaps.
         localisation: Where the starting model disagrees: each covariate once, each beside the places before it.
         calls: Tests of the starting model with p < 0.01, and tests in all.
+        global_p: Chance that any of all tests is as significant without a disagreement, at the start and in the end.
         added: The effects of the final model beside the ideal chain.
         next_capture: Where no rivals are to be told apart: the capture that would show what these data cannot.
         extra: Further entries of the JSON object.
@@ -180,6 +186,7 @@ class ReconcileResult:
     gap_unit: str = GAP_UNIT
     localisation: tuple[Place, ...] = ()
     calls: tuple[int, int] = (0, 0)
+    global_p: tuple[float, float] | None = None
     added: tuple[CatalogueEffect, ...] = ()
     next_capture: Mapping[str, Any] | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
@@ -204,6 +211,7 @@ class ReconcileResult:
             "tests": {"number": self.tests[0], "significant": self.tests[1]},
             "localisation": [place.to_mapping() for place in self.localisation],
             "null_tests": list(self.calls),
+            "global_p": {"before": self.global_p[0], "after": self.global_p[1]} if self.global_p else None,
             "repeatability_rel": self.repeatability,
             "captures": self.captures,
             "frames": self.frames,

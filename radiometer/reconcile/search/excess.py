@@ -23,7 +23,7 @@ from radiometer.reconcile.search.search import Step
 from simulators.effects.catalogue import CatalogueEffect
 
 _SIGMAS: Final = 5.0  # of a χ² of so many entries; the gap of 330 sets without an effect was 1.02 at most
-_LITTLE_NATS: Final = 40.0  # what an effect at its smallest realistic size brings; rivals lie within 5
+LITTLE_NATS: Final = 40.0  # what an effect at its smallest realistic size brings; rivals lie within 5
 _SEVERAL: Final = 2
 _SHOWN_SIGMAS: Final = 3.0
 _SMALLEST: Final = 1.05  # gap that counts as closed
@@ -116,7 +116,7 @@ def contested(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list
     present = {effect.name for effect in effects}
     named = [step for step in steps if step.name in present]
     most = max((step.gain_nats for step in named), default=0.0)
-    return [s.name for s in named if s.gain_nats < _LITTLE_NATS and (s.rivals or s.gain_nats < most)]
+    return [s.name for s in named if s.gain_nats < LITTLE_NATS and (s.rivals or s.gain_nats < most)]
 
 
 def merged(state: FitState) -> list[str]:

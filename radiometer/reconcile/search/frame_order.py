@@ -1,0 +1,121 @@
+"""What comes back every so many frames: found in the order of the frames, which no setting knows.
+
+Frames of one setting should show the same light, but for the noise of pixels and for what a source scatters from frame
+to frame at random. The light of each frame against the mean of its own setting is looked at by its running number
+modulo every period; a camera or lamp that darkens each fifth frame stands out there, where a variance alone would pass
+for flicker.
+
+Source: analysis of variance in one way, within settings; F test with Bonferroni's correction over the periods.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc
+
+from radiometer.data import Frame
+from radiometer.reconcile.measure.design import Array, Design
+from radiometer.reconcile.measure.reduce import FrameReader
+
+_PERIODS: Final = range(2, 13)  # frames
+_CHANCE: Final = 0.001  # of any false alarm among all periods
+_KNOWN_TO: Final = 0.01  # of a frame's light: darker frames tell nothing
+_FEWEST: Final = 12  # frames
+_RANK: Final = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Periodic:
+    """Light that comes back in the order of the frames.
+
+    Attributes:
+        period: Frames from one to the next.
+        depth: Largest against smallest mean light of the frames of one phase, relative.
+        p_value: Chance of that much among all periods without it.
+    """
+
+    period: int
+    depth: float
+    p_value: float
+
+
+class FrameLight:
+    """Hands frames on and keeps the light of each: the sum of its tiles above black, in DN."""
+
+    def __init__(self, design: Design, read: FrameReader) -> None:
+        self._design, self._read = design, read
+        black = np.nan_to_num(design.black_level_dn)
+        self._black = {frame: black[n] for n, capture in enumerate(design.captures) for frame in capture.frames}
+        self._light: dict[int, Array] = {}
+
+    def __call__(self, index: int) -> Frame:
+        """Return a frame by its position in the header."""
+        frame = self._read(index)
+        if frame.shape == self._design.shape:
+            means = [float(frame.dn[tile.slices].mean()) for tile in self._design.tiles]
+            self._light[index] = np.array(means) - self._black.get(index, 0.0)
+        return frame
+
+    def of_capture(self, frames: tuple[int, ...], clear: NDArray[np.bool_]) -> Array:
+        """Return the light of frames in those tiles that none of them clips, over its mean, less 1."""
+        light = np.array([float(self._light[index][clear].sum()) for index in frames])
+        return light / light.mean() - 1.0 if light.mean() > 0 else np.zeros(light.size)
+
+
+def periodic(design: Design, light: FrameLight, unit: Array, clear: NDArray[np.bool_]) -> Periodic | None:
+    """Return the period in which the light of frames comes back; None where chance explains what there is.
+
+    What goes with a frame's place within its setting is taken out first: a first frame that differs, or a drift within
+    the repeats, has a statistic of its own.
+
+    Args:
+        design: Captures.
+        light: The light of each frame.
+        unit: (captures,) relative variance of a frame's light by the noise of its pixels alone.
+        clear: (captures, tiles) where no frame clips.
+    """
+    lit = ~design.closed & (design.source_level > 0) & (unit < _KNOWN_TO**2) & clear.any(axis=1)
+    chosen = [n for n in np.flatnonzero(lit).tolist() if len(design.captures[n].frames) > 1]
+    if sum(len(design.captures[n].frames) for n in chosen) < _FEWEST:
+        return None
+    apart = [light.of_capture(design.captures[n].frames, clear[n]) for n in chosen]
+    more = max(float(np.median([np.var(a, ddof=1) - unit[n] for a, n in zip(apart, chosen, strict=True)])), 0.0)
+    weight = [1.0 / (unit[n] + more) for n in chosen]
+    found = [_rated([design.captures[n].frames for n in chosen], apart, weight, period) for period in _PERIODS]
+    best = min((entry for entry in found if entry is not None), key=lambda entry: entry.p_value, default=None)
+    if best is None or best.p_value * len(_PERIODS) > _CHANCE:
+        return None
+    return Periodic(best.period, best.depth, min(best.p_value * len(_PERIODS), 1.0))
+
+
+def _rated(frames: list[tuple[int, ...]], apart: list[Array], weight: list[float], period: int) -> Periodic | None:
+    """Return the one-way analysis of variance by phase, settings' means and places within a setting taken out."""
+    longest = max(len(numbers) for numbers in frames)
+    phases, places, values = [], [], []
+    for numbers, light, known in zip(frames, apart, weight, strict=True):
+        phase = np.equal.outer(np.array(numbers) % period, np.arange(period)).astype(np.float64)
+        place = np.eye(longest)[: len(numbers)]
+        phases.append((phase - phase.mean(axis=0)) * np.sqrt(known))
+        places.append((place - place.mean(axis=0)) * np.sqrt(known))
+        values.append((light - light.mean()) * np.sqrt(known))
+    of_place, of_phase = np.concatenate(places), np.concatenate(phases)
+    columns, seen = _beside(of_place, of_phase), _beside(of_place, np.concatenate(values))
+    left, size, right = np.linalg.svd(columns, full_matrices=False)
+    kept = size > _RANK * np.linalg.norm(of_phase)  # a period that is that of the series leaves nothing
+    rank, freedom = int(kept.sum()), seen.size - len(frames) - (longest - 1) - int(kept.sum())
+    if not rank or freedom < 1:
+        return None
+    along = left[:, kept].T @ seen
+    level = right[kept].T @ (along / size[kept])
+    rest = max(float(seen @ seen - along @ along), 1e-300)
+    f_ratio = float(along @ along) / rank / (rest / freedom)
+    return Periodic(period, float(np.ptp(level)), float(fdtrc(rank, freedom, f_ratio)))
+
+
+def _beside(known: Array, values: Array) -> Array:
+    """Return what is left of values beside known columns."""
+    return np.asarray(values - known @ np.linalg.lstsq(known, values, rcond=_RANK)[0])
