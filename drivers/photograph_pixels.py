@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from radiometer.data.frame import DigitalNumbers
+from radiometer.data.guards import refuse_large_picture
 from radiometer.errors import CaptureError, MissingLibrary
 
 CHANNELS: Final = ("red", "green", "blue")
@@ -82,6 +83,7 @@ def read_photograph(path: Path) -> Photograph:
 
 def _decode_jpeg(path: Path) -> Any:
     try:
+        refuse_large_picture(path, path.read_bytes())
         with Image.open(path) as image:
             return np.asarray(image if image.mode == "L" else image.convert("RGB"))
     except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
@@ -96,7 +98,11 @@ def _decode_lossless(path: Path) -> Any:
     # Decoders fill the missing rows of a truncated PNG with zeros and say nothing.
     if content[:4].tobytes() == b"\x89PNG" and b"IEND" not in content[-16:].tobytes():
         raise CaptureError(f"{path}: the PNG is truncated (no closing chunk); copy it again")
-    image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+    refuse_large_picture(path, content.tobytes())
+    try:
+        image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+    except cv2.error:
+        image = None
     if image is None:
         raise CaptureError(f"{path}: not a readable PNG or TIFF (damaged or truncated); copy it again")
     return cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2RGB) if image.ndim == 3 and image.shape[2] >= 3 else image

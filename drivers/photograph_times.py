@@ -14,6 +14,9 @@ from PIL import Image, UnidentifiedImageError
 from radiometer.errors import CaptureError
 from radiometer.units import exact_exposure_s, exact_f_number
 
+_LONGEST_NUMBER: Final = 40
+_HUGE_POWER: Final = re.compile(r"[eE][+-]?0*\d{3}")
+
 LIST_NAMES: Final = ("exposures.txt", "exposures.csv", "image_list.txt")
 
 # Exif 2.32, section 4.6.3 and 4.6.5.
@@ -124,9 +127,12 @@ def _settings_of_line(words: list[str], reciprocal: bool, where: str) -> Photogr
 
 
 def _number(word: str) -> float | None:
+    text = word.removesuffix("s").rstrip()
+    if len(text) > _LONGEST_NUMBER or _HUGE_POWER.search(text):  # a fraction of 10^99999999 would fill the memory
+        return None
     try:
-        return float(Fraction(word.removesuffix("s").rstrip()))
-    except (ValueError, ZeroDivisionError):
+        return float(Fraction(text))
+    except (ValueError, ZeroDivisionError, OverflowError):
         return None
 
 

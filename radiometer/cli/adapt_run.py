@@ -80,8 +80,10 @@ def run(
     from radiometer.bench.box_adaptation import SIMULATED, BoxRequest
     from radiometer.cli.adapt_watch import Watching, watchers
     from radiometer.cli.keys import listening
+    from radiometer.data.guards import safe_name
     from radiometer.data.storage import write_text_atomic
 
+    safe_name(subject, "--subject")
     chosen = read_protocol(protocol)
     file = out or Path(f"{subject}-{chosen.name}.jsonl")
     wanted, controls = Watching(page or page_port > 0, page_port, audio, json, slow), Controls(linger_s=slow)

@@ -10,6 +10,7 @@ from typing import Any, Literal, Protocol, Self
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from radiometer.data.bracket import Bracket
@@ -20,6 +21,7 @@ from radiometer.data.capture_header import (
     SourceDescription,
 )
 from radiometer.data.frame import DigitalNumbers, Frame, FrameSettings
+from radiometer.data.guards import refuse_large_picture
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import FileSection, validate
 from radiometer.errors import CaptureError
@@ -284,7 +286,8 @@ def read_digital_numbers(path: Path) -> DigitalNumbers:
     except OSError as error:
         raise CaptureError(f"cannot read frame {path}: {error.strerror or error}") from error
     _refuse_truncated(path, head=content[:8].tobytes(), tail=content[-16:].tobytes())
-    image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+    refuse_large_picture(path, content.tobytes())
+    image = _decoded(content)
     if image is None:
         raise CaptureError(f"{path}: not a readable PNG or TIFF (damaged or truncated); capture it again")
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
@@ -293,6 +296,14 @@ def read_digital_numbers(path: Path) -> DigitalNumbers:
         )
     numbers: DigitalNumbers = image
     return numbers
+
+
+def _decoded(content: NDArray[np.uint8]) -> Any:
+    """Return what a picture file holds; None where it cannot be decoded."""
+    try:
+        return cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+    except cv2.error:
+        return None
 
 
 def _refuse_truncated(path: Path, *, head: bytes, tail: bytes) -> None:

@@ -11,6 +11,7 @@ from typing import IO, Any
 
 import yaml
 
+from radiometer.data.guards import MOST_YAML_BYTES, refuse_deep_yaml
 from radiometer.errors import InputError, OutputError
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -84,14 +85,17 @@ def read_yaml(path: Path) -> dict[str, Any]:
         InputError: If the file is missing, unreadable, not YAML, or not a mapping; the message gives the line.
     """
     try:
+        if path.stat().st_size > MOST_YAML_BYTES:
+            raise InputError(f"{path}: larger than the {MOST_YAML_BYTES / 1e6:.0f} MB of YAML that are read")
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is not a text file (byte {error.start} is not UTF-8)") from error
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     try:
+        refuse_deep_yaml(text, str(path))
         content = yaml.load(text, Loader=_Loader)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:  # a date or key that is none, too
         mark = getattr(error, "problem_mark", None)
         at = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         raise InputError(f"{path}{at}: not valid YAML: {getattr(error, 'problem', None) or error}") from error

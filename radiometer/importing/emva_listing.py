@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 from typing import Final
 
+from radiometer.data.guards import is_file
 from radiometer.errors import InputError
 
 DESCRIPTOR_NAME: Final = "EMVA1288_Data.txt"
@@ -122,6 +123,6 @@ class _Parser:
         if not self._entries:
             raise ValueError("an image comes before the first b or d line")
         file = self._path.parent.joinpath(*PureWindowsPath(name).parts)
-        if not file.is_file():
+        if not is_file(file):
             raise InputError(f"{where}: image {file} does not exist")
         self._entries[-1][2].append(file)

@@ -7,6 +7,7 @@ import zlib
 from pathlib import Path
 from typing import Final
 
+from radiometer.data.guards import MOST_FILE_BYTES
 from radiometer.errors import CaptureError
 
 _GZIP_MAGIC: Final = b"\x1f\x8b"
@@ -32,7 +33,10 @@ def read_bytes(path: Path, most: int = -1) -> bytes:
             with path.open("rb") as stream:
                 return stream.read(most)
         with gzip.open(path) as unpacked:
-            return unpacked.read(most)
+            content = unpacked.read(MOST_FILE_BYTES + 1 if most < 0 else most)
+        if len(content) > MOST_FILE_BYTES:
+            raise CaptureError(f"{path}: more than {MOST_FILE_BYTES / 1e6:.0f} MB once unpacked; cut it first")
+        return content
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise CaptureError(f"{path}: the gzip file is damaged or truncated ({error}); copy it again") from error
     except OSError as error:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data.frame import FrameSettings
+from radiometer.data.guards import refuse_size
 from radiometer.errors import CaptureError, MissingLibrary
 from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.file_names import claims_of, contradictions
@@ -66,6 +67,7 @@ def read_fits_pixels(path: Path, part: int) -> NDArray[Any]:
     """
     with _opened(path) as units:
         unit = _picture(units, path)
+        refuse_size(path, unit.shape, max(1, abs(int(unit.header.get("BITPIX", 8))) // 8))
         values = np.asarray(unit.data)
     plane = values.reshape(-1, *values.shape[-2:])[part]
     return _unsigned(plane.astype(plane.dtype.newbyteorder("="), copy=False))

@@ -16,6 +16,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from radiometer.data.frame import FrameSettings
+from radiometer.data.guards import refuse_size
 from radiometer.errors import CaptureError
 from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.file_names import claims_of, contradictions
@@ -53,6 +54,7 @@ def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
     with _opened(path) as tiff:
         pages = [page for page in tiff.pages if not _is_reduced(page)]
         _refuse_cut_short(path, pages[part], tiff.filehandle.size)
+        refuse_size(path, pages[part].shape, pages[part].dtype.itemsize)
         values = pages[part].asarray()
     return np.asarray(values[..., 0] if values.ndim == 3 and values.shape[-1] == 1 else values)
 

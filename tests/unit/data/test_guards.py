@@ -1,0 +1,159 @@
+"""Files that ask for much are refused by their headers, in a process that may take 1 GB and no more."""
+
+from __future__ import annotations
+
+import resource
+import struct
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from radiometer.cli.main import run
+from radiometer.data.capture_set import read_digital_numbers
+from radiometer.data.guards import MOST_PICTURE_BYTES, refuse_deep_yaml, refuse_large_picture, refuse_size, safe_name
+from radiometer.data.storage import read_yaml
+from radiometer.errors import CaptureError, InputError, UsageError
+
+_FUZZ = Path(__file__).with_name("reader_fuzz.py")
+
+
+def _png(width: int, height: int, bits: int = 16, colour: int = 0, data: bytes = b"") -> bytes:
+    """Return a PNG with the header stated and data that need not fit it."""
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
+    parts = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + parts
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        _png(80_000, 80_000),
+        _png(20_000, 20_001, 8),
+        _png(8_000, 8_500, 16, colour=2),
+        _png(2**31 - 1, 2**31 - 1, 16, colour=6),
+    ],
+)
+def test_a_picture_bomb_is_refused_by_its_header(tmp_path: Path, content: bytes) -> None:
+    """Some bytes that state gigapixels are never decoded; the message gives the size and the limit."""
+    path = tmp_path / "0.png"
+    path.write_bytes(content)
+    with pytest.raises(CaptureError, match=r"header states .* at most 400 MB"):
+        read_digital_numbers(path)
+
+
+def test_a_tiff_bomb_is_refused_by_its_header(tmp_path: Path) -> None:
+    """Little and big endian, width and height as 16 and 32 bits, several samples."""
+    for order in "<>":
+        tifffile.imwrite(tmp_path / "a.tif", np.zeros((4, 5), np.uint16), byteorder=order)
+        content = bytearray((tmp_path / "a.tif").read_bytes())
+        refuse_large_picture(tmp_path / "a.tif", bytes(content))
+        at = int(struct.unpack_from(f"{order}I", content, 4)[0])
+        for number in range(struct.unpack_from(f"{order}H", content, at)[0]):
+            tag, kind = struct.unpack_from(f"{order}HH", content, at + 2 + 12 * number)
+            if tag in (256, 257):
+                struct.pack_into(f"{order}{'H' if kind == 3 else 'I'}", content, at + 10 + 12 * number, 60_000)
+        with pytest.raises(CaptureError, match=r"60000 × 60000 × 1 .* 7200 MB"):
+            refuse_large_picture(tmp_path / "a.tif", bytes(content))
+
+
+def test_pictures_of_real_sensors_are_read(tmp_path: Path) -> None:
+    """151 million pixels of 16 bits are within the limit, one byte more than the limit is not."""
+    refuse_size(tmp_path, (10_652, 14_204), 2)
+    refuse_size(tmp_path, (MOST_PICTURE_BYTES,), 1)
+    with pytest.raises(CaptureError):
+        refuse_size(tmp_path, (MOST_PICTURE_BYTES + 1,), 1)
+    dn = np.arange(2000, dtype=np.uint16).reshape(40, 50)
+    cv2.imwrite(str(tmp_path / "a.png"), dn)
+    cv2.imwrite(str(tmp_path / "a.tif"), dn)
+    for name in ("a.png", "a.tif"):
+        assert np.array_equal(read_digital_numbers(tmp_path / name), dn)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[" * 100_000, "a: " + "{b: " * 100_000, "- " * 100_000, "? " * 100_000,
+     "\n".join(" " * n + f"k{n}:" for n in range(2000))],
+    ids=["lists", "mappings", "sequences", "keys", "indented"],
+)  # fmt: skip
+def test_deep_yaml_is_refused(tmp_path: Path, text: str) -> None:
+    """What would overflow the stack of the parser is refused with its line; the process goes on."""
+    path = tmp_path / "deep.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"nested more than 64 deep|not valid YAML"):
+        read_yaml(path)
+
+
+def test_yaml_that_repeats_itself_is_refused(tmp_path: Path) -> None:
+    """Nine levels of nine repetitions are a billion entries; a few repetitions are none."""
+    lines = ["l0: &l0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"l{n}: &l{n} [{', '.join([f'*l{n - 1}'] * 9)}]" for n in range(1, 9)]
+    path = tmp_path / "laughs.yaml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(InputError, match="repetitions"):
+        read_yaml(path)
+    path.write_text("\n".join(lines[:3]), encoding="utf-8")
+    assert read_yaml(path)["l2"][0][0] == ["x"] * 9
+
+
+def test_nesting_of_real_files_is_fine() -> None:
+    """Long lists, long texts and 64 levels pass."""
+    refuse_deep_yaml("a: [" + "1, " * 100_000 + "1]", "here")
+    refuse_deep_yaml("[" * 64 + "]" * 64, "here")
+    with pytest.raises(InputError):
+        refuse_deep_yaml("[" * 65 + "]" * 65, "here")
+
+
+@pytest.mark.parametrize("command", ["merge", "response", "measure"])
+def test_commands_live_through_deep_yaml(tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """One line and an exit code, where the process ended before."""
+    (tmp_path / "set").mkdir()
+    deep = tmp_path / "set" / "capture.yaml"
+    deep.write_text("frames: " + "[" * 100_000, encoding="utf-8")
+    words = {"measure": ["measure", "--bench", str(deep)]}.get(command, [command, str(tmp_path / "set")])
+    words += (
+        ["-o", str(tmp_path / "o.exr" if command == "merge" else tmp_path / "o.yaml")] if command != "measure" else []
+    )
+    assert run(words) in (1, 2)
+    assert "nested more than" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("subject", ["../../x", "/etc/x", "..", ".hidden", "-o", "a/b", "a\\b", "a\0b", "", "x" * 65])
+def test_a_subject_cannot_lead_out_of_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], subject: str
+) -> None:
+    """A pseudonym that is a path is misuse; nothing is written anywhere."""
+    inside = tmp_path / "a" / "b"
+    inside.mkdir(parents=True)
+    monkeypatch.chdir(inside)
+    with pytest.raises(UsageError):
+        safe_name(subject, "--subject")
+    if "\0" not in subject:
+        assert run(["adapt", "run", "quick", f"--subject={subject}", "--simulate", "steady"]) == 2
+        assert "--subject" in capsys.readouterr().err
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+    assert safe_name("S-01 anna.b", "--subject") == "S-01 anna.b"
+
+
+@pytest.mark.timeout(120)
+def test_no_damaged_file_takes_more_than_a_gigabyte_or_ends_the_reader(tmp_path: Path) -> None:
+    """Every reader, on files damaged at random: only our own errors, within 1 GB, in a process of its own."""
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_DATA, (2**30, 2**30))
+
+    done = subprocess.run(
+        [sys.executable, str(_FUZZ), str(tmp_path), "150"], preexec_fn=limit, capture_output=True, text=True,
+        timeout=100, check=False, cwd=_FUZZ.parents[3],
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-3000:]
+    assert done.stdout.count("files of") >= 9
