@@ -21,16 +21,23 @@ define install_packages
 	fi
 endef
 
-.PHONY: help measure test check mutants bench soak firmware calibration clean
+.PHONY: help measure test test-fast test-slow check mutants bench soak firmware calibration clean
 
 help:  ## List the targets
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
 
 measure: $(VENV)/.ready-run  ## Read the radiance of a screen patch on the simulated bench
 	$(BIN)/radiometer measure --budget
 
+# Two workers, each with its own core; tests that share fixtures, or that run in real time, stay in one of them.
 test: $(VENV)/.ready-test  ## Run the whole test suite
-	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST)
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST) -n 2 --dist loadgroup
+
+test-fast: $(VENV)/.ready-test  ## Run what needs no process, no browser and no real time (about a minute)
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST) -n 2 --dist loadgroup -m "not slow and not bench and not soak and not hardware" tests/unit tests/style
+
+test-slow: $(VENV)/.ready-test  ## Run the rest: devices on the wire, processes, browsers, round trips
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST) -n 2 --dist loadgroup -m "slow and not bench and not soak and not hardware"
 
 check: $(VENV)/.ready-test  ## Format, lint, types, layers
 	$(BIN)/ruff format --check .

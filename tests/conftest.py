@@ -31,3 +31,19 @@ def shared_data() -> Path:
     if folder is None:
         pytest.skip("the real measurements (../shared/data) are not on this machine")
     return folder
+
+
+# What waits for real devices, ports or processes in real time is not run beside itself.
+REAL_TIME = ("tests/contract", "tests/protocol")
+# Folders whose tests need no process, no browser and no real time: the fast tier, less what is marked slow.
+FAST = ("tests/unit", "tests/style")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keep the tests of a file in one worker, for they share fixtures, and those of real time together."""
+    for item in items:
+        file = item.path.relative_to(PROJECT_ROOT).as_posix()
+        group = "real-time" if file.startswith(REAL_TIME) else file
+        item.add_marker(pytest.mark.xdist_group(group))
+        if not file.startswith(FAST):
+            item.add_marker(pytest.mark.slow)

@@ -15,6 +15,8 @@ from radiometer.reconcile.engine import Reconciled, examine
 from radiometer.reconcile.measure.reduce import frame_reader
 from simulators.scenes.screen import ScreenPatch, ScreenScene
 
+pytestmark = pytest.mark.slow  # each runs a whole search
+
 BRACKET = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 8) for _ in range(2)]
 DARKS = [{"t": t, "shutter": "closed"} for t in (1e-4, 1e-2, 1.0)]
 
