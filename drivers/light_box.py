@@ -49,6 +49,7 @@ from radiometer.errors import (
 TEND_INTERVAL_S: Final = 0.25  # a quarter of the box's dead-man time
 START_UP_S: Final = 4.0  # opening the port resets an Arduino, whose boot loader waits 1 to 2 s
 LISTEN_S: Final = 0.02
+BOOT_S: Final = 2.2  # the boot loader's wait, after which the program of an Arduino runs
 FLASH: Final = "flash"  # its name in the account of the exposure
 WRONG_VERSION: Final = 9
 
@@ -73,6 +74,7 @@ class SerialLightBox:
         link: Exchanges with the box.
         ledger: Account of the retinal exposure; refuses what is too much.
         calibration: Level ↔ radiance; None where levels can only be raw.
+        mild: Wait for what answers to boot, ask it once, and let it be if it is silent: the port may be another's.
         keep_alive: Tend the box from a thread of its own; without it the caller calls `tend` often enough.
         flash: The photographic flash at its trigger; None where there is none.
     """
@@ -81,6 +83,7 @@ class SerialLightBox:
     ledger: ExposureLedger
     calibration: RadianceTable | None = None
     keep_alive: bool = True
+    mild: bool = False
     flash: FlashLight | None = None
     _identity: LightBoxIdentity | None = None
     _channels: dict[str, ChannelCapabilities] = field(default_factory=dict)
@@ -316,7 +319,9 @@ class SerialLightBox:
         return f"light box on {self.link.line.name}"
 
     def _greet(self) -> None:
-        deadline_s = self.link.line.now() + START_UP_S
+        if self.mild:
+            self.link.listen(BOOT_S)
+        deadline_s = self.link.line.now() + (0.0 if self.mild else START_UP_S)
         while True:
             self.link.reset()
             try:
@@ -338,11 +343,11 @@ class SerialLightBox:
         """Return the answer to HI in the newest version that the box speaks."""
         for version in PROTOCOL_VERSIONS[:-1]:
             try:
-                return self.link.request(f"HI {version}", attempts=2)
+                return self.link.request(f"HI {version}", attempts=1 if self.mild else 2)
             except BoxRefusal as refusal:
                 if refusal.code != WRONG_VERSION:
                     raise
-        return self.link.request(f"HI {PROTOCOL_VERSIONS[-1]}", attempts=2)
+        return self.link.request(f"HI {PROTOCOL_VERSIONS[-1]}", attempts=1 if self.mild else 2)
 
     def _keep(self) -> None:
         while not self._closing.wait(TEND_INTERVAL_S / 5):

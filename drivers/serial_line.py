@@ -160,9 +160,22 @@ class SerialLine:
         return self._serial
 
 
-def list_serial_ports() -> list[str]:
-    """Return the device files of the serial ports of this machine."""
-    return sorted(port.device for port in serial.tools.list_ports.comports())
+class SerialPort(NamedTuple):
+    """A serial port of this machine and what USB says of it: vendor and product id (None where not USB), and names."""
+
+    device: str
+    vendor_id: int | None = None
+    product_id: int | None = None
+    names: str = ""
+
+
+def list_serial_ports() -> list[SerialPort]:
+    """Return the serial ports of this machine, by device file; none of them is opened."""
+    found = serial.tools.list_ports.comports()
+    return sorted(
+        SerialPort(port.device, port.vid, port.pid, " ".join(filter(None, (port.manufacturer, port.product))))
+        for port in found
+    )
 
 
 def _opening_error(port: str, error: Exception) -> DeviceError:

@@ -33,6 +33,11 @@ SIMULATED_SERIAL: Final = "SIM00001"
 DEFAULT_PRESET: Final = "light_boxes/reference.yaml"
 PORT_VARIABLE: Final = "RADIOMETER_LIGHT_BOX_PORTS"
 TEND_SLICE_S: Final = 0.2
+ARDUINO_VENDORS: Final = frozenset({0x2341, 0x2A03})  # Arduino, and its former twin; the box is an Arduino Uno
+BOX_WORDS: Final = ("arduino", "radiometer")
+_SILENT: Final[
+    dict[str, float]
+] = {}  # ports that were asked and did not answer as a box, and when they were plugged in
 SIMULATED_PORTS: Final = "radiometer-light-boxes"
 
 
@@ -114,11 +119,35 @@ def read_preset(path: Path | None = None) -> LightBoxConfig:
 
 
 def candidate_ports() -> list[str]:
-    """Return the ports on which a light box may answer: serial ports, simulated boxes, and those the user names."""
+    """Return the ports on which a light box may answer, by what USB says of them: none of them is opened for it.
+
+    They are those that the user names, those of simulated boxes, and those of Arduinos. Whatever else is plugged in
+    never gets a byte unless its port is named.
+    """
     named = [port for port in os.environ.get(PORT_VARIABLE, "").split(os.pathsep) if port]
     folder = simulated_port_folder()
     simulated = sorted(str(link) for link in folder.glob("*") if link.exists()) if is_ours(folder) else []
-    return list(dict.fromkeys([*named, *simulated, *list_serial_ports()]))
+    return list(dict.fromkeys([*named, *simulated, *_box_like_ports()]))
+
+
+def _box_like_ports() -> list[str]:
+    return [
+        port.device
+        for port in list_serial_ports()
+        if port.vendor_id in ARDUINO_VENDORS or any(word in port.names.lower() for word in BOX_WORDS)
+    ]
+
+
+def _is_named_or_simulated(port: str) -> bool:
+    return port in os.environ.get(PORT_VARIABLE, "").split(os.pathsep) or Path(port).parent == simulated_port_folder()
+
+
+def _when_plugged(port: str) -> float:
+    """Return when a port's device file was made, in s since 1970: another time is another device."""
+    try:
+        return Path(port).stat().st_ctime
+    except OSError:
+        return 0.0
 
 
 def simulated_port_folder() -> Path:
@@ -131,19 +160,23 @@ def find_boxes(ports: list[str] | None = None) -> tuple[list[LightBoxIdentity], 
     """Return the light boxes that answer, and ports that another program holds.
 
     Args:
-        ports: Ports to try; all candidates where None. Opening a port resets an Arduino on it.
+        ports: Ports to try; all candidates where None. Opening a port resets an Arduino on it. One that was neither
+            named nor simulated is asked with one line; if that is not answered, it is left alone until replugged.
     """
     found, held = [], []
     for port in candidate_ports() if ports is None else ports:
+        mild = ports is None and not _is_named_or_simulated(port)
+        if mild and _SILENT.get(port) == _when_plugged(port):
+            continue
         box = _serial_box(port, read_preset(), None)
-        box.keep_alive = False
+        box.keep_alive, box.mild = False, mild
         try:
             with box:
                 found.append(box.identity)
         except DeviceInUse:
             held.append(port)
         except DeviceNotFound:
-            continue
+            _SILENT[port] = _when_plugged(port)
     return found, held
 
 
@@ -216,7 +249,9 @@ def _port_of(serial: str | None) -> str:
         )
     wanted = "no light box answers" if serial is None else f"no light box {serial} answers"
     busy = f" (held by another program: {', '.join(held)})" if held else ""
-    raise DeviceNotFound(f"{wanted}{busy}; plug it in, name its port with --box, or use --box {SIMULATED}")
+    others = sorted({port.device for port in list_serial_ports()} - set(candidate_ports()))
+    left_out = f" (not asked, for USB does not call them an Arduino: {', '.join(others)})" if others else ""
+    raise DeviceNotFound(f"{wanted}{busy}{left_out}; plug it in, name its port with --box, or use --box {SIMULATED}")
 
 
 def _simulated(config: LightBoxConfig) -> OpenedBox:
