@@ -60,7 +60,9 @@ calibration: $(VENV)/.ready-run  ## Calibrate the simulated bench and box anew: 
 	$(BIN)/radiometer response out/chart -o out/response.yaml --plot out/response.png
 	$(BIN)/radiometer bracket out/reference --bench configs/bench-simulated-reference.yaml --patch 708,520,200,200 --repeat 4
 	$(BIN)/radiometer calibrate out/reference --response out/response.yaml --patch 708,520,200,200 --radiance 1.0 \
-	  --u-rel 0.005 --spectrum white_led --validity-days 3650 -o configs/calibrations/simulated.yaml
+	  --u-rel 0.005 --spectrum white_led --validity-days 3650 \
+	  --stated glare_u=0 --stated exposure_u_s=0 --stated drift_u_rel_per_year=0 --stated polarisation_u_rel=0 \
+	  -o configs/calibrations/simulated.yaml
 	$(BIN)/radiometer light calibrate --box sim --seed 1 -o configs/calibrations/simulated-box.yaml
 
 firmware:  ## Build the light box's firmware and print its size

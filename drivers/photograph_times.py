@@ -22,12 +22,39 @@ LIST_NAMES: Final = ("exposures.txt", "exposures.csv", "image_list.txt")
 # Exif 2.32, section 4.6.3 and 4.6.5.
 _EXIF_IFD, _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x8769, 33434, 33437, 34855
 
-# What third-stop shutter dials print, as times or as the denominators of 1/x.
+# What third-stop and half-stop shutter dials print, as times or as the denominators of 1/x.
 _DIAL_DENOMINATORS: Final = (
     1, 1.3, 1.6, 2, 2.5, 3, 3.2, 4, 5, 6, 8, 10, 13, 15, 20, 25, 30, 40, 50, 60, 80, 100, 125, 160, 200, 250, 320,
+    45, 90, 180, 350, 750, 1500, 3000, 6000,
     400, 500, 640, 800, 1000, 1250, 1600, 2000, 2500, 3200, 4000, 5000, 6400, 8000, 10000, 12800, 16000, 32000,
 )  # fmt: skip
-_DIAL_TIMES: Final = (0.3, 0.4, 0.5, 0.6, 0.8, 1, 1.3, 1.6, 2, 2.5, 3, 3.2, 4, 5, 6, 8, 10, 13, 15, 20, 25, 30, 60)
+_DIAL_TIMES: Final = (
+    0.3,
+    0.4,
+    0.5,
+    0.6,
+    0.7,
+    0.8,
+    1,
+    1.3,
+    1.5,
+    1.6,
+    2,
+    2.5,
+    3,
+    3.2,
+    4,
+    5,
+    6,
+    8,
+    10,
+    13,
+    15,
+    20,
+    25,
+    30,
+    60,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +77,7 @@ class PhotographSettings:
 
 
 def is_dial_time(seconds: float) -> bool:
-    """Tell whether a time in s is one that a camera's third-stop dial prints."""
+    """Tell whether a time in s is one that a camera's dial prints."""
     close = (abs(seconds * d - 1.0) < 0.005 for d in _DIAL_DENOMINATORS)
     return any(close) or any(abs(seconds / t - 1.0) < 0.005 for t in _DIAL_TIMES)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,6 +141,44 @@ def plan_exposures(
         times = [limits_s[0] if too_bright >= too_dark else min(limits_s[1], time_limit_s)]
     kept = _within_time(times, time_limit_s)
     return ExposurePlan(tuple(kept), too_bright, too_dark, cut_short=len(kept) < len(times))
+
+
+# Frames that show whether the light is steady: more where each is short against a period of mains light.
+STEADY_FRAMES = 3
+STEADY_SHORT_FRAMES = 9
+_MAINS_PERIODS_S = (0.05, 0.01)  # of 100 and 120 Hz together; of 100 Hz
+
+
+def steadied(plan: ExposurePlan, flicker_hz: float | None, time_limit_s: float) -> ExposurePlan:
+    """Return a plan that averages flicker where light permits, and has frames enough to show it where not.
+
+    Exposures longer than a period of the flicker are shortened to whole periods: the source's where it is known, else
+    1/20 s (five of 100 Hz, six of 120 Hz), else 1/100 s.
+
+    Args:
+        plan: Exposures that cover the scene.
+        flicker_hz: Frequency of the light's flicker in Hz; None where unknown.
+        time_limit_s: Bound on the sum of the exposure times in s.
+    """
+    periods = _MAINS_PERIODS_S if flicker_hz is None else (1.0 / flicker_hz,)
+    times = [_whole_periods(t, periods) for t in plan.exposures_s]
+    short = max(times, default=0.0) < periods[-1] * (1 - 1e-9)
+    wanted = STEADY_SHORT_FRAMES if short else STEADY_FRAMES
+    total = sum(times)
+    for exposure in sorted(times, reverse=True) * wanted:  # the longest first: they weigh most
+        if len(times) >= wanted:
+            break
+        if total + exposure <= time_limit_s:
+            times.append(exposure)
+            total += exposure
+    return replace(plan, exposures_s=tuple(sorted(times)))
+
+
+def _whole_periods(exposure_s: float, periods_s: tuple[float, ...]) -> float:
+    for period in periods_s:
+        if exposure_s >= period:
+            return math.floor(exposure_s / period * (1 + 1e-9)) * period
+    return exposure_s
 
 
 def repeats_for(

@@ -70,6 +70,7 @@ def open_instrument(
             calibration=_calibration(chosen, spectrum or config.spectrum) if chosen else None,
             time_limit_s=config.time_limit_s,
             f_number=_set_by_hand(config, f_number),
+            source=config.source if "source" in config.model_fields_set else None,
         )
 
 

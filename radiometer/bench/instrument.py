@@ -6,11 +6,23 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from radiometer.acquire.bracketing import DEFAULT_TIME_LIMIT_S, BracketRequest, Progress, plan_for_scene, take_plan
+from radiometer.acquire.exposure_plan import steadied
 from radiometer.analysis.patch.reading import read_patch
-from radiometer.data import Bracket, Calibration, Frame, LensDescription, Patch, Reading
+from radiometer.data import Bracket, Calibration, Frame, LensDescription, Patch, Reading, SourceDescription
 from radiometer.devices import Camera
 from radiometer.errors import UsageError
+
+# A surround of which more than this clips is looked at in a shorter frame, each by this factor.
+_SURROUND_CLIPS = 0.002
+_SURROUND_STEP = 16.0
+
+
+def clipped_part(frame: Frame) -> float:
+    """Return the part of a frame's pixels that stand within 2 % of full scale."""
+    return float(np.mean(frame.dn >= 0.98 * frame.full_scale_dn))
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +35,7 @@ class Instrument:
         calibration: Absolute calibration of this camera; None gives relative readings flagged so.
         time_limit_s: Bound on the sum of the exposure times of one reading in s.
         f_number: f-number that the lens is set to where the camera's description does not hold.
+        source: What is known of the light.
         clock: Steady clock in s.
     """
 
@@ -31,6 +44,7 @@ class Instrument:
     calibration: Calibration | None = None
     time_limit_s: float = DEFAULT_TIME_LIMIT_S
     f_number: float | None = None
+    source: SourceDescription | None = None
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
@@ -62,12 +76,30 @@ class Instrument:
         """Meter the patch and return the frames that cover it. Raises DeviceError if the camera fails."""
         request = BracketRequest(region=self.patch, target_u_rel=target_u_rel, time_limit_s=self.time_limit_s)
         plan = plan_for_scene(self.camera, request)
+        plan = steadied(plan, self.source.flicker_hz if self.source else None, self.time_limit_s)
         frames: list[Frame] = list(take_plan(self.camera, plan, request, progress=progress, clock=self.clock))
+        frames += self._of_surround(frames)
         return Bracket.from_frames(frames, origin=self.camera.identity.device_id)
+
+    def _of_surround(self, frames: list[Frame]) -> list[Frame]:
+        """Return shorter frames until the surround no longer clips: what it spreads over the patch depends on it."""
+        if self.calibration is None or not frames:
+            return []
+        shortest, added = min(frames, key=lambda frame: frame.settings.exposure_s), list[Frame]()
+        lowest = self.camera.capabilities.exposure_s[0]
+        while clipped_part(shortest) > _SURROUND_CLIPS and shortest.settings.exposure_s > lowest * (1 + 1e-9):
+            exposure_s = max(shortest.settings.exposure_s / _SURROUND_STEP, lowest)
+            self.camera.configure(replace(self.camera.settings, exposure_s=exposure_s))
+            shortest = self.camera.capture(1)[0]
+            added.append(shortest)
+        return added
 
     def read(self, bracket: Bracket, *, sequence: int = 0) -> Reading:
         """Return the radiance of the patch in frames already taken. Raises CalibrationError if it does not fit."""
-        return read_patch(bracket, self.patch, self.calibration, self.camera.description, self.lens, sequence=sequence)
+        camera = self.camera.description
+        return read_patch(
+            bracket, self.patch, self.calibration, camera, self.lens, source=self.source, sequence=sequence
+        )
 
     @property
     def lens(self) -> LensDescription:

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
         PatchDescription,
         Scale,
         SpectralResponse,
+        StatedUncertainties,
     )
+    from radiometer.devices import CameraPreset
 
 
 def command(
@@ -45,7 +47,10 @@ def command(
     meter_k: Annotated[
         float | None, typer.Option("--luminance-meter-k", help="Constant K of the camera's light meter (ISO 2720).")
     ] = None,
-    k_u_rel: Annotated[float, typer.Option(min=0.0, help="Relative u of K beyond the meter's ±1/6 stop.")] = 0.0,
+    k_u_rel: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Relative u of K beyond the meter's ±1/6 stop; 6.7 % (ISO 2720)."),
+    ] = None,
     f_number: Annotated[
         float | None, typer.Option(help="f-number of the reference photograph, or of frames that do not state theirs.")
     ] = None,
@@ -79,6 +84,10 @@ def command(
     camera_file: Annotated[
         Path | None, typer.Option(help="Camera file of `radiometer characterise`: gain, noise, saturation as measured.")
     ] = None,
+    stated: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=U", help="Uncertainty of readings that you know better, such as glare_u=0.002."),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Report as JSON on standard output.")] = False,
 ) -> None:
     """Give a response curve its absolute scale.
@@ -106,10 +115,13 @@ def command(
     if source is None and meter_wanted is None:
         raise UsageError("give --radiance or --luminance of a known source, or --luminance-meter-k with its settings")
     description, lens = _camera_and_lens(seen, curve.bit_depth if curve else None, meter_wanted)
+    preset = None
     if camera_file is not None:
-        description = CameraPreset.read(camera_file).applied_to(description, str(camera_file))
+        preset = CameraPreset.read(camera_file)
+        description = preset.applied_to(description, str(camera_file))
     black = _black_level(black_level, seen)
     base = make.unscaled_calibration(description, lens, curve, spectrum, black, validity_days)
+    base = replace(base, uncertainties=_uncertainties(stated, preset))
     if spectral_response is not None:
         base = replace(base, spectral_response=_spectral_response(spectral_response))
     if flat is not None:
@@ -305,7 +317,27 @@ def _spectral_response(path: Path) -> SpectralResponse:
 
 def _uncorrected(lens: LensDescription) -> LensDescription:
     """Return the lens without its cos⁴: the flat field is to hold all of the falloff."""
-    return lens.model_copy(update={"vignetting": "none"})
+    return lens.model_copy(update={"vignetting": "none", "focal_length_mm": None})
+
+
+def _uncertainties(words: list[str] | None, preset: CameraPreset | None) -> StatedUncertainties:
+    """Return the stated uncertainties: of the command line, else of the camera file, else the defaults."""
+    from radiometer.data import StatedUncertainties
+
+    figures = dict(preset.uncertainties) if preset else {}
+    for word in words or ():
+        name, _, text = word.partition("=")
+        try:
+            figures[name] = float(text)
+        except ValueError as error:
+            raise UsageError(f"--stated {word!r}: expected NAME=U, such as glare_u=0.002") from error
+    unknown = sorted(set(figures) - set(StatedUncertainties.model_fields))
+    if unknown:
+        there = ", ".join(StatedUncertainties.model_fields)
+        raise UsageError(f"there is no uncertainty {unknown[0]!r}; there are: {there}")
+    if any(not 0.0 <= u < float("inf") for u in figures.values()):
+        raise UsageError("an uncertainty must be 0 or more, and finite")
+    return StatedUncertainties(**figures)
 
 
 def _black_level(stated: float | None, seen: _Seen | None) -> float | None:

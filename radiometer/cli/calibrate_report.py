@@ -36,9 +36,10 @@ def calibration_report(
         luminance = absolute.metered_luminance_cd_m2(meter.meter_k, meter.settings)
         radiance = photometry.radiance_w_sr_m2(luminance, spectrum(calibration.spectrum))
         thesis = photometry.radiance_thesis_w_sr_m2_um(luminance)
+        u_rel = absolute.metered_u_rel(meter.k_u_rel)
         report["metered"] = {
-            "luminance": {"value": luminance, "u": luminance * absolute.METER_U_REL, "unit": "cd m-2"},
-            "radiance": {"value": radiance, "u": radiance * absolute.METER_U_REL, "unit": "W sr-1 m-2"},
+            "luminance": {"value": luminance, "u": luminance * u_rel, "unit": "cd m-2"},
+            "radiance": {"value": radiance, "u": radiance * u_rel, "unit": "W sr-1 m-2"},
             "thesis_spectral_radiance": {"value": thesis, "unit": "W sr-1 m-2 um-1"},
         }
     if ranged is not None:

@@ -84,7 +84,7 @@ def _show(readings: list[dict[str, Any]]) -> None:
         note("no reading matches")
         return
     table = Table(box=None, pad_edge=False)
-    for title in ("number", "time (UTC)", "radiance", "U (k=2)", "unit", "luminance", "flags"):
+    for title in ("number", "time (UTC)", "radiance", "U (95 %)", "unit", "luminance", "flags"):
         table.add_column(title, justify="left" if title in ("time (UTC)", "unit", "flags") else "right")
     for reading in readings[-_SHOWN:]:
         table.add_row(*_cells(reading))

@@ -26,6 +26,19 @@ _FLAG_MEANING = {
     "stale_calibration": "the calibration is older than it says it is valid for",
     "uncalibrated": "no calibration: the value is relative, not a radiance",
     "nonuniform": "the patch is not uniform: its spread exceeds the noise",
+    "few_frames": "fewer than three frames (five short ones): they cannot show whether the light is steady",
+    "stray_light": "light from around the patch may make up much of the reading: shade or mask the surround",
+    "short_exposure": "the offset of so short an exposure rules the uncertainty: close the iris, expose longer",
+    "dark_assumed": "dark current and black level rule the uncertainty: take dark frames (--darks)",
+    "falloff_assumed": "no flat field: the natural fall-off of the lens was assumed; calibrate with --flat",
+    "spectrum_assumed": "the assumed spectrum rules the uncertainty: state it",
+    "small_patch": "the patch is so small that pixels' differences rule the uncertainty: read a larger one",
+    "temperature": "the distance from the calibration's temperature rules the uncertainty",
+    "gain": "the gain is another than at calibration, and rules the uncertainty",
+    "drift": "the calibration's age rules the uncertainty: calibrate again",
+    "lens_changed": "what was done to the lens since calibration rules the uncertainty",
+    "polarisation": "the light's polarisation rules the uncertainty",
+    "linearity": "the signal is far from the calibration's level, and the sensor was taken as linear",
 }
 
 
@@ -52,7 +65,7 @@ def command(
     """Read the radiance of a patch, with its uncertainty.
 
     Meters the patch, takes the exposures it needs, merges them and prints the radiance in W·sr⁻¹·m⁻² with its
-    expanded uncertainty (k = 2), the luminance, and what must be known of the reading.
+    expanded uncertainty (95.45 %, k by Student's t), the luminance, and what must be known of the reading.
     """
     if calibration and uncalibrated:
         raise UsageError("--calibration and --uncalibrated exclude each other")
@@ -168,7 +181,7 @@ def _show(reading: Reading, *, budget: bool) -> None:
     unit = "W·sr⁻¹·m⁻²" if value.unit == "W sr-1 m-2" else value.unit
     out.print(
         f"radiance   [bold]{significant(value.value, value.u)} ± {expanded:.2g} {unit}[/bold]"
-        f"   (k = {reading.coverage_factor:g}, {100 * reading.expanded_u_rel:.2g} %)"
+        f"   (k = {reading.coverage_factor:.3g}, {100 * reading.expanded_u_rel:.2g} %)"
     )
     if reading.luminance:
         luminance = reading.luminance

@@ -2,7 +2,14 @@
 
 from radiometer.data.bracket import Bracket
 from radiometer.data.calibration import Calibration
-from radiometer.data.calibration_sections import BlackLevel, FlatField, Scale, SpectralResponse, StatedUncertainties
+from radiometer.data.calibration_sections import (
+    BlackLevel,
+    FlatField,
+    Scale,
+    ScaleConditions,
+    SpectralResponse,
+    StatedUncertainties,
+)
 from radiometer.data.capture_header import (
     CameraDescription,
     LensDescription,
@@ -42,6 +49,7 @@ __all__ = [
     "Reading",
     "ResponseCurve",
     "Scale",
+    "ScaleConditions",
     "SensorNoise",
     "SettingStatistics",
     "SourceDescription",

@@ -14,6 +14,30 @@ from radiometer.data.validation import FileSection
 ScaleMethod = Literal["known_radiance", "light_meter_k", "datasheet", "relative"]
 
 
+class ScaleConditions(FileSection):
+    """What a scale was got under: what a reading shares with it drops out of the reading's uncertainty.
+
+    Attributes:
+        inverse_exposure_per_s: Mean of 1/t over the exposures in s⁻¹, by their part in the value; 0 for long ones.
+        gain_db: Analogue gain in dB.
+        temperature_c: Sensor temperature in °C; None where unknown.
+        level: Signal as a part of full scale.
+        sensitivity: Sensitivity at the patch relative to the optical axis, as it was reckoned with.
+        field: Distance of the patch from the axis over that of a corner.
+        surround: Mean radiance of the whole picture over that of the patch.
+        polarised: Whether the source was polarised; None where unknown.
+    """
+
+    inverse_exposure_per_s: float = Field(0.0, ge=0)
+    gain_db: float = 0.0
+    temperature_c: float | None = None
+    level: float = Field(0.5, ge=0)
+    sensitivity: float = Field(1.0, gt=0)
+    field: float = Field(0.0, ge=0)
+    surround: float = Field(1.0, ge=0)
+    polarised: bool | None = None
+
+
 class Scale(FileSection):
     """What turns the linear signal into exposure on the sensor: H = value · f(M).
 
@@ -28,6 +52,7 @@ class Scale(FileSection):
         budget: Relative standard uncertainties that `u_rel` is made up from, by name.
         iso: ISO speed as really measured, or as stated where that is all, at which the gain of photographs is 0 dB.
         iso_stated: That speed as the camera states it; None where unknown.
+        conditions: What it was got under.
         unit: Of the value, for people.
     """
 
@@ -41,6 +66,7 @@ class Scale(FileSection):
     budget: dict[str, float] = Field(default_factory=dict)
     iso: float | None = Field(None, gt=0)
     iso_stated: float | None = Field(None, gt=0)
+    conditions: ScaleConditions = ScaleConditions()
     unit: str = "J m-2 per unit of signal"
 
 
@@ -49,13 +75,14 @@ class BlackLevel(FileSection):
 
     Attributes:
         dn: Black level in DN.
-        u_dn: Standard uncertainty in DN, of drift above all.
-        dark_u_rel: Relative standard uncertainty of a dark signal that is modelled rather than measured.
+        u_dn: Standard uncertainty in DN, of drift above all. Default: ±1 DN taken as a rectangle.
+        dark_u_rel: Relative standard uncertainty of a dark signal that is modelled rather than measured. Default: a
+            data sheet's dark current is typical, single sensors have up to three times as much.
     """
 
     dn: float = 0.0
-    u_dn: float = Field(0.05, ge=0)
-    dark_u_rel: float = Field(0.1, ge=0)
+    u_dn: float = Field(0.58, ge=0)
+    dark_u_rel: float = Field(1.2, ge=0)
 
 
 class SpectralResponse(FileSection):
@@ -112,18 +139,53 @@ class FlatField(FileSection):
 
 
 class StatedUncertainties(FileSection):
-    """Standard uncertainties that the user states or the program assumes.
+    """Standard uncertainties that the user states or the program assumes, each with its default and where that is from.
 
     Attributes:
-        exposure_u_rel: Of exposure times.
-        f_number_u_rel: Of the effective f-number, counted where it differs from the one of the scale.
-        linearity_u_rel: Departure from a straight line where no response curve is given.
+        exposure_u_rel: Of exposure times, relative. Default: crystal oscillators with all their tolerances, 100 ppm.
+        exposure_u_s: Of exposure times in s, the same at every time. Default: ±5 µs taken as a rectangle, the order of
+            the row time and pulse delay that sensors leave undocumented; a fitted offset takes its place.
+        f_number_u_rel: Of the effective f-number, counted where it differs from the one of the scale. Default: 2 %, the
+            tolerance of marked stops (ISO 517).
+        iris_reset_u_rel: Of a radiance whose iris was turned and set to the same stop again. Default: 1 %, the play of
+            a manual iris.
+        reseated_u_rel: Of a radiance whose lens was taken off and on again. Default: 0.5 %.
+        refocused_u_rel: Of a radiance whose lens was focused anew. Default: 0.5 %, some 0.25 % of image distance.
+        magnification_u_rel: Of the change of a stated magnification. Default: 10 %.
+        linearity_u_rel: Departure from a straight line where no response curve is given. Default: 0.1 %.
+        bend_u_rel: The same between levels a full scale apart. Default: 0.3 %, usual linearity errors of EMVA 1288
+            data sheets.
+        gain_step_u_rel: Of a gain other than at calibration. Default: 1 %, usual of analogue stages.
+        temperature_u_rel_per_k: Of the responsivity per K from the calibration's temperature. Default: 0.1 %/K, silicon
+            in the red; less at short wavelengths.
+        drift_u_rel_per_year: Of the responsivity per year since calibration. Default: 1 %, usual of luminance meters.
+        glare_u: Of the part of the surround's light that the lens spreads over the picture. Default: veiling glare of
+            0 to 1.3 %, as of sound lenses (ISO 9358), as the root of its mean square.
+        polarisation_u_rel: Of a polarised source where the calibration's was not, or the other way round. Default:
+            0.3 %, on the axis of a lens without a beam splitter.
+        prnu_u_rel: Spread of responsivity from pixel to pixel, where too few pixels show it. Default: 1 %, the usual
+            upper end of EMVA 1288 data sheets.
+        falloff_u_rel: Of the natural fall-off cos⁴, as a part of it, where nobody measured it. Default: 0.6, which
+            reaches (k = 2) from no fall-off at all to twice the natural one.
+        cos4_u_rel: The same where the lens description says that cos⁴ holds. Default: 0.05.
         spectral_u_rel: From the difference between the assumed spectrum and that of the source.
-        magnification_u_rel: Of the change of magnification where the lens is focused otherwise than at calibration.
     """
 
     exposure_u_rel: float = Field(1e-4, ge=0)
+    exposure_u_s: float = Field(2.9e-6, ge=0)
     f_number_u_rel: float = Field(0.02, ge=0)
-    linearity_u_rel: float = Field(1e-3, ge=0)
-    spectral_u_rel: float = Field(0.0, ge=0)
+    iris_reset_u_rel: float = Field(0.01, ge=0)
+    reseated_u_rel: float = Field(0.005, ge=0)
+    refocused_u_rel: float = Field(0.005, ge=0)
     magnification_u_rel: float = Field(0.1, ge=0)
+    linearity_u_rel: float = Field(1e-3, ge=0)
+    bend_u_rel: float = Field(3e-3, ge=0)
+    gain_step_u_rel: float = Field(0.01, ge=0)
+    temperature_u_rel_per_k: float = Field(1e-3, ge=0)
+    drift_u_rel_per_year: float = Field(0.01, ge=0)
+    glare_u: float = Field(7.5e-3, ge=0)
+    polarisation_u_rel: float = Field(3e-3, ge=0)
+    prnu_u_rel: float = Field(0.01, ge=0)
+    falloff_u_rel: float = Field(0.6, ge=0)
+    cos4_u_rel: float = Field(0.05, ge=0)
+    spectral_u_rel: float = Field(0.0, ge=0)

@@ -56,11 +56,13 @@ class LensDescription(FileSection):
 
 
 class SourceDescription(FileSection):
-    """The light source: its kind, wavelength in nm and relative reproducibility."""
+    """The light source: its kind, wavelength in nm, relative reproducibility, polarisation and flicker in Hz."""
 
     kind: Literal["screen", "led", "sphere", "scene"] = "scene"
     wavelength_nm: float | None = Field(None, gt=0)
     reproducibility_u_rel: float | None = Field(None, ge=0)
+    polarised: bool | None = None
+    flicker_hz: float | None = Field(None, gt=0)
 
 
 class PatchDescription(FileSection):

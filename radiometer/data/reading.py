@@ -26,6 +26,19 @@ class Flag(StrEnum):
     STALE_CALIBRATION = "stale_calibration"
     UNCALIBRATED = "uncalibrated"
     NONUNIFORM = "nonuniform"
+    FEW_FRAMES = "few_frames"
+    STRAY_LIGHT = "stray_light"
+    SHORT_EXPOSURE = "short_exposure"
+    DARK_ASSUMED = "dark_assumed"
+    FALLOFF_ASSUMED = "falloff_assumed"
+    SPECTRUM_ASSUMED = "spectrum_assumed"
+    SMALL_PATCH = "small_patch"
+    TEMPERATURE = "temperature"
+    GAIN = "gain"
+    DRIFT = "drift"
+    LENS_CHANGED = "lens_changed"
+    POLARISATION = "polarisation"
+    LINEARITY = "linearity"
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -108,7 +121,8 @@ class Reading:
         sequence: Running number within the instrument's journal.
         name: Name of the patch where it has one; "" for the patch that is measured by default.
         session: Whose measurement it was, where it was a client's own; "" where it belongs to all.
-        coverage_factor: k of the expanded uncertainty.
+        coverage_factor: k of the expanded uncertainty: Student's t at 95.45 % for the degrees of freedom.
+        degrees_of_freedom: Effective ones of the uncertainty (Welch–Satterthwaite); infinite where all are.
         time: ISO 8601 in UTC.
     """
 
@@ -121,6 +135,7 @@ class Reading:
     budget: tuple[Contribution, ...] = ()
     sequence: int = 0
     coverage_factor: float = 2.0
+    degrees_of_freedom: float = math.inf
     time: str = field(default_factory=utc_now)
     provenance: Provenance | None = None
     name: str = ""
@@ -145,6 +160,7 @@ class Reading:
             "radiance": self.radiance.to_mapping(),
             "luminance": self.luminance.to_mapping() if self.luminance else None,
             "coverage_factor": self.coverage_factor,
+            "degrees_of_freedom": self.degrees_of_freedom,
             "U_rel": self.expanded_u_rel,
             "flags": [str(flag) for flag in self.flags],
             "exposures_s": list(self.exposures_s),

@@ -54,12 +54,16 @@ class CameraLimits(ConfigSection):
 
 
 class CameraPreset(FileSection):
-    """A camera file: description, limits (absent in a characterisation of a capture set) and sources."""
+    """A camera file: description, limits (absent in a characterisation of a capture set) and sources.
+
+    `uncertainties` are what calibrations of such a camera state of readings, by the names of a calibration file.
+    """
 
     format: str = Field(pattern=f"^{FORMAT}$")
     camera: CameraDescription
     limits: CameraLimits | None = None
     sources: dict[str, str] = Field(default_factory=dict)
+    uncertainties: dict[str, float] = Field(default_factory=dict)
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> CameraPreset:

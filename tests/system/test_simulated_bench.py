@@ -54,8 +54,8 @@ def take(camera, region=None):
 def calibrated_on(radiance, seed):
     """Return the calibration from a uniform source that is believed to be REFERENCE_RADIANCE.
 
-    The simulated camera is exactly linear, keeps its black level and its exposure times, so these state no
-    uncertainty; what is uncertain is the reference, drawn anew for every seed, and the noise.
+    The simulated camera is exactly linear, keeps its black level and its exposure times, its lens spreads no light: so
+    these state no uncertainty; what is uncertain is the reference, drawn anew for every seed, and the noise.
     """
     camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": radiance}, seed)
     unscaled = Calibration(
@@ -65,7 +65,7 @@ def calibrated_on(radiance, seed):
         None,
         SensorNoise.of(camera.description),
         black_level=BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0),
-        uncertainties=StatedUncertainties(exposure_u_rel=0.0, f_number_u_rel=0.0, linearity_u_rel=0.0),
+        uncertainties=StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0)),
     )
     frames = take(camera, REFERENCE_PATCH)
     read = read_patch(frames, REFERENCE_PATCH, unscaled, camera.description, camera.lens).radiance
@@ -110,8 +110,8 @@ def test_the_stated_uncertainty_is_the_scatter_that_occurs(readings):
 
 
 def test_good_patches_carry_no_flag(readings):
-    """A well-exposed uniform patch needs no warning; at most one in a hundred is flagged by chance."""
-    flagged = [reading.flags for _, reading in readings if reading.flags]
+    """A well-exposed uniform patch needs no warning but of two frames; one in a hundred is flagged by chance."""
+    flagged = [reading.flags for _, reading in readings if set(reading.flags) - {Flag.FEW_FRAMES}]
     assert len(flagged) <= 4
 
 

@@ -13,6 +13,8 @@ from radiometer.data import Scale
 from radiometer.errors import InputError
 from radiometer.units import exact_exposure_s, exact_f_number
 
+# ISO 2720 allows K from 10.6 to 13.4 cd·m⁻²·s: ±11.7 %, taken as a rectangle, where nobody determined the camera's own.
+K_UNKNOWN_U_REL: Final = (13.4 - 10.6) / (13.4 + 10.6) / math.sqrt(3.0)
 # A meter that shows thirds of a stop is right to ±1/6 stop: a rectangle of half-width ln(2)/6 in ln L_v.
 METER_U_REL: Final = math.log(2.0) / 6.0 / math.sqrt(3.0)
 
@@ -54,6 +56,15 @@ def metered_luminance_cd_m2(meter_k: float, settings: MeterSettings) -> float:
     Source: ISO 2720:1974; thesis equation (2.6).
     """
     return settings.f_number**2 * meter_k / (settings.exposure_s * settings.iso)
+
+
+def metered_u_rel(k_u_rel: float | None) -> float:
+    """Return the relative standard uncertainty of a metered luminance: the meter's resolution and its constant.
+
+    Args:
+        k_u_rel: Of K; None takes what ISO 2720 leaves open.
+    """
+    return math.hypot(METER_U_REL, K_UNKNOWN_U_REL if k_u_rel is None else k_u_rel)
 
 
 def sensor_irradiance_w_m2(
@@ -105,7 +116,7 @@ def scale_from_meter(
     spectrum: Spectrum,
     lens_factor_sr: float,
     *,
-    k_u_rel: float = 0.0,
+    k_u_rel: float | None = None,
     signal_u_rel: float = 0.0,
 ) -> Scale:
     """Return the scale that a light meter's constant gives: the curve shifted so that f(M_ref) = H_ref.
@@ -116,7 +127,8 @@ def scale_from_meter(
         reference_signal: Linear signal x of the reference pixel value, above 0.
         spectrum: Spectrum of the metered surface.
         lens_factor_sr: Irradiance on the sensor per radiance in sr.
-        k_u_rel: Relative standard uncertainty of K beyond the resolution of the meter.
+        k_u_rel: Relative standard uncertainty of K beyond the resolution of the meter; None takes what ISO 2720 leaves
+            open.
         signal_u_rel: Relative standard uncertainty of the curve at the reference pixel value.
 
     Raises:
@@ -132,7 +144,8 @@ def scale_from_meter(
     luminance = metered_luminance_cd_m2(meter_k, settings)
     radiance = luminance / luminous_efficacy_lm_per_w(spectrum)
     exposure = reference_exposure_j_m2(radiance, settings, lens_factor_sr)
-    budget = {"meter's resolution": METER_U_REL, "constant K": k_u_rel, "response curve": signal_u_rel}
+    u_of_k = K_UNKNOWN_U_REL if k_u_rel is None else k_u_rel
+    budget = {"meter's resolution": METER_U_REL, "constant K": u_of_k, "response curve": signal_u_rel}
     return Scale(
         value=exposure / reference_signal,
         u_rel=math.hypot(*budget.values()),

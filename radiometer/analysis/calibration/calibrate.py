@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import datetime as dt
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from radiometer.analysis.calibration.absolute import MeterSettings, scale_from_meter, scale_from_radiance
-from radiometer.analysis.patch.reading import read_patch
+from radiometer.analysis.patch.contributions import budget_terms
+from radiometer.analysis.patch.reading import patch_situation, read_patch
 from radiometer.analysis.signal.lens import lens_factor_sr
 from radiometer.analysis.signal.model import signal_model
 from radiometer.analysis.signal.spectra import spectrum
@@ -25,6 +28,7 @@ from radiometer.data import (
     ResponseCurve,
     Scale,
     SensorNoise,
+    SourceDescription,
 )
 from radiometer.errors import MeasurementError, UsageError
 
@@ -45,13 +49,13 @@ class MeterReading:
         meter_k: K in cd·m⁻²·s.
         settings: Exact settings of the photograph.
         reference_dn: Digital number that the metered surface came out at.
-        k_u_rel: Relative standard uncertainty of K beyond the meter's ±1/6 stop.
+        k_u_rel: Relative standard uncertainty of K beyond the meter's ±1/6 stop; None where nobody determined it.
     """
 
     meter_k: float
     settings: MeterSettings
     reference_dn: float
-    k_u_rel: float = 0.0
+    k_u_rel: float | None = None
 
 
 def unscaled_calibration(
@@ -93,19 +97,31 @@ def unscaled_calibration(
     )
 
 
-def scale_by_source(base: Calibration, frames: Iterable[Frame], patch: Patch, source: KnownSource) -> Scale:
+def scale_by_source(
+    base: Calibration,
+    frames: Iterable[Frame],
+    patch: Patch,
+    source: KnownSource,
+    light: SourceDescription | None = None,
+) -> Scale:
     """Return the scale from frames of a source of known radiance.
 
     Args:
         base: Unscaled calibration.
         frames: Frames of the source.
         patch: Where the source is.
-        source: What is known of it.
+        source: What is known of its radiance.
+        light: What else is known of it.
 
     Raises:
         MeasurementError: If the patch is clipped, below the noise or not uniform.
     """
-    reading = read_patch(frames, patch, base, base.camera, base.lens)
+    seen = list(frames)
+    made = dt.datetime.fromisoformat(base.created)  # a scale has no age when it is made
+    situation = patch_situation(seen, patch, base, base.camera, base.lens, light, made)
+    conditions = situation.conditions
+    own = replace(base, scale=base.scale.model_copy(update={"conditions": conditions}))
+    reading = read_patch(seen, patch, own, base.camera, base.lens, source=light, now=made)
     for flag in (Flag.SATURATED, Flag.BELOW_NOISE, Flag.NONUNIFORM):
         if flag in reading.flags:
             raise MeasurementError(
@@ -113,14 +129,22 @@ def scale_by_source(base: Calibration, frames: Iterable[Frame], patch: Patch, so
                 "choose an even, well exposed part of the known source"
             )
     value = reading.radiance
-    return scale_from_radiance(
+    # At the calibration's own level the response's error drops out; readings at other levels meet it.
+    curve = next(term.u for term in budget_terms(situation) if term.name == "response curve") / abs(situation.value)
+    lines = {line.name: line.u_rel for line in reading.budget} | {"response curve": curve}
+    lines = {name: u for name, u in lines.items() if u > 0.0}
+    u_rel = math.hypot(*lines.values())
+    spread = value.u_rel**4 / reading.degrees_of_freedom
+    found = scale_from_radiance(
         source.radiance_w_sr_m2,
         source.u_rel,
         value.value,
-        value.u_rel,
+        u_rel,
         base.scale.f_number,
-        reading_budget={line.name: line.u_rel for line in reading.budget if line.u_rel > 0.0},
+        degrees_of_freedom=math.hypot(source.u_rel, u_rel) ** 4 / spread if spread > 0.0 else None,
+        reading_budget=lines,
     )
+    return found.model_copy(update={"conditions": conditions})
 
 
 def scale_by_meter(base: Calibration, meter: MeterReading) -> Scale:

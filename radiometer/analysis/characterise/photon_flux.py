@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from radiometer.analysis.signal.lens import lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.lens import falloff_known, lens_factor_sr, relative_sensitivity
 from radiometer.data import (
     CameraDescription,
     FrameSettings,
@@ -75,4 +75,6 @@ def photon_flux(
 def _mean_sensitivity(patch: Patch, camera: CameraDescription, lens: LensDescription, shape: tuple[int, int]) -> float:
     x = np.arange(patch.x, patch.x + patch.width)[np.newaxis, :]
     y = np.arange(patch.y, patch.y + patch.height)[:, np.newaxis]
+    if falloff_known(camera, lens) != "cos4":
+        return 1.0
     return float(np.mean(relative_sensitivity(camera, lens, None, shape, x, y)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +15,8 @@ from radiometer.analysis.merge.finish import finish
 from radiometer.analysis.merge.frames import FrameTerms, frame_terms
 from radiometer.analysis.merge.sums import FRAMES_PER_PLANE, MergeSample, MergeSums
 from radiometer.analysis.merge.tables import merge_tables
-from radiometer.analysis.signal.lens import known_f_number, lens_factor_sr, relative_sensitivity
+from radiometer.analysis.patch.outside import frame_u_rel
+from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
 from radiometer.analysis.signal.situation import common_u_rel, flat_field_for, situation_of
 from radiometer.data import Bracket, Calibration, CameraDescription, Frame, LensDescription, Provenance, RadianceMap
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
@@ -189,24 +191,41 @@ class StreamingMerge:
         if calibration is None:  # DN per s at the f-number of the first frame
             scale *= lens_factor_sr(self._situation.lens, self._terms[0].settings.f_number)
         flat = flat_field_for(calibration, shape)
-        if calibration is None or (flat is None and self._situation.lens.vignetting == "none"):
+        if calibration is None or (flat is None and falloff_known(self._camera, self._situation.lens) == "unknown"):
             return np.full(1, scale, np.float32)
         rows = np.arange(start // shape[1], (start + size) // shape[1])[:, None]
         columns = np.arange(shape[1])[None, :]
         place = relative_sensitivity(self._camera, self._situation.lens, flat, shape, columns, rows)
         return np.asarray((scale / place).ravel(), dtype=np.float32)
 
+    def _frames_u_rel(self, numbers: set[float | None]) -> float:
+        settings = [terms.settings for terms in self._terms]
+        calibration = self._calibration
+        return 0.0 if calibration is None else frame_u_rel(calibration, self._situation.lens, numbers, settings)
+
+    def _doubt_falloff(self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]) -> None:
+        """Add to the uncertainty of every pixel that of a natural fall-off which nobody declared or measured."""
+        calibration, lens = self._calibration, self._situation.lens
+        if calibration is None or calibration.flat_field is not None or falloff_known(self._camera, lens) != "assumed":
+            return
+        rows, columns = np.ogrid[: radiance.shape[0], : radiance.shape[1]]
+        place = relative_sensitivity(self._camera, lens, None, (radiance.shape[0], radiance.shape[1]), columns, rows)
+        lost = np.abs(place - calibration.scale.conditions.sensitivity) / place
+        doubt = calibration.uncertainties.falloff_u_rel * lost * radiance
+        np.hypot(u_radiance, doubt.astype(np.float32), out=u_radiance)
+
     def _map(
         self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32], mask: NDArray[np.uint8]
     ) -> RadianceMap:
         shape, calibration = self._known_shape(), self._calibration
         images = radiance.reshape(shape), u_radiance.reshape(shape), mask.reshape(shape)
+        self._doubt_falloff(*images[:2])
         repair_defects(*images, calibration.defects if calibration else ())
         numbers = {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
         return RadianceMap(
             *images,
             unit=RADIANCE_UNIT if calibration is not None and calibration.absolute else RELATIVE_UNIT,
-            u_rel_common=common_u_rel(self._situation, calibration, numbers),
+            u_rel_common=math.hypot(common_u_rel(self._situation, calibration), self._frames_u_rel(numbers)),
             exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
             provenance=Provenance(
                 "maximum-likelihood merge",

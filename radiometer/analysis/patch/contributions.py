@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import math
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.patch.estimate import PatchEstimate, curve_u_rel
 from radiometer.analysis.patch.frames import PatchFrame
+from radiometer.analysis.patch.outside import Falloff, Surround, outside_terms, stray_light
 from radiometer.analysis.signal.dark import DarkLevel
 from radiometer.analysis.signal.model import SignalModel
 from radiometer.analysis.signal.situation import (
@@ -19,9 +21,11 @@ from radiometer.analysis.signal.situation import (
     transmittance_u_rel,
 )
 from radiometer.analysis.uncertainty.budget import Term
-from radiometer.data import Calibration, LensDescription, StatedUncertainties
+from radiometer.data import Calibration, Flag, LensDescription, ScaleConditions, StatedUncertainties
 
 _FEWEST_PIXELS_FOR_SCATTER = 16
+# Readings of signals as near as this share the error of the response curve.
+_SAME_LEVEL = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +43,12 @@ class PatchSituation:
         scale: Radiance per unit of the estimate.
         calibration: None where uncalibrated.
         lens: Lens in use.
+        conditions: What the reading was made under, in the form that a scale keeps.
+        surround: Light of the whole picture.
+        falloff: What is known of the sensitivity over the picture.
+        light_frames: Number of light frames seen.
+        unsteady: Whether a frame clips that was exposed no longer than one that does not: the light changes.
+        now: Time of the reading, with time zone.
     """
 
     estimate: PatchEstimate
@@ -51,11 +61,24 @@ class PatchSituation:
     scale: float
     calibration: Calibration | None
     lens: LensDescription
+    conditions: ScaleConditions
+    surround: Surround
+    falloff: Falloff
+    light_frames: int
+    unsteady: bool
+    now: dt.datetime
 
     @property
     def value(self) -> float:
         """Return the radiance, or the relative value."""
         return self.scale * self.estimate.rate
+
+    @property
+    def shares_level(self) -> bool:
+        """Tell whether the signal is as high as at calibration, so that the response's error drops out."""
+        if self.calibration is None or "conditions" not in self.calibration.scale.model_fields_set:
+            return False
+        return abs(self.conditions.level - self.calibration.scale.conditions.level) <= _SAME_LEVEL
 
 
 def budget_terms(situation: PatchSituation) -> list[Term]:
@@ -65,6 +88,7 @@ def budget_terms(situation: PatchSituation) -> list[Term]:
         _response(situation),
         *_dark(situation),
         *_stated(situation),
+        *_outside(situation),
         *_clipped(situation),
     ]
 
@@ -85,21 +109,12 @@ def local_scatter(pixels: NDArray[np.float64], good: NDArray[np.bool_]) -> tuple
 def _observed(situation: PatchSituation) -> list[Term]:
     """Return repeatability, fixed pattern and source fluctuation."""
     estimate, count = situation.estimate, int(situation.good.sum())
-    scatter, _ = local_scatter(estimate.pixel_rates, situation.good)
-    enough = count >= _FEWEST_PIXELS_FOR_SCATTER
-    pattern = math.sqrt(max(0.0, scatter**2 - estimate.u_pixel**2) / count) if enough else 0.0
     frames = len(situation.frames)
     return [
         Term(
             "repeatability", situation.scale * estimate.u_noise, "A", note=f"noise of {count} pixels in {frames} frames"
         ),
-        Term(
-            "pixel pattern",
-            situation.scale * pattern,
-            "A",
-            max(count - 1, 1),
-            note="scatter between pixels beyond the noise model",
-        ),
+        _pattern(situation, count),
         Term(
             "source fluctuation",
             situation.scale * estimate.u_fluctuation,
@@ -110,6 +125,20 @@ def _observed(situation: PatchSituation) -> list[Term]:
     ]
 
 
+def _pattern(situation: PatchSituation, count: int) -> Term:
+    """Return what responsivity differs by from pixel to pixel: as the patch shows it, as stated where it is small."""
+    estimate = situation.estimate
+    scatter, _ = local_scatter(estimate.pixel_rates, situation.good)
+    seen = math.sqrt(max(0.0, scatter**2 - estimate.u_pixel**2))
+    if count >= _FEWEST_PIXELS_FOR_SCATTER:
+        note = "scatter between pixels beyond the noise model"
+        return Term("pixel pattern", situation.scale * seen / math.sqrt(count), "A", max(count - 1, 1), note=note)
+    known = situation.stated.prnu_u_rel * abs(estimate.rate)
+    note = f"{count} pixels are too few to show it: {100 * situation.stated.prnu_u_rel:g} % each as stated, or more"
+    u = situation.scale * max(seen, known) / math.sqrt(count)
+    return Term("pixel pattern", u, note=note, flag=Flag.SMALL_PATCH)
+
+
 def _response(situation: PatchSituation) -> Term:
     estimate = situation.estimate
     each = [
@@ -117,6 +146,8 @@ def _response(situation: PatchSituation) -> Term:
         for c, frame, x in zip(estimate.coefficients, situation.frames, estimate.expected, strict=True)
     ]
     note = "stated linearity" if situation.model.linear else "uncertainty of the response curve"
+    if situation.shares_level:
+        return Term("response curve", 0.0, correlated=True, note="signal as high as at calibration, so it drops out")
     return Term("response curve", situation.scale * float(sum(each)), correlated=True, note=note)
 
 
@@ -125,20 +156,38 @@ def _dark(situation: PatchSituation) -> list[Term]:
     own = float(np.sqrt(np.sum((c * [d.u_independent for d in situation.dark]) ** 2)))
     common = float(abs(c @ [d.u_common for d in situation.dark]))
     source = ", ".join(sorted({d.source for d in situation.dark}))
-    return [Term("dark and black level", situation.scale * math.hypot(own, common), note=source)]
+    u = situation.scale * math.hypot(own, common)
+    return [Term("dark and black level", u, note=source, flag=None if source == "dark frames" else Flag.DARK_ASSUMED)]
+
+
+def scale_u_rel(situation: PatchSituation) -> float:
+    """Return the scale's relative standard uncertainty without what reading and calibration share.
+
+    The same clock times both exposures, and the same part of the response curve serves signals of one height.
+    """
+    assert situation.calibration is not None
+    scale = situation.calibration.scale
+    shared = [scale.budget.get("exposure time", 0.0)]
+    if situation.shares_level:
+        shared.append(scale.budget.get("response curve", 0.0))
+    return math.sqrt(max(0.0, scale.u_rel**2 - sum(u**2 for u in shared)))
 
 
 def _stated(situation: PatchSituation) -> list[Term]:
     value, stated, calibration = abs(situation.value), situation.stated, situation.calibration
-    terms = [Term("exposure time", value * stated.exposure_u_rel, note="stated")]
     if calibration is None:
-        return terms
+        return [Term("exposure time", value * stated.exposure_u_rel, note="stated")]
     scale = calibration.scale
+    shared = "exposure time" in scale.budget
     return [
-        *terms,
+        Term(
+            "exposure time",
+            0.0 if shared else value * stated.exposure_u_rel,
+            note="by the clock that timed the calibration, so it drops out" if shared else "stated",
+        ),
         Term(
             "scale",
-            value * scale.u_rel,
+            value * scale_u_rel(situation),
             "B",
             scale.degrees_of_freedom or math.inf,
             correlated=True,
@@ -148,17 +197,31 @@ def _stated(situation: PatchSituation) -> list[Term]:
         _transmittance(situation, value),
         _magnification(situation, value),
         Term(
-            "flat field",
-            value * (calibration.flat_field.u_rel if calibration.flat_field else 0.0),
-            correlated=True,
-            note="of the correction" if calibration.flat_field else "no flat field in the calibration",
-        ),
-        Term(
             "spectral assumption",
             value * spectral_u_rel(calibration, stated),
             correlated=True,
             note=calibration.spectrum,
+            flag=Flag.SPECTRUM_ASSUMED,
         ),
+    ]
+
+
+def _outside(situation: PatchSituation) -> list[Term]:
+    """Return the contributions of what differs between the reading and its calibration."""
+    calibration = situation.calibration
+    if calibration is None:
+        return []
+    return [
+        *outside_terms(
+            situation.value,
+            situation.conditions,
+            calibration,
+            situation.lens,
+            situation.falloff,
+            linear=situation.model.linear,
+            now=situation.now,
+        ),
+        stray_light(situation.value, situation.scale * situation.surround.rate, calibration),
     ]
 
 

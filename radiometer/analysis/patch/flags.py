@@ -2,42 +2,79 @@
 
 from __future__ import annotations
 
-import datetime as dt
+from collections.abc import Sequence
 
 import numpy as np
 
-from radiometer.analysis.patch.contributions import PatchSituation, budget_terms, local_scatter
-from radiometer.analysis.uncertainty.budget import combined_u
+from radiometer.analysis.patch.contributions import PatchSituation, local_scatter
+from radiometer.analysis.uncertainty.budget import Term, combined_u
 from radiometer.data import Flag
 
 _NOISE_FLOOR_SIGMA = 2.0
 _NONUNIFORM_REL = 0.05
 
 
-def reading_flags(situation: PatchSituation, now: dt.datetime) -> tuple[Flag, ...]:
+# A contribution dominates from this part of the variance on, where it is more than a trifle.
+_DOMINATES = 0.5
+_TRIFLE_REL = 0.01
+# From this on the natural fall-off that nobody declared is told of.
+_FALLOFF_TOLD_REL = 0.002
+# Frames that tell whether the light flickers: these many; more where each is short against a period of mains light.
+FEWEST_FRAMES = 3
+FEWEST_SHORT_FRAMES = 5
+SHORT_FRAME_S = 0.01
+# A surround of which more than this clips everywhere may be of any brightness.
+_SURROUND_CLIPS = 0.002
+
+
+def reading_flags(situation: PatchSituation, terms: Sequence[Term]) -> tuple[Flag, ...]:
     """Return the flags of a reading, sorted by name.
 
     Args:
         situation: What the reading was made from.
-        now: Time the calibration's age is counted to, with time zone.
+        terms: Its budget.
     """
-    calibration, estimate = situation.calibration, situation.estimate
+    calibration, estimate, now = situation.calibration, situation.estimate, situation.now
     found = {
         Flag.SATURATED: not situation.frames[0].unclipped,
-        Flag.BELOW_NOISE: situation.value < _NOISE_FLOOR_SIGMA * _floor(situation),
+        Flag.BELOW_NOISE: situation.value < _NOISE_FLOOR_SIGMA * _floor(terms),
         Flag.EXTRAPOLATED: _extrapolates(situation),
         Flag.NONUNIFORM: _is_nonuniform(situation),
-        Flag.FLICKER: estimate.flickers,
+        Flag.FLICKER: estimate.flickers or situation.unsteady,
         Flag.UNCALIBRATED: calibration is None or not calibration.absolute,
         Flag.STALE_CALIBRATION: calibration is not None and calibration.is_stale(now),
     }
-    return tuple(sorted(flag for flag, raised in found.items() if raised))
+    if calibration is not None:
+        found[Flag.FEW_FRAMES] = _too_few_frames(situation)
+        found[Flag.STRAY_LIGHT] = situation.surround.clipped > _SURROUND_CLIPS
+    raised = {flag for flag, here in found.items() if here} | _dominant(situation.value, terms)
+    if Flag.BELOW_NOISE in raised:
+        raised.discard(Flag.DARK_ASSUMED)  # noise and dark level are what it is below
+    return tuple(sorted(raised))
 
 
-def _floor(situation: PatchSituation) -> float:
+def _floor(terms: Sequence[Term]) -> float:
     """Return the standard uncertainty that is left without light: noise and dark level, in the reading's unit."""
     named = ("repeatability", "dark and black level")
-    return combined_u(term for term in budget_terms(situation) if term.name in named)
+    return combined_u(term for term in terms if term.name in named)
+
+
+def _dominant(value: float, terms: Sequence[Term]) -> set[Flag]:
+    """Return the flags of contributions that make up most of the variance, and of a fall-off that was assumed."""
+    whole, size = combined_u(terms), abs(value)
+    found = {
+        term.flag
+        for term in terms
+        if term.flag is not None and term.u > _TRIFLE_REL * size and term.u**2 >= _DOMINATES * whole**2
+    }
+    assumed = (term for term in terms if term.flag is Flag.FALLOFF_ASSUMED and term.u > _FALLOFF_TOLD_REL * size)
+    return found | {Flag.FALLOFF_ASSUMED for _ in assumed}
+
+
+def _too_few_frames(situation: PatchSituation) -> bool:
+    """Tell whether the frames are too few to show that the light is steady."""
+    longest = max(frame.settings.exposure_s for frame in situation.frames)
+    return len(situation.frames) < (FEWEST_FRAMES if longest >= SHORT_FRAME_S else FEWEST_SHORT_FRAMES)
 
 
 def _extrapolates(situation: PatchSituation) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -18,6 +19,8 @@ from radiometer.units import gain_factor
 _CLEAR_OF_CLIPPING_SIGMA = 4.0
 # More clipped pixels than this are part of the scene, fewer are defects.
 _DEFECT_FRACTION = 0.01
+# So many pixels of the whole picture tell its mean.
+_PIXELS_OF_THE_WHOLE = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +34,8 @@ class PatchFrame:
         usable: Whether no part of the patch clips or leaves the data of the response curve at the bright end.
         unclipped: Whether no part of the patch clips.
         clipped: Pixels at or above clipping, same shape.
+        whole: Mean signal x of the whole picture, dark level not yet taken off.
+        whole_clipped: Part of the whole picture that clips; the mean is too low then.
     """
 
     settings: FrameSettings
@@ -39,6 +44,8 @@ class PatchFrame:
     usable: bool
     unclipped: bool
     clipped: NDArray[np.bool_]
+    whole: float
+    whole_clipped: float
 
 
 def split_frames(frames: Iterable[Frame]) -> tuple[Iterable[Frame], list[Frame]]:
@@ -104,18 +111,33 @@ def _crop(frame: Frame, patch: Patch, model: SignalModel) -> PatchFrame:
     end = model.saturation_dn(frame.settings, within_data=False)
     clipped = dn >= limit
     few = clipped.sum() <= _DEFECT_FRACTION * dn.size
-    mean, spread = _robust(dn) if few else (float(dn.mean()), float(dn.std()))
+    brightest = _brightest_part(dn) if few else float(dn.max())
     expected = model.table(frame.settings)
     signal = expected[dn]
-    sigma = max(spread, _noise_dn(model, frame.settings, mean))
-    usable = bool(few and mean + _CLEAR_OF_CLIPPING_SIGMA * sigma < limit)
-    unclipped = usable or bool(dn.max() < end and mean + _CLEAR_OF_CLIPPING_SIGMA * sigma < end)
-    return PatchFrame(frame.settings, dn, signal, usable, unclipped, clipped)
+    sigma = max(_neighbour_noise(dn), _noise_dn(model, frame.settings, brightest))
+    usable = bool(few and brightest + _CLEAR_OF_CLIPPING_SIGMA * sigma < limit)
+    unclipped = usable or bool(dn.max() < end and brightest + _CLEAR_OF_CLIPPING_SIGMA * sigma < end)
+    step = max(1, math.isqrt(frame.dn.size // _PIXELS_OF_THE_WHOLE))
+    few_of_all = frame.dn[::step, ::step]
+    whole, whole_clipped = float(expected[few_of_all].mean()), float(np.mean(few_of_all >= end))
+    return PatchFrame(frame.settings, dn, signal, usable, unclipped, clipped, whole, whole_clipped)
 
 
-def _robust(dn: DigitalNumbers) -> tuple[float, float]:
-    low, middle, high = np.percentile(dn, (15.865, 50.0, 84.135))
-    return float(middle), float(high - low) / 2.0
+def _brightest_part(dn: DigitalNumbers) -> float:
+    """Return the level of the brightest part of a patch that is more than a defect, its noise taken off.
+
+    A patch may lie across an edge: then it is the bright half that must not clip. In an even patch the 95th
+    percentile lies 1.645 standard deviations of the noise above the level.
+    """
+    high = float(np.percentile(dn, 95.0))
+    return max(float(np.median(dn)), high - 1.645 * _neighbour_noise(dn))
+
+
+def _neighbour_noise(dn: DigitalNumbers) -> float:
+    """Return the noise in DN from the middle of the differences between neighbours, which edges do not move."""
+    values = dn.astype(np.float64)
+    differences = np.concatenate([np.diff(values, axis=axis).ravel() for axis in (0, 1)])
+    return float(1.4826 * np.median(np.abs(differences)) / math.sqrt(2.0)) if differences.size else 0.0
 
 
 def _noise_dn(model: SignalModel, settings: FrameSettings, dn: float) -> float:

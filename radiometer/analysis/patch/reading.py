@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -10,15 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.patch.contributions import PatchSituation, budget_terms
-from radiometer.analysis.patch.estimate import estimate_patch
+from radiometer.analysis.patch.estimate import PatchEstimate, estimate_patch
 from radiometer.analysis.patch.flags import reading_flags
 from radiometer.analysis.patch.frames import PatchFrame, crop_frames
+from radiometer.analysis.patch.outside import Falloff, Surround, conditions_of
 from radiometer.analysis.signal.dark import dark_levels
-from radiometer.analysis.signal.lens import known_f_number, lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
 from radiometer.analysis.signal.photometry import holds_visible_light, luminous_efficacy_lm_per_w
 from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of
 from radiometer.analysis.signal.spectra import spectrum as spectrum_of
-from radiometer.analysis.uncertainty.budget import combined_u
+from radiometer.analysis.uncertainty.budget import combined_u, coverage_factor, effective_degrees_of_freedom
 from radiometer.data import (
     Calibration,
     CameraDescription,
@@ -28,6 +30,8 @@ from radiometer.data import (
     Provenance,
     Quantity,
     Reading,
+    ScaleConditions,
+    SourceDescription,
 )
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.errors import MeasurementError
@@ -41,6 +45,7 @@ def read_patch(
     lens: LensDescription,
     *,
     spectrum: str | None = None,
+    source: SourceDescription | None = None,
     now: dt.datetime | None = None,
     sequence: int = 0,
 ) -> Reading:
@@ -53,6 +58,7 @@ def read_patch(
         camera: The camera in use.
         lens: The lens in use.
         spectrum: Name of the source's spectrum, or path of a CSV, for the luminance; None takes the calibration's.
+        source: What is known of the light; that of a screen counts as polarised where nothing else is said.
         now: Time that the calibration's age is counted to, with time zone; None for the present.
         sequence: Running number of the reading.
 
@@ -62,8 +68,8 @@ def read_patch(
         MeasurementError: If the patch lies outside the frame, or there is no light frame.
     """
     settled = situation_of(calibration, camera, lens)
-    situation, frame_count = _patch_situation(frames, patch, calibration, camera, settled)
-    reading = _reading(situation, settled, patch, camera, frame_count, now, sequence)
+    situation = _patch_situation(frames, patch, calibration, camera, settled, source, now)
+    reading = _reading(situation, settled, patch, camera, sequence)
     return _with_luminance(reading, calibration, spectrum)
 
 
@@ -73,6 +79,8 @@ def patch_situation(
     calibration: Calibration | None,
     camera: CameraDescription,
     lens: LensDescription,
+    source: SourceDescription | None = None,
+    now: dt.datetime | None = None,
 ) -> PatchSituation:
     """Return what a reading of a patch is made from, for a look behind its budget.
 
@@ -82,12 +90,14 @@ def patch_situation(
         calibration: The camera's calibration, or None.
         camera: The camera in use.
         lens: The lens in use.
+        source: What is known of the light.
+        now: Time of the reading, with time zone; None for the present.
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
         MeasurementError: If the patch lies outside the frame, or there is no light frame.
     """
-    return _patch_situation(frames, patch, calibration, camera, situation_of(calibration, camera, lens))[0]
+    return _patch_situation(frames, patch, calibration, camera, situation_of(calibration, camera, lens), source, now)
 
 
 def _patch_situation(
@@ -96,19 +106,22 @@ def _patch_situation(
     calibration: Calibration | None,
     camera: CameraDescription,
     settled: Situation,
-) -> tuple[PatchSituation, int]:
-    """Return the situation of a patch and the number of light frames seen."""
+    source: SourceDescription | None,
+    now: dt.datetime | None,
+) -> PatchSituation:
     light, dark_frames, shape = crop_frames(frames, patch, settled.model)
     chosen = [one for one in light if one.usable] or [one for one in light if one.unclipped] or [light[0]]
     good = ~np.any([one.clipped for one in chosen], axis=0) if chosen[0].usable else np.ones(chosen[0].dn.shape, bool)
     good = _without_defects(good, calibration, patch)
     dark = dark_levels([one.settings for one in chosen], dark_frames, settled.model, settled.black)
     place = _sensitivity(calibration, camera, settled.lens, shape, patch)
+    factors = float(place.mean()) * _lens_factors(light, calibration, settled.lens)
+    surround = _surround(light, factors, settled)
+    kept = [any(one is other for other in chosen) for one in light]
     chosen = [_evened(one, level.signal, place) for one, level in zip(chosen, dark, strict=True)]
-    factors = float(place.mean()) * _lens_factors(chosen, calibration, settled.lens)
-    exposures = np.array([one.settings.exposure_s for one in chosen]) * factors
+    exposures = np.array([one.settings.exposure_s for one in chosen]) * factors[kept]
     estimate = estimate_patch(chosen, dark, exposures, good, settled.model)
-    made_from = PatchSituation(
+    return PatchSituation(
         estimate,
         tuple(chosen),
         tuple(dark),
@@ -119,8 +132,77 @@ def _patch_situation(
         settled.scale,
         calibration,
         settled.lens,
+        _conditions(estimate, chosen, settled, surround, place, _field(camera, settled.lens, shape, patch), source),
+        surround,
+        _falloff(calibration, camera, settled.lens, chosen, place),
+        len(light),
+        _unsteady(light),
+        now or dt.datetime.now(dt.UTC),
     )
-    return made_from, len(light)
+
+
+def _unsteady(light: list[PatchFrame]) -> bool:
+    """Tell whether a frame clips that was exposed no longer than one that does not."""
+    unclipped = [one.settings.effective_exposure_s for one in light if one.unclipped]
+    clipped = [one.settings.effective_exposure_s for one in light if not one.unclipped and one.clipped.all()]
+    return bool(unclipped and clipped) and min(clipped) <= max(unclipped) * (1.0 + 1e-9)
+
+
+def _surround(light: list[PatchFrame], factors: NDArray[np.float64], settled: Situation) -> Surround:
+    """Return the light of the whole picture from the frame that shows most of it unclipped, the longest of those."""
+    best = min(range(len(light)), key=lambda i: (round(light[i].whole_clipped, 3), -light[i].settings.exposure_s))
+    one = light[best]
+    signal = one.whole - settled.model.modelled_dark(one.settings)
+    return Surround(signal / (one.settings.exposure_s * float(factors[best])), one.whole_clipped)
+
+
+def _conditions(
+    estimate: PatchEstimate,
+    chosen: list[PatchFrame],
+    settled: Situation,
+    surround: Surround,
+    place: NDArray[np.float64],
+    field: float,
+    source: SourceDescription | None,
+) -> ScaleConditions:
+    shares = estimate.coefficients * estimate.expected / (estimate.rate or 1.0)
+    model, settings = settled.model, [one.settings for one in chosen]
+    heights = [
+        (float(model.dn_of(x, one)) - model.black_of(one)) / (model.full_scale_dn - model.black_of(one))
+        for x, one in zip(estimate.expected, settings, strict=True)
+    ]
+    level = float(np.abs(shares) @ heights) / max(float(np.abs(shares).sum()), 1e-300)
+    ratio = surround.rate / estimate.rate if estimate.rate > 0.0 else 0.0
+    polarised = None if source is None else source.polarised
+    if source is not None and polarised is None and source.kind == "screen":
+        polarised = True
+    return conditions_of(shares, settings, level, float(place.mean()), field, ratio, polarised)
+
+
+def _field(camera: CameraDescription, lens: LensDescription, shape: tuple[int, int], patch: Patch) -> float:
+    """Return the distance of a patch from the optical axis over that of a corner of the frame."""
+    middle = ((shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0)
+    centre = lens.principal_point_px or middle
+    away = (patch.x + (patch.width - 1) / 2.0 - centre[0], patch.y + (patch.height - 1) / 2.0 - centre[1])
+    return math.hypot(*away) / max(math.hypot(*middle), 0.5)
+
+
+def _falloff(
+    calibration: Calibration | None,
+    camera: CameraDescription,
+    lens: LensDescription,
+    chosen: list[PatchFrame],
+    place: NDArray[np.float64],
+) -> Falloff:
+    """Return what is known of the sensitivity over the picture."""
+    flat = calibration.flat_field if calibration else None
+    if flat is None:
+        return Falloff(falloff_known(camera, lens))
+    numbers = {one.settings.f_number or lens.f_number for one in chosen}
+    same = flat.f_number is None or all(n is not None and abs(n / flat.f_number - 1.0) < 0.03 for n in numbers)
+    # Mechanical vignetting comes and goes with the iris: then half of the measured fall-off is in doubt.
+    doubt = 0.0 if same else 0.5 * abs(1.0 - float(place.mean()))
+    return Falloff("flat_field", math.hypot(flat.u_rel, doubt))
 
 
 def _without_defects(good: NDArray[np.bool_], calibration: Calibration | None, patch: Patch) -> NDArray[np.bool_]:
@@ -166,33 +248,29 @@ def _lens_factors(
 
 
 def _reading(
-    situation: PatchSituation,
-    settled: Situation,
-    patch: Patch,
-    camera: CameraDescription,
-    frame_count: int,
-    now: dt.datetime | None,
-    sequence: int,
+    situation: PatchSituation, settled: Situation, patch: Patch, camera: CameraDescription, sequence: int
 ) -> Reading:
     calibration, estimate = situation.calibration, situation.estimate
     value = settled.scale * estimate.rate
     terms = budget_terms(situation)
     absolute = calibration is not None and calibration.absolute
-    moment = now or dt.datetime.now(dt.UTC)
+    freedom = effective_degrees_of_freedom(terms)
     return Reading(
         radiance=Quantity(value, combined_u(terms), RADIANCE_UNIT if absolute else RELATIVE_UNIT),
         patch=patch,
         instrument=camera.serial or camera.model or "unknown",
-        flags=reading_flags(situation, moment),
+        flags=reading_flags(situation, terms),
         exposures_s=tuple(sorted({one.settings.exposure_s for one in situation.frames})),
         budget=tuple(term.contribution(value) for term in terms),
         sequence=sequence,
-        time=moment.astimezone(dt.UTC).isoformat(timespec="microseconds").replace("+00:00", "Z"),
+        coverage_factor=coverage_factor(freedom),
+        degrees_of_freedom=freedom,
+        time=situation.now.astimezone(dt.UTC).isoformat(timespec="microseconds").replace("+00:00", "Z"),
         provenance=Provenance(
             "maximum-likelihood patch estimate",
             assumptions=settled.assumptions,
             parameters={
-                "frames": frame_count,
+                "frames": situation.light_frames,
                 "frames_used": len(situation.frames),
                 "fluctuation_rel": estimate.fluctuation_rel,
             },

@@ -91,8 +91,8 @@ def relative_sensitivity(
 ) -> NDArray[np.float64]:
     """Return the sensitivity at pixel positions relative to the optical axis.
 
-    A flat field is used where there is one; else cos⁴α where the lens description says that it holds
-    (`vignetting: cos4`) and focal length and pixel pitch are known; else 1.
+    A flat field is used where there is one; else the natural fall-off cos⁴α, declared or not, where focal length and
+    pixel pitch are known; else 1.
 
     Args:
         camera: Pixel pitch and spacing in µm.
@@ -106,8 +106,15 @@ def relative_sensitivity(
     if flat_field is not None:
         return flat_field.at(x, y)
     pitch_um = camera.pixel_spacing_um or camera.pixel_pitch_um
-    if lens.vignetting != "cos4" or lens.focal_length_mm is None or pitch_um is None:
+    if lens.focal_length_mm is None or pitch_um is None:
         return np.ones(x.shape)
     centre = lens.principal_point_px or ((shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0)
     tan2 = ((x - centre[0]) ** 2 + (y - centre[1]) ** 2) * (pitch_um * 1e-3 / lens.focal_length_mm) ** 2
     return np.asarray(1.0 / (1.0 + tan2) ** 2)
+
+
+def falloff_known(camera: CameraDescription, lens: LensDescription) -> str:
+    """Return what is known of the fall-off without a flat field: "cos4" (declared), "assumed" or "unknown"."""
+    if lens.focal_length_mm is None or (camera.pixel_spacing_um or camera.pixel_pitch_um) is None:
+        return "unknown"
+    return "cos4" if lens.vignetting == "cos4" else "assumed"

@@ -166,25 +166,19 @@ def magnification_u_rel(calibration: Calibration | None, lens: LensDescription) 
     return 2.0 * u / (1.0 + here), f"magnification {here:.3g} in use, {there:.3g} at calibration"
 
 
-def common_u_rel(situation: Situation, calibration: Calibration | None, numbers: set[float | None]) -> float:
-    """Return the relative standard uncertainty that all pixels of a radiance map share.
+def common_u_rel(situation: Situation, calibration: Calibration | None) -> float:
+    """Return the relative standard uncertainty that all pixels of a radiance map share, whatever its frames.
 
     Args:
         situation: What the map rests on.
         calibration: The calibration; None where uncalibrated.
-        numbers: f-numbers of the frames.
     """
     stated = situation.stated
     linearity = stated.linearity_u_rel if situation.model.linear else 0.0
     parts = [stated.exposure_u_rel, linearity]
     if calibration is not None:
         flat = calibration.flat_field.u_rel if calibration.flat_field else 0.0
-        lens_parts = (
-            f_number_u_rel(calibration, stated, numbers)[0],
-            transmittance_u_rel(calibration, situation.lens)[0],
-            magnification_u_rel(calibration, situation.lens)[0],
-        )
-        parts += [calibration.scale.u_rel, spectral_u_rel(calibration, stated), flat, *lens_parts]
+        parts += [calibration.scale.u_rel, spectral_u_rel(calibration, stated), flat]
     return math.hypot(*parts)
 
 

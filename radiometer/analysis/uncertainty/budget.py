@@ -9,7 +9,7 @@ from typing import Final
 
 from scipy import stats
 
-from radiometer.data import Contribution, Quantity, Reading
+from radiometer.data import Contribution, Flag, Quantity, Reading
 from radiometer.errors import MeasurementError
 
 _DEPENDS_ON_LEVEL: Final = frozenset({"response curve"})
@@ -27,6 +27,7 @@ class Term:
         degrees_of_freedom: Of the estimate; infinite where taken as exactly known.
         correlated: True where two readings made with one calibration share it.
         note: Where the figure comes from.
+        flag: Raised where the contribution dominates a reading; None for one that needs no word of its own.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Term:
     degrees_of_freedom: float = math.inf
     correlated: bool = False
     note: str = ""
+    flag: Flag | None = None
 
     def contribution(self, value: float) -> Contribution:
         """Return the line of the budget relative to a value (relative to its own u where the value is zero)."""

@@ -7,14 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.patch.contributions import PatchSituation, local_scatter
+from radiometer.analysis.patch.contributions import PatchSituation, budget_terms
 from radiometer.analysis.patch.estimate import curve_u_rel
-from radiometer.analysis.signal.situation import (
-    f_number_u_rel,
-    magnification_u_rel,
-    spectral_u_rel,
-    transmittance_u_rel,
-)
 
 Array = NDArray[np.float64]
 
@@ -36,10 +30,18 @@ class Distribution:
     high: float
 
 
-def propagate_distributions(situation: PatchSituation, rng: np.random.Generator, trials: int = 20_000) -> Distribution:
+# Contributions that are drawn where they arise, in the signal; all others are factors of the value.
+_IN_THE_SIGNAL = frozenset(
+    {"repeatability", "pixel pattern", "source fluctuation", "response curve", "dark and black level", "stray light"}
+)
+# Factors that the measurement equation divides by.
+_DIVISORS = frozenset({"exposure time", "exposure offset", "lens transmittance", "flat field", "fall-off"})
+
+
+def propagate_distributions(situation: PatchSituation, rng: np.random.Generator, trials: int = 100_000) -> Distribution:
     """Return the distribution of a reading from draws of all its inputs through the measurement equation itself.
 
-    The equation is L = s·Σ c_i·(x_i·(1 + curve_i) − d_i)·(1 + spectral) / [(1 + exposure)·(1 + f-number)⁻²·τ·flat],
+    The equation is L = s·Σ c_i·(x_i·(1 + curve_i) − d_i)·Π(1 + factor)/Π(1 + divisor)·(1 + stop)² + stray light:
     quotients and powers as they stand. Inputs from few observations are drawn from Student's t.
 
     Args:
@@ -49,26 +51,27 @@ def propagate_distributions(situation: PatchSituation, rng: np.random.Generator,
 
     Source: JCGM 101:2008, sections 5.9 to 7.7.
     """
-    rates = _rates(situation, rng, trials)
-    calibration, stated = situation.calibration, situation.stated
-    value = situation.scale * rates / (1.0 + stated.exposure_u_rel * rng.standard_normal(trials))
-    if calibration is not None:
-        value *= 1.0 + _drawn(calibration.scale.u_rel, calibration.scale.degrees_of_freedom, rng, trials)
-        value *= 1.0 + spectral_u_rel(calibration, stated) * rng.standard_normal(trials)
-        numbers = {frame.settings.f_number or situation.lens.f_number for frame in situation.frames}
-        number_u = f_number_u_rel(calibration, stated, numbers)[0] / 2.0
-        value *= (1.0 + number_u * rng.standard_normal(trials)) ** 2
-        value /= 1.0 + transmittance_u_rel(calibration, situation.lens)[0] * rng.standard_normal(trials)
-        value *= 1.0 + magnification_u_rel(calibration, situation.lens)[0] * rng.standard_normal(trials)
-        flat_u = calibration.flat_field.u_rel if calibration.flat_field else 0.0
-        value /= 1.0 + flat_u * rng.standard_normal(trials)
-    return _summary(value)
+    value = situation.scale * _rates(situation, rng, trials)
+    size, stray = abs(situation.value) or 1.0, 0.0
+    for term in budget_terms(situation):
+        if term.u == 0.0 or term.name in _IN_THE_SIGNAL:
+            stray = term.u if term.name == "stray light" else stray
+            continue
+        drawn = _student(term.u / size, term.degrees_of_freedom, rng, trials)
+        if term.name == "f-number":
+            value *= (1.0 + drawn / 2.0) ** 2
+        elif term.name in _DIVISORS:
+            value /= 1.0 + drawn
+        else:
+            value *= 1.0 + drawn
+    return _summary(value + stray * rng.standard_normal(trials) if stray else value)
 
 
 def _rates(situation: PatchSituation, rng: np.random.Generator, trials: int) -> Array:
     """Return drawn estimates: means of every frame with noise, pattern and fluctuation, through curve and dark."""
     estimate, count = situation.estimate, int(situation.good.sum())
     rates = np.zeros(trials)
+    curve_counts = not situation.shares_level  # at the calibration's level its error drops out
     curve = rng.standard_normal(trials)  # one draw: the curve's error is taken as the same at all its numbers
     common_dark = rng.standard_normal(trials)
     for c, frame, dark, expected in zip(
@@ -79,17 +82,11 @@ def _rates(situation: PatchSituation, rng: np.random.Generator, trials: int) -> 
         fluctuation = estimate.fluctuation_rel * expected
         drawn = mean + noise * rng.standard_normal(trials)
         drawn += _student(fluctuation, max(estimate.degrees_of_freedom, 1), rng, trials)
-        bent = (drawn - dark.signal) * curve_u_rel(situation.model, frame, expected) * curve
+        bent = (drawn - dark.signal) * curve_u_rel(situation.model, frame, expected) * curve * curve_counts
         lying = dark.u_common * common_dark + dark.u_independent * rng.standard_normal(trials)
         rates += c * (drawn + bent - dark.signal - lying)
-    scatter, _ = local_scatter(estimate.pixel_rates, situation.good)
-    beyond = max(0.0, scatter**2 - estimate.u_pixel**2) if count >= 16 else 0.0
-    pattern: Array = np.sqrt(beyond / count) * rng.standard_normal(trials)
-    return rates + pattern
-
-
-def _drawn(u: float, degrees_of_freedom: float | None, rng: np.random.Generator, trials: int) -> Array:
-    return _student(u, degrees_of_freedom or np.inf, rng, trials)
+    pattern = next(term for term in budget_terms(situation) if term.name == "pixel pattern")
+    return rates + _student(pattern.u / situation.scale, pattern.degrees_of_freedom, rng, trials)
 
 
 def _student(u: float, degrees_of_freedom: float, rng: np.random.Generator, trials: int) -> Array:

@@ -29,6 +29,7 @@ def test_a_reading_speaks_the_documented_json():
         "coverage_factor": 2.0,
         "U_rel": 2 * 0.011 / 1.234,
         "flags": ["nonuniform"],
+        "degrees_of_freedom": None,
         "exposures_s": [0.001, 0.004],
         "sequence": 17,
     }
@@ -46,10 +47,33 @@ def test_flags_are_the_documented_words():
     """Nothing else may appear in `flags`."""
     assert sorted(Flag) == [
         "below_noise",
+        "dark_assumed",
+        "drift",
         "extrapolated",
+        "falloff_assumed",
+        "few_frames",
         "flicker",
+        "gain",
+        "lens_changed",
+        "linearity",
         "nonuniform",
+        "polarisation",
         "saturated",
+        "short_exposure",
+        "small_patch",
+        "spectrum_assumed",
         "stale_calibration",
+        "stray_light",
+        "temperature",
         "uncalibrated",
     ]
+
+
+def test_the_expanded_uncertainty_follows_the_stated_factor():
+    """U = k·u: at k = 4.53 (two degrees of freedom) it is 4.53 u, and the JSON says both."""
+    reading = Reading(
+        Quantity(2.0, 0.1, "W sr-1 m-2"), Patch(0, 0, 1, 1), "x", coverage_factor=4.53, degrees_of_freedom=2.0
+    )
+    spoken = json.loads(reading.to_json())
+    assert spoken["U_rel"] == 4.53 * 0.05
+    assert (spoken["coverage_factor"], spoken["degrees_of_freedom"]) == (4.53, 2.0)

@@ -43,7 +43,7 @@ def test_a_scale_from_a_known_source_reads_other_patches_right(rig, capture, tmp
     calibration = Calibration.read(tmp_path / "cal.yaml")
     assert calibration.scale.value == pytest.approx(rig.true_scale, rel=0.002)
     assert calibration.scale.u_rel == pytest.approx(math.hypot(0.004, 0.001), rel=0.1)
-    frames = rig.frames(np.full((24, 24), radiance / 10), np.random.default_rng(2), (1e-3, 8e-3))
+    frames = rig.frames(np.full((24, 24), radiance / 10), np.random.default_rng(2), (1e-3, 2e-3, 4e-3, 8e-3, 8e-3))
     reading = read_patch(frames, Patch(0, 0, 24, 24), calibration, rig.description, rig.lens)
     assert abs(reading.radiance.value - radiance / 10) < 2 * reading.radiance.u
     assert reading.flags == ()
@@ -61,7 +61,20 @@ def test_the_meter_puts_the_reference_pixel_at_its_exposure(curve, tmp_path, cap
     exposure = calibration.scale.value * (127 / 128) ** 2.2
     radiance = report["metered"]["radiance"]["value"]
     assert exposure == pytest.approx(radiance * math.pi / 4 / 256 / 125, rel=1e-6)
-    assert calibration.scale.u_rel == pytest.approx(math.hypot(math.log(2) / 6 / math.sqrt(3), 0.005), rel=1e-3)
+    of_iso_2720 = (13.4 - 10.6) / (13.4 + 10.6) / math.sqrt(3)
+    expected = math.hypot(math.log(2) / 6 / math.sqrt(3), of_iso_2720, 0.005)
+    assert calibration.scale.u_rel == pytest.approx(expected, rel=1e-3)
+
+
+def test_the_stated_uncertainty_of_the_constant_counts(curve, tmp_path, capsys):
+    """K known to 3 %: beside the meter's sixth of a stop and the curve's 0.5 %, in the scale and in the luminance."""
+    command = ["calibrate", "--response", str(curve), *METER, "--k-u-rel", "0.03", "--reference-dn", "127", "--json"]
+    assert run([*command, "-o", str(tmp_path / "cal.yaml")]) == 0
+    meter = math.log(2) / 6 / math.sqrt(3)
+    scale = Calibration.read(tmp_path / "cal.yaml").scale
+    assert scale.u_rel == pytest.approx(math.hypot(meter, 0.03, 0.005), rel=1e-3)
+    luminance = json.loads(capsys.readouterr().out)["metered"]["luminance"]
+    assert luminance["u"] / luminance["value"] == pytest.approx(math.hypot(meter, 0.03), rel=1e-6)
 
 
 def test_settings_are_read_as_exact_stops(curve, tmp_path, capsys):
@@ -79,7 +92,7 @@ def test_both_ways_give_a_ratio_and_the_better_scale(capture, tmp_path, capsys):
     report = json.loads(capsys.readouterr().out)
     assert report["scale"]["method"] == "known_radiance"
     ratio = report["meter_over_source"]
-    assert ratio["u"] / ratio["value"] == pytest.approx(0.0668, rel=0.01)
+    assert ratio["u"] / ratio["value"] == pytest.approx(math.hypot(0.0668, 0.0674), rel=0.01)
     other = Calibration.read(tmp_path / "cal.yaml").provenance.parameters["other_scale"]
     assert other["value"] / report["scale"]["value"] == pytest.approx(ratio["value"])
 

@@ -310,9 +310,9 @@ def test_without_a_calibration_the_map_is_relative(rig):
 
 
 def test_the_common_uncertainty_is_stated_apart(rig):
-    """Scale, exposure time and linearity add in quadrature for all pixels alike."""
+    """Scale, exposure time, linearity and 3 K of unknown temperature add in quadrature for all pixels alike."""
     found = merged(rig, rig.frames(scene(rig), np.random.default_rng(1), (1e-3,)), u_rel=0.01)
-    assert found.u_rel_common == pytest.approx((0.01**2 + 1e-3**2 + 1e-4**2) ** 0.5)
+    assert found.u_rel_common == pytest.approx((0.01**2 + 1e-3**2 + 1e-4**2 + 3e-3**2) ** 0.5)
 
 
 def test_more_than_thirty_two_frames(rig):

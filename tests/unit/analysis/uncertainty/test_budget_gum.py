@@ -14,6 +14,8 @@ from radiometer.analysis.uncertainty.monte_carlo import propagate_distributions
 from radiometer.data import BlackLevel, Contribution, FlatField, Patch, Quantity, Reading, Scale, StatedUncertainties
 from radiometer.errors import MeasurementError
 
+# What a test of single contributions leaves out: everything outside the model.
+EXACT = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0))
 FLAT = FlatField(
     principal_point_px=(8.0, 8.0), radius_px=12.0, coefficients=(-0.1, 0.0, 0.0), shape=(16, 16), u_rel=0.01
 )
@@ -57,7 +59,7 @@ def test_linear_and_monte_carlo_budgets_agree(rig, case):
 
 def test_monte_carlo_notices_a_missing_contribution(rig):
     """A budget whose scale uncertainty is taken away no longer agrees: the check can fail."""
-    inputs = reading_inputs(rig, 0.5, (1e-3,), {"u_rel": 0.02})
+    inputs = reading_inputs(rig, 0.5, (1e-3,), {"u_rel": 0.02, "uncertainties": EXACT})
     linear = read_patch(*inputs)
     without = math.sqrt(sum(one.u_rel**2 for one in linear.budget if one.name != "scale")) * linear.radiance.value
     drawn = propagate_distributions(patch_situation(*inputs), np.random.default_rng(1))
@@ -133,9 +135,7 @@ def test_ratio_of_two_real_readings_is_honest(rig):
     rng = np.random.default_rng(3)
     hits = 0
     for seed in range(40):
-        calibration = rig.calibration(
-            rng.normal(0, 0.05), 0.05, uncertainties=StatedUncertainties(exposure_u_rel=0.0, linearity_u_rel=0.0)
-        )
+        calibration = rig.calibration(rng.normal(0, 0.05), 0.05, uncertainties=EXACT)
         full = rig.radiance_of_full_scale(1e-3)
         readings = [
             read_patch(
