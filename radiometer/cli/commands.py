@@ -41,4 +41,6 @@ COMMANDS: Final[dict[str, CommandEntry]] = {
     "simulate": CommandEntry("radiometer.cli.simulate", "Serve a simulated device as if it were a real one."),
     "devices": CommandEntry("radiometer.cli.devices", "List the cameras and boxes that can be opened."),
     "doctor": CommandEntry("radiometer.cli.doctor", "Check computer and camera, and say how to cure what is wrong."),
+    "new-bench": CommandEntry("radiometer.cli.new_bench", "Ask five questions and write a bench file."),
+    "completion": CommandEntry("radiometer.cli.completion", "Print what makes a shell complete commands and options."),
 }
