@@ -40,6 +40,9 @@ def command(
     without: Annotated[list[str] | None, typer.Option(help="Leave an entry out of the catalogue.")] = None,
     effects: Annotated[list[Path] | None, typer.Option(help="Python file with further effects to look for.")] = None,
     provisional: Annotated[bool, typer.Option("--provisional", help="Switch provisional effects on in -o.")] = False,
+    plan_only: Annotated[
+        bool, typer.Option("--plan-only", help="Only tell which effects these captures could tell apart.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
 ) -> None:
     """Find where simulation and measurement disagree, name the missing effect, add it, show the gap shrink.
@@ -52,6 +55,9 @@ def command(
 
     _read_effects(effects or [])
     _refuse_unknown(without or [])
+    if plan_only:
+        _show_plan(capture, model, tuple(without or ()), json=json)
+        return
     photographs = _photographs(capture)
     with progress_bar(shown=not json) as bar:
         task = bar.add_task("reading frames", total=None)
@@ -78,6 +84,29 @@ def command(
             note(f"wrote {path}")
     if plan and not planned:
         note(f"no {plan}: no further capture of this kind would tell more")
+
+
+def _show_plan(capture: Path, model_path: Path | None, without: tuple[str, ...], *, json: bool) -> None:
+    """Tell what the captures of a set can separate."""
+    import json as text
+
+    from radiometer.reconcile.engine import plan_of, whole_catalogue
+    from simulators.camera_model import CameraModel
+
+    entries = {name: kind for name, kind in whole_catalogue().items() if name not in without}
+    found = plan_of(capture, CameraModel.read(model_path) if model_path else None, catalogue=entries)
+    if json:
+        print(text.dumps(found.to_mapping(), ensure_ascii=False))
+        return
+    out = console()
+    for entry in found.together:
+        out.print(f"these captures cannot tell {entry.name} from {', '.join(entry.others)}")
+        if entry.capture:
+            out.print(f"   {entry.capture['description']}")
+    if not found.together:
+        out.print("these captures tell all entries apart that they show")
+    if found.blind:
+        out.print(f"blind to: {', '.join(found.blind)}")
 
 
 def _photographs(path: Path) -> Sequence[Frame] | None:

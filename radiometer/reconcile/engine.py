@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -16,6 +16,7 @@ from radiometer.data import CaptureHeader, CaptureSet, Frame
 from radiometer.errors import CaptureError
 from radiometer.reconcile.advice.limits import limits
 from radiometer.reconcile.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
+from radiometer.reconcile.advice.separability import Separability, inseparable, separability
 from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.nuisances import dark_current_is_free
 from radiometer.reconcile.fit.state import FitState, first_state
@@ -170,6 +171,31 @@ def reconcile_capture(
     return examine(captured.header, captured.read_frame, shape, model, catalogue=catalogue, progress=progress, say=say)
 
 
+def plan_of(
+    path: Path,
+    model: CameraModel | None = None,
+    *,
+    catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
+) -> Separability:
+    """Return what the captures of a set can tell apart, whatever they showed.
+
+    The nuisances alone (responsivity, radiances) are fitted to the frames.
+
+    Args:
+        path: The capture set's folder.
+        model: The camera as it is believed to be.
+        catalogue: Effects to ask about.
+
+    Raises:
+        CaptureError: If the capture set is unfinished or inconsistent.
+    """
+    captured = CaptureSet.read(path)
+    header, given = adopted(captured.header, model)
+    design = Design.of(header, captured.read_frame(0).shape)
+    start = first_state(design, *reduce_frames(design, captured.read_frame), given)
+    return separability(start, whole_catalogue() if catalogue is None else catalogue)
+
+
 def examine(
     header: CaptureHeader,
     read: FrameReader,
@@ -215,7 +241,7 @@ def _result(
     doubts = [*doubts_of(outcome), *faint(outcome)]
     verdict = verdict_of(outcome, doubts, again)
     failed: list[str] = []
-    effects = _found(outcome, again, failed, provisional=verdict is Verdict.INCOMPLETE)
+    effects = _found(outcome, entries, again, failed, provisional=verdict is Verdict.INCOMPLETE)
     state = outcome.state
     shown: Mapping[str, Limit] = {}
     if with_limits:
@@ -269,7 +295,14 @@ def _further(
     return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
 
 
-def _found(outcome: Search, again: Periodic | None, failed: list[str], *, provisional: bool) -> tuple[FoundEffect, ...]:
+def _found(
+    outcome: Search,
+    entries: Mapping[str, type[CatalogueEffect]],
+    again: Periodic | None,
+    failed: list[str],
+    *,
+    provisional: bool,
+) -> tuple[FoundEffect, ...]:
     """Return the names in the order of finding, and what is left as one entry, where its largest part was found."""
     state, weak = outcome.state, faint_names(outcome)
     parameters = fitted_parameters(state)
@@ -279,10 +312,13 @@ def _found(outcome: Search, again: Periodic | None, failed: list[str], *, provis
         if step.name == "unnamed" and rest is not None and rest not in found:
             found.append(rest)
         elif step.name in present and step.name not in weak:
-            own, rivals = present[step.name], step.rivals
+            own = present[step.name]
+            alike = _spared(f"what acts like {step.name}", partial(inseparable, state, own, entries), failed) or ()
+            rivals = tuple({rival.name: rival for rival in (*alike, *step.rivals)}.values())
             what = f"the capture that tells {step.name} from its rivals"
             advice = _spared(what, partial(propose, state, own, rivals), failed)
-            found.append(_effect(step, own, parameters[step.name], advice, provisional=provisional))
+            shown = replace(step, rivals=rivals)
+            found.append(_effect(shown, own, parameters[step.name], advice, provisional=provisional))
     return (*found, rest) if rest is not None and rest not in found else tuple(found)
 
 

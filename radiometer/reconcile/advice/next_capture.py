@@ -61,6 +61,32 @@ def propose(state: FitState, chosen: CatalogueEffect, rivals: Sequence[Catalogue
     }
 
 
+def tells_apart(state: FitState, effect: CatalogueEffect, others: Sequence[CatalogueEffect]) -> dict[str, Any] | None:
+    """Return the capture under which an effect and others that show the same so far would differ most.
+
+    Args:
+        state: The model without any of them.
+        effect: The effect at some size.
+        others: The others at the sizes that look the same.
+    """
+    first, *models = (_held(state, entry) for entry in (effect, *others))
+    pool = CapturePool.of(state)
+    expected = pool.predicted(first)
+    apart = np.nan_to_num(np.stack([pool.separation(expected, pool.predicted(model)) for model in models]))
+    index = int(np.argmax(np.minimum(apart, _TOLD_CHI2).sum(axis=0)))
+    names = [other.name for other, chi2 in zip(others, apart[:, index], strict=True) if chi2 >= _HELPS_CHI2]
+    if not names:
+        return None
+    return _advice(pool.frame(index), f"tells {effect.name} from {', '.join(names)}") | {"separates": names}
+
+
+def _held(state: FitState, effect: CatalogueEffect) -> FitState:
+    """Return the model with an effect as it is, nuisances refitted."""
+    added = with_effects(state, [*state.effects, effect])
+    held = frozenset(range(state.parameters.size, added.parameters.size))
+    return refit(replace(added, frozen=held), iterations=_REFITS)
+
+
 def propose_for_unnamed(
     state: FitState, catalogue: Mapping[str, type[CatalogueEffect]], places: Sequence[tuple[str, str]]
 ) -> dict[str, Any] | None:
@@ -131,9 +157,7 @@ def propose_for_blind(
     for name, limit in limits.items():
         starts = catalogue[name].starts(state.model.context) if name in catalogue else ()
         if starts and catalogue[name].usable(able) and not _would_show(limit, starts[0]):
-            added = with_effects(state, [*state.effects, starts[0]])
-            frozen = frozenset(range(state.parameters.size, added.parameters.size))
-            models[name] = refit(replace(added, frozen=frozen), iterations=_REFITS)
+            models[name] = _held(state, starts[0])
     told = _best(state, models)
     if told is None:
         return None

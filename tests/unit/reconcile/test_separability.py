@@ -1,0 +1,101 @@
+"""Which names a plan cannot tell apart, asked of the captures alone and held against fits."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.cli.main import run
+from radiometer.data import CaptureSetWriter
+from radiometer.reconcile.advice.separability import separability
+from radiometer.reconcile.engine import whole_catalogue
+from radiometer.reconcile.fit.state import FitState, first_state, refit, with_effects
+from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from simulators.effects.ambient_light_leak import AmbientLightLeak
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.veiling_glare import VeilingGlare
+
+BRACKET = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 8) for _ in range(2)]
+DARKS = [{"t": t, "shutter": "closed"} for t in (1e-4, 1e-2, 1.0)]
+OTHERS = [{"t": 3e-3, "pattern": "bright"}, {"t": 3e-3, "d": 0.3}, {"t": 0.1, "d": 0.0}, {"t": 1.0, "d": 0.0}]
+STRAY = {"veiling_glare", "ambient_light_leak", "display_black_leak"}
+
+
+def _state(make_capture: Callable[..., Any], plan: list[dict[str, Any]]) -> FitState:
+    captured = make_capture(seed=61, plan=plan)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+
+
+@pytest.fixture(scope="module")
+def plain(make_capture: Callable[..., Any]) -> FitState:
+    """Return the starting camera for a bracket of one chart at one level, and its darks."""
+    return _state(make_capture, [*BRACKET, *DARKS])
+
+
+def _sets(state: FitState) -> list[set[str]]:
+    return [{entry.name, *entry.others} for entry in separability(state, whole_catalogue()).together]
+
+
+def test_bracket_of_one_chart_cannot_tell_stray_light_apart(plain: FitState) -> None:
+    """A veil, light from the room and a black that glows stand together, and a capture is asked for that tells more."""
+    found = separability(plain, whole_catalogue())
+    entry = next(entry for entry in found.together if {entry.name, *entry.others} >= STRAY)
+    assert entry.capture is not None
+    assert entry.capture["frames"][0]["shutter"] == "open"
+    assert "polarisation" in found.blind
+
+
+def test_short_exposures_do_not_tell_one_flicker_from_another(plain: FitState) -> None:
+    """Mains and dimming shake frames alike where no exposure holds a period."""
+    assert any(names >= {"mains_ripple", "pwm_flicker"} for names in _sets(plain))
+
+
+def test_another_surround_level_and_the_source_off_tell_them_apart(make_capture: Callable[..., Any]) -> None:
+    """With these captures no two of the three stand together."""
+    assert all(len(names & STRAY) < 2 for names in _sets(_state(make_capture, [*BRACKET, *DARKS, *OTHERS])))
+
+
+@pytest.mark.parametrize(
+    ("truth", "other", "alike"),
+    [
+        (VeilingGlare(0.004), AmbientLightLeak(0.002), True),
+        (ExposureTimeOffset(8e-6), AmbientLightLeak(0.002), False),
+    ],
+)
+def test_names_that_stand_together_fit_each_other_without_noise(
+    plain: FitState, truth: CatalogueEffect, other: CatalogueEffect, alike: bool
+) -> None:
+    """Fitted to what a model with the one expects, without noise, the other leaves less than 10 of χ², or hundreds."""
+    expected = plain.predicted_with((truth,))
+    seen = replace(plain.seen, mean=expected.mean, variance=expected.variance, spatial=expected.spatial)
+    exact = replace(plain, seen=seen, comparison=replace(plain.comparison, seen=seen))
+    own, foreign = (refit(with_effects(exact, [effect])).cost for effect in (truth, other))
+    assert (foreign - own < 10.0) is alike
+    assert alike or foreign - own > 100.0
+
+
+def test_plan_is_told_on_the_command_line(
+    make_capture: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`--plan-only` gives the sets and what the captures are blind to, and names nothing."""
+    captured = make_capture(seed=61, plan=[*BRACKET, *DARKS])
+    header = captured.header
+    parts = (header.camera, header.lens, header.source, header.patches, header.patterns)
+    with CaptureSetWriter(tmp_path / "set", *parts) as writer:
+        for frame in captured.frames:
+            writer.add(frame)
+    assert run(["reconcile", str(tmp_path / "set"), "--plan-only", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told) == {"inseparable", "blind"}
+    assert any({entry["name"], *entry["others"]} >= STRAY for entry in told["inseparable"])
+    assert run(["reconcile", str(tmp_path / "set"), "--plan-only"]) == 0
+    assert "these captures cannot tell" in capsys.readouterr().out
