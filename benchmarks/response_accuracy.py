@@ -10,28 +10,23 @@ Peers that are not installed are left out and said to be.
 from __future__ import annotations
 
 import os
-import shutil
-import subprocess
-import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
-import cv2
 import numpy as np
 
+from benchmarks._response_peers import Peer, peers
 from benchmarks._response_stacks import DORF, Array, make_stack, response_curves, rms_error, true_log_exposure
 from benchmarks._sections import write_section
 from radiometer.analysis.response.methods import METHODS
 from radiometer.analysis.response.mitsunaga1999 import recover_response_mitsunaga1999
 from radiometer.data import Bracket, ResponseCurve
 
-Peer = Callable[[Bracket], Array]
 # Of the DoRF curves, those whose bends have one stop's period.
 JAGGED = (84, 85, 106, 107, 108)
 # Solves a dense system per stack: every twentieth curve is enough to see where it stands.
-SLOW_PEERS = ("colour-hdri Debevec 1997 (every twentieth curve)",)
+SLOW_PEERS = ("colour-hdri Debevec 1997",)
 
 
 @dataclass
@@ -40,7 +35,7 @@ class Tally:
     seconds: list[float] = field(default_factory=list)
     chi2: list[float] = field(default_factory=list)
     squares: list[float] = field(default_factory=list)
-    apart: list[str] = field(default_factory=list)
+    apart: list[float] = field(default_factory=list)
 
     def row(self, name: str) -> str:
         good = np.array([e for e in self.errors if np.isfinite(e)])
@@ -53,71 +48,10 @@ class Tally:
         )
 
 
-def opencv(make: Callable[[], object]) -> Peer:
-    def recover(bracket: Bracket) -> Array:
-        images = [np.repeat(frame.dn[..., None], 3, axis=2) for frame in bracket]
-        times = bracket.effective_exposures_s.astype(np.float32)
-        curve = make().process(images, times)  # type: ignore[attr-defined]
-        with np.errstate(divide="ignore"):
-            return np.log(np.asarray(curve, dtype=np.float64)[:, 0, 1])
-
-    return recover
-
-
-def colour_hdri_debevec() -> Peer | None:
-    try:
-        from colour_hdri import camera_response_functions_Debevec1997
-        from colour_hdri.utilities import Image, ImageStack, Metadata
-    except ImportError:
-        return None
-
-    def recover(bracket: Bracket) -> Array:
-        stack = ImageStack()
-        for frame in bracket:
-            stack.append(Image(None, frame.dn[..., None] / 255.0, Metadata(1.0, frame.settings.exposure_s, 100.0)))
-        curve = camera_response_functions_Debevec1997(stack, normalise=False)
-        with np.errstate(divide="ignore"):
-            return np.log(np.asarray(curve, dtype=np.float64)[:, 0])
-
-    return recover
-
-
-def pfstools_robertson() -> Peer | None:
-    if not (shutil.which("pfshdrcalibrate") and shutil.which("pfsinhdrgen")):
-        return None
-
-    def recover(bracket: Bracket) -> Array:
-        with tempfile.TemporaryDirectory() as name:
-            folder, lines = Path(name), []
-            for number, frame in enumerate(bracket):
-                cv2.imwrite(str(folder / f"{number}.ppm"), np.repeat(frame.dn[..., None], 3, axis=2))
-                lines.append(f"{number}.ppm {1.0 / frame.settings.exposure_s} 1 100\n")
-            (folder / "stack.hdrgen").write_text("".join(lines))
-            pipe = "pfsinhdrgen stack.hdrgen | pfshdrcalibrate -c robertson -b 8 -s curve.m > merged.pfs"
-            subprocess.run(pipe, shell=True, cwd=folder, check=True, capture_output=True)
-            rows = [line.split() for line in (folder / "curve.m").read_text().splitlines() if line[:1] != "#"]
-        green = np.array([row for row in rows if row][256:512], dtype=np.float64)
-        return np.log(10.0) * green[:, 0]
-
-    return recover
-
-
 def cpu_seconds() -> float:
     """Return the processor time of this process and of those that it waited for."""
     spent = os.times()
     return time.process_time() + spent.children_user + spent.children_system
-
-
-def peers() -> Iterator[tuple[str, Peer]]:
-    yield "OpenCV CalibrateDebevec, 70 samples", opencv(lambda: cv2.createCalibrateDebevec(70))
-    yield "OpenCV CalibrateDebevec, 500 samples", opencv(lambda: cv2.createCalibrateDebevec(500))
-    yield "OpenCV CalibrateRobertson", opencv(cv2.createCalibrateRobertson)
-    other = colour_hdri_debevec()
-    if other is not None:
-        yield SLOW_PEERS[0], other
-    program = pfstools_robertson()
-    if program is not None:
-        yield "pfstools pfshdrcalibrate (Robertson)", program
 
 
 def stacks(bit_depth: int) -> Iterator[tuple[int, Bracket, slice, Array]]:
@@ -144,11 +78,10 @@ def measure(bit_depth: int, others: list[tuple[str, Peer]]) -> dict[str, Tally]:
             tally.seconds.append(cpu_seconds() - started)
             tally.errors.append(rms_error(estimate.curve.log_exposure[inner], truth))
             tally.squares.append(square_over_u(estimate.curve, inner, truth))
+            if estimate.agreement is not None:
+                tally.apart.append(estimate.agreement.quadrants_rms_log)
             if estimate.stability is not None:
                 tally.chi2.append(estimate.stability.reduced_chi2)
-                if estimate.stability.rms_log > 0.01:
-                    least = estimate.details.get("least_u_of_a_third", float("nan"))
-                    tally.apart.append(f"{seed} ({100 * estimate.stability.rms_log:.1f} %; {100 * least:.1f} %)")
         for name, peer in others:
             if name in SLOW_PEERS and seed % 20:
                 continue
@@ -165,17 +98,16 @@ def square_over_u(curve: ResponseCurve, inner: slice, truth: Array) -> float:
     middle = curve.mid_dn - inner.start
     error = curve.log_exposure[inner] - truth
     u = curve.u_log_exposure[inner]
-    counted = u > 1e-3 * float(u.max())
+    counted = np.isfinite(u) & (u > 1e-3 * float(u[np.isfinite(u)].max()))
     return float(np.mean((error - error[middle])[counted] ** 2 / u[counted] ** 2))
 
 
 def about_auto(tally: Tally) -> str:
     """Return what is asked of the default method besides its row."""
     return (
-        f"`auto`: thirds differ by more than 1 % (rms over 5–95 % of the valid numbers) on {len(tally.apart)} of "
-        f"{len(tally.errors)} curves: {', '.join(tally.apart) or 'none'}; in brackets beside it what a third of the "
-        "pixels leaves ln H open by, whatever the method (the posterior standard deviation under the stack's noise and "
-        f"smoothness). (error/u)² of a stack: 90 % below {np.quantile(tally.squares, 0.9):.1f}, largest "
+        f"`auto`: quadrants of the picture differ by {100 * np.median(tally.apart):.2f} % (median of the stacks; rms "
+        f"over 5–95 % of the valid numbers), {100 * np.max(tally.apart):.1f} % at most. (error/u)² of a stack: 90 % "
+        f"below {np.quantile(tally.squares, 0.9):.1f}, largest "
         f"{np.max(tally.squares):.1f}; an exponential distribution of mean 1, that of two free numbers, has 2.3 and, "
         f"as the largest of {len(tally.squares)}, {np.log(len(tally.squares)) + 0.58:.1f}."
     )
@@ -205,9 +137,11 @@ def off_the_ladder(bit_depth: int) -> str:
                 [make_stack(exposure, brightness, bit_depth=bit_depth, seed=number, stops=stops)]
             )
             error = rms_error(estimate.curve.log_exposure[inner], truth)
-            figures.append((100 * error, 100 * estimate.stability.rms_log if estimate.stability else float("nan")))
+            figures.append(
+                (100 * error, 100 * estimate.agreement.quadrants_rms_log if estimate.agreement else float("nan"))
+            )
         (error, thirds), (error_off, thirds_off) = figures
-        found.append(f"{number}: error {error:.2f} → {error_off:.2f} %, thirds {thirds:.2f} → {thirds_off:.2f} %")
+        found.append(f"{number}: error {error:.2f} → {error_off:.2f} %, quadrants {thirds:.2f} → {thirds_off:.2f} %")
     return (
         f"The jagged curves at {bit_depth} bits, nine frames at whole stops → eight of them and one a third of a stop "
         f"off: {'; '.join(found)}."

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -54,11 +56,21 @@ class PhotographFolder:
         known.refuse_unstated(str(path), {one.iso for one in settings.values() if one.iso})
         return cls(path, settings, known)
 
-    def brackets(self, channel: str = "luminance", report: Callable[[int, int], None] | None = None) -> list[Bracket]:
+    def brackets(
+        self,
+        channel: str = "luminance",
+        report: Callable[[int, int], None] | None = None,
+        most_pixels: int | None = None,
+    ) -> list[Bracket]:
         """Return one bracket of the wanted channel, or three (red, green, blue) for "each".
 
         Grey photographs give one bracket whatever the channel. A colour photograph's luminance is the luma
         0.299 R + 0.587 G + 0.114 B of its stored values (ITU-R BT.601), clipped where any channel is.
+
+        Args:
+            channel: "luminance", "red", "green", "blue" or "each".
+            report: Called with (files read, files in all) as the work goes on.
+            most_pixels: Take every n-th pixel where files hold more than this; None for all.
 
         Raises:
             CaptureError: If a file is unreadable, or sizes, bit depths or colour differ.
@@ -67,17 +79,16 @@ class PhotographFolder:
         if channel not in CHANNEL_CHOICES:
             raise UsageError(f"there is no channel {channel!r}; choose one of {', '.join(CHANNEL_CHOICES)}")
         frames: dict[str, list[Frame]] = {}
-        for done, (name, photograph) in enumerate(self._photographs(), start=1):
+        for done, (name, photograph) in enumerate(self._photographs(most_pixels), start=1):
             if report is not None:
                 report(done, len(self.settings))
             for wanted in _wanted(photograph, channel):
                 frames.setdefault(wanted, []).append(self._frame(name, photograph, wanted))
         return [Bracket.from_frames(several, origin=str(self.path)) for several in frames.values()]
 
-    def _photographs(self) -> Iterator[tuple[str, Photograph]]:
+    def _photographs(self, most_pixels: int | None) -> Iterator[tuple[str, Photograph]]:
         first: tuple[str, Photograph] | None = None
-        for name in self.settings:
-            photograph = read_photograph(self.path / name)
+        for name, photograph in _in_turn(lambda name: read_photograph(self.path / name, most_pixels), self.settings):
             if first is None:
                 first = (name, photograph)
             _refuse_mixture(self.path, first, (name, photograph))
@@ -99,11 +110,31 @@ class PhotographFolder:
             "channel": channel,
             "nominal_exposure_s": known.nominal_exposure_s,
         }
+        if photograph.is_raw:
+            extra["raw"] = 1
         if known.iso:
             extra["iso_stated"] = known.iso
             if known.iso in self.speeds.measured:
                 extra["iso_measured"] = self.speeds.measured[known.iso]
         return Frame(photograph.plane(channel), photograph.bit_depth, settings, extra=extra)
+
+
+def _in_turn(read: Callable[[str], Photograph], names: Iterable[str]) -> Iterator[tuple[str, Photograph]]:
+    """Yield every photograph in order while the next one is decoded: two at most are in memory."""
+    waiting: deque[tuple[str, Future[Photograph]]] = deque()
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        try:
+            for name in names:
+                waiting.append((name, pool.submit(read, name)))
+                if len(waiting) == 2:
+                    done, future = waiting.popleft()
+                    yield done, future.result()
+            while waiting:
+                done, future = waiting.popleft()
+                yield done, future.result()
+        finally:
+            for _, future in waiting:
+                future.cancel()
 
 
 def read_photographs(
@@ -112,6 +143,7 @@ def read_photographs(
     *,
     report: Callable[[int, int], None] | None = None,
     speeds: IsoSpeeds | None = None,
+    most_pixels: int | None = None,
 ) -> list[Bracket]:
     """Return the brackets of a folder of photographs.
 
@@ -120,12 +152,13 @@ def read_photographs(
         channel: "luminance", "red", "green", "blue", or "each" for the three of them.
         report: Called with (files read, files in all) as the work goes on.
         speeds: What is known of the camera's ISO speeds beyond what it states.
+        most_pixels: Take every n-th pixel where files hold more than this; None for all.
 
     Raises:
         CaptureError: If the folder or a file in it cannot be used; the message names it.
         UsageError: If there is no such channel, or a speed was measured that no photograph states.
     """
-    return PhotographFolder.open(path, speeds).brackets(channel, report)
+    return PhotographFolder.open(path, speeds).brackets(channel, report, most_pixels)
 
 
 def image_files(path: Path) -> list[str]:

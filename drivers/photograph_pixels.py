@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -28,11 +29,15 @@ class Photograph:
         values: Shape (height, width) where grey, else (height, width, 3) in the order red, green, blue.
         bit_depth: Bits per value.
         black_level_dn: Value of black where the file states it.
+        is_raw: Whether the values are the sensor's own, linear.
+        full_shape: (height, width) of the file where only a lattice of its pixels was taken.
     """
 
     values: DigitalNumbers
     bit_depth: int
     black_level_dn: float | None = None
+    is_raw: bool = False
+    full_shape: tuple[int, int] | None = None
 
     @property
     def is_grey(self) -> bool:
@@ -41,8 +46,8 @@ class Photograph:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Return (height, width) in pixels."""
-        return (int(self.values.shape[0]), int(self.values.shape[1]))
+        """Return (height, width) in pixels of the file."""
+        return self.full_shape or (int(self.values.shape[0]), int(self.values.shape[1]))
 
     def plane(self, channel: str) -> DigitalNumbers:
         """Return the values of one channel: "red", "green", "blue", "luminance", or "mono" where grey."""
@@ -63,8 +68,12 @@ def _plane(values: Any) -> DigitalNumbers:
     return plane
 
 
-def read_photograph(path: Path) -> Photograph:
+def read_photograph(path: Path, most_pixels: int | None = None) -> Photograph:
     """Return the stored values of a photograph.
+
+    Args:
+        path: JPEG, PNG, TIFF or camera raw file.
+        most_pixels: Take every n-th pixel of every n-th row where the file holds more than this; None for all.
 
     Raises:
         CaptureError: If the file is missing, truncated, or of another form.
@@ -72,20 +81,46 @@ def read_photograph(path: Path) -> Photograph:
     """
     suffix = path.suffix.lower()
     if suffix in RAW_SUFFIXES:
-        return _read_raw(path)
-    values = _decode_jpeg(path) if suffix in _JPEG_SUFFIXES else _decode_lossless(path)
+        return _read_raw(path, most_pixels)
+    if suffix in _JPEG_SUFFIXES:
+        values, shape = _decode_jpeg(path, most_pixels)
+    else:
+        values = _decode_lossless(path)
+        shape = (int(values.shape[0]), int(values.shape[1]))
+        values = _on_lattice(values, _step(shape, most_pixels))
     if values.dtype not in (np.uint8, np.uint16):
         raise CaptureError(f"{path}: holds {values.dtype} values; expected 8 or 16 bits per channel")
     if values.ndim == 3:
         values = values[..., :3] if values.shape[2] >= 3 else values[..., 0]
-    return Photograph(values, 8 * values.dtype.itemsize)
+    return Photograph(values, 8 * values.dtype.itemsize, full_shape=shape)
 
 
-def _decode_jpeg(path: Path) -> Any:
+def _step(shape: tuple[int, int], most_pixels: int | None) -> int:
+    """Return the step of the lattice: odd, so that it does not fall into step with the blocks of a JPEG."""
+    if most_pixels is None or shape[0] * shape[1] <= most_pixels:
+        return 1
+    step = math.ceil(math.sqrt(shape[0] * shape[1] / most_pixels))
+    return step + (step + 1) % 2
+
+
+def _on_lattice(values: Any, step: int) -> Any:
+    return values if step == 1 else np.ascontiguousarray(values[step // 2 :: step, step // 2 :: step])
+
+
+def _decode_jpeg(path: Path, most_pixels: int | None) -> tuple[Any, tuple[int, int]]:
+    """Return the values on the lattice and (height, width) of the file."""
     try:
         refuse_large_picture(path, path.read_bytes())
         with Image.open(path) as image:
-            return np.asarray(image if image.mode == "L" else image.convert("RGB"))
+            colour = image if image.mode in ("L", "RGB") else image.convert("RGB")
+            width, height = colour.size
+            step = _step((height, width), most_pixels)
+            if step > 1:
+                columns, rows = width // step, height // step
+                box = (0, 0, columns * step, rows * step)
+                # Picks the middle pixel of every cell; no array of the whole picture is ever made.
+                colour = colour.resize((columns, rows), Image.Resampling.NEAREST, box=box)
+            return np.asarray(colour), (height, width)
     except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
         raise CaptureError(f"{path}: not a readable JPEG (damaged or truncated): {error}") from error
 
@@ -108,7 +143,7 @@ def _decode_lossless(path: Path) -> Any:
     return cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2RGB) if image.ndim == 3 and image.shape[2] >= 3 else image
 
 
-def _read_raw(path: Path) -> Photograph:
+def _read_raw(path: Path, most_pixels: int | None = None) -> Photograph:
     """Return the three colours of a mosaic at half size, straight from the sensor: linear, black level not removed."""
     try:
         import rawpy
@@ -129,7 +164,9 @@ def _read_raw(path: Path) -> Photograph:
     bit_depth = max(9, min(16, int(np.ceil(np.log2(white + 1)))))
     values = np.minimum(np.stack(planes, axis=2), (1 << bit_depth) - 1).astype(np.uint16)
     values[values >= white] = (1 << bit_depth) - 1
-    return Photograph(values, bit_depth, float(np.mean(black)))
+    shape = (int(values.shape[0]), int(values.shape[1]))
+    values = _on_lattice(values, _step(shape, most_pixels))
+    return Photograph(values, bit_depth, float(np.mean(black)), is_raw=True, full_shape=shape)
 
 
 def _bayer_plane(mosaic: Any, pattern: Any, names: str, letter: str) -> Any:

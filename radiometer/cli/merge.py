@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_module
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +17,7 @@ from radiometer.errors import CaptureError, UsageError
 
 if TYPE_CHECKING:
     from radiometer.analysis.exports.maps import Picture
-    from radiometer.data import Calibration, CaptureSet, Frame, RadianceMap, ResponseCurve
+    from radiometer.data import Bracket, Calibration, CaptureSet, Frame, RadianceMap, ResponseCurve
     from radiometer.data.iso_speeds import IsoSpeeds
 
 
@@ -27,14 +28,19 @@ def command(
     ] = None,
     calibration: Annotated[Path | None, typer.Option(help="Calibration: values in W·sr⁻¹·m⁻².")] = None,
     response: Annotated[
-        list[Path] | None, typer.Option(help="Response curve without a scale; once, or once per channel.")
+        list[Path] | None,
+        typer.Option(help="Response curve (.yaml, .csv, .m, .rsp) without a scale; recovered where none is given."),
     ] = None,
     channel: Annotated[
-        str, typer.Option(help="Of colour photographs: luminance, red, green, blue or each.")
-    ] = "luminance",
+        str | None,
+        typer.Option(help="Of colour photographs: luminance, red, green, blue or each (the default without curves)."),
+    ] = None,
     pattern: Annotated[str | None, typer.Option(help="Displayed pattern of the capture set; the first.")] = None,
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
     f_number: Annotated[float | None, typer.Option(help=F_NUMBER_HELP)] = None,
+    linear: Annotated[
+        bool, typer.Option("--linear", help="Photographs are linear above black (raw files always are).")
+    ] = False,
     luminance: Annotated[bool, typer.Option("--luminance", help="Write cd·m⁻² instead of W·sr⁻¹·m⁻².")] = False,
     spectrum: Annotated[str | None, typer.Option(help="Spectrum for the luminance; the calibration's.")] = None,
     scale: Annotated[str | None, typer.Option(help="LOW,HIGH of the false colours; the picture's.")] = None,
@@ -43,7 +49,8 @@ def command(
     """Merge a bracket into radiance per pixel.
 
     Every pixel is the maximum-likelihood value over the frames that do not clip there. .exr and .tiff carry the
-    standard uncertainty and the mask as well; .png is a false-colour picture with a scale bar.
+    standard uncertainty and the mask as well; .png is a false-colour picture with a scale bar. The response of
+    photographs is recovered from them where none is given, and kept beside the first file written.
     """
     from radiometer.analysis.exports.maps import Picture, in_luminance, writer_for
     from radiometer.analysis.signal.spectra import spectrum as spectrum_of
@@ -52,18 +59,21 @@ def command(
         raise UsageError("-o FILE is missing: name a file that ends in .exr, .hdr, .tiff or .png")
     if calibration and response:
         raise UsageError("--calibration holds a response curve of its own; leave --response out")
+    if linear and response:
+        raise UsageError("--linear photographs need no response curve; leave --response out")
     writers = [(file, writer_for(file)) for file in out]
     bounds = parse_bounds(scale, "--scale") if scale else None
     known = _calibration(calibration)
     speeds = parse_iso_speeds(measured_iso, known)
-    maps = _maps(path, known, _curves(response), channel, pattern, speeds, f_number)
+    options = _Options(known, response or [], channel, speeds, f_number, linear, out[0])
+    maps, kept = _maps(path, pattern, options)
     if luminance:
         chosen = spectrum_of(spectrum or (known.spectrum if known else "equal_energy"))
         maps = {name: in_luminance(found, chosen) for name, found in maps.items()}
     picture = Picture(maps, bounds)
     for file, write in writers:
         write(file, picture)
-    report = _report(picture, out)
+    report = {**_report(picture, out), "responses": [str(file) for file in kept]}
     print(json_module.dumps(report, ensure_ascii=False)) if json else _show(report)
 
 
@@ -73,41 +83,44 @@ def _calibration(path: Path | None) -> Calibration | None:
     return Calibration.read(path) if path else None
 
 
-def _curves(paths: list[Path] | None) -> dict[str, ResponseCurve]:
-    """Return curves by channel; a single one stands under its own channel and serves all."""
-    from radiometer.data import ResponseCurve
+@dataclass(frozen=True, slots=True)
+class _Options:
+    """What the command was told of the frames.
 
-    curves = [ResponseCurve.read(path) for path in paths or ()]
-    by_channel = {curve.channel: curve for curve in curves}
-    if len(by_channel) < len(curves):
-        raise UsageError("two response curves are of the same channel; YAML curves say which channel they are of")
-    return by_channel
+    Attributes:
+        calibration: The calibration; None for relative values.
+        responses: Files of response curves.
+        channel: Channel of photographs asked for.
+        speeds: What is known of ISO speeds.
+        f_number: Of frames that state none.
+        linear: Whether photographs are linear.
+        beside: File that a recovered response is kept beside.
+    """
+
+    calibration: Calibration | None
+    responses: list[Path]
+    channel: str | None
+    speeds: IsoSpeeds
+    f_number: float | None
+    linear: bool
+    beside: Path
 
 
-def _maps(
-    path: Path,
-    calibration: Calibration | None,
-    curves: dict[str, ResponseCurve],
-    channel: str,
-    pattern: str | None,
-    speeds: IsoSpeeds,
-    f_number: float | None,
-) -> dict[str, RadianceMap]:
+def _maps(path: Path, pattern: str | None, options: _Options) -> tuple[dict[str, RadianceMap], list[Path]]:
+    """Return the maps by channel, and the files that a response recovered on the way is kept in."""
+    from radiometer.cli.photograph_response import curves_of
     from radiometer.data.capture_set import HEADER_NAME
     from radiometer.importing import is_foreign
 
-    if is_foreign(path):
-        return {"mono": _merge_capture(path, calibration, curves, pattern, f_number)}
-    if not path.is_dir():
+    foreign = is_foreign(path)
+    if not (foreign or path.is_dir()):
         raise CaptureError(f"{path} does not exist or is no folder; give a capture set or a folder of photographs")
-    if (path / HEADER_NAME).exists():
-        speeds.refuse_unstated(str(path), set())
-        return {"mono": _merge_capture(path, calibration, curves, pattern, f_number)}
-    if calibration is None and not curves:
-        raise UsageError(
-            "photographs are not linear: give --response, recovered with `radiometer response`, or --calibration"
-        )
-    return _merge_photographs(path, calibration, curves, channel, speeds, f_number)
+    if foreign or (path / HEADER_NAME).exists():
+        if not foreign:
+            options.speeds.refuse_unstated(str(path), set())
+        curves = curves_of(options.responses, 8)
+        return {"mono": _merge_capture(path, options.calibration, curves, pattern, options.f_number)}, []
+    return _merge_photographs(path, options)
 
 
 def _merge_capture(
@@ -151,31 +164,45 @@ def _frames(capture: CaptureSet, pattern: str | None, step: Any) -> Iterator[Fra
         step()
 
 
-def _merge_photographs(
-    path: Path,
-    calibration: Calibration | None,
-    curves: dict[str, ResponseCurve],
-    channel: str,
-    speeds: IsoSpeeds,
-    f_number: float | None,
-) -> dict[str, RadianceMap]:
-    from radiometer.analysis.merge.bracket import merge
+def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, RadianceMap], list[Path]]:
     from radiometer.bench.sources import open_brackets
-    from radiometer.data import CameraDescription, LensDescription
+    from radiometer.cli.console import note
+    from radiometer.cli.photograph_response import curves_of, recovered_curves, with_found_times
 
+    curves, calibration = curves_of(options.responses, 8), options.calibration
+    by_colour = not calibration and not set(curves) - {"red", "green", "blue"}
     with progress_bar() as bar:
         task = bar.add_task("reading", total=None)
         brackets = open_brackets(
-            path, channel, report=lambda done, total: bar.update(task, completed=done, total=total), speeds=speeds
+            path,
+            options.channel or ("each" if by_colour else "luminance"),
+            report=lambda done, total: bar.update(task, completed=done, total=total),
+            speeds=options.speeds,
         )
-    maps: dict[str, RadianceMap] = {}
-    for bracket in (with_f_number(one, f_number) for one in brackets):
-        name = str(bracket.frames[0].extra.get("channel", "mono"))
-        camera = calibration.camera if calibration else CameraDescription(bit_depth=bracket.bit_depth)
-        black_dn = bracket.frames[0].settings.black_level_dn or 0.0
-        known = calibration or _relative(curves, name, camera, LensDescription(), black_dn)
-        maps[name] = with_iso_in_map(merge(bracket, camera, LensDescription(), known), bracket)
-    return maps
+    files: list[Path] = []
+    if options.responses and brackets[0].bit_depth != 8:
+        curves = curves_of(options.responses, brackets[0].bit_depth)
+    raw = all("raw" in frame.extra for bracket in brackets for frame in bracket)
+    if not (calibration or curves or raw or options.linear):
+        curves, files = recovered_curves(brackets, options.beside, note)
+        brackets = [with_found_times(b, curves[str(b.frames[0].extra.get("channel", "mono"))]) for b in brackets]
+    several = (with_f_number(bracket, options.f_number) for bracket in brackets)
+    return dict(_merged(bracket, calibration, curves) for bracket in several), files
+
+
+def _merged(
+    bracket: Bracket, calibration: Calibration | None, curves: dict[str, ResponseCurve]
+) -> tuple[str, RadianceMap]:
+    """Return the channel of a bracket and its map."""
+    from radiometer.analysis.merge.bracket import merge
+    from radiometer.cli.photograph_response import relative_calibration
+    from radiometer.data import CameraDescription, LensDescription
+
+    name = str(bracket.frames[0].extra.get("channel", "mono"))
+    camera = calibration.camera if calibration else CameraDescription(bit_depth=bracket.bit_depth)
+    curve = _of_channel(curves, name)
+    known = calibration or relative_calibration(bracket, curve, camera, LensDescription())
+    return name, with_iso_in_map(merge(bracket, camera, LensDescription(), known), bracket)
 
 
 def _relative(
@@ -184,11 +211,9 @@ def _relative(
     """Return a calibration without a scale from the curve of a channel; None where no curve was given."""
     from radiometer.data import BlackLevel, Calibration, Scale, SensorNoise
 
-    if not curves:
+    curve = _of_channel(curves, channel)
+    if curve is None:
         return None
-    if channel not in curves and len(curves) > 1:
-        raise UsageError(f"there is no response curve of the channel {channel!r}; give one per channel, or one for all")
-    curve = curves.get(channel) or next(iter(curves.values()))
     return Calibration(
         camera=camera,
         lens=lens,
@@ -197,6 +222,13 @@ def _relative(
         noise=SensorNoise.of(camera),
         black_level=BlackLevel(dn=black_dn),
     )
+
+
+def _of_channel(curves: dict[str, ResponseCurve], channel: str) -> ResponseCurve | None:
+    """Return the curve of a channel, or the only one; None where there is none at all."""
+    if channel not in curves and len(curves) > 1:
+        raise UsageError(f"there is no response curve of the channel {channel!r}; give one per channel, or one for all")
+    return curves.get(channel) or next(iter(curves.values()), None)
 
 
 def _report(picture: Picture, out: list[Path]) -> dict[str, Any]:
@@ -243,5 +275,7 @@ def _show(report: dict[str, Any]) -> None:
             out.print(f"{name.replace('_', ' '):<13}{count} pixels ({100 * count / total:.2g} %)")
     for assumption in report["assumptions"]:
         out.print(f"assumed    {assumption}")
+    for file in report["responses"]:
+        out.print(f"response   {file}")
     for file in report["files"]:
         out.print(f"written    {file}")

@@ -34,6 +34,8 @@ _RATIO_HELP = (
 _CHANNEL_HELP = "Channel of colour photographs: luminance, red, green, blue, or each (one curve per colour)."
 
 Report = Callable[[int, int], None]
+# Every n-th pixel of larger photographs is taken: the noise of so many is far below what frames and places differ by.
+_ENOUGH_PIXELS = 1_000_000
 
 
 def command(
@@ -127,7 +129,7 @@ def _read(paths: Sequence[Path], channel: str, speeds: IsoSpeeds) -> dict[str, l
     found: dict[str, list[Bracket]] = {}
     for path in paths:
         with _bar(f"reading {path.name}") as report:
-            brackets = open_brackets(path, channel, report=report, speeds=speeds)
+            brackets = open_brackets(path, channel, report=report, speeds=speeds, most_pixels=_ENOUGH_PIXELS)
         for bracket in brackets:
             refuse_lying_labels(bracket)
             found.setdefault(str(bracket.frames[0].extra.get("channel", "mono")), []).append(bracket)
@@ -219,7 +221,7 @@ def _summary(estimate: ResponseEstimate) -> list[str]:
         f"method           {estimate.method}, channel {curve.channel}, {curve.bit_depth} bits",
         f"data             {estimate.pixel_count:,} pixels in {estimate.group_count} groups, "
         f"{estimate.sample_count:,} unclipped values",
-        f"supported        {low} to {high} DN, {stops:.1f} stops; extrapolated outside",
+        f"supported        {low} to {high} DN, {stops:.1f} stops; not supported outside",
         f"u(ln H)          {median_uncertainty(curve):.2g} (median, k = 1, over 5 to 95 % of that range)",
         f"gauge            {estimate.gauge}",
     ]
@@ -227,6 +229,11 @@ def _summary(estimate: ResponseEstimate) -> list[str]:
         lines.append(
             f"disjoint thirds  differ by {100 * estimate.stability.rms_log:.2g} % (rms), "
             f"reduced chi-square {estimate.stability.reduced_chi2:.2f}"
+        )
+    if estimate.agreement is not None:
+        lines.append(
+            f"parts            quadrants of the picture differ by {100 * estimate.agreement.quadrants_rms_log:.2g} %, "
+            f"frames by {100 * estimate.agreement.frames_rms_log:.2g} % (rms)"
         )
     lines += [f"assumed          {text}" for text in curve.provenance.assumptions]
     return lines + [f"note             {text}" for text in estimate.notes]

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.data.frame import Frame
+from radiometer.data.frame import DigitalNumbers, Frame
 from radiometer.errors import InputError
 
 
@@ -55,6 +56,24 @@ class Bracket:
                     f"{where}: frames differ in bit depth ({frame.bit_depth} beside {first.bit_depth}); "
                     "take the whole bracket in one pixel format"
                 )
+
+    def thinned(self, most_pixels: int) -> Bracket:
+        """Return every n-th pixel of every n-th row where there are more than so many, n odd; itself where not."""
+        pixels = self.shape[0] * self.shape[1]
+        if pixels <= most_pixels:
+            return self
+        step = math.ceil(math.sqrt(pixels / most_pixels))
+        step += (step + 1) % 2
+
+        def lattice(frame: Frame) -> Frame:
+            dn: DigitalNumbers = np.ascontiguousarray(frame.dn[step // 2 :: step, step // 2 :: step])  # type: ignore[assignment]
+            return replace(frame, dn=dn)
+
+        return replace(
+            self,
+            frames=tuple(lattice(frame) for frame in self.frames),
+            dark_frames=tuple(lattice(frame) for frame in self.dark_frames),
+        )
 
     def __len__(self) -> int:
         return len(self.frames)

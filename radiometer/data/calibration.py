@@ -190,6 +190,7 @@ class Calibration:
 class _NoiseSection(FileSection):
     conversion_gain_e_per_dn: float = Field(gt=0)
     read_noise_e: float = Field(ge=0)
+    post_curve_dn2: float = Field(0.0, ge=0)
     dark_current_e_per_s: float = Field(0.0, ge=0)
     dark_reference_c: float = 25.0
     dark_doubling_k: float = Field(7.0, gt=0)

@@ -27,6 +27,8 @@ class SensorNoise:
         dark_doubling_k: Temperature step in K that doubles the dark current.
         full_well_e: Saturation capacity in electrons.
         assumed: Names of the figures that were not known and are typical values.
+        post_curve_dn2: Variance in DN² of noise that arises behind a response curve (grain, compression, sharpening,
+            registration), rounding left out.
 
     Source: EMVA Standard 1288, release 4.0, equations (6)–(13).
     """
@@ -38,6 +40,12 @@ class SensorNoise:
     dark_doubling_k: float = 7.0
     full_well_e: float = _TYPICAL_FULL_WELL_E
     assumed: tuple[str, ...] = ()
+    post_curve_dn2: float = 0.0
+
+    @property
+    def code_variance_dn2(self) -> float:
+        """Return the variance in DN² of rounding and of what else arises behind the response curve."""
+        return 1.0 / 12.0 + self.post_curve_dn2
 
     @classmethod
     def of(cls, camera: CameraDescription) -> SensorNoise:
@@ -77,4 +85,4 @@ class SensorNoise:
         """
         gain = self.gain_dn_per_e(gain_db)
         light = np.maximum(np.asarray(signal_dn, dtype=np.float64), 0.0)
-        return gain * light + gain**2 * (self.read_noise_e**2 + dark_e) + 1.0 / 12.0
+        return gain * light + gain**2 * (self.read_noise_e**2 + dark_e) + self.code_variance_dn2

@@ -36,7 +36,7 @@ def test_curve_is_written_as_the_format_says(tmp_path, capsys):
     assert lines[0] == "dn,log_exposure,u_log_exposure"
     assert len(lines) == 257
     assert lines[129].startswith("128,0.0,")
-    assert "reduced chi-square" in capsys.readouterr().out
+    assert "quadrants of the picture differ by" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("words", [["--plot"], ["--plot", "picture.svg"]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import comb
 from pathlib import Path
 from typing import Final
@@ -11,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from radiometer.data import ResponseCurve
+from radiometer.data import Provenance, ResponseCurve
 from radiometer.data.storage import write_text_atomic
-from radiometer.errors import UsageError
+from radiometer.errors import InputError, UsageError
 
 CURVE_SUFFIXES: Final = (".m", ".rsp")
 _CHANNELS: Final = {"red": "IR", "green": "IG", "blue": "IB"}
+ASSUMED_U_LOG: Final = 0.03  # what curves of other programs are off by on real cameras, in ln H
 _HIGHEST_ORDER: Final = 12
 _GOOD_ENOUGH: Final = 5e-4  # rms of the polynomial about the curve, of full scale
 
@@ -41,6 +43,74 @@ def write_curves(path: Path, curves: Mapping[str, ResponseCurve]) -> None:
         write_text_atomic(path, "".join(_hdrgen(curve) for curve in three.values()))
     else:
         raise UsageError(f"{path}: a curve for another program ends in {' or '.join(CURVE_SUFFIXES)}")
+
+
+def read_curves(path: Path, bit_depth: int = 8) -> dict[str, ResponseCurve]:
+    """Return the curves of a file by channel: ours (.csv, .yaml), pfstools' (.m) or hdrgen's (.rsp).
+
+    The last two state no uncertainty: `ASSUMED_U_LOG` is taken, and said in the provenance. A CSV file is of the
+    channel that its name ends in (`curve-red.csv`), else of "mono".
+
+    Args:
+        path: The file.
+        bit_depth: Bits per digital number of a polynomial (.rsp), which does not say.
+
+    Raises:
+        InputError: If the file cannot be read or holds no curve.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in CURVE_SUFFIXES:
+        curve = ResponseCurve.read(path)
+        named = path.stem.rpartition("-")[2].lower()
+        channel = named if suffix == ".csv" and named in (*_CHANNELS, "luminance") else curve.channel
+        return {channel: replace(curve, channel=channel)}
+    try:
+        words = [line.split() for line in path.read_text(encoding="utf-8").splitlines() if line.strip()[:1] not in "#"]
+        rows = [np.array([float(word) for word in line]) for line in words if line]
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read {path}: {error}") from error
+    found = _from_pfstools(rows) if suffix == ".m" else _from_hdrgen(rows, 1 << bit_depth)
+    if found is None:
+        what = (
+            "three columns and as many rows for each of three channels" if suffix == ".m" else "one polynomial a line"
+        )
+        raise InputError(f"{path}: holds no response curves; expected {what}")
+    return {name: _as_curve(name, relative, path) for name, relative in zip(_CHANNELS, found, strict=True)}
+
+
+def _from_pfstools(rows: list[NDArray[np.float64]]) -> list[NDArray[np.float64]] | None:
+    """Return relative exposure by digital number, red, green, blue."""
+    if not rows or len(rows) % 3 or any(row.size != 3 for row in rows):
+        return None
+    third = len(rows) // 3
+    return [np.array([row[2] for row in rows[k * third : (k + 1) * third]]) for k in range(3)]
+
+
+def _from_hdrgen(rows: list[NDArray[np.float64]], size: int) -> list[NDArray[np.float64]] | None:
+    if len(rows) not in (1, 3) or any(row.size != int(row[0]) + 2 for row in rows):
+        return None
+    scaled = np.linspace(0.0, 1.0, size)
+    found = [np.maximum.accumulate(np.polyval(row[1:], scaled)) for row in rows]
+    return found if len(found) == 3 else found * 3
+
+
+def _as_curve(channel: str, relative: NDArray[np.float64], path: Path) -> ResponseCurve:
+    known = np.flatnonzero(relative > 0.0)
+    if known.size < 2 or known[0] > relative.size // 2:
+        raise InputError(f"{path}: the response of {channel} is not above zero")
+    middle = relative.size // 2
+    with np.errstate(divide="ignore"):
+        g = np.where(relative > 0.0, np.log(np.maximum(relative, 1e-300) / relative[middle]), -np.inf)
+    u = np.where(np.isfinite(g), ASSUMED_U_LOG, np.inf)
+    return ResponseCurve(
+        g,
+        u,
+        valid_dn=(max(int(known[0]), 1), relative.size - 2),
+        channel=channel,
+        provenance=Provenance(
+            "file", (path.name,), assumptions=(f"u(ln H) {100 * ASSUMED_U_LOG:g} %: {path.name} states none",)
+        ),
+    )
 
 
 def polynomial(curve: ResponseCurve) -> NDArray[np.float64]:

@@ -69,7 +69,9 @@ def merge_tables(terms: Sequence[FrameTerms], model: SignalModel) -> MergeTables
 
 
 def _root_tables(model: SignalModel) -> tuple[Array | None, Array | None, float, Array]:
-    """Return quantisation variance and curve uncertainty over √x, the last x, and the x that the curve has data for.
+    """Return over √x the variance that arises behind the curve and the curve's uncertainty, the last x, and valid x.
+
+    The last are the x that the curve has data for.
 
     A linear sensor needs no tables.
     """
@@ -78,5 +80,5 @@ def _root_tables(model: SignalModel) -> tuple[Array | None, Array | None, float,
     top = float(model.signal[-1])
     signal = top * np.linspace(0.0, 1.0, _ROOT_TABLE_SIZE) ** 2
     dn = np.interp(signal, model.signal, np.arange(model.signal.size))
-    quantisation = model.at_dn(model.slope, dn) ** 2 / 12.0
+    quantisation = model.at_dn(model.slope, dn) ** 2 * model.noise.code_variance_dn2
     return quantisation, model.at_dn(model.u_rel, dn), top, model.signal[list(model.valid_dn)]

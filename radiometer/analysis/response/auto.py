@@ -2,34 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.response.basis import ValueBasis, hat_weight
-from radiometer.analysis.response.curves import finished_curve, rising, supported_range
+from radiometer.analysis.response.basis import ValueBasis
+from radiometer.analysis.response.curves import finished_curve, supported_range
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
-from radiometer.analysis.response.estimate import ResponseEstimate, Stability, compare_thirds, inner_range
-from radiometer.analysis.response.fit import ResponseFit, fit_response, time_error_modes
-from radiometer.analysis.response.noise import LogNoise, fit_log_noise
-from radiometer.analysis.response.noise_shift import ASSUMPTION, mean_exposure_dn
+from radiometer.analysis.response.estimate import Agreement, ResponseEstimate, inner_range, spread_rms
+from radiometer.analysis.response.fit import ResponseFit
+from radiometer.analysis.response.jackknife import jackknife_u
+from radiometer.analysis.response.noise_shift import ASSUMPTION
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
+from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, refit, settle
 from radiometer.analysis.response.threads import on_one_blas_thread
 from radiometer.analysis.response.unseen import unseen_factor
-from radiometer.analysis.response.weights import group_residual, noise_of, row_variance, slope_at, value_at
+from radiometer.analysis.response.wrong_labels import WrongLabel, find_wrong_labels
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
+from radiometer.errors import MeasurementError
 
 Array = NDArray[np.float64]
 
 METHOD = "auto"
-# Disjoint thirds of the pixels that differ by more than this, in ln H, are worth a note.
-_THIRDS_AGREE = 0.01
-# Below this the rounding to whole numbers is a large part of the exposure; the cut is made on the value that the
-# other frames predict, because a cut on the noisy value itself would keep the brighter half.
-_LEAST_PREDICTED_DN = 6.0
+# From so many neighbouring groups that count as one, what the curve cannot follow is more than noise.
+_MANY_AS_ONE = 3.0
+# Frames are left out one by one up to this many, then every so many together.
+_FRAME_FOLDS = 8
+# Times are freed only where the error of predicting left-out quadrants falls to this part.
+_LEAST_GAIN_OF_TIMES = 0.9
 
 
 def recover_response_auto(brackets: Bracket | Sequence[Bracket]) -> ResponseEstimate:
@@ -63,17 +66,15 @@ def recover_response_auto(brackets: Bracket | Sequence[Bracket]) -> ResponseEsti
 @on_one_blas_thread
 def solve_auto(samples: ResponseSamples) -> ResponseEstimate:
     """Recover the response from gathered samples; see `recover_response_auto`."""
-    result = _fit(samples, curve_debevec1997(samples).log_exposure)
-    thirds, open_in_a_third = [], 0.0
-    if samples.group_count >= 60:
-        parts = [samples.third(k) for k in range(3)]
-        fits = [_fit(p, result.log_exposure, result.noise, result.fit.time_spread) for p in parts]
-        thirds = [fit.curve(part, fit.u_pixels) for fit, part in zip(fits, parts, strict=True)]
-        open_in_a_third = fits[0].rms_inside(fits[0].u_least)
-    curve = result.curve(samples, result.u_log_exposure)
-    stability = compare_thirds(thirds, curve) if thirds else None
+    start = curve_debevec1997(samples).log_exposure
+    wrong = find_wrong_labels(samples, start)
+    result = _with_times(samples, settle(samples, start, tuple(label.frame for label in wrong)))
+    parts = _Parts.of(samples, result)
+    shared = _u_shared(samples, result)
+    curve = _curve(samples, result, np.sqrt(parts.u_log_exposure(result) ** 2 + shared**2))
     fit, times = result.fit, samples.frame_log_time
-    ratios, u_ratios = _exposure_ratios(fit, times)
+    ratios, u_ratios = _exposure_ratios(fit, times, parts)
+    inner = inner_range(supported_range(result.samples))
     return ResponseEstimate(
         curve=curve,
         method=METHOD,
@@ -82,132 +83,139 @@ def solve_auto(samples: ResponseSamples) -> ResponseEstimate:
         sample_count=int(result.samples.pixels.sum()),
         residual_rms_log=result.residual_rms_log,
         smoothing=fit.smoothing,
-        stability=stability,
+        stability=None,
         exposure_ratios=ratios,
         u_exposure_ratios=u_ratios,
         gauge=_gauge(fit),
-        notes=(*_notes(fit, samples), *_note_on_thirds(stability, open_in_a_third)),
+        notes=_notes(result, samples, wrong, parts),
+        agreement=parts.agreement(inner),
         details={
             "noise": result.noise.to_mapping(),
             "reduced_chi2": fit.reduced_chi2,
-            "median_u_of_pixels": float(np.median(result.u_pixels[inner_range(supported_range(result.samples))])),
-            "least_u_of_a_third": open_in_a_third,
+            "median_u_of_pixels": float(np.median(result.u_of(fit.covariance())[inner])),
+            "groups_that_count_as_one": result.choices.inflation,
             "time_spread": fit.time_spread,
-            "log_time_errors": [float(error) for error in _log_time_errors(fit, times)],
+            "log_time_errors": [float(error) for error in fit.log_time_errors],
+            "wrong_labels": [{"frame": label.frame, "ratio": label.ratio, "u_ratio": label.u_ratio} for label in wrong],
         },
     )
 
 
+def _with_times(samples: ResponseSamples, found: FittedResponse) -> FittedResponse:
+    """Return the fit with small errors of all exposure times freed where left-out quadrants are predicted better."""
+    if np.unique(samples.frame_log_time).size < 4 or not samples.without_quadrant:
+        return found
+    loose = settle(samples, found.log_exposure, found.choices.free, time_spread=None)
+    if not loose.fit.time_spread:
+        return found
+    before, after = error_of_quadrants(samples, found), error_of_quadrants(samples, loose)
+    predicted_better = np.all(after <= before) and after.sum() <= _LEAST_GAIN_OF_TIMES * before.sum()
+    return loose if predicted_better else found
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class _Result:
-    samples: ResponseSamples
-    fit: ResponseFit
-    noise: LogNoise
-    log_exposure: Array
-    u_pixels: Array
-    u_shared: Array
-    u_least: Array  # that no method gets below which knows the noise and how smooth the curve is (van Trees)
+class _Parts:
+    """The same fit without each quadrant of the picture, and without some of the frames."""
 
-    @property
-    def u_log_exposure(self) -> Array:
-        """Return the standard uncertainty from the pixels' noise and from what all pixels share."""
-        return np.hypot(self.u_pixels, self.u_shared)
+    quadrants: tuple[FittedResponse, ...]
+    frames: tuple[FittedResponse, ...]
 
-    def rms_inside(self, u: Array) -> float:
-        """Return the root mean square over 5–95 % of the supported range."""
-        return float(np.sqrt(np.mean(u[inner_range(supported_range(self.samples))] ** 2)))
+    @classmethod
+    def of(cls, samples: ResponseSamples, result: FittedResponse) -> _Parts:
+        quadrants = (refit(part, result) for part in samples.without_quadrant)
+        return cls(
+            tuple(part for part in quadrants if part is not None),
+            tuple(part for part in _without_frames(samples, result) if part is not None),
+        )
 
-    @property
-    def residual_rms_log(self) -> float:
-        normal = self.fit.normal
-        residual = normal.residuals(self.fit.solution)
-        return float(np.sqrt(normal.weight @ residual**2 / normal.weight.sum()))
+    def u_log_exposure(self, result: FittedResponse) -> Array:
+        """Return the standard uncertainty of g − g(M_mid) from pixels, places and frames."""
+        u_pixels = result.u_of(result.fit.covariance())
+        u_places = jackknife_u([part.relative for part in self.quadrants])
+        u_frames = jackknife_u([part.relative for part in self.frames])
+        return np.asarray(np.hypot(np.maximum(u_pixels, u_places), u_frames))
 
-    def curve(self, samples: ResponseSamples, u: Array) -> ResponseCurve:
-        times = "exposure times as stated" if not self.fit.time_spread else "exposure times right on average"
-        return finished_curve(
-            self.log_exposure,
-            u,
-            supported_range(self.samples),
-            method=METHOD,
-            channel=samples.channel,
-            black_dn=samples.limits.black_dn,
-            parameters={"smoothing": self.fit.smoothing, "time_spread": self.fit.time_spread},
-            assumptions=(ASSUMPTION, times),
+    def agreement(self, inner: slice) -> Agreement | None:
+        """Return how far the curves of quadrants and of frames lie apart; None where there are too few."""
+        if not (self.quadrants and self.frames):
+            return None
+        return Agreement(
+            *(spread_rms([part.relative[inner] for part in parts]) for parts in (self.quadrants, self.frames))
         )
 
 
-def _fit(
-    samples: ResponseSamples, start: Array, noise: LogNoise | None = None, time_spread: float | None = None
-) -> _Result:
-    samples = _above_black(samples, start)
-    limits = samples.limits
-    shifted = mean_exposure_dn(samples.dn, samples.variance, start, limits)
-    dn = np.clip(shifted, limits.black_dn, limits.saturated_dn)
-    found = noise or noise_of(samples, dn, start)
-    fit = fit_response(samples, dn, row_variance(samples, dn, start, found), time_spread=time_spread)
-    if noise is None and fit.time_spread:
-        # Wrong times looked like noise before: take the noise from what is left, and fit once more.
-        g = _values(samples, fit.coefficients)
-        left = fit.normal.residuals(fit.solution)
-        found = fit_log_noise(left, fit.leverage(), value_at(g, dn), slope_at(g, dn, samples), samples.pixels)
-        fit = fit_response(samples, dn, row_variance(samples, dn, g, found), time_spread=fit.time_spread)
-    basis = ValueBasis(samples.bit_depth, limits)
-    from_middle = basis.all_values().toarray()
-    from_middle -= from_middle[from_middle.shape[0] // 2].copy()
+def _without_frames(samples: ResponseSamples, result: FittedResponse) -> Iterator[FittedResponse | None]:
+    """Yield the fit without every n-th frame, for each n-th; no freed frame is left out alone."""
+    count = samples.frame_log_time.size
+    folds = min(count, _FRAME_FOLDS)
+    for fold in range(folds if count > 2 else 0):
+        keep = samples.frame % folds != fold
+        if np.unique(samples.frame[keep]).size < 2:
+            continue
+        try:
+            part = samples.kept(keep)
+        except MeasurementError:
+            continue
+        yield refit(part, result)
 
-    def u_of(covariance: Array) -> Array:
-        inner = covariance[: basis.size, : basis.size]
-        return np.asarray(np.sqrt(np.maximum(np.einsum("ij,ij->i", from_middle @ inner, from_middle), 0.0)))
 
-    g = _values(samples, fit.coefficients)
+def _u_shared(samples: ResponseSamples, result: FittedResponse) -> Array:
+    """Return the standard uncertainty that smoothness and the exponent of the times decide: all pixels share it."""
+    fit, g = result.fit, result.log_exposure
     # Wrong times leave the exponent of the curve as uncertain as the mean of so many of them.
     u_exponent = fit.time_spread / float(np.linalg.norm(samples.frame_log_time - samples.frame_log_time.mean()))
+    basis = ValueBasis(samples.bit_depth, samples.limits)
     posterior = fit.inverse[: basis.size, : basis.size]
-    factor = unseen_factor(fit.coefficients, posterior, basis, supported_range(samples))
-    u_shared = np.hypot(factor * u_of(fit.smoothness_covariance()), (g - g[g.size // 2]) * u_exponent)
-    return _Result(samples, fit, found, g, u_of(fit.covariance()), u_shared, u_of(fit.inverse))
+    factor = unseen_factor(fit.coefficients, posterior, basis, supported_range(result.samples))
+    of_exponent = (g - g[g.size // 2]) * u_exponent
+    return np.asarray(np.hypot(factor * result.u_of(fit.smoothness_covariance()), of_exponent))
 
 
-def _values(samples: ResponseSamples, coefficients: Array) -> Array:
-    g = np.asarray(ValueBasis(samples.bit_depth, samples.limits).all_values() @ coefficients)
-    return rising(g, np.ones_like(g), supported_range(samples), samples.limits.black_dn)
+def _curve(samples: ResponseSamples, result: FittedResponse, u: Array) -> ResponseCurve:
+    times = "exposure times as stated" if not result.fit.time_modes.size else "exposure times right on average"
+    return finished_curve(
+        result.log_exposure,
+        u,
+        supported_range(result.samples),
+        method=METHOD,
+        channel=samples.channel,
+        parameters={
+            "smoothing": result.fit.smoothing,
+            "time_spread": result.fit.time_spread,
+            "log_time_errors": [float(error) for error in result.fit.log_time_errors],
+        },
+        assumptions=(ASSUMPTION, times),
+    )
 
 
-def _above_black(samples: ResponseSamples, log_exposure: Array) -> ResponseSamples:
-    """Return the rows whose predicted value is clear of black, groups with one such row left out."""
-    weight = (hat_weight(samples.dn, samples.limits) ** 2 + 1e-6) * samples.pixels
-    log_h = value_at(log_exposure, samples.dn)
-    predicted_log_h = log_h - group_residual(samples, log_h, weight)[0]
-    predicted_dn = np.interp(predicted_log_h, log_exposure, np.arange(log_exposure.size))
-    keep = predicted_dn > samples.limits.black_dn + _LEAST_PREDICTED_DN
-    return samples.kept(keep)
-
-
-def _log_time_errors(fit: ResponseFit, log_time: Array) -> Array:
-    """Return ln of true over stated exposure time of every frame."""
-    return time_error_modes(log_time) @ fit.time_modes if fit.time_spread else np.zeros(log_time.size)
-
-
-def _exposure_ratios(fit: ResponseFit, log_time: Array) -> tuple[Array, Array]:
-    ratios = np.exp(np.diff(log_time + _log_time_errors(fit, log_time)))
-    if not fit.time_spread:
+def _exposure_ratios(fit: ResponseFit, log_time: Array, parts: _Parts) -> tuple[Array, Array]:
+    ratios = np.exp(np.diff(log_time + fit.log_time_errors))
+    if not fit.time_modes.size:
         return ratios, np.zeros(log_time.size - 1)
     errors = fit.covariance()[fit.basis_size :, fit.basis_size :]
-    step = np.diff(time_error_modes(log_time), axis=0)
-    return ratios, np.asarray(ratios * np.sqrt(np.maximum(np.einsum("ij,ij->i", step @ errors, step), 0.0)))
+    step = np.diff(fit.patterns, axis=0)
+    of_pixels = np.einsum("ij,ij->i", step @ errors, step)
+    of_places = jackknife_u([np.diff(part.fit.log_time_errors) for part in parts.quadrants]) ** 2
+    return ratios, np.asarray(ratios * np.sqrt(np.maximum(of_pixels, of_places)))
 
 
 def _gauge(fit: ResponseFit) -> str:
-    if not fit.time_spread:
+    if not fit.time_modes.size:
         return "g(M_mid) = 0; exposure ratios as given"
     return "g(M_mid) = 0; exposure times fitted, right on average (this fixes the exponent)"
 
 
-def _notes(fit: ResponseFit, samples: ResponseSamples) -> tuple[str, ...]:
-    notes = []
+def _notes(
+    result: FittedResponse, samples: ResponseSamples, wrong: Sequence[WrongLabel], parts: _Parts
+) -> tuple[str, ...]:
+    fit = result.fit
+    notes = [
+        f"the exposure labelled {np.exp(samples.frame_log_time[label.frame]):.4g} s is "
+        f"{label.ratio:.3f} ± {label.u_ratio:.3f} of that; it was taken as found, not as labelled"
+        for label in wrong
+    ]
     if fit.time_spread:
-        errors = _log_time_errors(fit, samples.frame_log_time)
+        errors = fit.log_time_errors
         worst = int(np.argmax(np.abs(errors)))
         notes.append(
             f"the exposure times differ from their labels by some {100 * fit.time_spread:.2g} %; most for "
@@ -219,21 +227,20 @@ def _notes(fit: ResponseFit, samples: ResponseSamples) -> tuple[str, ...]:
             "all exposures are whole stops apart: a wave of one stop's period in ln H cannot be seen in these data and "
             "is kept as small as the curve's smoothness allows; one frame a third of a stop off would show it"
         )
-    if fit.reduced_chi2 > 2.0:
-        notes.append(
-            f"the frames disagree by {np.sqrt(fit.reduced_chi2):.1f} times their noise: movement, changing light or "
-            "processing that depends on the picture; the uncertainty holds this as far as it is random"
-        )
+    if result.choices.inflation > _MANY_AS_ONE:
+        notes.append(_note_on_disagreement(result, parts))
     return tuple(notes)
 
 
-def _note_on_thirds(stability: Stability | None, open_in_a_third: float) -> tuple[str, ...]:
-    if stability is None or stability.rms_log <= _THIRDS_AGREE:
-        return ()
+def _note_on_disagreement(result: FittedResponse, parts: _Parts) -> str:
+    found = parts.agreement(inner_range(supported_range(result.samples)))
+    what = "movement, changing light, flare, or processing that depends on the picture"
+    if found is None:
+        return f"the frames differ by more than their noise: {what}"
     return (
-        f"curves from disjoint thirds of the pixels differ by {100 * stability.rms_log:.1f} % (rms; "
-        f"{100 * stability.largest_log:.1f} % at most): the noise of so many pixels and the smoothness of the curve "
-        f"leave ln H open by {100 * open_in_a_third:.1f} % in each, whatever the method; u_log_exposure says where",
+        f"the frames differ by more than their noise ({what}): curves without one quadrant of the picture differ by "
+        f"{100 * found.quadrants_rms_log:.2g} %, without some of the frames by {100 * found.frames_rms_log:.2g} % "
+        "(rms); u_log_exposure holds both"
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.sparse as sp
@@ -49,7 +50,7 @@ class ValueBasis:
 
     def all_values(self) -> sp.csr_array:
         """Return the design for every digital number, shape (2**bit_depth, size)."""
-        return self.design(np.arange(1 << self.bit_depth, dtype=np.float64))
+        return _all_values(self)
 
     @property
     def roughness_order(self) -> int:
@@ -77,6 +78,11 @@ class ValueBasis:
     def _bounds(self) -> tuple[float, float]:
         reach = float(np.log((self.limits.saturated_dn - self.limits.black_dn + self._softening()) / self._softening()))
         return -reach, reach
+
+
+@lru_cache(maxsize=8)
+def _all_values(basis: ValueBasis) -> sp.csr_array:
+    return basis.design(np.arange(1 << basis.bit_depth, dtype=np.float64))
 
 
 def hat_weight(dn: NDArray[np.float64], limits: ValueLimits) -> NDArray[np.float64]:

@@ -15,6 +15,8 @@ from radiometer.data.response_curve import ResponseCurve
 Array = NDArray[np.float64]
 # An end of a curve that is less certain than this, in ln H, is called extrapolated.
 _UNDETERMINED_U = 0.05
+# The gauge makes u vanish at the middle: levelling takes no value for better known than this part of the median.
+_LEVEL_FLOOR = 0.3
 
 
 def supported_range(samples: ResponseSamples) -> tuple[int, int]:
@@ -31,9 +33,8 @@ def finished_curve(
     channel: str,
     parameters: dict[str, Any] | None = None,
     assumptions: tuple[str, ...] = (),
-    black_dn: int = 0,
 ) -> ResponseCurve:
-    """Return the curve with the gauge g(M_mid) = 0, made monotonic, its uncertainty widened where extrapolated.
+    """Return the curve with the gauge g(M_mid) = 0, made monotonic, its uncertainty infinite where not supported.
 
     Args:
         log_exposure: g at every digital number, finite.
@@ -43,43 +44,43 @@ def finished_curve(
         channel: Colour channel.
         parameters: Settings of the method, for the provenance.
         assumptions: What was assumed, for the provenance.
-        black_dn: Digital number of black.
     """
-    inside = rising(log_exposure, u_log_exposure, valid_dn, black_dn)
+    inside = rising(log_exposure, u_log_exposure, valid_dn)
     # Where the fit fell and had to be levelled, it is no better known than by how much.
-    levelled = np.hypot(u_log_exposure, np.abs(inside - log_exposure))
-    at_edge = levelled[np.clip(np.arange(inside.size), *valid_dn)]
-    u = np.hypot(at_edge, _extrapolation(inside, valid_dn))
+    u = np.hypot(u_log_exposure, np.abs(inside - log_exposure))
+    determined = _determined(u, valid_dn)
+    u = np.where((np.arange(u.size) < determined[0]) | (np.arange(u.size) > determined[1]), np.inf, u)
     middle = inside.size // 2
+    if not determined[0] <= middle <= determined[1]:
+        u[determined[0] : determined[1] + 1] = np.hypot(
+            u[determined[0] : determined[1] + 1], _extrapolation(inside, valid_dn)[middle]
+        )
     return ResponseCurve(
         inside - inside[middle],
         u,
-        valid_dn=_determined(u, valid_dn),
+        valid_dn=determined,
         channel=channel,
         provenance=Provenance(method, assumptions=assumptions, parameters=parameters or {}),
     )
 
 
-def rising(log_exposure: Array, u: Array, valid_dn: tuple[int, int], black_dn: int = 0) -> Array:
-    """Return the nearest non-falling curve; outside the supported range it goes on as it left off.
-
-    Below the range it goes on as a power law of the distance from black, above with the slope at the edge.
+def rising(log_exposure: Array, u: Array, valid_dn: tuple[int, int]) -> Array:
+    """Return the nearest non-falling curve; outside the supported range it goes on with the slope at its edge.
 
     Args:
         log_exposure: g at every digital number.
-        u: Its uncertainty; values count by its inverse square.
+        u: Its uncertainty; values count by its inverse square, so that those hardly known level nobody else.
         valid_dn: Supported range.
-        black_dn: Digital number of black.
     """
     low, high = valid_dn
     curve = np.array(log_exposure, dtype=np.float64)
-    floor = max(float(np.median(u[low : high + 1])), 1e-12)
-    core = isotonic_regression(curve[low : high + 1], weights=1.0 / (u[low : high + 1] ** 2 + floor**2)).x
+    known = u[low : high + 1][np.isfinite(u[low : high + 1])]
+    floor = max(_LEVEL_FLOOR * float(np.median(known)), 1e-12) if known.size else 1.0
+    sigma = np.minimum(np.hypot(u[low : high + 1], floor), 1e6)
+    core = isotonic_regression(curve[low : high + 1], weights=(floor / sigma) ** 2).x
     curve[low : high + 1] = core
     span = max(4, (high - low) // 64)
-    height = np.log(np.maximum(np.arange(curve.size) - black_dn, 0.0) + 0.5)
-    power = (core[min(span, core.size - 1)] - core[0]) / max(height[min(low + span, high)] - height[low], 1e-9)
-    curve[:low] = core[0] - max(power, 1e-9) * (height[low] - height[:low])
+    curve[:low] = core[0] + _slope(core[: span + 1]) * np.arange(-low, 0)
     curve[high + 1 :] = core[-1] + _slope(core[-span - 1 :]) * np.arange(1, curve.size - high)
     return curve
 
@@ -94,6 +95,18 @@ def _determined(u: Array, valid_dn: tuple[int, int]) -> tuple[int, int]:
 
 def _slope(piece: Array) -> float:
     return max(float(piece[-1] - piece[0]) / max(piece.size - 1, 1), 1e-9)
+
+
+def u_with_extrapolation(curve: ResponseCurve) -> Array:
+    """Return the standard uncertainty of g, with the whole step beyond the supported range as that outside it.
+
+    A curve states no (an infinite) uncertainty there; what measures the ends by other means still needs a start.
+    """
+    if curve.valid_dn is None:
+        return curve.u_log_exposure
+    u = curve.u_log_exposure
+    at_edge = u[np.clip(np.arange(u.size), *curve.valid_dn)]
+    return np.where(np.isfinite(u), u, np.hypot(at_edge, _extrapolation(curve.log_exposure, curve.valid_dn)))
 
 
 def _extrapolation(curve: Array, valid_dn: tuple[int, int]) -> Array:

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.response.curves import u_with_extrapolation
 from radiometer.data.provenance import Provenance
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import InputError, MeasurementError
@@ -140,7 +141,7 @@ def with_dynamic_range(curve: ResponseCurve, found: DynamicRange) -> ResponseCur
     """
     middle = curve.mid_dn
     g = found.exponent * curve.log_exposure
-    u = np.hypot(found.exponent * curve.u_log_exposure, curve.log_exposure * found.u_exponent)
+    u = np.hypot(found.exponent * u_with_extrapolation(curve), curve.log_exposure * found.u_exponent)
     g_ref = _at(g, found.reference_dn)
     for one, step, u_step in zip(found.points, found.log_steps, found.u_log_steps, strict=True):
         g, u = _run_to(g, u, curve.valid_dn, one.dn, g_ref + step, u_step)
@@ -176,7 +177,8 @@ def _one_exponent(
             f"the region at {one.dn:g} DN needs a {wanted} time than the reference photograph's {reference_s:g} s to "
             f"land on {landed:g} DN; stated is {one.exposure_s:g} s"
         )
-    of_curve = math.hypot(_at(curve.u_log_exposure, one.dn), _at(curve.u_log_exposure, landed))
+    known = u_with_extrapolation(curve)
+    of_curve = math.hypot(_at(known, one.dn), _at(known, landed))
     u_distance = math.hypot(of_curve, _reading_u(curve, one, reference_dn))
     exponent = step / distance
     return exponent, exponent * u_distance / abs(distance)

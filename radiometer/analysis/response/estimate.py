@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,6 +27,21 @@ class Stability:
     reduced_chi2: float
 
 
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How far the curves lie apart that parts of the data give by themselves.
+
+    Attributes:
+        quadrants_rms_log: Root mean square distance, in ln H over 5–95 % of the valid digital numbers, of the curves
+            without one quadrant of the picture from their mean, scaled to what a quarter of the picture by itself
+            would show.
+        frames_rms_log: The same for the curves without one frame (or some).
+    """
+
+    quadrants_rms_log: float
+    frames_rms_log: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ResponseEstimate:
     """A recovered response with its diagnostics.
@@ -44,6 +60,7 @@ class ResponseEstimate:
         gauge: What the data could not fix and how it was fixed.
         notes: Things a user must know, in plain sentences.
         details: Further figures of the method.
+        agreement: Agreement of parts of the picture and of the frames; None where there were too few.
     """
 
     curve: ResponseCurve
@@ -59,6 +76,7 @@ class ResponseEstimate:
     gauge: str = "g(M_mid) = 0; exposure ratios as given"
     notes: tuple[str, ...] = ()
     details: dict[str, Any] = field(default_factory=dict)
+    agreement: Agreement | None = None
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the diagnostics (not the curve's values) as plain values for JSON."""
@@ -81,12 +99,29 @@ class ResponseEstimate:
                 "largest_log": stability.largest_log,
                 "reduced_chi2": stability.reduced_chi2,
             },
+            "agreement": None
+            if self.agreement is None
+            else {
+                "quadrants_rms_log": self.agreement.quadrants_rms_log,
+                "frames_rms_log": self.agreement.frames_rms_log,
+            },
             "exposure_ratios": [float(r) for r in self.exposure_ratios],
             "u_exposure_ratios": [float(u) for u in self.u_exposure_ratios],
             "gauge": self.gauge,
             "notes": list(self.notes),
             "details": self.details,
         }
+
+
+def spread_rms(curves: Sequence[NDArray[np.float64]]) -> float:
+    """Return the rms distance of curves from their mean, each left out of one part: scaled to that of the parts.
+
+    Args:
+        curves: ln H by digital number, each from all data but one part; at least two.
+    """
+    values = np.array(curves)
+    values = values - values.mean(axis=1, keepdims=True)
+    return float((len(values) - 1) * np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
 
 
 def inner_range(valid_dn: tuple[int, int]) -> slice:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,8 @@ Array = NDArray[np.float64]
 _TIME_SPREADS = (0.001, 0.003, 0.01, 0.03)
 # Twice the gain in log likelihood that calls for errors of the exposure times.
 _CALLS_FOR_TIME_ERRORS = 20.0
+# Standard deviation of ln of true over stated time of a frame whose label is not believed.
+_FREE_SPREAD = 3.0
 _SMOOTHINGS = np.logspace(-6, 9, 31)
 
 
@@ -32,7 +35,9 @@ class ResponseFit:
         normal: The normal equations that were solved.
         smoothing: λ relative to tr(N)/tr(P).
         time_spread: Relative standard deviation of the exposure times that was assumed; 0 where taken as exact.
-        time_modes: Amplitudes of the patterns of `time_error_modes` in the exposure times; empty where exact.
+        time_modes: Amplitudes of the patterns in the exposure times; empty where exact.
+        patterns: ln of true over stated time that one unit of each amplitude makes in every frame, shape
+            (frames, modes).
         basis_size: Number of coefficients that belong to the curve.
         reduced_chi2: Of the residuals.
     """
@@ -43,8 +48,14 @@ class ResponseFit:
     smoothing: float
     time_spread: float
     time_modes: Array
+    patterns: Array
     basis_size: int
     reduced_chi2: float
+
+    @property
+    def log_time_errors(self) -> Array:
+        """Return ln of true over stated exposure time of every frame."""
+        return np.asarray(self.patterns @ self.time_modes)
 
     @property
     def solution(self) -> Array:
@@ -69,7 +80,13 @@ class ResponseFit:
 
 
 def fit_response(
-    samples: ResponseSamples, dn: Array, variance: Array, *, time_spread: float | None = None
+    samples: ResponseSamples,
+    dn: Array,
+    variance: Array,
+    *,
+    time_spread: float | None = None,
+    smoothing: float | None = None,
+    free: Sequence[int] = (),
 ) -> ResponseFit:
     """Return the response that best explains group means of known variance.
 
@@ -80,24 +97,35 @@ def fit_response(
         dn: Their digital numbers (of the mean exposure), shape (rows,).
         variance: Variance of ln H of every row, shape (rows,).
         time_spread: Relative standard deviation of the exposure times; 0 for exact ones, None to decide by the data.
+        smoothing: λ relative to tr(N)/tr(P); None to have it chosen.
+        free: Frames whose exposure is not taken from their label.
 
     Raises:
         MeasurementError: If the data leave the curve undetermined.
     """
+    smoothings = _SMOOTHINGS if smoothing is None else np.array([smoothing])
     spreads = (0.0, *_TIME_SPREADS) if time_spread is None else (time_spread,)
+    if np.unique(samples.frame_log_time).size <= 2:
+        spreads = (0.0,)
     basis = ValueBasis(samples.bit_depth, samples.limits)
-    curve_only = eliminate_groups(basis.design(dn), samples.log_time, 1.0 / variance, samples.group)
-    exact = _Problem.of(curve_only, basis, samples, 0.0)
-    best = exact if 0.0 in spreads else None
-    if np.unique(samples.frame_log_time).size > 2 and any(spreads):
-        design = sp.hstack([basis.design(dn), -_time_columns(samples)], format="csr")
-        with_times = eliminate_groups(sp.csr_array(design), samples.log_time, 1.0 / variance, samples.group)
-        loose = [_Problem.of(with_times, basis, samples, spread) for spread in spreads if spread]
-        freest = min(loose, key=lambda problem: problem.deviance)
-        if best is None or freest.deviance < best.deviance - _CALLS_FOR_TIME_ERRORS:
-            best = freest
-    chosen = best or exact
-    if not np.isfinite(chosen.deviance):
+    design = basis.design(dn)
+    labels = np.eye(samples.frame_log_time.size)[:, list(free)]
+    modes = np.hstack([labels, time_error_modes(samples.frame_log_time)])
+
+    def problem(spread: float) -> _Problem:
+        patterns = modes if spread else labels
+        columns = [design, sp.csr_array(-patterns[samples.frame])] if patterns.shape[1] else [design]
+        normal = eliminate_groups(
+            sp.csr_array(sp.hstack(columns, format="csr")), samples.log_time, 1.0 / variance, samples.group
+        )
+        return _Problem.of(normal, basis, samples, patterns, len(free), spread, smoothings)
+
+    chosen = problem(0.0) if 0.0 in spreads else None
+    if any(spreads):
+        freest = min((problem(spread) for spread in spreads if spread), key=lambda one: one.deviance)
+        if chosen is None or freest.deviance < chosen.deviance - _CALLS_FOR_TIME_ERRORS:
+            chosen = freest
+    if chosen is None or not np.isfinite(chosen.deviance):
         raise MeasurementError(
             "the frames do not determine a response: too few values overlap between exposures; "
             "take exposures about one stop apart of a scene with many brightnesses"
@@ -115,27 +143,42 @@ class _Problem:
     smoothing: float
     deviance: float
     time_spread: float
+    patterns: Array
     basis_size: int
 
     @classmethod
-    def of(cls, normal: NormalEquations, basis: ValueBasis, samples: ResponseSamples, spread: float) -> _Problem:
+    def of(
+        cls,
+        normal: NormalEquations,
+        basis: ValueBasis,
+        samples: ResponseSamples,
+        patterns: Array,
+        free: int,
+        spread: float,
+        smoothings: Array,
+    ) -> _Problem:
         size = normal.matrix.shape[0]
         middle = np.zeros(size)
         middle[: basis.size] = basis.design(np.array([float(1 << (samples.bit_depth - 1))])).toarray()[0]
         trace = float(np.trace(normal.matrix[: basis.size, : basis.size]))
         fixed = normal.matrix + np.outer(middle, middle) * trace / float(middle @ middle)
+        labels = np.arange(basis.size, basis.size + free)
+        fixed[labels, labels] += 1.0 / _FREE_SPREAD**2
         prior = 0.0
         if spread:
-            errors = np.arange(basis.size, size)
+            errors = np.arange(basis.size + free, size)
             fixed[errors, errors] += 1.0 / spread**2
             prior = 2.0 * errors.size * float(np.log(spread))
         penalty = np.zeros((size, size))
         roughness = basis.roughness()
         penalty[: basis.size, : basis.size] = roughness * trace / float(np.trace(roughness))
         rank = basis.size - basis.roughness_order
-        scores = [_deviance(normal, fixed, penalty, value, rank) + prior for value in _SMOOTHINGS]
+        if smoothings.size == 1:
+            scores = [0.0]
+        else:
+            scores = [_deviance(normal, fixed, penalty, value, rank) + prior for value in smoothings]
         at = int(np.argmin(scores))
-        return cls(normal, fixed, penalty, float(_SMOOTHINGS[at]), scores[at], spread, basis.size)
+        return cls(normal, fixed, penalty, float(smoothings[at]), scores[at], spread, patterns, basis.size)
 
     def solved(self) -> ResponseFit:
         inverse = np.linalg.inv(self.fixed + self.smoothing * self.penalty)
@@ -149,6 +192,7 @@ class _Problem:
             smoothing=self.smoothing,
             time_spread=self.time_spread,
             time_modes=solution[self.basis_size :],
+            patterns=self.patterns,
             basis_size=self.basis_size,
             reduced_chi2=chi2 / max(self.normal.freedom - parameters, 1.0),
         )
@@ -172,7 +216,3 @@ def time_error_modes(log_time: Array) -> Array:
     """
     fixed = np.column_stack([np.ones(log_time.size), log_time])
     return np.asarray(la.null_space(fixed.T))
-
-
-def _time_columns(samples: ResponseSamples) -> sp.csr_array:
-    return sp.csr_array(time_error_modes(samples.frame_log_time)[samples.frame])

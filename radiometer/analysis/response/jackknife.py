@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,3 +30,17 @@ def jackknife(samples: ResponseSamples, solve: Callable[[ResponseSamples], Array
     values = np.array(left)
     scatter = (folds - 1) / folds * np.square(values - values.mean(axis=0)).sum(axis=0)
     return np.asarray(np.sqrt(scatter * (folds - 1) / max(folds - 3, 1)))
+
+
+def jackknife_u(left: Sequence[Array]) -> Array:
+    """Return the standard uncertainty that results with one part of the data left out each show.
+
+    Args:
+        left: The result without each part, all of one shape; with fewer than two nothing is known: zero.
+
+    Source: as for `jackknife`, with the parts taken as they are.
+    """
+    if len(left) < 2:
+        return np.zeros(left[0].shape if left else 1)
+    values = np.array(left)
+    return np.asarray(np.sqrt((len(values) - 1) * values.var(axis=0)))

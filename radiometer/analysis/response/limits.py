@@ -9,10 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data.bracket import Bracket
+from radiometer.data.frame import Frame
 from radiometer.errors import MeasurementError
 
 # A clipping level gathers whatever lies beyond it: its count stands out from its neighbours by this factor.
 _PILE_UP = 8.0
+# Fog and knees hold still while the exposure grows: over this many frames, by this factor in all, to this share of full
+# scale, with this share of the picture in the peak.
+_STILL_FRAMES, _STILL_GROWTH, _STILL_SHARE, _PEAK_SHARE = 3, 3.0, 1.0 / 128.0, 0.05
+# A signal below 3 widths would grow by less than one behind the square root of a tripled exposure.
+_CLEAR = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +39,8 @@ def find_limits(brackets: Sequence[Bracket]) -> ValueLimits:
 
     Saturation is full scale, or lower where the highest value that occurs gathers far more pixels than those just
     below it (a sensor or film that saturates before the converter does). Black is 0, the stated black level, or
-    the lowest value in the same way.
+    the lowest value in the same way. Besides, a value at which much of the shortest frames stands still while their
+    exposure grows is black (the fog of a film, a black level that nobody stated), and one of the longest is white.
 
     Raises:
         MeasurementError: If every value of every frame is clipped.
@@ -44,11 +51,43 @@ def find_limits(brackets: Sequence[Bracket]) -> ValueLimits:
         for frame in bracket:
             histogram += np.bincount(frame.dn.ravel(), minlength=full_scale + 1)[: full_scale + 1]
     stated = [f.settings.black_level_dn for b in brackets for f in b if f.settings.black_level_dn]
-    black = max(_floor(histogram), int(np.ceil(max(stated))) if stated else 0)
-    saturated = _ceiling(histogram)
+    stills = [_stands_still(bracket, full_scale) for bracket in brackets]
+    black = max(_floor(histogram), int(np.ceil(max(stated))) if stated else 0, *(low for low, _ in stills))
+    saturated = min(_ceiling(histogram), *(high for _, high in stills))
     if saturated - black < 4 or histogram[black + 1 : saturated].sum() == 0:
         raise MeasurementError(_all_clipped(histogram, full_scale))
     return ValueLimits(black, saturated)
+
+
+def _stands_still(bracket: Bracket, full_scale: int) -> tuple[int, int]:
+    """Return the commonest value of the shortest frames and of the longest where it does not move with the exposure.
+
+    Where it moves, 0 and full scale.
+    """
+    times = bracket.effective_exposures_s
+    low, high = 0, full_scale
+    if len(bracket) >= 2 * _STILL_FRAMES:
+        if times[_STILL_FRAMES - 1] >= _STILL_GROWTH * times[0]:
+            low = _common_peak(bracket.frames[:_STILL_FRAMES], full_scale) or 0
+        if times[-1] >= _STILL_GROWTH * times[-_STILL_FRAMES]:
+            high = _common_peak(bracket.frames[-_STILL_FRAMES:], full_scale) or full_scale
+    middle = (full_scale + 1) // 2
+    return (low if low < middle else 0), (high if high > middle else full_scale)
+
+
+def _common_peak(frames: Sequence[Frame], full_scale: int) -> int | None:
+    """Return the value that the most pixels of every frame have, where it is the same in all."""
+    width = max(int(_STILL_SHARE * full_scale), 1)
+    peaks = []
+    for frame in frames:
+        counts = np.bincount(frame.dn.ravel(), minlength=full_scale + 1)
+        peak = int(np.argmax(counts))
+        if counts[max(peak - width, 0) : peak + width + 1].sum() < _PEAK_SHARE * frame.dn.size:
+            return None
+        peaks.append(peak)
+    # Nearer to an end, a signal would not have moved by more than the peak is wide.
+    clear = min(peaks) >= _CLEAR * width and max(peaks) <= full_scale - _CLEAR * width
+    return max(peaks) if clear and max(peaks) - min(peaks) <= width else None
 
 
 def _ceiling(histogram: NDArray[np.int64]) -> int:

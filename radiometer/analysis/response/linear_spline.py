@@ -87,7 +87,8 @@ def solve_linear_spline(samples: ResponseSamples) -> ResponseEstimate:
 
 def _misfit(log_exposure: Array, finer: ResponseCurve, valid_dn: tuple[int, int]) -> Array:
     """Return how far a curve lies off a finer one at each digital number or, if that is more, around it."""
-    low, high = valid_dn
+    known = finer.valid_dn or valid_dn  # outside it the finer curve is a straight line
+    low, high = max(valid_dn[0], known[0]), min(valid_dn[1], known[1])
     inside = np.zeros(log_exposure.size)
     inside[low : high + 1] = 1.0
     square = inside * (log_exposure - log_exposure[finer.mid_dn] - finer.log_exposure) ** 2
@@ -164,6 +165,5 @@ def _solve(
         channel=samples.channel,
         parameters={"smoothing": solution.smoothing, "black_dn": black},
         assumptions=("the sensor is linear but for a smooth deviation",),
-        black_dn=samples.limits.black_dn,
     )
     return curve, normal, solution

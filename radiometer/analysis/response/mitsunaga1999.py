@@ -219,5 +219,4 @@ def _curve(samples: ResponseSamples, g: Array, u: Array, order: int) -> Response
         channel=samples.channel,
         parameters={"order": order},
         assumptions=(ASSUMPTION,),
-        black_dn=samples.limits.black_dn,
     )

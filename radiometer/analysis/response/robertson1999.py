@@ -143,5 +143,4 @@ def _curve(samples: ResponseSamples, g: Array, u: Array) -> ResponseCurve:
         method=METHOD,
         channel=samples.channel,
         assumptions=("noise equal for all digital numbers of one exposure time",),
-        black_dn=samples.limits.black_dn,
     )

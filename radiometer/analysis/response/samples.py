@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.response.limits import ValueLimits, find_limits
 from radiometer.data.bracket import Bracket
-from radiometer.data.frame import Frame
 from radiometer.errors import InputError, MeasurementError
 
 # A group is left out of a frame where more than this part of its pixels clips there: the mean of what is left
@@ -19,6 +18,7 @@ _CLIPPED_PART = 0.002
 # So near to black the rounding to whole numbers is a large part of the exposure and is not averaged away.
 _LEAST_ABOVE_BLACK_DN = 4.0
 _GROUPS = 384
+_QUADRANTS = 4
 # A pixel that falls by more than this part of full scale under a longer exposure did not look at one thing.
 _TOLERATED_FALL = 0.1
 
@@ -40,6 +40,9 @@ class ResponseSamples:
         frame_bracket: Index of every frame's bracket, shape (frames,).
         pixel_count: Pixels of all brackets.
         channel: Colour channel.
+        without_quadrant: The same rows four times, each without the pixels of one quadrant of the picture; empty for
+            samples that were themselves cut from others.
+        quadrants: The rows of each quadrant's own pixels, likewise.
     """
 
     dn: NDArray[np.float64]
@@ -54,6 +57,8 @@ class ResponseSamples:
     frame_bracket: NDArray[np.intp]
     pixel_count: int
     channel: str = "mono"
+    without_quadrant: tuple[ResponseSamples, ...] = ()
+    quadrants: tuple[ResponseSamples, ...] = ()
 
     @property
     def group_count(self) -> int:
@@ -98,14 +103,19 @@ def gather_samples(brackets: Bracket | Sequence[Bracket]) -> ResponseSamples:
         raise InputError("no bracket given; a response needs at least one bracket of two exposures")
     _check(several)
     limits = find_limits(several)
-    parts: list[ResponseSamples] = []
-    groups = frames = 0
+    parts: list[list[ResponseSamples]] = [[] for _ in range(2 * _QUADRANTS + 1)]
+    frames = 0
     for index, bracket in enumerate(several):
-        part = _gather_one(bracket, limits, index, groups, frames)
-        groups += part.group_count - groups if part.group.size else 0
+        for them, part in zip(parts, _gather_one(bracket, limits, index, frames), strict=True):
+            first = max((other.group_count for other in them), default=0)
+            them.append(replace(part, group=part.group + first))
         frames += len(bracket)
-        parts.append(part)
-    return _joined(parts)
+    whole, *others = (_joined(them) for them in parts)
+    if whole.group_count < 4:
+        raise MeasurementError(_nothing_usable(whole))
+    if any(part.group_count < 4 for part in others):  # one quadrant holds nearly all that there is to see
+        return whole
+    return replace(whole, without_quadrant=tuple(others[:_QUADRANTS]), quadrants=tuple(others[_QUADRANTS:]))
 
 
 def _check(brackets: Sequence[Bracket]) -> None:
@@ -124,15 +134,26 @@ def _check(brackets: Sequence[Bracket]) -> None:
             )
 
 
-def _gather_one(
-    bracket: Bracket, limits: ValueLimits, index: int, first_group: int, first_frame: int
-) -> ResponseSamples:
+def _gather_one(bracket: Bracket, limits: ValueLimits, index: int, first_frame: int) -> tuple[ResponseSamples, ...]:
+    """Return the samples of all pixels, then those without each quadrant's, then each quadrant's own."""
     label, group_total = _label_groups(bracket)
-    size = np.bincount(label, minlength=group_total)[:group_total].astype(np.float64)
-    columns = [_frame_statistics(frame, label, size, limits) for frame in bracket]
-    mean, variance, clean = (np.array(list(c)).T for c in zip(*columns, strict=True))
+    sums = _sums_by_quadrant(bracket, label, _quadrants(bracket.shape), group_total, limits)
+    whole = sums.sum(axis=1)
+    own = [sums[:, q] for q in range(_QUADRANTS)]
+    return tuple(_rows(bracket, part, limits, index, first_frame) for part in (whole, *(whole - o for o in own), *own))
+
+
+def _rows(
+    bracket: Bracket, sums: NDArray[np.float64], limits: ValueLimits, index: int, first_frame: int
+) -> ResponseSamples:
+    """Return the rows that sums (pixels, Σ dn, Σ dn², clipped pixels; each by frame and group) make."""
+    size = sums[0, 0]
+    count = np.maximum(size, 1.0)
+    mean = (sums[1] / count).T
+    variance = np.maximum(sums[2] / count - (sums[1] / count) ** 2, 0.0).T
     log_time = np.log(bracket.effective_exposures_s)
-    usable = clean.astype(bool)
+    usable = (size > 0)[:, None] & (mean > limits.black_dn + _LEAST_ABOVE_BLACK_DN)
+    usable &= (sums[3] <= _CLIPPED_PART * size).T
     # A group seen at one exposure only says nothing about the response.
     earliest = np.where(usable, log_time, np.inf).min(axis=1)
     latest = np.where(usable, log_time, -np.inf).max(axis=1)
@@ -142,7 +163,7 @@ def _gather_one(
     return ResponseSamples(
         dn=mean[row, frame_index],
         log_time=log_time[frame_index],
-        group=np.asarray(group, dtype=np.intp) + first_group,
+        group=np.asarray(group, dtype=np.intp),
         frame=frame_index + first_frame,
         pixels=size[row],
         variance=variance[row, frame_index],
@@ -153,6 +174,42 @@ def _gather_one(
         pixel_count=int(np.prod(bracket.shape)),
         channel=str(bracket.frames[0].extra.get("channel", "mono")),
     )
+
+
+def _quadrants(shape: tuple[int, int]) -> NDArray[np.intp]:
+    """Return the quadrant of every pixel, flattened: top left, top right, bottom left, bottom right."""
+    height, width = shape
+    low, right = np.arange(height) >= (height + 1) // 2, np.arange(width) >= (width + 1) // 2
+    return np.asarray((2 * low[:, None] + right[None, :]).ravel(), dtype=np.intp)
+
+
+def _sums_by_quadrant(
+    bracket: Bracket,
+    label: NDArray[np.intp],
+    quadrant: NDArray[np.intp],
+    groups: int,
+    limits: ValueLimits,
+) -> NDArray[np.float64]:
+    """Return pixels, Σ dn, Σ dn² and clipped pixels, shape (4, quadrants, frames, groups)."""
+    place = quadrant * (groups + 1) + label  # the last group is that of contradictory pixels
+    cells = _QUADRANTS * (groups + 1)
+    found = np.empty((4, _QUADRANTS, len(bracket), groups))
+    pixels = np.bincount(place, minlength=cells)
+    for index, frame in enumerate(bracket):
+        dn = frame.dn.ravel()
+        # Sums in float64 hold 2^53: 2^31 pixels of 16 bits, squared.
+        as_float = dn.astype(np.float64)
+        clipped = (dn <= limits.black_dn) | (dn >= limits.saturated_dn)
+        for row, total in enumerate(
+            (
+                pixels,
+                np.bincount(place, as_float, cells),
+                np.bincount(place, as_float * as_float, cells),
+                np.bincount(place[clipped], minlength=cells),
+            )
+        ):
+            found[row, :, index] = total.reshape(_QUADRANTS, groups + 1)[:, :groups]
+    return found
 
 
 def _label_groups(bracket: Bracket) -> tuple[NDArray[np.intp], int]:
@@ -186,26 +243,9 @@ def _contradictory(bracket: Bracket) -> NDArray[np.bool_]:
     return bad
 
 
-def _frame_statistics(
-    frame: Frame, label: NDArray[np.intp], size: NDArray[np.float64], limits: ValueLimits
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    dn = frame.dn.ravel()
-    groups = size.size
-    count = np.maximum(size, 1.0)
-    # Sums in float64 hold 2^53: 2^31 pixels of 16 bits, squared.
-    as_float = dn.astype(np.float64)
-    mean = np.bincount(label, as_float, groups)[:groups] / count
-    square = np.bincount(label, as_float * as_float, groups)[:groups] / count
-    clipped = (dn <= limits.black_dn) | (dn >= limits.saturated_dn)
-    bad = np.bincount(label[clipped], minlength=groups)[:groups]
-    variance = np.maximum(square - mean**2, 0.0)
-    seen = (size > 0) & (mean > limits.black_dn + _LEAST_ABOVE_BLACK_DN)
-    return mean, variance, seen & (bad <= _CLIPPED_PART * size)
-
-
 def _joined(parts: Sequence[ResponseSamples]) -> ResponseSamples:
     first = parts[0]
-    joined = ResponseSamples(
+    return ResponseSamples(
         dn=np.concatenate([p.dn for p in parts]),
         log_time=np.concatenate([p.log_time for p in parts]),
         group=np.concatenate([p.group for p in parts]),
@@ -219,9 +259,6 @@ def _joined(parts: Sequence[ResponseSamples]) -> ResponseSamples:
         pixel_count=sum(p.pixel_count for p in parts),
         channel=first.channel,
     )
-    if joined.group_count < 4:
-        raise MeasurementError(_nothing_usable(joined))
-    return joined
 
 
 def _nothing_usable(samples: ResponseSamples) -> str:

@@ -99,7 +99,7 @@ class SignalModel:
         dark_e = self.noise.dark_e(settings.exposure_s, settings.temperature_c)
         electrons = light * self.electrons_per_unit + self.noise.read_noise_e**2 + dark_e
         slope = self.at_dn(self.slope, self.dn_of(light, settings)) / gain_factor(settings.gain_db)
-        return np.asarray(electrons / self.electrons_per_unit**2 + slope**2 / 12.0)
+        return np.asarray(electrons / self.electrons_per_unit**2 + slope**2 * self.noise.code_variance_dn2)
 
     def modelled_dark(self, settings: FrameSettings) -> float:
         """Return the signal x that the modelled dark current makes in a frame."""

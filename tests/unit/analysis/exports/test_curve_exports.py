@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from radiometer.analysis.exports.curves import polynomial, write_curves
+from radiometer.analysis.exports.curves import polynomial, read_curves, write_curves
 from radiometer.data import ResponseCurve
-from radiometer.errors import UsageError
+from radiometer.errors import InputError, UsageError
 
 
 def gamma_curve(power=2.2, size=256):
@@ -69,3 +69,34 @@ def test_the_layout_is_that_of_the_peer_s_file(shared_data):
         order, *coefficients = (float(v) for v in line.split())
         assert order == len(coefficients) - 1
         assert sum(coefficients) == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("ending", [".m", ".rsp"])
+def test_what_we_write_for_others_we_read_back(tmp_path, ending):
+    """Three channels come back within the polynomial's error over the middle, with an assumed u that is said."""
+    curves = {name: gamma_curve(power) for name, power in (("red", 1.8), ("green", 2.0), ("blue", 2.2))}
+    write_curves(tmp_path / f"c{ending}", curves)
+    found = read_curves(tmp_path / f"c{ending}")
+    assert list(found) == ["red", "green", "blue"]
+    for name, curve in found.items():
+        wanted = curves[name].log_exposure
+        assert np.max(np.abs(curve.log_exposure[60:250] - wanted[60:250])) < 0.02
+        assert curve.log_exposure[128] == 0.0
+        assert np.median(curve.u_log_exposure[10:250]) == pytest.approx(0.03)
+        assert "states none" in curve.provenance.assumptions[0]
+
+
+def test_a_csv_file_is_of_the_channel_in_its_name(tmp_path):
+    """`curve-red.csv` is red's; any other name is of no colour."""
+    gamma_curve().write(tmp_path / "curve-red.csv")
+    gamma_curve().write(tmp_path / "plain.csv")
+    assert list(read_curves(tmp_path / "curve-red.csv")) == ["red"]
+    assert list(read_curves(tmp_path / "plain.csv")) == ["mono"]
+
+
+@pytest.mark.parametrize(("name", "text"), [("a.m", "1 2\n3 4\n"), ("a.rsp", "3 1 0\n"), ("b.m", "x y z\n")])
+def test_what_is_no_curve_is_refused(tmp_path, name, text):
+    """With the file named, and no traceback."""
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=name):
+        read_curves(tmp_path / name)

@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
+from radiometer.analysis.response.curves import rising
+from radiometer.analysis.response.effective import places_as_one, tones_as_one
+from radiometer.analysis.response.jackknife import jackknife_u
+from radiometer.analysis.response.left_out import prediction_error_dn
 from radiometer.analysis.response.limits import find_limits
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise
 from radiometer.analysis.response.noise_shift import mean_exposure_dn
@@ -91,3 +95,91 @@ def test_blas_is_held_to_one_thread_and_released():
     before = [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
     assert set(threads()) == {1}
     assert [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"] == before
+
+
+def _film(rng, fog, knee, times):
+    """Return frames of a scene through a response that ends in fog below and in a soft knee above."""
+    radiance = np.exp(rng.uniform(-6.0, 2.0, (90, 120)))
+    frames = []
+    for time in times:
+        dn = fog + (knee - fog) * (radiance * time / (1.0 + radiance * time)) ** 0.7
+        stored = np.clip(np.round(dn + rng.normal(0.0, 0.7, radiance.shape)), 0, 255).astype(np.uint8)
+        frames.append(Frame(stored, 8, FrameSettings(float(time))))
+    return Bracket.from_frames(frames)
+
+
+def test_fog_and_knee_are_seen_where_values_stand_still():
+    """Values that do not move while the exposure grows are black (fog at 15) and white (a knee at 240)."""
+    limits = find_limits([_film(np.random.default_rng(3), 15, 240, 2.0 ** np.arange(-14, 16, 2))])
+    assert limits.black_dn == pytest.approx(15, abs=1)
+    assert limits.saturated_dn == pytest.approx(240, abs=1)
+
+
+def test_values_that_move_with_the_exposure_are_neither_black_nor_white():
+    """The same film, exposed where nothing stands still, has no fog and no knee."""
+    limits = find_limits([_film(np.random.default_rng(3), 15, 240, 2.0 ** np.arange(-2, 4))])
+    assert (limits.black_dn, limits.saturated_dn) == (0, 255)
+
+
+def test_samples_without_a_quadrant_lack_its_pixels():
+    """The four parts without a quadrant, and the quadrants themselves, hold the pixels of the whole between them."""
+    rng = np.random.default_rng(1)
+    radiance = np.exp(rng.uniform(-5.0, 0.0, (64, 64)))
+    frames = [
+        Frame(np.clip(radiance * t * 255, 0, 255).astype(np.uint8), 8, FrameSettings(float(t))) for t in (1, 2, 4, 8)
+    ]
+    samples = gather_samples(Bracket.from_frames(frames))
+    whole = samples.pixels[samples.frame == 1].sum()
+    own = [part.pixels[part.frame == 1].sum() for part in samples.quadrants]
+    without = [part.pixels[part.frame == 1].sum() for part in samples.without_quadrant]
+    assert sum(own) == pytest.approx(whole, rel=0.05)
+    assert sum(without) == pytest.approx(3.0 * whole, rel=0.05)
+    assert min(without) > 2.0 * max(own)
+
+
+def test_neighbouring_groups_that_err_together_count_as_one():
+    """White residuals count singly; those that keep their sign over ten groups count about ten as one."""
+    rng = np.random.default_rng(5)
+    group, frame = np.tile(np.arange(400), 3), np.repeat(np.arange(3), 400)
+    white = rng.standard_normal(1200)
+    assert tones_as_one(white, group, frame) == pytest.approx(1.0, abs=0.4)
+    assert tones_as_one(np.repeat(rng.standard_normal(120), 10), group, frame) == pytest.approx(10.0, rel=0.3)
+
+
+def test_places_that_differ_no_more_than_by_chance_change_nothing():
+    """A variance between quadrants of three times the groups' is chance, thirty times is not."""
+    assert places_as_one(np.full(9, 3.0), np.ones(9)) == 1.0
+    assert places_as_one(np.full(9, 30.0), np.ones(9)) == pytest.approx(30.0)
+
+
+def test_a_left_out_row_is_predicted_by_the_other_frames_of_its_group():
+    """Behind a straight line a row's prediction is the others' mean exposure times its time; the error is in DN."""
+    samples = gather_samples(Bracket.from_frames(_ramp_frames((1.0, 2.0))))
+    g = np.log(np.arange(256) + 1e-3)
+    errors = prediction_error_dn(samples, g)
+    assert np.nanmax(np.abs(errors)) < 1.1  # half a number of rounding in either frame
+    doubled = prediction_error_dn(samples, g, np.array([0.0, np.log(1.5)]))
+    later = samples.frame == 1
+    assert np.nanmedian(doubled[later] / samples.dn[later]) == pytest.approx(0.5, abs=0.02)
+    assert np.nanmedian(doubled[~later] / samples.dn[~later]) == pytest.approx(-1.0 / 3.0, abs=0.02)
+
+
+def _ramp_frames(times):
+    ramp = np.tile(np.linspace(10.0, 120.0, 128), (64, 1))
+    return [Frame(np.round(ramp * t).astype(np.uint8), 8, FrameSettings(t)) for t in times]
+
+
+def test_jackknife_of_means_is_their_standard_error():
+    """Leaving out each of n values, the uncertainty of their mean is s/√n, as it falls by √n it must."""
+    values = np.random.default_rng(2).standard_normal(50)
+    left_out = [np.array([np.delete(values, k).mean()]) for k in range(50)]
+    assert jackknife_u(left_out)[0] == pytest.approx(values.std(ddof=1) / np.sqrt(50))
+
+
+def test_levelling_listens_to_what_is_known():
+    """A fall among values of large u levels these, and leaves the well-known ones where they were."""
+    g = np.array([0.0, 1.0, 2.0, 3.0, 9.0, 4.0, 5.0, 6.0])
+    u = np.array([0.1, 0.1, 0.1, 0.1, 9.0, 0.1, 0.1, 0.1])
+    level = rising(g, u, (0, 7))
+    assert np.all(np.diff(level) >= 0)
+    assert np.max(np.abs(level - g)[[0, 1, 2, 3, 5, 6, 7]]) < 0.01

@@ -1,0 +1,43 @@
+"""The judge of a response: how well it predicts digital numbers that it has not seen."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.response.basis import hat_weight
+from radiometer.analysis.response.samples import ResponseSamples
+from radiometer.analysis.response.weights import slope_at, value_at
+
+Array = NDArray[np.float64]
+
+
+def prediction_error_dn(samples: ResponseSamples, log_exposure: Array, log_time_errors: Array | None = None) -> Array:
+    """Return predicted minus found digital number of every row, predicted from the other frames of its group alone.
+
+    ln E of a group is the mean over its other rows, weighted by 1/g'² (equal noise in digital numbers) and by the hat.
+    Rows of groups that no other frame shows are NaN.
+
+    Args:
+        samples: Rows that the curve was not fitted to.
+        log_exposure: g at every digital number.
+        log_time_errors: ln of true over stated time of every frame; None where the labels are taken as they are.
+    """
+    time = samples.log_time if log_time_errors is None else samples.log_time + log_time_errors[samples.frame]
+    log_h = value_at(log_exposure, samples.dn)
+    weight = (hat_weight(samples.dn, samples.limits) ** 2 + 1e-6) / slope_at(log_exposure, samples.dn, samples) ** 2
+    total = np.bincount(samples.group, weight)[samples.group]
+    summed = np.bincount(samples.group, weight * (log_h - time))[samples.group]
+    others = total - weight
+    alone = others <= 1e-12 * total
+    predicted = (summed - weight * (log_h - time)) / np.where(alone, 1.0, others) + time
+    dn = np.interp(predicted, log_exposure, np.arange(log_exposure.size))
+    return np.where(alone, np.nan, dn - samples.dn)
+
+
+def error_dn(errors: Array) -> float:
+    """Return the mean size of prediction errors in DN, rows without a prediction left out.
+
+    The mean size, not the mean square: a few rows at edges and reflections would be the judge otherwise.
+    """
+    return float(np.nanmean(np.abs(errors)))

@@ -1,0 +1,208 @@
+"""One fit of the best estimate, and what it settles on before: noise, smoothness, how many tones and places count."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.response.basis import ValueBasis, hat_weight
+from radiometer.analysis.response.curves import rising, supported_range
+from radiometer.analysis.response.effective import places_as_one, tones_as_one
+from radiometer.analysis.response.estimate import inner_range
+from radiometer.analysis.response.fit import ResponseFit, fit_response
+from radiometer.analysis.response.left_out import error_dn, prediction_error_dn
+from radiometer.analysis.response.noise import LogNoise, fit_log_noise
+from radiometer.analysis.response.noise_shift import mean_exposure_dn
+from radiometer.analysis.response.samples import ResponseSamples
+from radiometer.analysis.response.weights import group_residual, noise_of, row_variance, slope_at, value_at
+from radiometer.errors import MeasurementError
+
+Array = NDArray[np.float64]
+
+# Below this the rounding to whole numbers is a large part of the exposure; the cut is made on the value that the
+# other frames predict, because a cut on the noisy value itself would keep the brighter half.
+_LEAST_PREDICTED_DN: Final = 6.0
+# Inflations within this factor of each other are the same; more rounds than this change nothing.
+_SETTLED, _ROUNDS = 1.2, 4
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What a fit takes as given.
+
+    Attributes:
+        inflation: How many neighbouring groups count as one; variances are multiplied by it.
+        smoothing: λ relative to tr(N)/tr(P); None to choose it by the restricted likelihood.
+        time_spread: Relative standard deviation of the exposure times; None to choose it.
+        free: Frames whose exposure is not taken from their label.
+        noise: Noise of the stack; None to take it from the residuals.
+    """
+
+    inflation: float = 1.0
+    smoothing: float | None = None
+    time_spread: float | None = 0.0
+    free: tuple[int, ...] = ()
+    noise: LogNoise | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedResponse:
+    """A fit with its curve.
+
+    Attributes:
+        samples: The rows that were used.
+        dn: Their digital numbers (of the mean exposure).
+        fit: The fit.
+        choices: What it took as given or settled on.
+        log_exposure: g at every digital number, rising, free offset.
+    """
+
+    samples: ResponseSamples
+    dn: Array
+    fit: ResponseFit
+    choices: Choices
+    log_exposure: Array
+
+    @property
+    def noise(self) -> LogNoise:
+        """Return the noise of the stack."""
+        if self.choices.noise is None:
+            raise AssertionError("a fit always knows its noise")
+        return self.choices.noise
+
+    def u_of(self, covariance: Array) -> Array:
+        """Return the standard uncertainty of g − g(M_mid) that a covariance of the solution makes."""
+        inner = covariance[: self.fit.basis_size, : self.fit.basis_size]
+        every = self._basis.all_values()
+        middle = every[[every.shape[0] // 2], :].toarray()[0]
+        spread = every @ inner
+        square = (
+            np.asarray(every.multiply(spread).sum(axis=1)).ravel() - 2.0 * spread @ middle + middle @ inner @ middle
+        )
+        return np.asarray(np.sqrt(np.maximum(square, 0.0)))
+
+    @property
+    def relative(self) -> Array:
+        """Return g − g(M_mid) before it was made rising."""
+        g = self._basis.all_values() @ self.fit.coefficients
+        return np.asarray(g - g[g.size // 2])
+
+    @property
+    def _basis(self) -> ValueBasis:
+        return ValueBasis(self.samples.bit_depth, self.samples.limits)
+
+    @property
+    def residual_rms_log(self) -> float:
+        """Return the root mean square of ln H residuals, weighted."""
+        normal = self.fit.normal
+        residual = normal.residuals(self.fit.solution)
+        return float(np.sqrt(normal.weight @ residual**2 / normal.weight.sum()))
+
+
+def fit_with(samples: ResponseSamples, start: Array, choices: Choices) -> FittedResponse:
+    """Return the fit under given choices.
+
+    Args:
+        samples: The rows.
+        start: A first estimate of g at every digital number, rising.
+        choices: What to take as given.
+    """
+    samples = _above_black(samples, start)
+    limits = samples.limits
+    shifted = mean_exposure_dn(samples.dn, samples.variance, start, limits)
+    dn = np.clip(shifted, limits.black_dn, limits.saturated_dn)
+    found = choices.noise or noise_of(samples, dn, start)
+
+    def fitted(near: Array, noise: LogNoise, time_spread: float | None) -> ResponseFit:
+        variance = row_variance(samples, dn, near, noise) * choices.inflation
+        return fit_response(
+            samples, dn, variance, time_spread=time_spread, smoothing=choices.smoothing, free=choices.free
+        )
+
+    fit = fitted(start, found, choices.time_spread)
+    if choices.noise is None and fit.time_modes.size:
+        # Wrong times looked like noise before: take the noise from what is left, and fit once more.
+        g = _values(samples, fit)
+        left = fit.normal.residuals(fit.solution)
+        found = fit_log_noise(left, fit.leverage(), value_at(g, dn), slope_at(g, dn, samples), samples.pixels)
+        fit = fitted(g, found, fit.time_spread)
+    settled = replace(choices, smoothing=fit.smoothing, time_spread=fit.time_spread, noise=found)
+    return FittedResponse(samples, dn, fit, settled, _values(samples, fit))
+
+
+def settle(
+    samples: ResponseSamples, start: Array, free: tuple[int, ...] = (), time_spread: float | None = 0.0
+) -> FittedResponse:
+    """Return the fit whose smoothness counts tones and places, not groups of pixels, as independent.
+
+    Args:
+        samples: The rows, with their quadrants.
+        start: A first estimate of g at every digital number, rising.
+        free: Frames whose exposure is not taken from their label.
+        time_spread: Relative standard deviation of the exposure times; None to choose it.
+    """
+    found = fit_with(samples, start, Choices(free=free, time_spread=time_spread))
+    for _ in range(_ROUNDS):
+        inflation = max(found.choices.inflation, _inflation(samples, found))
+        if inflation <= found.choices.inflation * _SETTLED:
+            break
+        found = fit_with(samples, start, Choices(inflation=inflation, free=free, time_spread=time_spread))
+    return found
+
+
+def refit(part: ResponseSamples, found: FittedResponse) -> FittedResponse | None:
+    """Return the same fit to a part of the data, with the smoothness of the whole; None where that says too little."""
+    try:
+        return fit_with(part, found.log_exposure, found.choices)
+    except MeasurementError:
+        return None
+
+
+def error_of_quadrants(samples: ResponseSamples, fitted: FittedResponse) -> Array:
+    """Return the mean size of the prediction error in DN of every quadrant, fitted without it.
+
+    Args:
+        samples: The rows, with their quadrants.
+        fitted: A fit to all of them.
+    """
+    found = []
+    for train, test in zip(samples.without_quadrant, samples.quadrants, strict=True):
+        part = refit(train, fitted) or fitted
+        found.append(error_dn(prediction_error_dn(test, part.log_exposure, part.fit.log_time_errors)))
+    return np.array(found)
+
+
+def _inflation(samples: ResponseSamples, found: FittedResponse) -> float:
+    fit, rows = found.fit, found.samples
+    g = found.log_exposure
+    left, taken_up = fit.normal.residuals(fit.solution), fit.leverage()
+    noise = fit_log_noise(left, taken_up, value_at(g, found.dn), slope_at(g, found.dn, rows), rows.pixels)
+    sigma = np.sqrt(row_variance(rows, found.dn, g, noise) * np.maximum(1.0 - taken_up, 0.05))
+    tones = tones_as_one(left / sigma, rows.group, rows.frame)
+    parts = [refit(part, found) for part in samples.without_quadrant]
+    curves = np.array([part.relative for part in parts if part is not None])
+    if len(curves) < 3:
+        return tones
+    inner = inner_range(supported_range(rows))
+    between = (len(curves) - 1) * curves.var(axis=0)
+    return max(tones, places_as_one(between[inner], found.u_of(fit.covariance())[inner] ** 2))
+
+
+def _values(samples: ResponseSamples, fit: ResponseFit) -> Array:
+    design = ValueBasis(samples.bit_depth, samples.limits).all_values()
+    g = np.asarray(design @ fit.coefficients)
+    u = np.sqrt(np.maximum(design.multiply(design @ fit.inverse[: fit.basis_size, : fit.basis_size]).sum(axis=1), 0.0))
+    return rising(g, np.asarray(u).ravel(), supported_range(samples))
+
+
+def _above_black(samples: ResponseSamples, log_exposure: Array) -> ResponseSamples:
+    """Return the rows whose predicted value is clear of black, groups with one such row left out."""
+    weight = (hat_weight(samples.dn, samples.limits) ** 2 + 1e-6) * samples.pixels
+    log_h = value_at(log_exposure, samples.dn)
+    predicted_log_h = log_h - group_residual(samples, log_h, weight)[0]
+    predicted_dn = np.interp(predicted_log_h, log_exposure, np.arange(log_exposure.size))
+    keep = predicted_dn > samples.limits.black_dn + _LEAST_PREDICTED_DN
+    return samples.kept(keep)

@@ -1,0 +1,156 @@
+"""The response behind a folder of photographs: as given, as kept beside an earlier map, or recovered now."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from radiometer.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    from radiometer.data import Bracket, Calibration, ResponseCurve
+
+# Enough for a response; larger photographs are read on a lattice for it.
+ENOUGH_PIXELS = 1_000_000
+_KEY = "photographs_sha256"
+
+
+def curves_of(paths: Sequence[Path], bit_depth: int) -> dict[str, ResponseCurve]:
+    """Return given curves by channel; a single one stands under its own channel and serves all.
+
+    Args:
+        paths: Files that `radiometer response` or another program wrote.
+        bit_depth: Bits per digital number of the photographs.
+
+    Raises:
+        InputError: If a file holds no curve.
+        UsageError: If two are of one channel.
+    """
+    from radiometer.analysis.exports.curves import read_curves
+
+    found: dict[str, ResponseCurve] = {}
+    for path in paths:
+        for channel, curve in read_curves(path, bit_depth).items():
+            if channel in found:
+                raise UsageError(
+                    "two response curves are of the same channel; YAML curves say which channel they are of"
+                )
+            found[channel] = curve
+    return found
+
+
+def recovered_curves(
+    brackets: Sequence[Bracket], beside: Path, say: Callable[[str], None]
+) -> tuple[dict[str, ResponseCurve], list[Path]]:
+    """Return the response of every bracket, kept beside a map, and the files it is kept in.
+
+    A file is taken up again where it was recovered from the same photographs: the same values and exposure times.
+
+    Args:
+        brackets: One per channel.
+        beside: The map; a curve's file is named after it and its channel.
+        say: Takes what a user should know.
+
+    Raises:
+        MeasurementError: If the photographs hold no response.
+        OutputError: If a file cannot be written.
+    """
+    from radiometer.analysis.response.auto import recover_response_auto
+    from radiometer.analysis.response.labels import refuse_lying_labels
+    from radiometer.data import ResponseCurve
+
+    curves: dict[str, ResponseCurve] = {}
+    files = []
+    for bracket in brackets:
+        channel = _channel(bracket)
+        file = beside.with_name(f"{beside.stem}-response-{channel}.yaml")
+        files.append(file)
+        thin = bracket.thinned(ENOUGH_PIXELS)
+        key = _fingerprint(thin)
+        kept = _kept(file, key)
+        if kept is None:
+            refuse_lying_labels(thin)
+            estimate = recover_response_auto(thin)
+            for text in estimate.notes:
+                say(f"{channel}: {text}")
+            parameters = {**estimate.curve.provenance.parameters, _KEY: key}
+            kept = replace(estimate.curve, provenance=replace(estimate.curve.provenance, parameters=parameters))
+            kept.write(file)
+            kept = ResponseCurve.read(file)
+        curves[channel] = kept
+    return curves, files
+
+
+def with_found_times(bracket: Bracket, curve: ResponseCurve) -> Bracket:
+    """Return the bracket with the exposure times that its response was recovered with, where these were not the labels.
+
+    Args:
+        bracket: Frames in the order of their stated exposure.
+        curve: Recovered from the same photographs.
+    """
+    errors = curve.provenance.parameters.get("log_time_errors")
+    if not errors or len(errors) != len(bracket) or not any(errors):
+        return bracket
+    frames = [
+        replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s * math.exp(float(error))))
+        for f, error in zip(bracket, errors, strict=True)
+    ]
+    return type(bracket).from_frames([*frames, *bracket.dark_frames], origin=bracket.origin)
+
+
+def relative_calibration(bracket: Bracket, curve: ResponseCurve | None, camera: Any, lens: Any) -> Calibration:
+    """Return a calibration without a scale: the curve (linear without one) and the noise that the frames show.
+
+    Args:
+        bracket: The frames.
+        curve: Their response; None where they are linear.
+        camera: Description of the camera.
+        lens: Description of the lens.
+    """
+    from radiometer.analysis.response.pixel_noise import pixel_noise, sensor_noise
+    from radiometer.data import BlackLevel, Calibration, Scale, SensorNoise
+    from radiometer.errors import MeasurementError
+
+    black_dn = bracket.frames[0].settings.black_level_dn or 0.0
+    noise = SensorNoise.of(camera)
+    if curve is not None:
+        try:
+            noise = sensor_noise(pixel_noise(bracket, curve), curve, black_dn)
+        except MeasurementError:
+            noise = SensorNoise.of(camera)  # too little overlap to tell: typical figures, said to be assumed
+    return Calibration(
+        camera=camera,
+        lens=lens,
+        scale=Scale(value=1.0, u_rel=0.0, method="relative"),
+        response=curve,
+        noise=noise,
+        black_level=BlackLevel(dn=black_dn),
+    )
+
+
+def _channel(bracket: Bracket) -> str:
+    return str(bracket.frames[0].extra.get("channel", "mono"))
+
+
+def _fingerprint(bracket: Bracket) -> str:
+    digest = hashlib.sha256()
+    for frame in bracket:
+        digest.update(f"{frame.settings.effective_exposure_s!r} {frame.shape} {frame.bit_depth}".encode())
+        digest.update(frame.dn.tobytes())
+    return digest.hexdigest()
+
+
+def _kept(file: Path, key: str) -> ResponseCurve | None:
+    from radiometer.data import ResponseCurve
+
+    if not file.is_file():
+        return None
+    try:
+        curve = ResponseCurve.read(file)
+    except InputError:
+        return None
+    return curve if curve.provenance.parameters.get(_KEY) == key else None
