@@ -37,7 +37,7 @@ def test_shot_noise_is_told_from_noise_behind_the_curve():
     found = pixel_noise(_bracket(np.random.default_rng(1), electrons=2000), _curve())
     exposure_at_unit = (128.0 / 255.0) ** (1.0 / POWER)  # H where exp g is 1
     assert 0.5 < 1.0 / found.shot / (2000 * exposure_at_unit) < 2.0
-    assert found.digital < 0.3
+    assert found.digital < 1.0
 
 
 @pytest.mark.parametrize("dn_noise", [1.0, 3.0])
