@@ -17,7 +17,7 @@ from radiometer.errors import CaptureError
 from radiometer.reconcile.advice.limits import limits
 from radiometer.reconcile.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconcile.advice.separability import Separability, inseparable, separability
-from radiometer.reconcile.fit.covariance import fitted_parameters
+from radiometer.reconcile.fit.covariance import fitted_parameters, is_misfit
 from radiometer.reconcile.fit.nuisances import dark_current_is_free
 from radiometer.reconcile.fit.state import FitState, first_state
 from radiometer.reconcile.measure.design import Design
@@ -373,8 +373,14 @@ def _assumptions(outcome: Search, doubts: Sequence[str]) -> tuple[str, ...]:
         if getattr(camera, key) is None:
             said.append(text)
     if camera.dark_current_e_per_s is None:
-        free = dark_current_is_free(camera)
+        free = dark_current_is_free(state.design)
         said.append(f"the dark current is not declared: {'it was fitted' if free else 'none is assumed'}")
+    if state.model.passes_well:
+        said.append("pixels hold more than the declared full well and show the noise of it: it limits nothing")
+    if is_misfit(state):
+        said.append(
+            f"structure is left (gap {state.gap:.3g}): the uncertainties of all parameters are widened by what it does"
+        )
     if state.comparison.wander2:
         said.append(
             f"the source wanders by {np.sqrt(state.comparison.wander2):.2g} from frame to frame: fitted, not named"

@@ -160,7 +160,15 @@ class CatalogueEffect(Effect):
             first_excess=carried(before.first_excess, slope),
             limit_variance=carried(before.limit_variance, slope2),
         )
+        if context.first_frame is not None and context.later_frames is not None and self.drifts:
+            moved = self.mean(before.mean, context.first_frame) - self.mean(before.mean, context.later_frames)
+            passed = replace(passed, first_excess=passed.first_excess + moved)
         return self.tile(passed, before, context)
+
+    @property
+    def drifts(self) -> bool:
+        """Tell whether it goes with time or temperature: the first frame of a series then differs from the others."""
+        return self.where in ("timestamp_s", "temperature_C")
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with what the effect does to the other statistics of a tile; nothing by default."""

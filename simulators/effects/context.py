@@ -149,6 +149,9 @@ class ExposureContext:
         output_bit_depth: Bits per pixel that leave the camera; None for the native depth. Until `quantisation`
             all DN (black level too) are native ones; after it they are those of the output.
         extra: Further covariates that an effect may look up by name.
+        first_frame: For the moments of a series of frames: the circumstances of its first frame; None where they do not
+            differ from those of the others.
+        later_frames: Those of the others on average.
     """
 
     settings: FrameSettings
@@ -163,6 +166,8 @@ class ExposureContext:
     device_seed: int = 0
     output_bit_depth: int | None = None
     extra: dict[str, float] = field(default_factory=dict)
+    first_frame: ExposureContext | None = None
+    later_frames: ExposureContext | None = None
 
     @property
     def full_scale_dn(self) -> int:

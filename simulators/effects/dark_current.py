@@ -38,6 +38,11 @@ class DarkCurrent(Offset):
     reference_C: float = parameter(25.0, "°C", -100.0, 150.0, source="temperature that the rate holds at")  # noqa: N815
     doubling_K: float = parameter(7.0, "K", 2.0, 30.0, source="silicon: 6 to 8 K near room temperature")  # noqa: N815
 
+    @property
+    def drifts(self) -> bool:
+        """Tell that it goes with the temperature."""
+        return True
+
     def offset(self, context: ExposureContext) -> Any:
         """Return the expected thermal electrons per (binned) pixel."""
         return self.electrons(context)

@@ -11,7 +11,7 @@ import numpy as np
 from radiometer.errors import ConfigurationError
 from radiometer.reconcile.fit.comparison import FAMILY
 from radiometer.reconcile.fit.held_out import leave_one_group_out
-from radiometer.reconcile.fit.state import FitState, refit, settled
+from radiometer.reconcile.fit.state import FitState, refit, settled, with_effects
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.search.screening import Candidate
 from simulators.effects.catalogue import CatalogueEffect
@@ -95,7 +95,7 @@ def _descended(state: FitState, best: _Trial) -> _Trial:
         if better is None:
             break
         gained, best = best.cost - better.cost, better
-        if gained < _CONVERGED:
+        if gained < _CONVERGED * state.misfit:
             break
     return best
 
@@ -224,7 +224,7 @@ def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
     effects = tuple(old.joined(effect) if old.name == effect.name else old for old in state.effects)
     if all(old.name != effect.name for old in state.effects):
         effects = (*effects, effect)
-    return replace(state, model=state.model.with_effects(effects), frozen=frozenset())
+    return with_effects(state, effects)
 
 
 def included(state: FitState, effect: CatalogueEffect, *, far: bool) -> FitState:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
@@ -19,13 +20,86 @@ from radiometer.reconcile.noise.chances import frames_counted
 from radiometer.reconcile.noise.shared_errors import chances_of_rows
 from radiometer.reconcile.report.result import FittedParameter
 
+_SIGMAS: Final = 5.0  # of a χ² of so many entries, beyond which structure is left
+_CLOSED: Final = 1.05  # gap that counts as closed
+_BLOCKS: Final = 5  # along a covariate, each left out in turn
+_UNDETERMINED: Final = 1e-9  # of its own scale: a direction that only the rows left out determine
 _WAVE: Final = "bands"
 _SIZE: Final = "modulation"
 _SEES_WAVE: Final = ("variance", "neighbour_x", "neighbour_y", "row_temporal", _WAVE)
 
 
+def is_misfit(state: FitState) -> bool:
+    """Tell whether structure is left: the gap of held-out settings lies above 1 by more than chance."""
+    count = max(float(state.held_out.count[: state.settings].sum()), 1.0)
+    return state.gap > max(_CLOSED, 1.0 + _SIGMAS * float(np.sqrt(2.0 / count)))
+
+
 def effect_covariance(state: FitState) -> Array:
-    """Return the covariance of the free effect parameters in units of their scales, what statistics share included."""
+    """Return the covariance of the free effect parameters in units of their scales, what statistics share included.
+
+    While structure is left, it is widened by what that structure does to the parameters.
+    """
+    covariance = _of_a_model_that_is_right(state)
+    if not (covariance.size and is_misfit(state)):
+        return covariance
+    own = np.diag(covariance)
+    wider = np.sqrt(np.maximum(_by_misfit(state), own) / np.where(own > 0, own, 1.0))
+    return np.asarray(covariance * wider[:, None] * wider)
+
+
+def _by_misfit(state: FitState) -> Array:
+    """Return the variance of each free effect parameter that the structure left in the residual tells, (parameters,).
+
+    Where structure is left, entries are off by more than their uncertainty (by the gap of their statistic), and not
+    independently of each other (along a covariate). The former is the sum over statistics of gap times what they
+    would move the parameter; the latter is seen by leaving out settings, and blocks along each covariate, in turn.
+
+    Source: Birge (1932) for the gap; Künsch (1989), Ann. Stat. 17 1217, for the jackknife by blocks.
+    """
+    first = state.layout.size + state.weights.size
+    pulls = _pulls(state, first) ** 2
+    found = pulls[state.comparison.size :].sum(axis=0)
+    for name, cut in state.comparison.cuts.items():
+        gap = float(np.sum(state.fit.projected[cut] ** 2)) / max(state.comparison.degrees(name), 1)
+        found = found + max(gap, 1.0) * pulls[cut].sum(axis=0)
+    capture = state.comparison.capture_of_rows()
+    for group in _groupings(state):
+        found = np.maximum(found, _jackknife(state, group[capture], first))
+    return np.asarray(found)
+
+
+def _groupings(state: FitState) -> Iterator[NDArray[np.intp]]:
+    """Yield the group of each capture: its setting, then its place along each covariate that settings have."""
+    design = state.design
+    yield design.setting_id
+    for values in (design.exposure_s, design.temperature_c, design.timestamp_s, design.gain_db, design.source_level):
+        levels = np.unique(values[np.isfinite(values)])
+        if levels.size > 1 and np.isfinite(values).all():
+            yield np.searchsorted(levels, values) * min(_BLOCKS, levels.size) // levels.size
+
+
+def _jackknife(state: FitState, group: NDArray[np.intp], first: int) -> Array:
+    """Return the variance of the free effect parameters over fits without one group each, exact where it is linear."""
+    fit, size = state.fit, state.comparison.size
+    columns = np.zeros((size, first + fit.effects.shape[1]))
+    known = fit.nuisances.rows[fit.nuisances.rows < size]
+    columns[known, :first] = fit.nuisances.values[: known.size]
+    columns[:, first:] = fit.effects[:size]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(fit.normal), 1e-300))
+    shifts = []
+    for number in np.unique(group):
+        mine = columns[group == number] * scale
+        left = fit.normal * scale[:, None] * scale - mine.T @ mine
+        values, vectors = np.linalg.eigh(left)
+        pulled = vectors.T @ (mine.T @ fit.projected[:size][group == number])
+        step = np.where(values > _UNDETERMINED, pulled / np.where(values > _UNDETERMINED, values, 1.0), 0.0)
+        shifts.append((vectors @ step)[first:] * scale[first:])
+    count = len(shifts)
+    return np.asarray((count - 1.0) / count * np.sum(np.square(shifts), axis=0))
+
+
+def _of_a_model_that_is_right(state: FitState) -> Array:
     first = state.layout.size + state.weights.size
     covariance = state.fit.covariance[first:, first:]
     if not covariance.size:

@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.data.capture_header import CameraDescription
 from radiometer.reconcile.fit.comparison import Comparison
 from radiometer.reconcile.fit.linear import RowBlock
 from radiometer.reconcile.measure.design import Array, Design
@@ -27,6 +26,7 @@ _FREE_BLACK: Final = 2.5  # of the full scale: anywhere in the converter's range
 _SCALAR_PRIOR: Final = {"log_responsivity": _FREE_RESPONSIVITY, "dark_e_per_s": 1e3}
 _STATED: Final = 1.0  # prior standard deviation below which a radiance counts as stated
 _LINEAR: Final = (-0.5, 1.0)  # relative errors of a radiance between which its factor is linear
+_TOLD_K: Final = 2.0  # span of temperatures of darks from which they tell how dark current grows
 _FREE_SLOPE: Final = 3.0
 _FREE_TEXTURE: Final = 10.0
 
@@ -62,7 +62,7 @@ class NuisanceLayout:
             scalars.append("log_read")
         if np.isnan(design.black_level_dn).any():
             scalars.append("black_dn")
-        if dark_current_is_free(camera) and np.ptp(np.log(design.exposure_s)) > 0:
+        if dark_current_is_free(design) and np.ptp(np.log(design.exposure_s)) > 0:
             scalars.append("dark_e_per_s")
         lit = ~design.closed & (design.source_level > 0)
         patterns = tuple(sorted(set(design.pattern_index[lit].tolist())))
@@ -276,8 +276,14 @@ def _radiance_prior(design: Design, pattern: int, tile: int) -> float:
     return max(stated, 1e-6) if stated is not None else _DEFAULT_U_REL
 
 
-def dark_current_is_free(camera: CameraDescription) -> bool:
-    """Tell whether the dark current is a nuisance: a camera whose noise is stated has the one stated, or none."""
+def dark_current_is_free(design: Design) -> bool:
+    """Tell whether the dark current is a nuisance: a camera whose noise is stated has the one stated, or none.
+
+    Where darks at several temperatures tell its whole law it is an effect to be named, not a nuisance.
+    """
+    camera, dark_c = design.header.camera, design.temperature_c[design.closed]
+    if dark_c.size and np.isfinite(dark_c).all() and np.ptp(dark_c) > _TOLD_K:
+        return False
     noise_stated = camera.conversion_gain_e_per_dn is not None and camera.read_noise_e is not None
     return camera.dark_current_e_per_s is None and not noise_stated
 

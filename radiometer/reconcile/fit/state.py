@@ -28,10 +28,12 @@ from simulators.effects.catalogue import CatalogueEffect
 
 _ITERATIONS: Final = 25
 _IDLE: Final = 1e-3  # sigmas that a parameter moves by its whole scale
-_CONVERGED: Final = 1e-3  # change of χ² below which an iteration ends the fit
+_CONVERGED: Final = 1e-3  # change of χ², in units of the reduced χ² where that is above 1, that ends the fit
 _SENSITIVITY_STEP: Final = 1e-3
 _REWEIGHTINGS: Final = 3
 _SETTLED: Final = 0.02  # share of a parameter's size
+_PAST_WELL: Final = 1.02  # times the declared full well, which is rounded
+_ALIVE: Final = 0.5  # share of its shot noise that a tile keeps where charge does not end
 _FORM_FLOOR: Final = 0.005  # share of an accepted effect's own correction that its form is not trusted with
 
 
@@ -48,6 +50,9 @@ class FitState:
         weights: Their coefficients and those of the realisations, in order.
         comparison: Measured against predicted, with weights.
         tau: Capture-to-capture repeatability.
+        frozen: Positions of the effect parameters that are not fitted.
+        held_columns: The terms' whitened columns while a fit moves the parameters: like all weights they come from the
+            model before it. None where they are to be worked out.
     """
 
     seen: CaptureStatistics
@@ -59,6 +64,7 @@ class FitState:
     comparison: Comparison
     tau: float
     frozen: frozenset[int] = field(default_factory=frozenset)
+    held_columns: Array | None = None
 
     @property
     def design(self) -> Design:
@@ -97,6 +103,8 @@ class FitState:
     @cached_property
     def term_columns(self) -> Array:
         """Return the whitened columns of all linear terms."""
+        if self.held_columns is not None:
+            return self.held_columns
         pieces = [term.build(self.comparison, self.prediction, self.sensitivity) for term in self.terms]
         return np.hstack(pieces) if pieces else np.zeros((self.comparison.size, 0))
 
@@ -135,6 +143,11 @@ class FitState:
     def cost(self) -> float:
         """Return χ², priors included."""
         return float(self.residual @ self.residual)
+
+    @cached_property
+    def misfit(self) -> float:
+        """Return the reduced χ² of the entries that count, at least 1."""
+        return max(1.0, self.cost / max(int(self.comparison.counts().sum()), 1))
 
     @cached_property
     def nuisance_jacobian(self) -> RowBlock:
@@ -204,9 +217,14 @@ class FitState:
         return float(np.sum(self.held_out.log_density)) + common - spread
 
     @property
+    def settings(self) -> int:
+        """Return the number of settings: the first groups of what is held out."""
+        return int(self.design.setting_id.max()) + 1
+
+    @property
     def gap(self) -> float:
         """Return the reduced χ² of held-out settings; prior rows left out."""
-        settings = int(self.design.setting_id.max()) + 1
+        settings = self.settings
         return float(self.held_out.chi2[:settings].sum() / max(self.held_out.count[:settings].sum(), 1.0))
 
 
@@ -234,7 +252,7 @@ def first_state(
         images: Mean picture of each pattern.
         given: Effects that the starting model holds beside the ideal chain; they are not fitted.
     """
-    model = replace(TileModel.of(design, images), given=given)
+    model = replace(TileModel.of(design, images), given=given, passes_well=_passes_well(design, seen))
     layout = NuisanceLayout.of(design)
     values = np.zeros(layout.size)
     if "black_dn" in layout.scalars:  # else darks would be predicted at zero, and left out as clipped for good
@@ -245,6 +263,22 @@ def first_state(
     state = _weighted(seen, model, layout, values, (), tau=1e-3, floors={}, usable=None)
     state = refit(state)
     return refit(reweighted(state))
+
+
+def _passes_well(design: Design, seen: CaptureStatistics) -> bool:
+    """Tell whether tiles hold more than the declared full well and still show the noise of their light.
+
+    The declared well then is not where charge ends: a model that ends there would predict no noise where there is some.
+    A plateau that lies above it, for a wrong conversion gain, has lost its noise.
+    """
+    camera = design.header.camera
+    if camera.full_well_e is None or camera.conversion_gain_e_per_dn is None:
+        return False
+    black = np.where(np.isnan(design.black_level_dn), np.nanmin(seen.mean), design.black_level_dn)
+    e_per_dn = (camera.conversion_gain_e_per_dn * 10.0 ** (-design.gain_db / 20.0))[:, None]
+    held_e = (seen.mean - black[:, None]) * e_per_dn
+    alive = np.nan_to_num(seen.variance) * e_per_dn**2 > _ALIVE * held_e
+    return bool(np.any(alive & (held_e > _PAST_WELL * camera.full_well_e) & (seen.high < 1e-3)))
 
 
 def reweighted(state: FitState) -> FitState:
@@ -280,12 +314,13 @@ def with_terms(state: FitState, terms: Sequence[LinearTerm]) -> FitState:
     """Return the state with exactly these smooth terms (realisations kept), not refitted."""
     realised = tuple(term for term in state.terms if not term.is_smooth)
     everything = (*terms, *realised)
-    return replace(state, terms=everything, weights=np.zeros(sum(term.size for term in everything)))
+    weights = np.zeros(sum(term.size for term in everything))
+    return replace(state, terms=everything, weights=weights, held_columns=None)
 
 
 def with_effects(state: FitState, effects: Sequence[CatalogueEffect]) -> FitState:
     """Return the state with exactly these effects, not refitted."""
-    return replace(state, model=state.model.with_effects(effects), frozen=frozenset())
+    return replace(state, model=state.model.with_effects(effects), frozen=frozenset(), held_columns=None)
 
 
 def refit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
@@ -305,7 +340,7 @@ def refit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
             return state
         gained = state.cost - following.cost
         state = _held_at_bounds(following, fixed)
-        if gained < _CONVERGED:
+        if gained < _CONVERGED * state.misfit:
             break
     return state
 
@@ -333,6 +368,8 @@ def _held_at_bounds(state: FitState, fixed: frozenset[tuple[int, str]]) -> FitSt
 
 def _improved(state: FitState) -> FitState | None:
     step = state.fit.step
+    if state.cost - float(state.fit.projected @ state.fit.projected) < _CONVERGED * state.misfit:
+        return None  # even the linearised model promises nothing
     damping = 1.0
     for _ in range(6):
         trial = _moved(state, damping * step)
@@ -360,6 +397,7 @@ def _moved(state: FitState, step: Array) -> FitState:
         weights=state.weights + step[m : m + k],
         model=state.model.with_effects(effects),
         frozen=frozenset(at_bound),
+        held_columns=state.term_columns,
     )
 
 

@@ -177,6 +177,25 @@ class Design:
         return np.asarray(stamps - stamps.min())
 
     @cached_property
+    def first_frames(self) -> tuple[Array, Array]:
+        """Return time in s and temperature in °C of the first frame of each capture, on the scales of the captures."""
+        return self._within(slice(0, 1))
+
+    @cached_property
+    def later_frames(self) -> tuple[Array, Array]:
+        """Return the mean of the same over the other frames; those of the first where there is no other."""
+        return self._within(slice(1, None))
+
+    def _within(self, part: slice) -> tuple[Array, Array]:
+        chosen = [capture.frames[part] or capture.frames for capture in self.captures]
+        entries = [[self.header.frames[index].settings for index in indices] for indices in chosen]
+        warm = [_mean_of([s.temperature_c for s in several]) for several in entries]
+        if not self.has_timestamps:
+            return self.timestamp_s, np.array(warm)
+        begun = float(np.min(self._column("timestamp_s")))
+        return np.array([_mean_of([s.timestamp_s for s in several]) - begun for several in entries]), np.array(warm)
+
+    @cached_property
     def has_timestamps(self) -> bool:
         """Tell whether every capture states its time."""
         return not bool(np.isnan(self._column("timestamp_s")).any())
@@ -221,6 +240,12 @@ class Design:
         keys = list(zip(plain, steps, strict=True))
         order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
         return np.array([order[key] for key in keys], dtype=np.intp)
+
+
+def _mean_of(values: Sequence[float | None]) -> float:
+    """Return the mean; NaN where one is missing."""
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if len(known) == len(values) else float("nan")
 
 
 def rough_share(length: Array, across: Array) -> Array:

@@ -7,7 +7,7 @@ exact for cubic shading and slopes come with them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, cast
 
 import numpy as np
@@ -51,6 +51,10 @@ class BatchSettings:
             design.closed[:, None, None],
             np.array(design.patterns)[design.pattern_index][:, None, None],
         )
+
+    def at(self, time_s: Array, temperature_c: Array) -> BatchSettings:
+        """Return the settings at another time and temperature of each capture, (captures,) each."""
+        return replace(self, timestamp_s=time_s[:, None, None], temperature_c=temperature_c[:, None, None])
 
 
 class PictureSurroundings:
@@ -181,8 +185,9 @@ def tile_context(design: Design, images: PatternImages, previous: Array | None =
     )
     radiance = scene_radiance(design, images)
     peak = float(np.nanmax(radiance))
-    return TileContext(
-        cast(Any, BatchSettings.of(design)),
+    settings = BatchSettings.of(design)
+    context = TileContext(
+        cast(Any, settings),
         geometry,
         camera if isinstance(camera, CameraDescription) else design.header.camera,
         lens if isinstance(lens, LensDescription) else LensDescription(),
@@ -195,6 +200,12 @@ def tile_context(design: Design, images: PatternImages, previous: Array | None =
         tile_pixels=np.array([t.width * t.height for t in design.tiles], dtype=np.float64)[None, :, None],
         tile_height=np.array([t.height for t in design.tiles], dtype=np.float64)[None, :, None],
     )
+    if not (design.frame_count > 1).any():
+        return context
+    first, later = (
+        replace(context, settings=cast(Any, settings.at(*when))) for when in (design.first_frames, design.later_frames)
+    )
+    return replace(context, first_frame=first, later_frames=later)
 
 
 def scene_radiance(design: Design, images: PatternImages) -> Array:

@@ -130,6 +130,7 @@ class TileModel:
         images: Mean picture of each pattern.
         effects: Effects beside the ideal chain, to be fitted.
         given: Effects that the starting model holds already.
+        passes_well: Whether the data pass the declared full well, which then limits nothing.
     """
 
     design: Design
@@ -138,6 +139,7 @@ class TileModel:
     images: PatternImages
     effects: tuple[CatalogueEffect, ...] = ()
     given: tuple[CatalogueEffect, ...] = ()
+    passes_well: bool = False
 
     @classmethod
     def of(cls, design: Design, images: PatternImages) -> TileModel:
@@ -207,7 +209,7 @@ class TileModel:
             lambda moments: self._apply(scaled(moments, open_s), 2),
             lambda moments: scaled(self._apply(scaled(moments, self._photons_per_exposure()), 3), sensitivity),
             lambda moments: self._apply(textured(moments, nuisance.texture), 4),
-            lambda moments: self._apply(with_shot_noise(moments, self._dark_e(nuisance)), 5),
+            lambda moments: self._apply(self._with_dark_electrons(moments, nuisance), 5),
             lambda moments: self._full(self._apply(moments, 6)),
             lambda moments: self._apply(self._with_read_noise(moments, nuisance), 7),
             lambda moments: self._apply(scaled(moments, gain[:, None, None]), 8),
@@ -217,7 +219,7 @@ class TileModel:
 
     def _full(self, moments: TileMoments) -> TileMoments:
         well = self.design.header.camera.full_well_e
-        if well is None or float(moments.mean.max()) < _WELL_SHARE * well:
+        if well is None or self.passes_well or float(moments.mean.max()) < _WELL_SHARE * well:
             return moments
         full = FullWellSaturation(well).moments(moments, self.context)
         assert isinstance(full, TileMoments)
@@ -268,10 +270,15 @@ class TileModel:
         e_per_dn = self.design.header.camera.conversion_gain_e_per_dn or TYPICAL_E_PER_DN
         return np.asarray(10.0 ** (self.design.gain_db / 20.0) / e_per_dn * np.exp(nuisance.log_gain))
 
-    def _dark_e(self, nuisance: Nuisance) -> Array:
+    def _with_dark_electrons(self, moments: TileMoments, nuisance: Nuisance) -> TileMoments:
+        after = with_shot_noise(moments, self._dark_e(nuisance, self.design.temperature_c))
+        ends = [self._dark_e(nuisance, warm) for _, warm in (self.design.first_frames, self.design.later_frames)]
+        return replace(after, first_excess=after.first_excess + (ends[0] - ends[1])) if ends[0].any() else after
+
+    def _dark_e(self, nuisance: Nuisance, temperature_c: Array) -> Array:
         camera = self.design.header.camera
         reference = 25.0 if camera.dark_current_reference_C is None else camera.dark_current_reference_C
-        warmer = np.nan_to_num(self.design.temperature_c - reference)
+        warmer = np.nan_to_num(temperature_c - reference)
         rate = (camera.dark_current_e_per_s or 0.0) + nuisance.dark_e_per_s
         per_second = rate * 2.0 ** (warmer / (camera.dark_current_doubling_K or 7.0))
         return np.asarray((per_second * self.design.exposure_s)[:, None, None])

@@ -92,11 +92,15 @@ def test_lamp_wanders_no_more_than_stated() -> None:
 
 def test_camera_of_stated_noise_has_no_dark_current_but_a_stated_one() -> None:
     """A camera of which nothing is stated may have any dark current; else an undeclared one is something to name."""
-    unknown = CameraDescription(bit_depth=12)
-    known = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=2.6, read_noise_e=2.4)
-    assert dark_current_is_free(unknown)
-    assert not dark_current_is_free(known)
-    assert not dark_current_is_free(CameraDescription(bit_depth=12, dark_current_e_per_s=1.0))
+
+    def free(**stated: float) -> bool:
+        camera = CameraDescription(bit_depth=12, **stated)
+        frames = (FrameEntry(file="0.tif", exposure_s=0.01),)
+        return dark_current_is_free(Design.of(CaptureHeader(camera=camera, frames=frames), (96, 144)))
+
+    assert free()
+    assert not free(conversion_gain_e_per_dn=2.6, read_noise_e=2.4)
+    assert not free(dark_current_e_per_s=1.0)
 
 
 def test_table_that_was_found_has_a_limit(make_capture: Callable[..., Any]) -> None:
