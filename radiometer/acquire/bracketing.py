@@ -104,16 +104,30 @@ def take_plan(
                 progress(done, total, frame)
             yield frame
     if request.dark_frames:
-        yield from _dark_frames(camera, distinct, request.dark_frames, close_shutter or _own_shutter(camera), progress)
+        yield from take_dark_frames(
+            camera, distinct, request.dark_frames, close_shutter or own_shutter(camera), progress
+        )
 
 
-def _dark_frames(
+def take_dark_frames(
     camera: Camera,
     exposures_s: list[float],
     count: int,
     close_shutter: Callable[[bool], None],
-    progress: Progress | None,
+    progress: Progress | None = None,
 ) -> Iterator[Frame]:
+    """Yield dark frames as they are taken; the shutter is open again afterwards, whatever happens.
+
+    Args:
+        camera: An open camera.
+        exposures_s: Exposure times in s.
+        count: Frames at each.
+        close_shutter: Called with True before and False after.
+        progress: Called after every frame.
+
+    Raises:
+        DeviceError: If the camera fails.
+    """
     close_shutter(True)
     try:
         for position, exposure_s in enumerate(exposures_s):
@@ -127,7 +141,8 @@ def _dark_frames(
         close_shutter(False)
 
 
-def _own_shutter(camera: Camera) -> Callable[[bool], None]:
+def own_shutter(camera: Camera) -> Callable[[bool], None]:
+    """Return what closes the camera's own shutter. Raises DeviceError where it has none."""
     if not camera.capabilities.has_shutter:
         raise DeviceError(
             f"{camera.identity.model} has no shutter of its own; cover the lens by hand when asked, at a terminal"

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from radiometer.acquire.bracketing import DEFAULT_TIME_LIMIT_S, BracketRequest, Progress, plan_for_scene, take_plan
+from radiometer.acquire.bracketing import (
+    DEFAULT_TIME_LIMIT_S,
+    BracketRequest,
+    Progress,
+    own_shutter,
+    plan_for_scene,
+    take_dark_frames,
+    take_plan,
+)
 from radiometer.acquire.exposure_plan import steadied
 from radiometer.analysis.patch.reading import read_patch
 from radiometer.data import Bracket, Calibration, Frame, LensDescription, Patch, Reading, SourceDescription
@@ -18,6 +27,9 @@ from radiometer.errors import UsageError
 # A surround of which more than this clips is looked at in a shorter frame, each by this factor.
 _SURROUND_CLIPS = 0.002
 _SURROUND_STEP = 16.0
+# Dark frames at each exposure, taken where the dark level's uncertainty is more than this part of the light.
+_DARK_FRAMES = 2
+_DARK_MATTERS_REL = 0.003
 
 
 def clipped_part(frame: Frame) -> float:
@@ -36,6 +48,7 @@ class Instrument:
         time_limit_s: Bound on the sum of the exposure times of one reading in s.
         f_number: f-number that the lens is set to where the camera's description does not hold.
         source: What is known of the light.
+        cover: Called with True to have the lens covered for dark frames, and False after them; None for none by hand.
         clock: Steady clock in s.
     """
 
@@ -45,6 +58,7 @@ class Instrument:
     time_limit_s: float = DEFAULT_TIME_LIMIT_S
     f_number: float | None = None
     source: SourceDescription | None = None
+    cover: Callable[[bool], None] | None = None
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
@@ -78,8 +92,29 @@ class Instrument:
         plan = plan_for_scene(self.camera, request)
         plan = steadied(plan, self.source.flicker_hz if self.source else None, self.time_limit_s)
         frames: list[Frame] = list(take_plan(self.camera, plan, request, progress=progress, clock=self.clock))
-        frames += self._of_surround(frames)
+        darks = self._of_dark(frames)
+        frames += [*self._of_surround(frames), *darks]
         return Bracket.from_frames(frames, origin=self.camera.identity.device_id)
+
+    def _of_dark(self, frames: list[Frame]) -> list[Frame]:
+        """Return dark frames: with a cap where asked for, by the camera's own shutter where the dark level matters."""
+        own = own_shutter(self.camera) if self.camera.capabilities.has_shutter else None
+        close = self.cover or own
+        if close is None or not (self.cover or self._dark_matters(frames)):
+            return []
+        exposures = sorted({frame.settings.exposure_s for frame in frames})
+        return list(take_dark_frames(self.camera, exposures, _DARK_FRAMES, close))
+
+    def _dark_matters(self, frames: list[Frame]) -> bool:
+        """Tell whether what is not known of the black level and the dark current weighs against the light."""
+        if self.calibration is None or not frames:
+            return False
+        longest = max(frames, key=lambda frame: frame.settings.effective_exposure_s)
+        black, noise, settings = self.calibration.black_level, self.calibration.noise, longest.settings
+        dark_dn = noise.dark_e(settings.exposure_s, settings.temperature_c) * noise.gain_dn_per_e(settings.gain_db)
+        level = black.dn if settings.black_level_dn is None else settings.black_level_dn
+        light_dn = float(longest.dn[self.patch.slices].mean()) - level - dark_dn
+        return math.hypot(black.u_dn, black.dark_u_rel * dark_dn) > _DARK_MATTERS_REL * max(light_dn, 0.0)
 
     def _of_surround(self, frames: list[Frame]) -> list[Frame]:
         """Return shorter frames until the surround no longer clips: what it spreads over the patch depends on it."""

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json as json_module
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from radiometer.cli.arguments import parse_patch, parse_seconds
-from radiometer.cli.console import note, progress_bar
+from radiometer.cli.console import note, progress_bar, shutter_by_hand
 from radiometer.errors import DeviceError, UsageError
 
 if TYPE_CHECKING:
@@ -100,7 +99,9 @@ def _capture(
     from radiometer.data import CaptureSet, CaptureSetWriter
     from radiometer.data.provenance import utc_now
 
-    shutter = _shutter_by_hand(device) if request.dark_frames and not device.capabilities.has_shutter else None
+    shutter = (
+        shutter_by_hand(device.identity.model) if request.dark_frames and not device.capabilities.has_shutter else None
+    )
     total = len(plan.exposures_s) + request.dark_frames * len(set(plan.exposures_s))
     camera, lens, patches = device.description, device.lens, known_patches(config)
     dated: dict[str, object] = {"created": utc_now()}
@@ -135,19 +136,6 @@ def _ask_for(wish: str) -> None:
     if not sys.stdin.isatty():
         raise DeviceError(f"the plan needs a hand: {wish}; run at a terminal")
     typer.confirm(f"Please {wish}. Done?", abort=True, err=True)
-
-
-def _shutter_by_hand(device: Camera) -> Callable[[bool], None]:
-    if not sys.stdin.isatty():
-        raise DeviceError(
-            f"{device.identity.model} has no shutter for dark frames; run at a terminal, where you are asked to "
-            "cover the lens, or leave out --darks"
-        )
-
-    def ask(closed: bool) -> None:
-        typer.confirm(f"{'Cover' if closed else 'Uncover'} the lens. Done?", abort=True, err=True)
-
-    return ask
 
 
 def _report(written: CaptureSet, plan: ExposurePlan, region: Patch | None, *, as_json: bool) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as json_module
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -32,6 +32,10 @@ if TYPE_CHECKING:
         StatedUncertainties,
     )
     from radiometer.devices import CameraPreset
+
+# Luminous efficacies of radiation (380 to 780 nm) of usual sources, 2856 K to a phosphor-converted LED, lie from
+# 0.86 to 1.8 times that of equal energy: the root of the mean square of that rectangle about 1.
+UNKNOWN_EFFICACY_U_REL: Final = 0.43
 
 
 def command(
@@ -71,7 +75,9 @@ def command(
     as_printed: Annotated[
         bool, typer.Option("--as-printed", help="Take settings at face value, not as stops.")
     ] = False,
-    spectrum: Annotated[str, typer.Option(help="Spectrum of the source, or a CSV.")] = "equal_energy",
+    spectrum: Annotated[
+        str | None, typer.Option(help="Spectrum of the source, or a CSV; equal energy to 43 % where not stated.")
+    ] = None,
     black_level: Annotated[float | None, typer.Option(help="Black level in DN; the capture's by default.")] = None,
     validity_days: Annotated[float, typer.Option(min=0.001, help="Days the calibration is valid for.")] = 365.0,
     spectral_response: Annotated[
@@ -99,6 +105,7 @@ def command(
     from radiometer.data import ResponseCurve
     from radiometer.devices import CameraPreset
 
+    spectrum_unstated, spectrum = spectrum is None, spectrum or "equal_energy"
     if out is None:
         raise UsageError("-o FILE is missing: say where to write the calibration")
     curve = ResponseCurve.read(response) if response else None
@@ -122,6 +129,11 @@ def command(
     black = _black_level(black_level, seen)
     base = make.unscaled_calibration(description, lens, curve, spectrum, black, validity_days)
     base = replace(base, uncertainties=_uncertainties(stated, preset))
+    if spectrum_unstated and "efficacy_u_rel" not in base.uncertainties.model_fields_set:
+        unknown = base.uncertainties.model_copy(update={"efficacy_u_rel": UNKNOWN_EFFICACY_U_REL})
+        base = replace(base, uncertainties=unknown)
+    if preset is not None and preset.spectral_response is not None:
+        base = replace(base, spectral_response=preset.spectral_response)
     if spectral_response is not None:
         base = replace(base, spectral_response=_spectral_response(spectral_response))
     if flat is not None:
@@ -251,7 +263,7 @@ def _known_source(
         raise UsageError("a known radiance needs frames of it: name a capture set, or --camera")
     if uncertainty is None:
         raise UsageError("--u-rel is missing: a scale is worth no more than what is known of its source")
-    return KnownSource(stated, uncertainty)
+    return KnownSource(stated, uncertainty, "radiance" if luminance is None else "luminance")
 
 
 def _meter_settings(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
+
+from radiometer.errors import DeviceError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -55,3 +57,26 @@ def significant(value: float, u: float) -> str:
     if -4 <= magnitude < 6 and 0 <= decimals <= 9:
         return f"{value:.{decimals}f}"
     return f"{value:.{max(0, magnitude + decimals)}e}"
+
+
+def shutter_by_hand(name: str) -> Callable[[bool], None]:
+    """Return what asks at the terminal for the lens to be covered (True) and uncovered (False).
+
+    Args:
+        name: Of the camera.
+
+    Raises:
+        DeviceError: If there is no terminal to ask at.
+    """
+    import typer
+
+    if not sys.stdin.isatty():
+        raise DeviceError(
+            f"{name} has no shutter for dark frames; run at a terminal, where you are asked to cover the lens, or "
+            "leave out --darks"
+        )
+
+    def ask(closed: bool) -> None:
+        typer.confirm(f"{'Cover' if closed else 'Uncover'} the lens. Done?", abort=True, err=True)
+
+    return ask

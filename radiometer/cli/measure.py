@@ -5,13 +5,15 @@ from __future__ import annotations
 import itertools
 import json as json_module
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from radiometer.cli.arguments import F_NUMBER_HELP, ISO_HELP, parse_iso_speeds, parse_patch, with_f_number
-from radiometer.cli.console import console, note, progress_bar, significant
+from radiometer.cli.console import console, note, progress_bar, shutter_by_hand, significant
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -59,6 +61,9 @@ def command(
         bool, typer.Option("--watch", help="Read until stopped by Ctrl-C; a camera that is lost is waited for.")
     ] = False,
     every: Annotated[float, typer.Option(min=0.0, help="Seconds from one reading's start to the next's.")] = 0.0,
+    darks: Annotated[
+        bool, typer.Option("--darks", help="Ask for the lens to be covered, and take dark frames with every reading.")
+    ] = False,
     budget: Annotated[bool, typer.Option("--budget", help="Print the uncertainty budget.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object per reading on standard output.")] = False,
 ) -> None:
@@ -93,6 +98,8 @@ def command(
     ) as instrument:
         if not json:
             _introduce(instrument)
+        if darks:
+            instrument = replace(instrument, cover=_cover(instrument))
         for number in itertools.count(1) if watch else range(1, repeat + 1):
             begun = time.monotonic()
             reading = _one(instrument, number, u_rel, shown=not json, patient=watch)
@@ -131,6 +138,14 @@ def _photographed(
     camera = known.camera if known else CameraDescription(bit_depth=bracket.bit_depth)
     lens = LensDescription()
     return with_iso_in_reading(read_patch(bracket, patch, known, camera, lens, spectrum=spectrum), bracket)
+
+
+def _cover(instrument: Instrument) -> Callable[[bool], None]:
+    """Return what covers the lens: the camera's own shutter, else the user's hand."""
+    camera = instrument.camera
+    if camera.capabilities.has_shutter:
+        return lambda closed: camera.set_shutter(closed=closed)
+    return shutter_by_hand(camera.identity.model)
 
 
 def _one(instrument: Instrument, number: int, u_rel: float | None, *, shown: bool, patient: bool) -> Reading:

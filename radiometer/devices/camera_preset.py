@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from pydantic import Field, model_validator
 
-from radiometer.data import CameraDescription
+from radiometer.data import CameraDescription, SpectralResponse
 from radiometer.data.config_files import shipped_config
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, FileSection, validate
@@ -64,6 +64,7 @@ class CameraPreset(FileSection):
     limits: CameraLimits | None = None
     sources: dict[str, str] = Field(default_factory=dict)
     uncertainties: dict[str, float] = Field(default_factory=dict)
+    spectral_response: SpectralResponse | None = None
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> CameraPreset:

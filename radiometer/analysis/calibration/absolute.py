@@ -151,6 +151,7 @@ def scale_from_meter(
         u_rel=math.hypot(*budget.values()),
         budget=budget,
         method="light_meter_k",
+        quantity="luminance",
         f_number=settings.f_number,
         reference=f"K = {meter_k:g}, f/{settings.f_number:.4g}, {settings.exposure_s:.6g} s, ISO {settings.iso:g}: "
         f"{luminance:.6g} cd/m²",

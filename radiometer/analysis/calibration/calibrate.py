@@ -6,6 +6,7 @@ import datetime as dt
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from radiometer.analysis.calibration.absolute import MeterSettings, scale_from_meter, scale_from_radiance
 from radiometer.analysis.patch.contributions import budget_terms
@@ -35,10 +36,11 @@ from radiometer.errors import MeasurementError, UsageError
 
 @dataclass(frozen=True, slots=True)
 class KnownSource:
-    """A source of known radiance: radiance in W·sr⁻¹·m⁻², and its relative standard uncertainty."""
+    """A source of known radiance: radiance in W·sr⁻¹·m⁻², its relative standard uncertainty, and what was stated."""
 
     radiance_w_sr_m2: float
     u_rel: float
+    quantity: Literal["radiance", "luminance"] = "radiance"
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +146,7 @@ def scale_by_source(
         degrees_of_freedom=math.hypot(source.u_rel, u_rel) ** 4 / spread if spread > 0.0 else None,
         reading_budget=lines,
     )
-    return found.model_copy(update={"conditions": conditions})
+    return found.model_copy(update={"conditions": conditions, "quantity": source.quantity})
 
 
 def scale_by_meter(base: Calibration, meter: MeterReading) -> Scale:
@@ -194,7 +196,9 @@ def scaled_calibration(
         inputs: Names of what went in.
         other: A second scale that was found and not used.
     """
-    assumptions = [f"source spectrum {base.spectrum}"]
+    doubt = base.uncertainties.efficacy_u_rel
+    known = f", its luminous efficacy to {100 * doubt:.2g} % (k = 1)" if doubt else ""
+    assumptions = [f"source spectrum {base.spectrum}{known}"]
     if base.response is None:
         assumptions.append("response taken as linear above the black level")
     if base.noise.assumed:

@@ -287,4 +287,17 @@ def _with_luminance(reading: Reading, calibration: Calibration | None, name: str
         return reading
     efficacy = luminous_efficacy_lm_per_w(spectrum)
     radiance = reading.radiance
-    return replace(reading, luminance=Quantity(efficacy * radiance.value, efficacy * radiance.u, LUMINANCE_UNIT))
+    u = efficacy * _luminance_u(reading, calibration)
+    return replace(reading, luminance=Quantity(efficacy * radiance.value, u, LUMINANCE_UNIT))
+
+
+def _luminance_u(reading: Reading, calibration: Calibration) -> float:
+    """Return u of the radiance, in its unit, as it counts for the luminance.
+
+    The efficacy of an assumed spectrum stands between what the reference stated and what it did not: a luminance read
+    by a scale from a luminance went through it twice, there and back.
+    """
+    of_efficacy = calibration.uncertainties.efficacy_u_rel * reading.radiance.value
+    if calibration.scale.quantity == "radiance":
+        return math.hypot(reading.radiance.u, of_efficacy)
+    return math.sqrt(max(reading.radiance.u**2 - of_efficacy**2, 0.0))

@@ -102,13 +102,37 @@ def spectral_correction(calibration: Calibration) -> tuple[float, tuple[str, ...
 
 
 def spectral_u_rel(calibration: Calibration, stated: StatedUncertainties) -> float:
-    """Return the relative standard uncertainty of the spectral assumption, that of a correction included."""
-    corrected = calibration.spectral_response is not None and calibration.scale.spectrum not in (
-        None,
-        calibration.spectrum,
-    )
-    own = calibration.spectral_response.u_rel if corrected and calibration.spectral_response else 0.0
-    return math.hypot(stated.spectral_u_rel, own)
+    """Return the relative standard uncertainty of the spectral assumption, that of a correction included.
+
+    A radiance that came by way of a luminance carries that of the assumed spectrum's luminous efficacy as well. Where
+    calibration and source differ in spectrum and the camera's response is unknown, the spread of plausible responses
+    counts.
+    """
+    of_scale = calibration.scale.spectrum or calibration.spectrum
+    efficacy = stated.efficacy_u_rel if calibration.scale.quantity == "luminance" else 0.0
+    if of_scale == calibration.spectrum or not calibration.absolute:
+        return math.hypot(stated.spectral_u_rel, efficacy)
+    response = calibration.spectral_response
+    own = response.u_rel if response else unknown_mismatch_u_rel(calibration.spectrum, of_scale)
+    return math.hypot(stated.spectral_u_rel, efficacy, own)
+
+
+def unknown_mismatch_u_rel(source: str, of_scale: str) -> float:
+    """Return the root of the mean square of ln F over plausible responses of silicon behind a lens.
+
+    They count photons with a quantum efficiency that is flat, or falls by a half to 400 and to 700 nm from a peak at
+    500, 550 or 600 nm: what EMVA 1288 data sheets of monochrome sensors show.
+
+    Args:
+        source: Name of the spectrum that is read.
+        of_scale: Name of the spectrum of the calibration.
+    """
+    wavelength = np.arange(200.0, 1101.0, 5.0)
+    bells = (np.exp(-math.log(2.0) * ((wavelength - peak) / 150.0) ** 2) for peak in (500.0, 550.0, 600.0))
+    responses = [wavelength, *(wavelength * bell for bell in bells)]
+    light, reference = spectrum(source), spectrum(of_scale)
+    factors = [spectral_mismatch_factor(light, reference, wavelength, response) for response in responses]
+    return float(np.sqrt(np.mean(np.log(factors) ** 2)))
 
 
 def f_number_u_rel(

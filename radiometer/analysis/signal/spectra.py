@@ -17,8 +17,13 @@ from radiometer.units import BOLTZMANN_J_K, PLANCK_J_S, SPEED_OF_LIGHT_M_S
 
 BAND_NM: Final = (380.0, 780.0)
 TABLES: Final = Path(__file__).with_name("tables")
-_TABULATED: Final = ("cie_d65", "white_led", "display_red", "display_green", "display_blue")
-SPECTRUM_NAMES: Final = ("equal_energy", "planck:T", *_TABULATED, "line:NM", "FILE.csv")
+_LEDS: Final = ("led_b1", "led_b2", "led_b4", "led_b5", "led_bh1", "led_rgb1", "led_v1", "led_v2")
+_CIE: Final = (*_LEDS, "cie_a", "cie_fl2", "cie_fl11", "crt_red", "crt_green", "crt_blue")
+_TABULATED: Final = {
+    **dict.fromkeys(("cie_d65", "white_led", "display_red", "display_green", "display_blue"), "spectra.csv"),
+    **dict.fromkeys(_CIE, "spectra_cie.csv"),
+}
+SPECTRUM_NAMES: Final = ("equal_energy", "planck:T", *_TABULATED, "line:NM", "band:NM,FWHM", "FILE.csv")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,8 +71,10 @@ def spectrum(name: str) -> Spectrum:
 
     Args:
         name: "equal_energy", "planck:T" (T in K), "cie_d65", "white_led", "display_red", "display_green",
-            "display_blue", "line:NM" (a monochromatic line), or the path of a CSV with the columns
-            wavelength in nm and relative power. All but the line and the CSV extend over 380–780 nm.
+            "display_blue" (a display of 1998), "led_b1" … "led_v2" (CIE 015:2018), "cie_a", "cie_fl2", "cie_fl11",
+            "crt_red", "crt_green", "crt_blue", "line:NM" (a monochromatic line), "band:NM,FWHM" (a Gaussian), or the
+            path of a CSV with the columns wavelength in nm and relative power. All but line, band and CSV extend over
+            380–780 nm.
 
     Raises:
         InputError: If there is no such spectrum, or the file cannot be used; the message lists the names.
@@ -79,8 +86,10 @@ def spectrum(name: str) -> Spectrum:
         return _planck(name, _number(name, argument, 500.0, 50_000.0, "K"))
     if kind == "line":
         return Spectrum(name, np.array([_number(name, argument, 200.0, 2000.0, "nm")]), np.ones(1))
+    if kind == "band":
+        return _band(name, argument)
     if kind in _TABULATED:
-        wavelengths, columns = table("spectra.csv")
+        wavelengths, columns = table(_TABULATED[kind])
         return Spectrum(name, wavelengths, columns[kind])
     if name.lower().endswith(".csv"):
         return spectrum_from_csv(Path(name))
@@ -104,6 +113,14 @@ def _number(name: str, text: str, low: float, high: float, unit: str) -> float:
     if not low <= value <= high:
         raise InputError(f"spectrum {name!r}: needs a number from {low:g} to {high:g} {unit} after the colon")
     return value
+
+
+def _band(name: str, argument: str) -> Spectrum:
+    """Return a Gaussian band, such as one colour of an organic or quantum-dot display."""
+    peak, _, width = argument.partition(",")
+    peak_nm, fwhm_nm = _number(name, peak, 200.0, 2000.0, "nm"), _number(name, width, 0.1, 300.0, "nm after the comma")
+    wavelength = np.linspace(peak_nm - 2.0 * fwhm_nm, peak_nm + 2.0 * fwhm_nm, 161)
+    return Spectrum(name, wavelength, np.exp(-4.0 * math.log(2.0) * ((wavelength - peak_nm) / fwhm_nm) ** 2))
 
 
 def _planck(name: str, temperature_k: float) -> Spectrum:

@@ -176,3 +176,34 @@ def test_the_meter_alone_needs_no_patch(rig, tmp_path):
     calibration = Calibration.read(tmp_path / "cal.yaml")
     assert calibration.camera.serial == "1"
     assert calibration.scale.method == "light_meter_k"
+
+
+@pytest.mark.parametrize(("words", "u_rel"), [([], 0.43), (["--spectrum", "white_led"], 0.0)])
+def test_a_spectrum_that_nobody_states_is_known_to_43_percent(capture, tmp_path, words, u_rel):
+    """Said among the assumptions; a stated spectrum carries none of it."""
+    folder, _ = capture
+    assert run(["calibrate", str(folder), *words, "-o", str(tmp_path / "cal.yaml")]) == 0
+    calibration = Calibration.read(tmp_path / "cal.yaml")
+    assert calibration.uncertainties.efficacy_u_rel == u_rel
+    assert any("43 %" in said for said in calibration.provenance.assumptions) == (not words)
+
+
+def test_stated_uncertainties_reach_the_file(capture, tmp_path, capsys):
+    """What the user knows better takes the default's place; a name that there is not is refused with all names."""
+    folder, _ = capture
+    command = ["calibrate", str(folder), "-o", str(tmp_path / "cal.yaml")]
+    assert run([*command, "--stated", "glare_u=0.002"]) == 0
+    assert Calibration.read(tmp_path / "cal.yaml").uncertainties.glare_u == 0.002
+    assert run([*command, "--stated", "glare=0.002"]) == 2
+    assert "glare_u" in capsys.readouterr().err
+
+
+def test_the_conditions_of_a_scale_are_kept(rig, capture, tmp_path):
+    """Exposure, gain, temperature and level of the calibration are in the file for readings to compare with."""
+    folder, _ = capture
+    assert run(["calibrate", str(folder), "-o", str(tmp_path / "cal.yaml")]) == 0
+    kept = Calibration.read(tmp_path / "cal.yaml").scale.conditions
+    assert (kept.gain_db, kept.temperature_c) == (0.0, 25.0)
+    assert kept.inverse_exposure_per_s > 0.0
+    assert 0.0 < kept.level < 1.0
+    assert kept.surround == pytest.approx(1.0, rel=0.01)

@@ -1,0 +1,86 @@
+"""What an assumed or differing spectrum costs: efficacy there and back, and the mismatch of an unknown camera."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiometer.analysis.patch.reading import read_patch
+from radiometer.analysis.signal.photometry import luminous_efficacy_lm_per_w
+from radiometer.analysis.signal.situation import unknown_mismatch_u_rel
+from radiometer.analysis.signal.spectra import spectrum
+from radiometer.data import BlackLevel, Patch, StatedUncertainties
+from radiometer.errors import InputError
+
+ONLY_EFFICACY = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0)).model_copy(
+    update={"efficacy_u_rel": 0.4}
+)
+
+
+def reading(rig, quantity, spectra=("equal_energy", "equal_energy")):
+    black = BlackLevel(dn=64.0, u_dn=0.0)
+    base = rig.calibration(u_rel=0.01, uncertainties=ONLY_EFFICACY, black_level=black, spectrum=spectra[1])
+    scale = base.scale.model_copy(update={"quantity": quantity, "spectrum": spectra[0]})
+    scene = np.full((12, 12), 0.5 * rig.radiance_of_full_scale(1e-3))
+    frames = rig.frames(scene, np.random.default_rng(1), (1e-3,) * 5)
+    return read_patch(frames, Patch(0, 0, 12, 12), replace(base, scale=scale), rig.description, rig.lens)
+
+
+def test_a_scale_from_a_luminance_doubts_the_radiance(rig):
+    """The efficacy's 40 % are in the radiance, and cancel in the luminance: there only the scale's 1 % is left."""
+    found = reading(rig, "luminance")
+    assert found.radiance.u_rel == pytest.approx(math.hypot(0.01, 0.4), rel=1e-3)
+    assert found.luminance.u_rel == pytest.approx(0.01, rel=0.02)
+    assert "spectrum_assumed" in found.flags
+
+
+def test_a_scale_from_a_radiance_doubts_the_luminance(rig):
+    """The other way round."""
+    found = reading(rig, "radiance")
+    assert found.radiance.u_rel == pytest.approx(0.01, rel=0.02)
+    assert found.luminance.u_rel == pytest.approx(math.hypot(0.01, 0.4), rel=1e-3)
+
+
+def test_a_camera_of_unknown_response_doubts_another_spectrum(rig):
+    """Calibrated at 500 nm and read at 600 nm: a flat photon counter is off by ln 1.2, others by more or less."""
+    found = reading(rig, "radiance", ("line:500", "line:600"))
+    line = next(one.u_rel for one in found.budget if one.name == "spectral assumption")
+    bells = [
+        math.log(1.2) - math.log(2.0) * (((600 - peak) / 150) ** 2 - ((500 - peak) / 150) ** 2)
+        for peak in (500, 550, 600)
+    ]
+    assert line == pytest.approx(math.sqrt(np.mean(np.square([math.log(1.2), *bells]))), rel=1e-6)
+    assert unknown_mismatch_u_rel("white_led", "white_led") == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [("led_b1", "LED-B1"), ("led_rgb1", "LED-RGB1"), ("led_v2", "LED-V2"), ("cie_a", "A"), ("cie_fl11", "FL11")],
+)
+def test_tabulated_spectra_are_the_published_ones(name, label):
+    """Luminous efficacies against the tables of `colour-science`."""
+    import colour
+
+    published = colour.SDS_ILLUMINANTS[label]
+    known = {float(w): float(v) for w, v in zip(published.wavelengths, published.values, strict=True)}
+    wavelength = np.arange(380.0, 781.0, 5.0)
+    power = np.array([known.get(w, 0.0) for w in wavelength])
+    found = spectrum(name)
+    assert found.power / found.power.max() == pytest.approx(power / power.max(), rel=1e-5, abs=1e-9)
+
+
+def test_a_band_is_a_gaussian_of_its_width():
+    """Half of the peak half a width away; a narrow one has the efficacy of a line."""
+    found = spectrum("band:525,30")
+    assert np.interp(540.0, found.wavelength_nm, found.power) == pytest.approx(0.5, rel=1e-3)
+    narrow, line = (luminous_efficacy_lm_per_w(spectrum(name)) for name in ("band:555,1", "line:555"))
+    assert narrow == pytest.approx(line, rel=1e-3)
+
+
+def test_a_band_needs_a_width():
+    """The message says what is missing."""
+    with pytest.raises(InputError, match="after the comma"):
+        spectrum("band:525")
