@@ -32,12 +32,20 @@ def _bracket(rng, *, electrons=None, dn_noise=0.0, read=0.0, shape=(120, 160)):
     return Bracket.from_frames(frames)
 
 
-def test_shot_noise_is_told_from_noise_behind_the_curve():
-    """2000 electrons at H = 1 come back within a factor of two: dark values cut the noise off."""
-    found = pixel_noise(_bracket(np.random.default_rng(1), electrons=2000), _curve())
-    exposure_at_unit = (128.0 / 255.0) ** (1.0 / POWER)  # H where exp g is 1
-    assert 0.5 < 1.0 / found.shot / (2000 * exposure_at_unit) < 2.0
-    assert found.digital < 1.0
+@pytest.mark.parametrize(("electrons", "read"), [(2000, 0.0), (500, 0.0), (4000, 0.001)])
+def test_noise_before_the_curve_comes_back(electrons, read):
+    """The variance of ln H at mid-tones is that of the electrons and the read noise, within 25 %.
+
+    Behind a gamma shot noise is nearly even in digital numbers: what of it is called which may differ.
+    """
+    found = pixel_noise(_bracket(np.random.default_rng(1), electrons=electrons, read=read), _curve())
+    for dn in (80.0, 128.0, 200.0):
+        exposure = (dn / 255.0) ** (1.0 / POWER)
+        wanted = (1.0 / (electrons * exposure) if electrons else 0.0) + (read / exposure) ** 2
+        slope = 1.0 / (dn * POWER)
+        log_h = np.array([np.log(dn / 128.0) / POWER])
+        seen = found.variance(log_h, np.array([slope]), np.ones(1))[0]
+        assert seen == pytest.approx(wanted + slope**2 / 12.0, rel=0.25)
 
 
 @pytest.mark.parametrize("dn_noise", [1.0, 3.0])
