@@ -1,48 +1,35 @@
-"""The self-contained HTML report: verdict, found effects, residuals before and after, limits."""
+"""The self-contained HTML report: one picture first, then each name with what speaks for it; tables last."""
 
 from __future__ import annotations
 
-import base64
 import html
-import io
+import inspect
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from radiometer.data.storage import write_text_atomic
 from radiometer.reconcile.engine import Reconciled
-from radiometer.reconcile.fit.state import FitState
-from radiometer.reconcile.measure.covariates import covariates
-from radiometer.reconcile.measure.design import Array
+from radiometer.reconcile.report import pictures
 from radiometer.reconcile.report.result import FoundEffect, ReconcileResult
+from radiometer.reconcile.report.words import along, seen_in
+from simulators.effects.catalogue import CatalogueEffect
 
-_PANELS: Final = 6
-_BINS: Final = 14
-# Covariates drawn on a logarithmic axis, and what stands at the others.
-_AXES: Final = {
-    "exposure_s": ("exposure in s", True),
-    "f_number": ("f-number", True),
-    "signal": ("signal in e-", True),
-    "patch_level": ("radiance of the patch in W·sr⁻¹·m⁻²", True),
-    "previous_frame": ("signal of the capture before in e-, plus 1", True),
-}
-_PLAIN: Final = {
-    "gain_db": "gain in dB",
-    "temperature_C": "sensor temperature in °C",
-    "timestamp_s": "time in s",
-    "source_level": "source level",
-    "image_x": "column in pixels",
-    "image_y": "row in pixels",
-    "field_radius": "field radius (1 in the corner)",
-}
 _LISTED_PLACES: Final = 5
 _WEAK_NATS: Final = 10.0
 _STYLE: Final = """
-body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#1a1a1a}
-table{border-collapse:collapse;margin:1rem 0}td,th{padding:.2rem .8rem;text-align:right;border-bottom:1px solid #ddd}
-td:first-child,th:first-child{text-align:left}img{max-width:100%}.verdict{font-size:1.4rem;font-weight:600}
-.small{color:#555;font-size:.9rem}
+:root{color-scheme:light}
+body{font:16px/1.55 system-ui,sans-serif;max-width:62rem;margin:2rem auto;padding:0 1rem;color:#1a1a1a;background:#fff}
+h1{font-size:1.2rem;font-weight:500;color:#555;margin:0}h2{margin:2.2rem 0 .3rem;font-size:1.25rem}
+.verdict{font-size:1.7rem;font-weight:650;line-height:1.25;margin:.2rem 0 .6rem}
+figure{margin:1rem 0}img{max-width:100%;height:auto;display:block}figcaption,.small{color:#595959;font-size:.9rem}
+.what{margin:.2rem 0;font-size:1.05rem}
+.do{border-left:4px solid #1f618d;background:#eef4f8;padding:.5rem .9rem;
+margin:.8rem 0}
+.tag{font-size:.8rem;font-weight:600;
+border-radius:.6rem;padding:.1rem .6rem;background:#fbe9d0;color:#6b3d00;margin-left:.5rem}
+table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums}
+td,th{padding:.2rem .8rem;text-align:right;border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}
+details{margin:.8rem 0}summary{cursor:pointer;font-weight:600}.wide{overflow-x:auto}
 """
 _SAID: Final = {
     "agrees": "Nothing is missing: simulation and measurement agree.",
@@ -70,24 +57,57 @@ def report_html(reconciled: Reconciled, title: str) -> str:
     """Return the report as HTML."""
     result = reconciled.result
     parts = [
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>reconcile {html.escape(title)}</title>",
-        f"<style>{_STYLE}</style><h1>{html.escape(title)}</h1>",
-        f"<p class='verdict'>{_SAID[result.verdict]}</p>",
-        f"<p>Gap {result.gap_before:.3f} → {result.gap_after:.3f} ({result.gap_unit}); {result.captures} captures, "
-        f"{result.frames} frames, {result.tests[0]} tests, {result.tests[1]} significant in the end.</p>",
-        *[_effect(effect) for effect in result.effects],
+        "<!doctype html><html lang='en'><head><meta charset='utf-8'>"
+        "<meta name='viewport' content='width=device-width,initial-scale=1'>"
+        f"<title>reconcile {html.escape(title)}</title><style>{_STYLE}</style></head><body>",
+        f"<h1>{html.escape(title)}</h1><p class='verdict'>{_SAID[result.verdict]}</p>",
+        f"<p>{html.escape(_summary(result))}</p>",
+        _picture(
+            pictures.story(reconciled),
+            "Left: every patch of every setting, measured against simulated. Right: how far settings that the fit did "
+            "not see are missed, step by step; at 1 only noise is left.",
+        ),
+        *[_effect(effect, reconciled) for effect in result.effects],
         _following(result),
-        _places(result),
-        "<h2>Residuals along each covariate, before and after</h2>",
-        "<p class='small'>Means of patches, of one setting or of neighbouring settings.</p>",
-        f"<img alt='residuals before and after' src='data:image/png;base64,{_residual_plot(reconciled)}'>",
-        _covariate_table(result),
-        "<h2>What these data would have shown</h2>",
-        "<p class='small'>Amplitude that would stand out by 5 sigma; “nothing is missing” holds above these only.</p>",
-        _limit_table(result),
-        *[f"<p class='small'>Assumed: {html.escape(text)}.</p>" for text in result.assumptions],
+        "<h2>Where the rest lies</h2>",
+        _picture(
+            pictures.rest_map(reconciled.outcome.state),
+            "Patches by what the final model leaves of them; within ±4 σ is chance.",
+        ),
+        "<h2>Figures</h2>",
+        _folded("Residuals along each setting, before and after", _residuals(reconciled)),
+        _folded("Where they disagreed at first, found without any known effect", _places(result)),
+        _folded("Largest trend along each covariate", _covariate_table(result)),
+        _folded("What these data would have shown", _limits(result)),
+        _folded("What was assumed", "".join(f"<p>{html.escape(text)}.</p>" for text in result.assumptions)),
     ]
-    return "\n".join(parts) + "\n</html>\n"
+    return "\n".join(part for part in parts if part) + "\n</body></html>\n"
+
+
+def _summary(result: ReconcileResult) -> str:
+    names = [effect.name for effect in result.effects if effect.name != "unnamed"]
+    gap = f"The gap of settings left out of the fit went from {result.gap_before:.3g} to {result.gap_after:.3g}"
+    named = f" by {', '.join(names)}" if names else ""
+    return (
+        f"{gap}{named} ({result.gap_unit}; 1 is noise alone). {result.captures} settings, {result.frames} frames; "
+        f"{result.tests[1]} of {result.tests[0]} tests still stand out."
+    )
+
+
+def _picture(encoded: str, caption: str) -> str:
+    said = html.escape(caption)
+    return f"<figure><img alt='{said}' src='data:image/png;base64,{encoded}'><figcaption>{said}</figcaption></figure>"
+
+
+def _folded(title: str, content: str) -> str:
+    return f"<details><summary>{title}</summary><div class='wide'>{content}</div></details>" if content else ""
+
+
+def _residuals(reconciled: Reconciled) -> str:
+    if not reconciled.result.covariates:
+        return ""
+    caption = "Means of patches, of one setting or of neighbouring settings."
+    return _picture(pictures.residual_panels(reconciled), caption)
 
 
 def _places(result: ReconcileResult) -> str:
@@ -97,39 +117,92 @@ def _places(result: ReconcileResult) -> str:
         f"<td>{html.escape(place.form)}</td><td>{place.score:.1f}</td><td>{place.p_value:.2g}</td></tr>"
         for place in result.localisation[:_LISTED_PLACES]
     )
-    head = "<tr><th>statistic</th><th>along</th><th>form</th><th>χ²</th><th>p</th></tr>"
-    note = "<p class='small'>Found without the catalogue: trends of the starting model's residuals.</p>"
-    return f"<h2>Where they disagreed at first</h2><table>{head}{rows}</table>{note}"
+    return f"<table><tr><th>statistic</th><th>along</th><th>form</th><th>χ²</th><th>p</th></tr>{rows}</table>"
 
 
 def _following(result: ReconcileResult) -> str:
     if not result.next_capture:
         return ""
-    return f"<p>Next capture: {html.escape(str(result.next_capture['description']))}</p>"
+    return f"<p class='do'>Next capture: {html.escape(str(result.next_capture['description']))}</p>"
 
 
-def _effect(effect: FoundEffect) -> str:
+def _effect(effect: FoundEffect, reconciled: Reconciled) -> str:
+    present = {one.name: one for one in reconciled.outcome.state.effects}
+    entry = present.get(effect.name)
+    title = "Not explained by any known effect" if effect.name == "unnamed" else effect.name
+    tags = [text for text, holds in (("provisional", effect.provisional), ("weak", _is_weak(effect))) if holds]
+    marks = "".join(f"<span class='tag'>{text}</span>" for text in tags)
+    return "".join(
+        (
+            f"<h2>{html.escape(title)}{marks}</h2>",
+            f"<p class='what'>{html.escape(_physics(entry))}</p>" if entry else "",
+            f"<p>{html.escape(_evidence(effect))}</p>",
+            _effect_picture(effect, entry, reconciled),
+            _parameters(effect),
+            _rivals(effect),
+            _advice(effect, entry),
+        )
+    )
+
+
+def _is_weak(effect: FoundEffect) -> bool:
+    return effect.name != "unnamed" and effect.gain_nats < _WEAK_NATS
+
+
+def _physics(entry: CatalogueEffect) -> str:
+    """Return what an effect does, in the words of its own file."""
+    return (inspect.getdoc(type(entry)) or "").partition("\n\n")[0].replace("\n", " ")
+
+
+def _evidence(effect: FoundEffect) -> str:
+    said = f"It shows in {seen_in(effect.block)}, {along(effect.where)}."
+    if effect.name == "unnamed":
+        return said
+    closed = f" With it the gap falls from {effect.gap_before:.3g} to {effect.gap_after:.3g}"
+    weak = "; that is little: repeat the captures" if _is_weak(effect) else ""
+    return f"{said}{closed}, and settings left out are predicted better by {effect.gain_nats:.0f} nats{weak}."
+
+
+def _effect_picture(effect: FoundEffect, entry: CatalogueEffect | None, reconciled: Reconciled) -> str:
+    if entry is None:
+        return ""
+    first = next(iter(effect.parameters.values()), None)
+    known = first is not None and first.u is not None and first.value != 0
+    u_rel = abs(first.u / first.value) if known and first is not None and first.u is not None else None
+    encoded = pictures.effect_plot(reconciled.outcome.state, entry, u_rel)
+    caption = "Points: what is left without it, with k = 1 bars. Line: what it predicts, with its k = 2 band."
+    return _picture(encoded, caption) if encoded else ""
+
+
+def _parameters(effect: FoundEffect) -> str:
     rows = "".join(
         f"<tr><td>{html.escape(name)}</td><td>{entry.value:.6g}</td>"
         f"<td>{'' if entry.u is None else f'± {entry.u:.2g}'}</td><td>{html.escape(entry.unit)}</td></tr>"
         for name, entry in effect.parameters.items()
     )
-    only = "Each ± holds only if it is this one: it knows nothing of the choice among them."
-    others = ", ".join(effect.alternatives)
-    rivals = f"<p>These data cannot tell it from {others}. {only}</p>" if effect.alternatives else ""
-    following = effect.next_capture.get("description", "") if effect.next_capture else ""
-    advice = f"<p>Next capture: {html.escape(str(following))}</p>" if following else ""
-    weak = " (weak: repeat the captures)" if effect.gain_nats < _WEAK_NATS else ""
+    return f"<table>{rows}</table>" if rows else ""
+
+
+def _rivals(effect: FoundEffect) -> str:
     closest = (
-        f"<p>Closest entry: {html.escape(effect.closest[0])}, which explains {100 * effect.closest[1]:.0f} % of it.</p>"
+        f"<p>Closest known effect: {html.escape(effect.closest[0])}, which explains {100 * effect.closest[1]:.0f} % "
+        "of it.</p>"
         if effect.closest
         else ""
     )
-    return (
-        f"<h2>{html.escape(effect.name)}{' (provisional)' if effect.provisional else ''}</h2>"
-        f"<p>Along {html.escape(effect.where)}, seen in the {html.escape(effect.block)}: gap {effect.gap_before:.3f} → "
-        f"{effect.gap_after:.3f}, {effect.gain_nats:.0f} nats{weak}.</p><table>{rows}</table>{closest}{rivals}{advice}"
-    )
+    if not effect.alternatives:
+        return closest
+    others = html.escape(", ".join(effect.alternatives))
+    only = "Each ± holds only if it is this one: it knows nothing of the choice among them."
+    return f"{closest}<p>These data cannot tell it from {others}. {only}</p>"
+
+
+def _advice(effect: FoundEffect, entry: CatalogueEffect | None) -> str:
+    """Return what to do at the bench: the capture that settles the choice, else what would show the effect best."""
+    following = str(effect.next_capture.get("description", "")) if effect.next_capture else ""
+    if following:
+        return f"<p class='do'>To settle it, take: {html.escape(following)}</p>"
+    return f"<p class='small'>To see it alone: {html.escape(entry.settles)}.</p>" if entry and entry.settles else ""
 
 
 def _covariate_table(result: ReconcileResult) -> str:
@@ -142,71 +215,12 @@ def _covariate_table(result: ReconcileResult) -> str:
     return f"<table>{head}{rows}</table>{note}"
 
 
-def _limit_table(result: ReconcileResult) -> str:
+def _limits(result: ReconcileResult) -> str:
     rows = "".join(
         f"<tr><td>{html.escape(name)}</td><td>{'blind' if v.amplitude is None else f'{v.amplitude:.3g}'}</td>"
         f"<td>{html.escape('' if v.unit == '1' else v.unit)}</td><td>{html.escape(v.parameter)}</td></tr>"
         for name, v in result.limits.items()
     )
-    return f"<table><tr><th>effect</th><th>from</th><th>unit</th><th>parameter</th></tr>{rows}</table>"
-
-
-def _residual_plot(reconciled: Reconciled) -> str:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    before, after = reconciled.outcome.start, reconciled.outcome.state
-    names = _most_telling(reconciled.result)
-    figure = Figure(figsize=(10, 2.6 * ((len(names) + 1) // 2)), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots((len(names) + 1) // 2, 2, squeeze=False).ravel()
-    for axis, name in zip(axes, names, strict=False):
-        for state, colour, label in ((before, "#c0392b", "before"), (after, "#2471a3", "after")):
-            x, y, u = _profile(state, name)
-            axis.errorbar(x, y, u, fmt="o", ms=3, lw=1, color=colour, label=label)
-        axis.axhline(0.0, color="#888", lw=0.8)
-        label, logarithmic = _AXES.get(name, (_PLAIN.get(name, name), False))
-        if logarithmic:
-            axis.set_xscale("log")
-        axis.set_xlabel(label)
-        axis.set_ylabel("measured − predicted, in σ")
-        axis.legend(frameon=False, fontsize=8)
-    for axis in axes[len(names) :]:
-        axis.set_visible(False)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=90)
-    return base64.b64encode(stream.getvalue()).decode("ascii")
-
-
-def _in_units(name: str, value: Array) -> Array:
-    """Return values of a covariate as people read them; the tests use logarithms of most."""
-    if name == "f_number":
-        return np.asarray(2.0**value)
-    if name == "signal":
-        return np.asarray(np.maximum(10.0**value - 10.0, 1.0))
-    return np.asarray(10.0**value if name in _AXES else value)
-
-
-def _most_telling(result: ReconcileResult) -> list[str]:
-    ranked = sorted(result.covariates, key=lambda name: -result.covariates[name].before)
-    return ranked[:_PANELS]
-
-
-def _profile(state: FitState, name: str) -> tuple[Array, Array, Array]:
-    """Return bin centres, mean standardised residual of the means, and its standard uncertainty."""
-    axis = covariates(state.model, state.prediction)[name]
-    usable = state.comparison.usable["mean"]
-    deviation = np.hypot(state.comparison.deviation["mean"], state.tau * state.sensitivity)
-    standardised = ((state.seen.mean - state.prediction.mean) / deviation)[usable]
-    value = axis.value[usable]
-    levels = np.unique(np.round(value, 6))
-    if levels.size <= _BINS:  # every setting has a point of its own
-        place = np.argmin(np.abs(value[:, None] - levels), axis=1)
-    else:
-        edges = np.unique(np.quantile(value, np.linspace(0, 1, _BINS + 1)))
-        place = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, max(len(edges) - 2, 0))
-    groups = np.unique(place)
-    x = _in_units(name, np.array([value[place == g].mean() for g in groups]))
-    y = np.array([standardised[place == g].mean() for g in groups])
-    u = np.array([1.0 / np.sqrt(np.sum(place == g)) for g in groups])
-    return x, y, u
+    note = "<p class='small'>Sizes that would stand out by 5 sigma; “nothing is missing” holds above these only.</p>"
+    head = "<tr><th>effect</th><th>from</th><th>unit</th><th>parameter</th></tr>"
+    return f"{note}<table>{head}{rows}</table>" if rows else ""

@@ -1,0 +1,239 @@
+"""The pictures of the report: the gap as it closes, each effect along its covariate, and where the rest lies."""
+
+from __future__ import annotations
+
+import base64
+import io
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from radiometer.reconcile.engine import Reconciled
+from radiometer.reconcile.fit.state import FitState
+from radiometer.reconcile.measure.covariates import covariates
+from radiometer.reconcile.measure.design import Array
+from radiometer.reconcile.report.words import AXES, axis_label
+from radiometer.reconcile.statistics import STATISTICS
+from simulators.effects.catalogue import CatalogueEffect
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BEFORE: Final = "#b03a2e"
+AFTER: Final = "#1f618d"
+_GREY: Final = "#777777"
+_BINS: Final = 14
+_PANELS: Final = 6
+_DIMMEST_DN: Final = 3.0  # below, a relative deviation of the means says nothing
+
+
+def story(reconciled: Reconciled) -> str:
+    """Return the opening picture: measured over simulated before and after, and the gap step by step."""
+    figure = _figure(10.0, 3.7)
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    _deviations(left, reconciled)
+    _steps(right, reconciled)
+    return _encoded(figure)
+
+
+def _deviations(axes: Axes, reconciled: Reconciled) -> None:
+    outcome = reconciled.outcome
+    drawn = ((outcome.start, BEFORE, "simulated before"), (outcome.state, AFTER, "simulated after"))
+    for state, colour, label in drawn:
+        light, deviation = _relative(state)
+        axes.plot(light, 100.0 * deviation, ".", ms=3, alpha=0.35, color=colour, label=label, markeredgewidth=0)
+    axes.axhline(0.0, color="#333", lw=1.2, label="measured = simulated")
+    _, first = _relative(outcome.start)
+    reach = 100.0 * max(float(np.quantile(np.abs(first), 0.99)), 1e-4) if first.size else 1.0
+    axes.set_ylim(-1.3 * reach, 1.3 * reach)
+    axes.set_xscale("log")
+    axes.set_xlabel("simulated signal above black in DN")
+    axes.set_ylabel("measured − simulated in %")
+    legend = axes.legend(frameon=False, fontsize=8, markerscale=3)
+    for handle in legend.legend_handles:
+        if handle is not None:
+            handle.set_alpha(1.0)
+
+
+def _relative(state: FitState) -> tuple[Array, Array]:
+    """Return what light adds to the means in DN, and their relative deviation from it, where both say something."""
+    light = state.sensitivity  # d(mean)/d(ln light)
+    usable = state.comparison.usable["mean"] & (light > _DIMMEST_DN)
+    return light[usable], ((state.seen.mean - state.prediction.mean) / np.where(light > 0, light, 1.0))[usable]
+
+
+def _steps(axes: Axes, reconciled: Reconciled) -> None:
+    """Draw the held-out gap after each name, from top to bottom."""
+    result, steps = reconciled.result, reconciled.outcome.steps
+    names = ["ideal camera", *(f"+ {step.name}" for step in steps)]
+    gaps = [result.gap_before, *(step.gap_after for step in steps)]
+    if steps and abs(gaps[-1] - result.gap_after) > 0.005:
+        names, gaps = [*names, "all, fitted together"], [*gaps, result.gap_after]
+    place = np.arange(len(gaps))[::-1]
+    colours = [BEFORE, *[AFTER] * (len(gaps) - 1)]
+    axes.barh(place, gaps, color=colours, height=0.62)
+    for y, gap in zip(place, gaps, strict=True):
+        axes.annotate(f"{gap:.3g}", (gap, y), xytext=(3, 0), textcoords="offset points", va="center", fontsize=8)
+    axes.axvline(1.0, color="#333", lw=1.0, ls="--")
+    axes.set_yticks(place, names, fontsize=8)
+    if max(gaps) > 8.0:
+        axes.set_xscale("log")
+        axes.set_xlim(0.5, 3.0 * max(gaps))
+    else:
+        axes.set_xlim(0.0, 1.2 * max(*gaps, 1.0))
+    axes.set_xlabel("gap of held-out settings (1 = noise alone)")
+
+
+def effect_plot(state: FitState, effect: CatalogueEffect, u_rel: float | None) -> str | None:
+    """Return what the data show along an effect's covariate without it, and what it predicts there.
+
+    Args:
+        state: The final model.
+        effect: One of its effects.
+        u_rel: Relative standard uncertainty of its main parameter; None where it has none.
+
+    Returns:
+        The picture; None where the covariate does not vary.
+    """
+    axis = covariates(state.model, state.prediction).get(effect.where)
+    if axis is None:
+        return None
+    others = tuple(one for one in state.effects if one is not effect)
+    cut = state.comparison.cuts[effect.block]
+    shape = STATISTICS[effect.block].shape(state.design)
+    without = state.comparison.residual(state.predicted_with(others))[cut].reshape(shape)
+    within = state.comparison.residual(state.prediction)[cut].reshape(shape)
+    usable = state.comparison.usable[effect.block]
+    value = np.broadcast_to(_fitting(axis.value, len(shape)), shape)[usable]
+    x, seen, u = _binned(effect.where, value, without[usable])
+    _, curve, _ = _binned(effect.where, value, (without - within)[usable])
+    figure = _figure(7.0, 2.9)
+    axes = figure.subplots()
+    axes.errorbar(x, seen, u, fmt="o", ms=4, lw=1, color=BEFORE, label="measured − simulated without it")
+    axes.plot(x, curve, color=AFTER, lw=1.6, label=f"what {effect.name} predicts")
+    if u_rel is not None and np.isfinite(u_rel):
+        wide = 2.0 * min(u_rel, 1.0) * np.abs(curve)
+        axes.fill_between(x, curve - wide, curve + wide, color=AFTER, alpha=0.2, linewidth=0)
+    _dress(axes, effect.where, f"{effect.block}, in σ")
+    return _encoded(figure)
+
+
+def _fitting(value: Array, dimensions: int) -> Array:
+    """Return a covariate in the shape of a statistic: of captures alone where it has no tiles."""
+    return np.asarray(
+        value.mean(axis=1) if dimensions == 1 else value if value.ndim == dimensions else value[..., None]
+    )
+
+
+def rest_map(state: FitState) -> str:
+    """Return where on the picture the final model still disagrees: each patch by its residual over all captures."""
+    from matplotlib.colors import TwoSlopeNorm
+    from matplotlib.patches import Rectangle
+
+    design = state.design
+    cut = state.comparison.cuts["mean"]
+    residual = state.comparison.residual(state.prediction)[cut].reshape(STATISTICS["mean"].shape(design))
+    usable = state.comparison.usable["mean"]
+    count = usable.sum(axis=0)
+    score = np.where(count > 0, residual.sum(axis=0) / np.sqrt(np.maximum(count, 1)), np.nan)
+    height, width = design.shape
+    figure = _figure(6.4, max(2.4, min(6.4, 6.0 * height / width)))
+    axes = figure.subplots()
+    reach = max(4.0, float(np.nanmax(np.abs(score), initial=0.0)))
+    norm, colours = TwoSlopeNorm(0.0, -reach, reach), _diverging()
+    for tile, one in zip(design.tiles, score, strict=True):
+        colour = colours(norm(one)) if np.isfinite(one) else "#dddddd"
+        axes.add_patch(Rectangle((tile.x, tile.y), tile.width, tile.height, facecolor=colour, edgecolor="#555", lw=0.4))
+    axes.set_xlim(0, width)
+    axes.set_ylim(height, 0)
+    axes.set_aspect("equal")
+    axes.set_xlabel("column in pixels")
+    axes.set_ylabel("row in pixels")
+    from matplotlib.cm import ScalarMappable
+
+    figure.colorbar(ScalarMappable(norm, colours), ax=axes, label="mean over all captures, in σ", shrink=0.85)
+    return _encoded(figure)
+
+
+def _diverging() -> Any:
+    from matplotlib import colormaps
+
+    return colormaps["RdBu_r"]
+
+
+def residual_panels(reconciled: Reconciled) -> str:
+    """Return the residuals of the means along the most telling covariates, before and after."""
+    names = sorted(reconciled.result.covariates, key=lambda name: -reconciled.result.covariates[name].before)[:_PANELS]
+    rows = max(1, (len(names) + 1) // 2)
+    figure = _figure(10.0, 2.6 * rows)
+    panels = figure.subplots(rows, 2, squeeze=False).ravel()
+    for axes, name in zip(panels, names, strict=False):
+        for state, colour, label in (
+            (reconciled.outcome.start, BEFORE, "before"),
+            (reconciled.outcome.state, AFTER, "after"),
+        ):
+            x, y, u = _profile(state, name)
+            axes.errorbar(x, y, u, fmt="o", ms=3, lw=1, color=colour, label=label)
+        _dress(axes, name, "measured − simulated, in σ")
+    for axes in panels[len(names) :]:
+        axes.set_visible(False)
+    return _encoded(figure)
+
+
+def _profile(state: FitState, name: str) -> tuple[Array, Array, Array]:
+    """Return bin centres, mean standardised residual of the means, and its standard uncertainty."""
+    axis = covariates(state.model, state.prediction)[name]
+    usable = state.comparison.usable["mean"]
+    deviation = np.hypot(state.comparison.deviation["mean"], state.tau * state.sensitivity)
+    standardised = ((state.seen.mean - state.prediction.mean) / deviation)[usable]
+    return _binned(name, axis.value[usable], standardised)
+
+
+def _binned(name: str, value: Array, standardised: Array) -> tuple[Array, Array, Array]:
+    """Return centres in a reader's units, means, and standard uncertainties of bins along a covariate."""
+    levels = np.unique(np.round(value, 6))
+    if levels.size <= _BINS:  # every setting has a point of its own
+        place = np.argmin(np.abs(value[:, None] - levels), axis=1)
+    else:
+        edges = np.unique(np.quantile(value, np.linspace(0, 1, _BINS + 1)))
+        place = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, max(len(edges) - 2, 0))
+    groups = np.unique(place)
+    x = _in_units(name, np.array([value[place == g].mean() for g in groups]))
+    y = np.array([standardised[place == g].mean() for g in groups])
+    u = np.array([1.0 / np.sqrt(np.sum(place == g)) for g in groups])
+    return x, y, u
+
+
+def _in_units(name: str, value: Array) -> Array:
+    """Return values of a covariate as people read them; the tests use logarithms of most."""
+    if name == "f_number":
+        return np.asarray(2.0**value)
+    if name == "signal":
+        return np.asarray(np.maximum(10.0**value - 10.0, 1.0))
+    return np.asarray(10.0**value if name in AXES else value)
+
+
+def _dress(axes: Axes, covariate: str, label: str) -> None:
+    words, logarithmic = axis_label(covariate)
+    axes.axhline(0.0, color=_GREY, lw=0.8)
+    if logarithmic:
+        axes.set_xscale("log")
+    axes.set_xlabel(words)
+    axes.set_ylabel(label)
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _encoded(figure: Figure) -> str:
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=100)
+    return base64.b64encode(stream.getvalue()).decode("ascii")
