@@ -33,8 +33,7 @@ from radiometer.reconcile.report.result import (
     Verdict,
 )
 from radiometer.reconcile.search.frame_order import FrameLight, Periodic, periodic
-from radiometer.reconcile.search.localise import Disagreement, global_p_value
-from radiometer.reconcile.search.places import axis_of, places
+from radiometer.reconcile.search.localise import Disagreement, axis_of, global_p_value, places
 from radiometer.reconcile.search.search import Search, Step, search
 from radiometer.reconcile.verdict import doubts_of, faint, faint_names, rest_of, verdict_of
 from simulators.camera_model import CameraModel

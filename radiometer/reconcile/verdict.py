@@ -1,34 +1,29 @@
-"""What a search comes to: whether its names stand, and what speaks against them."""
+"""What a search comes to: whether its names stand, what speaks against them, and what is left as one entry.
+
+The tests of `localise` look for trends. What moves single tiles or frames at random leaves none, but a reduced χ²
+above 1.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Final
 
 import numpy as np
 
-from radiometer.reconcile.fit.comparison import Comparison
+from radiometer.reconcile.fit.comparison import FAMILY, TILE_BLOCKS, Comparison
 from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.state import FitState, refit, with_effects
+from radiometer.reconcile.measure.covariates import covariates
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.report.result import FittedParameter, FoundEffect, Verdict
-from radiometer.reconcile.search.excess import (
-    LITTLE_NATS,
-    contested,
-    hollow,
-    is_scattered,
-    merged,
-    outdone,
-    place_of_scatter,
-    replaceable,
-)
 from radiometer.reconcile.search.frame_order import Periodic
-from radiometer.reconcile.search.own_law import unlike
-from radiometer.reconcile.search.places import axis_of
-from radiometer.reconcile.search.search import Search
+from radiometer.reconcile.search.localise import axis_of, departing
+from radiometer.reconcile.search.search import Search, Step
+from radiometer.reconcile.thresholds import BOUND_CHI2, CLOSED_GAP, ESSENTIAL_SIGMAS, FAINT_NATS, SCATTER_SIGMAS
+from simulators.effects.catalogue import CatalogueEffect
 
-_PUSH: Final = 9.0  # χ² that the end of a range must bring to count: what the data hardly tell runs there by chance
 _REFITS: Final = 8
 _LIT_DN: Final = 1.0  # light below which a share of it says nothing
 
@@ -51,23 +46,26 @@ def verdict_of(outcome: Search, doubts: Sequence[str], again: Periodic | None = 
 def doubts_of(outcome: Search) -> list[str]:
     """Return in words why names are provisional though nothing structured is left."""
     state, effects = outcome.state, outcome.state.effects
-    said = [f"{name} ran to the end of its range: what the data hold is not quite that" for name in _strained(state)]
-    said += [f"{name} alone may do what all the names do together" for name in replaceable(outcome.steps, effects)]
+    said = [f"{name} ran to the end of its range: what the data hold is not quite that" for name in _at_bound(state)]
+    said += [f"{name} alone may do what all the names do together" for name in one_for_all(outcome.steps, effects)]
     said += [
         f"{name} is only the likelier of two, the other predicts better" for name in outdone(outcome.steps, effects)
     ]
     said += [
         f"{name} fits by its further terms alone: what makes it {name} is within three uncertainties of zero"
-        for name in hollow(effects, fitted_parameters(state))
+        for name in without_essential(effects, fitted_parameters(state))
     ]
-    said += [f"{name} acts with these parameters as other causes would: nothing is its own" for name in merged(state)]
+    said += [
+        f"{name} acts with these parameters as other causes would: nothing is its own"
+        for name in acting_as_others(state)
+    ]
     said += [
         f"{name} brings little, and may be another entry or the rest of one"
-        for name in contested(outcome.steps, effects)
+        for name in faint_beside_others(outcome.steps, effects)
     ]
     said += [
         f"{name} is not quite the law that the data follow: some of it stays where it shows"
-        for name in unlike(outcome.tests, effects)
+        for name in departing(outcome.tests, effects)
     ]
     return said
 
@@ -87,7 +85,7 @@ def faint_names(outcome: Search) -> list[str]:
     most = max((step.gain_nats for step in named), default=0.0)
     if not _leaves_structure(outcome):
         return []
-    return [step.name for step in named if step.gain_nats < min(LITTLE_NATS, most)]
+    return [step.name for step in named if step.gain_nats < min(FAINT_NATS, most)]
 
 
 def faint(outcome: Search) -> list[str]:
@@ -191,13 +189,15 @@ def _taken_up(state: FitState, block: str) -> Array:
     return np.asarray(left.reshape(shape) * np.sqrt(more))
 
 
-def _strained(state: FitState) -> list[str]:
+def _at_bound(state: FitState) -> list[str]:
     """Return what parameters the data push out of their physical range: the entry is bent to what it is not."""
     own = state.parameters
     ends = [index for index in sorted(state.frozen) if own.values[index] != 0.0]
     ends = [index for index in ends if own.names[index] not in own.effects[own.owner[index]].endless]
     return [
-        f"{own.names[index]} of {own.effects[own.owner[index]].name}" for index in ends if _push(state, index) > _PUSH
+        f"{own.names[index]} of {own.effects[own.owner[index]].name}"
+        for index in ends
+        if _push(state, index) > BOUND_CHI2
     ]
 
 
@@ -214,3 +214,103 @@ def _push(state: FitState, index: int) -> float:
     if moved.parameters.size == own.size:  # else the effect is rigid there: the parameter is none of its free ones
         moved = replace(moved, frozen=frozenset({index}))
     return refit(moved, iterations=_REFITS).cost - state.cost
+
+
+# ---- what speaks against names --------------------------------------------------------------------------------------
+
+
+def is_scattered(state: FitState) -> bool:
+    """Tell whether the held-out gap lies above 1 by more than chance."""
+    settings = int(state.design.setting_id.max()) + 1
+    count = max(float(state.held_out.count[:settings].sum()), 1.0)
+    return state.gap > max(CLOSED_GAP, 1.0 + SCATTER_SIGMAS * float(np.sqrt(2.0 / count)))
+
+
+def place_of_scatter(state: FitState) -> tuple[str, str]:
+    """Return the statistic that scatters most beyond its uncertainties, and the covariate along which it does so."""
+    comparison, square = state.comparison, np.square(state.data_residual)
+    more = {n: float(np.sum(square[cut])) - comparison.degrees(n) for n, cut in comparison.cuts.items()}
+    block = max(more, key=lambda name: more[name])
+    mask = comparison.usable[block]
+    excess = np.where(mask, square[comparison.cuts[block]].reshape(mask.shape) - 1.0, 0.0)
+    tiled = block in TILE_BLOCKS
+    shares = {}
+    for name, axis in covariates(state.model, state.prediction).items():
+        if tiled or axis.per_capture:
+            basis = axis.basis() if tiled else axis.basis()[:, 0]
+            values = excess if tiled else excess.reshape(len(excess), -1).sum(axis=1)
+            counted = mask if tiled else mask.reshape(len(mask), -1).any(axis=1)
+            shares[name] = _explained(values[counted], basis[counted])
+    where = max(shares, key=lambda name: shares[name], default="constant")
+    return FAMILY.get(block, block), axis_of(where, block)
+
+
+def _explained(values: Array, basis: Array) -> float:
+    """Return the share of the values' variance that a basis explains, each of its terms worth one value less."""
+    columns = np.column_stack([np.ones(len(values)), basis])
+    left: Array = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+    freedom = max(len(values) - columns.shape[1], 1)
+    return float(1.0 - np.sum(left**2) / freedom / max(float(np.var(values)), 1e-30))
+
+
+def one_for_all(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return the entries that stand as rivals beside every one of several names: one cause may do what they all do.
+
+    Args:
+        steps: What was added, in order.
+        effects: The effects of the model.
+    """
+    present = {effect.name for effect in effects}
+    named = [step for step in steps if step.name in present]
+    if len(named) < 2:
+        return []
+    return sorted(set.intersection(*({rival.name for rival in step.rivals} for step in named)) - present)
+
+
+def outdone(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return the names for which only what is usual speaks: something else predicts better.
+
+    Args:
+        steps: What was added, in order.
+        effects: The effects of the model.
+    """
+    present = {effect.name for effect in effects}
+    return [step.name for step in steps if step.outdone and step.name in present]
+
+
+def without_essential(
+    effects: Sequence[CatalogueEffect], parameters: Mapping[str, Mapping[str, FittedParameter]]
+) -> list[str]:
+    """Return the names of effects of which an essential parameter lies within three standard uncertainties of zero.
+
+    Args:
+        effects: The effects of the model.
+        parameters: Their fitted parameters by effect and name.
+    """
+    found = []
+    for effect in effects:
+        fitted = parameters[effect.name]
+        shown = (fitted[name] for name in effect.essential if name in fitted)
+        if any(entry.u is not None and abs(entry.value) < ESSENTIAL_SIGMAS * entry.u for entry in shown):
+            found.append(effect.name)
+    return found
+
+
+def faint_beside_others(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return the names that bring little where another entry might take them, or beside others that bring more.
+
+    What is left of a law that is not quite the one that was named looks like one more effect, but a faint one.
+
+    Args:
+        steps: What was added, in order.
+        effects: The effects of the model.
+    """
+    present = {effect.name for effect in effects}
+    named = [step for step in steps if step.name in present]
+    most = max((step.gain_nats for step in named), default=0.0)
+    return [s.name for s in named if s.gain_nats < FAINT_NATS and (s.rivals or s.gain_nats < most)]
+
+
+def acting_as_others(state: FitState) -> list[str]:
+    """Return the names of effects that, with their fitted parameters and these settings, act as other causes do."""
+    return [effect.name for effect in state.effects if effect.unlike_itself(state.model.context)]

@@ -103,3 +103,13 @@ def test_reconcile_knows_no_effect_by_name(path):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("simulators.effects"):
             found += {part for part in node.module.split(".")[2:] if part in EFFECT_FILES}
     assert found == []
+
+
+SEARCH = [path for path in RECONCILE if "search/" in name_of(path) or name_of(path).endswith("verdict.py")]
+
+
+@pytest.mark.parametrize("path", SEARCH, ids=name_of)
+def test_what_decides_about_a_name_stands_in_the_table_of_thresholds(path):
+    """Nats, sigmas, chances and χ² that decide have a row with a reason in thresholds.py, and no other place."""
+    decides = re.compile(r"^_?[A-Z_]*(NATS|SIGMAS|CHI2|CHANCE|SIGNIFICAN\w*|GAP)\b.*= *[\d.]+", re.MULTILINE)
+    assert decides.findall(path.read_text(encoding="utf-8")) == []

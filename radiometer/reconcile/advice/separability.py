@@ -21,8 +21,8 @@ from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconcile.advice.next_capture import tells_apart
 from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.search.rivals import PARAMETER_NATS, RIVAL_NATS
 from radiometer.reconcile.search.screening import change_of
+from radiometer.reconcile.thresholds import PARAMETER_NATS, RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
 
 _STARTS: Final = 6  # of an entry, spread over all that it has

@@ -20,9 +20,9 @@ from scipy.special import fdtrc
 from radiometer.data import Frame
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.reduce import FrameReader
+from radiometer.reconcile.thresholds import PERIOD_SIGNIFICANCE
 
 _PERIODS: Final = range(2, 13)  # frames
-_CHANCE: Final = 0.001  # of any false alarm among all periods
 _KNOWN_TO: Final = 0.01  # of a frame's light: darker frames tell nothing
 _FEWEST: Final = 12  # frames
 _RANK: Final = 1e-6
@@ -87,7 +87,7 @@ def periodic(design: Design, light: FrameLight, unit: Array, clear: NDArray[np.b
     weight = [1.0 / (unit[n] + more) for n in chosen]
     found = [_rated([design.captures[n].frames for n in chosen], apart, weight, period) for period in _PERIODS]
     best = min((entry for entry in found if entry is not None), key=lambda entry: entry.p_value, default=None)
-    if best is None or best.p_value * len(_PERIODS) > _CHANCE:
+    if best is None or best.p_value * len(_PERIODS) > PERIOD_SIGNIFICANCE:
         return None
     return Periodic(best.period, best.depth, min(best.p_value * len(_PERIODS), 1.0))
 

@@ -24,13 +24,29 @@ from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.model.tile_model import Prediction
 from radiometer.reconcile.noise.chances import chi2_beyond
 from radiometer.reconcile.statistics import ADDITIVE, MULTIPLICATIVE, STATISTICS
-
-SIGNIFICANT: Final = 0.005  # chance of any false alarm among all tests of one pass; a search makes two or more
+from radiometer.reconcile.thresholds import OWN_SIGNIFICANCE, SIGNIFICANCE
+from simulators.effects.catalogue import CatalogueEffect
 
 _DRAWS: Final = 4000
 _DRAWN_WITH: Final = 20261122  # the same draws for the same data
 _FEWEST_BEYOND: Final = 8  # draws, below which they tell the chance no better than the bound does
 _OWN_DIRECTION: Final = 1e-4  # share of a trend that the nuisances must leave
+# A disagreement that is the same everywhere has no covariate of its own; this is where its statistic lies.
+_AXIS_OF_CONSTANT: Final = {
+    "mean": "signal",
+    "slope_x": "image_x",
+    "slope_y": "image_y",
+    "first": "previous_frame",
+    "common": "exposure_s",
+    "row_temporal": "image_y",
+    "bands": "image_y",
+    "columns": "image_x",
+    "rows": "image_y",
+    "edge": "image_x",
+    "outliers": "exposure_s",
+}
+_AXIS_OF_SHAPE: Final = {"time_waves": "timestamp_s", "half_x": "image_x", "half_y": "image_y"}
+_AS_SEEN: Final = {"screen_x": "image_x", "screen_y": "image_y"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +131,8 @@ def score(state: FitState, basis: Basis, fit: LinearFit) -> Disagreement | None:
 
 
 def significant(tests: Sequence[Disagreement]) -> tuple[Disagreement, ...]:
-    """Return the tests that stand out at the level of `SIGNIFICANT` after Bonferroni's correction."""
-    limit = np.log(SIGNIFICANT / max(len(tests), 1))
+    """Return the tests that stand out at the level of `SIGNIFICANCE` after Bonferroni's correction."""
+    limit = np.log(SIGNIFICANCE / max(len(tests), 1))
     return tuple(test for test in tests if test.log_p < limit)
 
 
@@ -229,3 +245,61 @@ def smooth_term(state: FitState, test: Disagreement) -> LinearTerm:
 
     name = f"{test.block} | {test.where} | {test.form}"
     return LinearTerm(name, build, np.full(size, np.inf), test.block, test.where, test.form)
+
+
+def axis_of(where: str, block: str) -> str:
+    """Return the covariate that a test's axis stands for.
+
+    Args:
+        where: Axis of the test.
+        block: Its statistic.
+    """
+    return _AXIS_OF_CONSTANT.get(block, "signal") if where == "constant" else _AXIS_OF_SHAPE.get(where, where)
+
+
+def places(state: FitState, most: int) -> tuple[Disagreement, ...]:
+    """Return up to so many tests, each the most significant along a covariate that is not listed yet.
+
+    Args:
+        state: The fitted model.
+        most: Length of the list.
+    """
+    bases = tuple(trend_bases(state, covariates(state.model, state.prediction)))
+    fit, found = state.fit, list[Disagreement]()
+    for _ in range(most):
+        taken = {axis_of(test.where, test.block) for test in found}
+        left = [basis for basis in bases if axis_of(basis.where, basis.block) not in taken]
+        rated = [(test, basis) for basis in left if (test := score(state, basis, fit)) is not None]
+        if not rated:
+            break
+        test, basis = min(rated, key=lambda entry: entry[0].log_p)
+        found.append(test)
+        fit = _beside(state, fit, basis)
+    return tuple(found)
+
+
+def _beside(state: FitState, fit: LinearFit, basis: Basis) -> LinearFit:
+    """Return the fit with a trend taken up."""
+    lengths = np.linalg.norm(basis.columns, axis=0)
+    columns = np.zeros((state.comparison.size, int(np.sum(lengths > 0))))
+    columns[state.comparison.cuts[basis.block]] = basis.columns[:, lengths > 0] / lengths[lengths > 0]
+    return fit.extended(fit.followed(state.pad(columns)))
+
+
+def departing(tests: Sequence[Disagreement], effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return the names of effects beside which structure stays in the very statistic and place that they stand for.
+
+    All tests together share one chance of a false alarm; the few that tell whether an effect follows its law have one
+    of their own. Another cause that looks much alike is found out there first.
+
+    Args:
+        tests: All tests of the final model.
+        effects: Its effects.
+    """
+    found = []
+    for effect in effects:
+        place = _AS_SEEN.get(effect.where, effect.where)
+        own = [t for t in tests if t.family == effect.block and axis_of(t.where, t.block) == place]
+        if any(test.p_value < OWN_SIGNIFICANCE / len(own) for test in own):
+            found.append(effect.name)
+    return found

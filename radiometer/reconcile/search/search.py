@@ -17,36 +17,36 @@ from radiometer.reconcile.fit.candidate_fit import (
     judged_gain,
 )
 from radiometer.reconcile.fit.state import FitState, refit, reweighted, with_terms
-from radiometer.reconcile.search.joining import better, simpler
-from radiometer.reconcile.search.judging import (
-    FLEXIBLE_NATS,
-    HUGE_NATS,
+from radiometer.reconcile.search.localise import Disagreement, departing, localise, significant, smooth_term
+from radiometer.reconcile.search.moves import Loosened, better, loosened, pruned, simpler
+from radiometer.reconcile.search.plain_trends import TRENDS
+from radiometer.reconcile.search.score import (
     contenders_of,
     is_shown,
     likeliest,
     log_chance,
     penalised_chi2,
+    rivals_of,
     score,
 )
-from radiometer.reconcile.search.localise import SIGNIFICANT, Disagreement, localise, significant, smooth_term
-from radiometer.reconcile.search.loosening import Loosened, loosened
-from radiometer.reconcile.search.own_law import unlike
-from radiometer.reconcile.search.plain_trends import TRENDS
-from radiometer.reconcile.search.pruning import KEPT_NATS, pruned
-from radiometer.reconcile.search.rivals import PARAMETER_NATS, rivals_of
 from radiometer.reconcile.search.screening import Candidate, screen
 from radiometer.reconcile.search.starts import StartPool
+from radiometer.reconcile.thresholds import (
+    FLEXIBLE_NATS,
+    HUGE_NATS,
+    KEPT_NATS,
+    MOST_STEPS,
+    NAMED_NATS,
+    PARAMETER_NATS,
+    SIGNIFICANCE,
+    SMOOTH_SHARE,
+)
 from simulators.effects.catalogue import CatalogueEffect
 
-MOST_STEPS: Final = 7
 _FITTED: Final = 7  # candidates that are fitted in each step
 _JUDGED: Final = 4  # of them, those that are judged on held-out settings
-_OUTDONE_NATS: Final = 3.0
-_NEEDED_SMOOTH_NATS: Final = 3.0
 _SMOOTHS_TRIED: Final = 4
 _NEAR_FORM: Final = 0.5
-_SMOOTH_SHARE: Final = 0.8
-_SMOOTH_NATS: Final = 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,25 +137,25 @@ def search(
 
 
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
-    loud = significant(tests)
+    standing = significant(tests)
     screened = screen(state, run.catalogue, run.pool)
-    limit = float(np.log(SIGNIFICANT / max(len(screened), 1)))
-    promising = _promising(screened, limit, loud)
+    limit = float(np.log(SIGNIFICANCE / max(len(screened), 1)))
+    promising = _promising(screened, limit, standing)
     promising = [candidate for candidate in promising if candidate.effect.name not in run.refused]
-    strange = [] if loud else unlike(tests, state.effects)
-    if not loud and not promising and not strange:
+    departed = [] if standing else departing(tests, state.effects)
+    if not standing and not promising and not departed:
         return None
     fitted = sorted((fit_candidate(state, c) for c in promising[:_FITTED]), key=lambda f: -penalised_chi2(f))
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
     shown = [entry for entry in judged if is_shown(*entry, limit, later=bool(state.effects))]
-    looser = loosened(state) if loud else loosened(state, strange) if strange else None
+    looser = loosened(state) if standing else loosened(state, departed) if departed else None
     while shown:
         contenders = contenders_of(state, shown)
         chosen = likeliest(contenders)
         if chosen is None:
             break
         plain = _plain_leads(state, chosen)
-        if not _convinces(state, chosen, loud, plain) or _is_likelier(state, looser, chosen):
+        if not _convinces(state, chosen, standing, plain) or _is_likelier(state, looser, chosen):
             break
         others = judged if contenders is shown else contenders
         outdone = any(_is_plainer(kind, chosen[0]) and lead > 0.0 for kind, lead in plain.items())
@@ -166,7 +166,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
         shown = [entry for entry in shown if entry[0].name != chosen[0].name]
     if looser is not None:
         return _taken(state, looser, run)
-    return _unnamed(state, loud, judged, run) if loud else None
+    return _unnamed(state, standing, judged, run) if standing else None
 
 
 def _is_likelier(state: FitState, looser: Loosened | None, chosen: tuple[FittedCandidate, float]) -> bool:
@@ -191,26 +191,26 @@ def _taken(state: FitState, looser: Loosened, run: _Run) -> FitState:
     return looser.state
 
 
-def _promising(candidates: list[Candidate], limit: float, loud: tuple[Disagreement, ...]) -> list[Candidate]:
+def _promising(candidates: list[Candidate], limit: float, standing: tuple[Disagreement, ...]) -> list[Candidate]:
     """Return candidates whose gain is significant among all that were tried, or may yet become so."""
-    slack = 0.5 if loud else 1.0  # a start far from the best parameters shows only part of its gain
+    slack = 0.5 if standing else 1.0  # a start far from the best parameters shows only part of its gain
     return [c for c in candidates if log_chance(c.gain, c.parameters) < slack * limit]
 
 
 def _convinces(
     state: FitState,
     chosen: tuple[FittedCandidate, float],
-    loud: tuple[Disagreement, ...],
+    standing: tuple[Disagreement, ...],
     plain: Mapping[type[CatalogueEffect], float],
 ) -> bool:
     fitted, nats = chosen
-    if any(lead > (0.0 if _is_constant(kind, fitted) else _SMOOTH_NATS) for kind, lead in plain.items()):
+    if any(lead > (0.0 if _is_constant(kind, fitted) else NAMED_NATS) for kind, lead in plain.items()):
         return False
-    same = [test for test in loud if test.family == fitted.effect.block]
+    same = [test for test in standing if test.family == fitted.effect.block]
     if not same:
         return True
     smooth = _smooth_gain(state, same[0])
-    return nats >= _SMOOTH_SHARE * smooth or nats >= smooth - _SMOOTH_NATS
+    return nats >= SMOOTH_SHARE * smooth or nats >= smooth - NAMED_NATS
 
 
 def _plain_leads(state: FitState, chosen: tuple[FittedCandidate, float]) -> dict[type[CatalogueEffect], float]:
@@ -243,7 +243,7 @@ def _is_plainer(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
 def _outdoes(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate, float]) -> bool:
     """Tell whether another entry predicts better, each parameter paid for, but for what is thought of it beforehand."""
     mine, others = (nats - PARAMETER_NATS * fitted.parameters for fitted, nats in (chosen, other))
-    return other[0].name != chosen[0].name and others > mine + _OUTDONE_NATS
+    return other[0].name != chosen[0].name and others > mine + PARAMETER_NATS
 
 
 def _smooth_gain(state: FitState, test: Disagreement) -> float:
@@ -292,7 +292,7 @@ def _joined(state: FitState, run: _Run) -> FitState:
 
 def _exchanged(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     """Return the model with another name in place of one that leaves structure beside what came later, if any."""
-    for name in unlike(tests, state.effects) if len(state.effects) > 1 else ():
+    for name in departing(tests, state.effects) if len(state.effects) > 1 else ():
         found = better(state, name, run.catalogue, run.pool)
         if found is not None:
             run.refused.add(name)
@@ -312,14 +312,14 @@ def _in_place(state: FitState, found: tuple[FitState, CatalogueEffect], names: S
 
 def _unnamed(
     state: FitState,
-    loud: tuple[Disagreement, ...],
+    standing: tuple[Disagreement, ...],
     judged: list[tuple[FittedCandidate, float]],
     run: _Run,
 ) -> FitState | None:
     tried = {old.name for old in state.terms} | run.refused
-    fresh = [t for t in loud if smooth_term(state, t).name not in tried]
+    fresh = [t for t in standing if smooth_term(state, t).name not in tried]
     rated = ((test, _smooth_gain(state, test)) for test in fresh[:_SMOOTHS_TRIED])
-    found = next(((test, nats) for test, nats in rated if nats > _NEEDED_SMOOTH_NATS), None)
+    found = next(((test, nats) for test, nats in rated if nats > PARAMETER_NATS), None)
     if found is None:
         return None
     (test, nats), term = found, smooth_term(state, found[0])

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from radiometer.reconcile.report.result import FittedParameter
-from radiometer.reconcile.search.excess import contested, hollow, outdone, replaceable
-from radiometer.reconcile.search.localise import Disagreement
-from radiometer.reconcile.search.own_law import unlike
+from radiometer.reconcile.search.localise import Disagreement, departing
 from radiometer.reconcile.search.search import Step
+from radiometer.reconcile.verdict import faint_beside_others, one_for_all, outdone, without_essential
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
@@ -27,15 +26,15 @@ def _step(name: str, *rivals: Crosstalk, nats: float = 50.0) -> Step:
 def test_one_rival_beside_all_names_doubts_them() -> None:
     """Crosstalk blurs and takes noise away: where it stands beside a blur and a gain error, they may both be it."""
     both = [_step("psf_blur", CROSSTALK), _step("conversion_gain_error", CROSSTALK)]
-    assert replaceable(both, BLUR_AND_GAIN) == ["crosstalk"]
-    assert replaceable([both[0], _step("conversion_gain_error")], BLUR_AND_GAIN) == []
-    assert replaceable(both[:1], BLUR_AND_GAIN[:1]) == []
+    assert one_for_all(both, BLUR_AND_GAIN) == ["crosstalk"]
+    assert one_for_all([both[0], _step("conversion_gain_error")], BLUR_AND_GAIN) == []
+    assert one_for_all(both[:1], BLUR_AND_GAIN[:1]) == []
 
 
 def test_rival_that_is_in_the_model_doubts_nothing() -> None:
     """What was found later, and stands in the model, is no longer another explanation."""
     steps = [_step("psf_blur", CROSSTALK), _step("crosstalk", CROSSTALK)]
-    assert replaceable(steps, (PsfBlur(0.3), CROSSTALK)) == []
+    assert one_for_all(steps, (PsfBlur(0.3), CROSSTALK)) == []
 
 
 def test_name_that_something_else_outdoes_is_doubted() -> None:
@@ -45,7 +44,7 @@ def test_name_that_something_else_outdoes_is_doubted() -> None:
     assert outdone(steps, BLUR_AND_GAIN[1:]) == []
 
 
-def test_fall_off_without_its_oblique_part_is_hollow() -> None:
+def test_fall_off_without_its_oblique_part_lacks_its_essential() -> None:
     """A fall-off that only the term beside the cos⁴ law carries is no natural vignetting; other entries need none."""
     lens, late = NaturalVignetting(0.001, 0.02), ExposureTimeOffset(2e-6)
 
@@ -54,11 +53,11 @@ def test_fall_off_without_its_oblique_part_is_hollow() -> None:
         lens_values = {"strength": FittedParameter(strength, 0.001, "1"), "k4": k4}
         return {"natural_vignetting": lens_values, "exposure_time_offset": {"offset_s": offset}}
 
-    assert hollow((lens, late), fitted(0.001)) == ["natural_vignetting"]
-    assert hollow((lens, late), fitted(0.01)) == []
+    assert without_essential((lens, late), fitted(0.001)) == ["natural_vignetting"]
+    assert without_essential((lens, late), fitted(0.01)) == []
 
 
-def test_scatter_of_any_width_is_hollow() -> None:
+def test_scatter_of_any_width_lacks_its_essential() -> None:
     """A wing whose width the data do not tell may be any glare, however well its share is known."""
     wing = (StrayLightKernel(0.002, 0.7),)
 
@@ -70,22 +69,22 @@ def test_scatter_of_any_width_is_hollow() -> None:
             }
         }
 
-    assert hollow(wing, fitted(0.3)) == ["stray_light_kernel"]
-    assert hollow(wing, fitted(0.1)) == []
+    assert without_essential(wing, fitted(0.3)) == ["stray_light_kernel"]
+    assert without_essential(wing, fitted(0.1)) == []
 
 
 def test_little_evidence_that_another_entry_claims_is_contested() -> None:
     """Thirty nats beside a rival within five, or beside a name of more, are no certainty; many nats, or alone, are."""
     blur = BLUR_AND_GAIN[:1]
-    assert contested([_step("psf_blur", CROSSTALK, nats=30.0)], blur) == ["psf_blur"]
-    assert contested([_step("psf_blur", CROSSTALK, nats=100.0)], blur) == []
-    assert contested([_step("psf_blur", nats=30.0)], blur) == []
+    assert faint_beside_others([_step("psf_blur", CROSSTALK, nats=30.0)], blur) == ["psf_blur"]
+    assert faint_beside_others([_step("psf_blur", CROSSTALK, nats=100.0)], blur) == []
+    assert faint_beside_others([_step("psf_blur", nats=30.0)], blur) == []
     both = [_step("psf_blur", nats=30.0), _step("conversion_gain_error", nats=3000.0)]
-    assert contested(both, BLUR_AND_GAIN) == ["psf_blur"]
-    assert contested([both[0], replace(both[1], name="unnamed")], BLUR_AND_GAIN) == []
+    assert faint_beside_others(both, BLUR_AND_GAIN) == ["psf_blur"]
+    assert faint_beside_others([both[0], replace(both[1], name="unnamed")], BLUR_AND_GAIN) == []
 
 
-def test_law_that_leaves_structure_in_its_own_place_is_unlike() -> None:
+def test_law_that_leaves_structure_in_its_own_place_departs() -> None:
     """A chance of 1 in 1000 counts along the exposure for what acts there, and nothing elsewhere."""
 
     def test(block: str, where: str, p_value: float) -> Disagreement:
@@ -93,5 +92,5 @@ def test_law_that_leaves_structure_in_its_own_place_is_unlike() -> None:
 
     late = (ExposureTimeOffset(2e-6),)
     quiet = [test("mean", "exposure_s", 0.02), test("mean", "image_x", 0.001), test("variance", "exposure_s", 0.001)]
-    assert unlike(quiet, late) == []
-    assert unlike([*quiet, test("mean", "exposure_s", 0.001)], late) == ["exposure_time_offset"]
+    assert departing(quiet, late) == []
+    assert departing([*quiet, test("mean", "exposure_s", 0.001)], late) == ["exposure_time_offset"]

@@ -12,9 +12,8 @@ from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.state import FitState, first_state, refit, settled, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconcile.search.localise import localise
-from radiometer.reconcile.search.loosening import loosened
-from radiometer.reconcile.search.own_law import unlike
+from radiometer.reconcile.search.localise import departing, localise
+from radiometer.reconcile.search.moves import loosened
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
 from simulators.effects.led_thermal_droop import LedThermalDroop
@@ -37,12 +36,12 @@ def test_droop_beyond_some_drive_takes_one_term_more(
 ) -> None:
     """Light lost beyond a third of full drive leaves structure along the drive that a cubic law takes up; else none."""
     state = _with(LedThermalDroop(0.02, 0.01), make_capture(3, picture=_weaker(0.12, onset)))
-    strange = unlike(localise(state), state.effects)
+    strange = departing(localise(state), state.effects)
     assert strange == (["led_thermal_droop"] if mended else [])
     form = loosened(state, ["led_thermal_droop"])
     assert (form is not None) is mended
     if form is not None:
-        assert unlike(localise(form.state), form.state.effects) == []
+        assert departing(localise(form.state), form.state.effects) == []
 
 
 def test_leaks_that_double_slowly_bring_their_own_doubling(make_capture: Callable[..., Any]) -> None:

@@ -13,8 +13,8 @@ from radiometer.reconcile.fit.state import FitState, first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.noise.repeatability import estimate_tau
-from radiometer.reconcile.search.localise import SIGNIFICANT, localise
-from radiometer.reconcile.search.places import axis_of, places
+from radiometer.reconcile.search.localise import axis_of, localise, places
+from radiometer.reconcile.thresholds import SIGNIFICANCE
 
 
 def _state(captured: Any) -> FitState:
@@ -76,7 +76,7 @@ def test_one_cause_is_one_place(make_capture: Callable[..., Any]) -> None:
     tests = localise(state)
     listed = places(state, 4)
     assert len({axis_of(test.where, test.block) for test in listed}) == 4
-    limit = np.log(SIGNIFICANT / len(tests))
+    limit = np.log(SIGNIFICANCE / len(tests))
     assert sum(test.log_p < limit for test in tests) > 5
     assert [test.log_p < limit for test in listed] == [True, False, False, False]
 

@@ -12,8 +12,8 @@ from radiometer.reconcile.fit.state import FitState, first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.measure.row_bands import RowBins, TileBands, wave_power
-from radiometer.reconcile.search.excess import is_scattered, place_of_scatter
 from radiometer.reconcile.search.localise import localise, significant
+from radiometer.reconcile.verdict import is_scattered, place_of_scatter
 
 PERIODS_PER_ROW = 0.0217
 AMPLITUDE = 0.01

@@ -1,0 +1,204 @@
+"""How a model with names is changed: a name dropped, swapped for another, several joined into one, a law loosened.
+
+What was named first knew nothing of what came later. Each move is judged by the score that also adds names: the
+held-out log density, every parameter paid for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from radiometer.errors import ConfigurationError
+from radiometer.reconcile.fit.candidate_fit import UnfitError, fit_candidate, included, judged_gain
+from radiometer.reconcile.fit.state import FitState, refit, reweighted, settled, with_effects, with_terms
+from radiometer.reconcile.fit.terms import LinearTerm
+from radiometer.reconcile.search.score import contenders_of, likeliest
+from radiometer.reconcile.search.screening import change_of, screen
+from radiometer.reconcile.search.starts import StartPool
+from radiometer.reconcile.thresholds import KEPT_NATS, NAMED_NATS, OWN_LAW_NATS, PARAMETER_NATS
+from simulators.effects.catalogue import CatalogueEffect
+
+_FITTED: Final = 4  # entries that are fitted in another's place
+_REFITTED: Final = 2  # forms that are fitted in full, the most promising first
+_STEP: Final = 0.1  # of a parameter's scale
+
+
+def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[str]]:
+    """Drop earlier effects and unnamed terms that bring nothing beside the newest.
+
+    Args:
+        state: The model with the newest.
+        say: Told what is dropped.
+
+    Returns:
+        The model that is left, and the names of what was dropped.
+    """
+    changed, dropped = True, list[str]()
+    while changed:
+        changed = False
+        for name, smaller in _without_one(state):
+            lost = _log_density(state) - _log_density(refit(smaller, iterations=6))
+            if lost < KEPT_NATS:
+                say(f"{name} dropped again: it brings {lost:.1f} nats")
+                state, changed = refit(reweighted(refit(smaller))), True
+                dropped.append(name)
+                break
+    return state, dropped
+
+
+def _without_one(state: FitState) -> list[tuple[str, FitState]]:
+    """Return the models with one earlier addition less (the newest effect is not questioned)."""
+    smooth = tuple(term for term in state.terms if term.is_smooth)
+    found: list[tuple[str, FitState]] = []
+    for index, effect in enumerate(state.effects[:-1] if not smooth else state.effects):
+        rest = [e for i, e in enumerate(state.effects) if i != index]
+        found.append((effect.name, with_effects(state, rest)))
+    if state.effects:
+        found += [(term.name, _without_term(state, smooth, term)) for term in smooth]
+    return found
+
+
+def _without_term(state: FitState, smooth: tuple[LinearTerm, ...], term: LinearTerm) -> FitState:
+    return with_terms(state, [other for other in smooth if other is not term])
+
+
+def _log_density(state: FitState) -> float:
+    return float(np.sum(state.held_out.log_density))
+
+
+def better(
+    state: FitState, name: str, catalogue: Mapping[str, type[CatalogueEffect]], pool: StartPool
+) -> tuple[FitState, CatalogueEffect] | None:
+    """Return the model with another entry in place of one, where it predicts better beside what was named later.
+
+    Args:
+        state: The model with all names so far.
+        name: The name in question.
+        catalogue: Entries that may be named.
+        pool: Their starts.
+
+    Returns:
+        The model and the entry as it was fitted; None where no entry predicts better.
+    """
+    own = next(effect for effect in state.effects if effect.name == name)
+    present = {effect.name for effect in state.effects}
+    try:
+        rest = settled(refit(with_effects(state, [effect for effect in state.effects if effect is not own])))
+        others = [candidate for candidate in screen(rest, catalogue, pool) if candidate.effect.name not in present]
+        judged = [(fitted, judged_gain(rest, fitted)) for fitted in (fit_candidate(rest, c) for c in others[:_FITTED])]
+        chosen = likeliest(contenders_of(rest, judged))
+        if chosen is None:
+            return None
+        fitted = chosen[0]
+        changed = included(rest, fitted.effect, far=True)
+    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted takes no place
+        return None
+    more = PARAMETER_NATS * (changed.parameters.size - state.parameters.size)
+    if changed.evidence - more < state.evidence + NAMED_NATS:
+        return None
+    return changed, next(effect for effect in changed.effects if effect.name == fitted.name)
+
+
+def simpler(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> tuple[FitState, CatalogueEffect] | None:
+    """Return the model with one entry in place of those that it may stand for, where fewer parameters predict as well.
+
+    Each parameter that is saved is worth what a further one must bring.
+
+    Args:
+        state: The model with all names so far.
+        catalogue: Entries that may be named.
+
+    Returns:
+        The model and the entry as it was fitted; None where no entry predicts as well.
+    """
+    present = {effect.name: len(effect.free()) for effect in state.effects}
+    for name, kind in catalogue.items():
+        if not kind.stands_for or name in present or not present.keys() >= set(kind.stands_for):
+            continue
+        start = kind.in_place_of_others()
+        saved = PARAMETER_NATS * (sum(present[other] for other in kind.stands_for) - len(start.free()))
+        if saved <= 0:
+            continue
+        try:
+            rest = [effect for effect in state.effects if effect.name not in kind.stands_for]
+            joined = included(with_effects(state, rest), start, far=True)
+        except UnfitError:
+            continue
+        if joined.evidence + saved > state.evidence:
+            return joined, next(effect for effect in joined.effects if effect.name == name)
+    return None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loosened:
+    """A model in which one effect took a more flexible form.
+
+    Attributes:
+        name: Name of the effect.
+        state: The fitted model.
+        nats: Improvement of the held-out log density.
+        further: Number of parameters that the form has beyond the former one.
+    """
+
+    name: str
+    state: FitState
+    nats: float
+    further: int
+
+
+def loosened(state: FitState, only: Sequence[str] | None = None) -> Loosened | None:
+    """Return the model with the flexible form that predicts held-out settings best; None where none is worth it.
+
+    Each further parameter must be paid for, and the whole be as far beyond chance as a further name.
+
+    Args:
+        state: The fitted model.
+        only: Names of the effects that leave structure in their own place, where these alone are asked and the tests
+            of that place are what is beyond chance; by default all effects.
+    """
+    needed = NAMED_NATS if only is None else OWN_LAW_NATS
+    promising = ((nats, i, form) for nats, i, form in _promising(state, only) if nats >= needed)
+    forms = sorted(promising, key=lambda entry: -entry[0])[:_REFITTED]
+    fitted = [_fitted(state, index, form) for _, index, form in forms]
+    worth = [entry for entry in fitted if entry is not None and entry.nats - PARAMETER_NATS * entry.further >= needed]
+    return max(worth, key=lambda entry: entry.nats - PARAMETER_NATS * entry.further, default=None)
+
+
+def _promising(state: FitState, only: Sequence[str] | None) -> Iterator[tuple[float, int, CatalogueEffect]]:
+    """Yield nats that each form would bring if it acted linearly, the place of its effect, and the form."""
+    for index, effect in enumerate(state.effects):
+        if only is not None and effect.name not in only:
+            continue
+        for form in effect.loosened(state.model.context):
+            yield _linear_gain(state, index, form) / 2.0 - PARAMETER_NATS * _further(effect, form), index, form
+
+
+def _further(effect: CatalogueEffect, form: CatalogueEffect) -> int:
+    return max(len(form.free()) - len(effect.free()), 1)
+
+
+def _linear_gain(state: FitState, index: int, form: CatalogueEffect) -> float:
+    """Return the χ² that a form in an effect's place explains by itself and by its parameters' directions."""
+    effects = [form if place == index else effect for place, effect in enumerate(state.effects)]
+    at = change_of(state, effects)
+    own = state.parameters_of(effects).differences(lambda changed: change_of(state, changed), at, _STEP, index)
+    gain, _ = state.fit.score(slice(0, state.comparison.size), state.fit.followed(np.column_stack([at, own])))
+    return float(gain)
+
+
+def _fitted(state: FitState, index: int, form: CatalogueEffect) -> Loosened | None:
+    """Return the model with a form in an effect's place, fitted; it stands last, as the newest of all.
+
+    None where the form cannot be fitted: with it the model predicts what no camera does.
+    """
+    others = [effect for place, effect in enumerate(state.effects) if place != index]
+    try:
+        following = settled(refit(with_effects(state, [*others, form])))
+    except (np.linalg.LinAlgError, ConfigurationError):  # no covariance, or parameters that are no numbers
+        return None
+    further = _further(state.effects[index], form)
+    return Loosened(form.name, following, following.evidence - state.evidence, further)
