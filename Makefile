@@ -81,5 +81,5 @@ $(VENV)/.ready-run: pyproject.toml constraints.txt
 $(VENV)/.ready-test: pyproject.toml constraints.txt
 	$(call install_packages,$(TEST_PACKAGES))
 	[ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[genicam,photo,fleet,cluster,dev]'
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[genicam,photo,v4l2,gphoto2,fleet,cluster,dev]'
 	@touch $@ $(VENV)/.ready-run

@@ -18,7 +18,8 @@ from radiometer.data.config_files import shipped_config
 from radiometer.devices import Camera, CameraCapabilities, CameraIdentity, CameraPreset, CameraSettings
 from radiometer.errors import ConfigurationError, MissingLibrary
 
-_NEAREST_FORMATS = ("Mono12", "Mono12p", "Mono12Packed", "Mono16", "Mono10", "Mono10p", "Mono8")
+_NEAREST_FORMATS = ("Mono12", "Mono12p", "Mono12Packed", "Mono14", "Mono16", "Mono10", "Mono10p", "Mono8")
+OWN_KINDS = ("v4l2", "picamera", "gphoto2")  # asked of the drivers only where one of them is named
 
 
 def open_camera(config: BenchConfig, where: Path, name: str | None = None) -> Camera:
@@ -55,27 +56,37 @@ def make_camera(config: BenchConfig, where: Path, name: str | None = None) -> Ca
         if not isinstance(wanted, SimulatedCameraConfig):
             raise ConfigurationError(f"{where}: its camera is {wanted.kind}, so there is no 'sim'")
         return _simulated(config, wanted, where)
-    return _genicam(config, name)
+    return _real(config, name)
 
 
 def list_cameras(config: BenchConfig, where: Path) -> tuple[list[CameraIdentity], str | None]:
     """Return the cameras that can be opened, and why GenICam cameras could not be looked for (None if they could)."""
+    from drivers.own_cameras import listed
+
     found: list[CameraIdentity] = []
     if isinstance(config.camera, SimulatedCameraConfig):
         found.append(make_camera(config, where).identity)
+    owned = listed()[0]  # a library that is not installed is told by `radiometer doctor`
     try:
         from drivers.aravis_camera import discover
 
-        return found + discover(), None
+        return found + discover() + owned, None
     except MissingLibrary as error:
-        return found, str(error)
+        return found + owned, str(error)
 
 
-def _genicam(config: BenchConfig, name: str | None) -> Camera:
-    from drivers.aravis_camera import open_camera as find
-
+def _real(config: BenchConfig, name: str | None) -> Camera:
     own = config.camera if isinstance(config.camera, GenicamCameraConfig) else None
     wanted = name or (own.id if own else None)
+    if name is None and own and own.kind != "genicam":
+        wanted = f"{own.kind}:{(own.id or '').removeprefix(f'{own.kind}:')}"
+    if wanted is not None and wanted.partition(":")[0] in OWN_KINDS and ":" in wanted:
+        from drivers.own_cameras import open_own
+
+        preset = CameraPreset.shipped(own.preset).camera if own and own.preset else None
+        return open_own(wanted, config.lens_description, preset)
+    from drivers.aravis_camera import open_camera as find
+
     return find(wanted, preset=own.preset if own else None, lens=config.lens_description)
 
 

@@ -35,9 +35,12 @@ class SimulatedCameraConfig(ConfigSection):
 
 
 class GenicamCameraConfig(ConfigSection):
-    """A GenICam camera: id, serial number or address; preset where the model's own is not to be used."""
+    """A real camera: GenICam by id, serial number or address, any other kind by its path, number or port.
 
-    kind: Literal["genicam"]
+    `preset` is given where the model's own is not to be used.
+    """
+
+    kind: Literal["genicam", "v4l2", "picamera", "gphoto2"]
     id: str | None = None
     preset: str | None = None
     black_level_dn: float = Field(64.0, ge=0)

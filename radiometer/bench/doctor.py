@@ -24,8 +24,9 @@ def examine(bench: Path | None = None, name: str | None = None) -> list[Finding]
     """
     from drivers.aravis_camera import load_library
     from drivers.host_checks import check_host
+    from drivers.own_cameras import check_libraries
 
-    findings = check_host(load_library)
+    findings = [*check_host(load_library), *check_libraries()]
     if name is None:
         return findings
     config, where = read_bench(bench, name)
@@ -54,5 +55,8 @@ def _examined(camera: Camera) -> list[Finding]:
 def _features(camera: Camera) -> list[Finding]:
     from drivers.aravis_camera import AravisCamera
     from drivers.camera_checks import check_features
+    from drivers.plain_camera import PlainCamera
 
+    if isinstance(camera, PlainCamera):
+        return camera.findings()
     return check_features(camera) if isinstance(camera, AravisCamera) else []

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 def command(
     out: Annotated[Path, typer.Argument(help="Folder to create.")],
-    camera: Annotated[str | None, typer.Option(help="sim, or a GenICam id, serial number or address.")] = None,
+    camera: Annotated[
+        str | None, typer.Option(help="sim, a GenICam id, serial number or address, or v4l2:, picamera:, gphoto2:.")
+    ] = None,
     bench: Annotated[Path | None, typer.Option(help="Bench file; the simulated bench by default.")] = None,
     patch: Annotated[str | None, typer.Option(help="Choose the exposures for this region X,Y,W,H only.")] = None,
     stops: Annotated[float | None, typer.Option(help="Fixed ladder: distance of the exposures in stops.")] = None,

@@ -18,7 +18,7 @@ def command(
 ) -> None:
     """List the cameras and boxes that can be opened."""
     from radiometer.bench.boxes import find_boxes
-    from radiometer.bench.cameras import SIMULATED, list_cameras
+    from radiometer.bench.cameras import OWN_KINDS, SIMULATED, list_cameras
     from radiometer.bench.config import read_bench
     from radiometer.data.serials import other_notation, serial_shown
 
@@ -37,8 +37,11 @@ def command(
         print(json_module.dumps(found))
         return
     for entry in cameras:
-        how = f"--camera {SIMULATED}" if entry.interface == "simulated" else f"--camera {entry.serial}"
-        console().print(f"{entry.vendor} {entry.model}  serial {serial_shown(entry.serial)}  {entry.interface}  {how}")
+        name = SIMULATED if entry.interface == "simulated" else entry.serial or entry.device_id
+        if entry.device_id.partition(":")[0] in OWN_KINDS:
+            name = entry.device_id
+        serial = f"  serial {serial_shown(entry.serial)}" if entry.serial else ""
+        console().print(f"{entry.vendor} {entry.model}{serial}  {entry.interface}  --camera {name}".strip())
     for box in boxes:
         console().print(f"light box  serial {box.serial}  firmware {box.firmware}  {box.port}  --box {box.serial}")
     for port in held:

@@ -19,7 +19,9 @@ _MARKS = {
 
 
 def command(
-    camera: Annotated[str | None, typer.Option(help="sim, or a GenICam id, serial number or address.")] = None,
+    camera: Annotated[
+        str | None, typer.Option(help="sim, a GenICam id, serial number or address, or v4l2:, picamera:, gphoto2:.")
+    ] = None,
     bench: Annotated[Path | None, typer.Option(help="Bench file; the simulated bench by default.")] = None,
     json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False,
 ) -> int:

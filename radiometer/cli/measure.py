@@ -45,7 +45,9 @@ _FLAG_MEANING = {
 
 
 def command(
-    camera: Annotated[str | None, typer.Option(help="sim, or a GenICam id, serial number or address.")] = None,
+    camera: Annotated[
+        str | None, typer.Option(help="sim, a GenICam id, serial number or address, or v4l2:, picamera:, gphoto2:.")
+    ] = None,
     patch: Annotated[str | None, typer.Option(help="Region X,Y,W,H in pixels; the bench's by default.")] = None,
     calibration: Annotated[Path | None, typer.Option(help="Calibration file; the bench's by default.")] = None,
     uncalibrated: Annotated[bool, typer.Option("--uncalibrated", help="Use no calibration: relative values.")] = False,

@@ -16,13 +16,18 @@ import pytest
 
 from drivers.aravis_camera import load_library, open_camera
 from drivers.gige_ping import answers
+from drivers.pi_link import PiLink
+from drivers.plain_camera import PlainCamera
+from drivers.tethered_link import TetheredLink
+from drivers.v4l2_link import V4l2Link
 from radiometer.data import LensDescription
-from radiometer.devices import Camera, CameraPreset, Roi
+from radiometer.devices import Camera, CameraIdentity, CameraPreset, Roi
 from radiometer.errors import MissingLibrary
 from simulators.blackfly_awkward import AwkwardBlackfly
 from simulators.blackfly_gige import BlackflyGige
 from simulators.blackfly_pictures import ForwardModelSource
 from simulators.camera_model import CameraModel
+from simulators.edge_devices import SimulatedPiCamera, SimulatedTether, SimulatedWebcam
 from simulators.scenes.factory import scene_from_mapping
 from simulators.simulated_camera import SimulatedCamera, default_limits
 
@@ -32,12 +37,17 @@ SMALL_REGION = Roi(16, 8, 64, 48)
 
 @dataclass(frozen=True)
 class Subject:
-    """A camera under test: how to make it, how a second opener is made, and a region small enough to be quick."""
+    """A camera under test: how to make it, how a second opener is made, and a region small enough to be quick.
+
+    `native` is a format that it offers beside what others do, `exposure_s` a time that it can take exactly.
+    """
 
     name: str
     make: Callable[[], Camera]
     second: Callable[[Camera], Camera]
     roi: Roi = SMALL_REGION
+    native: str = "Mono8"
+    exposure_s: float = 0.005
 
 
 @pytest.fixture(scope="session")
@@ -135,11 +145,36 @@ def awkward(serve_awkward: Callable[..., AwkwardBlackfly]) -> AwkwardBlackfly:
     return serve_awkward()
 
 
-@pytest.fixture(params=["simulated", "fake_1", "fake_gige", "blackfly", "awkward"])
+def _picture_source() -> ForwardModelSource:
+    """Return pictures of the even field, 160 × 120 pixels."""
+    return ForwardModelSource(_simulated(radiance=0.4).sensor)
+
+
+def _at_the_edge(kind: str) -> Subject:
+    """Return a camera that people own, its library replaced by a simulated device at the library's edge."""
+    if kind == "v4l2":
+        webcam = SimulatedWebcam(_picture_source(), 160, 120)
+        who = CameraIdentity("Logitech", "HD Pro Webcam C920", "A1B2C3", "v4l2:/dev/video0", "V4L2 /dev/video0")
+        return Subject(kind, lambda: PlainCamera(V4l2Link(webcam, who)), lambda _: PlainCamera(V4l2Link(webcam, who)))
+    if kind == "picamera":
+        sensor = SimulatedPiCamera(_picture_source(), 160, 120)
+        who = CameraIdentity("Raspberry Pi", "imx477", "10000000abcd", "picamera:0", "libcamera")
+        made = lambda: PlainCamera(PiLink(sensor, who))  # noqa: E731
+        return Subject(kind, made, lambda _: made(), native="Mono12")
+    pytest.importorskip("rawpy")
+    body = SimulatedTether(_picture_source(), 160, 120)
+    who = CameraIdentity("", "Canon EOS 5D Mark II", "", "gphoto2:usb:001,004", "libgphoto2 usb:001,004")
+    tethered = lambda: PlainCamera(TetheredLink(body, who))  # noqa: E731
+    return Subject(kind, tethered, lambda _: tethered(), native="Mono14", exposure_s=2.0**-8)
+
+
+@pytest.fixture(params=["simulated", "fake_1", "fake_gige", "blackfly", "awkward", "v4l2", "picamera", "gphoto2"])
 def subject(request: pytest.FixtureRequest) -> Subject:
     """Return each camera in turn."""
     if request.param == "simulated":
         return Subject("simulated", _simulated, lambda camera: camera)
+    if request.param in ("v4l2", "picamera", "gphoto2"):
+        return _at_the_edge(request.param)
     request.getfixturevalue("aravis_installed")
     if request.param == "fake_1":
         return Subject("Fake_1", lambda: open_camera("Fake_1"), lambda _: open_camera("Fake_1"))

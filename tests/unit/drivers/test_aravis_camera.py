@@ -48,19 +48,30 @@ def test_without_aravis_the_message_names_the_debian_package(library_to_be_loade
         aravis_camera.open_camera("22500001")
 
 
-def test_only_one_module_imports_the_library(project_root):
-    """`gi` is imported in drivers/aravis_camera.py and nowhere else, and there not at module import."""
-    importers = []
+OWNERS = {
+    "gi": "drivers/aravis_camera.py",
+    "linuxpy": "drivers/v4l2_library.py",
+    "picamera2": "drivers/pi_library.py",
+    "gphoto2": "drivers/gphoto_library.py",
+}
+
+
+def test_only_one_module_imports_each_library(project_root):
+    """Each camera library is imported in its own module and nowhere else, and there not at module import."""
+    importers = {library: set() for library in OWNERS}
     for folder in ("radiometer", "drivers", "simulators"):
         for path in (project_root / folder).rglob("*.py"):
-            tree = ast.parse(path.read_text(encoding="utf-8"))
+            text = path.read_text(encoding="utf-8")
+            if not any(library in text for library in OWNERS):
+                continue
+            tree = ast.parse(text)
             for node in ast.walk(tree):
                 names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
                 names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-                if any(name.split(".")[0] == "gi" for name in names):
+                for library in {name.split(".")[0] for name in names} & OWNERS.keys():
                     assert node not in tree.body, "imported when the module is"
-                    importers.append(path.relative_to(project_root).as_posix())
-    assert set(importers) == {"drivers/aravis_camera.py"}
+                    importers[library].add(path.relative_to(project_root).as_posix())
+    assert importers == {library: {owner} for library, owner in OWNERS.items()}
 
 
 USB = [

@@ -1,0 +1,311 @@
+"""A camera that one library hands whole frames of: regions, counts and life cycle, whatever the library is.
+
+Webcams, the Raspberry Pi's camera and tethered photographic cameras differ in how they are set and read (a `FrameLink`
+each); what the `Camera` protocol asks beyond that stands here once.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Protocol, Self, TypeVar
+
+from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription
+from radiometer.data.frame import DigitalNumbers
+from radiometer.devices import (
+    AcquisitionCounts,
+    CameraCapabilities,
+    CameraIdentity,
+    CameraSettings,
+    Finding,
+    Roi,
+    refuse_out_of_range,
+)
+from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, SettingOutOfRange
+
+_Result = TypeVar("_Result")
+_held: set[str] = set()  # devices opened by this process: some libraries let one process open a camera twice
+_held_lock = threading.Lock()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grab:
+    """A whole frame as the library gave it.
+
+    Attributes:
+        dn: Digital numbers, right-aligned, shape (height, width).
+        bit_depth: Bits of a digital number.
+        exposure_s: Exposure time that it was taken with in s.
+        gain_db: Gain that it was taken with in dB.
+        black_level_dn: Its black level in DN.
+        timestamp_s: Time of a steady clock in s.
+        temperature_c: Sensor temperature in °C; None where unknown.
+        f_number: f-number as the camera states it; None where it does not.
+    """
+
+    dn: DigitalNumbers
+    bit_depth: int
+    exposure_s: float
+    gain_db: float
+    black_level_dn: float
+    timestamp_s: float
+    temperature_c: float | None = None
+    f_number: float | None = None
+
+
+class FrameLink(Protocol):
+    """How one library's camera is opened, set and read."""
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """Return who the camera is."""
+        ...
+
+    @property
+    def capabilities(self) -> CameraCapabilities:
+        """Return its limits; known once it is open."""
+        ...
+
+    def open(self) -> CameraSettings:
+        """Take the device and return the settings in force. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
+        ...
+
+    def close(self) -> None:
+        """Give the device back, whatever its state."""
+        ...
+
+    def apply(self, settings: CameraSettings) -> CameraSettings:
+        """Set exposure, gain and format, and return them as read back. Raises DeviceError."""
+        ...
+
+    def start(self) -> None:
+        """Begin an acquisition: frames grabbed from now on are exposed from now on. Raises DeviceError."""
+        ...
+
+    def grab(self) -> Grab:
+        """Return the next frame exposed under the settings in force. Raises DeviceTimeout, DeviceLost."""
+        ...
+
+    def stop(self) -> None:
+        """End the acquisition."""
+        ...
+
+    def findings(self) -> list[Finding]:
+        """Return what was found of the camera that a user must know."""
+        ...
+
+
+class PlainCamera:
+    """A camera behind a `FrameLink`, as a `Camera`.
+
+    Args:
+        link: The library's camera.
+        lens: The lens in front of it.
+        preset: What its datasheet says; None where nothing is known.
+    """
+
+    def __init__(
+        self, link: FrameLink, lens: LensDescription | None = None, preset: CameraDescription | None = None
+    ) -> None:
+        self._link, self._lens, self._preset = link, lens or LensDescription(), preset
+        self._settings: CameraSettings | None = None
+        self._lost = False
+        self._frames = 0
+        self._stated_f_number: float | None = None
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """Return who the camera is."""
+        return self._link.identity
+
+    @property
+    def capabilities(self) -> CameraCapabilities:
+        """Return its limits. Raises DeviceError unless open."""
+        self._require_open()
+        return self._link.capabilities
+
+    @property
+    def settings(self) -> CameraSettings:
+        """Return the settings in force, as read back. Raises DeviceError unless open."""
+        return self._require_open()
+
+    @property
+    def description(self) -> CameraDescription:
+        """Return what its preset says, in the digital numbers of the pixel format in force."""
+        settings, who = self._settings, self.identity
+        base = self._preset or CameraDescription(bit_depth=8)
+        known: dict[str, object] = {
+            "vendor": who.vendor or None,
+            "model": who.model or None,
+            "serial": who.serial or None,
+        }
+        if settings is not None:
+            known |= {"bit_depth": bits_of(settings.pixel_format), "black_level_dn": settings.black_level_dn}
+        return base.model_copy(update=known)
+
+    @property
+    def lens(self) -> LensDescription:
+        """Return the lens in front of it, as configured; the f-number is the camera's own where nobody else says it."""
+        stated = self._stated_f_number
+        if self._lens.f_number is None and stated is not None:
+            return self._lens.model_copy(update={"f_number": stated})
+        return self._lens
+
+    @property
+    def counts(self) -> AcquisitionCounts:
+        """Return how many frames came since it was opened."""
+        return AcquisitionCounts(frames=self._frames)
+
+    def findings(self) -> list[Finding]:
+        """Return what a user must know of it. Raises DeviceError unless open."""
+        self._require_open()
+        return self._link.findings()
+
+    def open(self) -> None:
+        """Take the device and switch off what falsifies radiometry, as far as it can be.
+
+        Raises:
+            DeviceNotFound: If nothing answers to its name.
+            DeviceInUse: If another program, or this one, holds it.
+            MissingLibrary: If the library is not installed.
+        """
+        if self._settings is not None:
+            raise DeviceInUse(f"{self._label} is open already; close it first")
+        with _held_lock:
+            if self.identity.device_id in _held:
+                raise DeviceInUse(f"{self._label} is in use by this program already; close it there first")
+            _held.add(self.identity.device_id)
+        try:
+            self._settings = self._link.open()
+        except BaseException:
+            _held.discard(self.identity.device_id)
+            raise
+        self._lost, self._frames = False, 0
+
+    def close(self) -> None:
+        """Release the device; closing twice does nothing."""
+        if self._settings is None:
+            return
+        self._settings = None
+        _held.discard(self.identity.device_id)
+        self._link.close()
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Set everything and return it as read back.
+
+        Raises:
+            SettingOutOfRange: If a value is outside the limits; nothing was changed.
+            DeviceLost: If the camera does not answer.
+            DeviceError: If the camera refuses it.
+        """
+        self._require_open()
+        self._check(settings)
+        in_force = self._noted(lambda: self._link.apply(settings))
+        limits = self._link.capabilities
+        whole = Roi(0, 0, limits.width, limits.height)
+        roi = None if settings.roi == whole else settings.roi
+        self._settings = replace(in_force, roi=roi, software_trigger=settings.software_trigger)
+        return self._settings
+
+    def capture(self, count: int = 1) -> list[Frame]:
+        """Return complete frames exposed after this call. Raises DeviceTimeout, DeviceLost."""
+        self._require_open()
+        self._noted(self._link.start)
+        try:
+            return [self._next() for _ in range(count)]
+        finally:
+            self._link.stop()
+
+    def stream(self) -> Iterator[Frame]:
+        """Yield frames as they come until the iterator is closed. Raises DeviceTimeout or DeviceLost."""
+        self._require_open()
+        self._noted(self._link.start)
+        try:
+            while self._settings is not None:
+                yield self._next()
+        finally:
+            self._link.stop()
+
+    def set_shutter(self, *, closed: bool) -> None:
+        """Refuse: none of these can keep its shutter closed for a dark frame. Raises DeviceError."""
+        raise DeviceError(f"{self._label}: has no shutter to close; cover the lens by hand for dark frames")
+
+    def __enter__(self) -> Self:
+        """Open the camera."""
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the camera."""
+        self.close()
+
+    @property
+    def _label(self) -> str:
+        who = self.identity
+        return "camera " + (" ".join(part for part in (who.vendor, who.model, who.serial) if part) or who.device_id)
+
+    def _require_open(self) -> CameraSettings:
+        if self._settings is None:
+            raise DeviceError(f"{self._label} is not open; call open() first")
+        if self._lost:
+            raise DeviceLost(f"{self._label} stopped answering; check its cable and power, then open it again")
+        return self._settings
+
+    def _noted(self, call: Callable[[], _Result]) -> _Result:
+        try:
+            return call()
+        except DeviceLost:
+            self._lost = True
+            raise
+
+    def _next(self) -> Frame:
+        settings = self._require_open()
+        grab = self._noted(self._link.grab)
+        self._frames += 1
+        self._stated_f_number = grab.f_number or self._stated_f_number
+        roi = settings.roi
+        dn = grab.dn if roi is None else grab.dn[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width]
+        return Frame(
+            dn=dn,
+            bit_depth=grab.bit_depth,
+            settings=FrameSettings(
+                exposure_s=grab.exposure_s,
+                gain_db=grab.gain_db,
+                f_number=self.lens.f_number,
+                black_level_dn=grab.black_level_dn,
+                temperature_c=grab.temperature_c,
+                timestamp_s=grab.timestamp_s,
+            ),
+            frame_id=self._frames,
+        )
+
+    def _check(self, settings: CameraSettings) -> None:
+        limits = self._link.capabilities
+        if settings.pixel_format not in limits.pixel_formats:
+            raise DeviceError(
+                f"{self._label}: pixel format {settings.pixel_format} is not offered; "
+                f"choose one of {', '.join(limits.pixel_formats)}"
+            )
+        refuse_out_of_range(self._label, settings, limits)
+        if settings.binning != 1:
+            raise SettingOutOfRange(self._label, "binning", settings.binning, 1, 1, "pixels")
+        roi = settings.roi
+        if roi is None:
+            return
+        for name, value, low, high in (
+            ("ROI left", roi.x, 0, limits.width - 1),
+            ("ROI top", roi.y, 0, limits.height - 1),
+            ("ROI width", roi.width, 1, limits.width - roi.x),
+            ("ROI height", roi.height, 1, limits.height - roi.y),
+        ):
+            if not low <= value <= high:
+                raise SettingOutOfRange(self._label, name, value, low, high, "pixels")
+
+
+def bits_of(pixel_format: str) -> int:
+    """Return the bits of a digital number of a monochrome format, such as 14 of "Mono14"."""
+    return int(pixel_format.removeprefix("Mono"))
