@@ -19,7 +19,8 @@ from radiometer.acquire.bracketing import (
     take_plan,
 )
 from radiometer.acquire.exposure_plan import steadied
-from radiometer.analysis.patch.reading import read_patch
+from radiometer.analysis.patch.contributions import PatchSituation
+from radiometer.analysis.patch.reading import patch_situation, read_patch
 from radiometer.data import Bracket, Calibration, Frame, LensDescription, Patch, Reading, SourceDescription
 from radiometer.devices import Camera
 from radiometer.errors import UsageError
@@ -135,6 +136,11 @@ class Instrument:
         return read_patch(
             bracket, self.patch, self.calibration, camera, self.lens, source=self.source, sequence=sequence
         )
+
+    def situation(self, bracket: Bracket) -> PatchSituation:
+        """Return what a reading of frames is made from. Raises CalibrationError if the calibration does not fit."""
+        camera = self.camera.description
+        return patch_situation(bracket, self.patch, self.calibration, camera, self.lens, self.source)
 
     @property
     def lens(self) -> LensDescription:

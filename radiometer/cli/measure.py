@@ -17,8 +17,9 @@ from radiometer.cli.console import console, note, progress_bar, shutter_by_hand,
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
+    from radiometer.analysis.uncertainty.monte_carlo import Distribution
     from radiometer.bench.instrument import Instrument
-    from radiometer.data import Patch, Reading
+    from radiometer.data import Bracket, Patch, Reading
 
 _FLAG_MEANING = {
     "saturated": "pixels clip even in the shortest exposure: the value is a lower bound",
@@ -66,6 +67,9 @@ def command(
     darks: Annotated[
         bool, typer.Option("--darks", help="Ask for the lens to be covered, and take dark frames with every reading.")
     ] = False,
+    monte_carlo: Annotated[
+        bool, typer.Option("--monte-carlo", help="Print the interval by the propagation of distributions beside it.")
+    ] = False,
     budget: Annotated[bool, typer.Option("--budget", help="Print the uncertainty budget.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object per reading on standard output.")] = False,
 ) -> None:
@@ -77,6 +81,8 @@ def command(
     if calibration and uncalibrated:
         raise UsageError("--calibration and --uncalibrated exclude each other")
     wanted = parse_patch(patch) if patch else None
+    if photographs is not None and monte_carlo:
+        raise UsageError("--monte-carlo belongs to a camera; photographs are read with --budget")
     if photographs is not None or measured_iso:
         if photographs is None or camera or bench:
             raise UsageError("--photographs takes the place of --camera and --bench; --measured-iso belongs to it")
@@ -104,11 +110,13 @@ def command(
             instrument = replace(instrument, cover=_cover(instrument))
         for number in itertools.count(1) if watch else range(1, repeat + 1):
             begun = time.monotonic()
-            reading = _one(instrument, number, u_rel, shown=not json, patient=watch)
+            reading, frames = _one(instrument, number, u_rel, shown=not json, patient=watch)
+            drawn = _distribution(instrument, frames, reading) if monte_carlo else None
             if json:
-                print(reading.to_json(), flush=True)
+                print(_as_json(reading, drawn), flush=True)
             else:
                 _show(reading, budget=budget)
+                _show_distribution(reading, drawn)
             if watch or number < repeat:
                 time.sleep(max(0.0, every - (time.monotonic() - begun)))
 
@@ -150,7 +158,9 @@ def _cover(instrument: Instrument) -> Callable[[bool], None]:
     return shutter_by_hand(camera.identity.model)
 
 
-def _one(instrument: Instrument, number: int, u_rel: float | None, *, shown: bool, patient: bool) -> Reading:
+def _one(
+    instrument: Instrument, number: int, u_rel: float | None, *, shown: bool, patient: bool
+) -> tuple[Reading, Bracket]:
     """Return a reading; where `patient`, a camera that was lost is waited for and the reading taken anew."""
     from radiometer.bench.reopening import reopen
     from radiometer.errors import DeviceLost, DeviceTimeout
@@ -167,13 +177,45 @@ def _one(instrument: Instrument, number: int, u_rel: float | None, *, shown: boo
         note(f"{camera.identity.model} {camera.identity.serial} is back")
 
 
-def _taken(instrument: Instrument, number: int, u_rel: float | None, *, shown: bool) -> Reading:
+def _taken(instrument: Instrument, number: int, u_rel: float | None, *, shown: bool) -> tuple[Reading, Bracket]:
     with progress_bar(shown=shown) as bar:
         task = bar.add_task("measuring", total=None)
-        return instrument.measure(
+        frames = instrument.take_bracket(
             target_u_rel=u_rel,
-            sequence=number,
             progress=lambda done, total, _frame: bar.update(task, completed=done, total=total),
+        )
+        return instrument.read(frames, sequence=number), frames
+
+
+def _distribution(instrument: Instrument, frames: Bracket, reading: Reading) -> Distribution:
+    """Return the distribution of a reading from 100 000 draws of all its inputs."""
+    import numpy as np
+
+    from radiometer.analysis.uncertainty.monte_carlo import propagate_distributions
+
+    return propagate_distributions(instrument.situation(frames), np.random.default_rng(reading.sequence))
+
+
+def _as_json(reading: Reading, drawn: Distribution | None) -> str:
+    if drawn is None:
+        return reading.to_json()
+    whole = {**reading.to_mapping(), "monte_carlo": drawn.to_mapping(reading)}
+    return json_module.dumps(whole, ensure_ascii=False, allow_nan=False)
+
+
+def _show_distribution(reading: Reading, drawn: Distribution | None) -> None:
+    if drawn is None:
+        return
+    said = drawn.to_mapping(reading)
+    out, u = console(), reading.radiance.u
+    low, high = (significant(end, u) for end in (drawn.low, drawn.high))
+    out.print(f"drawn      {low} to {high} (95.45 %, JCGM 101), u = {drawn.u:.3g}")
+    if said["validates"]:
+        out.print(f"           agrees with the budget to {said['tolerance']:.2g}")
+    else:
+        out.print(
+            f"[yellow]           differs from the budget: by {said['low_differs_by']:+.2g} at the lower end and "
+            f"{said['high_differs_by']:+.2g} at the upper, more than {said['tolerance']:.2g}[/yellow]; quote this one"
         )
 
 

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.patch.contributions import PatchSituation, budget_terms
 from radiometer.analysis.patch.estimate import curve_u_rel
+from radiometer.data import Reading
 
 Array = NDArray[np.float64]
+
+# What the ends of an interval that was drawn are known to, in u: two and a half of their standard deviations.
+_DRAWN_ENDS = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +34,32 @@ class Distribution:
     u: float
     low: float
     high: float
+
+    def to_mapping(self, reading: Reading) -> dict[str, Any]:
+        """Return the distribution beside a reading's own interval: whether its ends agree to half of u's second digit.
+
+        Ends of a shortest interval from 100 000 draws scatter by some 2 % of u: less than 5 % shows no difference.
+
+        Args:
+            reading: Its linear counterpart, with its coverage factor.
+
+        Source: JCGM 101:2008, section 8.1.
+        """
+        u, expanded = reading.radiance.u, reading.coverage_factor * reading.radiance.u
+        digit = 0.5 * 10.0 ** (math.floor(math.log10(u)) - 1) if u > 0.0 and math.isfinite(u) else 0.0
+        tolerance = max(digit, _DRAWN_ENDS * u)
+        low = self.low - (reading.radiance.value - expanded)
+        high = self.high - (reading.radiance.value + expanded)
+        return {
+            "mean": self.mean,
+            "u": self.u,
+            "low": self.low,
+            "high": self.high,
+            "low_differs_by": low,
+            "high_differs_by": high,
+            "tolerance": tolerance,
+            "validates": max(abs(low), abs(high)) <= tolerance,
+        }
 
 
 # Contributions that are drawn where they arise, in the signal; all others are factors of the value.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -365,3 +366,41 @@ def test_without_a_place_for_compiled_code_it_is_compiled_anew(monkeypatch):
 
     monkeypatch.setattr(merge_compile.numba, "njit", no_cache)
     assert merge_compile.compiled(lambda x: x + 1)(2) == 3
+
+
+@pytest.mark.parametrize("dark_e", [0.0, 5000.0])
+def test_a_pixel_s_uncertainty_is_that_of_its_electrons(rig, dark_e):
+    """One frame: the root of light, dark, reading (squared) and rounding, over the light; no term may be missing."""
+    camera = CameraDescription(**{**rig.description.model_dump(), "dark_current_e_per_s": dark_e / 1e-3})
+    black = BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0)
+    calibration = replace(rig.calibration(black_level=black), camera=camera, noise=SensorNoise.of(camera))
+    light_dn = 20.0
+    number = round(64.0 + light_dn + dark_e / rig.gain_e_per_dn)
+    frame = Frame(np.full((4, 4), number, np.uint16), 12, FrameSettings(1e-3, 0.0, 4.0, 64.0, 25.0))
+    found = merge([frame], camera, rig.lens, calibration)
+    light_e = (number - 64.0) * rig.gain_e_per_dn - dark_e
+    variance = light_e + dark_e + rig.read_e**2 + rig.gain_e_per_dn**2 / 12.0
+    expected = np.sqrt(variance) / light_e
+    assert found.u_radiance[0, 0] / found.radiance[0, 0] == pytest.approx(expected, rel=2e-3)
+
+
+def test_the_black_level_s_uncertainty_is_in_every_pixel(rig):
+    """2 DN beside 200 DN of light add 1 % to the noise, in quadrature."""
+    frame = Frame(np.full((4, 4), 264, np.uint16), 12, FrameSettings(1e-3, 0.0, 4.0, 64.0, 25.0))
+    known, doubted = (
+        merge([frame], rig.description, rig.lens, rig.calibration(black_level=BlackLevel(dn=64.0, u_dn=u)))
+        for u in (0.0, 2.0)
+    )
+    added = doubted.u_radiance[0, 0] ** 2 - known.u_radiance[0, 0] ** 2
+    assert np.sqrt(added) / known.radiance[0, 0] == pytest.approx(0.01, rel=1e-3)
+
+
+def test_an_undeclared_falloff_is_taken_out_and_doubted(rig):
+    """In the corner cos⁴α = 0.64 is divided out, and 60 % of what was lost joins the pixel's own uncertainty."""
+    camera = rig.description.model_copy(update={"pixel_pitch_um": 8.0 / np.hypot(5.5, 5.5) * 1e3})
+    frame = Frame(np.full((12, 12), 2064, np.uint16), 12, FrameSettings(1e-3, 0.0, 4.0, 64.0, 25.0))
+    plain = merge([frame], rig.description, rig.lens, rig.calibration())
+    found = merge([frame], camera, rig.lens, rig.calibration())
+    assert found.radiance[0, 0] / plain.radiance[0, 0] == pytest.approx(1.25**2, rel=1e-5)
+    doubt = 0.6 * (1.0 - 0.64) / 0.64
+    assert found.u_radiance[0, 0] / found.radiance[0, 0] == pytest.approx(doubt, rel=0.01)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -160,3 +161,25 @@ def test_the_scale_s_degrees_of_freedom_reach_the_budget(rig):
     few = type(calibration)(calibration.camera, calibration.lens, scale, None, calibration.noise)
     line = next(one for one in read_patch(frames, patch, few, camera, lens).budget if one.name == "scale")
     assert line.degrees_of_freedom == 4.0
+
+
+def test_welch_satterthwaite_weighs_by_the_fourth_power():
+    """1 with 4 degrees of freedom and 2 with 16: (1 + 4)²/(1/4 + 16/16) = 20."""
+    terms = [Term("a", 1.0, "A", 4.0), Term("b", 2.0, "A", 16.0)]
+    assert budget.effective_degrees_of_freedom(terms) == pytest.approx(20.0)
+
+
+def test_monte_carlo_beside_the_budget_says_where_they_differ(rig):
+    """A scale of 0.5 % validates the linear budget; an f-number to 20 % is squared, and its interval lies lopsided."""
+    plain = reading_inputs(rig, 0.5, (1e-3,) * 5, {"u_rel": 0.005, "uncertainties": EXACT})
+    bent = EXACT.model_copy(update={"f_number_u_rel": 0.2})
+    squared = reading_inputs(rig, 0.5, (1e-3,) * 5, {"uncertainties": bent})
+    scale = squared[2].scale.model_copy(update={"f_number": 8.0})
+    squared = (*squared[:2], replace(squared[2], scale=scale), *squared[3:])
+    said = [
+        propagate_distributions(patch_situation(*inputs), np.random.default_rng(1)).to_mapping(read_patch(*inputs))
+        for inputs in (plain, squared)
+    ]
+    assert said[0]["validates"]
+    assert not said[1]["validates"]
+    assert said[1]["low_differs_by"] > said[1]["tolerance"]

@@ -1,0 +1,23 @@
+"""Options of `radiometer measure` that look behind the interval."""
+
+from __future__ import annotations
+
+import json
+
+from radiometer.cli.main import run
+
+
+def test_the_drawn_interval_stands_beside_the_budget_s(capsys):
+    """On the simulated bench both agree: the ends lie within the tolerance that is stated."""
+    assert run(["measure", "--json", "--monte-carlo"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    drawn, radiance = said["monte_carlo"], said["radiance"]
+    assert drawn["validates"]
+    assert abs(drawn["u"] / radiance["u"] - 1.0) < 0.02
+    assert drawn["low"] < radiance["value"] < drawn["high"]
+
+
+def test_photographs_have_no_drawn_interval(capsys, tmp_path):
+    """Refused in one line."""
+    assert run(["measure", "--photographs", str(tmp_path), "--monte-carlo"]) == 2
+    assert "--monte-carlo" in capsys.readouterr().err
