@@ -38,6 +38,7 @@ COMMANDS: Final[dict[str, CommandEntry]] = {
     "adapt": CommandEntry("radiometer.cli.adapt", "Run a dark-adaptation test and fit its curve."),
     "batch": CommandEntry("radiometer.cli.batch", "Do one job over an archive of capture sets."),
     "trend": CommandEntry("radiometer.cli.trend", "Find drift over months in a table of results."),
+    "passport": CommandEntry("radiometer.cli.passport", "Compare a camera's sessions over years: what changed."),
     "simulate": CommandEntry("radiometer.cli.simulate", "Serve a simulated device as if it were a real one."),
     "devices": CommandEntry("radiometer.cli.devices", "List the cameras and boxes that can be opened."),
     "doctor": CommandEntry("radiometer.cli.doctor", "Check computer and camera, and say how to cure what is wrong."),

@@ -20,8 +20,8 @@ from radiometer.importing.record import ImportRecord, doubts_about, named, taken
 _LOOKED_AT: Final = 4  # frames whose codes are looked at for padding and clipping
 _FEWEST_CLIPPED: Final = 4
 _CAMERA_KEYS: Final = (
-    "vendor", "model", "serial", "band", "wavelength_nm", "binning", "pixel_pitch_um", "conversion_gain_e_per_dn",
-    "read_noise_e",
+    "vendor", "model", "serial", "unit", "band", "wavelength_nm", "binning", "pixel_pitch_um",
+    "conversion_gain_e_per_dn", "read_noise_e",
 )  # fmt: skip
 _OWN_KEYS: Final = ("vendor", "model", "serial", "band", "binning")  # what a camera is called by among several
 _MASKED_SAME_DN: Final = 1.0

@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from radiometer.analysis.characterise.dark_signal import DarkSignal, by_temperature, dark_signal, doubling_temperature
+from radiometer.analysis.characterise.dark_figures import gain_from_darks, typical_dark_current
+from radiometer.analysis.characterise.dark_signal import DarkSignal, by_temperature, dark_signal
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
+from radiometer.analysis.characterise.inconsistent import contradicting_darks, contradicting_steps
 from radiometer.analysis.characterise.linearity import linearity
-from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, prnu
-from radiometer.analysis.characterise.photon_transfer import SMALLEST_VARIANCE_DN2, PhotonTransfer, photon_transfer
+from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, prnu
+from radiometer.analysis.characterise.partial import (
+    bent,
+    disagreeing_gains,
+    partial_characterisation,
+    stated_gain_doubt,
+)
+from radiometer.analysis.characterise.photon_transfer import (
+    CLIPPED_SHARE,
+    SMALLEST_VARIANCE_DN2,
+    PhotonTransfer,
+    photon_transfer,
+)
 from radiometer.analysis.characterise.result import Characterisation
 from radiometer.analysis.characterise.saturation import Saturation, find_saturation
 from radiometer.analysis.characterise.sensitivity import propagated, responsivity, sensitivity_figures
@@ -20,31 +33,77 @@ from radiometer.data import Provenance, Quantity
 from radiometer.errors import MeasurementError
 
 _PLAUSIBLE_ETA_PERCENT = (5.0, 100.0)
+_FEWEST_LEVELS = 3
 
 
-def characterise(subject: Subject) -> Characterisation:
-    """Return the figures of a camera with their standard uncertainties.
+def characterise(subject: Subject, statistics: Sequence[GroupStatistics] | None = None) -> Characterisation:
+    """Return the figures of a camera with their standard uncertainties, as many as the frames tell.
 
-    Where frames of several gains are given, the figures hold at the gain nearest to 0 dB that has at least three
-    bright steps, and K is given for every gain. Where several patches are given, the photon transfer takes all of
-    them and the rest the largest one.
+    With pairs of bright frames at three levels or more and dark frames all of them; else those that can be had, with
+    notes that say what is missing. Groups of frames that contradict all others are left out and named. Where frames
+    of several gains are given, the figures hold at the gain nearest to 0 dB that has at least three bright steps, and K
+    is given for every gain. Where several patches are given, the photon transfer takes all of them and the rest the
+    largest one.
+
+    Args:
+        subject: The frames.
+        statistics: Their statistics where they are known already.
 
     Raises:
-        MeasurementError: If there are no dark frames, too few levels of light, or single frames only.
+        MeasurementError: If the frames tell no figure at all, or show no shot noise.
         CaptureError: If a frame is unreadable.
 
     Source: EMVA Standard 1288, release 4.0 (linear).
     """
-    statistics = subject.statistics()
+    statistics = subject.statistics() if statistics is None else statistics
     bright = [s for s in statistics if not s.settings.is_dark and s.settings.source_level > 0]
     dark = [s for s in statistics if s.settings.is_dark]
-    if not dark:
-        raise MeasurementError(
-            f"{subject.origin}: holds no dark frames; capture them with the shutter closed or the lens covered "
-            "(radiometer bracket --darks 2)"
-        )
-    gains = _characterised_gains(bright, dark)
+    lit = [s for s in bright if s.has_noise]
+    kept, dark, named = _consistent(lit, dark)
+    if named:
+        subject = replace(subject, notes=(*subject.notes, *named))
+    if not _complete(kept, dark):
+        return partial_characterisation(subject, bright, kept, dark)
+    gains = _characterised_gains(kept, dark)
     return _Work(subject, gains[0], {g.gain_db: g.transfer.K for g in sorted(gains, key=lambda g: g.gain_db)}).result()
+
+
+def _complete(bright: Sequence[GroupStatistics], dark: Sequence[GroupStatistics]) -> bool:
+    """Tell whether one gain has three bright levels and dark frames with noise at a temperature of theirs."""
+    return any(
+        len({(b.settings.exposure_s, b.settings.source_level, b.photons) for b in bright if b.settings.gain_db == gain})
+        >= _FEWEST_LEVELS
+        and any(d.has_noise for d in dark if d.settings.gain_db == gain)
+        for gain in {b.settings.gain_db for b in bright}
+    )
+
+
+def _consistent(
+    bright: list[GroupStatistics], dark: list[GroupStatistics]
+) -> tuple[list[GroupStatistics], list[GroupStatistics], list[str]]:
+    """Return the groups without those that contradict all others, and a line for each of these."""
+    top = max((b.mean_dn for b in bright), default=0.0)
+    wrong, lines = list[GroupStatistics](), list[str]()
+    for gain in sorted({d.settings.gain_db for d in dark}):
+        own = [d for d in dark if d.settings.gain_db == gain]
+        for region in sorted({d.region for d in own}):
+            for plateau in by_temperature([d for d in own if d.region == region]):
+                off = contradicting_darks(plateau, top)
+                wrong += [group for group, _ in off]
+                lines += [line for _, line in off]
+    dark = [d for d in dark if d not in wrong]
+    for gain, region in sorted({(b.settings.gain_db, b.region) for b in bright}):
+        own = [b for b in bright if (b.settings.gain_db, b.region) == (gain, region)]
+        fitting = [d for d in dark if d.settings.gain_db == gain and d.has_noise]
+        if not fitting:
+            continue
+        try:
+            contradicting = contradicting_steps(make_steps(own, fitting))
+        except MeasurementError:
+            continue  # no darks of its temperature: said where the figures are made
+        wrong += [step.bright for step, _ in contradicting]
+        lines += [line for _, line in contradicting]
+    return [b for b in bright if b not in wrong], dark, lines
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +161,12 @@ class _Work:
     gains: dict[float, Quantity]
 
     def result(self) -> Characterisation:
-        plateaus = [(group, dark_signal(group)) for group in by_temperature(self.at.dark)]
+        step_dn = self.subject.camera.code_step_dn or 1
+        plateaus = [
+            (group, dark_signal(group, step_dn))
+            for group in by_temperature(self.at.dark)
+            if any(d.has_noise for d in group)
+        ]
         # Bright frames are compared with darkness at their own temperature.
         own = min(plateaus, key=lambda p: abs((p[1].temperature_c or 0.0) - (self._bright_temperature() or 0.0)))
         notes = list(self.subject.notes)
@@ -110,6 +174,10 @@ class _Work:
         figures |= self._sensitivity(own[1], notes)
         figures |= self._dark_current(own[1], [p[1] for p in plateaus], notes)
         figures |= self._nonuniformity(own[0])
+        told = gain_from_darks(self.subject, self.at.dark)
+        if told is not None:
+            figures["K_dark"] = told[0]
+            notes += disagreeing_gains(self.at.transfer.K, told[0])
         line = linearity(self.at.steps, self.at.saturation.signal_dn)
         if line is not None:
             figures |= {"LE_min": line.LE_min, "LE_max": line.LE_max}
@@ -155,7 +223,7 @@ class _Work:
                 lambda top, black, k: (top - black) / k, "e-", saturation.plateau_dn, dark.mean_dn, K
             )
         sat_dn = Quantity(saturation.linear_signal_dn, saturation.u_linear_signal_dn, "DN")
-        found = sensitivity_figures(K, dark.variance_dn2, sat_dn, eta)
+        found = sensitivity_figures(K, dark.variance_dn2, sat_dn, eta, self.subject.camera.code_step_dn or 1)
         if dark.quantisation_limited:
             # All that is known is that the noise lies between 0 and this bound: a rectangular distribution.
             bound = found["sigma_d"].value
@@ -182,27 +250,27 @@ class _Work:
         figures["mu_I_mean"] = propagated(lambda s, k: s / k, "e-/s", slope, K)
         slope = Quantity(own.variance_line.slope, own.variance_line.u_slope, "DN^2/s")
         figures["mu_I_var"] = propagated(lambda s, k: s / k**2, "e-/s", slope, K)
-        rates = [
-            (p.temperature_c, Quantity(p.mean_line.slope / K.value, p.mean_line.u_slope / K.value, "e-/s"))
-            for p in plateaus
-            if p.mean_line is not None and p.temperature_c is not None
-        ]
-        doubling = doubling_temperature(rates)
-        return figures | ({"T_d": doubling} if doubling else {})
+        return figures | typical_dark_current(self.at.dark, own.temperature_c, K)
 
     def _nonuniformity(self, dark: Sequence[GroupStatistics]) -> dict[str, Quantity]:
         saturation = self.at.saturation.signal_dn
-        chosen = [s for s in self.at.bright if s.clipped_share == 0] or list(self.at.bright)
+        if dark[0].split is None:
+            return {}  # statistics without pictures
+        chosen = [s for s in self.at.bright if s.clipped_share <= CLIPPED_SHARE] or list(self.at.bright)
         bright = best_stack(chosen, saturation, dark[0].mean_dn)
         beside = min(dark, key=lambda d: (abs(d.settings.exposure_s - bright.settings.exposure_s) > 1e-6, -d.frames))
         return {
             "DSNU_1288": dsnu(beside, self.at.transfer.K),
             "PRNU_1288": prnu(bright, beside),
+            **nonuniformity_by_part(bright, beside, self.at.transfer.K),
         }
 
     def _warn(self, notes: list[str]) -> None:
         if self.at.gain_db != 0:
             notes.append(f"measured at {self.at.gain_db:g} dB; the conversion gain at 0 dB follows from nominal steps")
+        notes += stated_gain_doubt(self.subject.camera.conversion_gain_e_per_dn, self.at.transfer.K, self.at.gain_db)
+        if self.at.transfer.bend_u > 0:
+            notes.append(bent(self.at.transfer))
         if self.at.transfer.line.birge_ratio > 1.5:
             notes.append(
                 f"the photon transfer scatters {self.at.transfer.line.birge_ratio:.1f} times more than noise alone "

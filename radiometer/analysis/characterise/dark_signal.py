@@ -37,26 +37,32 @@ class DarkSignal:
     quantisation_limited: bool
 
 
-def dark_signal(dark: Sequence[GroupStatistics]) -> DarkSignal:
+def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal:
     """Return the dark signal of groups of one gain, region and temperature.
+
+    Groups of one frame tell its mean only.
+
+    Args:
+        dark: The groups; at least one of them with two frames or more.
+        step_dn: Distance between codes in DN.
 
     Source: EMVA Standard 1288, release 4.0, sections 6.7 and 7.
     """
     times = np.array([d.settings.exposure_s for d in dark])
-    means, u_means = np.array([(d.mean_dn, d.u_mean_dn) for d in dark]).T
-    variances, u_variances = np.array([(d.variance_dn2, d.u_variance_dn2) for d in dark]).T
-    mean_line = variance_line = None
+    common = pooled_frame_sd(dark)
+    means = np.array([d.mean_dn for d in dark])
+    u_means = np.array([max(d.u_mean_dn, common / math.sqrt(d.frames)) for d in dark])
+    mean_line = None
     if np.unique(times).size > 2:
         mean_line = fit_line(times, means, u_means)
-        variance_line = fit_line(times, variances, np.maximum(u_variances, 1e-9))
         mean = Quantity(mean_line.intercept, mean_line.u_intercept, "DN")
-        variance = Quantity(variance_line.intercept, variance_line.u_intercept, "DN^2")
     else:
         first = int(np.argmin(times))
         mean = Quantity(float(means[first]), float(u_means[first]), "DN")
-        variance = Quantity(float(variances[first]), float(u_variances[first]), "DN^2")
-    limited = variance.value < SMALLEST_VARIANCE_DN2
-    floor = max(variance.value, SMALLEST_VARIANCE_DN2)
+    variance_line, variance = _variance([d for d in dark if d.has_noise])
+    smallest = SMALLEST_VARIANCE_DN2 * step_dn**2
+    limited = variance.value < smallest
+    floor = max(variance.value, smallest)
     known = [d.settings.temperature_c for d in dark if d.settings.temperature_c is not None]
     return DarkSignal(
         mean_line,
@@ -66,6 +72,17 @@ def dark_signal(dark: Sequence[GroupStatistics]) -> DarkSignal:
         float(np.mean(known)) if known else None,
         limited,
     )
+
+
+def _variance(dark: Sequence[GroupStatistics]) -> tuple[Line | None, Quantity]:
+    """Return the line of the variance over exposure where there are three, and the variance at exposure 0 in DN²."""
+    times = np.array([d.settings.exposure_s for d in dark])
+    variances, u = np.array([(d.variance_dn2, max(d.u_variance_dn2, 1e-9)) for d in dark]).T
+    if np.unique(times).size > 2:
+        line = fit_line(times, variances, u)
+        return line, Quantity(line.intercept, line.u_intercept, "DN^2")
+    first = int(np.argmin(times))
+    return None, Quantity(float(variances[first]), float(u[first]), "DN^2")
 
 
 def by_temperature(dark: Sequence[GroupStatistics]) -> list[list[GroupStatistics]]:
@@ -82,26 +99,41 @@ def by_temperature(dark: Sequence[GroupStatistics]) -> list[list[GroupStatistics
     return plateaus
 
 
-def doubling_temperature(rates: Sequence[tuple[float, Quantity]]) -> Quantity | None:
+def pooled_frame_sd(dark: Sequence[GroupStatistics]) -> float:
+    """Return the standard deviation in DN by which frames of one setting differ in their mean; 0 where none repeats.
+
+    Black levels wander from frame to frame by more than the noise of so many pixels leaves in a mean.
+    """
+    repeated = [d for d in dark if d.frames > 1]
+    freedom = sum(d.frames - 1 for d in repeated)
+    return math.sqrt(sum((d.frames - 1) * d.frame_variance_dn2 for d in repeated) / freedom) if freedom else 0.0
+
+
+def doubling_temperature(
+    rates: Sequence[tuple[float, Quantity]], u_temperatures_k: Sequence[float] | None = None
+) -> Quantity | None:
     """Return the temperature step in K that doubles the dark current, from ln D over T.
 
     Args:
         rates: (temperature in °C, dark current) per plateau.
+        u_temperatures_k: Standard uncertainty of each temperature in K; 0 where None.
 
     Returns:
         None where fewer than two plateaus have a dark current above twice its uncertainty, or it does not rise.
 
     Source: EMVA Standard 1288, release 4.0, equation (17).
     """
-    usable = [(t, q) for t, q in rates if q.value > 2 * q.u]
+    spread = u_temperatures_k or [0.0] * len(rates)
+    usable = [(t, q, u) for (t, q), u in zip(rates, spread, strict=True) if q.value > 2 * q.u]
     if len(usable) < 2:
         return None
-    temperatures = np.array([t for t, _ in usable])
-    line = fit_line(
-        temperatures - temperatures.mean(),
-        [math.log(q.value) for _, q in usable],
-        [max(q.u_rel, 1e-9) for _, q in usable],
-    )
+    temperatures = np.array([t for t, _, _ in usable])
+    logs = [math.log(q.value) for _, q, _ in usable]
+    slope = 0.0
+    for _ in range(2):
+        u = [max(math.hypot(q.u_rel, slope * u_t), 1e-9) for _, q, u_t in usable]
+        line = fit_line(temperatures - temperatures.mean(), logs, u)
+        slope = line.slope
     if line.slope <= 0:
         return None
     return Quantity(math.log(2) / line.slope, math.log(2) / line.slope**2 * line.u_slope, "K")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,11 +24,13 @@ class FrameGroup:
         settings: The setting; temperature and time are those of the first frame.
         files: Their files.
         photons: Mean photons per pixel where a descriptor states them; None elsewhere.
+        reader: Returns the digital numbers of a file.
     """
 
     settings: FrameSettings
     files: tuple[Path, ...]
     photons: float | None = None
+    reader: Callable[[Path], DigitalNumbers] = read_digital_numbers
 
     def read(self, full_scale_dn: int) -> Iterator[DigitalNumbers]:
         """Yield the frames' digital numbers.
@@ -38,7 +40,7 @@ class FrameGroup:
         """
         shape: tuple[int, ...] | None = None
         for file in self.files:
-            dn = read_digital_numbers(file)
+            dn = self.reader(file)
             if shape not in (None, dn.shape):
                 raise CaptureError(f"{file}: differs in size from the other frames of its setting")
             if int(dn.max(initial=0)) > full_scale_dn:
@@ -56,7 +58,8 @@ def groups_of_capture(capture: CaptureSet) -> list[FrameGroup]:
     settings = [entry.settings for entry in capture.header.frames]
     plateaus = _temperature_plateaus([one.temperature_c for one in settings])
     for index, one in enumerate(settings):
-        light = () if one.is_dark else (one.source_level, one.pattern, one.f_number)
+        photons = capture.header.frames[index].photons
+        light = () if one.is_dark else (one.source_level, one.pattern, one.f_number, photons)
         key = (one.exposure_s, one.gain_db, one.black_level_dn, one.shutter, plateaus[index], *light)
         found.setdefault(key, []).append(index)
     return [_group(capture, settings, members) for members in found.values()]
@@ -65,8 +68,12 @@ def groups_of_capture(capture: CaptureSet) -> list[FrameGroup]:
 def _group(capture: CaptureSet, settings: list[FrameSettings], members: list[int]) -> FrameGroup:
     temperatures = [t for i in members if (t := settings[i].temperature_c) is not None]
     mean = float(np.mean(temperatures)) if temperatures else None
-    files = tuple(capture.path / capture.header.frames[i].file for i in members)
-    return FrameGroup(replace(settings[members[0]], temperature_c=mean), files)
+    entries = [capture.header.frames[i] for i in members]
+    first = replace(settings[members[0]], temperature_c=mean)
+    if capture.store is None:
+        return FrameGroup(first, tuple(capture.path / entry.file for entry in entries), entries[0].photons)
+    names = {Path(entry.file): entry.file for entry in entries}
+    return FrameGroup(first, tuple(names), entries[0].photons, lambda file: capture.read_numbers(names[file]))
 
 
 def _temperature_plateaus(temperatures: list[float | None]) -> list[int]:

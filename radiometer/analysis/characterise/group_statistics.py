@@ -9,6 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.characterise.spatial_split import (
+    NoiseLeft,
+    SpatialSplit,
+    split_spatial_variance,
+    typical_mean,
+)
 from radiometer.data import FrameSettings, Patch
 from radiometer.data.frame import DigitalNumbers
 from radiometer.errors import MeasurementError
@@ -20,7 +26,7 @@ class GroupStatistics:
 
     Attributes:
         settings: The setting.
-        frames: L, at least 2.
+        frames: L, at least 1.
         pixels: N.
         mean_dn: μ_y, mean over pixels and frames in DN.
         variance_dn2: σ_y², temporal variance of a pixel in DN²; changes common to a frame are taken out.
@@ -29,6 +35,12 @@ class GroupStatistics:
         clipped_share: Share of pixels at full scale.
         photons: Mean photons per pixel; None where unknown.
         region: Number of the region.
+        split: Spatial variance by rows, columns and pixels; None where the pictures are not known.
+        typical_dn: Mean without hot pixels in DN; None where the pictures are not known.
+        frame_variance_dn2: Variance of the frames' means in DN²; 0 where there is one frame.
+        floor_share: Share of pixels at 0.
+
+    Of one frame alone the temporal variance is 0 and means nothing, and the spatial variance holds the noise.
 
     Source: EMVA Standard 1288, release 4.0, sections 6.5 and 8.1.
     """
@@ -42,16 +54,26 @@ class GroupStatistics:
     clipped_share: float
     photons: float | None = None
     region: int = 0
+    split: SpatialSplit | None = None
+    typical_dn: float | None = None
+    frame_variance_dn2: float = 0.0
+    floor_share: float = 0.0
+
+    @property
+    def has_noise(self) -> bool:
+        """Tell whether there are frames enough for a temporal variance."""
+        return self.frames > 1
 
     @property
     def u_mean_dn(self) -> float:
         """Return the standard uncertainty of the mean due to temporal noise in DN."""
-        return math.sqrt(max(self.variance_dn2, 1 / 12) / (self.frames * self.pixels))
+        noise = self.variance_dn2 if self.has_noise else self.spatial_variance_dn2
+        return math.sqrt(max(noise, 1 / 12) / (self.frames * self.pixels))
 
     @property
     def degrees_of_freedom(self) -> float:
         """Return the degrees of freedom of the temporal variance."""
-        return float((self.frames - 1) * (self.pixels - 1))
+        return float(max((self.frames - 1) * (self.pixels - 1), 1))
 
     @property
     def u_variance_dn2(self) -> float:
@@ -76,14 +98,14 @@ def statistics_of_group(
     """Return the statistics of every region of the frames of one setting; frames are held one at a time.
 
     Args:
-        frames: At least two frames of one size.
+        frames: Frames of one size; one alone has no temporal variance.
         settings: Their setting.
         regions: Where to look; None for the whole frame.
         full_scale_dn: Highest digital number.
         photons: Mean photons per pixel where known.
 
     Raises:
-        MeasurementError: If there are fewer than two frames or a region lies outside them.
+        MeasurementError: If there is no frame or a region lies outside them.
     """
     sums: list[_Sums] = []
     for dn in frames:
@@ -91,11 +113,8 @@ def statistics_of_group(
             sums = [_Sums(_cut(dn, region).shape) for region in regions]
         for region, entry in zip(regions, sums, strict=True):
             entry.add(_cut(dn, region), full_scale_dn)
-    if not sums or sums[0].count < 2:
-        raise MeasurementError(
-            f"only one frame at exposure {settings.exposure_s:g} s ({settings.shutter} shutter): temporal noise needs "
-            "two frames at every setting; capture with --repeat 2"
-        )
+    if not sums:
+        raise MeasurementError(f"there is no frame at exposure {settings.exposure_s:g} s")
     return [entry.statistics(settings, photons, number) for number, entry in enumerate(sums)]
 
 
@@ -107,7 +126,10 @@ class _Sums:
         self._sum = np.zeros(shape)
         self._squares = np.zeros(shape)
         self._means: list[float] = []
+        self._row_means: list[NDArray[np.float64]] = []
+        self._column_means: list[NDArray[np.float64]] = []
         self._clipped = 0
+        self._at_zero = 0
 
     def add(self, dn: DigitalNumbers, full_scale_dn: int) -> None:
         values = dn.astype(np.float64)
@@ -115,14 +137,19 @@ class _Sums:
         self._sum += values
         self._squares += values * values
         self._means.append(float(values.mean()))
+        self._row_means.append(values.mean(axis=1))
+        self._column_means.append(values.mean(axis=0))
         self._clipped += int(np.count_nonzero(dn >= full_scale_dn))
+        self._at_zero += values.size - int(np.count_nonzero(dn))
 
     def statistics(self, settings: FrameSettings, photons: float | None, region: int) -> GroupStatistics:
         count, pixels = self.count, self._sum.size
         average: NDArray[np.float64] = self._sum / count
-        within = float(np.mean(self._squares - self._sum * average)) / (count - 1)
-        common = float(np.var(self._means, ddof=1))
-        temporal = max((within - common) * pixels / max(pixels - 1, 1), 0.0)
+        temporal = common = 0.0
+        if count > 1:
+            within = float(np.mean(self._squares - self._sum * average)) / (count - 1)
+            common = float(np.var(self._means, ddof=1))
+            temporal = max((within - common) * pixels / max(pixels - 1, 1), 0.0)
         spatial = float(np.var(average, ddof=1)) - temporal / count if pixels > 1 else 0.0
         return GroupStatistics(
             settings=settings,
@@ -134,7 +161,21 @@ class _Sums:
             clipped_share=self._clipped / (count * pixels),
             photons=photons,
             region=region,
+            split=split_spatial_variance(average, self._noise_left(temporal)) if min(average.shape) > 1 else None,
+            typical_dn=typical_mean(average),
+            frame_variance_dn2=common,
+            floor_share=self._at_zero / (count * pixels),
         )
+
+    def _noise_left(self, temporal: float) -> NoiseLeft:
+        shape = self._sum.shape
+        if self.count < 2:
+            return NoiseLeft(0.0, 0.0, 0.0)
+        rows, columns = (
+            float(np.mean(np.var(np.stack(means) - np.array(self._means)[:, None], axis=0, ddof=1)))
+            for means in (self._row_means, self._column_means)
+        )
+        return NoiseLeft.of(temporal, rows, columns, self.count, shape)
 
 
 def _cut(dn: DigitalNumbers, region: Patch | None) -> DigitalNumbers:

@@ -31,6 +31,35 @@ def prnu(bright: GroupStatistics, dark: GroupStatistics) -> Quantity:
     return Quantity(100.0 * spread.value / signal, 100.0 * spread.u / signal, "%")
 
 
+def nonuniformity_by_part(
+    bright: GroupStatistics | None, dark: GroupStatistics | None, K: Quantity | None
+) -> dict[str, Quantity]:
+    """Return DSNU and PRNU of rows, columns and pixels, as far as the pictures tell them.
+
+    Args:
+        bright: Bright group of the PRNU; None for no PRNU.
+        dark: Dark group.
+        K: Overall system gain in DN/e-; None for no DSNU.
+
+    Source: EMVA Standard 1288, release 4.0, sections 8.2 and 8.3.
+    """
+    found: dict[str, Quantity] = {}
+    if dark is None or dark.split is None:
+        return found
+    for part in ("row", "column", "pixel"):
+        below, u_below = getattr(dark.split, f"{part}_dn2"), getattr(dark.split, f"u_{part}_dn2")
+        if K is not None:
+            spread = _root(below, u_below)
+            u = math.hypot(spread.u / K.value, spread.value / K.value * K.u_rel)
+            found[f"DSNU_{part}"] = Quantity(spread.value / K.value, u, "e-")
+        if bright is not None and bright.split is not None:
+            above, u_above = getattr(bright.split, f"{part}_dn2"), getattr(bright.split, f"u_{part}_dn2")
+            spread = _root(above - below, math.hypot(u_above, u_below))
+            signal = bright.mean_dn - dark.mean_dn
+            found[f"PRNU_{part}"] = Quantity(100.0 * spread.value / signal, 100.0 * spread.u / signal, "%")
+    return found
+
+
 def best_stack(groups: Sequence[GroupStatistics], saturation_dn: float, black_dn: float) -> GroupStatistics:
     """Return the bright group for PRNU: most frames, then nearest to half of saturation."""
     return max(groups, key=lambda g: (g.frames, -abs(g.mean_dn - black_dn - 0.5 * saturation_dn)))

@@ -24,6 +24,10 @@ def plots(result: Characterisation) -> list[tuple[str, str]]:
         ("Signal-to-noise ratio, and that of an ideal sensor of this quantum efficiency", lambda a: _snr(a, result)),
         ("Dark signal over exposure", lambda a: _dark(a, result)),
     ]
+    if not result.dark_points:
+        drawn.pop()
+    if result.transfer is None or "K" not in result.figures:
+        del drawn[:3]
     if result.linearity is not None:
         drawn.insert(2, ("Deviation from linearity", lambda a: _deviation(a, result, light)))
     return [(caption, _svg(draw)) for caption, draw in drawn]
@@ -42,6 +46,7 @@ def _svg(draw: Callable[[Axes], None]) -> str:
 
 
 def _transfer(axes: Axes, result: Characterisation) -> None:
+    assert result.transfer is not None
     signal = np.array([s.signal_dn for s in result.steps])
     rounded = result.transfer.rounded
     variance = np.array([s.bright.variance_dn2 if rounded else s.photo_variance_dn2 for s in result.steps])

@@ -25,7 +25,7 @@ class Characterisation:
         gain_db: Gain that the figures hold at.
         figures: Quantities by EMVA 1288 symbol.
         gains: Overall system gain by gain in dB.
-        transfer: Photon transfer at `gain_db`.
+        transfer: Photon transfer at `gain_db`; None where there is none.
         steps: Bright steps of the main region.
         dark_points: (exposure in s, mean in DN, variance in DN², temperature in °C) of the dark groups.
         linearity: Linearity; None where too few steps lie in its range.
@@ -37,7 +37,7 @@ class Characterisation:
     gain_db: float
     figures: Mapping[str, Quantity]
     gains: Mapping[float, Quantity]
-    transfer: PhotonTransfer
+    transfer: PhotonTransfer | None
     steps: tuple[Step, ...]
     dark_points: tuple[tuple[float, float, float, float | None], ...]
     linearity: Linearity | None
@@ -50,9 +50,12 @@ class Characterisation:
     def description(self) -> CameraDescription:
         """Return the camera's description with what was measured put in place of what was believed."""
         figures, update = self.figures, dict[str, Any]()
-        update["conversion_gain_e_per_dn"] = gain_factor(self.gain_db) / figures["K"].value
-        update["read_noise_e"] = figures["sigma_d"].value
-        update["black_level_dn"] = figures["mu_y_dark"].value
+        gain = figures.get("K", figures.get("K_dark"))
+        if gain is not None:
+            update["conversion_gain_e_per_dn"] = gain_factor(self.gain_db) / gain.value
+        for key, symbol in (("read_noise_e", "sigma_d"), ("black_level_dn", "mu_y_dark")):
+            if symbol in figures:
+                update[key] = figures[symbol].value
         # Where all pixels are full or at full scale is where samples end; the standard's saturation lies below it.
         full = figures.get("mu_e_plateau", figures.get("mu_e_sat"))
         if full is not None:
@@ -85,14 +88,14 @@ class Characterisation:
                 "K_by_gain": [{"gain_db": g, "K": _finite(q)} for g, q in self.gains.items()],
                 "saturation_limited_by": self.limited_by,
                 "notes": list(self.notes),
-                "steps": [_step(step, self.figures["K"].value) for step in self.steps],
+                "steps": [_step(step, self.figures.get("K")) for step in self.steps],
             },
             "provenance": self.provenance.to_mapping(),
         }
 
     def _sources(self, camera: Mapping[str, Any], limits: Mapping[str, Any]) -> dict[str, str]:
         measured = {
-            "conversion_gain_e_per_dn": "K",
+            "conversion_gain_e_per_dn": "K" if "K" in self.figures else "K_dark",
             "read_noise_e": "sigma_d",
             "full_well_e": "mu_e_plateau" if "mu_e_plateau" in self.figures else "mu_e_sat",
             "dark_current_e_per_s": "mu_I_mean",
@@ -117,7 +120,7 @@ def _finite(quantity: Quantity) -> dict[str, Any]:
     }
 
 
-def _step(step: Step, K: float) -> dict[str, float | None]:
+def _step(step: Step, K: Quantity | None) -> dict[str, float | None]:
     """Return one bright step: settings, signal, variance and signal-to-noise ratio."""
     variance = step.bright.variance_dn2
     return {
@@ -128,7 +131,7 @@ def _step(step: Step, K: float) -> dict[str, float | None]:
         "mu_y_dark_dn": step.dark_mean_dn,
         "sigma2_y_dn2": variance,
         "sigma2_y_dark_dn2": step.dark_variance_dn2,
-        "signal_e": step.signal_dn / K,
+        "signal_e": None if K is None else step.signal_dn / K.value,
         "SNR": step.signal_dn / math.sqrt(variance) if variance > 0 else None,
     }
 

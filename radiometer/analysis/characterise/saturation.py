@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from radiometer.analysis.characterise.line_fit import fit_line
+from radiometer.analysis.characterise.photon_transfer import CLIPPED_SHARE
 from radiometer.analysis.characterise.steps import Step
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
@@ -55,7 +56,7 @@ def find_saturation(steps: Sequence[Step]) -> Saturation:
     variances = np.array([s.bright.variance_dn2 for s in steps])
     light = np.array([s.light for s in steps])
     top = int(np.argmax(variances))
-    reached = top < len(steps) - 1 or steps[top].bright.clipped_share > 0
+    reached = top < len(steps) - 1 or steps[top].bright.clipped_share > CLIPPED_SHARE
     slope, u_slope = _slope_below(steps, steps[top].signal_dn)
     u_light_rel = _spacing_u(steps, top) / steps[top].light
     linear = slope * float(light[top])
@@ -66,7 +67,7 @@ def find_saturation(steps: Sequence[Step]) -> Saturation:
         linear_signal_dn=linear,
         u_linear_signal_dn=linear * math.hypot(u_slope / slope, u_light_rel),
         reached=reached,
-        limited_by="converter" if any(s.bright.clipped_share > 0 for s in steps[top:]) else "full well",
+        limited_by="converter" if any(s.bright.clipped_share > CLIPPED_SHARE for s in steps[top:]) else "full well",
         plateau_dn=_plateau(steps[-1], float(variances[top])),
     )
 

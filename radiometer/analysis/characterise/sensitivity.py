@@ -44,22 +44,40 @@ def propagated(function: Callable[..., float], unit: str, *inputs: Quantity) -> 
 
 
 def sensitivity_figures(
-    K: Quantity, dark_variance: Quantity, saturation_dn: Quantity, eta_percent: Quantity | None
+    K: Quantity,
+    dark_variance: Quantity,
+    saturation_dn: Quantity | None,
+    eta_percent: Quantity | None,
+    step_dn: int = 1,
 ) -> dict[str, Quantity]:
     """Return σ_y.dark, σ_d, thresholds, saturation capacities, SNR_max and dynamic range.
 
     Args:
         K: Overall system gain in DN/e-.
         dark_variance: σ_y.dark² at exposure 0 in DN².
-        saturation_dn: Signal at saturation in DN.
+        saturation_dn: Signal at saturation in DN; None where unknown, and then nothing follows from it.
         eta_percent: Quantum efficiency in %; None where unknown.
+        step_dn: Distance between codes in DN, whose rounding adds step²/12.
 
     Source: EMVA Standard 1288, release 4.0, sections 6.6 and 6.7.
     """
     figures = {
         "sigma_y_dark": propagated(math.sqrt, "DN", dark_variance),
-        "sigma_d": propagated(_sigma_d, "e-", dark_variance, K),
+        "sigma_d": propagated(lambda var, k: sigma_d(var, k, step_dn), "e-", dark_variance, K),
         "mu_e_min": propagated(_threshold_e, "e-", dark_variance, K),
+    }
+    if saturation_dn is not None:
+        figures |= _saturation_figures(K, dark_variance, saturation_dn)
+    if eta_percent is not None:
+        for name in ("min", "sat"):
+            if f"mu_e_{name}" in figures:
+                electrons = figures[f"mu_e_{name}"]
+                figures[f"mu_p_{name}"] = propagated(lambda e, eta: 100 * e / eta, "photon", electrons, eta_percent)
+    return figures
+
+
+def _saturation_figures(K: Quantity, dark_variance: Quantity, saturation_dn: Quantity) -> dict[str, Quantity]:
+    return {
         "mu_e_sat": propagated(lambda sat, k: sat / k, "e-", saturation_dn, K),
         "SNR_max": propagated(lambda sat, k: math.sqrt(sat / k), "1", saturation_dn, K),
         "SNR_max_dB": propagated(lambda sat, k: 10 * math.log10(sat / k), "dB", saturation_dn, K),
@@ -68,15 +86,14 @@ def sensitivity_figures(
             lambda sat, var, k: 20 * math.log10(_dynamic_range(sat, var, k)), "dB", saturation_dn, dark_variance, K
         ),
     }
-    if eta_percent is not None:
-        for name in ("min", "sat"):
-            electrons = figures[f"mu_e_{name}"]
-            figures[f"mu_p_{name}"] = propagated(lambda e, eta: 100 * e / eta, "photon", electrons, eta_percent)
-    return figures
 
 
-def _sigma_d(dark_variance: float, K: float) -> float:
-    return math.sqrt(max(dark_variance - 1 / 12, 0.0)) / K
+def sigma_d(dark_variance: float, K: float, step_dn: int = 1) -> float:
+    """Return the temporal dark noise in e- from its variance in DN², rounding (step²/12) taken out.
+
+    Source: EMVA Standard 1288, release 4.0, section 6.7.
+    """
+    return math.sqrt(max(dark_variance - step_dn**2 / 12, 0.0)) / K
 
 
 def _threshold_e(dark_variance: float, K: float) -> float:

@@ -69,7 +69,7 @@ def make_steps(bright: Sequence[GroupStatistics], dark: Sequence[GroupStatistics
 
 
 def _step(group: GroupStatistics, dark: Sequence[GroupStatistics]) -> Step:
-    fitting = [d for d in dark if d.region == group.region and _same_temperature(d, group)]
+    fitting = [d for d in dark if d.region == group.region and d.has_noise and _same_temperature(d, group)]
     if not fitting:
         raise MeasurementError(
             "no dark frames at the gain and temperature of the bright ones: capture them with the shutter closed or "

@@ -6,12 +6,15 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from radiometer.analysis.characterise.emva_descriptor import DESCRIPTOR_NAME, EmvaDescriptor
+from radiometer.analysis.characterise.emva_descriptor import EmvaDescriptor
 from radiometer.analysis.characterise.frame_groups import FrameGroup, groups_of_capture
 from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
 from radiometer.analysis.characterise.photon_flux import PhotonFlux, photon_flux
-from radiometer.data import CameraDescription, CaptureSet, LensDescription, Patch, PatchDescription
-from radiometer.errors import CaptureError, MeasurementError
+from radiometer.data import CameraDescription, CaptureHeader, CaptureSet, LensDescription, Patch, PatchDescription
+from radiometer.errors import MeasurementError
+from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
+from radiometer.importing.emva_listing import find_descriptor
+from radiometer.importing.record import record_in
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +29,8 @@ class Subject:
         regions: Where to look; (None,) for the whole frame.
         fluxes: Photon flux of each region; None where unknown.
         notes: What the user must know of how they were chosen.
+        given: Statistics that are known without pictures; they stand for all groups.
+        masked_dn: What masked rows read in DN, frame by frame, where files state it.
     """
 
     origin: str
@@ -35,6 +40,8 @@ class Subject:
     regions: tuple[Patch | None, ...]
     fluxes: tuple[PhotonFlux | None, ...]
     notes: tuple[str, ...] = ()
+    given: tuple[GroupStatistics, ...] = ()
+    masked_dn: tuple[float, ...] = ()
 
     @property
     def photons_u_rel(self) -> float:
@@ -45,9 +52,11 @@ class Subject:
         """Return the statistics of every group in every region.
 
         Raises:
-            MeasurementError: If a setting has one frame only.
+            MeasurementError: If a region lies outside the frames.
             CaptureError: If a frame is unreadable.
         """
+        if self.given:
+            return list(self.given)
         found: list[GroupStatistics] = []
         for group in self.groups:
             frames = group.read(self.camera.full_scale_dn)
@@ -65,20 +74,24 @@ class Subject:
 
 
 def read_subject(path: Path, region: Patch | None = None) -> Subject:
-    """Return what a capture set or an EMVA 1288 descriptor file holds.
+    """Return what a capture set, an EMVA 1288 descriptor, files of a laboratory or a table of statistics holds.
 
     Args:
-        path: A capture set, a descriptor file, or a folder with `EMVA1288_Data.txt`.
+        path: A capture set, a descriptor file or a folder with `EMVA1288_Data.txt`, FITS or raw TIFF files, a table.
         region: Where to look; the patches of the capture set, else the whole frame, where None.
 
     Raises:
         InputError: If it is neither, or unfinished or inconsistent.
     """
-    if path.is_file():
+    header = statistics_of(path) if path.exists() else None
+    if header is not None:
+        return _of_statistics(path, header)
+    descriptor = find_descriptor(path) if path.is_file() or not (path / "capture.yaml").exists() else None
+    if descriptor is not None:
+        return _of_descriptor(descriptor, region)
+    if path.is_file() and not is_foreign(path):
         return _of_descriptor(path, region)
-    if not (path / "capture.yaml").exists() and (path / DESCRIPTOR_NAME).is_file():
-        return _of_descriptor(path / DESCRIPTOR_NAME, region)
-    return subject_of_capture(CaptureSet.read(path), region)
+    return subject_of_capture(open_capture(path), region)
 
 
 def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subject:
@@ -88,20 +101,20 @@ def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subj
     is taken, and a note says so. Without dark frames those with the source off stand in for them.
 
     Raises:
-        CaptureError: If no frame shows light, or a frame is unreadable.
+        CaptureError: If a frame is unreadable.
     """
     header = capture.header
     groups = groups_of_capture(capture)
     light = [g for g in groups if not g.settings.is_dark]
-    if not light:
-        raise CaptureError(f"{capture.path}: all frames are dark; a characterisation needs bright ones too")
-    (f_number, pattern), notes = _most_frequent(light)
+    (f_number, pattern), notes = _most_frequent(light) if light else ((None, "default"), [])
+    record = imported_of(capture)
+    notes += [*(f"left out: {line}" for line in record.left_out), *record.doubts]
     kept = [g for g in groups if g.settings.is_dark or (g.settings.f_number, g.settings.pattern) == (f_number, pattern)]
     kept, more = _with_dark(kept)
     patches = _chosen_patches(header.patches, region)
     shape = capture.read_frame(0).shape
     fluxes = [photon_flux(p, pattern, header.camera, header.lens, header.source, f_number, shape) for p in patches]
-    if not patches:
+    if not patches and light:
         notes.append("the whole frame was used: no patch is named, so unevenness of the scene counts")
     return Subject(
         str(capture.path),
@@ -111,6 +124,11 @@ def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subj
         tuple(p.patch for p in patches) or (None,),
         tuple(fluxes) or (None,),
         (*notes, *more),
+        masked_dn=tuple(
+            float(entry.model_extra["masked_rows_dn"])
+            for entry in header.frames
+            if entry.model_extra and "masked_rows_dn" in entry.model_extra
+        ),
     )
 
 
@@ -154,6 +172,26 @@ def _inside(inner: Patch, outer: Patch) -> bool:
         and inner.x + inner.width <= outer.x + outer.width
         and inner.y + inner.height <= outer.y + outer.height
     )
+
+
+def _of_statistics(path: Path, header: CaptureHeader) -> Subject:
+    record = record_in(header)
+    given = tuple(
+        GroupStatistics(
+            one.settings,
+            one.frames if one.variance_dn2 is not None else 1,
+            one.pixels,
+            one.mean_dn,
+            one.variance_dn2 or 0.0,
+            one.spatial_variance_dn2 or 0.0,
+            one.clipped_share,
+            one.photons,
+            floor_share=one.floor_share,
+        )
+        for one in header.statistics
+    )
+    notes = ("statistics without pictures: no differences between pixels", *record.doubts, *record.missing)
+    return Subject(str(path), header.camera, header.lens, (), (None,), (None,), notes, given)
 
 
 def _of_descriptor(path: Path, region: Patch | None) -> Subject:

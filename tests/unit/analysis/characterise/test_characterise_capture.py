@@ -15,7 +15,7 @@ from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import CameraDescription, CaptureSet, FrameSettings, LensDescription, Patch, Quantity
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.devices import CameraPreset
-from radiometer.errors import CaptureError, InputError, MeasurementError
+from radiometer.errors import InputError, MeasurementError
 from simulators.camera_model import CameraModel
 from simulators.scenes import StepChartScene, UniformScene
 from simulators.simulated_capture import simulate_capture
@@ -122,9 +122,8 @@ def test_dark_frames_at_other_exposures_serve_by_their_line(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("plan", "frames", "message"),
     [
-        (_plan(darks=False), 2, r"holds no dark frames; capture them with the shutter closed"),
-        (_plan(), 1, r"only one frame at exposure .* temporal noise needs two frames"),
-        (_plan()[:2] + _plan()[16:], 2, r"needs at least 3 levels of light"),
+        (_plan(darks=False), 1, r"only one frame at exposure .* temporal noise needs two frames"),
+        (_plan(darks=False)[:2], 2, r"holds no dark frames and fewer than three levels of light"),
     ],
 )
 def test_unusable_captures_are_refused_with_the_way_out(
@@ -136,11 +135,31 @@ def test_unusable_captures_are_refused_with_the_way_out(
         characterise(subject_of_capture(capture))
 
 
-def test_dark_frames_alone_are_refused(tmp_path: Path) -> None:
-    """The message says what is missing."""
-    capture = _capture(tmp_path / "set", [p for p in _plan() if p.is_dark])
-    with pytest.raises(CaptureError, match="all frames are dark"):
-        subject_of_capture(capture)
+def test_dark_frames_alone_tell_what_darks_can(tmp_path: Path) -> None:
+    """Black level and its noise come out, no gain is claimed, and the camera file keeps what was believed."""
+    result = characterise(subject_of_capture(_capture(tmp_path / "set", [p for p in _plan() if p.is_dark])))
+    assert result.figures["mu_y_dark"].value == pytest.approx(64, abs=0.5)
+    assert "K" not in result.figures
+    assert result.description().conversion_gain_e_per_dn is None
+    assert result.to_mapping()["emva1288"]["K_by_gain"] == []
+
+
+def test_without_darks_the_gain_is_the_slope_of_a_free_line(tmp_path: Path) -> None:
+    """K within 4 standard deviations whatever the black level; nothing that needs darkness is claimed."""
+    result = characterise(subject_of_capture(_capture(tmp_path / "set", _plan(darks=False))))
+    assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
+    assert {"sigma_d", "mu_y_dark", "mu_e_sat"} & set(result.figures) == set()
+    assert any("slope of a free line" in note for note in result.notes)
+
+
+def test_one_level_of_light_tells_the_gain_with_room_for_a_bend(tmp_path: Path) -> None:
+    """K within 4 standard deviations, and its uncertainty is not below the 2 % kept for an unseen bend."""
+    plan = [_plan()[6], *(p for p in _plan() if p.is_dark)]
+    result = characterise(subject_of_capture(_capture(tmp_path / "set", plan)))
+    K = result.figures["K"]
+    assert K.value == pytest.approx(1 / 2.6, abs=4 * K.u)
+    assert 0.02 <= K.u_rel < 0.1
+    assert any("1 level of light" in note for note in result.notes)
 
 
 def test_of_two_f_numbers_the_more_frequent_is_used(tmp_path: Path) -> None:
@@ -250,7 +269,7 @@ def test_descriptor_export_without_photons_is_refused(capture: CaptureSet) -> No
         ("n 12 4 4\n", r"lists no image"),
         ("n 12 4 4\nq 1\n", r"line 2: q 1: is not understood \(a line begins with v, n, b, d or i\)"),
         ("n 12 4 4\nb ten 5\n", r"line 2: b ten 5: is not understood"),
-        ("n 12 4 4\nd 0\n", r"line 2: .*exposure must be above 0 ns"),
+        ("n 12 4 4\nd -1\n", r"line 2: .*exposure must be 0 ns or above"),
         ("n 12 4 4\ni a.png\n", r"line 2: .*before the first b or d line"),
         ("n 12 4 4\nd 100\ni images\\a.png\n", r"line 3: image .*images/a\.png does not exist"),
     ],

@@ -1,0 +1,262 @@
+"""What frames tell that are too few for a whole characterisation: darks alone, one level of light, single frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from radiometer.analysis.characterise.dark_figures import gain_from_darks, typical_dark_current
+from radiometer.analysis.characterise.dark_signal import by_temperature, dark_signal
+from radiometer.analysis.characterise.group_statistics import GroupStatistics
+from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, prnu
+from radiometer.analysis.characterise.photon_transfer import (
+    CLIPPED_SHARE,
+    PhotonTransfer,
+    photon_transfer,
+    transfer_of_few,
+)
+from radiometer.analysis.characterise.result import Characterisation
+from radiometer.analysis.characterise.sensitivity import sensitivity_figures
+from radiometer.analysis.characterise.steps import Step, make_steps
+from radiometer.analysis.characterise.subject import Subject
+from radiometer.data import Provenance, Quantity
+from radiometer.errors import MeasurementError
+from radiometer.units import gain_factor
+
+_DOUBTFUL_SIGMAS = 2.0
+
+
+def partial_characterisation(
+    subject: Subject,
+    bright: Sequence[GroupStatistics],
+    lit: Sequence[GroupStatistics],
+    dark: Sequence[GroupStatistics],
+) -> Characterisation:
+    """Return the figures that can be had, with notes that say what is missing for the others.
+
+    Args:
+        subject: The frames.
+        bright: Bright groups, single frames included.
+        lit: Bright groups of two frames or more that do not contradict the others.
+        dark: Dark groups.
+
+    Raises:
+        MeasurementError: If no figure can be had.
+    """
+    gain_db = _gain(lit or dark or bright)
+    lit = [b for b in lit if b.settings.gain_db == gain_db]
+    dark = [d for d in dark if d.settings.gain_db == gain_db]
+    notes = list(subject.notes)
+    steps, transfer, K = _photon_transfer(lit, dark, notes)
+    figures = {"K": K} if K is not None else {}
+    main = _main_region([*lit, *dark, *bright])
+    own_dark = [d for d in dark if d.region == main]
+    told = gain_from_darks(subject, own_dark) if own_dark else None
+    if told is not None:
+        figures["K_dark"] = told[0]
+        notes += disagreeing_gains(K, told[0])
+    best = K or (told[0] if told else None)
+    figures |= _dark_figures(own_dark, best, subject, _temperature(lit), notes)
+    figures |= _nonuniformity([b for b in lit if b.region == main], own_dark, best)
+    if "mu_y_dark" not in figures and subject.masked_dn:
+        figures["mu_y_dark"] = _of_masked_rows(subject.masked_dn)
+        notes.append("the black level is that of the masked rows")
+    if not figures or (K is None and not own_dark and "mu_y_dark" not in figures):
+        raise MeasurementError(_nothing(subject, bright, lit))
+    if best is not None:
+        notes += stated_gain_doubt(subject.camera.conversion_gain_e_per_dn, best, gain_db)
+    return Characterisation(
+        believed=subject.camera,
+        gain_db=gain_db,
+        figures=figures,
+        gains={gain_db: best} if best is not None else {},
+        transfer=transfer,
+        steps=tuple(s for s in steps if s.bright.region == main),
+        dark_points=tuple(
+            (d.settings.exposure_s, d.mean_dn, d.variance_dn2, d.settings.temperature_c) for d in own_dark
+        ),
+        linearity=None,
+        notes=tuple(notes),
+        provenance=Provenance("EMVA 1288 release 4.0, linear, in part", (subject.origin,), tuple(notes)),
+        reference_temperature_c=_temperature(own_dark),
+        limited_by="unknown",
+    )
+
+
+def bent(transfer: PhotonTransfer) -> str:
+    """Return the note for a photon transfer that bends: the ratio of variance to mean at its two ends."""
+    used = sorted(transfer.used, key=lambda s: s.signal_dn)
+    third = max(1, len(used) // 3)
+    ends = [
+        float(np.mean([s.photo_variance_dn2 / s.signal_dn for s in part])) for part in (used[:third], used[-third:])
+    ]
+    return (
+        f"the photon transfer bends (variance over mean goes from {ends[0]:.3g} to {ends[1]:.3g} DN): there is no one "
+        "gain, and the uncertainty of K holds the range"
+    )
+
+
+def disagreeing_gains(K: Quantity | None, K_dark: Quantity) -> list[str]:
+    """Return a note on how the gain from darks compares with that from light; none where there is no light."""
+    if K is None:
+        return ["the gain is that of the dark current's shot noise: no pairs of bright frames tell it"]
+    distance = abs(K.value - K_dark.value) / math.hypot(K.u, K_dark.u)
+    word = "agrees with" if distance <= _DOUBTFUL_SIGMAS else "differs from"
+    return [
+        f"the gain from dark frames, {K_dark.value:.4g} ± {K_dark.u:.2g} DN/e-, {word} that from light, "
+        f"{K.value:.4g} ± {K.u:.2g} DN/e- ({distance:.1f} u)"
+    ]
+
+
+def stated_gain_doubt(stated_e_per_dn: float | None, K: Quantity, gain_db: float) -> list[str]:
+    """Return a note where the conversion gain that a header or description states is off by more than 2 u."""
+    if stated_e_per_dn is None:
+        return []
+    measured, u = gain_factor(gain_db) / K.value, gain_factor(gain_db) / K.value * K.u_rel
+    if abs(stated_e_per_dn - measured) <= _DOUBTFUL_SIGMAS * u:
+        return []
+    off = 100.0 * (stated_e_per_dn / measured - 1.0)
+    return [
+        f"conversion_gain_error: stated are {stated_e_per_dn:.4g} e-/DN, the noise says {measured:.4g} ± {u:.2g}: the "
+        f"statement is off by {off:+.1f} %"
+    ]
+
+
+def _gain(groups: Sequence[GroupStatistics]) -> float:
+    gains = [g.settings.gain_db for g in groups]
+    return max(sorted(set(gains), key=abs), key=gains.count, default=0.0)
+
+
+def _main_region(groups: Sequence[GroupStatistics]) -> int:
+    return max(groups, key=lambda s: (s.pixels, s.mean_dn)).region if groups else 0
+
+
+def _temperature(groups: Sequence[GroupStatistics]) -> float | None:
+    known = [g.settings.temperature_c for g in groups if g.settings.temperature_c is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _photon_transfer(
+    lit: Sequence[GroupStatistics], dark: Sequence[GroupStatistics], notes: list[str]
+) -> tuple[list[Step], PhotonTransfer | None, Quantity | None]:
+    if not lit:
+        return [], None, None
+    if any(d.has_noise for d in dark):
+        try:
+            steps = make_steps(lit, dark)
+        except MeasurementError as error:
+            notes.append(str(error))
+            return [], None, None
+        K = transfer_of_few(steps)
+        if K is not None:
+            levels = len({s.light for s in steps})
+            notes.append(
+                f"the gain comes from {levels} level{'s' if levels > 1 else ''} of light: no linearity, no saturation, "
+                "and a bend of the photon transfer would not show (2 % is kept for it)"
+            )
+        return steps, None, K
+    return _without_darks(lit, notes)
+
+
+def _without_darks(
+    lit: Sequence[GroupStatistics], notes: list[str]
+) -> tuple[list[Step], PhotonTransfer | None, Quantity | None]:
+    """Return K from a free line of variance over mean: the black level falls out of its slope."""
+    steps = [
+        Step(b, b.settings.exposure_s if b.photons is None else b.photons, 0.0, 0.0, 0.0, 0.0)
+        for b in sorted(lit, key=lambda b: b.mean_dn)
+    ]
+    top = max(steps, key=lambda s: s.bright.variance_dn2)
+    try:
+        transfer = photon_transfer(steps, top.signal_dn, free=True)
+    except MeasurementError as error:
+        notes.append(f"no gain without dark frames: {error}")
+        return [], None, None
+    notes.append(
+        "no dark frames: the gain is the slope of a free line, and black level, read noise and saturation capacity "
+        "cannot be told from it"
+    )
+    if transfer.line.birge_ratio > 1.5:
+        notes.append(
+            f"the photon transfer scatters {transfer.line.birge_ratio:.1f} times more than noise alone (unsteady light "
+            "or a sensor that is not linear); the uncertainty of K is widened by that"
+        )
+    if transfer.bend_u > 0:
+        notes.append(bent(transfer))
+    full = [s for s in steps if s.bright.clipped_share > CLIPPED_SHARE]
+    if full:
+        notes.append(f"pixels clip at the highest code in {len(full)} of {len(steps)} settings: these are left out")
+    return steps, transfer, transfer.K
+
+
+def _dark_figures(
+    dark: Sequence[GroupStatistics],
+    K: Quantity | None,
+    subject: Subject,
+    temperature_c: float | None,
+    notes: list[str],
+) -> dict[str, Quantity]:
+    if not dark:
+        return {}
+    figures: dict[str, Quantity] = {}
+    step_dn = subject.camera.code_step_dn or 1
+    noisy = [p for p in by_temperature(dark) if any(d.has_noise for d in p)]
+    if noisy:
+        wanted = -273.0 if temperature_c is None else temperature_c
+        own = min(noisy, key=lambda p: abs((_temperature(p) or 0.0) - wanted))
+        signal = dark_signal(own, step_dn)
+        temperature_c = signal.temperature_c
+        figures["mu_y_dark"] = signal.mean_dn
+        figures["sigma_y_dark"] = Quantity(
+            math.sqrt(signal.variance_dn2.value), signal.variance_dn2.u / 2 / math.sqrt(signal.variance_dn2.value), "DN"
+        )
+        if K is not None:
+            found = sensitivity_figures(K, signal.variance_dn2, None, None, step_dn)
+            figures |= {name: found[name] for name in ("sigma_d", "mu_e_min")}
+            if signal.mean_line is not None:
+                line = signal.mean_line
+                u = math.hypot(line.u_slope, line.slope * K.u_rel) / K.value
+                figures["mu_I_mean"] = Quantity(line.slope / K.value, u, "e-/s")
+    else:
+        first = min(dark, key=lambda d: d.settings.exposure_s)
+        figures["mu_y_dark"] = Quantity(first.mean_dn, first.u_mean_dn, "DN")
+        notes.append("no two dark frames of one setting: no temporal dark noise")
+    figures |= typical_dark_current(dark, temperature_c, K)
+    if not any(name in figures for name in ("mu_I_typical", "mu_I_dn")):
+        notes.append("dark current needs dark frames at two exposures or more")
+    return figures
+
+
+def _nonuniformity(
+    lit: Sequence[GroupStatistics], dark: Sequence[GroupStatistics], K: Quantity | None
+) -> dict[str, Quantity]:
+    stacks = [d for d in dark if d.has_noise and d.split is not None]
+    if not stacks:
+        return {}
+    below = max(stacks, key=lambda d: (d.frames, -d.settings.exposure_s))
+    clear = [b for b in lit if b.clipped_share <= CLIPPED_SHARE and b.split is not None]
+    bright = best_stack(clear, max(b.mean_dn for b in clear), below.mean_dn) if clear else None
+    figures = {"DSNU_1288": dsnu(below, K)} if K is not None else {}
+    if bright is not None:
+        figures["PRNU_1288"] = prnu(bright, below)
+    return figures | nonuniformity_by_part(bright, below, K)
+
+
+def _of_masked_rows(masked_dn: Sequence[float]) -> Quantity:
+    spread = float(np.std(masked_dn, ddof=1)) if len(masked_dn) > 1 else 1.0
+    return Quantity(float(np.mean(masked_dn)), max(spread, 1 / math.sqrt(12)), "DN")
+
+
+def _nothing(subject: Subject, bright: Sequence[GroupStatistics], lit: Sequence[GroupStatistics]) -> str:
+    single = next((b for b in bright if not b.has_noise), None)
+    if single is not None and not lit:
+        return (
+            f"{subject.origin}: only one frame at exposure {single.settings.exposure_s:g} s ({single.settings.shutter} "
+            "shutter): temporal noise needs two frames at every setting; capture with --repeat 2"
+        )
+    return (
+        f"{subject.origin}: holds no dark frames and fewer than three levels of light; capture both "
+        "(radiometer bracket --repeat 2 --darks 2)"
+    )

@@ -1,0 +1,325 @@
+"""A camera's passport: what stayed and what changed between its sessions over years."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.characterise.line_fit import fit_line
+from radiometer.archive.sessions import LightSeries, Session
+from radiometer.data import Quantity
+
+Array = NDArray[np.float64]
+
+# What repeats no better between sessions of an unchanged camera, relative; beside the figures' own u.
+REPEATABILITY: Final[dict[str, float]] = {"K": 0.01, "K_dark": 0.01, "sigma_y_dark": 0.01}
+_REPEATABILITY_BLACK_DN: Final = 1.0
+_COMPARED: Final = ("K", "K_dark", "sigma_y_dark", "mu_y_dark")
+_AGREE_SIGMAS: Final = 2.0
+_CHANGED_SIGMAS: Final = 3.0
+_JUMP_SIGMAS: Final = 5.0
+_SMALLEST_JUMP_REL: Final = 0.002
+_LIGHT_CHANGED_REL: Final = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class DarkLaw:
+    """One law of the dark current over all sessions: D = D_0·2^(T / T_d), T in °C.
+
+    Attributes:
+        doubling_k: T_d with its standard uncertainty, widened by the points' scatter about the law.
+        rate_at_0: D_0 in DN/s.
+        birge_ratio: Scatter over what the points' uncertainties allow.
+        offset: Largest relative offset of one session from the law of the others, its u widened by the scatter; None
+            where one session is all there is, or temperatures and sessions cannot be told apart.
+        points: (session, temperature in °C, dark current in DN/s, its distance from the law in u).
+    """
+
+    doubling_k: Quantity
+    rate_at_0: Quantity
+    birge_ratio: float
+    offset: Quantity | None
+    points: tuple[tuple[str, float, float, float], ...]
+
+    @property
+    def is_one(self) -> bool:
+        """Tell whether no session lies off the law of the others by more than two u."""
+        return self.offset is None or abs(self.offset.value) <= _AGREE_SIGMAS * self.offset.u
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """How a quantity compares between sessions: its values, and whether it changed."""
+
+    quantity: str
+    changed: bool
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class Passport:
+    """What the sessions of one camera say together.
+
+    Attributes:
+        camera: Maker, model, serial number, band.
+        sessions: The sessions by time.
+        dark_law: The law of the dark current; None where fewer than two temperatures tell it.
+        gain: Lines on the gain: stated against light against darks.
+        changes: What changed and what did not, of the camera.
+        light: What the light did, which is not the camera's.
+    """
+
+    camera: tuple[str, ...]
+    sessions: tuple[Session, ...]
+    dark_law: DarkLaw | None
+    gain: tuple[str, ...]
+    changes: tuple[Change, ...]
+    light: tuple[str, ...]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the passport as plain values."""
+        law = self.dark_law
+        return {
+            "camera": " ".join(self.camera),
+            "sessions": [
+                {
+                    "name": s.name,
+                    "taken": s.taken.isoformat() if s.taken else None,
+                    "figures": {name: q.to_mapping() for name, q in s.figures.items()},
+                    "notes": list(s.notes),
+                }
+                for s in self.sessions
+            ],
+            "dark_law": None
+            if law is None
+            else {
+                "doubling_K": law.doubling_k.to_mapping(),
+                "rate_at_0C": law.rate_at_0.to_mapping(),
+                "birge_ratio": law.birge_ratio,
+                "one_law": law.is_one,
+                "session_offset": None if law.offset is None else law.offset.to_mapping(),
+                "points": [
+                    {"session": name, "temperature_C": t, "rate_dn_per_s": rate, "distance_u": z}
+                    for name, t, rate, z in law.points
+                ],
+            },
+            "gain": list(self.gain),
+            "changes": [asdict(change) for change in self.changes],
+            "light": list(self.light),
+        }
+
+
+def passports(sessions: Sequence[Session]) -> list[Passport]:
+    """Return one passport per camera."""
+    by_camera: dict[tuple[str, ...], list[Session]] = {}
+    for session in sessions:
+        by_camera.setdefault(session.camera, []).append(session)
+    return [_passport(camera, own) for camera, own in by_camera.items()]
+
+
+def _passport(camera: tuple[str, ...], sessions: Sequence[Session]) -> Passport:
+    law = fit_dark_law(sessions)
+    changes = [change for name in _COMPARED if (change := _compared(name, sessions)) is not None]
+    if law is not None and len({point[0] for point in law.points}) > 1:
+        said = "one law" if law.is_one else "no one law"
+        apart = (
+            ""
+            if law.offset is None
+            else f", a session off by {100 * law.offset.value:+.1f} ± {100 * law.offset.u:.1f} %"
+        )
+        what = f"{said} over {len(law.points)} temperatures of {len({p[0] for p in law.points})} sessions{apart}"
+        changes.append(Change("dark current", not law.is_one, what))
+    unchanged = not any(change.changed for change in changes if change.quantity in ("K", "dark current"))
+    return Passport(
+        camera, tuple(sessions), law, tuple(_gain(sessions)), tuple(changes), tuple(_light(sessions, unchanged))
+    )
+
+
+def fit_dark_law(sessions: Sequence[Session]) -> DarkLaw | None:
+    """Return the law of the dark current over all plateaus of all sessions; None with fewer than two temperatures.
+
+    ln D is a line over T. Each point's uncertainty holds that of its temperature; scatter beyond it widens the law's.
+
+    Source: EMVA Standard 1288, release 4.0, equation (17); JCGM 100:2008, annex H.3.
+    """
+    points = [(s.name, t, u, rate) for s in sessions for t, u, rate in s.dark_rates if rate.value > 2 * rate.u]
+    temperatures = np.array([t for _, t, _, _ in points])
+    if len(points) < 2 or np.ptp(temperatures) < 1.0:
+        return None
+    logs = np.array([math.log(rate.value) for _, _, _, rate in points])
+    slope = math.log(2) / 5.0
+    for _ in range(3):
+        u = np.array([math.hypot(rate.u_rel, slope * u_t) for _, _, u_t, rate in points])
+        centre = float(np.average(temperatures, weights=u**-2))
+        line = fit_line(temperatures - centre, logs, u)
+        if line.slope <= 0:
+            return None
+        slope = line.slope
+    distances = (logs - line.intercept - line.slope * (temperatures - centre)) / u
+    at_0 = line.intercept - line.slope * centre
+    u_at_0 = math.hypot(line.u_intercept, centre * line.u_slope)
+    return DarkLaw(
+        Quantity(math.log(2) / line.slope, math.log(2) / line.slope**2 * line.u_slope, "K"),
+        Quantity(math.exp(at_0), math.exp(at_0) * u_at_0, "DN/s"),
+        line.birge_ratio,
+        _largest_offset([name for name, _, _, _ in points], temperatures - centre, logs, u, line.birge_ratio),
+        tuple((name, float(t), rate.value, float(z)) for (name, t, _, rate), z in zip(points, distances, strict=True)),
+    )
+
+
+def _largest_offset(
+    names: Sequence[str], temperatures: Array, logs: Array, u: Array, birge_ratio: float
+) -> Quantity | None:
+    """Return the offset of ln D of the session that lies farthest, in u, off the law that all share."""
+    worst: Quantity | None = None
+    for name in dict.fromkeys(names):
+        own = np.array([other == name for other in names], dtype=np.float64)
+        design = np.column_stack([np.ones_like(logs), temperatures, own]) / u[:, None]
+        if own.all() or np.linalg.matrix_rank(design) < 3:
+            continue
+        normal = np.linalg.inv(design.T @ design)
+        solution = normal @ design.T @ (logs / u)
+        freedom = logs.size - 3
+        residual = design @ solution - logs / u
+        scatter = math.sqrt(float(residual @ residual) / freedom) if freedom > 0 else birge_ratio
+        found = Quantity(float(solution[2]), math.sqrt(float(normal[2, 2])) * max(1.0, scatter), "1")
+        if worst is None or abs(found.value) / found.u > abs(worst.value) / worst.u:
+            worst = found
+    return worst
+
+
+def _compared(name: str, sessions: Sequence[Session]) -> Change | None:
+    """Return how a figure compares between the sessions that tell it; None where fewer than two do."""
+    known = [(s, s.figures[name]) for s in sessions if name in s.figures]
+    if len(known) < 2:
+        return None
+    values, u = np.array([(q.value, math.hypot(q.u, _floor(name, q.value))) for _, q in known]).T
+    mean = float(np.average(values, weights=u**-2))
+    worst = float(np.max(np.abs(values - mean) / u))
+    changed = worst > _CHANGED_SIGMAS
+    unit = known[0][1].unit
+    said = ", ".join(f"{q.value:.5g} ± {q.u:.2g}" for _, q in known)
+    degrees = _temperatures([s for s, _ in known])
+    return Change(name, changed, f"{said} {unit}{degrees if changed else ''}")
+
+
+def _floor(name: str, value: float) -> float:
+    return _REPEATABILITY_BLACK_DN if name == "mu_y_dark" else REPEATABILITY[name] * value
+
+
+def _temperatures(sessions: Sequence[Session]) -> str:
+    known = [[t for t, _, _ in s.dark_rates] for s in sessions]
+    if not all(known):
+        return ""
+    return " at " + ", ".join("/".join(f"{t:.0f}" for t in several) for several in known) + " °C"
+
+
+def _gain(sessions: Sequence[Session]) -> list[str]:
+    """Return lines on the gain: what headers state against what light and darks say, and these against each other."""
+    lines = []
+    light, dark = (_mean([s.figures[name] for s in sessions if name in s.figures]) for name in ("K", "K_dark"))
+    stated = sorted({s.stated_e_per_dn for s in sessions if s.stated_e_per_dn is not None})
+    for source, K in (("light", light), ("darks", dark)):
+        if K is None:
+            continue
+        measured, u = 1.0 / K.value, K.u_rel / K.value
+        lines.append(f"from {source}: {measured:.4g} ± {u:.2g} e-/DN")
+        for value in stated:
+            off, sigmas = 100.0 * (value / measured - 1.0), abs(value - measured) / u
+            word = "wrong" if sigmas > _AGREE_SIGMAS else "within 2 u"
+            lines.append(f"stated are {value:.4g} e-/DN: off by {off:+.1f} % against {source} ({sigmas:.1f} u), {word}")
+    if light is not None and dark is not None:
+        sigmas = abs(light.value - dark.value) / math.hypot(light.u, dark.u)
+        word = "agree" if sigmas <= _AGREE_SIGMAS else "disagree"
+        lines.append(f"light and darks {word}: {sigmas:.1f} u apart")
+    return lines
+
+
+def _mean(values: Sequence[Quantity]) -> Quantity | None:
+    """Return the mean of one gain seen several times; what bends it is the sensor's, so u is no less than the best."""
+    if not values:
+        return None
+    x, u = np.array([(q.value, q.u) for q in values]).T
+    weights = u**-2 / np.sum(u**-2)
+    mean = float(weights @ x)
+    scatter = math.sqrt(float(weights @ (x - mean) ** 2))
+    return Quantity(mean, math.hypot(float(u.min()), scatter), values[0].unit)
+
+
+def _light(sessions: Sequence[Session], camera_unchanged: bool) -> list[str]:
+    lines = [line for s in sessions for series in s.series if (line := light_line(s.name, series))]
+    levels: dict[tuple[Any, ...], list[tuple[Session, float]]] = {}
+    for session in sessions:
+        for series in session.series:
+            levels.setdefault(series.setting, []).append((session, float(np.mean(series.signal_dn))))
+    for setting, seen in levels.items():
+        lines += _level_change(setting, seen, camera_unchanged)
+    return lines
+
+
+def _level_change(setting: tuple[Any, ...], seen: Sequence[tuple[Session, float]], camera_unchanged: bool) -> list[str]:
+    lines = []
+    for (before, low), (after, high) in itertools.pairwise(seen):
+        change = high / low - 1.0
+        gains = [s.figures.get("K") for s in (before, after)]
+        if abs(change) <= _LIGHT_CHANGED_REL:
+            continue
+        if gains[0] is not None and gains[1] is not None:
+            # The same electrons at another gain are a change of the camera; at the same gain, of the light.
+            change = high / gains[1].value / (low / gains[0].value) - 1.0
+            if abs(change) <= _LIGHT_CHANGED_REL + 2 * math.hypot(gains[0].u_rel, gains[1].u_rel):
+                continue
+        whose = "the light (gain and dark current did not change)" if camera_unchanged else "light or camera"
+        lines.append(
+            f"at {setting[0]:g} s the signal changed by {100 * change:+.1f} % from {before.name} to {after.name}: "
+            f"{whose}"
+        )
+    return lines
+
+
+def light_line(session: str, series: LightSeries) -> str | None:
+    """Return what the light did during frames of one setting; None where it was steady to 0.2 %.
+
+    A jump is a step between two frames that stands five standard deviations out of the scatter on both sides.
+    """
+    signal = np.array(series.signal_dn)
+    relative = signal / signal.mean() - 1.0
+    jump = _jump(relative)
+    where = f"{session}, {series.exposure_s:g} s"
+    if jump is not None:
+        index, size = jump
+        return (
+            f"{where}: the light jumped by {100 * size:+.2f} % between {series.files[index - 1]} and "
+            f"{series.files[index]}"
+        )
+    spread = float(np.std(relative, ddof=1))
+    if spread < _SMALLEST_JUMP_REL / 2:
+        return None
+    return (
+        f"{where}: the light wandered by {100 * spread:.2f} % (standard deviation of {signal.size} frames, "
+        f"{100 * relative.min():+.2f} to {100 * relative.max():+.2f} %)"
+    )
+
+
+def _jump(relative: Array) -> tuple[int, float] | None:
+    """Return (index of the first frame behind it, size) of the clearest step; None where there is none."""
+    if relative.size < 6:
+        return None
+    best: tuple[float, int, float] | None = None
+    for index in range(2, relative.size - 1):
+        before, after = relative[:index], relative[index:]
+        size = float(after.mean() - before.mean())
+        rest = np.concatenate([before - before.mean(), after - after.mean()])
+        sd = math.sqrt(float(rest @ rest) / (relative.size - 2))
+        sigmas = abs(size) / max(sd * math.sqrt(1 / before.size + 1 / after.size), 1e-9)
+        if best is None or sigmas > best[0]:
+            best = (sigmas, index, size)
+    if best is None or best[0] < _JUMP_SIGMAS or abs(best[2]) < _SMALLEST_JUMP_REL:
+        return None
+    return best[1], best[2]

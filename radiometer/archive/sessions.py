@@ -1,0 +1,186 @@
+"""Sessions of cameras in an archive: capture sets and folders of other laboratories' files, each characterised."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from radiometer.analysis.characterise import Characterisation, characterise, subject_of_capture
+from radiometer.analysis.characterise.dark_figures import typical_rates
+from radiometer.analysis.characterise.frame_groups import groups_of_capture
+from radiometer.data import CaptureSet, Quantity
+from radiometer.data.capture_set import HEADER_NAME
+from radiometer.errors import InputError, MeasurementError, RadiometerError
+from radiometer.importing import import_sources
+from radiometer.importing.emva_listing import DESCRIPTOR_NAME
+from radiometer.importing.sources import FITS_SUFFIXES, TIFF_SUFFIXES, as_capture
+
+_FEWEST_OF_A_SERIES: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class LightSeries:
+    """Frames of one bright setting: their signal above black in DN, in the order they were taken."""
+
+    exposure_s: float
+    gain_db: float
+    source_level: float
+    pattern: str
+    files: tuple[str, ...]
+    signal_dn: tuple[float, ...]
+
+    @property
+    def setting(self) -> tuple[float, float, float, str]:
+        """Return what must be equal for two series to be compared."""
+        return (self.exposure_s, self.gain_db, self.source_level, self.pattern)
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """One session of one camera.
+
+    Attributes:
+        name: Folder, with the camera's name where it holds several.
+        camera: Maker, model, serial number and band; what is unknown is left out.
+        taken: Time of its first frame; None where unknown.
+        stated_e_per_dn: Conversion gain that its headers state; None where unknown.
+        figures: EMVA 1288 figures that it tells.
+        dark_rates: (temperature in °C, u in K, dark current in DN/s) of each plateau.
+        series: Repeated bright frames.
+        notes: What a user must know.
+    """
+
+    name: str
+    camera: tuple[str, ...]
+    taken: dt.datetime | None
+    stated_e_per_dn: float | None
+    figures: dict[str, Quantity]
+    dark_rates: tuple[tuple[float, float, Quantity], ...]
+    series: tuple[LightSeries, ...]
+    notes: tuple[str, ...]
+
+
+def find_sessions(archive: Path) -> list[CaptureSet]:
+    """Return the sessions of an archive, one per folder and camera, at any depth.
+
+    Raises:
+        InputError: If there is none.
+    """
+    if not archive.is_dir():
+        raise InputError(f"{archive} is no folder; name one that holds capture sets or folders of frames")
+    own = sorted({header.parent for header in archive.rglob(HEADER_NAME)})
+    found = [CaptureSet.read(folder) for folder in own]
+    for folder in _foreign_folders(archive, own):
+        try:
+            several = import_sources(_direct_files(folder))
+        except InputError:
+            continue  # none of its files is a frame
+        for one in several:
+            name = folder if len(several) == 1 else folder / one.title
+            found.append(as_capture(one, name))
+    if not found:
+        raise InputError(f"{archive}: holds no capture set, and no folder of FITS or raw TIFF frames")
+    return found
+
+
+def read_session(capture: CaptureSet, report: Callable[[str], None] = lambda line: None) -> Session:
+    """Return what one session tells of its camera; what cannot be had is a note.
+
+    Raises:
+        CaptureError: If a frame is unreadable.
+    """
+    report(capture.path.name)
+    camera = capture.header.camera
+    subject = subject_of_capture(capture)
+    statistics = subject.statistics()
+    result: Characterisation | None = None
+    notes: tuple[str, ...] = ()
+    try:
+        result = characterise(subject, statistics)
+        notes = result.notes
+    except MeasurementError as error:
+        notes = (str(error),)
+    main = max(statistics, key=lambda s: s.pixels).region
+    dark = [s for s in statistics if s.settings.is_dark and s.region == main]
+    rates = tuple((t, u, rate) for t, u, rate in typical_rates(dark) if t is not None) if dark else ()
+    black_dn = min((d.mean_dn for d in dark), default=camera.black_level_dn or 0.0)
+    return Session(
+        str(capture.path),
+        _identity(capture),
+        _taken(capture),
+        camera.conversion_gain_e_per_dn,
+        dict(result.figures) if result else {},
+        rates,
+        tuple(_series(capture, black_dn)),
+        notes,
+    )
+
+
+def read_sessions(archive: Path, report: Callable[[str], None] = lambda line: None) -> list[Session]:
+    """Return all sessions of an archive by time, those that cannot be read with the reason as their note.
+
+    Raises:
+        InputError: If there is none.
+    """
+    sessions = []
+    for capture in find_sessions(archive):
+        try:
+            sessions.append(read_session(capture, report))
+        except RadiometerError as error:
+            failed = Session(str(capture.path), _identity(capture), _taken(capture), None, {}, (), (), (str(error),))
+            sessions.append(failed)
+    early = dt.datetime.min.replace(tzinfo=dt.UTC)
+    return sorted(sessions, key=lambda s: (s.taken or early, s.name))
+
+
+def _foreign_folders(archive: Path, own: Sequence[Path]) -> list[Path]:
+    folders = {
+        file.parent
+        for file in archive.rglob("*")
+        if file.is_file() and (_is_frame(file) or file.name == DESCRIPTOR_NAME)
+    }
+    return sorted(f for f in folders if not any(f.is_relative_to(one) for one in own))
+
+
+def _is_frame(file: Path) -> bool:
+    return Path(file.name.lower().removesuffix(".gz")).suffix in (*FITS_SUFFIXES, *TIFF_SUFFIXES)
+
+
+def _direct_files(folder: Path) -> list[Path]:
+    if (folder / DESCRIPTOR_NAME).is_file():
+        return [folder]
+    return sorted(file for file in folder.iterdir() if file.is_file() and _is_frame(file))
+
+
+def _identity(capture: CaptureSet) -> tuple[str, ...]:
+    camera = capture.header.camera
+    further = camera.model_extra or {}
+    facts: list[Any] = [camera.vendor, camera.model, camera.serial or further.get("unit"), further.get("band")]
+    known = tuple(str(fact) for fact in facts if fact)
+    return known or (f"unnamed camera of {camera.bit_depth} bits",)
+
+
+def _taken(capture: CaptureSet) -> dt.datetime | None:
+    created = (capture.header.model_extra or {}).get("created")
+    try:
+        moment = created if isinstance(created, dt.datetime) else dt.datetime.fromisoformat(str(created))
+    except ValueError:
+        return None
+    return moment.replace(tzinfo=moment.tzinfo or dt.UTC)
+
+
+def _series(capture: CaptureSet, black_dn: float) -> list[LightSeries]:
+    found = []
+    for group in groups_of_capture(capture):
+        one = group.settings
+        if one.is_dark or one.source_level <= 0 or len(group.files) < _FEWEST_OF_A_SERIES:
+            continue
+        means = [float(np.mean(dn)) - black_dn for dn in group.read(capture.header.camera.full_scale_dn)]
+        files = tuple(file.name for file in group.files)
+        found.append(LightSeries(one.exposure_s, one.gain_db, one.source_level, one.pattern, files, tuple(means)))
+    return found

@@ -1,0 +1,65 @@
+"""`radiometer passport`: sessions of one camera over years: what changed, what did not, and what was the light."""
+
+from __future__ import annotations
+
+import json as json_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from radiometer.cli.console import console, progress_bar
+
+if TYPE_CHECKING:
+    from radiometer.archive.passport import Passport
+
+
+def command(
+    archive: Annotated[
+        Path, typer.Argument(help="Folder of sessions at any depth: capture sets, FITS or raw TIFF frames.")
+    ],
+    json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+) -> None:
+    """Compare the sessions of each camera in an archive.
+
+    Looks for one law of the dark current over all of them, holds the stated gain against what light and darks say,
+    tells which figures changed, and keeps apart what the light did: a lamp that jumped is not a camera that changed.
+    """
+    from radiometer.archive.passport import passports
+    from radiometer.archive.sessions import read_sessions
+
+    with progress_bar(shown=not json) as bar:
+        task = bar.add_task("reading sessions", total=None)
+        sessions = read_sessions(archive, lambda name: bar.update(task, description=f"reading {name}"))
+    found = passports(sessions)
+    if json:
+        print(json_module.dumps({"cameras": [one.to_mapping() for one in found]}, ensure_ascii=False, allow_nan=False))
+        return
+    for one in found:
+        _show(one)
+
+
+def _show(passport: Passport) -> None:
+    out = console()
+    out.print(f"[bold]{' '.join(passport.camera)}[/bold]: {len(passport.sessions)} sessions")
+    for session in passport.sessions:
+        when = session.taken.date().isoformat() if session.taken else "undated"
+        out.print(f"  {when}  {session.name}: {len(session.figures)} figures")
+        for line in session.notes:
+            out.print(f"      [yellow]note[/yellow] {line}")
+    law = passport.dark_law
+    if law is not None:
+        out.print(
+            f"dark current doubles per ({law.doubling_k.value:.2f} ± {2 * law.doubling_k.u:.2f}) K (k = 2), "
+            f"{law.rate_at_0.value:.3g} DN/s at 0 °C; points scatter {law.birge_ratio:.1f} times their u: "
+            f"{'one law' if law.is_one else 'no one law'}"
+        )
+        for name, temperature_c, rate, distance in law.points:
+            out.print(f"  {temperature_c:6.1f} °C  {rate:9.4g} DN/s  {distance:+.1f} u  {name}")
+    for line in passport.gain:
+        out.print(f"gain: {line}")
+    for change in passport.changes:
+        word = "[yellow]changed[/yellow]" if change.changed else "unchanged"
+        out.print(f"{change.quantity}: {word} ({change.what})")
+    for line in passport.light:
+        out.print(f"light: {line}")

@@ -1,0 +1,224 @@
+"""What real sensors need of a characterisation, held against numbers drawn here by other formulas."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiometer.analysis.characterise import characterise, read_subject
+from radiometer.analysis.characterise.dark_figures import doubling_of, typical_rates
+from radiometer.analysis.characterise.dark_transfer import dark_transfer
+from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
+from radiometer.analysis.characterise.inconsistent import contradicting_steps
+from radiometer.analysis.characterise.line_fit import curve_u
+from radiometer.analysis.characterise.photon_transfer import photon_transfer, transfer_of_few
+from radiometer.analysis.characterise.sensitivity import sigma_d
+from radiometer.analysis.characterise.spatial_split import NoiseLeft, split_spatial_variance
+from radiometer.analysis.characterise.steps import make_steps
+from radiometer.data import FrameSettings, Quantity
+
+K_DN_PER_E = 0.5
+READ_NOISE_E = 12.0
+BLACK_DN = 1000.0
+
+
+def group(mean, variance, exposure_s=1.0, *, dark=False, photons=None, frames=2, pixels=90_000):
+    """Return statistics without pictures."""
+    settings = FrameSettings(exposure_s, shutter="closed" if dark else "open")
+    return GroupStatistics(settings, frames, pixels, mean, variance, 0.0, 0.0, photons)
+
+
+def ladder(gain=lambda signal: K_DN_PER_E):
+    """Return bright steps whose variance is the signal times a gain that may change with the signal."""
+    signals = np.linspace(200.0, 6000.0, 16)
+    bright = [group(BLACK_DN + s, 40.0 + gain(s) * s, photons=2.0 * s) for s in signals]
+    return make_steps(bright, [group(BLACK_DN, 40.0, dark=True)])
+
+
+def test_gain_of_an_exact_photon_transfer():
+    """K is the variance over the signal above darkness: neither its inverse, nor twice it, nor with the black level."""
+    assert photon_transfer(ladder(), 10_000.0).K.value == pytest.approx(0.5, rel=1e-9)
+    assert transfer_of_few(ladder()[:1]).value == pytest.approx(0.5, rel=1e-9)
+
+
+def test_a_bend_widens_the_gain():
+    """Variance over mean from 0.027 to 0.020: u holds the range as a rectangular distribution, and covers both ends."""
+    bent = photon_transfer(ladder(lambda s: 0.027 - 0.007 * (s - 200.0) / 5800.0), 10_000.0)
+    assert bent.bend_u == pytest.approx(0.007 / math.sqrt(12), rel=0.02)
+    assert abs(bent.K.value - 0.020) < 2 * bent.K.u + 0.001
+    assert photon_transfer(ladder(), 10_000.0).bend_u == 0.0
+
+
+def test_curve_of_a_free_line_is_the_range_of_its_slope():
+    """y = x + x²/10 from 0 to 5 has slopes 1 to 2: u is 1/√12."""
+    x = np.linspace(0.0, 5.0, 11)
+    assert curve_u(x, x + x**2 / 10, np.full(11, 1e-3)) == pytest.approx(1 / math.sqrt(12), rel=1e-6)
+
+
+@pytest.mark.parametrize(("step_dn", "variance"), [(1, 1 / 12), (16, 256 / 12)])
+def test_rounding_is_taken_out_of_the_dark_noise(step_dn, variance):
+    """Of 25 DN² + step²/12 remain 5 DN, with the padded step as well."""
+    assert sigma_d(25.0 + variance, 0.5, step_dn) == pytest.approx(10.0)
+
+
+def dark_frames(rates_e_per_s, exposures_s, seed=3):
+    """Return dark frames of pixels with rates of their own, by Poisson charge, normal read noise and rounding."""
+    rng = np.random.default_rng(seed)
+    frames = []
+    for seconds in exposures_s:
+        charge = rng.poisson(rates_e_per_s * seconds) + rng.normal(0.0, READ_NOISE_E, rates_e_per_s.shape)
+        frames.append(np.rint(BLACK_DN + K_DN_PER_E * charge))
+    return frames
+
+
+EXPOSURES_S = (0.0, 0.0, 10.0, 30.0, 60.0, 90.0, 120.0, 180.0, 240.0, 300.0)
+
+
+def rates():
+    """Return rates in e-/s with a spread between pixels and 1 % hot ones."""
+    rng = np.random.default_rng(8)
+    return rng.gamma(25.0, 0.04, (220, 220)) + np.where(rng.random((220, 220)) < 0.01, 40.0, 0.0)
+
+
+def test_gain_from_single_dark_frames():
+    """One frame per exposure tells K by the dark current's shot noise, within 3 u and 3 %, u being 6 % at most."""
+    found = dark_transfer(dark_frames(rates(), EXPOSURES_S))
+    assert found.K.value == pytest.approx(K_DN_PER_E, abs=3 * found.K.u)
+    assert found.K.value == pytest.approx(K_DN_PER_E, rel=0.03)
+    assert found.K.u_rel < 0.06
+    read_noise_dn2 = (K_DN_PER_E * READ_NOISE_E) ** 2 + 1 / 12
+    assert found.line.intercept + found.line.slope * BLACK_DN == pytest.approx(read_noise_dn2, abs=2.0)
+
+
+def test_no_dark_current_tells_no_gain():
+    """Frames that differ by read noise alone give none."""
+    assert dark_transfer(dark_frames(np.zeros((120, 120)), EXPOSURES_S)) is None
+
+
+def dark_groups(rate_dn_per_s, temperature_c, times_s=(0.0, 30.0, 60.0, 300.0), scale=1.0):
+    """Return dark groups of one temperature whose mean rises with the exposure; times may be given in other units."""
+    return [
+        replace(
+            group(BLACK_DN + rate_dn_per_s * t, 40.0, t * scale, dark=True),
+            settings=FrameSettings(t * scale, temperature_c=temperature_c, shutter="closed"),
+        )
+        for t in times_s
+    ]
+
+
+def test_dark_current_is_per_second():
+    """0.72 DN/s comes out of exposures in s; the same means over ms would be a thousandth."""
+    ((_, _, rate),) = typical_rates(dark_groups(0.72, 0.0))
+    assert rate.value == pytest.approx(0.72)
+    ((_, _, slow),) = typical_rates(dark_groups(0.72, 0.0, scale=1000.0))
+    assert slow.value == pytest.approx(0.72e-3)
+
+
+def test_doubling_by_the_exponential_law():
+    """Currents 1 : 4 at 0 and 10 °C double per 5 K, and the temperature's readings set the uncertainty."""
+    found = doubling_of(typical_rates([*dark_groups(0.5, 0.0), *dark_groups(2.0, 10.0)]))
+    assert found.value == pytest.approx(5.0)
+    wide = doubling_of([(0.0, 0.2, Quantity(0.5, 0.001, "DN/s")), (10.0, 0.2, Quantity(2.0, 0.001, "DN/s"))])
+    assert wide.u == pytest.approx(5.0 * math.hypot(0.2, 0.2) / 10.0, rel=0.05)
+
+
+def picture(row_sd, column_sd, pixel_sd, shape=(300, 400), seed=5):
+    """Return a picture of independent rows, columns and pixels."""
+    rng = np.random.default_rng(seed)
+    rows, columns = rng.normal(0, row_sd, (shape[0], 1)), rng.normal(0, column_sd, (1, shape[1]))
+    return 500.0 + rows + columns + rng.normal(0, pixel_sd, shape)
+
+
+def test_rows_columns_and_pixels_are_told_apart():
+    """Each part comes out within 4 of its standard uncertainties, and the parts do not mix."""
+    found = split_spatial_variance(picture(1.5, 0.7, 2.5), NoiseLeft(0.0, 0.0, 0.0))
+    assert found.row_dn2 == pytest.approx(2.25, abs=4 * found.u_row_dn2)
+    assert found.column_dn2 == pytest.approx(0.49, abs=4 * found.u_column_dn2)
+    assert found.pixel_dn2 == pytest.approx(6.25, abs=4 * found.u_pixel_dn2)
+
+
+def test_the_standards_equations_give_the_same():
+    """Solved as the standard has it (variances over MN, N and M) the parts agree to 1/M."""
+    y = picture(1.5, 0.7, 2.5)
+    M, N = y.shape
+    av, cav, rav = y.var(), y.mean(axis=0).var(), y.mean(axis=1).var()
+    pixel = M * N / (M * N - M - N) * (av - cav - rav)
+    row = (M * N - M) / (M * N - M - N) * rav - N / (M * N - M - N) * (av - cav)
+    column = (M * N - N) / (M * N - M - N) * cav - M / (M * N - M - N) * (av - rav)
+    found = split_spatial_variance(y, NoiseLeft(0.0, 0.0, 0.0))
+    assert (found.row_dn2, found.column_dn2, found.pixel_dn2) == pytest.approx((row, column, pixel), rel=0.01)
+
+
+def test_noise_that_rows_share_is_no_row_pattern():
+    """Four frames with temporal row noise and pixel noise, but no pattern: all three parts are zero within 4 u."""
+    rng = np.random.default_rng(2)
+    frames = [
+        np.rint(800 + rng.normal(0, 3.0, (200, 1)) + rng.normal(0, 6.0, (200, 240))).astype(np.uint16) for _ in range(4)
+    ]
+    (one,) = statistics_of_group(frames, FrameSettings(1.0), (None,), 4095)
+    assert one.split.row_dn2 == pytest.approx(0.0, abs=4 * one.split.u_row_dn2)
+    assert one.split.column_dn2 == pytest.approx(0.0, abs=4 * one.split.u_column_dn2)
+    assert one.split.pixel_dn2 == pytest.approx(0.0, abs=4 * one.split.u_pixel_dn2)
+
+
+def test_a_group_that_contradicts_all_others_is_named():
+    """A stack of 50 frames that shows a fifth of what its photons say is left out by name; the sound ones are kept."""
+    steps = ladder()
+    light = steps[7].light
+    stack = replace(steps[7].bright, mean_dn=BLACK_DN + 100.0, frames=50)
+    every = make_steps([*(s.bright for s in steps), stack], [group(BLACK_DN, 40.0, dark=True)])
+    ((wrong, line),) = contradicting_steps(every)
+    assert wrong.bright is stack
+    assert "50 frames" in line
+    assert f"{light:g} photons" in line
+    assert contradicting_steps(steps) == []
+
+
+def test_saturation_is_no_contradiction():
+    """Signals that stop rising with the light are the sensor's own."""
+    steps = ladder()
+    full = [replace(s.bright, mean_dn=min(s.bright.mean_dn, BLACK_DN + 4000.0)) for s in steps]
+    assert contradicting_steps(make_steps(full, [group(BLACK_DN, 40.0, dark=True)])) == []
+
+
+def test_a_table_of_statistics_is_characterised(tmp_path):
+    """Means and variances per setting give K, dark current and read noise; nothing is claimed of patterns."""
+    lines = ["exposure_ms,mean_dn,variance_dn2,frames,pixels,shutter,photons"]
+    for signal in np.linspace(100, 3000, 12):
+        lines.append(f"10,{64 + signal},{9 + 0.25 * signal},2,90000,open,{8 * signal}")
+    lines += [f"{t},{64 + 0.01 * t},{9 + 0.0025 * t},2,90000,closed,0" for t in (10, 100, 1000, 4000)]
+    (tmp_path / "t.csv").write_text("\n".join(lines))
+    figures = characterise(read_subject(tmp_path / "t.csv")).figures
+    assert figures["K"].value == pytest.approx(0.25, rel=0.01)
+    assert figures["mu_I_mean"].value == pytest.approx(10.0 / 0.25, rel=0.01)
+    assert figures["sigma_d"].value == pytest.approx(math.sqrt(9 - 1 / 12) / 0.25, rel=0.01)
+    assert "DSNU_1288" not in figures
+
+
+def test_the_real_ccd_over_two_years(shared_data):
+    """One camera's darks of 2017 and 2019: doubling 4.5 to 5 K; gain from flats and darks agree within 2 u."""
+    folder = shared_data / "sensors"
+    if not folder.is_dir():
+        pytest.skip("the CCD frames are not on this machine")
+    first = characterise(read_subject(folder / "sbig_stl1001_2017"))
+    second = characterise(read_subject(folder / "sbig_stl1001_2019")).figures
+    figures = first.figures
+    assert figures["T_d"].value == pytest.approx(4.9, abs=0.2)
+    assert second["T_d"].value == pytest.approx(4.6, abs=0.15)
+    assert 1 / figures["K"].value == pytest.approx(1.94, abs=0.01)
+    for dark in (figures["K_dark"], second["K_dark"]):
+        assert abs(dark.value - figures["K"].value) < 2 * math.hypot(dark.u, figures["K"].u)
+    assert any("conversion_gain_error" in note and "+6." in note for note in first.notes)
+
+
+def test_the_real_clamped_table_has_a_gain(shared_data):
+    """Eight of twelve bits by clamping: K from the unclipped settings, without darks."""
+    path = shared_data / "sensors" / "astrotracker_ptc_clamp" / "exposure_sweep_pairs.csv"
+    if not path.is_file():
+        pytest.skip("the table is not on this machine")
+    result = characterise(read_subject(path))
+    assert result.figures["K"].value == pytest.approx(3.4, abs=2 * result.figures["K"].u)
+    assert any("clip" in note for note in result.notes)

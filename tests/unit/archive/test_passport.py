@@ -1,0 +1,171 @@
+"""Passports: one dark law over sessions, gains held against what headers state, the lamp kept apart from the camera."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import math
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from radiometer.archive.passport import fit_dark_law, light_line, passports
+from radiometer.archive.sessions import LightSeries, Session, find_sessions, read_sessions
+from radiometer.cli.main import run
+from radiometer.data import Quantity
+from radiometer.errors import InputError
+
+
+def session(name, *, temperatures=(), rate_at_0=0.7, doubling_k=4.8, K=0.5, stated=2.0, series=(), u_k=0.05):
+    """Return a session with dark currents by D = D0·2^(T/Td)."""
+    rates = tuple(
+        (t, u_k, Quantity(rate_at_0 * 2 ** (t / doubling_k), 0.002 * rate_at_0, "DN/s")) for t in temperatures
+    )
+    figures = {"K": Quantity(K, 0.005, "DN/e-")} if K else {}
+    return Session(name, ("one",), dt.datetime(2017, 1, 1, tzinfo=dt.UTC), stated, figures, rates, tuple(series), ())
+
+
+def test_one_law_over_two_sessions():
+    """Rates of one exponential give its doubling and its rate at 0 °C; nothing changed."""
+    law = fit_dark_law([session("a", temperatures=(-10, -5)), session("b", temperatures=(0, 10))])
+    assert law.doubling_k.value == pytest.approx(4.8)
+    assert law.rate_at_0.value == pytest.approx(0.7)
+    assert law.is_one
+    assert law.doubling_k.u == pytest.approx(4.8 * 0.05 * math.sqrt(4 / np.var([-10, -5, 0, 10])) / 2 / 2, rel=0.2)
+
+
+def test_a_sensor_that_ages_follows_no_one_law():
+    """A session whose dark current rose by 40 % at the same temperatures is named."""
+    sessions = [session("a", temperatures=(-10, 0, 10)), session("b", temperatures=(-10, 0, 10), rate_at_0=0.98)]
+    (found,) = passports(sessions)
+    assert not found.dark_law.is_one
+    assert abs(found.dark_law.offset.value) == pytest.approx(math.log(1.4), rel=0.01)
+    assert [change.changed for change in found.changes if change.quantity == "dark current"] == [True]
+
+
+def test_temperatures_that_go_with_sessions_judge_nothing():
+    """One temperature per session cannot tell an older sensor from a warmer one."""
+    law = fit_dark_law([session("a", temperatures=(-10,)), session("b", temperatures=(10,))])
+    assert law.offset is None
+
+
+def test_a_header_gain_wrong_by_six_percent():
+    """2.06 e-/DN stated and 1.94 measured from light and darks: +6.2 %, and the two agree."""
+    one = session("a", K=1 / 1.94, stated=2.06)
+    one.figures["K_dark"] = Quantity(1 / 1.95, 0.008, "DN/e-")
+    (found,) = passports([one])
+    said = " | ".join(found.gain)
+    assert "off by +6.2 % against light" in said
+    assert "wrong" in said
+    assert "light and darks agree" in said
+
+
+def series(levels, exposure_s=1.0):
+    """Return repeated frames of one setting."""
+    names = tuple(f"f{i}" for i in range(len(levels)))
+    return LightSeries(exposure_s, 0.0, 1.0, "default", names, tuple(float(v) for v in levels))
+
+
+def test_a_lamp_that_jumped_within_a_session():
+    """A step of 1 % between the fifth and the sixth of ten frames is named with its place and size."""
+    rng = np.random.default_rng(4)
+    levels = 1000.0 * (1 + rng.normal(0, 2e-4, 10)) * np.where(np.arange(10) >= 5, 1.01, 1.0)
+    assert "jumped by +0.99 % between f4 and f5" in light_line("a", series(levels))
+
+
+def test_a_lamp_that_wanders_and_one_that_is_steady():
+    """Scatter of 0.4 % is said as such; 0.02 % is nothing."""
+    rng = np.random.default_rng(4)
+    assert "wandered" in light_line("a", series(1000.0 * (1 + rng.normal(0, 4e-3, 8))))
+    assert light_line("a", series(1000.0 * (1 + rng.normal(0, 2e-4, 8)))) is None
+
+
+def test_another_lamp_is_not_another_camera():
+    """A signal 10 % up at one gain and one dark law is the light's; with the gain 10 % up it is no change of light."""
+    level = series([1000.0, 1000.5, 999.5])
+    up = series([1100.0, 1100.5, 1099.5])
+    temperatures = (-10, 0, 10)
+    before = session("a", temperatures=temperatures, series=[level])
+    (lamp,) = passports([before, session("b", temperatures=temperatures, series=[up])])
+    assert "+10.0 %" in lamp.light[0]
+    assert "the light (gain and dark current did not change)" in lamp.light[0]
+    assert not any(change.changed for change in lamp.changes)
+    (gain,) = passports([before, session("b", temperatures=temperatures, series=[up], K=0.55)])
+    assert gain.light == ()
+    assert [change.changed for change in gain.changes if change.quantity == "K"] == [True]
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    """Return an archive of two nights of one simulated CCD, drawn here from Poisson charge and one dark law."""
+    root = tmp_path_factory.mktemp("archive")
+    rng = np.random.default_rng(12)
+    shape, K, read_e = (96, 96), 0.5, 10.0
+    spread = rng.gamma(40.0, 1 / 40.0, shape)
+
+    def frame(seconds, celsius, light_e=0.0):
+        electrons = rng.poisson(1.5 * 2 ** (celsius / 5.0) * seconds * spread + light_e) + rng.normal(0, read_e, shape)
+        return np.rint(1000 + K * electrons).astype(np.uint16)
+
+    def write(folder, number, picture, seconds, celsius, kind, day):
+        unit = fits.PrimaryHDU(picture)
+        facts = {"EXPTIME": seconds, "CCD-TEMP": celsius, "IMAGETYP": kind, "EGAIN": 2.2, "INSTRUME": "CCD"}
+        for key, value in {**facts, "DATE-OBS": f"{day}T20:{number // 60:02d}:{number % 60:02d}"}.items():
+            unit.header[key] = value
+        (root / folder).mkdir(exist_ok=True)
+        unit.writeto(root / folder / f"{number:03d}.fits")
+
+    for folder, day, temperatures in (("2017", "2017-09-08", (-10.0, -5.0)), ("2019", "2019-09-06", (0.0, 10.0))):
+        number = 0
+        for celsius in temperatures:
+            for seconds in (0, 0, 30, 60, 120, 200, 300):
+                write(folder, number, frame(seconds, celsius), seconds, celsius, "dark", day)
+                number += 1
+        for _ in range(3):
+            write(folder, number, frame(5, temperatures[1], 20_000.0), 5, temperatures[1], "flat", day)
+            number += 1
+    return root
+
+
+def test_two_nights_of_one_camera(archive):
+    """Doubling 5 K and one law, gain 2 e-/DN from light and darks within 2 u each, the header's 2.2 off by 10 %."""
+    (found,) = passports(read_sessions(archive))
+    law = found.dark_law
+    assert law.doubling_k.value == pytest.approx(5.0, abs=3 * law.doubling_k.u)
+    assert law.doubling_k.u < 0.2
+    assert law.is_one
+    for session in found.sessions:
+        for name in ("K", "K_dark"):
+            K = session.figures[name]
+            assert K.value == pytest.approx(0.5, abs=2.5 * K.u), (session.name, name)
+    assert any("off by +10" in line and "wrong" in line for line in found.gain)
+    assert [c.changed for c in found.changes if c.quantity in ("K", "dark current")] == [False, False]
+
+
+def test_the_command_prints_one_object(archive, capsys):
+    """--json gives cameras with law, gain and changes."""
+    assert run(["passport", str(archive), "--json"]) == 0
+    (camera,) = json.loads(capsys.readouterr().out)["cameras"]
+    assert camera["camera"] == "CCD"
+    assert camera["dark_law"]["one_law"] is True
+    assert camera["dark_law"]["doubling_K"]["unit"] == "K"
+
+
+def test_an_archive_without_sessions(tmp_path):
+    """The message says what was looked for."""
+    with pytest.raises(InputError, match="no capture set"):
+        find_sessions(tmp_path)
+
+
+def test_the_real_camera_over_two_years(shared_data):
+    """2017 and 2019: one dark law, doubling 4.6 to 4.9 K; header gain 6.5 % off against light; lamp wandered."""
+    if not (shared_data / "sensors" / "sbig_stl1001_2019").is_dir():
+        pytest.skip("the CCD frames are not on this machine")
+    sessions = [one for year in (2017, 2019) for one in read_sessions(shared_data / "sensors" / f"sbig_stl1001_{year}")]
+    (found,) = passports(sessions)
+    assert 4.6 < found.dark_law.doubling_k.value < 4.9
+    assert found.dark_law.is_one
+    assert any("off by +6." in line and "wrong" in line for line in found.gain)
+    assert any("light and darks agree" in line for line in found.gain)
+    assert any("wandered" in line for line in found.light)
