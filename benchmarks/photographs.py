@@ -79,6 +79,8 @@ def left_out_dn(stack: RealStack, recover: Recover) -> float:
 def predicted(rest: Bracket, dn: Array, seconds: float, g: Array) -> Array:
     """Return predicted minus found digital number of one frame: hat-weighted mean exposure of the others through g."""
     step = max(1, int(np.sqrt(dn.size / _PIXELS)))
+    if not np.any(np.isfinite(g)):
+        return np.full(1, np.nan)
     g = np.maximum.accumulate(np.where(np.isfinite(g), g, np.nanmin(g[np.isfinite(g)])))
     total = np.zeros(dn[::step, ::step].shape)
     weights = np.zeros_like(total)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 # Enough for a response; larger photographs are read on a lattice for it.
 ENOUGH_PIXELS = 1_000_000
 _KEY = "photographs_sha256"
+_BEYOND_THE_CONVERTER = 1.1
 
 
 def curves_of(paths: Sequence[Path], bit_depth: int) -> dict[str, ResponseCurve]:
@@ -116,12 +117,14 @@ def relative_calibration(bracket: Bracket, curve: ResponseCurve | None, camera: 
     from radiometer.errors import MeasurementError
 
     black_dn = bracket.frames[0].settings.black_level_dn or 0.0
-    noise = SensorNoise.of(camera)
-    if curve is not None:
-        try:
-            noise = sensor_noise(pixel_noise(bracket, curve), curve, black_dn)
-        except MeasurementError:
-            noise = SensorNoise.of(camera)  # too little overlap to tell: typical figures, said to be assumed
+    try:
+        line = curve or _straight_line(bracket.bit_depth, black_dn)
+        noise = sensor_noise(pixel_noise(bracket, line), line, black_dn)
+        if curve is None:
+            # A linear sensor clips at its full well, which the frames do not show below the converter's end.
+            noise = replace(noise, full_well_e=_BEYOND_THE_CONVERTER * noise.full_well_e)
+    except MeasurementError:
+        noise = SensorNoise.of(camera)  # too little overlap to tell: typical figures, said to be assumed
     return Calibration(
         camera=camera,
         lens=lens,
@@ -130,6 +133,19 @@ def relative_calibration(bracket: Bracket, curve: ResponseCurve | None, camera: 
         noise=noise,
         black_level=BlackLevel(dn=black_dn),
     )
+
+
+def _straight_line(bit_depth: int, black_dn: float) -> ResponseCurve:
+    """Return the response of a linear sensor."""
+    import numpy as np
+
+    from radiometer.data import ResponseCurve
+
+    size = 1 << bit_depth
+    signal = np.arange(size) - black_dn
+    g = np.where(signal > 0, np.log(np.maximum(signal, 1e-9) / (size // 2 - black_dn)), -np.inf)
+    lowest = int(np.ceil(black_dn)) + max(3, size // 256)
+    return ResponseCurve(g, np.where(signal > 0, 0.0, np.inf), valid_dn=(lowest, size - 2))
 
 
 def _channel(bracket: Bracket) -> str:

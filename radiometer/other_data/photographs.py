@@ -1,69 +1,66 @@
 """Reconciles a stack of photographs through an unknown tone curve with its printed exposures.
 
 The response is unknown, so that only what breaks the agreement of all photographs with one curve can be told: stops
-that were rounded when printed, and single labels that are not the real exposure. For pixel p in photograph i
-
-    g(M_pi) = ln E_p + ln t_i + δ_i,
-
-g a smooth curve on knots; ln E_p drops out by taking each pixel's mean away.
+that were rounded when printed, and single labels that are not the real exposure. The judge is the prediction of digital
+numbers: a quadrant of the picture is left out, curve and exposures come from the rest, and each photograph's values
+there are predicted from the other photographs. What does not predict them better is not named.
 """
 
 from __future__ import annotations
 
+import base64
+import io
 import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.data import Frame
+from radiometer.analysis.response.debevec1997 import curve_debevec1997
+from radiometer.analysis.response.labels import frame_name
+from radiometer.analysis.response.left_out import prediction_error_dn
+from radiometer.analysis.response.samples import ResponseSamples, gather_samples
+from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, settle
+from radiometer.analysis.response.threads import on_one_blas_thread
+from radiometer.analysis.response.wrong_labels import (
+    LEAST_GAIN,
+    SMALLEST_LABEL_ERROR,
+    WrongLabel,
+    find_wrong_labels,
+    thinned,
+)
+from radiometer.data import Bracket, Frame
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
-from radiometer.errors import CaptureError
-from radiometer.reconcile.measure.design import Array
+from radiometer.errors import CaptureError, InputError, MeasurementError
 from radiometer.reconcile.report.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.units import exact_exposure_s
 
-_GAP_UNIT: Final = "mean square of ln exposure on held-out pixels over that with every other exposure free"
-_CELL_PX: Final = 4
-_MOST_CELLS: Final = 1200
-_KNOTS: Final = 18
-_ABOVE_FLOOR: Final = 0.03  # share of full scale
-_SAME_FLOOR_DN: Final = 1.0
-_USED: Final = (0.04, 0.96)  # share of full scale between which a value tells the exposure
-_FALL: Final = 0.02  # share of full scale by which a value falls beyond doubt
-_FEWEST_RISING: Final = 3
-_RISING_SHARE: Final = 0.05  # of the cells that fall
-_NEEDED_NATS: Final = 15.0  # samples of one tone curve that is not quite smooth err together
-_SMALLEST_LABEL_ERROR: Final = 0.08  # ln; an eighth of a stop: below it rounding and drift explain it
+Array = NDArray[np.float64]
+
+_GAP_UNIT: Final = "mean error in DN of predicting left-out quadrants over that of the final exposures"
 _LABEL: Final = "exposure_label_error"
-_WHITE: Final = 1.6  # gap above which something stays unexplained
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Stack:
-    """Samples of all photographs: value, cell and photograph of each, and the exposure labels."""
-
-    value: Array
-    cell: NDArray[np.intp]
-    photograph: NDArray[np.intp]
-    printed_s: Array
-
-    @property
-    def count(self) -> int:
-        """Return the number of photographs."""
-        return self.printed_s.size
+_ENOUGH_PIXELS: Final = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class PhotographsReconciled:
-    """The result for a stack of photographs, with the exposures found."""
+    """The result for a stack of photographs, with the exposures found.
+
+    Attributes:
+        result: The verdict and what was found.
+        exposures_s: Exposure of each photograph in s, as it agrees with the others.
+        u_rel: Relative standard uncertainty of those that were not taken from their label; 0 for the others.
+        predicted: Per photograph: mean predicted minus found DN (rows are brightness) of the left-out prediction.
+    """
 
     result: ReconcileResult
     exposures_s: dict[str, float]
+    u_rel: dict[str, float]
+    predicted: dict[str, tuple[Array, Array]]
 
     def write_model(self, path: Path, *, provisional: bool = False) -> str:
         """Write the exposures that agree with each other, in the form that photograph folders take."""
@@ -75,22 +72,46 @@ class PhotographsReconciled:
         return str(path)
 
     def write_report(self, path: Path) -> str:
-        """Write the exposures as HTML."""
-        rows = "".join(f"<tr><td>{name}</td><td>{seconds:.6g}</td></tr>" for name, seconds in self.exposures_s.items())
+        """Write sentence, exposures and the plot of each photograph against its prediction as HTML."""
+        rows = "".join(
+            f"<tr><td>{name}</td><td>{seconds:.6g}</td><td>{_plus_minus(self.u_rel[name])}</td></tr>"
+            for name, seconds in self.exposures_s.items()
+        )
         said = "".join(f"<p>{text}</p>" for text in self.result.extra.get("remarks", []))
         write_text_atomic(
             path,
             "<!doctype html><html lang='en'><meta charset='utf-8'><title>photographs</title>"
-            f"<h1>{self.result.verdict}</h1>{said}<table><tr><th>file</th><th>exposure in s</th></tr>{rows}</table>"
+            f"<h1>{self.result.verdict}</h1>{said}<table><tr><th>file</th><th>exposure in s</th><th>±</th></tr>{rows}"
+            f"</table><img alt='prediction from the other photographs' src='data:image/png;base64,{self._plot()}'>"
             "</html>\n",
         )
         return str(path)
+
+    def _plot(self) -> str:
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(8.0, 4.5), layout="constrained")
+        axes = figure.add_subplot()
+        for name, (dn, error) in self.predicted.items():
+            axes.plot(dn, error, ".", markersize=3, label=name)
+        axes.axhline(0.0, color="black", linewidth=0.5)
+        axes.set_xlabel("digital number of the photograph")
+        axes.set_ylabel("predicted from the others − found, DN")
+        axes.legend(fontsize="x-small", ncols=2)
+        written = io.BytesIO()
+        figure.savefig(written, format="png", dpi=110)
+        return base64.b64encode(written.getvalue()).decode("ascii")
 
     def write_plan(self, path: Path) -> bool:
         """Write nothing: photographs are taken by hand; the result names the exposure to take again."""
         return False
 
 
+def _plus_minus(u_rel: float) -> str:
+    return f"{100.0 * u_rel:.2g} %" if u_rel else "as printed"
+
+
+@on_one_blas_thread
 def reconcile_photographs(frames: Sequence[Frame]) -> PhotographsReconciled:
     """Return whether printed exposures agree with the photographs, and which do not.
 
@@ -101,234 +122,165 @@ def reconcile_photographs(frames: Sequence[Frame]) -> PhotographsReconciled:
         CaptureError: If there are too few, or they hardly overlap.
     """
     begun = time.monotonic()
-    light = sorted((f for f in frames if not f.settings.is_dark), key=lambda f: f.settings.exposure_s)
-    names = [str(f.extra.get("file", number)) for number, f in enumerate(light)]
+    light = [frame for frame in frames if not frame.settings.is_dark]
     if len({f.settings.exposure_s for f in light}) < 3:
         raise CaptureError("a stack of photographs needs at least three different exposures to be reconciled")
-    stack = _samples(light)
-    exact = np.array([exact_exposure_s(t) for t in stack.printed_s])
-    result, log_t = _judge(stack, np.log(stack.printed_s), np.log(exact), names)
-    real = {name: float(np.exp(value)) for name, value in zip(names, log_t, strict=True)}
-    return PhotographsReconciled(replace(result, seconds=time.monotonic() - begun), real)
+    bracket = Bracket.from_frames(light).thinned(_ENOUGH_PIXELS)
+    try:
+        samples = gather_samples(bracket)
+        start = curve_debevec1997(samples).log_exposure
+        judged = _judge(samples, start, _exact_log_times(bracket))
+    except (MeasurementError, InputError) as error:
+        raise CaptureError(
+            f"the photographs hardly overlap: no part of the scene is well exposed in two of them ({error})"
+        ) from error
+    names = [frame_name(bracket, index) for index in range(len(bracket))]
+    result = _result(judged, bracket, names)
+    seconds = [f.settings.exposure_s for f in bracket]
+    shift = judged.log_time - samples.frame_log_time
+    u_rel = dict.fromkeys(names, 0.0) | {names[one.frame]: one.u_ratio / one.ratio for one in judged.labels}
+    return PhotographsReconciled(
+        replace(result, seconds=time.monotonic() - begun),
+        {name: float(s * math.exp(d)) for name, s, d in zip(names, seconds, shift, strict=True)},
+        u_rel,
+        _predicted(judged, names),
+    )
 
 
-def _samples(frames: Sequence[Frame]) -> _Stack:
-    """Return the calmest small cells of the picture as samples."""
-    cells = np.stack([_cells(frame) for frame in frames])
-    rough = np.stack([_roughness(frame) for frame in frames])
-    low, high = (share * frames[0].full_scale_dn for share in _USED)
-    used = (cells > max(low, _floor(cells) + _ABOVE_FLOOR * frames[0].full_scale_dn)) & (cells < high)
-    used &= ~_against_the_order(cells, used, _FALL * frames[0].full_scale_dn)
-    seen = used.sum(axis=0)
-    unrest = np.where(used, rough / np.maximum(cells, 1.0), 0.0).sum(axis=0) / np.maximum(seen, 1)
-    order = np.argsort(np.where(seen >= 2, unrest, np.inf))[: min(_MOST_CELLS, int(np.sum(seen >= 2)))]
-    if order.size < 30:
-        raise CaptureError("the photographs hardly overlap: no part of the scene is well exposed in two of them")
-    photograph, cell = np.nonzero(used[:, order])
-    value = cells[:, order][photograph, cell] / frames[0].full_scale_dn
-    return _Stack(value, cell, photograph, np.array([f.settings.exposure_s for f in frames]))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judged:
+    """What came of a stack: rounded stops or not, wrong labels, and the errors before and after each."""
+
+    samples: ResponseSamples
+    fitted: FittedResponse
+    log_time: Array
+    rounded: bool
+    labels: tuple[WrongLabel, ...]
+    errors: tuple[float, float, float]  # as printed, with the exact stops, with the labels found
 
 
-def _against_the_order(cells: Array, used: NDArray[np.bool_], margin_dn: float) -> NDArray[np.bool_]:
-    """Tell which cells are brighter in a photograph than in a longer one while others are darker in it.
-
-    A wrong label moves all cells of a photograph the same way. What goes both ways is not the scene: light that fell on
-    the film, a reflection, somebody who walked through.
-    """
-    against = np.zeros_like(used)
-    for shorter in range(len(cells)):
-        for longer in range(shorter + 1, len(cells)):
-            falls = used[shorter] & (cells[shorter] > cells[longer] + margin_dn)
-            rises = (used[shorter] | used[longer]) & (cells[longer] > cells[shorter] + margin_dn)
-            if rises.sum() >= max(_FEWEST_RISING, _RISING_SHARE * float(falls.sum())):
-                against[shorter] |= falls
-    return against
+def _exact_log_times(bracket: Bracket) -> Array:
+    stated = np.array([frame.settings.exposure_s for frame in bracket])
+    exact = np.array([exact_exposure_s(seconds) for seconds in stated])
+    return np.asarray(np.log(bracket.effective_exposures_s) + np.log(exact / stated))
 
 
-def _floor(cells: Array) -> float:
-    """Return the value below which nothing falls, in DN: where the darkest parts of the two shortest exposures agree.
-
-    A scanned film or a broadcast range has its black well above 0; values there tell nothing of the exposure.
-    """
-    darkest = np.percentile(cells[:2], 1.0, axis=1)
-    return float(darkest.min()) if abs(float(darkest[0] - darkest[1])) < _SAME_FLOOR_DN else 0.0
-
-
-def _blocks(frame: Frame) -> Array:
-    rows, columns = frame.shape[0] // _CELL_PX, frame.shape[1] // _CELL_PX
-    cut = frame.dn[: rows * _CELL_PX, : columns * _CELL_PX].astype(np.float64)
-    return cut.reshape(rows, _CELL_PX, columns, _CELL_PX).transpose(0, 2, 1, 3).reshape(rows * columns, -1)
-
-
-def _cells(frame: Frame) -> Array:
-    return np.asarray(_blocks(frame).mean(axis=1))
-
-
-def _roughness(frame: Frame) -> Array:
-    return np.asarray(_blocks(frame).std(axis=1))
-
-
-def _judge(stack: _Stack, printed: Array, exact: Array, names: Sequence[str]) -> tuple[ReconcileResult, Array]:
-    log_t, wrong = printed.copy(), list[int]()
-    effects: list[FoundEffect] = []
-    first = _error(stack, log_t, [])
-    best_possible = min(first, _error(stack, log_t, list(range(1, stack.count - 1, 2))))
-    now = first
-    for _ in range(4):
-        suspects = [i for i in range(stack.count) if i not in wrong] if len(wrong) < _most_wrong(stack) else []
-        options = [(_error(stack, log_t, [*wrong, i]), i) for i in suspects]
-        if not any(effect.name == "nominal_settings" for effect in effects) and np.ptp(exact - printed) > 1e-3:
-            options.append((_error(stack, exact, wrong), -1))
-        if not options:
-            break
-        error, index = min(options)
-        if _nats(stack, now, error) < _NEEDED_NATS:
-            break
-        if index < 0:
-            log_t = exact.copy()
-            effects.append(_rounding(now / best_possible, error / best_possible, _nats(stack, now, error)))
-        else:
-            offset = _offsets(stack, log_t, [*wrong, index])[-1]
-            if abs(offset) < _SMALLEST_LABEL_ERROR:
-                break
-            wrong.append(index)
-            effects.append(_label(stack, index, offset, (now, error, best_possible), names[index]))
-        now = error
-    offsets = _offsets(stack, log_t, wrong)
-    log_t[wrong] += offsets
-    labels = iter(wrong)
-    effects = [_with_ratio(e, stack, log_t[next(labels)]) if e.name == _LABEL else e for e in effects]
-    return _result(stack, effects, (first, now, best_possible), len(names)), log_t
+def _judge(samples: ResponseSamples, start: Array, exact: Array) -> _Judged:
+    printed, stops = thinned(samples), thinned(_with_times(samples, exact))
+    before = error_of_quadrants(printed, settle(printed, start))
+    chosen, rounded, now = samples, False, before
+    if np.ptp(exact - samples.frame_log_time) > 1e-3:
+        after = error_of_quadrants(stops, settle(stops, start))
+        if after.sum() <= LEAST_GAIN * before.sum() and np.all(after <= before):
+            chosen, rounded, now = _with_times(samples, exact), True, after
+    labels = find_wrong_labels(chosen, start)
+    if labels and rounded:
+        # A wrong label may make the exact stops look better by chance: they must still do so beside it.
+        free = tuple(one.frame for one in labels)
+        as_printed = error_of_quadrants(printed, settle(printed, start, free))
+        as_stops = error_of_quadrants(stops, settle(stops, start, free))
+        if as_stops.sum() > LEAST_GAIN * as_printed.sum():
+            chosen, rounded, now = samples, False, before
+            labels = find_wrong_labels(chosen, start)
+    thin = thinned(chosen)
+    fitted = settle(thin, start, tuple(one.frame for one in labels))
+    final = error_of_quadrants(thin, fitted)
+    log_time = chosen.frame_log_time + fitted.fit.log_time_errors
+    return _Judged(
+        thin, fitted, log_time, rounded, labels, (float(before.mean()), float(now.mean()), float(final.mean()))
+    )
 
 
-def _most_wrong(stack: _Stack) -> int:
-    """Return how many labels may be wrong: most must be right, or a flat curve with exposures of its own fits best."""
-    return max((stack.count - 1) // 3, 1)
+def _with_times(samples: ResponseSamples, log_time: Array) -> ResponseSamples:
+    """Return the samples with other exposure times."""
+
+    def timed(one: ResponseSamples) -> ResponseSamples:
+        return replace(one, frame_log_time=log_time, log_time=log_time[one.frame])
+
+    return replace(
+        timed(samples),
+        without_quadrant=tuple(timed(one) for one in samples.without_quadrant),
+        quadrants=tuple(timed(one) for one in samples.quadrants),
+    )
 
 
-def _result(
-    stack: _Stack, effects: Sequence[FoundEffect], errors: tuple[float, float, float], frames: int
-) -> ReconcileResult:
-    first, now, best = errors
-    explained = now / best < _WHITE
-    verdict = Verdict.EFFECTS_FOUND if effects else Verdict.AGREES
-    found = list(effects)
-    if not explained:
-        verdict = Verdict.INCOMPLETE if effects else Verdict.UNNAMED
-        found.append(FoundEffect("unnamed", {}, "exposure_s", now / best, now / best, block="exposure ratios"))
-    per_photograph = np.bincount(stack.photograph, minlength=stack.count).min()
-    limit = 5.0 * math.sqrt(now / max(float(per_photograph), 1.0))
+def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> ReconcileResult:
+    before, stops, after = judged.errors
+    effects = []
+    if judged.rounded:
+        share = {"share": FittedParameter(1.0, None, "1")}
+        effects.append(
+            FoundEffect("nominal_settings", share, "exposure_s", before / after, stops / after, block="left-out DN")
+        )
+    for label in judged.labels:
+        stated = bracket.frames[label.frame].settings.exposure_s
+        name = names[label.frame]
+        effects.append(
+            FoundEffect(
+                _LABEL,
+                {
+                    "label_s": FittedParameter(float(stated), None, "s"),
+                    "ratio": FittedParameter(
+                        math.exp(judged.log_time[label.frame]) / bracket.effective_exposures_s[label.frame],
+                        label.u_ratio,
+                        "1",
+                    ),
+                },
+                "exposure_s",
+                stops / after,
+                1.0,
+                (),
+                {"description": f"take the exposure of {name} again, or read its EXIF record"},
+                block="left-out DN",
+            )
+        )
     return ReconcileResult(
-        verdict=verdict,
-        effects=tuple(found),
-        gap_before=first / best,
-        gap_after=now / best,
+        verdict=Verdict.EFFECTS_FOUND if effects else Verdict.AGREES,
+        effects=tuple(effects),
+        gap_before=before / after,
+        gap_after=1.0,
         limits={
-            "exposure_label_error": Limit(max(limit, _SMALLEST_LABEL_ERROR), "ratio", "1"),
+            _LABEL: Limit(_limit(judged), "ratio", "1"),
             "gamma_enabled": Limit(None, "gamma", "1"),
             "response_nonlinearity": Limit(None, "a2", "1"),
         },
-        captures=frames,
-        frames=frames,
+        captures=len(bracket),
+        frames=len(bracket),
         assumptions=(
             "the tone curve is unknown but one and the same for all photographs",
             "a power of the tone curve and one of the exposures cannot be told apart: the printed ratios fix it",
         ),
         gap_unit=_GAP_UNIT,
-        extra={"remarks": []},
+        extra={"remarks": [_sentence(judged, bracket, names)]},
     )
 
 
-def _rounding(before: float, after: float, nats: float) -> FoundEffect:
-    share = {"share": FittedParameter(1.0, None, "1")}
-    return FoundEffect("nominal_settings", share, "exposure_s", before, after, gain_nats=nats, block="exposure ratios")
+def _limit(judged: _Judged) -> float:
+    """Return the label error, as a ratio less 1, that would stand out by five sigma in the frame that shows it best."""
+    normal = judged.fitted.fit.normal
+    frame, group = judged.fitted.samples.frame, judged.fitted.samples.group
+    counted = np.bincount(frame, normal.weight * (normal.weight > 0), judged.log_time.size)
+    best = float(counted.max()) if group.size else 0.0
+    return max(5.0 / math.sqrt(max(best, 1e-12)), SMALLEST_LABEL_ERROR)
 
 
-def _label(stack: _Stack, index: int, offset: float, errors: tuple[float, float, float], name: str) -> FoundEffect:
-    before, after, best = errors
-    count = max(float(np.sum(stack.photograph == index)), 1.0)
-    ratio = math.exp(offset)
-    parameters: dict[str, Any] = {
-        "label_s": FittedParameter(float(stack.printed_s[index]), None, "s"),
-        "ratio": FittedParameter(ratio, ratio * math.sqrt(after / count) * 3.0, "1"),
-    }
-    advice = {"description": f"take the exposure of {name} again, or read its EXIF record"}
-    nats = _nats(stack, before, after)
-    return FoundEffect(
-        _LABEL,
-        parameters,
-        "exposure_s",
-        before / best,
-        after / best,
-        (),
-        advice,
-        nats,
-        "exposure ratios",
+def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
+    before, _, after = judged.errors
+    if not judged.labels and not judged.rounded:
+        return f"All printed exposures agree: left-out parts of the picture are predicted to {after:.2g} DN on average."
+    parts = ["the printed times are rounded stops"] if judged.rounded else []
+    parts += [
+        f"{names[one.frame]}, labelled {bracket.frames[one.frame].settings.exposure_s:.4g} s, had "
+        f"{one.ratio:.3f} ± {one.u_ratio:.3f} of that"
+        for one in judged.labels
+    ]
+    return (
+        f"{'; '.join(parts)}. Left-out parts of the picture are then predicted to {after:.2g} DN on average, "
+        f"{before:.2g} DN as printed."
     )
 
 
-def _with_ratio(effect: FoundEffect, stack: _Stack, log_t: float) -> FoundEffect:
-    """Return a wrong label with its ratio as it came out in the end: other effects found later move it."""
-    label, old = effect.parameters["label_s"], effect.parameters["ratio"]
-    ratio = replace(old, value=math.exp(log_t) / label.value)
-    return replace(effect, parameters={"label_s": label, "ratio": ratio})
-
-
-def _nats(stack: _Stack, before: float, after: float) -> float:
-    """Return the gain in log likelihood; neighbouring samples of one cell count once."""
-    independent = stack.value.size / stack.count
-    return 0.5 * independent * math.log(max(before, 1e-30) / max(after, 1e-30))
-
-
-def _design(stack: _Stack, free: Sequence[int]) -> Array:
-    """Return the columns of the curve's knots and of the free exposures, each cell's mean taken away."""
-    knots = np.linspace(_USED[0], _USED[1], _KNOTS)
-    place = np.clip((stack.value - knots[0]) / (knots[1] - knots[0]), 0.0, _KNOTS - 1.000001)
-    left = place.astype(np.intp)
-    columns = np.zeros((stack.value.size, _KNOTS + len(free)))
-    rows = np.arange(stack.value.size)
-    columns[rows, left] = 1.0 - (place - left)
-    columns[rows, left + 1] += place - left
-    for number, photograph in enumerate(free):
-        columns[stack.photograph == photograph, _KNOTS + number] = -1.0
-    return _centred(stack, columns)
-
-
-def _centred(stack: _Stack, columns: Array) -> Array:
-    count = np.bincount(stack.cell).astype(np.float64)
-    centred = np.empty_like(columns)
-    for index in range(columns.shape[1]):
-        means = np.bincount(stack.cell, columns[:, index]) / np.maximum(count, 1.0)
-        centred[:, index] = columns[:, index] - means[stack.cell]
-    return centred
-
-
-def _solve(stack: _Stack, log_t: Array, free: Sequence[int], train: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """Return (solution, columns, right side); a little smoothness holds knots that hardly any sample touches."""
-    columns = _design(stack, free)
-    right = _centred(stack, log_t[stack.photograph][:, None])[:, 0]
-    bend = np.zeros((_KNOTS - 2, columns.shape[1]))
-    for k in range(_KNOTS - 2):
-        bend[k, k : k + 3] = (1.0, -2.0, 1.0)
-    anchor = np.zeros((1, columns.shape[1]))
-    anchor[0, _KNOTS // 2] = 1.0
-    system = np.vstack([columns[train], 0.3 * bend, anchor])
-    wanted = np.concatenate([right[train], np.zeros(bend.shape[0] + 1)])
-    return np.linalg.lstsq(system, wanted, rcond=None)[0], columns, right
-
-
-def _error(stack: _Stack, log_t: Array, free: Sequence[int]) -> float:
-    """Return the mean square of ln exposure on held-out cells, in two folds."""
-    total, number = 0.0, 0
-    for fold in (0, 1):
-        train = stack.cell % 2 != fold
-        solution, columns, right = _solve(stack, log_t, free, train)
-        residual = columns[~train] @ solution - right[~train]
-        total, number = total + float(np.sum(residual**2)), number + residual.size
-    return total / max(number, 1)
-
-
-def _offsets(stack: _Stack, log_t: Array, free: Sequence[int]) -> Array:
-    """Return ln of real over printed exposure of the free photographs."""
-    solution, _, _ = _solve(stack, log_t, free, np.ones(stack.value.size, dtype=np.bool_))
-    return np.asarray(solution[_KNOTS:])
+def _predicted(judged: _Judged, names: Sequence[str]) -> dict[str, tuple[Array, Array]]:
+    rows = judged.fitted.samples
+    error = prediction_error_dn(rows, judged.fitted.log_exposure, judged.fitted.fit.log_time_errors)
+    return {name: (rows.dn[rows.frame == k], error[rows.frame == k]) for k, name in enumerate(names)}

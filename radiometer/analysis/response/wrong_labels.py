@@ -59,7 +59,7 @@ def find_wrong_labels(samples: ResponseSamples, start: Array) -> tuple[WrongLabe
     """
     if len(samples.without_quadrant) < 3:
         return ()
-    thin = _thinned(samples)
+    thin = thinned(samples)
     most = max((samples.frame_log_time.size - 1) // 3, 1) if samples.frame_log_time.size > 3 else 0
     found: list[WrongLabel] = []
     now = error_of_quadrants(thin, settle(thin, start))
@@ -129,8 +129,12 @@ def _together(samples: ResponseSamples, start: Array, found: list[WrongLabel]) -
     )
 
 
-def _thinned(samples: ResponseSamples) -> ResponseSamples:
-    """Return every n-th group of the samples and of their quadrants."""
+def thinned(samples: ResponseSamples) -> ResponseSamples:
+    """Return every n-th group of the samples and of their quadrants: enough to search in.
+
+    Args:
+        samples: The rows, with their quadrants.
+    """
 
     def part(one: ResponseSamples) -> ResponseSamples:
         step = max(1, one.group_count // _SEARCHED_GROUPS)

@@ -1,0 +1,96 @@
+"""Linear photographs merged as they are: the values of a raw file, and 16-bit pictures that are said to be linear."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from radiometer.cli.main import run
+
+BLACK, WHITE, ELECTRONS_PER_DN = 64, 4095, 2.5
+TIMES = (1.0, 2.0, 4.0, 8.0, 16.0)
+
+
+def _mosaic(rng, radiance, seconds, white=WHITE):
+    electrons = rng.poisson(radiance * seconds * 120.0 * ELECTRONS_PER_DN)
+    return np.clip(np.round(electrons / ELECTRONS_PER_DN + BLACK), 0, white).astype(np.uint16)
+
+
+def _dng(path: Path, mosaic) -> None:
+    """Write a bare DNG with an RGGB mosaic (Adobe DNG 1.4, chapters 3 and 4)."""
+    matrix = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
+    tags = [
+        (50706, "B", 4, (1, 4, 0, 0), True),  # DNGVersion
+        (50708, "s", 0, "Test Camera", True),  # UniqueCameraModel
+        (33421, "H", 2, (2, 2), True),  # CFARepeatPatternDim
+        (33422, "B", 4, (0, 1, 1, 2), True),  # CFAPattern: red green / green blue
+        (50714, "H", 1, BLACK, True),
+        (50717, "I", 1, WHITE, True),
+        (50721, "2i", 9, matrix, True),  # ColorMatrix1
+        (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),  # AsShotNeutral
+        (50778, "H", 1, 21, True),  # CalibrationIlluminant1: D65
+    ]
+    tifffile.imwrite(path, mosaic, photometric=32803, extratags=tags)
+
+
+def _scene(rng):
+    return np.exp(rng.uniform(-4.0, 2.5, (60, 80)))
+
+
+def _agrees(picture, truth):
+    """Compare value and uncertainty of a map with the truth up to one factor."""
+    value, u = (tifffile.imread(picture, key=key).astype(float) for key in (0, 1))
+    assert value.shape == truth.shape
+    z = (value / truth / np.median(value / truth) - 1.0) / (u / value)
+    bright = truth > np.median(truth)
+    assert np.sqrt(np.mean(z[bright] ** 2)) == pytest.approx(1.0, abs=0.15)
+
+
+def test_raw_files_need_no_response(tmp_path, capsys):
+    """Each colour of a DNG bracket is merged in proportion to light, its noise told from the frames themselves."""
+    pytest.importorskip("rawpy")
+    rng = np.random.default_rng(1)
+    radiance = np.kron(_scene(rng), np.ones((2, 2)))
+    tint = np.tile([[0.5, 1.0], [1.0, 0.7]], (60, 80))  # of red, the greens, and blue
+    folder = tmp_path / "raw"
+    folder.mkdir()
+    for seconds in TIMES:
+        _dng(folder / f"t{seconds:g}.dng", _mosaic(rng, radiance * tint, seconds))
+    (folder / "exposures.txt").write_text("".join(f"t{s:g}.dng {s}\n" for s in TIMES))
+    assert run(["merge", str(folder), "-o", str(tmp_path / "map.tiff")]) == 0
+    capsys.readouterr()
+    assert not list(tmp_path.glob("*response*"))
+    assert tifffile.imread(tmp_path / "map.tiff", key=0).shape == (60, 80, 3)
+    truth = np.dstack([part * radiance[::2, ::2] for part in (0.5, 1.0, 0.7)])
+    for plane in range(3):
+        value, u = (tifffile.imread(tmp_path / "map.tiff", key=key)[..., plane].astype(float) for key in (0, 1))
+        z = (value / truth[..., plane] / np.median(value / truth[..., plane]) - 1.0) / (u / value)
+        assert np.sqrt(np.mean(z[radiance[::2, ::2] > 1.0] ** 2)) == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize("ending", [".tif", ".png"])
+def test_sixteen_bit_pictures_are_linear_where_that_is_said(tmp_path, capsys, ending):
+    """With --linear no response is recovered; two programs' files of 16 bits are taken as they stand."""
+    rng = np.random.default_rng(2)
+    radiance = _scene(rng)
+    folder = tmp_path / "p"
+    folder.mkdir()
+    for seconds in TIMES:
+        electrons = rng.poisson(radiance * seconds * 300.0)
+        dn = np.clip(np.round(electrons * 4.0), 0, 65535).astype(np.uint16)
+        cv2.imwrite(str(folder / f"t{seconds:g}{ending}"), dn)
+    (folder / "exposures.txt").write_text("".join(f"t{s:g}{ending} {s}\n" for s in TIMES))
+    assert run(["merge", str(folder), "--linear", "-o", str(tmp_path / "map.tiff")]) == 0
+    assert "response" not in capsys.readouterr().out
+    _agrees(tmp_path / "map.tiff", radiance)
+
+
+def test_linear_photographs_take_no_response(tmp_path, capsys):
+    """--linear beside --response is misuse, said in one line."""
+    words = ["merge", str(tmp_path), "--linear", "--response", "c.csv", "-o", str(tmp_path / "a.exr")]
+    assert run(words) == 2
+    assert "leave --response out" in capsys.readouterr().err
