@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
@@ -69,14 +68,12 @@ class LinuxpyDevice:
     def __init__(self, library: Any, device: Any, path: str) -> None:
         self._library, self._device, self._path = library, device, path
         self._capture: Any = None
-        self._frames: Iterator[Any] | None = None
-        self._thread: CallThread | None = None
 
     def formats(self) -> list[tuple[str, int, int]]:
         """Return four-letter code, width and height of every format."""
         found = []
         for one in self._device.info.formats:
-            code = int(one.pixel_format).to_bytes(4, "little").decode("ascii", "replace")
+            code = _fourcc(one.pixel_format)
             for size in self._device.info.format_frame_sizes(one.pixel_format):
                 width = getattr(size.info, "width", None) or size.info.max_width
                 found.append((code, int(width), int(getattr(size.info, "height", None) or size.info.max_height)))
@@ -107,20 +104,31 @@ class LinuxpyDevice:
         kind = self._library.BufferType.VIDEO_CAPTURE
         try:
             self._device.set_format(kind, width, height, fourcc)
+            self._require_format(self._device.get_format(kind), fourcc, width, height)
             self._capture = self._library.VideoCapture(self._device)
             self._capture.open()
         except OSError as error:
             self._capture = None
             raise _said(error, self._path) from error
-        self._frames = iter(self._capture)
+
+    def _require_format(self, now: Any, fourcc: str, width: int, height: int) -> None:
+        """Raise DeviceError where the device gives another format than was set, or rows with a margin."""
+        given = f"{now.width} × {now.height} {_fourcc(now.pixel_format)}"
+        if given != f"{width} × {height} {fourcc}":
+            raise DeviceError(f"{self._path}: gives {given} where {width} × {height} {fourcc} was set; choose another")
+        row = width * (1 if fourcc == "GREY" else 2)
+        if now.bytes_per_line not in (0, row):
+            raise DeviceError(
+                f"{self._path}: rows of {given} take {now.bytes_per_line} bytes, not {row}; choose another"
+            )
 
     def frame(self, deadline_s: float) -> VideoFrame:
         """Return the next frame. Raises DeviceTimeout, DeviceLost, or DeviceError where it does not stream."""
-        if self._frames is None:
+        if self._capture is None:
             raise DeviceError(f"{self._path} does not stream; start it first")
         thread = CallThread(self._path, lambda: not Path(self._path).exists(), _LOOK_S, deadline_s)
         try:
-            frame = thread.run(next, self._frames)
+            frame = thread.run(self._capture.buffer.read)
         except OSError as error:
             raise _said(error, self._path) from error
         except DeviceLost as error:
@@ -133,7 +141,7 @@ class LinuxpyDevice:
 
     def stop(self) -> None:
         """End streaming."""
-        capture, self._capture, self._frames = self._capture, None, None
+        capture, self._capture = self._capture, None
         if capture is not None and Path(self._path).exists():
             capture.close()
 
@@ -141,6 +149,11 @@ class LinuxpyDevice:
         """Give the device back."""
         self.stop()
         self._device.close()
+
+
+def _fourcc(pixel_format: int) -> str:
+    """Return the four letters of a pixel format's number."""
+    return int(pixel_format).to_bytes(4, "little").decode("ascii", "replace")
 
 
 def _said(error: OSError, path: str) -> DeviceError:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
 from drivers import camera_opening
+from drivers.camera_checks import check_features
 from drivers.camera_opening import _gige_address_of, _set_if_offered, open_session
+from drivers.camera_quirks import quirks_for
 from drivers.chunk_data import changed_chunks, switch_on_chunks
 from drivers.link_throughput import LIMIT, SPEED, choose_throughput
-from radiometer.devices import CameraIdentity, CameraSettings
+from radiometer.devices import CameraIdentity, CameraSettings, Health
 from radiometer.errors import DeviceInUse, DeviceLost
 
 OFFERED = ("Image", "CRC", "FrameID", "ExposureTime", "Gain", "BlackLevel")
@@ -203,3 +207,20 @@ def test_a_camera_in_use_is_told_before_the_library_is_asked(monkeypatch):
     identity = CameraIdentity("FLIR", "BFS-PGE-19S4M", "0138C343", "FLIR-1", "GigEVision 10.0.0.2")
     with pytest.raises(DeviceInUse, match=r"camera FLIR BFS-PGE-19S4M 0138C343 \(20497219\) is in use by another"):
         open_session(None, RuntimeError, identity, None)
+
+
+@pytest.mark.parametrize(
+    ("speed", "health"), [(60_000_000, Health.WARNING), (500_000_000, Health.OK), (None, Health.OK)]
+)
+def test_an_open_usb_camera_tells_its_link_itself(wooden_camera, speed, health):
+    """60 MB/s is a USB 2 link, warned of with the cure; a camera that does not say is not suspected."""
+    camera, features = wooden_camera({} if speed is None else {SPEED: speed})
+    camera.is_gv_device = lambda: False
+    session = SimpleNamespace(
+        camera=camera, features=features, hygiene=(), notes=("it was so",), quirks=quirks_for("FLIR", "BFS-U3-19S4M"),
+        identity=CameraIdentity("FLIR", "BFS-U3-19S4M", "0138C343", "FLIR-1", "USB3Vision"),
+    )  # fmt: skip
+    found = {finding.check: finding for finding in check_features(SimpleNamespace(session=session))}
+    assert found["link"].health is health
+    assert ("USB 3 port" in found["link"].cure) is (health is Health.WARNING)
+    assert (found["opening"].health, found["opening"].message) == (Health.NOTE, "it was so")
