@@ -47,6 +47,7 @@ from simulators.effects.excess_read_noise import ExcessReadNoise
 from simulators.effects.exposure_label_error import ExposureLabelError
 from simulators.effects.exposure_quantisation import ExposureQuantisation
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.first_frame_offset import FirstFrameOffset
 from simulators.effects.fnumber_tstop_error import FnumberTstopError
 from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.gain_step_error import GainStepError
@@ -54,6 +55,7 @@ from simulators.effects.gamma_enabled import GammaEnabled
 from simulators.effects.ghost import Ghost
 from simulators.effects.hot_pixels import HotPixels
 from simulators.effects.image_lag import ImageLag
+from simulators.effects.lamp_step import LampStep
 from simulators.effects.led_thermal_droop import LedThermalDroop
 from simulators.effects.lens import Lens
 from simulators.effects.mains_ripple import MainsRipple
@@ -71,6 +73,7 @@ from simulators.effects.quantisation import Quantisation
 from simulators.effects.quantum_efficiency import QuantumEfficiency
 from simulators.effects.quantum_efficiency_temperature import QuantumEfficiencyTemperature
 from simulators.effects.read_noise import ReadNoise
+from simulators.effects.readout_dark_charge import ReadoutDarkCharge
 from simulators.effects.reciprocity_failure import ReciprocityFailure
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from simulators.effects.rolling_shutter_banding import RollingShutterBanding
@@ -112,6 +115,7 @@ EFFECTS: Final[dict[str, type[Effect]]] = {
     "exposure_label_error": ExposureLabelError,
     "exposure_quantisation": ExposureQuantisation,
     "exposure_time_offset": ExposureTimeOffset,
+    "first_frame_offset": FirstFrameOffset,
     "fnumber_tstop_error": FnumberTstopError,
     "full_well_saturation": FullWellSaturation,
     "gain_step_error": GainStepError,
@@ -119,6 +123,7 @@ EFFECTS: Final[dict[str, type[Effect]]] = {
     "ghost": Ghost,
     "hot_pixels": HotPixels,
     "image_lag": ImageLag,
+    "lamp_step": LampStep,
     "led_thermal_droop": LedThermalDroop,
     "lens": Lens,
     "mains_ripple": MainsRipple,
@@ -136,6 +141,7 @@ EFFECTS: Final[dict[str, type[Effect]]] = {
     "quantum_efficiency": QuantumEfficiency,
     "quantum_efficiency_temperature": QuantumEfficiencyTemperature,
     "read_noise": ReadNoise,
+    "readout_dark_charge": ReadoutDarkCharge,
     "reciprocity_failure": ReciprocityFailure,
     "response_nonlinearity": ResponseNonlinearity,
     "rolling_shutter_banding": RollingShutterBanding,

@@ -26,6 +26,7 @@ SHOWS = {
     "prnu": ("spatial",),
     "hot_pixels": ("spatial",),
     "image_lag": ("first",),
+    "first_frame_offset": ("first",),
     "brighter_fatter": ("variance",),
     "crosstalk": ("variance", "neighbour", "edge"),
     "shutter_dead_time": ("first", "mean"),

@@ -114,3 +114,20 @@ def adc_saturation(world: World, rng: np.random.Generator, scale: float) -> Trut
     top = float(round(world.rig.top_dn - 200 * scale))
     world.digital.append(lambda value, shot: np.minimum(value, top))
     return {"clip_dn": top}
+
+
+@entry("first_frame_offset", "previous_frame", "exposure_s")
+def first_frame_offset(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Lift the black level by 0.4 DN in the first frame of every burst."""
+    lift = sign(rng) * 0.4 * scale
+    world.digital.append(lambda value, shot: value + (lift if shot.number == 0 else 0.0))
+    return {"offset_dn": lift}
+
+
+@entry("readout_dark_charge", "image_y", "temperature_C", accepted=("black_level_offset",))
+def readout_dark_charge(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Let the last row gather 2 electrons at 35 °C while the others are read, doubling every 5 to 7 K."""
+    last, doubling = 2.0 * scale, rng.uniform(5, 7)
+    waited = (np.arange(world.rig.rows) / (world.rig.rows - 1))[:, None]
+    world.dark.append(lambda dark, shot, t: dark + last * 2 ** ((shot.temperature_c - BASE_C) / doubling) * waited)
+    return {"charge_e": last, "reference_C": BASE_C, "doubling_K": doubling}

@@ -78,3 +78,11 @@ def quantum_efficiency_temperature(world: World, rng: np.random.Generator, scale
 
     world.electrons.append(drift)
     return {"slope_per_K": slope, "reference_C": BASE_C}
+
+
+@entry("lamp_step", "timestamp_s", accepted=("source_warmup_drift",))
+def lamp_step(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Let the lamp's output jump by 0.7 % once in the session."""
+    when, step = rng.uniform(900, 1900), sign(rng) * 0.007 * scale
+    world.lamp.append(lambda shot, t, dice: 1 + step * (shot.time_s > when))
+    return {"step": step, "time_s": when}

@@ -20,14 +20,6 @@ def sinusoidal_lamp_drift(world: World, rng: np.random.Generator, scale: float) 
     return {"depth": depth, "period_s": period_s}
 
 
-@outsider("lamp_step", "timestamp_s", accepted=("source_warmup_drift",))
-def lamp_step(world: World, rng: np.random.Generator, scale: float) -> Truth:
-    """Let the lamp's output jump by 0.7 % once in the session."""
-    when, step = rng.uniform(900, 1900), sign(rng) * 0.007 * scale
-    world.lamp.append(lambda shot, t, dice: 1 + step * (shot.time_s > when))
-    return {"step": step, "time_s": when}
-
-
 @outsider("dust_shadow", "image_x", "image_y", "field_radius", accepted=("prnu",))
 def dust_shadow(world: World, rng: np.random.Generator, scale: float) -> Truth:
     """Lay a soft dark spot of 3 % on the sensor's window."""
@@ -53,14 +45,6 @@ def tap_mismatch(world: World, rng: np.random.Generator, scale: float) -> Truth:
     half = 1 + step * (np.arange(world.rig.columns) >= world.rig.columns // 2)[None, :]
     world.voltage.append(lambda signal, shot, dice: signal * half)
     return {"step": step}
-
-
-@outsider("late_black", "frame", "exposure_s")
-def late_black(world: World, rng: np.random.Generator, scale: float) -> Truth:
-    """Lift the black level by 0.4 DN in the first frame of every burst."""
-    lift = sign(rng) * 0.4 * scale
-    world.digital.append(lambda value, shot: value + (lift if shot.number == 0 else 0.0))
-    return {"lift_dn": lift}
 
 
 @outsider("stop_hysteresis", "f_number", accepted=("fnumber_tstop_error",))

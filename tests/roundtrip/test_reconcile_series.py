@@ -1,0 +1,30 @@
+"""What real sensors and lamps do between frames and captures is found where it is hidden."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from radiometer.reconcile import reconcile
+from radiometer.reconcile.report.result import Verdict
+from tests.roundtrip.generator.session import Session
+
+PARAMETERS = {
+    "lamp_step": ("step_rel", "step"),
+    "first_frame_offset": ("offset_dn", "offset_dn"),
+    "readout_dark_charge": ("doubling_K", "doubling_K"),
+}
+
+
+@pytest.mark.parametrize("name", sorted(PARAMETERS))
+def test_it_is_named_with_its_size(hidden_session: Callable[..., Session], name: str) -> None:
+    """A jumping lamp, an unsettled first frame and charge gathered in readout are named alone, within four u."""
+    session = hidden_session(name, camera_seed=5101)
+    found = reconcile(session.header, list(session.frames()), with_limits=False)
+    assert found.verdict is Verdict.EFFECTS_FOUND
+    assert [effect.name for effect in found.effects] == [name]
+    own, true = PARAMETERS[name]
+    fitted = found.effects[0].parameters[own]
+    assert fitted.u is not None
+    assert fitted.value == pytest.approx(session.truth[name][true], abs=4.0 * fitted.u)

@@ -1,0 +1,66 @@
+"""Jumping lamps, first frames of a series, and charge that gathers during readout, against values by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from radiometer.data import CameraDescription, FrameSettings
+from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.effects.first_frame_offset import FirstFrameOffset
+from simulators.effects.lamp_step import LampStep
+from simulators.effects.readout_dark_charge import ReadoutDarkCharge
+from simulators.effects.tile_moments import TileMoments
+
+
+def _context(**settings: Any) -> ExposureContext:
+    own = FrameSettings(**({"exposure_s": 0.01} | settings))
+    return ExposureContext(own, FrameGeometry.of_image(8, 5), CameraDescription(bit_depth=12))
+
+
+def _series(times_s: np.ndarray) -> Any:
+    return replace(_context(), settings=cast(Any, SimpleNamespace(timestamp_s=times_s)))
+
+
+def test_a_lamp_jumps_at_its_moment() -> None:
+    """Frames until the moment have their light, those after it 2 % more."""
+    factor = LampStep(step_rel=0.02, time_s=100.0).factor(_series(np.array([0.0, 100.0, 100.1])))
+    assert np.asarray(factor).tolist() == [1.0, 1.0, 1.02]
+
+
+def test_a_jump_is_looked_for_between_any_two_of_many_captures() -> None:
+    """Of ten captures a jump may lie after the fourth to the sixth, halfway to the next; of seven nowhere."""
+    times = [start.time_s for start in LampStep.starts(_series(10.0 * np.arange(10)))]
+    assert times == [35.0, 45.0, 55.0]
+    assert LampStep.usable(_series(np.arange(8.0)))
+    assert not LampStep.usable(_series(np.arange(7.0)))
+
+
+def test_the_first_frame_alone_is_off() -> None:
+    """Of four frames the mean is off by a quarter of what the first is; a second frame is not off at all."""
+    effect, signal = FirstFrameOffset(offset_dn=4.0), np.full((5, 8), 100.0)
+    assert float(effect.mean(signal, _context())[0, 0]) == 104.0
+    assert float(effect.mean(signal, replace(_context(), frame_index=1))[0, 0]) == 100.0
+    series = cast(Any, SimpleNamespace(frames=np.full((1, 1, 1), 4.0), first_frame=None, later_frames=None))
+    after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
+    assert isinstance(after, TileMoments)
+    assert float(after.mean[0, 0, 0]) == 101.0
+    assert float(np.ravel(after.first_excess)[0]) == 4.0
+
+
+def test_charge_gathers_until_a_row_is_read() -> None:
+    """Of five rows the first has none and the last all; 7 K more double it; exposure does not count."""
+    effect = ReadoutDarkCharge(charge_e=8.0, reference_C=20.0, doubling_K=7.0)
+    for exposure_s in (1e-6, 10.0):
+        column = np.ravel(effect.offset(_context(exposure_s=exposure_s, temperature_c=27.0)))
+        assert column == pytest.approx([0.0, 4.0, 8.0, 12.0, 16.0])
+
+
+def test_rows_may_be_read_from_below() -> None:
+    """Where the last row is read first, the first one gathers most."""
+    effect = ReadoutDarkCharge(charge_e=8.0, from_below=1.0)
+    assert np.ravel(effect.offset(_context())) == pytest.approx([8.0, 6.0, 4.0, 2.0, 0.0])
