@@ -30,6 +30,7 @@ _ASKED_CHI2: Final = 400.0  # the size at which a plan is asked about an entry: 
 _LARGEST_FACTOR: Final = 1000.0  # times the size of its start, beyond which the entry would be absurd
 _ABSORBED: Final = 1e-6  # share of what an entry changes that the nuisances must leave
 _STEP: Final = 0.1  # of a parameter's scale
+_REACH: Final = 2.0  # scales by which a parameter may leave its start: beyond, its derivative there is another effect
 _DIRECTION: Final = 1e-6  # share of a column that the others of its entry must leave
 
 
@@ -88,15 +89,21 @@ class Directions:
     def left(self, target: _Form, other: _Form) -> tuple[float, float]:
         """Return the χ² of a start that another entry, about one of its own starts, does not follow, and how much of
         that start it takes."""
-        own, of = slice(other.columns.start, other.columns.stop), target.columns.start
-        gram, right = self.products[own, own], self.products[own, of]
+        whole = self.shown(target)
+        left, taken = self._least(target, other.columns)
+        if taken[0] <= 0 or np.max(np.abs(taken[1:]), initial=0.0) > _REACH * taken[0]:  # another form than it can take
+            left, taken = self._least(target, slice(other.columns.start, other.columns.start + 1))
+        return (left, float(taken[0])) if taken[0] > 0 else (whole, 0.0)
+
+    def _least(self, target: _Form, own: slice) -> tuple[float, Array]:
+        """Return the χ² of a start that columns do not follow at best, and how much of each they take."""
+        gram, right = self.products[own, own], self.products[own, target.columns.start]
         lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
         values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
         kept = values > _DIRECTION
         along = (vectors[:, kept].T @ (right / lengths)) / np.sqrt(values[kept])
-        amount = float((vectors[:, kept] @ (along / np.sqrt(values[kept])))[0] / lengths[0])
-        whole = self.shown(target)
-        return (whole, 0.0) if amount <= 0 else (max(whole - float(along @ along), 0.0), amount)
+        taken = (vectors[:, kept] @ (along / np.sqrt(values[kept]))) / lengths
+        return max(self.shown(target) - float(along @ along), 0.0), np.asarray(taken)
 
     def is_seen(self, form: _Form) -> bool:
         """Tell whether a start shows at any size that is not absurd, and is more than the nuisances."""

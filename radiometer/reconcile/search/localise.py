@@ -27,7 +27,7 @@ from radiometer.reconcile.statistics import ADDITIVE, MULTIPLICATIVE, STATISTICS
 from radiometer.reconcile.thresholds import OWN_SIGNIFICANCE, SIGNIFICANCE
 from simulators.effects.catalogue import CatalogueEffect
 
-_DRAWS: Final = 4000
+_DRAWS: Final = 2000
 _DRAWN_WITH: Final = 20261122  # the same draws for the same data
 _FEWEST_BEYOND: Final = 8  # draws, below which they tell the chance no better than the bound does
 _OWN_DIRECTION: Final = 1e-4  # share of a trend that the nuisances must leave
