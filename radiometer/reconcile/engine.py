@@ -259,13 +259,19 @@ def _result(
         repeatability=state.tau,
         assumptions=(*_assumptions(outcome, doubts), *failed),
         localisation=tuple(_place(test) for test in places(outcome.start, _PLACES)),
-        global_p=(global_p_value(outcome.start, outcome.first_tests), global_p_value(state, outcome.tests)),
+        global_p=_global_p(outcome),
         calls=(sum(test.p_value < _CALL for test in outcome.first_tests), len(outcome.first_tests)),
         added=(*state.model.given, *state.effects),
         captures=len(state.design.captures),
         frames=frames,
         seconds=time.monotonic() - begun,
     )
+
+
+def _global_p(outcome: Search) -> tuple[float, float]:
+    """Return the global p-value of the starting and of the final model."""
+    before = global_p_value(outcome.start, outcome.first_tests)
+    return before, before if outcome.state is outcome.start else global_p_value(outcome.state, outcome.tests)
 
 
 def _spared(what: str, work: Callable[[], _T], failed: list[str]) -> _T | None:

@@ -150,13 +150,14 @@ def global_p_value(state: FitState, tests: Sequence[Disagreement]) -> float:
         state: The fitted model.
         tests: All its tests, the most significant first.
     """
-    bases = list(trend_bases(state, covariates(state.model, state.prediction)))
-    if not tests or not bases:
+    if not tests:
         return 1.0
     bound = min(len(tests) * float(np.exp(tests[0].log_p)), 1.0)
-    least = _least_of_draws(state, bases)
+    if bound < _FEWEST_BEYOND / _DRAWS:  # no draw would reach it
+        return bound
+    least = _least_of_draws(state, list(trend_bases(state, covariates(state.model, state.prediction))))
     beyond = int(np.sum(least <= tests[0].log_p))
-    return beyond / least.size if beyond >= _FEWEST_BEYOND else min(bound, _FEWEST_BEYOND / least.size)
+    return max(beyond, _FEWEST_BEYOND) / least.size
 
 
 def _least_of_draws(state: FitState, bases: Sequence[Basis]) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from radiometer.reconcile.fit.state import FitState, first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.noise.repeatability import estimate_tau
-from radiometer.reconcile.search.localise import axis_of, localise, places
+from radiometer.reconcile.search.localise import axis_of, global_p_value, localise, places
 from radiometer.reconcile.thresholds import SIGNIFICANCE
 
 
@@ -99,3 +100,14 @@ def test_swinging_lamp_is_placed_along_time(make_capture: Callable[..., Any]) ->
 
     first = places(_state(make_capture(seed=5, picture=swing)), 1)[0]
     assert (first.block, axis_of(first.where, first.block)) == ("mean", "timestamp_s")
+
+
+def test_global_p_lies_within_what_overlapping_tests_allow(make_capture: Callable[..., Any]) -> None:
+    """Of tests that overlap the global p lies below Bonferroni's n·p, but not by more than their number of kinds."""
+    state = _state(make_capture(seed=5))
+    tests = localise(state)
+    for chance in (1e-3, 1e-2):
+        best = replace(tests[0], p_value=chance)
+        found = global_p_value(state, (best, *tests[1:]))
+        assert 0.3 * len(tests) * chance < found <= min(1.25 * len(tests) * chance, 1.0)
+    assert global_p_value(state, (replace(tests[0], p_value=1e-9), *tests[1:])) == pytest.approx(len(tests) * 1e-9)
