@@ -44,9 +44,8 @@ class Device:
     def set_format(self, _kind: str, width: int, height: int, fourcc: str) -> None:
         if self.refuses:
             raise self.refuses
-        self.format = SimpleNamespace(
-            width=width, height=height, pixel_format=int.from_bytes(fourcc.encode(), "little")
-        )
+        code = int.from_bytes(fourcc.encode(), "little")
+        self.format = SimpleNamespace(width=width, height=height, pixel_format=code, bytes_per_line=width)
 
     def get_format(self, _kind: str) -> SimpleNamespace:
         return self.format
