@@ -25,7 +25,7 @@ from radiometer.analysis.calibration.calibrate import (
     unscaled_calibration,
 )
 from radiometer.bench.instrument import Instrument
-from radiometer.data import Bracket, Calibration, LensDescription, Patch, Reading, SourceDescription
+from radiometer.data import Bracket, Calibration, FoundEffects, LensDescription, Patch, Reading, SourceDescription
 
 SEEDS = 100
 SOURCE_U_REL = 0.004
@@ -48,6 +48,7 @@ class Condition:
         source: What is known of the light.
         frames: Use so many frames only; None for what the program takes.
         fixed: What is true at calibration and reading alike.
+        found: What reconcile found of the camera, and its uncertainties in place of the defaults.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Condition:
     source: SourceDescription | None = None
     frames: int | None = None
     fixed: Draw = lambda rng: {}
+    found: tuple[dict[str, float], dict[str, float]] = ({}, {})
 
 
 def stated(**changes: Any) -> LensDescription:
@@ -117,6 +119,15 @@ CONDITIONS = [
     Condition("black level +1 DN, dim patch", lambda rng: {"radiance": 2e-4, "black_offset_dn": 1.0}),
     Condition("3 × 3 pixels of 1 % PRNU, source known to 0.1 %",
               lambda rng: {"patch": (46, 30, 3, 3)}, source_u_rel=0.001, fixed=lambda rng: {"prnu": 0.01}),
+    Condition("glare of 1 % found to 0.03 %, surround 10 times brighter",
+              lambda rng: {"surround": 10.0}, fixed=lambda rng: {"glare": 0.01 + rng.normal(0, 3e-4)},
+              found=({"glare": 0.01}, {"glare_u": 3e-4})),
+    Condition("exposure 5 µs off, found to 0.1 µs, bright patch",
+              lambda rng: {"radiance": 200.0}, fixed=lambda rng: {"exposure_offset_s": 5e-6 + rng.normal(0, 1e-7)},
+              found=({"exposure_offset_s": 5e-6}, {"exposure_u_s": 1e-7})),
+    Condition("0.1 %/K found to 0.01 %/K, 15 K warmer",
+              lambda rng: {"temperature_c": 55.0, "temperature_slope": 1e-3 + rng.normal(0, 1e-4)},
+              found=({"temperature_slope_per_k": 1e-3}, {"temperature_u_rel_per_k": 1e-4})),
 ]
 # fmt: on
 
@@ -145,6 +156,9 @@ def calibration(condition: Condition, fixed: dict[str, Any], rng: np.random.Gene
     u = condition.source_u_rel
     bench, _ = instrument(replace(World(), **fixed), LENS, rng, pattern)
     base = unscaled_calibration(DESCRIPTION, LENS, None, "white_led")
+    if condition.found[0]:
+        known = base.uncertainties.model_copy(update=condition.found[1])
+        base = replace(base, found=FoundEffects(**condition.found[0]), uncertainties=known)
     source = KnownSource(1.0 + rng.normal(0.0, u), u)
     return scaled_calibration(base, scale_by_source(base, bench.take_bracket(), bench.patch, source), ())
 

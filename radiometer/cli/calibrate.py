@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch, parse_seconds, with_f_number
+from radiometer.cli.calibrate_model import with_found_effects
 from radiometer.cli.calibrate_range import with_dynamic_range
 from radiometer.cli.calibrate_report import calibration_report, show_report
 from radiometer.cli.iso_record import at_iso, is_photographs, reference_iso
@@ -90,6 +91,10 @@ def command(
     camera_file: Annotated[
         Path | None, typer.Option(help="Camera file of `radiometer characterise`: gain, noise, saturation as measured.")
     ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(help="Model of `radiometer reconcile`: readings are corrected for its effects."),
+    ] = None,
     stated: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=U", help="Uncertainty of readings that you know better, such as glare_u=0.002."),
@@ -129,6 +134,8 @@ def command(
     black = _black_level(black_level, seen)
     base = make.unscaled_calibration(description, lens, curve, spectrum, black, validity_days)
     base = replace(base, uncertainties=_uncertainties(stated, preset))
+    if model is not None:
+        base = with_found_effects(base, model, stated=base.uncertainties.model_fields_set)
     if spectrum_unstated and "efficacy_u_rel" not in base.uncertainties.model_fields_set:
         unknown = base.uncertainties.model_copy(update={"efficacy_u_rel": UNKNOWN_EFFICACY_U_REL})
         base = replace(base, uncertainties=unknown)
@@ -149,7 +156,7 @@ def command(
         scales.append(at_iso(make.scale_by_meter(base, meter), speeds.reference, speeds.reference_stated))
     chosen = min(scales, key=lambda scale: scale.u_rel)
     other = next((scale for scale in scales if scale is not chosen), None)
-    inputs = tuple(str(path.name) for path in (capture, response, camera_file, flat) if path)
+    inputs = tuple(str(path.name) for path in (capture, response, camera_file, flat, model) if path)
     calibration = make.scaled_calibration(base, chosen, inputs, other)
     calibration.write(out)
     report = calibration_report(calibration, scales, meter, out, ranged)

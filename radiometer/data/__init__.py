@@ -5,6 +5,7 @@ from radiometer.data.calibration import Calibration
 from radiometer.data.calibration_sections import (
     BlackLevel,
     FlatField,
+    FoundEffects,
     Scale,
     ScaleConditions,
     SpectralResponse,
@@ -36,6 +37,7 @@ __all__ = [
     "Contribution",
     "Flag",
     "FlatField",
+    "FoundEffects",
     "Frame",
     "FrameEntry",
     "FrameSettings",

@@ -11,7 +11,14 @@ from typing import Any
 import numpy as np
 from pydantic import AwareDatetime, Field
 
-from radiometer.data.calibration_sections import BlackLevel, FlatField, Scale, SpectralResponse, StatedUncertainties
+from radiometer.data.calibration_sections import (
+    BlackLevel,
+    FlatField,
+    FoundEffects,
+    Scale,
+    SpectralResponse,
+    StatedUncertainties,
+)
 from radiometer.data.capture_header import CameraDescription, LensDescription
 from radiometer.data.provenance import Provenance, utc_now
 from radiometer.data.response_curve import ResponseCurve
@@ -40,6 +47,7 @@ class Calibration:
         spectrum: Name of the spectrum that the source is taken to have, or path of a CSV.
         spectral_response: Spectral responsivity of the camera; None where unknown.
         uncertainties: What else the user states.
+        found: What `radiometer reconcile` found of the camera and readings are corrected for.
         defects: Positions (x, y) of defective pixels.
         created: ISO 8601 time in UTC.
         validity_days: Days after which a reading carries the flag `stale_calibration`.
@@ -56,6 +64,7 @@ class Calibration:
     spectrum: str = "equal_energy"
     spectral_response: SpectralResponse | None = None
     uncertainties: StatedUncertainties = field(default_factory=StatedUncertainties)
+    found: FoundEffects = field(default_factory=FoundEffects)
     defects: tuple[tuple[int, int], ...] = ()
     created: str = field(default_factory=utc_now)
     validity_days: float = DEFAULT_VALIDITY_DAYS
@@ -131,6 +140,7 @@ class Calibration:
             "spectrum": self.spectrum,
             "spectral_response": self.spectral_response.model_dump(mode="json") if self.spectral_response else None,
             "uncertainties": self.uncertainties.model_dump(mode="json"),
+            "found": self.found.model_dump(mode="json"),
             "defects": [list(position) for position in self.defects],
             "provenance": self.provenance.to_mapping(),
             "response": _compact(self.response.to_mapping()) if self.response else None,
@@ -180,6 +190,7 @@ class Calibration:
             spectrum=stored.spectrum,
             spectral_response=stored.spectral_response,
             uncertainties=stored.uncertainties,
+            found=stored.found,
             defects=stored.defects,
             created=stored.created.isoformat(),
             validity_days=stored.validity_days,
@@ -213,6 +224,7 @@ class _CalibrationFile(FileSection):
     spectrum: str = "equal_energy"
     spectral_response: SpectralResponse | None = None
     uncertainties: StatedUncertainties = StatedUncertainties()
+    found: FoundEffects = FoundEffects()
     defects: tuple[tuple[int, int], ...] = ()
     provenance: dict[str, Any] = Field(default_factory=dict)
     response: dict[str, Any] | None = None

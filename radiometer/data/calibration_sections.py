@@ -140,6 +140,26 @@ class FlatField(FileSection):
         return np.asarray(falloff, dtype=np.float64)
 
 
+class FoundEffects(FileSection):
+    """What `radiometer reconcile` found of a camera and readings are corrected for; 0 where nothing was found.
+
+    Attributes:
+        exposure_offset_s: Real exposure times beyond the stated ones in s.
+        black_offset_dn: Real black level beyond the stated one in DN.
+        gain_error_rel: Relative error of gains in dB: a stated G is really G·(1 + error).
+        temperature_slope_per_k: Relative change of the responsivity per K.
+        glare: Part of the picture's mean that the lens spreads over it.
+        names: Effects that these stand for.
+    """
+
+    exposure_offset_s: float = 0.0
+    black_offset_dn: float = 0.0
+    gain_error_rel: float = 0.0
+    temperature_slope_per_k: float = 0.0
+    glare: float = Field(0.0, gt=-0.5, lt=0.5)
+    names: tuple[str, ...] = ()
+
+
 class StatedUncertainties(FileSection):
     """Standard uncertainties that the user states or the program assumes, each with its default and where that is from.
 

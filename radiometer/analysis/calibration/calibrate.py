@@ -199,6 +199,8 @@ def scaled_calibration(
     doubt = base.uncertainties.efficacy_u_rel
     known = f", its luminous efficacy to {100 * doubt:.2g} % (k = 1)" if doubt else ""
     assumptions = [f"source spectrum {base.spectrum}{known}"]
+    if base.found.names:
+        assumptions.append("corrected for what reconcile found: " + ", ".join(base.found.names))
     if base.response is None:
         assumptions.append("response taken as linear above the black level")
     if base.noise.assumed:

@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,19 @@ from radiometer.analysis.merge.frames import FrameTerms, frame_terms
 from radiometer.analysis.merge.sums import FRAMES_PER_PLANE, MergeSample, MergeSums
 from radiometer.analysis.merge.tables import merge_tables
 from radiometer.analysis.patch.outside import frame_u_rel
+from radiometer.analysis.signal.found_effects import corrected_settings
 from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
 from radiometer.analysis.signal.situation import common_u_rel, flat_field_for, situation_of
-from radiometer.data import Bracket, Calibration, CameraDescription, Frame, LensDescription, Provenance, RadianceMap
+from radiometer.data import (
+    Bracket,
+    Calibration,
+    CameraDescription,
+    FoundEffects,
+    Frame,
+    LensDescription,
+    Provenance,
+    RadianceMap,
+)
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.errors import MeasurementError
 
@@ -88,6 +99,7 @@ class StreamingMerge:
         Raises:
             MeasurementError: If it does not belong to the frames before it.
         """
+        frame = self._corrected(frame)
         self._refuse_misfit(frame)
         if frame.settings.is_dark:
             if self._terms:
@@ -128,10 +140,19 @@ class StreamingMerge:
         """
         for dark in bracket.dark_frames:
             self.add(dark)
-        for frame in bracket:
+        for taken in bracket:
+            frame = self._corrected(taken)
             self._refuse_misfit(frame)
             self._pending.append(self._sample(frame))
         return self.result()
+
+    def _corrected(self, frame: Frame) -> Frame:
+        """Return the frame with the settings that it was really taken with, as far as they were found."""
+        calibration = self._calibration
+        if calibration is None or calibration.found == FoundEffects():
+            return frame
+        settings = corrected_settings(frame.settings, calibration.found, self._situation.black.dn)
+        return replace(frame, settings=settings)
 
     def _batch_size(self, frame: Frame) -> int:
         """Return how many frames leave sums and batch under three planes of 32 bits beyond the result, at least 1."""

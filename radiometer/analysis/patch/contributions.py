@@ -49,6 +49,7 @@ class PatchSituation:
         light_frames: Number of light frames seen.
         unsteady: Whether a frame clips that was exposed no longer than one that does not: the light changes.
         now: Time of the reading, with time zone.
+        stray: Radiance that is taken off for known veiling glare.
     """
 
     estimate: PatchEstimate
@@ -67,11 +68,12 @@ class PatchSituation:
     light_frames: int
     unsteady: bool
     now: dt.datetime
+    stray: float = 0.0
 
     @property
     def value(self) -> float:
         """Return the radiance, or the relative value."""
-        return self.scale * self.estimate.rate
+        return self.scale * self.estimate.rate - self.stray
 
     @property
     def shares_level(self) -> bool:

@@ -16,6 +16,7 @@ from radiometer.analysis.patch.flags import reading_flags
 from radiometer.analysis.patch.frames import PatchFrame, crop_frames
 from radiometer.analysis.patch.outside import Falloff, Surround, conditions_of
 from radiometer.analysis.signal.dark import dark_levels
+from radiometer.analysis.signal.found_effects import corrected_frames, temperature_factor, without_glare
 from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
 from radiometer.analysis.signal.photometry import holds_visible_light, luminous_efficacy_lm_per_w
 from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of
@@ -109,6 +110,8 @@ def _patch_situation(
     source: SourceDescription | None,
     now: dt.datetime | None,
 ) -> PatchSituation:
+    if calibration is not None:
+        frames = corrected_frames(frames, calibration.found, settled.black.dn)
     light, dark_frames, shape = crop_frames(frames, patch, settled.model)
     chosen = [one for one in light if one.usable] or [one for one in light if one.unclipped] or [light[0]]
     good = ~np.any([one.clipped for one in chosen], axis=0) if chosen[0].usable else np.ones(chosen[0].dn.shape, bool)
@@ -121,6 +124,10 @@ def _patch_situation(
     chosen = [_evened(one, level.signal, place) for one, level in zip(chosen, dark, strict=True)]
     exposures = np.array([one.settings.exposure_s for one in chosen]) * factors[kept]
     estimate = estimate_patch(chosen, dark, exposures, good, settled.model)
+    conditions = _conditions(
+        estimate, chosen, settled, surround, place, _field(camera, settled.lens, shape, patch), source
+    )
+    scale, stray = _corrected_scale(settled.scale, surround, conditions, calibration)
     return PatchSituation(
         estimate,
         tuple(chosen),
@@ -129,16 +136,29 @@ def _patch_situation(
         good,
         settled.model,
         settled.stated,
-        settled.scale,
+        scale,
         calibration,
         settled.lens,
-        _conditions(estimate, chosen, settled, surround, place, _field(camera, settled.lens, shape, patch), source),
+        conditions,
         surround,
         _falloff(calibration, camera, settled.lens, chosen, place),
         len(light),
         _unsteady(light),
         now or dt.datetime.now(dt.UTC),
+        stray,
     )
+
+
+def _corrected_scale(
+    scale: float, surround: Surround, here: ScaleConditions, calibration: Calibration | None
+) -> tuple[float, float]:
+    """Return radiance per unit of the estimate, and what is taken off it, with warmth and glare as they were found."""
+    if calibration is None:
+        return scale, 0.0
+    found, there = calibration.found, calibration.scale.conditions
+    warm = scale * temperature_factor(found, here.temperature_c, there.temperature_c)
+    gain, of_surround = without_glare(found.glare, there.surround)
+    return warm * gain, warm * of_surround * surround.rate
 
 
 def _unsteady(light: list[PatchFrame]) -> bool:
@@ -251,7 +271,7 @@ def _reading(
     situation: PatchSituation, settled: Situation, patch: Patch, camera: CameraDescription, sequence: int
 ) -> Reading:
     calibration, estimate = situation.calibration, situation.estimate
-    value = settled.scale * estimate.rate
+    value = situation.value
     terms = budget_terms(situation)
     absolute = calibration is not None and calibration.absolute
     freedom = effective_degrees_of_freedom(terms)

@@ -83,7 +83,7 @@ def propagate_distributions(situation: PatchSituation, rng: np.random.Generator,
 
     Source: JCGM 101:2008, sections 5.9 to 7.7.
     """
-    value = situation.scale * _rates(situation, rng, trials)
+    value = situation.scale * _rates(situation, rng, trials) - situation.stray
     size, stray = abs(situation.value) or 1.0, 0.0
     for term in budget_terms(situation):
         if term.u == 0.0 or term.name in _IN_THE_SIGNAL:
