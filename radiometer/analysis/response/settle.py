@@ -161,17 +161,21 @@ def refit(part: ResponseSamples, found: FittedResponse) -> FittedResponse | None
         return None
 
 
-def error_of_quadrants(samples: ResponseSamples, fitted: FittedResponse) -> Array:
+def error_of_quadrants(samples: ResponseSamples, fitted: FittedResponse, frame: int | None = None) -> Array:
     """Return the mean size of the prediction error in DN of every quadrant, fitted without it.
 
     Args:
         samples: The rows, with their quadrants.
         fitted: A fit to all of them.
+        frame: The frame whose rows are predicted; None for all. NaN where a quadrant has none.
     """
     found = []
     for train, test in zip(samples.without_quadrant, samples.quadrants, strict=True):
         part = refit(train, fitted) or fitted
-        found.append(error_dn(prediction_error_dn(test, part.log_exposure, part.fit.log_time_errors)))
+        errors = prediction_error_dn(test, part.log_exposure, part.fit.log_time_errors)
+        if frame is not None:
+            errors = errors[test.frame == frame]
+        found.append(error_dn(errors) if np.any(np.isfinite(errors)) else float("nan"))
     return np.array(found)
 
 

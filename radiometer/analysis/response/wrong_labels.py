@@ -15,8 +15,11 @@ from radiometer.errors import MeasurementError
 
 Array = NDArray[np.float64]
 
-# A label is wrong only where the error of predicting left-out quadrants falls to this part of what it was.
+# What is found must lower the error of predicting left-out quadrants to this part of what it was.
 LEAST_GAIN: Final = 0.9
+# A label is wrong only where the error of predicting its own frame falls to this part. The other frames, predicted with
+# it, must gain as well, but in a long bracket most of them have little to do with it.
+_LEAST_GAIN_OF_FRAME: Final = 0.8
 # ln of real over stated exposure from which a label is wrong (a ninth of a stop); below, shutters scatter.
 SMALLEST_LABEL_ERROR: Final = 0.08
 # It must stand out of its own uncertainty by this factor.
@@ -25,6 +28,7 @@ _SIGMA: Final = 3.0
 _SEARCH_SMOOTHING: Final = 1e3
 _TRIED: Final = 3
 _FEWEST_ROWS: Final = 4
+_FEWEST_QUADRANTS: Final = 3
 # Groups that the search looks at.
 _SEARCHED_GROUPS: Final = 96
 
@@ -49,9 +53,9 @@ class WrongLabel:
 def find_wrong_labels(samples: ResponseSamples, start: Array) -> tuple[WrongLabel, ...]:
     """Return the frames whose label is wrong, in the order in which they were found.
 
-    One label after the other is freed. It stays freed where every quadrant of the picture, left out of the fit, is
-    predicted better by its other frames, and all together by a factor; most labels must be right, or a flat curve with
-    exposures of its own fits best.
+    One label after the other is freed. It stays freed where in every quadrant of the picture, left out of the fit, its
+    frame is predicted better by the others, by a factor in all, and the other frames no worse; most labels must be
+    right, or a flat curve with exposures of its own fits best.
 
     Args:
         samples: The rows, with their quadrants.
@@ -62,12 +66,12 @@ def find_wrong_labels(samples: ResponseSamples, start: Array) -> tuple[WrongLabe
     thin = thinned(samples)
     most = max((samples.frame_log_time.size - 1) // 3, 1) if samples.frame_log_time.size > 3 else 0
     found: list[WrongLabel] = []
-    now = error_of_quadrants(thin, settle(thin, start))
+    now = settle(thin, start)
     while len(found) < most:
         freed = tuple(label.frame for label in found)
         options = [_freed(thin, start, (*freed, k), now) for k in _candidates(thin, start, freed)]
         best = min((one for one in options if one is not None), key=lambda one: one[0].gain, default=None)
-        if best is None or not _convincing(best[0], best[1], now):
+        if best is None or not _convincing(thin, best[0], best[1], now):
             break
         found.append(best[0])
         now = best[1]
@@ -90,22 +94,29 @@ def _candidates(samples: ResponseSamples, start: Array, freed: tuple[int, ...]) 
 
 
 def _freed(
-    samples: ResponseSamples, start: Array, free: tuple[int, ...], now: Array
-) -> tuple[WrongLabel, Array] | None:
-    """Return the last of the freed labels as it came out, and the error of every quadrant."""
+    samples: ResponseSamples, start: Array, free: tuple[int, ...], now: FittedResponse
+) -> tuple[WrongLabel, FittedResponse] | None:
+    """Return the last of the freed labels as it came out, and the fit."""
     try:
         fitted = settle(samples, start, free)
     except MeasurementError:
         return None
-    errors = error_of_quadrants(samples, fitted)
+    gain = float(error_of_quadrants(samples, fitted).sum() / error_of_quadrants(samples, now).sum())
     value, u = _log_ratios(samples, fitted, len(free) - 1)
-    return WrongLabel(free[-1], float(np.exp(value)), float(np.exp(value) * u), float(errors.sum() / now.sum())), errors
+    return WrongLabel(free[-1], float(np.exp(value)), float(np.exp(value) * u), gain), fitted
 
 
-def _convincing(label: WrongLabel, errors: Array, before: Array) -> bool:
+def _convincing(samples: ResponseSamples, label: WrongLabel, fitted: FittedResponse, now: FittedResponse) -> bool:
+    """Tell whether a label is wrong: large enough, and what was left out is predicted better without it."""
     size = abs(np.log(label.ratio))
-    large = size >= max(SMALLEST_LABEL_ERROR, _SIGMA * label.u_ratio / label.ratio)
-    return bool(label.gain <= LEAST_GAIN and np.all(errors <= before) and large)
+    if size < max(SMALLEST_LABEL_ERROR, _SIGMA * label.u_ratio / label.ratio) or label.gain > 1.0:
+        return False
+    before, after = (error_of_quadrants(samples, one, label.frame) for one in (now, fitted))
+    both = np.isfinite(before) & np.isfinite(after)
+    if int(both.sum()) < _FEWEST_QUADRANTS:
+        return False
+    better = after[both].sum() <= _LEAST_GAIN_OF_FRAME * before[both].sum()
+    return bool(better and np.all(after[both] <= before[both]))
 
 
 def _log_ratios(samples: ResponseSamples, fitted: FittedResponse, place: int) -> tuple[float, float]:
