@@ -14,8 +14,8 @@ import numpy as np
 
 from radiometer.reconcile.fit.comparison import FAMILY, TILE_BLOCKS, Comparison
 from radiometer.reconcile.fit.covariance import fitted_parameters
+from radiometer.reconcile.fit.covariates import covariates
 from radiometer.reconcile.fit.state import FitState, refit, with_effects
-from radiometer.reconcile.measure.covariates import covariates
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.report.result import FittedParameter, FoundEffect, Verdict
 from radiometer.reconcile.search.frame_order import Periodic

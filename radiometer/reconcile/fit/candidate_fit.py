@@ -13,13 +13,33 @@ from radiometer.reconcile.fit.comparison import FAMILY
 from radiometer.reconcile.fit.held_out import leave_one_group_out
 from radiometer.reconcile.fit.state import FitState, refit, settled, with_effects
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.search.screening import Candidate
 from simulators.effects.catalogue import CatalogueEffect
 
 _ITERATIONS: Final = 25
 _CONVERGED: Final = 0.02
 _PROFILE_POINTS: Final = 61
 _PROFILE_SPANS: Final = (0.002, 0.0002)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One start of one entry.
+
+    Attributes:
+        effect: The effect at its start.
+        gain: χ² that it would explain if it acted linearly.
+        parameters: Number of its fitted parameters (one more where it acts without any).
+        flexible: Whether it is a cover, a flexible form that takes up any equation of the effect.
+        others: Further starts that did about as well.
+        tries: Number of starts that the entry had: the more, the likelier one fits by chance.
+    """
+
+    effect: CatalogueEffect
+    gain: float
+    parameters: int
+    flexible: bool = False
+    others: tuple[CatalogueEffect, ...] = ()
+    tries: int = 1
 
 
 class UnfitError(ArithmeticError):

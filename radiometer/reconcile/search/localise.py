@@ -16,10 +16,10 @@ import numpy as np
 from scipy.special import chdtrc, gammaln
 
 from radiometer.reconcile.fit.comparison import CAPTURE_BLOCKS, FAMILY, Comparison
+from radiometer.reconcile.fit.covariates import Covariate, covariates
 from radiometer.reconcile.fit.linear import LinearFit
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.fit.terms import LinearTerm
-from radiometer.reconcile.measure.covariates import Covariate, covariates
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.model.tile_model import Prediction
 from radiometer.reconcile.noise.chances import chi2_beyond

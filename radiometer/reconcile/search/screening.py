@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from typing import Final
 
 import numpy as np
 
 from radiometer.errors import MeasurementError
+from radiometer.reconcile.fit.candidate_fit import Candidate
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.measure.reduce import CaptureStatistics
@@ -23,27 +24,6 @@ _LARGEST_AMPLITUDE: Final = 300.0  # a start may be that much too small …
 _FLEXIBLE_STEP: Final = 0.1  # of a parameter's size: a start is far from the best values
 _SMALLEST_CURVATURE: Final = 1e-9
 AT_ONCE: Final = 32  # changes that are projected together: one at a time would read the whole fit for each
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
-    """One start of one entry.
-
-    Attributes:
-        effect: The effect at its start.
-        gain: χ² that it would explain if it acted linearly.
-        parameters: Number of its fitted parameters (one more where it acts without any).
-        flexible: Whether it is a cover, a flexible form that takes up any equation of the effect.
-        others: Further starts that did about as well.
-        tries: Number of starts that the entry had: the more, the likelier one fits by chance.
-    """
-
-    effect: CatalogueEffect
-    gain: float
-    parameters: int
-    flexible: bool = False
-    others: tuple[CatalogueEffect, ...] = ()
-    tries: int = 1
 
 
 def usable_catalogue(

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.reconcile.fit.candidate_fit import (
+    Candidate,
     FittedCandidate,
     UnfitError,
     fit_candidate,
@@ -29,7 +30,7 @@ from radiometer.reconcile.search.score import (
     rivals_of,
     score,
 )
-from radiometer.reconcile.search.screening import Candidate, screen
+from radiometer.reconcile.search.screening import screen
 from radiometer.reconcile.search.starts import StartPool
 from radiometer.reconcile.thresholds import (
     FLEXIBLE_NATS,
