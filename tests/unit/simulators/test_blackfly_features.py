@@ -5,6 +5,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from simulators.awkward_features import CHUNK_IDS, awkward_features
 from simulators.blackfly_features import blackfly_features
 from simulators.genicam_document import genicam_xml
 from simulators.simulated_camera import default_limits
@@ -39,8 +40,10 @@ def test_every_node_that_is_referred_to_exists(features):
             assert node.text in names
 
 
-def test_names_units_and_kinds_are_those_of_the_real_camera(features, shared_data):
+@pytest.mark.parametrize("make", [blackfly_features, awkward_features], ids=["plain", "awkward"])
+def test_names_units_and_kinds_are_those_of_the_real_camera(make, shared_data):
     """Each feature that is not the simulator's own is named and typed as in FLIR's description of the twin."""
+    features = make(default_limits(), 12, 40.0)
     text = (shared_data / "genicam" / "FLIR_BFS_PGE_19S4M.xml").read_text(encoding="utf-8", errors="replace")
     tags = {"float": "Float", "integer": "Integer", "boolean": "Boolean", "enumeration": "Enumeration"}
     absent = []
@@ -53,6 +56,17 @@ def test_names_units_and_kinds_are_those_of_the_real_camera(features, shared_dat
         elif feature.unit:
             assert f"<Unit>{feature.unit}</Unit>" in node.group(0), feature.name
     assert absent == []
+
+
+def test_chunks_are_laid_out_as_the_real_camera_s(shared_data):
+    """Identifier, formula and byte order of each chunk are those of FLIR's description."""
+    text = (shared_data / "genicam" / "FLIR_BFS_PGE_19S4M.xml").read_text(encoding="utf-8", errors="replace")
+    features = {feature.name: feature for feature in awkward_features(default_limits(), 12, 40.0)}
+    for name, number in CHUNK_IDS.items():
+        port = re.search(rf'<Port Name="{name}Port".*?<ChunkID>(\w+)</ChunkID>', text, re.DOTALL)
+        assert int(port.group(1), 16) == number
+        assert f"<Formula>{features[f'Chunk{name}'].formula}</Formula>" in text
+    assert re.search(r'<IntReg Name="ChunkExposureTime_Val">.*?<Endianess>LittleEndian</Endianess>', text, re.DOTALL)
 
 
 def test_the_limits_are_those_of_the_preset(features):
