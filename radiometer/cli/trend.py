@@ -23,7 +23,8 @@ def command(
 ) -> None:
     """Find the drift of a source or of the instrument over months, with its uncertainty.
 
-    A drift is claimed only beyond three of its standard uncertainties.
+    Neighbours may be correlated and seasons may cycle: both are in the model, and a drift is claimed only where chance
+    would show it in fewer than one archive in a hundred.
     """
     from radiometer.archive.history import read_histories
     from radiometer.data.storage import write_text_atomic

@@ -71,3 +71,45 @@ def test_what_has_no_trend_is_refused(change, message):
     """Too few, one time only, nothing to be relative to."""
     with pytest.raises(InputError, match=message):
         fit_trend(*change(*history(np.random.default_rng(5), 0.0)))
+
+
+def correlated(seed, rho=0.8, days=7.0, count=104, sigma=0.003):
+    """Return two years of weekly readings whose errors are AR(1), without a drift."""
+    rng = np.random.default_rng(seed)
+    errors = np.empty(count)
+    errors[0] = rng.normal(0, sigma)
+    for i in range(1, count):
+        errors[i] = rho * errors[i - 1] + np.sqrt(1 - rho**2) * rng.normal(0, sigma)
+    return np.arange(count) * days * 86400.0, 5.0 * (1 + errors), np.full(count, 5.0 * sigma)
+
+
+def test_correlated_errors_are_no_drift():
+    """300 archives of AR(1) errors, ρ = 0.8: at most 6 false claims (1 % are 3); u is no smaller than the scatter."""
+    trends = [fit_trend(*correlated(seed)) for seed in range(300)]
+    assert sum(trend.drifts for trend in trends) <= 6
+    assert np.median([trend.correlation for trend in trends]) == pytest.approx(0.8, abs=0.1)
+    drifts = np.array([trend.drift_per_month for trend in trends])
+    stated = float(np.median([trend.u_drift_per_month for trend in trends]))
+    assert 0.4 < drifts.std() / stated < 1.25  # long correlation times cannot be excluded: u leans to the wide side
+
+
+def test_a_season_is_no_drift():
+    """A yearly cycle of 1 % over one and a half years, at any phase: not claimed, and its amplitude found."""
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        time_s = np.arange(78) * 7 * 86400.0
+        cycle = 0.01 * np.sin(2 * np.pi * (time_s / (365.25 * 86400.0) + rng.random()))
+        value = 5.0 * (1 + cycle + rng.normal(0, 0.001, 78))
+        trend = fit_trend(time_s, value, np.full(78, 0.005))
+        assert not trend.drifts
+        assert trend.season_rel == pytest.approx(0.01, rel=0.15)
+
+
+def test_a_drift_under_season_and_correlation_is_found():
+    """0.2 % per month beside both: claimed, and right within 3 u."""
+    time_s, value, u = correlated(5, sigma=0.001)
+    months = time_s / MONTH_S
+    value = value * (1 + 0.002 * months) * (1 + 0.005 * np.sin(2 * np.pi * months / 12 + 1.0))
+    trend = fit_trend(time_s, value, u)
+    assert trend.drifts
+    assert abs(trend.drift_per_month - 0.002 / (1 + 0.002 * months.mean())) < 3 * trend.u_drift_per_month
