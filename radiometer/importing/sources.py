@@ -327,13 +327,14 @@ def _of_descriptor(path: Path, options: ImportOptions) -> Assembled:
     shortest = min((s for s in stated if s > 0), default=1e-6)
     lit = [(e.exposure_s or shortest, e.photons) for e in listing.entries if e.photons > 0]
     brightest = max((photons / seconds for seconds, photons in lit), default=1.0)
+    steady = _is_steady(lit, brightest)
     frames = []
     for entry in listing.entries:
         dark = entry.photons <= 0
         exposure_s = entry.exposure_s if dark else entry.exposure_s or shortest
         settings = FrameSettings(
             exposure_s,
-            source_level=1.0 if dark else entry.photons / exposure_s / brightest,
+            source_level=1.0 if dark or steady else entry.photons / exposure_s / brightest,
             shutter="closed" if dark else "open",
         )
         shape = (listing.height, listing.width)
@@ -347,6 +348,12 @@ def _of_descriptor(path: Path, options: ImportOptions) -> Assembled:
         )
     frames[0] = frames[0].doubting(*doubts)
     return assemble("camera", frames, path.parent, options, read_found, bit_depth=listing.bit_depth)
+
+
+def _is_steady(lit: Sequence[tuple[float, float]], brightest: float) -> bool:
+    """Tell whether all photons are those of one flux, rounded or cut to whole numbers."""
+    flux = max(lit, default=(1.0, brightest))
+    return all(abs(photons - flux[1] / flux[0] * seconds) <= 1.0 + 1e-4 * photons for seconds, photons in lit)
 
 
 def _light_off_exposure(lit: Sequence[tuple[float, float]]) -> str | None:

@@ -33,6 +33,12 @@ def test_darkness_is_told_by_imagetyp(write_fits, said):
     assert (entry.shutter, entry.exposure_s) == ("closed", 0.0)
 
 
+def test_a_temperature_in_kelvins(write_fits):
+    """268.15 in a header can only be kelvins: -5 °C."""
+    entry = open_capture(write_fits("a.fit", PICTURE, EXPTIME=1.0, IMAGETYP="dark", DET_TEMP=268.15)).header.frames[0]
+    assert entry.temperature_C == pytest.approx(-5.0)
+
+
 def test_frames_stand_in_the_order_they_were_taken(write_fits):
     """Times count from the first frame, whatever the names."""
     write_fits("s/b.fits", PICTURE, EXPTIME=1.0, IMAGETYP="dark", DATE_OBS="2020-01-01T00:00:10")

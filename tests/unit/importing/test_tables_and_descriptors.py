@@ -104,6 +104,12 @@ def test_photons_count_where_light_does_not_follow_exposure(descriptor):
     assert any("do not follow the exposure" in line for line in imported_of(capture).doubts)
 
 
+def test_photons_cut_to_whole_numbers_are_one_light(descriptor):
+    """961 photons of 961.8 are no dimmer lamp: the level stays 1."""
+    path = descriptor([("d 0", 100), ("b 320000 961", 500), ("b 14020000 42137", 1700)])
+    assert [e.source_level for e in open_capture(path).header.frames] == [1.0, 1.0, 1.0]
+
+
 def test_light_with_an_exposure_of_zero(descriptor):
     """b 0 photons: the photons are the light; a stand-in exposure is stated as such."""
     capture = open_capture(descriptor([("d 0", 100), ("b 0 250", 500), ("b 0 1000", 1700)]))
