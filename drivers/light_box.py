@@ -242,6 +242,24 @@ class SerialLightBox:
         if self.identity.protocol_version < 2:
             raise UsageError(f"{self._name} speaks protocol version 1, which has no flash; flash its firmware")
 
+    def highest_level(self, channel: str) -> int:
+        """Return the highest raw level of the high range that would be accepted now as steady light.
+
+        It is the box's own limit, or less where the account of the eye's exposure allows no more.
+        """
+        with self._lock:
+            self._index(channel)
+            accepted, refused = 0, self._channels[channel].level_limit[CurrentRange.HIGH] + 1
+            while refused - accepted > 1:
+                level = (accepted + refused) // 2
+                try:
+                    radiance = self._highest_radiance(channel, DriveLevel(level, CurrentRange.HIGH))
+                    self.ledger.refuse_unsafe(channel, radiance, math.inf)
+                    accepted = level
+                except UnsafeStimulus:
+                    refused = level
+            return accepted
+
     def off(self, channel: str) -> None:
         """Darken one channel."""
         with self._lock:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -14,7 +15,7 @@ from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.instrument import Instrument, Measurement, MeasurementSettings, Origin
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.keeper import DeviceKeeper
-from radiometer.data import Reading
+from radiometer.data import Patch, Reading
 from radiometer.errors import DeviceError, RadiometerError
 
 _log = structlog.get_logger(__name__)
@@ -58,6 +59,8 @@ class Acquisition:
         self._wake = asyncio.Event()
         self._due_at = 0.0
         self._every_s: float | None = None
+        self._round: deque[str] = deque()  # patches with a name whose turn is still to come in this period
+        self.named: dict[str, Patch] = {}
         self.settings = MeasurementSettings()
         self.failures = 0
         self.busy = False
@@ -77,6 +80,7 @@ class Acquisition:
         self._every_s = every_s
         self._due_at = time.monotonic()
         if every_s is None:
+            self._round.clear()
             self._alarms.clear(ALARM, "continuous measurement was ended")
         self._wake.set()
 
@@ -113,7 +117,10 @@ class Acquisition:
             if self._requests:
                 request = self._requests.pop(next(iter(self._requests)))
                 await self._serve(request)
+            elif self._round and self._every_s is not None:
+                await self._measure_named(self._round.popleft())
             elif self._is_due():
+                self._round.extend(name for name in self.named if name not in self._round)
                 await self._measure_continuously()
 
     async def _serve(self, request: _Request) -> None:
@@ -137,6 +144,19 @@ class Acquisition:
                 return
             self._alarms.put_up(ALARM, f"measuring failed: {error}")
             self._due_at = time.monotonic() + max(every_s, _PAUSE_AFTER_ERROR_S)
+
+    async def _measure_named(self, name: str) -> None:
+        """Measure a patch with a name, with the other settings in force."""
+        if (patch := self.named.get(name)) is None:
+            return  # deleted meanwhile
+        alarm = f"{ALARM} {name}"
+        try:
+            await self._measure(Origin(replace(self.settings, patch=patch), name=name))
+            self._alarms.clear(alarm)
+        except DeviceError:
+            self._round.clear()
+        except RadiometerError as error:
+            self._alarms.put_up(alarm, f"measuring patch {name} failed: {error}")
 
     def _origin(self, request: _Request) -> Origin:
         """Return whose a measurement is: everybody's where it is made with the settings in force."""
@@ -162,7 +182,7 @@ class Acquisition:
         return self._every_s is not None and self._keeper.is_ready and time.monotonic() >= self._due_at
 
     async def _wait_until_needed(self) -> None:
-        while not (self._requests or self._is_due()):
+        while not (self._requests or self._round or self._is_due()):
             self._wake.clear()
             try:
                 async with asyncio.timeout(self._pause_s()):

@@ -28,6 +28,7 @@ class BenchLight:
         self._box: LightBox | None = None
         self._held = ExitStack()
         self._channels: tuple[str, ...] = ()
+        self._limits: dict[str, float] = {}
 
     @property
     def name(self) -> str:
@@ -38,6 +39,11 @@ class BenchLight:
     def channels(self) -> tuple[str, ...]:
         """Return the names of the channels; empty before the box was first open."""
         return self._channels
+
+    @property
+    def level_limits(self) -> dict[str, float]:
+        """Return the highest level of each channel that the box would have accepted when it was last asked."""
+        return dict(self._limits)
 
     @property
     def late_at(self) -> float | None:
@@ -62,6 +68,7 @@ class BenchLight:
         """Ask the box for temperature, counts and what each channel really does. Raises DeviceError."""
         box = self._opened()
         status, levels = box.status(), {name: _level(box.read_channel(name)) for name in self._channels}
+        self._limits = {name: _highest(box, name) for name in self._channels}
         counts = {
             "damaged_lines": status.damaged_lines,
             "lost_bytes": status.lost_bytes,
@@ -82,6 +89,13 @@ class BenchLight:
         if self._box is None:
             raise DeviceError(f"the {self._name} is not open")
         return self._box
+
+
+def _highest(box: LightBox, channel: str) -> float:
+    """Return the highest steady level that a box accepts now; its own limit where it keeps no account."""
+    highest = getattr(box, "highest_level", None)
+    level = highest(channel) if highest else box.channels[channel].level_limit[CurrentRange.HIGH]
+    return int(level) / FULL_LEVEL
 
 
 def _level(state: ChannelState) -> float:

@@ -12,12 +12,12 @@ class Event:
     """Something that listeners are told.
 
     Attributes:
-        kind: "reading" or "status".
+        kind: "reading", "patch" (a reading of a patch with a name) or "status".
         line: One line of JSON.
-        sequence: Sequence number of the reading; None for a status.
+        sequence: Sequence number of the reading; None where it is none.
     """
 
-    kind: Literal["reading", "status"]
+    kind: Literal["reading", "patch", "status"]
     line: str
     sequence: int | None = None
 

@@ -174,6 +174,22 @@ class Journal:
                 "INSERT INTO events (time_us, kind, message) VALUES (?, ?, ?)", (now_us(), kind, message)
             )
 
+    def keep_patch(self, name: str, line: str | None) -> None:
+        """Commit what is known of a patch with a name, as one line of JSON; None forgets it.
+
+        Raises:
+            JournalError: If it cannot be committed now.
+        """
+        with self._transaction() as connection:
+            connection.execute("DELETE FROM patches WHERE name = ?", (name,))
+            if line is not None:
+                connection.execute("INSERT INTO patches VALUES (?, ?)", (name, line))
+
+    def patches(self) -> dict[str, str]:
+        """Return the lines of the patches by name. Raises JournalError if the journal cannot be read now."""
+        with self._transaction() as connection:
+            return dict(connection.execute("SELECT name, json FROM patches ORDER BY name").fetchall())
+
     def note_jump(self, by_us: int) -> None:
         """Commit that the clock was set forward by a time in µs: what is stamped from now on is in doubt by that.
 

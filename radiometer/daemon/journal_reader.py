@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
-from radiometer.daemon.journal import APPLICATION_ID
+from radiometer.daemon.journal import APPLICATION_ID, MINUTE_US
 from radiometer.daemon.timestamps import iso_time
 from radiometer.errors import InputError
 
@@ -39,6 +39,20 @@ CSV_COLUMNS: Final = (
     "name",
     "session",
 )
+_FINE_US: Final = 7_500_000_000  # two hours and a bit: up to here readings, beyond it minutes
+_FINE_TREND: Final = """
+SELECT time_us / ? AS bucket, avg(radiance), avg(coalesce(json_extract(json, '$.radiance.u'), 0)), min(radiance),
+    max(radiance), count(*), sum(flags <> ''), json_extract(json, '$.radiance.unit') AS unit
+FROM (SELECT * FROM readings INDEXED BY readings_by_time
+    WHERE stream = ? AND time_us >= ? AND time_us < ? AND radiance IS NOT NULL)
+GROUP BY bucket, unit ORDER BY bucket
+"""
+_COARSE_TREND: Final = """
+SELECT minute / ? AS bucket, sum(total) / sum(count), sum(total_u) / sum(count), min(low), max(high), sum(count),
+    sum(flagged), unit
+FROM (SELECT * FROM trend WHERE stream = ? AND minute >= ? AND minute < ?)
+GROUP BY bucket, unit ORDER BY bucket
+"""
 _STEPS_BETWEEN_CHECKS: Final = 10_000
 
 
@@ -84,6 +98,31 @@ class ReadingFilter:
         return " AND ".join(terms), values
 
 
+@dataclass(frozen=True, slots=True)
+class TrendPoint:
+    """The readings of a short time, taken together.
+
+    Attributes:
+        time_us: Middle of that time, µs since 1970.
+        value: Mean radiance.
+        u: Mean of the standard uncertainties: it is mostly the calibration's, so the mean has no smaller one.
+        low: Lowest radiance.
+        high: Highest.
+        count: How many readings.
+        flagged: How many of them have a flag.
+        unit: Unit of the radiances.
+    """
+
+    time_us: int
+    value: float
+    u: float
+    low: float
+    high: float
+    count: int
+    flagged: int
+    unit: str
+
+
 class JournalReader:
     """Reads a journal while a daemon may be writing it.
 
@@ -120,12 +159,42 @@ class JournalReader:
             for (line,) in rows:
                 yield line
 
-    def events(self, since_us: int | None = None, limit: int = 1000) -> list[dict[str, Any]]:
-        """Return the newest events, oldest first, each {time, kind, message}. Raises InputError."""
+    def trend(self, stream: str, since_us: int, until_us: int, points: int = 1500) -> list[TrendPoint]:
+        """Return the course of a stream, oldest first, as means over times that suit the number of points.
+
+        Args:
+            stream: The stream, "" for the patch measured for all.
+            since_us: From this time on, µs since 1970.
+            until_us: Before this time.
+            points: About so many at most.
+
+        Raises:
+            InputError: If there is no journal or it cannot be read.
+        """
+        span_us = max(until_us - since_us, 1)
+        with self._connect() as connection:
+            (version,) = connection.execute("PRAGMA user_version").fetchone()
+            if version < 2:
+                return []
+            if span_us <= _FINE_US:
+                bucket_us = max(1, span_us // points)
+                query, values = _FINE_TREND, (bucket_us, stream, since_us, until_us)
+            else:
+                minutes = max(1, span_us // points // MINUTE_US)
+                query = _COARSE_TREND
+                values = (minutes, stream, since_us // MINUTE_US, -(-until_us // MINUTE_US))
+                bucket_us = minutes * MINUTE_US
+            rows = connection.execute(query, values).fetchall()
+        return [TrendPoint(row[0] * bucket_us + bucket_us // 2, *row[1:]) for row in rows]
+
+    def events(
+        self, since_us: int | None = None, limit: int = 1000, until_us: int | None = None
+    ) -> list[dict[str, Any]]:
+        """Return the newest events of a time, oldest first, each {time, kind, message}. Raises InputError."""
         with self._connect() as connection:
             rows = connection.execute(
-                "SELECT time_us, kind, message FROM events WHERE time_us >= ? ORDER BY id DESC LIMIT ?",
-                (since_us or 0, limit),
+                "SELECT time_us, kind, message FROM events WHERE time_us >= ? AND time_us < ? ORDER BY id DESC LIMIT ?",
+                (since_us or 0, until_us or 2**62, limit),
             ).fetchall()
         return [{"time": iso_time(at), "kind": kind, "message": message} for at, kind, message in reversed(rows)]
 

@@ -55,6 +55,7 @@ class JournalWriter:
         self._waiting: deque[tuple[Reading, asyncio.Future[Reading], Origin | None]] = deque()
         self._events: deque[tuple[str, str]] = deque(maxlen=capacity)
         self._jumps_us = 0
+        self._kept_patches: dict[str, str | None] = {}
         self._retention: RetentionClock | None = None
         self._work = asyncio.Event()
         self._room = asyncio.Event()
@@ -96,6 +97,18 @@ class JournalWriter:
         self._jumps_us += jump.by_us
         self.note("clock", str(jump))
 
+    async def patches(self) -> dict[str, str]:
+        """Return the patches that the journal keeps; none where it cannot be read just now."""
+        try:
+            return await self._in_thread(self._journal.patches)
+        except OutputError:
+            return {}
+
+    def keep_patch(self, name: str, line: str | None) -> None:
+        """Queue what is to be kept of a patch; None forgets it."""
+        self._kept_patches[name] = line
+        self._work.set()
+
     async def wait_for_room(self) -> None:
         """Return once fewer than `capacity` readings wait."""
         await self._room.wait()
@@ -109,7 +122,7 @@ class JournalWriter:
             if self._keep_days is not None and time.monotonic() >= next_retention:
                 await self._drop_old(self._keep_days)
                 next_retention = time.monotonic() + _RETENTION_PERIOD_S
-            if not (self._waiting or self._events):
+            if not (self._waiting or self._events or self._kept_patches):
                 await self._wait_for_work()
 
     async def close(self) -> None:
@@ -133,7 +146,7 @@ class JournalWriter:
             return
 
     async def _commit_until_empty(self) -> None:
-        while self._waiting or self._events:
+        while self._waiting or self._events or self._kept_patches or self._jumps_us:
             try:
                 await self._commit_batch()
                 self._alarms.clear(ALARM, "the journal is written again")
@@ -146,6 +159,11 @@ class JournalWriter:
         while self._events:
             await self._in_thread(self._journal.note, *self._events[0])
             self._events.popleft()
+        while self._kept_patches:
+            name, line = next(iter(self._kept_patches.items()))
+            await self._in_thread(self._journal.keep_patch, name, line)
+            if self._kept_patches.get(name) == line:
+                del self._kept_patches[name]
         if jumped_us := self._jumps_us:
             await self._in_thread(self._journal.note_jump, jumped_us)
             self._jumps_us -= jumped_us

@@ -56,6 +56,16 @@ class Metrics:
         self.u_radiance = Gauge(
             "radiometer_radiance_standard_uncertainty", "Its standard uncertainty (k=1).", ["unit"], registry=registry
         )
+        self.patch_radiance = Gauge(
+            "radiometer_patch_radiance", "Latest radiance of a patch with a name.", ["patch", "unit"], registry=registry
+        )
+        self.patch_u_radiance = Gauge(
+            "radiometer_patch_radiance_standard_uncertainty", "Its standard uncertainty (k=1).", ["patch", "unit"],
+            registry=registry,
+        )  # fmt: skip
+        self.limit_alarm = Gauge(
+            "radiometer_limit_alarm", "1 while a patch is beyond a limit of it.", ["patch"], registry=registry
+        )
         self.exposure_s = Gauge(
             "radiometer_exposure_seconds", "Longest exposure of the latest reading.", registry=registry
         )

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import structlog
 
-from radiometer.daemon.hub import Subscription
+from radiometer.daemon.hub import Event, Subscription
 from radiometer.daemon.station import Station
 from radiometer.errors import MissingLibrary, UsageError
 
@@ -135,7 +135,7 @@ class MqttPublisher:
                     return
                 self._subscription = self._station.hub.subscribe(_QUEUED_MESSAGES)
                 continue
-            self._publish("reading" if event.kind == "reading" else "status", event.line)
+            self._publish(_topic_of(event), event.line)
 
     def _publish(self, name: str, line: str) -> None:
         self._client.publish(f"{self.topic}/{name}", line, qos=_AT_LEAST_ONCE, retain=True)
@@ -170,6 +170,14 @@ class MqttPublisher:
         self._publish("status", json.dumps(self._station.status(), ensure_ascii=False))
         if self._station.latest_line:
             self._publish("reading", self._station.latest_line)
+
+
+def _topic_of(event: Event) -> str:
+    """Return the topic of an event below that of the instrument: each patch with a name has its own."""
+    if event.kind == "patch":
+        name = str(json.loads(event.line)["name"])
+        return f"patch/{''.join(c if c.isalnum() or c in '-_.' else '_' for c in name)}/reading"
+    return event.kind
 
 
 def _library() -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -21,7 +21,8 @@ from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.keeper import DeviceKeeper, DeviceState, KeeperTimes
 from radiometer.daemon.metrics import Metrics
-from radiometer.daemon.timestamps import iso_time
+from radiometer.daemon.patches import MAIN, MOST_PATCHES, NamedPatch, PatchLimits, PatchWatch, check_name
+from radiometer.daemon.state import device_mapping, jump_mapping, patch_mapping, settings_mapping
 from radiometer.data import Patch, Reading
 from radiometer.data.provenance import utc_now
 from radiometer.errors import DeviceError, DeviceLost, RadiometerError, SettingOutOfRange, UsageError
@@ -29,6 +30,7 @@ from radiometer.errors import DeviceError, DeviceLost, RadiometerError, SettingO
 _log = structlog.get_logger(__name__)
 WAVELENGTH_LIMITS_NM = (300.0, 1200.0)
 EVERY_LIMITS_S = (0.0, 86400.0)
+_LONGEST_REMARK = 500
 _LEVEL_TOLERANCE = 1e-6  # levels are 16-bit numbers, read back as such
 _JOURNAL_PATIENCE_S = 5.0  # a client is not kept waiting for a journal that is known to be blocked
 
@@ -79,6 +81,7 @@ class Station:
         self.started = time.monotonic()
         self.on_change: list[Callable[[], None]] = []
         self._tasks: list[asyncio.Task[None]] = []
+        self.watches: dict[str, PatchWatch] = {MAIN: PatchWatch()}
         self.clock = ClockWatch(self._clock_jumped)
         self.latest_jump: Jump | None = None
 
@@ -94,6 +97,7 @@ class Station:
             OutputError: If the journal is damaged, foreign, or written by another daemon.
         """
         await self.writer.open()
+        self._take_patches(await self.writer.patches())
         await self.camera.open_once()
         if self.box_keeper:
             await self.box_keeper.open_once()
@@ -173,6 +177,61 @@ class Station:
                 f" {limits.width} × {limits.height} pixels"
             )
 
+    def define_patch(self, name: str, patch: Patch) -> None:
+        """Measure a patch with a name from now on, beside the one for all; one of that name is moved.
+
+        Raises:
+            UsageError: If the name cannot be one, the patch is not inside the picture, or there are too many.
+        """
+        check_name(name)
+        self.check_settings(replace(self.settings, patch=patch))
+        if name not in self.acquisition.named and len(self.acquisition.named) >= MOST_PATCHES:
+            raise UsageError(f"there are {MOST_PATCHES} patches with names already; delete one first")
+        limits = self.watches[name].limits if name in self.watches else PatchLimits()
+        self._drop_patch_figures(name)
+        self.watches[name] = PatchWatch(limits)
+        self.acquisition.named[name] = patch
+        self._keep_patch(name)
+        self.alarms.clear(_limit_alarm(name), "the patch was moved")
+        self.writer.note("patch", f"{name} is {patch.x},{patch.y},{patch.width},{patch.height}")
+        self._tell_status()
+
+    def delete_patch(self, name: str) -> None:
+        """Measure a patch no longer; its readings stay in the journal. Raises UsageError if there is none."""
+        self._known_watch(name)
+        if name == MAIN:
+            raise UsageError(f"{MAIN!r} is the patch that is measured for all; it can be moved, not deleted")
+        del self.watches[name], self.acquisition.named[name]
+        self._drop_patch_figures(name)
+        self.writer.keep_patch(name, None)
+        for alarm in (_limit_alarm(name), f"measurement {name}"):
+            self.alarms.clear(alarm, "the patch was deleted")
+        self.writer.note("patch", f"{name} was deleted")
+        self._tell_status()
+
+    def set_limits(self, name: str, limits: PatchLimits) -> None:
+        """Alarm where a patch leaves its limits. Raises UsageError if there is no such patch."""
+        self._known_watch(name).limit(limits)
+        self.metrics.limit_alarm.labels(name).set(0)
+        self._keep_patch(name)
+        self.alarms.clear(_limit_alarm(name), "the limits were set anew")
+        shown = " to ".join("none" if value is None else f"{value:g}" for value in (limits.low, limits.high))
+        self.writer.note("patch", f"limits of {name}: {shown}")
+        self._tell_status()
+
+    def latest_of(self, name: str) -> Reading | None:
+        """Return the latest reading of a patch with a name, or of "main". Raises UsageError if there is none such."""
+        watch = self._known_watch(name)
+        return self.latest if name == MAIN else watch.latest
+
+    def annotate(self, message: str) -> None:
+        """Keep a remark of a person in the journal. Raises UsageError for an empty or endless one."""
+        text = " ".join(message.split())
+        if not 0 < len(text) <= _LONGEST_REMARK:
+            raise UsageError(f"a remark has 1 to {_LONGEST_REMARK} characters, not {len(text)}")
+        self.writer.note("remark", text)
+        self._tell_status()
+
     def set_every(self, every_s: float | None) -> None:
         """Set the period of continuous measurement in s; None stops it. Raises SettingOutOfRange."""
         if every_s is not None:
@@ -249,27 +308,23 @@ class Station:
 
     def status(self) -> dict[str, Any]:
         """Return the state of everything, as JSON on every interface."""
-        identity, settings, patch = self.instrument.identity, self.settings, self.settings.patch
+        identity, settings = self.instrument.identity, self.settings
         return {
             "time": utc_now(),
             "instrument": {"vendor": identity.vendor, "model": identity.model, "serial": identity.serial},
             "software": f"radiometer {radiometer.__version__}",
-            "devices": {keeper.name: self._device_status(keeper) for keeper in self._keepers()},
+            "devices": {keeper.name: device_mapping(keeper) for keeper in self._keepers()},
             "alarms": [alarm.to_mapping() for alarm in self.alarms.active],
             "every_s": self.acquisition.every_s,
-            "settings": {
-                "patch": _patch_mapping(patch) if patch else None,
-                "auto_exposure": settings.auto_exposure,
-                "exposure_s": settings.exposure_s,
-                "gain_db": settings.gain_db,
-                "wavelength_nm": settings.wavelength_nm,
-            },
+            "settings": settings_mapping(settings),
             "light": {channel: level if self.light_is_confirmed else None for channel, level in self.levels.items()},
+            "light_limits": dict(getattr(self.box, "level_limits", {}) or {}),
             "light_confirmed": self.light_is_confirmed,
             "calibration": dict(self.instrument.calibration_summary),
             "latest_sequence": self.latest.sequence if self.latest else None,
             "queue": {"measurements": self.acquisition.queue_depth, "journal": self.writer.depth},
-            "clock_jump": _jump_mapping(self.latest_jump) if self.latest_jump else None,
+            "patches": {name: self._patch_status(name) for name in self.watches},
+            "clock_jump": jump_mapping(self.latest_jump) if self.latest_jump else None,
             "uptime_s": round(time.monotonic() - self.started, 1),
         }
 
@@ -292,14 +347,6 @@ class Station:
     def _keepers(self) -> list[DeviceKeeper]:
         return [self.camera, *([self.box_keeper] if self.box_keeper else [])]
 
-    def _device_status(self, keeper: DeviceKeeper) -> dict[str, Any]:
-        return {
-            "state": str(keeper.state),
-            "losses": keeper.losses,
-            "temperature_C": keeper.report.temperature_c,
-            "counters": dict(keeper.report.counters),
-        }
-
     def _refuse_outside(self, name: str, value: float, low: float, high: float, unit: str) -> None:
         if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
             raise SettingOutOfRange(self.instrument.identity.model, name, value, low, high, unit)
@@ -308,6 +355,8 @@ class Station:
         """Take settings over; where they change what is measured, the latest reading is of something else now."""
         if wanted.subject != self.settings.subject:
             self.latest, self.latest_line, self.latest_measurement = None, "", None
+            self.watches[MAIN].limit(self.watches[MAIN].limits)
+            self.alarms.clear(_limit_alarm(MAIN), "the patch was moved")
         self.acquisition.settings = wanted
 
     def _measured(self, measurement: Measurement, origin: Origin, seconds: float) -> None:
@@ -327,6 +376,9 @@ class Station:
 
     def _show(self, reading: Reading, *, current: bool) -> None:
         line = reading.to_json()
+        if reading.name:
+            self._show_named(reading, line)
+            return
         self.hub.publish(Event("reading", line, reading.sequence))
         if not current:  # the patch was moved meanwhile: no latest reading of what is measured now
             return
@@ -339,6 +391,56 @@ class Station:
         metrics.exposure_s.set(max(reading.exposures_s, default=0.0))
         for flag in reading.flags:
             metrics.flagged.labels(str(flag)).inc()
+        self._watch_limits(MAIN, reading)
+
+    def _show_named(self, reading: Reading, line: str) -> None:
+        """Make a reading of a patch with a name visible under that name; one of a place it has left is let pass."""
+        if self.acquisition.named.get(reading.name) != reading.patch:
+            return
+        self.hub.publish(Event("patch", line, reading.sequence))
+        labels = (reading.name, reading.radiance.unit)
+        self.metrics.patch_radiance.labels(*labels).set(reading.radiance.value)
+        self.metrics.patch_u_radiance.labels(*labels).set(reading.radiance.u)
+        self._watch_limits(reading.name, reading)
+
+    def _watch_limits(self, name: str, reading: Reading) -> None:
+        watch = self.watches[name]
+        if not watch.take(reading):
+            return
+        self.metrics.limit_alarm.labels(name).set(bool(watch.breached))
+        if watch.breached:
+            self.alarms.put_up(_limit_alarm(name), watch.message(name), worse=True)
+        else:
+            self.alarms.clear(_limit_alarm(name), f"patch {name} is within its limits again")
+
+    def _patch_status(self, name: str) -> dict[str, Any]:
+        watch, patch = self.watches[name], self.acquisition.named.get(name, self.settings.patch)
+        return {
+            "patch": patch_mapping(patch) if patch else None,
+            "limits": watch.limits.to_mapping(),
+            "breached": watch.breached,
+        }
+
+    def _known_watch(self, name: str) -> PatchWatch:
+        if name not in self.watches:
+            raise UsageError(f"there is no patch {name[:40]!r}; there are: {', '.join(self.watches)}")
+        return self.watches[name]
+
+    def _drop_patch_figures(self, name: str) -> None:
+        for gauge in (self.metrics.patch_radiance, self.metrics.patch_u_radiance):
+            for labels in [key for key in list(gauge._metrics) if key[0] == name]:
+                gauge.remove(*labels)
+
+    def _keep_patch(self, name: str) -> None:
+        patch = self.acquisition.named.get(name, Patch(0, 0, 0, 0))  # of the one for all only its limits are kept
+        self.writer.keep_patch(name, NamedPatch(name, patch, self.watches[name].limits).to_json())
+
+    def _take_patches(self, kept: Mapping[str, str]) -> None:
+        for name, line in kept.items():
+            named = NamedPatch.from_json(name, line)
+            self.watches[name] = PatchWatch(named.limits)
+            if name != MAIN:
+                self.acquisition.named[name] = named.patch
 
     def _alarm_changed(self, kind: str, name: str, message: str) -> None:
         self.writer.note(kind, f"{name}: {message}")
@@ -377,8 +479,8 @@ class Station:
         self.hub.publish(Event("status", json.dumps(self.status(), ensure_ascii=False)))
 
 
-def _jump_mapping(jump: Jump) -> dict[str, Any]:
-    return {"by_s": jump.by_us / 1e6, "time": iso_time(jump.after_us), "message": str(jump)}
+def _limit_alarm(name: str) -> str:
+    return f"limit {name}"
 
 
 def _light_alarm(channel: str) -> str:
@@ -388,7 +490,3 @@ def _light_alarm(channel: str) -> str:
 def _is_of(measurement: Measurement, reading: Reading) -> bool:
     made = measurement.reading
     return (made.time, made.patch, made.radiance) == (reading.time, reading.patch, reading.radiance)
-
-
-def _patch_mapping(patch: Patch) -> dict[str, int]:
-    return {"x": patch.x, "y": patch.y, "width": patch.width, "height": patch.height}

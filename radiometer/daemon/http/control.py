@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import itertools
 import json
 from dataclasses import replace
@@ -13,7 +12,6 @@ from aiohttp import web
 
 from radiometer.daemon.http.requests import LightBody, MeasureBody, SettingsBody, read_body
 from radiometer.daemon.http.route import STATION, Route
-from radiometer.daemon.journal_reader import JournalReader
 from radiometer.daemon.metrics import CONTENT_TYPE
 from radiometer.daemon.station import Station
 from radiometer.errors import UsageError
@@ -95,12 +93,6 @@ def _linear_curve() -> dict[str, Any]:
             "absolute": False, "linear": True}  # fmt: skip
 
 
-async def show_events(request: web.Request) -> web.Response:
-    """Reply the newest alarms and recoveries, oldest first."""
-    reader = JournalReader(request.app[STATION].journal_path, deadline_s=5.0)
-    return _json(await asyncio.to_thread(reader.events, None, 200))
-
-
 async def show_health(request: web.Request) -> web.Response:
     """Reply 200 while nothing is wrong, 503 while an alarm is up."""
     station = request.app[STATION]
@@ -130,7 +122,6 @@ ROUTES: Final = (
     Route("GET", "/status", show_status, "State of devices, settings, calibration and alarms.", schema="Status"),
     Route("GET", "/response", show_response, "Response curve in use, at most 512 points; `linear` tells that none is.",
           schema="Response"),
-    Route("GET", "/events", show_events, "The newest 200 alarms and recoveries, oldest first.", schema="Events"),
     Route("GET", "/healthz", show_health, "200 while nothing is wrong, 503 while an alarm is up.", schema="Health",
           public=True),
     Route("GET", "/metrics", show_metrics, "Figures in Prometheus's text form.", reply="text/plain"),

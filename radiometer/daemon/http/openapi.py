@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import radiometer
-from radiometer.daemon.http.requests import PatchBody
+from radiometer.daemon.http.requests import LimitsBody, PatchBody
 from radiometer.daemon.http.route import Route
 from radiometer.data import Flag
 
@@ -46,6 +46,7 @@ _SCHEMAS: Final[dict[str, Any]] = {
         },
     },
     "PatchBody": PatchBody.model_json_schema(),
+    "LimitsBody": LimitsBody.model_json_schema(),
     "Readings": {"type": "array", "items": {"$ref": "#/components/schemas/Reading"}},
     "Status": {"type": "object"},
     "Light": {"type": "object", "properties": {"channel": _STRING, "level": {"type": "number"}}},
@@ -58,6 +59,17 @@ _SCHEMAS: Final[dict[str, Any]] = {
     "Events": {
         "type": "array",
         "items": {"type": "object", "properties": dict.fromkeys(("time", "kind", "message"), _STRING)},
+    },
+    "Event": {"type": "object", "properties": dict.fromkeys(("kind", "message"), _STRING)},
+    "Trend": {
+        "type": "object",
+        "properties": {
+            "unit": _STRING,
+            **{
+                name: {"type": "array", "items": _NUMBER_OR_NULL}
+                for name in ("time", "value", "U", "low", "high", "count", "flagged")
+            },
+        },
     },
     "Health": {
         "type": "object",

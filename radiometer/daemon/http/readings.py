@@ -141,6 +141,8 @@ async def _follow(response: web.StreamResponse, subscription: Subscription, form
             continue
         if event is None:
             return
+        if event.kind == "patch" and form == "jsonl":
+            continue  # plain lines are those of one patch
         if event.sequence is None or event.sequence > last:
             await _write(response, _encoded(event, form))
 
@@ -165,7 +167,8 @@ def _encoded(event: Event, form: str) -> str:
         return event.line + "\n" if event.kind == "reading" else ""
     if event.kind == "reading":
         return f"id: {event.sequence}\ndata: {event.line}\n\n"
-    return f"event: {event.kind}\ndata: {event.line}\n\n"
+    identity = f"id: {event.sequence}\n" if event.sequence is not None else ""
+    return f"{identity}event: {event.kind}\ndata: {event.line}\n\n"
 
 
 def _last_event_id(request: web.Request) -> int | None:
@@ -197,11 +200,12 @@ def _filter(query: dict[str, Any], most: int) -> ReadingFilter:
         without_flags=query.get("clean", False),
         limit=limit,
         newest_first=after is None,
-        stream=_stream(query.get("stream", "main")),
+        stream=stream_asked(query.get("stream", "main")),
     )
 
 
-def _stream(asked: str) -> str | None:
+def stream_asked(asked: str) -> str | None:
+    """Return the stream of the journal that a client names; None for all. Raises UsageError."""
     if asked in ("main", "all"):
         return "" if asked == "main" else None
     if asked != OWN_STREAM and not asked.startswith("patch "):

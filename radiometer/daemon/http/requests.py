@@ -10,6 +10,7 @@ from aiohttp import web
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from radiometer.daemon.http.route import QueryParameter
+from radiometer.daemon.patches import DEFAULT_HYSTERESIS_REL
 from radiometer.data import Patch
 from radiometer.errors import UsageError
 
@@ -25,6 +26,17 @@ class PatchBody(BaseModel):
     y: int
     width: int
     height: int
+
+
+class LimitsBody(BaseModel):
+    """Between which radiances a patch should stay."""
+
+    model_config = ConfigDict(extra="forbid")
+    low: float | None = Field(None, description="Lowest radiance that is well; null for no bound.")
+    high: float | None = Field(None, description="Highest; null for no bound.")
+    hysteresis_rel: float = Field(
+        DEFAULT_HYSTERESIS_REL, description="Part of a limit by which it must be back inside before the alarm goes."
+    )
 
 
 class MeasureBody(BaseModel):

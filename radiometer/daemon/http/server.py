@@ -12,7 +12,7 @@ import structlog
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
-from radiometer.daemon.http import control, picture, readings
+from radiometer.daemon.http import control, patches, picture, readings
 from radiometer.daemon.http.openapi import description
 from radiometer.daemon.http.route import LIMITS, QUERIES, STATION, Route
 from radiometer.daemon.http.security import guard, report_errors
@@ -27,7 +27,11 @@ _PAGE: Final = {
     "/": ("index.html", "text/html"),
     "/page.css": ("page.css", "text/css"),
     "/page.js": ("page.js", "text/javascript"),
-    "/plots.js": ("plots.js", "text/javascript"),
+    "/trends.js": ("trends.js", "text/javascript"),
+    "/response.js": ("response.js", "text/javascript"),
+    "/uplot.js": ("uplot/uPlot.esm.js", "text/javascript"),
+    "/uplot.css": ("uplot/uPlot.min.css", "text/css"),
+    "/uplot-licence.txt": ("uplot/LICENSE", "text/plain"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 }
 
@@ -176,7 +180,7 @@ async def _show_openapi(request: web.Request) -> web.Response:
 
 
 def _page_route(path: str, name: str, kind: str) -> Route:
-    content = resources.files("radiometer.daemon.http").joinpath("page", name).read_bytes()
+    content = resources.files("radiometer.daemon.http").joinpath("page", *name.split("/")).read_bytes()
 
     async def serve(request: web.Request) -> web.Response:
         return web.Response(body=content, content_type=kind, charset="utf-8")
@@ -189,6 +193,7 @@ def _page_route(path: str, name: str, kind: str) -> Route:
 ROUTES: Final[tuple[Route, ...]] = (
     *readings.ROUTES,
     *control.ROUTES,
+    *patches.ROUTES,
     *picture.ROUTES,
     Route("GET", "/openapi.json", _show_openapi, "This description.", schema="OpenAPI", public=True),
     *(_page_route(path, name, kind) for path, (name, kind) in _PAGE.items()),

@@ -132,6 +132,24 @@ class Boolean:
 
 
 @dataclass(frozen=True, slots=True)
+class Text:
+    """A text in quotes."""
+
+    name: str
+
+    @property
+    def form(self) -> str:
+        """Return what is accepted."""
+        return f'"{self.name}"'
+
+    def read(self, argument: Argument, station: Station) -> str:
+        """Return the text. Raises ScpiError."""
+        if argument.kind is not Kind.STRING:
+            raise ScpiError(-104, f"{self.name}: a text in quotes is expected")
+        return argument.text
+
+
+@dataclass(frozen=True, slots=True)
 class Choice:
     """One word out of a list, in its short or long form."""
 

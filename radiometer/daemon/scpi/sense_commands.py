@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
+from radiometer.daemon.patches import DEFAULT_HYSTERESIS_REL, PatchLimits
 from radiometer.daemon.scpi import formats
 from radiometer.daemon.scpi.command import Call, Command, Handler, Outcome
 from radiometer.daemon.scpi.errors import ScpiError
+from radiometer.daemon.scpi.measure_commands import GROUP as MEASURING
 from radiometer.daemon.scpi.measure_commands import PATCH_PARAMETERS, patch_from
-from radiometer.daemon.scpi.parameters import Boolean, Choice, Limits, Number
+from radiometer.daemon.scpi.parameters import Boolean, Choice, Limits, Number, Text
 from radiometer.daemon.station import WAVELENGTH_LIMITS_NM, Station
+from radiometer.data import Patch
 
 SENSE: Final = "Settings of the camera (shared by all clients)"
 CALIBRATION: Final = "Calibration"
@@ -34,6 +37,14 @@ def _wavelength(station: Station) -> Limits:
 
 def _level(station: Station) -> Limits:
     return Limits(0.0, 1.0, 0.0)
+
+
+def _bound(station: Station) -> Limits:
+    return Limits(-1e30, 1e30, 0.0)
+
+
+def _hysteresis(station: Station) -> Limits:
+    return Limits(0.0, 0.5, DEFAULT_HYSTERESIS_REL)
 
 
 def _asked(limits: Callable[[Station], Limits], now: Callable[[Station], str]) -> Handler:
@@ -132,6 +143,39 @@ def _ask_output(call: Call) -> str:
     return str(int(any(station.levels.values())))
 
 
+def _define_patch(call: Call) -> None:
+    name, *place = call.values
+    if "CENTer" in place:
+        raise ScpiError(-224, "a patch with a name is x,y,width,height")
+    call.session.station.define_patch(name, Patch(*place))
+
+
+def _set_limits(call: Call) -> None:
+    low, high = (None if value == "NONE" else value for value in call.values[1:3])
+    hysteresis = call.values[3] if len(call.values) > 3 else DEFAULT_HYSTERESIS_REL
+    call.session.station.set_limits(call.values[0], PatchLimits(low, high, hysteresis))
+
+
+def _ask_limits(call: Call) -> str:
+    entry = call.session.station.status()["patches"].get(call.values[0])
+    if entry is None:
+        raise ScpiError(-224, f"there is no patch {call.values[0][:40]}")
+    limits = entry["limits"]
+    bounds = ["NONE" if limits[side] is None else formats.number(limits[side]) for side in ("low", "high")]
+    return ",".join([*bounds, formats.number(limits["hysteresis_rel"])])
+
+
+def _fetch_patch(call: Call) -> str:
+    reading = call.session.station.latest_of(call.values[0])
+    if reading is None:
+        raise ScpiError(-230, f"there is no reading of patch {call.values[0][:40]} yet")
+    return formats.reading_elements(reading, call.session.function, call.session.elements)
+
+
+def _patch_names(call: Call) -> str:
+    return ",".join(formats.string(name) for name in call.session.station.watches)
+
+
 def _catalogue(call: Call) -> str:
     channels = call.session.station.box.channels if call.session.station.box else ()
     return ",".join(map(formats.string, channels)) or formats.string("")
@@ -154,6 +198,25 @@ COMMANDS: Final = (
             ask=_ask_patch,
             parameters=PATCH_PARAMETERS, required=1, reply="x,y,width,height or CENT", example="SENS:PATC CENT;PATC?",
             group=SENSE),
+    Command("SENSe:PATCh:DEFine", "Gives a patch a name; while measuring is continuous it is measured beside the one"
+            " for all, in every period. One of that name is moved. At most 12; they are kept over a restart.",
+            do=_define_patch, parameters=(Text("name"), *PATCH_PARAMETERS), example='SENS:PATC:DEF "lamp",1,2,3,4;CAT?',
+            group=SENSE),
+    Command("SENSe:PATCh:DELete", "Measures a patch with a name no longer; its readings stay.",
+            do=lambda call: call.session.station.delete_patch(call.values[0]), parameters=(Text("name"),),
+            example='SENS:PATC:DEF "gone",1,2,3,4;DEL "gone"', group=SENSE),
+    Command("SENSe:PATCh:CATalog", 'Names the patches; "main" is the one for all.', ask=_patch_names, reply='"name",…',
+            example="SENS:PATC:CAT?", group=SENSE),
+    Command("SENSe:PATCh:LIMits", "Sets between which radiances a patch should stay, NONE for no bound. Two readings"
+            " in a row beyond a limit put the alarm `limit NAME` up, two that are back inside by the hysteresis (a part"
+            " of the limit, 0.01 unless told otherwise) take it down.", do=_set_limits, ask=_ask_limits,
+            parameters=(Text("name"), Number("low", "", _bound, also=("NONE",)),
+                        Number("high", "", _bound, also=("NONE",)), Number("hysteresis", "PCT", _hysteresis)),
+            required=3, ask_parameters=(Text("name"),), ask_required=1, reply="low,high,hysteresis",
+            example='SENS:PATC:LIM "main",NONE,1e6;LIM? "main"', group=SENSE),
+    Command("FETCh:PATCh", "Replies the newest reading of a patch with a name; −230 where there is none yet.",
+            ask=_fetch_patch, ask_parameters=(Text("name"),), ask_required=1, reply="value,u",
+            example='READ?;:FETC:PATC? "main"', group=MEASURING),
     Command("SENSe:CORRection:WAVelength", "Takes the source for a line of this wavelength (nm unless a suffix says UM"
             " or M); NONE returns to the configured spectrum.", do=_set_wavelength,
             ask=_asked(_wavelength, _ask_wavelength),

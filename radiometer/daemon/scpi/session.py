@@ -230,7 +230,13 @@ class Session:
         known = {(alarm.name, alarm.since, alarm.announced) for alarm in self._known_alarms}
         for alarm in alarms:
             if (alarm.name, alarm.since, alarm.announced) not in known:
-                number = -250 if alarm.name == "journal" else -200 if alarm.name == "measurement" else -240
+                number = (
+                    -250
+                    if alarm.name == "journal"
+                    else -200
+                    if alarm.name.split()[0] in ("measurement", "limit")
+                    else -240
+                )
                 self.status.push(ScpiError(number, alarm.message))
         self._known_alarms = alarms
 

@@ -16,7 +16,7 @@ from PIL import Image
 
 from radiometer.daemon.http.openapi import description
 from radiometer.daemon.http.picture import composite, render
-from radiometer.daemon.http.server import ROUTES, HttpServer
+from radiometer.daemon.http.server import _PAGE, ROUTES, HttpServer
 from radiometer.daemon.instrument import Measurement
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.limits import Limits
@@ -255,7 +255,7 @@ async def test_every_get_route_answers(base: str, session: aiohttp.ClientSession
 
 async def test_the_page_needs_nothing_from_outside(base: str, session: aiohttp.ClientSession) -> None:
     """No part of the page names another host."""
-    for path in ("/", "/page.js", "/plots.js", "/page.css"):
+    for path in ("/", "/page.js", "/trends.js", "/response.js", "/page.css"):
         async with session.get(base + path) as reply:
             text = (await reply.text()).replace("http://www.w3.org/2000/svg", "")
         assert "http:" not in text
@@ -391,8 +391,10 @@ def test_no_route_takes_a_path_from_the_client() -> None:
 
 def test_the_page_is_part_of_the_package(project_root: Path) -> None:
     """Every file of the page folder is served."""
-    files = {path.name for path in (project_root / "radiometer/daemon/http/page").iterdir()}
-    assert files == {"index.html", "page.css", "page.js", "plots.js", "icon.svg"}
+    page = project_root / "radiometer/daemon/http/page"
+    files = {str(path.relative_to(page)) for path in page.rglob("*") if path.is_file()}
+    assert files == {name for name, _ in _PAGE.values()}
+    assert "MIT License" in (page / "uplot/LICENSE").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("path", [route.path for route in ROUTES if route.method == "GET"])

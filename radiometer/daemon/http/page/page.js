@@ -1,10 +1,12 @@
 // The page: follows the stream of readings, shows state and picture, changes settings.
-import { drawRamp, drawResponse, drawTrend } from "/plots.js";
+import { drawRamp, drawResponse } from "/response.js";
+import { TrendPanel, timeText } from "/trends.js";
 
 const $ = (id) => document.getElementById(id);
 const root = document.documentElement;
-const state = { readings: [], status: null, curve: undefined, span: 60, pointer: null, frame: null, scale: null, busy: false, drag: null, last: 0, heard: 0, online: false };
-const KEPT = 5000;
+const state = { status: null, curve: undefined, span: 3600, end: null, latest: {}, events: [], frame: null, busy: false, drag: null, last: 0, heard: 0, online: false };
+const panels = new Map();
+const EVENTS_KEPT = 300;
 const MEANING = {
   saturated: "pixels clip: the value is a lower bound", below_noise: "not above the noise: an upper limit",
   extrapolated: "beyond the measured part of the response curve", flicker: "exposures disagree: the light flickers or moves",
@@ -78,7 +80,8 @@ function take(block) {
   if (!fields.data) return;
   const content = JSON.parse(fields.data);
   if (fields.event === "status") showStatus(content);
-  else { add(content); showReading(content); }
+  else if (fields.event === "patch") { note(content); showPatches(); freshTrends(); }
+  else { note(content); showReading(content); }
 }
 function setOnline(online) {
   state.online = online;
@@ -86,10 +89,8 @@ function setOnline(online) {
 }
 
 // ---- readings ------------------------------------------------------------------------------------------------------
-function add(reading) {
-  const { value, u, unit } = reading.radiance, U = (u || 0) * reading.coverage_factor, w = written(value, U);
-  state.readings.push({ at: Date.parse(reading.time), value, U, text: `${w.value} ± ${w.U}${w.power} ${unitText(unit)}` });
-  if (state.readings.length > KEPT) state.readings.splice(0, state.readings.length - KEPT);
+function note(reading) {
+  state.latest[reading.name || "main"] = reading;
   state.last = Math.max(state.last, reading.sequence);
 }
 function showReading(reading) {
@@ -97,7 +98,7 @@ function showReading(reading) {
   state.heard = Date.parse(reading.time);
   $("value").textContent = w.value + w.power;
   $("unit").textContent = unitText(unit);
-  $("expanded").textContent = w.U ? `± ${w.U}${w.power}  (k = ${k}${reading.U_rel === null ? "" : `, ${(reading.U_rel * 100).toPrecision(2)} %`})` : "";
+  $("expanded").textContent = w.U ? `± ${w.U}${w.power}  (k = ${+k.toPrecision(3)}${reading.U_rel === null ? "" : `, ${(reading.U_rel * 100).toPrecision(2)} %`})` : "";
   const shownExposures = reading.exposures_s.slice(0, 6).map((t) => (t < 1e-3 ? `${+(t * 1e6).toPrecision(3)} µs` : t < 1 ? `${+(t * 1e3).toPrecision(3)} ms` : `${+t.toPrecision(3)} s`));
   $("exposures").textContent = shownExposures.join(", ") + (reading.exposures_s.length > 6 ? ` and ${reading.exposures_s.length - 6} more` : "");
   const l = reading.luminance;
@@ -113,16 +114,144 @@ function showReading(reading) {
   document.title = `${w.value}${w.power} ${unitText(unit)} · radiometer`;
   const live = document.querySelector(".live");
   live.classList.remove("fresh"); void live.offsetWidth; live.classList.add("fresh");
-  redraw();
+  showPatches();
+  freshTrends();
   refreshPicture();
 }
-function redraw() {
-  drawTrend($("trend"), state.readings, state.span, state.pointer);
-  const newest = state.readings.at(-1)?.at ?? 0, shown = state.readings.filter((r) => r.at >= newest - state.span * 1000 && r.value !== null);
-  const mean = shown.reduce((sum, r) => sum + r.value, 0) / shown.length;
-  const deviation = Math.sqrt(shown.reduce((sum, r) => sum + (r.value - mean) ** 2, 0) / (shown.length - 1));
-  $("spread").textContent = shown.length < 3 ? "–" : `mean ${+mean.toPrecision(5)}, scatter ${(100 * deviation / Math.abs(mean || 1)).toPrecision(2)} % of ${shown.length} readings`;
+
+// ---- trends --------------------------------------------------------------------------------------------------------
+const quantity = (value, U, unit) => { const w = written(value, U); return `${w.value}${w.U ? ` ± ${w.U}` : ""}${w.power} ${unitText(unit)}`; };
+function hovered(panel, index) {
+  const c = panel.columns, rows = c.value.map((v, i) => i).filter((i) => c.value[i] !== null);
+  if (!rows.length) return "";
+  if (index === null) {
+    const count = rows.reduce((n, i) => n + c.count[i], 0), mean = rows.reduce((n, i) => n + c.value[i] * c.count[i], 0) / count;
+    const spread = Math.sqrt(rows.reduce((n, i) => n + c.count[i] * (c.value[i] - mean) ** 2, 0) / Math.max(1, count));
+    return `mean ${+mean.toPrecision(5)} · scatter ${(100 * spread / Math.abs(mean || 1)).toPrecision(2)} % · ${count} readings`;
+  }
+  return `${timeText(c.time[index], state.span)}   ${quantity(c.value[index], c.U[index], c.unit)}${c.count[index] > 1 ? `   mean of ${c.count[index]}` : ""}${c.flagged[index] ? `   ${c.flagged[index]} flagged` : ""}`;
 }
+const windowShown = () => { const until = state.end ?? Date.now() / 1000; return [until - state.span, until]; };
+let trendsDue = 0, trendsBusy = false, trendsAgain = false;
+async function freshTrends(now = false) {
+  if (document.hidden || (!now && (trendsBusy || state.end !== null || Date.now() < trendsDue))) return;
+  if (trendsBusy) { trendsAgain = true; return; }
+  trendsBusy = true;
+  do { trendsAgain = false; await refreshTrends(); } while (trendsAgain);
+  trendsBusy = false;
+}
+async function refreshTrends() {
+  trendsDue = Date.now() + Math.max(1500, Math.min(60000, state.span * 2));
+  const names = Object.keys(state.status?.patches || { main: null }), [since, until] = windowShown();
+  for (const [name, panel] of panels) if (!names.includes(name)) { panel.remove(); panels.delete(name); }
+  for (const name of names) if (!panels.has(name)) panels.set(name, new TrendPanel($("panels"), name, hovered));
+  const iso = (at) => encodeURIComponent(new Date(at * 1000).toISOString());
+  $("export").href = `/readings?format=csv&stream=all&since=${iso(since)}&until=${iso(until)}`;
+  $("window").textContent = state.end === null ? "" : `${timeText(since, 7201)} to ${timeText(until, 7201)}`;
+  $("now").setAttribute("aria-pressed", state.end === null);
+  $("later").disabled = state.end === null;
+  const events = state.events.map((e) => ({ at: Date.parse(e.time) / 1000, kind: e.kind })).filter((e) => e.at >= since && e.at <= until && ["alarm", "clock", "calibration", "remark", "light"].includes(e.kind)).slice(0, 40);
+  await Promise.all(names.map(async (name) => {
+    try {
+      const stream = encodeURIComponent(name === "main" ? "main" : `patch ${name}`), points = Math.max(200, Math.min(2000, Math.round($("panels").clientWidth)));
+      const columns = await (await ask(`/trend?stream=${stream}&since=${iso(since)}&until=${iso(until)}&points=${points}`)).json();
+      panels.get(name)?.show(columns, [since, until], state.status?.patches?.[name]?.limits, events);
+    } catch { /* the next turn tries again */ }
+  }));
+}
+function setSpan(span) {
+  state.span = span;
+  document.querySelectorAll(".spans button").forEach((b) => b.setAttribute("aria-pressed", +b.dataset.span === span));
+  localStorage.setItem("span", span);
+  freshTrends(true);
+}
+document.querySelectorAll(".spans button").forEach((b) => b.addEventListener("click", () => setSpan(+b.dataset.span)));
+function moveWindow(direction) {
+  const end = (state.end ?? Date.now() / 1000) + direction * state.span / 2;
+  state.end = end >= Date.now() / 1000 ? null : end;
+  freshTrends(true);
+}
+$("earlier").addEventListener("click", () => moveWindow(-1));
+$("later").addEventListener("click", () => moveWindow(1));
+$("now").addEventListener("click", () => { state.end = null; freshTrends(true); });
+setInterval(() => freshTrends(), 2000);
+
+// ---- patches with names --------------------------------------------------------------------------------------------
+let limited = null;
+function showPatches() {
+  const patches = state.status?.patches || {};
+  $("patch-list").replaceChildren(...Object.entries(patches).map(([name, entry]) => {
+    const row = document.createElement("div"), title = document.createElement("b"), value = document.createElement("span"), button = document.createElement("button");
+    const reading = state.latest[name], { low, high } = entry.limits;
+    row.className = `patch-row${entry.breached ? " bad" : ""}`; row.dataset.patch = name;
+    title.textContent = `${entry.breached ? "▲ " : ""}${name === "main" ? "patch" : name}`;
+    value.textContent = reading ? quantity(reading.radiance.value, (reading.radiance.u || 0) * reading.coverage_factor, "").trim() : "no reading yet";
+    value.title = reading ? `${unitText(reading.radiance.unit)}, k = ${+reading.coverage_factor.toPrecision(3)}` : "";
+    button.type = "button"; button.textContent = low === null && high === null ? "limits" : [low === null ? "" : `≥ ${+low.toPrecision(4)}`, high === null ? "" : `≤ ${+high.toPrecision(4)}`].filter(Boolean).join(" · ");
+    button.setAttribute("aria-label", `Limits of ${name}`);
+    button.addEventListener("click", () => askLimits(name, entry.limits));
+    row.append(title, value, button);
+    return row;
+  }));
+  if (state.frame) $("outlines").replaceChildren(...Object.entries(patches).filter(([name, e]) => name !== "main" && e.patch).map(([name, { patch, breached }]) => {
+    const box = document.createElement("div"), { w, h } = state.frame;
+    box.className = `outline${breached ? " bad" : ""}`; box.dataset.name = name;
+    Object.assign(box.style, { left: `${(100 * patch.x) / w}%`, top: `${(100 * patch.y) / h}%`, width: `${(100 * patch.width) / w}%`, height: `${(100 * patch.height) / h}%` });
+    return box;
+  }));
+}
+function askLimits(name, limits) {
+  limited = name;
+  $("limits-title").textContent = `Limits of ${name === "main" ? "the patch" : name}`;
+  $("limit-low").value = limits.low ?? ""; $("limit-high").value = limits.high ?? "";
+  $("limit-delete").hidden = name === "main";
+  $("limits").returnValue = "cancel";
+  $("limits").showModal();
+}
+$("limits").addEventListener("close", async () => {
+  const number = (id) => ($(id).value === "" ? null : +$(id).value);
+  let status = null;
+  if ($("limits").returnValue === "save") status = await send("/patches", { name: limited, limits: { low: number("limit-low"), high: number("limit-high") } });
+  if ($("limits").returnValue === "delete") { status = await send("/patches/delete", { name: limited }); delete state.latest[limited]; }
+  if (status) { showStatus(status); freshTrends(true); }
+});
+$("name-patch").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  if (!state.frame) return;
+  const status = await send("/patches", { name: $("patch-name").value.trim(), patch: current() });
+  if (status) { $("patch-name").value = ""; showStatus(status); freshTrends(true); }
+});
+
+// ---- events --------------------------------------------------------------------------------------------------------
+const KINDS = { alarm: "alarm", cleared: "over", remark: "remark", clock: "clock", light: "light", patch: "patch", calibration: "calibration" };
+let eventsDue = null;
+function refreshEvents() {
+  eventsDue ??= setTimeout(async () => {  // a moment later: the journal has it then, and several changes are one request
+    eventsDue = null;
+    try {
+      const newest = state.events[0]?.time;
+      state.events = (await (await ask(`/events?limit=${EVENTS_KEPT}`)).json()).reverse();
+      if (state.events[0]?.time !== newest) { showEvents(); freshTrends(true); }
+    } catch { /* the next change tries again */ }
+  }, 500);
+}
+function showEvents() {
+  $("event-list").replaceChildren(...state.events.slice(0, 100).map((event) => {
+    const row = document.createElement("li"), t = document.createElement("time"), kind = document.createElement("span"), text = document.createElement("span");
+    const day = new Date(event.time);
+    t.dateTime = event.time; t.textContent = `${day.toDateString() === new Date().toDateString() ? "" : `${day.toLocaleDateString([], { day: "numeric", month: "short" })} `}${day.toLocaleTimeString([], { hour12: false })}`;
+    kind.className = `kind is-${event.kind}`; kind.textContent = KINDS[event.kind] || event.kind;
+    text.textContent = event.message;
+    row.append(t, kind, text);
+    return row;
+  }));
+  if (!state.events.length) { const none = document.createElement("li"); none.className = "quiet"; none.textContent = "nothing has happened yet"; $("event-list").append(none); }
+}
+$("remark-form").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  if (await send("/events", { message: $("remark").value })) { $("remark").value = ""; refreshEvents(); }
+});
+
 setInterval(() => {
   const age = (Date.now() - state.heard) / 1000, every = state.status?.every_s;
   $("freshness").textContent = state.heard ? `#${state.last} · ${ago(age)}` : "";
@@ -147,15 +276,20 @@ function showStatus(status) {
   $("who").textContent = `${instrument.vendor} ${instrument.model} · ${instrument.serial}`;
   $("software").textContent = status.software;
   $("devices").replaceChildren(...Object.entries(status.devices).map(([name, device]) => deviceRow(name, device)));
-  lightRows(status.light);
+  lightRows(status.light, status.light_limits || {});
+  $("clock-note").textContent = status.clock_jump ? `${status.clock_jump.message.split(",")[0]} · ` : "";
+  showPatches();
+  if (Object.keys(status.patches || {}).join() !== [...panels.keys()].join()) freshTrends(true);
   const fields = [["auto", "checked", settings.auto_exposure], ["continuous", "checked", status.every_s !== null], ["period", "value", status.every_s ?? $("period").value],
     ["exposure", "value", +(settings.exposure_s * 1000).toPrecision(6)], ["gain", "value", settings.gain_db], ["wavelength", "value", settings.wavelength_nm ?? ""]];
   for (const [id, property, value] of fields) if (document.activeElement !== $(id)) $(id)[property] = value;
   $("exposure").disabled = settings.auto_exposure;
   const made = calibration.created ? `made ${calibration.created.slice(0, 10)}` : "";
-  $("calibration").textContent = calibration.source ? [calibration.source, made, ...(calibration.assumptions || []).map((a) => `assumed: ${a}`)].filter(Boolean).join(" · ") : "No calibration: values are relative.";
+  $("calibration").textContent = calibration.source ? [calibration.source, made].filter(Boolean).join(" · ") : "no calibration: values are relative";
   showAlarms();
+  refreshEvents();
   placePatch();
+  $("calibration").title = (calibration.assumptions || []).map((a) => `assumed: ${a}`).join("\n");
   if (state.curve === undefined) loadCurve();
 }
 function deviceRow(name, device) {
@@ -165,23 +299,40 @@ function deviceRow(name, device) {
   const counts = Object.entries(device.counters).filter(([, n]) => n).map(([k, n]) => `${k.replace(/_/g, " ")} ${n}`);
   facts.className = "quiet";
   facts.textContent = [device.temperature_C === null ? "" : `${device.temperature_C.toFixed(1)} °C`, device.losses ? `lost ${device.losses}×` : "", ...counts].filter(Boolean).join(" · ");
-  row.append(b, s, facts);
+  facts.title = facts.textContent;
+  row.append(b, facts, s);
   return row;
 }
-function lightRows(levels) {
-  const box = $("lights"), names = Object.keys(levels);
+function lightRows(levels, limits) {
+  const box = $("lights"), names = Object.keys(levels), percent = (level) => `${+(100 * level).toPrecision(level < 0.1 ? 2 : 3)} %`;
+  $("lights-off").hidden = !names.length;
+  const lit = names.some((name) => levels[name] !== 0);
+  $("lights-off").classList.toggle("lit", lit);
   if (box.children.length !== names.length) {
     box.replaceChildren(...names.map((name) => {
       const row = document.createElement("label"), slider = document.createElement("input"), text = document.createElement("span"), shown = document.createElement("output");
-      row.className = "light"; text.textContent = name; slider.type = "range"; slider.min = 0; slider.max = 1; slider.step = 0.01; slider.name = name;
-      slider.addEventListener("input", () => { shown.textContent = `${Math.round(slider.value * 100)} %`; });
+      row.className = "light"; text.textContent = name.replace("_", " "); slider.type = "range"; slider.min = 0; slider.name = name;
+      slider.addEventListener("input", () => { shown.textContent = percent(+slider.value); });
       slider.addEventListener("change", () => send("/light", { channel: name, level: +slider.value }));
       row.append(text, slider, shown);
       return row;
     }));
   }
-  names.forEach((name, i) => { const [, slider, shown] = box.children[i].children; if (document.activeElement !== slider) { slider.value = levels[name]; shown.textContent = `${Math.round(levels[name] * 100)} %`; } });
+  names.forEach((name, i) => {
+    const [, slider, shown] = box.children[i].children, most = limits[name] ?? 1;
+    slider.max = Math.max(most, levels[name] || 0); slider.step = most / 200;
+    slider.title = `at most ${percent(most)}: what the box and the account of the eye's exposure accept now`;
+    slider.disabled = levels[name] === null;
+    if (document.activeElement === slider && slider.matches(":active")) return;
+    slider.value = levels[name] ?? 0;
+    shown.textContent = levels[name] === null ? "unknown" : percent(levels[name]);
+  });
 }
+const lightsOff = async () => { await send("/light/off", {}); };
+$("lights-off").addEventListener("click", lightsOff);
+document.addEventListener("keydown", (event) => {
+  if (event.key.toLowerCase() === "o" && !event.ctrlKey && !event.metaKey && !event.altKey && !event.target.closest("input, dialog")) lightsOff();
+});
 async function loadCurve() {
   state.curve = null;
   try { state.curve = await (await ask("/response")).json(); } catch { /* none in use */ }
@@ -205,6 +356,7 @@ async function refreshPicture() {
     $("nothing").hidden = true;
     showLegend(reply.headers, map);
     placePatch();
+    showPatches();
   } catch { /* none yet */ }
   setTimeout(() => { state.busy = false; if (waiting) refreshPicture(); }, 700);
 }
@@ -228,7 +380,7 @@ function placePatch() {
   $("patch").hidden = false;
   style.left = `${(100 * p.x) / w}%`; style.top = `${(100 * p.y) / h}%`; style.width = `${(100 * p.width) / w}%`; style.height = `${(100 * p.height) / h}%`;
   const text = `patch ${p.x}, ${p.y} · ${p.width} × ${p.height} pixels`;
-  $("place").textContent = `${text} of ${w} × ${h}; only the patch is measured`;
+  $("place").textContent = `${text} of ${w} × ${h}`;
   $("patch").setAttribute("aria-valuetext", text);
 }
 const clamp = (v, low, high) => Math.min(Math.max(v, low), high);
@@ -281,12 +433,12 @@ $("gain").addEventListener("change", () => send("/settings", { gain_db: +$("gain
 $("wavelength").addEventListener("change", () => send("/settings", { wavelength_nm: $("wavelength").value === "" ? null : +$("wavelength").value }));
 
 // A plain link cannot send the token, so what it points to is fetched and handed over as a file.
-document.querySelectorAll("footer a").forEach((link) => link.addEventListener("click", async (event) => {
+document.querySelectorAll("footer a, #export").forEach((link) => link.addEventListener("click", async (event) => {
   if (!sessionStorage.getItem("token")) return;
   event.preventDefault();
   const made = document.createElement("a");
   made.href = URL.createObjectURL(await (await ask(link.getAttribute("href"))).blob());
-  made.download = link.textContent;
+  made.download = link.download || link.textContent;
   made.click();
   setTimeout(() => URL.revokeObjectURL(made.href), 10000);
 }));
@@ -296,28 +448,22 @@ function setTheme(theme) {
   localStorage.setItem("theme", theme);
   document.querySelectorAll(".themes button").forEach((b) => b.setAttribute("aria-pressed", b.dataset.theme === theme));
   document.querySelector('meta[name="theme-color"]').content = getComputedStyle(root).getPropertyValue("--ground").trim();
-  redraw();
+  for (const panel of panels.values()) panel.plot.redraw();
   drawResponse($("response"), state.curve || null);
   if (state.frame) refreshPicture();
 }
 document.querySelectorAll(".themes button").forEach((b) => b.addEventListener("click", () => setTheme(b.dataset.theme)));
-function setSpan(span) {
-  state.span = span;
-  document.querySelectorAll(".spans button").forEach((b) => b.setAttribute("aria-pressed", +b.dataset.span === span));
-  redraw();
-}
-document.querySelectorAll(".spans button").forEach((b) => b.addEventListener("click", () => setSpan(+b.dataset.span)));
-$("trend").addEventListener("pointermove", (event) => { state.pointer = event.offsetX; redraw(); });
-$("trend").addEventListener("pointerleave", () => { state.pointer = null; redraw(); });
-new ResizeObserver(() => { redraw(); drawResponse($("response"), state.curve || null); }).observe(document.querySelector("main"));
+new ResizeObserver(() => { drawResponse($("response"), state.curve || null); }).observe($("response").parentElement);
 document.addEventListener("visibilitychange", () => { if (!document.hidden && waiting) refreshPicture(); });
 
 const remembered = localStorage.getItem("theme");
 setTheme(remembered || (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
-setSpan(60);
+setSpan(+localStorage.getItem("span") || 3600);
+showEvents();
 try {
-  const history = await (await ask("/readings?limit=2000")).json();
-  history.forEach(add);
-  if (history.length) showReading(history[history.length - 1]);
+  state.events = (await (await ask(`/events?limit=${EVENTS_KEPT}`)).json()).reverse();
+  showEvents();
+  const history = await (await ask("/readings?limit=1")).json();
+  history.forEach((reading) => { note(reading); showReading(reading); });
 } catch { /* the stream tells */ }
 follow();

@@ -1,6 +1,6 @@
-// Plots on a canvas: the trend with its uncertainty band, and the response curve.
+// The response curve and the ramp of the false colours, on a canvas.
 
-const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+import { css } from "/trends.js";
 
 export function prepared(canvas) {
   const ratio = window.devicePixelRatio || 1, box = canvas.getBoundingClientRect();
@@ -30,7 +30,7 @@ const label = (value, step) => {
 };
 
 function axes(pen, box, yLow, yHigh, xTicks) {
-  const { ticks, step } = niceTicks(yLow, yHigh, Math.max(2, Math.round(box.h / 42)));
+  const { ticks, step } = niceTicks(yLow, yHigh, Math.max(3, Math.round(box.h / 42)));
   pen.strokeStyle = css("--line");
   pen.fillStyle = css("--quiet");
   pen.lineWidth = 1;
@@ -46,46 +46,6 @@ function axes(pen, box, yLow, yHigh, xTicks) {
     pen.textAlign = align || "center";
     pen.fillText(text, x, box.y + box.h + 7);
   }
-}
-
-export function drawTrend(canvas, readings, spanS, pointer) {
-  const { pen, width, height } = prepared(canvas);
-  const box = { x: 58, y: 8, w: width - 66, h: height - 34 };
-  const now = readings.length ? Math.max(readings[readings.length - 1].at, Date.now() - 2000) : Date.now();
-  const shown = readings.filter((r) => r.at >= now - spanS * 1000 && r.value !== null);
-  const first = shown.length ? Math.min(shown[0].at, now - 1000) : now - spanS * 1000;
-  const start = Math.max(now - spanS * 1000, first), x = (at) => box.x + (box.w * (at - start)) / Math.max(1, now - start);
-  if (!shown.length) {
-    pen.fillStyle = css("--quiet"); pen.textAlign = "center"; pen.fillText("no readings in this time", width / 2, height / 2);
-    return null;
-  }
-  let low = Math.min(...shown.map((r) => r.value - r.U)), high = Math.max(...shown.map((r) => r.value + r.U));
-  const pad = Math.max((high - low) * 0.12, Math.abs(high) * 1e-4, 1e-12);
-  low -= pad; high += pad;
-  const y = (v) => box.y + box.h * (1 - (v - low) / (high - low));
-  const clock = (at) => new Date(at).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit", second: spanS < 3600 ? "2-digit" : undefined, hour12: false });
-  const middle = (start + now) / 2;
-  axes(pen, box, low, high, [[box.x, clock(start), "left"], [x(middle), clock(middle)], [box.x + box.w, clock(now), "right"]]);
-  pen.fillStyle = css("--band");
-  pen.beginPath();
-  shown.forEach((r, i) => pen[i ? "lineTo" : "moveTo"](x(r.at), y(r.value + r.U)));
-  [...shown].reverse().forEach((r) => pen.lineTo(x(r.at), y(r.value - r.U)));
-  pen.fill();
-  pen.strokeStyle = css("--accent"); pen.lineWidth = 1.8; pen.lineJoin = "round";
-  pen.beginPath();
-  shown.forEach((r, i) => pen[i ? "lineTo" : "moveTo"](x(r.at), y(r.value)));
-  pen.stroke();
-  const last = shown[shown.length - 1];
-  pen.fillStyle = css("--accent"); pen.beginPath(); pen.arc(x(last.at), y(last.value), 3.4, 0, 7); pen.fill();
-  if (pointer === null) return null;
-  const near = shown.reduce((a, b) => (Math.abs(x(b.at) - pointer) < Math.abs(x(a.at) - pointer) ? b : a));
-  pen.strokeStyle = css("--quiet"); pen.lineWidth = 1;
-  pen.beginPath(); pen.moveTo(x(near.at), box.y); pen.lineTo(x(near.at), box.y + box.h); pen.stroke();
-  const text = `${clock(near.at)}   ${near.text}`, wide = pen.measureText(text).width + 16;
-  const left = Math.min(Math.max(x(near.at) - wide / 2, box.x), box.x + box.w - wide);
-  pen.fillStyle = css("--ink"); pen.beginPath(); pen.roundRect(left, box.y, wide, 22, 6); pen.fill();
-  pen.fillStyle = css("--card"); pen.textAlign = "left"; pen.textBaseline = "middle"; pen.fillText(text, left + 8, box.y + 11.5);
-  return near;
 }
 
 export function drawResponse(canvas, curve) {

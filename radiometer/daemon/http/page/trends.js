@@ -1,0 +1,118 @@
+// The course of each patch over time: one panel of uPlot per patch, one time axis for all of them.
+import uPlot from "/uplot.js";
+
+export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const DAY = 86400;
+const sync = uPlot.sync("time");
+
+export const timeText = (at, span) => new Date(at * 1000).toLocaleString([], {
+  hour12: false, hour: "2-digit", minute: "2-digit", ...(span <= 7200 ? { second: "2-digit" } : {}), ...(span > 7200 ? { day: "numeric", month: "short" } : {}),
+});
+
+function axisTimes(u, splits) {
+  const span = u.scales.x.max - u.scales.x.min, step = splits.length > 1 ? splits[1] - splits[0] : span;
+  return splits.map((at) => {
+    const d = new Date(at * 1000), clock = d.toLocaleTimeString([], { hour12: false, hour: "2-digit", minute: "2-digit", ...(step < 60 ? { second: "2-digit" } : {}) });
+    const day = d.toLocaleDateString([], { day: "numeric", month: "short" });
+    if (step >= DAY) return day;
+    return d.getHours() === 0 && d.getMinutes() === 0 && span > DAY / 2 ? day : clock;
+  });
+}
+const label = (value, step) => {
+  if (value !== 0 && (Math.abs(value) < 1e-3 || Math.abs(value) >= 1e5)) return value.toExponential(Math.abs(step / value) < 0.1 ? 2 : 1);
+  return value.toFixed(Math.min(8, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))));
+};
+
+/** One patch: its panel, its plot, and the columns it shows. */
+export class TrendPanel {
+  constructor(place, name, hover) {
+    this.name = name; this.hover = hover; this.columns = null; this.limits = {}; this.events = []; this.window = [0, 1];
+    this.root = document.createElement("figure");
+    this.root.className = "panel";
+    this.root.dataset.patch = name;
+    this.caption = document.createElement("figcaption");
+    this.title = document.createElement("b"); this.readout = document.createElement("span"); this.readout.className = "quiet";
+    this.title.textContent = name === "main" ? "patch" : name;
+    this.caption.append(this.title, this.readout);
+    this.frame = document.createElement("div");
+    this.frame.className = "plot";
+    this.empty = document.createElement("p");
+    this.empty.className = "quiet empty";
+    this.root.append(this.caption, this.frame);
+    this.frame.append(this.empty);
+    place.append(this.root);
+    this.make();
+  }
+  make() {
+    this.plot?.destroy();
+    const grid = { stroke: () => css("--line"), width: 1 }, axis = { stroke: () => css("--quiet"), font: "12px system-ui, sans-serif", grid, ticks: { ...grid, size: 5 } };
+    const hidden = { stroke: "transparent", points: { show: false } };
+    this.plot = new uPlot({
+      width: Math.max(80, this.frame.clientWidth), height: Math.max(60, this.frame.clientHeight), legend: { show: false }, padding: [6, 20, 0, 0],
+      scales: { x: { time: true, range: () => this.window }, y: { range: (u, low, high) => this.range(low, high) } },
+      axes: [{ ...axis, values: axisTimes, space: 74, size: 26 }, { ...axis, size: 66, space: 30, values: (u, splits) => splits.map((v) => label(v, Math.abs((splits[1] ?? 1) - splits[0]) || 1)) }],
+      series: [{}, { ...hidden, label: "value + U" }, { ...hidden, label: "value − U" },
+        { label: "highest", stroke: () => css("--faint"), width: 1, points: { show: false } }, { label: "lowest", stroke: () => css("--faint"), width: 1, points: { show: false } },
+        { label: "value", stroke: () => css("--accent"), width: 1.8, points: { show: (u, s, from, to) => to - from < 60, size: 4, fill: () => css("--accent") } }],
+      bands: [{ series: [1, 2], fill: () => css("--band") }],
+      cursor: { sync: { key: sync.key }, drag: { x: false, y: false }, points: { size: 7 } },
+      hooks: { draw: [(u) => this.marks(u)], setCursor: [(u) => this.tell(u.cursor.idx)] },
+    }, this.data(), this.frame);
+    this.observer ??= new ResizeObserver(() => this.fit());
+    this.observer.observe(this.frame);
+  }
+  fit() {
+    const width = Math.max(80, this.frame.clientWidth), height = Math.max(60, this.frame.clientHeight);
+    if (width !== this.plot.width || height !== this.plot.height) this.plot.setSize({ width, height });
+  }
+  data() {
+    const c = this.columns;
+    if (!c) return [[], [], [], [], [], []];
+    const with_ = (sign) => c.value.map((v, i) => (v === null ? null : v + sign * c.U[i]));
+    return [c.time, with_(1), with_(-1), c.high, c.low, c.value];
+  }
+  range(low, high) {
+    const shown = [low, high].filter((v) => v !== null && Number.isFinite(v));
+    if (!shown.length) return [0, 1];
+    let [bottom, top] = [Math.min(...shown), Math.max(...shown)];
+    for (const limit of [this.limits.low, this.limits.high]) {  // a limit that is near belongs into the picture
+      const room = Math.max(top - bottom, Math.abs(top) * 0.02);
+      if (limit != null && limit > bottom - 1.5 * room && limit < top + 1.5 * room) { bottom = Math.min(bottom, limit); top = Math.max(top, limit); }
+    }
+    const pad = Math.max((top - bottom) * 0.1, Math.abs(top) * 1e-4, 1e-12);
+    return [bottom - pad, top + pad];
+  }
+  marks(u) {
+    const pen = u.ctx, { left, top, width, height } = u.bbox, ratio = devicePixelRatio || 1;
+    pen.save();
+    pen.beginPath(); pen.rect(left, top, width, height); pen.clip();
+    pen.lineWidth = 1.4 * ratio; pen.strokeStyle = css("--bad"); pen.setLineDash([6 * ratio, 4 * ratio]);
+    for (const limit of [this.limits.low, this.limits.high]) {
+      if (limit == null) continue;
+      const y = u.valToPos(limit, "y", true);
+      pen.beginPath(); pen.moveTo(left, y); pen.lineTo(left + width, y); pen.stroke();
+    }
+    pen.setLineDash([2 * ratio, 3 * ratio]); pen.lineWidth = ratio;
+    for (const event of this.events) {
+      const x = u.valToPos(event.at, "x", true), bad = event.kind === "alarm";
+      pen.strokeStyle = pen.fillStyle = css(bad ? "--bad" : event.kind === "remark" ? "--ink" : "--quiet");
+      pen.beginPath(); pen.moveTo(x, top); pen.lineTo(x, top + height); pen.stroke();
+      pen.beginPath(); pen.moveTo(x - 4 * ratio, top); pen.lineTo(x + 4 * ratio, top); pen.lineTo(x, top + 7 * ratio); pen.fill();
+    }
+    pen.restore();
+  }
+  tell(index) {
+    const c = this.columns;
+    if (!c) return;
+    const shown = index != null && c.value[index] !== null ? index : null;
+    this.readout.textContent = this.hover(this, shown);
+  }
+  show(columns, window, limits, events) {
+    Object.assign(this, { columns, window, limits: limits || {}, events: events || [] });
+    this.empty.textContent = columns?.value.some((v) => v !== null) ? "" : "no readings in this time";
+    this.plot.setData(this.data());
+    this.fit();
+    this.tell(this.plot.cursor.idx);
+  }
+  remove() { this.observer.disconnect(); this.plot.destroy(); this.root.remove(); }
+}

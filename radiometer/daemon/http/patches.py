@@ -1,0 +1,171 @@
+"""Patches with names, their limits and trends; events and remarks."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+from typing import Any, Final
+
+from aiohttp import web
+from pydantic import BaseModel, ConfigDict, Field
+
+from radiometer.daemon.http.readings import stream_asked
+from radiometer.daemon.http.requests import LimitsBody, PatchBody, read_body, read_query
+from radiometer.daemon.http.route import QUERIES, STATION, QueryParameter, Route
+from radiometer.daemon.journal_reader import JournalReader, TrendPoint
+from radiometer.daemon.patches import PatchLimits
+from radiometer.daemon.timestamps import now_us, parse_moment
+from radiometer.data import Patch
+from radiometer.errors import UsageError
+
+_QUERY_DEADLINE_S: Final = 10.0
+_MOST_POINTS: Final = 5000
+_MOST_EVENTS: Final = 5000
+_COVERAGE_FACTOR: Final = 2.0
+_TREND_QUERY: Final = (
+    QueryParameter("stream", "string", "main (the default) or patch NAME."),
+    QueryParameter(
+        "since", "string", "From this time on: ISO 8601, or an age such as 1h, 7d; 1h unless told otherwise."
+    ),
+    QueryParameter("until", "string", "Before this time; now unless told otherwise."),
+    QueryParameter("points", "integer", "About so many points at most, 10 to 5000; 1000 unless told otherwise."),
+)
+_EVENT_QUERY: Final = (
+    QueryParameter("since", "string", "From this time on: ISO 8601, or an age such as 1h, 7d."),
+    QueryParameter("until", "string", "Before this time."),
+    QueryParameter("limit", "integer", "At most this many, the newest; 200 unless told otherwise."),
+)
+
+
+class NamedPatchBody(BaseModel):
+    """A patch with a name; "main" is the one measured for all, of which only limits can be set here."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str
+    patch: PatchBody | None = Field(None, description="Where it is; left out, it stays.")
+    limits: LimitsBody | None = Field(None, description="Its limits; left out, they stay.")
+
+
+class NameBody(BaseModel):
+    """The name of a patch."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str
+
+
+class RemarkBody(BaseModel):
+    """A remark of a person, kept among the events."""
+
+    model_config = ConfigDict(extra="forbid")
+    message: str
+
+
+async def change_patch(request: web.Request) -> web.Response:
+    """Define or move a patch with a name, or set its limits, and reply the state."""
+    station = request.app[STATION]
+    body = await read_body(request, NamedPatchBody)
+    limits = PatchLimits(**body.limits.model_dump()) if body.limits else None
+    if body.patch is not None:
+        station.define_patch(body.name, Patch(**body.patch.model_dump()))
+    if limits is not None:
+        station.set_limits(body.name, limits)
+    return _json(station.status())
+
+
+async def delete_patch(request: web.Request) -> web.Response:
+    """Measure a patch no longer and reply the state."""
+    station = request.app[STATION]
+    station.delete_patch((await read_body(request, NameBody)).name)
+    return _json(station.status())
+
+
+async def show_trend(request: web.Request) -> web.Response:
+    """Reply the course of one patch in columns; a time without readings is a point of nulls. Raises UsageError."""
+    query = read_query(request, _TREND_QUERY)
+    points = query.get("points", 1000)
+    if not 10 <= points <= _MOST_POINTS:
+        raise UsageError(f"points must be 10 to {_MOST_POINTS}, not {points}")
+    until_us = parse_moment(query["until"]) if "until" in query else now_us()
+    since_us = parse_moment(query.get("since", "1h"))
+    if since_us >= until_us:
+        raise UsageError("since must lie before until")
+    stream = stream_asked(query.get("stream", "main"))
+    if stream is None:
+        raise UsageError("a trend is of one patch: stream must be main or patch NAME")
+    station = request.app[STATION]
+    reader = JournalReader(station.journal_path, deadline_s=_QUERY_DEADLINE_S)
+    async with request.app[QUERIES]:
+        found = await asyncio.to_thread(reader.trend, stream, since_us, until_us, points)
+    return _json({"since": since_us / 1e6, "until": until_us / 1e6, "coverage_factor": _COVERAGE_FACTOR,
+                  **trend_columns(found, station.acquisition.every_s)})  # fmt: skip
+
+
+def trend_columns(points: list[TrendPoint], every_s: float | None) -> dict[str, Any]:
+    """Return points in columns, in s since 1970, of the newest unit; where readings are missing stands a row of nulls.
+
+    Args:
+        points: The points, oldest first.
+        every_s: Period of continuous measurement in s; None where there is none.
+    """
+    unit = points[-1].unit if points else ""
+    columns: dict[str, list[float | int | None]] = {
+        name: [] for name in ("time", "value", "U", "low", "high", "count", "flagged")
+    }
+    shown = [point for point in points if point.unit == unit]
+    longest_us = _longest_pause_us(shown, every_s)
+    before: int | None = None
+    for point in shown:
+        if before is not None and point.time_us - before > longest_us:
+            for name, column in columns.items():
+                column.append((before + point.time_us) / 2e6 if name == "time" else None)
+        before = point.time_us
+        row = (point.time_us / 1e6, point.value, _COVERAGE_FACTOR * point.u, point.low, point.high, point.count,
+               point.flagged)  # fmt: skip
+        for column, value in zip(columns.values(), row, strict=True):
+            column.append(value)
+    return {"unit": unit, **columns}
+
+
+def _longest_pause_us(points: list[TrendPoint], every_s: float | None) -> float:
+    """Return the pause between two points that is no gap yet: thrice the usual one, or the period asked for."""
+    pauses = sorted(later.time_us - earlier.time_us for earlier, later in itertools.pairwise(points))
+    usual = pauses[len(pauses) // 2] if pauses else 0
+    return max(3.0 * usual, 3e6 * (every_s or 0.0), 3e6)
+
+
+async def show_events(request: web.Request) -> web.Response:
+    """Reply the newest events of a time, oldest first. Raises UsageError."""
+    query = read_query(request, _EVENT_QUERY)
+    limit = query.get("limit", 200)
+    if not 1 <= limit <= _MOST_EVENTS:
+        raise UsageError(f"limit must be 1 to {_MOST_EVENTS}, not {limit}")
+    since_us = parse_moment(query["since"]) if "since" in query else None
+    until_us = parse_moment(query["until"]) if "until" in query else None
+    reader = JournalReader(request.app[STATION].journal_path, deadline_s=5.0)
+    return _json(await asyncio.to_thread(reader.events, since_us, limit, until_us))
+
+
+async def add_remark(request: web.Request) -> web.Response:
+    """Keep a remark of a person among the events."""
+    body = await read_body(request, RemarkBody)
+    request.app[STATION].annotate(body.message)
+    return _json({"kind": "remark", "message": " ".join(body.message.split())})
+
+
+def _json(content: Any) -> web.Response:
+    return web.Response(text=json.dumps(content, ensure_ascii=False) + "\n", content_type="application/json")
+
+
+ROUTES: Final = (
+    Route("POST", "/patches", change_patch, "Define or move a patch with a name, or set its limits.",
+          body=NamedPatchBody, schema="Status"),
+    Route("POST", "/patches/delete", delete_patch, "Measure a patch no longer; its readings stay.", body=NameBody,
+          schema="Status"),
+    Route("GET", "/trend", show_trend, "Course of one patch in columns: mean, expanded uncertainty (k=2), lowest and"
+          " highest radiance of each short time; nulls where there are no readings.",
+          query=_TREND_QUERY, schema="Trend"),
+    Route("GET", "/events", show_events, "Alarms, recoveries, changes and remarks, oldest first.", query=_EVENT_QUERY,
+          schema="Events"),
+    Route("POST", "/events", add_remark, "Keep a remark among the events.", body=RemarkBody, schema="Event"),
+)  # fmt: skip

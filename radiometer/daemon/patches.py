@@ -1,0 +1,154 @@
+"""Patches with names that are measured beside the one for all, and limits that alarm without flapping."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+from radiometer.data import Flag, Patch, Reading
+from radiometer.errors import UsageError
+
+MAIN: Final = "main"  # stands for the patch that is measured for all where a name is asked for
+MOST_PATCHES: Final = 12
+_LONGEST_NAME: Final = 32
+_CONFIRMATIONS: Final = 2  # so many readings in a row must say the same: one outlier is no alarm, and no all-clear
+DEFAULT_HYSTERESIS_REL: Final = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class PatchLimits:
+    """Between which radiances a patch should stay.
+
+    Attributes:
+        low: Lowest radiance that is well; None for no bound.
+        high: Highest; None for no bound.
+        hysteresis_rel: By which part of a limit the radiance must be back inside before the alarm goes.
+    """
+
+    low: float | None = None
+    high: float | None = None
+    hysteresis_rel: float = DEFAULT_HYSTERESIS_REL
+
+    def __post_init__(self) -> None:
+        for value in (self.low, self.high):
+            if value is not None and not math.isfinite(value):
+                raise UsageError("a limit must be a finite radiance")
+        if self.low is not None and self.high is not None and self.low >= self.high:
+            raise UsageError(f"the low limit {self.low:g} must lie below the high one {self.high:g}")
+        if not 0.0 <= self.hysteresis_rel <= 0.5:
+            raise UsageError(f"the hysteresis must be 0 to 0.5 of the limit, not {self.hysteresis_rel:g}")
+
+    def to_mapping(self) -> dict[str, float | None]:
+        """Return {low, high, hysteresis_rel}."""
+        return {"low": self.low, "high": self.high, "hysteresis_rel": self.hysteresis_rel}
+
+    def breach(self, reading: Reading, *, standing: bool) -> str:
+        """Return which limit a reading breaks, "" where it is well.
+
+        A saturated value is a lower bound and one below the noise an upper bound: neither breaks the limit that it may
+        well be within.
+
+        Args:
+            reading: The reading.
+            standing: Whether an alarm is up: then the limits are drawn in by the hysteresis.
+        """
+        value, drawn_in = reading.radiance.value, self.hysteresis_rel if standing else 0.0
+        if self.high is not None and value > self.high - abs(self.high) * drawn_in and not _is_upper_bound(reading):
+            return "high"
+        if self.low is not None and value < self.low + abs(self.low) * drawn_in and not _is_lower_bound(reading):
+            return "low"
+        return ""
+
+
+@dataclass(slots=True)
+class PatchWatch:
+    """Follows one patch: its latest reading, and whether it keeps within its limits.
+
+    Attributes:
+        limits: The limits.
+        latest: Its latest reading; None where there is none.
+        breached: Which limit it is beyond, as alarmed; "" where it is well.
+    """
+
+    limits: PatchLimits = field(default_factory=PatchLimits)
+    latest: Reading | None = None
+    breached: str = ""
+    _saying: str = ""
+    _count: int = 0
+
+    def take(self, reading: Reading) -> bool:
+        """Take a reading and tell whether the alarm has to be put up or taken down."""
+        self.latest = reading
+        found = self.limits.breach(reading, standing=bool(self.breached))
+        self._count = self._count + 1 if found == self._saying else 1
+        self._saying = found
+        if found == self.breached or self._count < _CONFIRMATIONS:
+            return False
+        self.breached = found
+        return True
+
+    def limit(self, limits: PatchLimits) -> None:
+        """Take other limits; what was alarmed by the old ones is forgotten."""
+        self.limits, self.breached, self._saying, self._count = limits, "", "", 0
+
+    def message(self, name: str) -> str:
+        """Return what is wrong in words."""
+        assert self.latest is not None
+        limit = self.limits.high if self.breached == "high" else self.limits.low
+        quantity = self.latest.radiance
+        side = "above its high" if self.breached == "high" else "below its low"
+        return f"patch {name} reads {quantity.value:.5g} ± {2 * quantity.u:.2g} {quantity.unit}, {side} limit {limit:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class NamedPatch:
+    """A patch with a name.
+
+    Attributes:
+        name: Its name.
+        patch: Where it is.
+        limits: Between which radiances it should stay.
+    """
+
+    name: str
+    patch: Patch
+    limits: PatchLimits = field(default_factory=PatchLimits)
+
+    def to_json(self) -> str:
+        """Return it as one line of JSON."""
+        patch = self.patch
+        where = {"x": patch.x, "y": patch.y, "width": patch.width, "height": patch.height}
+        return json.dumps({"patch": where, "limits": self.limits.to_mapping()})
+
+    @classmethod
+    def from_json(cls, name: str, line: str) -> NamedPatch:
+        """Return the patch that a line of JSON describes."""
+        content: Mapping[str, Any] = json.loads(line)
+        return cls(name, Patch(**content["patch"]), PatchLimits(**content["limits"]))
+
+
+def check_name(name: str) -> str:
+    """Return a name that a patch may have. Raises UsageError."""
+    good = 0 < len(name) <= _LONGEST_NAME and name.isascii() and all(c.isalnum() or c in " ._-+" for c in name)
+    if not good or name != name.strip() or name.lower() == MAIN:
+        raise UsageError(
+            f"a patch's name has 1 to {_LONGEST_NAME} letters, digits, blanks or . _ - + and is not {MAIN!r};"
+            f" {name[:40]!r} is none"
+        )
+    return name
+
+
+def moved(named: NamedPatch, patch: Patch) -> NamedPatch:
+    """Return it at another place, its limits kept."""
+    return replace(named, patch=patch)
+
+
+def _is_lower_bound(reading: Reading) -> bool:
+    return Flag.SATURATED in reading.flags or not math.isfinite(reading.radiance.value)
+
+
+def _is_upper_bound(reading: Reading) -> bool:
+    return Flag.BELOW_NOISE in reading.flags or not math.isfinite(reading.radiance.value)

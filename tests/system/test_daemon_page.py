@@ -1,0 +1,182 @@
+"""The page in a real browser at three sizes: all of one glance, readable, by keyboard and by touch."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks._daemon import DaemonProcess
+from radiometer.daemon.journal import Journal
+from radiometer.daemon.timestamps import iso_time, now_us
+from radiometer.data import Patch, Quantity, Reading
+from tests.system.chromium import Browser, headless
+
+SIZES = ((1440, 900), (1920, 1080), (390, 844))
+# Contrast of text against what lies behind it (WCAG 2.1, 1.4.3), of all text that is shown and not switched off.
+_CONTRASTS = """
+(() => {
+  const parse = (c) => { const m = c.match(/[\\d.]+/g).map(Number); return m.length === 3 ? [...m, 1] : m; };
+  const lin = (v) => (v / 255 <= 0.03928 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4);
+  const lum = ([r, g, b]) => 0.2126 * lin(r) + 0.7152 * lin(g) + 0.0722 * lin(b);
+  const over = (top, under) => top.slice(0, 3).map((v, i) => v * top[3] + under[i] * (1 - top[3]));
+  const behind = (e) => {
+    const layers = [];
+    for (let n = e; n; n = n.parentElement) layers.unshift(parse(getComputedStyle(n).backgroundColor));
+    return layers.reduce((under, top) => over(top, under), [255, 255, 255]);
+  };
+  const low = [];
+  for (const e of document.querySelectorAll("body *")) {
+    const text = [...e.childNodes].filter((n) => n.nodeType === 3).map((n) => n.data.trim()).join("");
+    const style = getComputedStyle(e);
+    if (!text || !e.getBoundingClientRect().width || e.closest(":disabled, #stage, .uplot, .fresh .value")) continue;
+    const ground = behind(e), a = lum(over(parse(style.color), ground)), b = lum(ground);
+    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05), size = parseFloat(style.fontSize);
+    if (ratio < (size >= 24 || (size >= 18.66 && +style.fontWeight >= 700) ? 3 : 4.5)) low.push([text, ratio]);
+  }
+  return JSON.stringify(low);
+})()"""
+_UNNAMED = """
+JSON.stringify([...document.querySelectorAll("button, input, a, [tabindex]")].filter((e) => !(e.textContent.trim()
+  || e.getAttribute("aria-label") || e.getAttribute("aria-labelledby") || e.closest("label"))).map((e) => e.outerHTML))
+"""
+_SMALL = """
+JSON.stringify([...document.querySelectorAll("button, a, input")].filter((e) => {
+  const b = e.getBoundingClientRect();
+  return b.width && (b.height < 24 || b.width < 20);
+}).map((e) => e.outerHTML.slice(0, 80)))"""
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaemonProcess]:
+    """Return a daemon with two days of history, 38 minutes of them missing, and a second patch with limits."""
+    folder = tmp_path_factory.mktemp("page")
+    now = now_us()
+    times = [now - k * 60_000_000 for k in range(2 * 1440, 1, -1) if not 200 <= k < 238]
+    with Journal(folder / "journal.sqlite") as journal:
+        for name, patch, value in (("", Patch(20, 30, 20, 20), 0.918), ("dim lamp", Patch(100, 40, 30, 30), 0.2)):
+            journal.append(
+                [Reading(Quantity(value, value / 200, "W sr-1 m-2"), patch, "22500001", time=iso_time(at), name=name)
+                 for at in times]
+            )  # fmt: skip
+        limits = {"low": None, "high": 0.1, "hysteresis_rel": 0.01}
+        where = {"x": 100, "y": 40, "width": 30, "height": 30}
+        journal.keep_patch("dim lamp", json.dumps({"patch": where, "limits": limits}))
+    with DaemonProcess(folder, "--every", "0.3", "--box", "sim") as running:
+        running.wait_for_reading()
+        yield running
+
+
+async def _shown(browser: Browser, daemon: DaemonProcess, size: tuple[int, int]) -> None:
+    phone = size[0] < 700
+    await browser.command(
+        "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1, mobile=phone
+    )
+    await browser.command("Emulation.setTouchEmulationEnabled", enabled=phone)
+    await browser.command("Page.navigate", url=daemon.url + "/")
+    await browser.wait_for(
+        "document.getElementById('nothing')?.hidden && document.querySelectorAll('.panel canvas').length === 2"
+        " && document.querySelectorAll('#lights input').length > 0 && !!document.querySelector('.patch-row.bad')"
+    )
+
+
+async def _json(browser: Browser, expression: str) -> Any:
+    return json.loads(await browser.evaluate(expression))
+
+
+@pytest.mark.timeout(170)
+async def test_the_page_fits_and_can_be_read_at_three_sizes(daemon: DaemonProcess, tmp_path: Path) -> None:
+    """Nothing beside or below the window, contrast AA in every theme, name and size of every control."""
+    async with headless(tmp_path / "profile") as browser:
+        for size in SIZES:
+            await _shown(browser, daemon, size)
+            wide = await _json(browser, "JSON.stringify([document.documentElement.scrollWidth, innerWidth])")
+            assert wide[0] <= wide[1]
+            if size[0] > 1000:
+                tall = await _json(browser, "JSON.stringify([document.documentElement.scrollHeight, innerHeight])")
+                assert tall[0] <= tall[1]
+                used = await browser.evaluate(
+                    "document.querySelector('main').getBoundingClientRect().width / innerWidth"
+                )
+                assert used > 0.97
+                panel = await browser.evaluate("document.querySelector('.panel .plot').getBoundingClientRect().height")
+                assert panel > 90
+            for theme in ("light", "dark", "red"):
+                await browser.evaluate(f"document.querySelector('[data-theme={theme}]').click()")
+                assert await _json(browser, _CONTRASTS) == []
+            assert await _json(browser, _UNNAMED) == []
+            assert await _json(browser, _SMALL) == []
+        assert browser.errors == []
+        assert [url for url in browser.requested if not url.startswith((daemon.url, "blob:", "data:", "about:"))] == []
+
+
+@pytest.mark.timeout(170)
+async def test_the_page_shows_trends_alarms_and_gaps(daemon: DaemonProcess, tmp_path: Path) -> None:
+    """Each patch has its panel with its own course; a day has its gap; the alarm of the limit is at the top."""
+    async with headless(tmp_path / "profile", SIZES[0]) as browser:
+        await _shown(browser, daemon, SIZES[0])
+        assert "dim lamp" in await browser.wait_for("document.querySelector('.alarm')?.textContent")
+        await browser.evaluate("document.querySelector('[data-span=\"86400\"]').click()")
+        for name, value in (("main", 0.918), ("dim lamp", 0.2)):
+            text = f"document.querySelector('[data-patch=\"{name}\"] figcaption .quiet').textContent"
+            await browser.wait_for(f"/1[34]\\d\\d readings/.test({text})")
+            mean = float((await browser.evaluate(text)).split()[1])
+            assert mean == pytest.approx(value, rel=0.01)
+        export = await browser.evaluate("document.getElementById('export').getAttribute('href')")
+        assert "stream=all&since=" in export
+        daemon.post("/light", {"channel": "spot", "level": 0.001})
+        await browser.wait_for("document.getElementById('lights-off').classList.contains('lit')")
+        for typing in (True, False):  # the key is for the page, not for what is being typed
+            await browser.evaluate(f"document.getElementById('remark').{'focus' if typing else 'blur'}()")
+            await browser.key("keyDown", "KeyO", "o")
+            await browser.key("keyUp", "KeyO", "o")
+            if typing:
+                await asyncio.sleep(0.3)
+                assert daemon.get("/status")["light"]["spot"] > 0
+        await browser.wait_for("!document.getElementById('lights-off').classList.contains('lit')")
+        assert set(daemon.get("/status")["light"].values()) == {0.0}
+        most = await browser.evaluate("+document.querySelector('#lights input[name=bleach]').max")
+        assert most == pytest.approx(daemon.get("/status")["light_limits"]["bleach"])
+        assert 0 < most < 1
+        assert browser.errors == []
+
+
+@pytest.mark.timeout(170)
+async def test_a_person_names_limits_and_remarks(daemon: DaemonProcess, tmp_path: Path) -> None:
+    """By touch on a phone: a place gets a name and a panel, limits alarm, a remark stands among the events."""
+    async with headless(tmp_path / "profile", SIZES[2]) as browser:
+        await _shown(browser, daemon, SIZES[2])
+
+        async def tap(selector: str) -> None:
+            place = await _json(
+                browser,
+                f"(() => {{ const e = document.querySelector('{selector}'); e.scrollIntoView({{block: 'center'}});"
+                " const b = e.getBoundingClientRect();"
+                " return JSON.stringify([b.x + b.width / 2, b.y + b.height / 2]); })()",
+            )
+            for kind, points in (("touchStart", [{"x": place[0], "y": place[1]}]), ("touchEnd", [])):
+                await browser.command("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+
+        await browser.evaluate("document.getElementById('patch-name').value = 'wall'")
+        await tap("#name-patch button")
+        await browser.wait_for("document.querySelectorAll('.panel canvas').length === 3")
+        assert daemon.get("/status")["patches"]["wall"]["patch"] == {"x": 20, "y": 30, "width": 20, "height": 20}
+        await tap('.patch-row[data-patch="wall"] button')
+        await browser.wait_for("document.getElementById('limits').open")
+        await browser.evaluate("document.getElementById('limit-high').value = 0.5")
+        await tap('#limits button[value="save"]')
+        await browser.wait_for("!!document.querySelector('.patch-row.bad[data-patch=wall]')")
+        await browser.evaluate("document.getElementById('remark').value = 'lamp exchanged'")
+        await tap("#remark-form button")
+        await browser.wait_for(
+            "document.querySelector('.is-remark')?.parentElement.textContent.includes('lamp exchanged')"
+        )
+        await tap('.patch-row[data-patch="wall"] button')
+        await tap("#limit-delete")
+        await browser.wait_for("document.querySelectorAll('.panel').length === 2")
+        assert "wall" not in daemon.get("/status")["patches"]
+        assert browser.errors == []

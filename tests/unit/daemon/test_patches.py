@@ -1,0 +1,242 @@
+"""Patches with names: measured in every period, limited without flapping, drawn with their gaps."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+
+from radiometer.daemon.http.patches import trend_columns
+from radiometer.daemon.http.server import HttpServer
+from radiometer.daemon.journal import Journal
+from radiometer.daemon.journal_reader import JournalReader, TrendPoint
+from radiometer.daemon.mqtt import _topic_of
+from radiometer.daemon.patches import PatchLimits, PatchWatch, check_name
+from radiometer.daemon.station import Station
+from radiometer.daemon.timestamps import iso_time, microseconds
+from radiometer.data import Flag, Patch, Quantity, Reading
+from radiometer.errors import UsageError
+
+Eventually = Callable[..., Awaitable[None]]
+LAMP = Patch(5, 6, 7, 8)  # the fake instrument's radiance is 1 + x
+START_US = microseconds("2026-06-01T00:00:00Z")
+
+
+async def test_a_patch_with_a_name_is_measured_beside_the_shared_one(
+    station: Station, client: Any, eventually: Eventually
+) -> None:
+    """Each period gives one reading of each; FETC? and FETC:PATC? keep them apart, and so do stream and figures."""
+    listener = station.hub.subscribe()
+    await client.send('SENS:PATC:DEF "lamp",5,6,7,8;:TRIG:TIM 0.02')
+    await eventually(lambda: "lamp" in station.watches and station.watches["lamp"].latest and station.latest)
+    await eventually(lambda: listener._queue.qsize() > 12)
+    for _ in range(10):
+        assert float((await client.ask("FETC?")).split(",")[0]) == 17.0
+        assert float((await client.ask('FETC:PATC? "lamp"')).split(",")[0]) == 6.0
+        assert float((await client.ask('FETC:PATC? "main"')).split(",")[0]) == 17.0
+    events = [await listener.next() for _ in range(listener._queue.qsize())]
+    shown = {
+        (e.kind, json.loads(e.line)["patch"]["x"]) for e in events if e is not None and e.kind in ("reading", "patch")
+    }
+    assert shown == {("reading", 16), ("patch", 5)}
+    assert b'radiometer_patch_radiance{patch="lamp",unit="W sr-1 m-2"} 6.0' in station.metrics.render()
+    assert b'radiometer_radiance{unit="W sr-1 m-2"} 17.0' in station.metrics.render()
+    assert {_topic_of(e) for e in events if e is not None and e.kind in ("reading", "patch")} == {
+        "reading",
+        "patch/lamp/reading",
+    }
+
+
+async def test_patches_and_limits_outlive_a_restart(instrument: Any, tmp_path: Path, eventually: Eventually) -> None:
+    """They are kept in the journal; a deleted one is not."""
+    for turn in range(2):
+        station = Station(instrument, Journal(tmp_path / "j.sqlite"))
+        await station.start()
+        if turn == 0:
+            station.define_patch("lamp", LAMP)
+            station.define_patch("gone", LAMP)
+            station.delete_patch("gone")
+            station.set_limits("lamp", PatchLimits(1.0, 2.0, 0.05))
+            station.set_limits("main", PatchLimits(high=3.0))
+        else:
+            assert station.acquisition.named == {"lamp": LAMP}
+            assert station.watches["lamp"].limits == PatchLimits(1.0, 2.0, 0.05)
+            assert station.watches["main"].limits == PatchLimits(None, 3.0)
+        await station.stop()
+
+
+async def test_a_limit_alarms_on_every_interface(
+    station: Station, client: Any, instrument: Any, eventually: Eventually
+) -> None:
+    """Two readings beyond it: alarm, error queue, Prometheus and state; back inside: all clear."""
+    await client.send('SENS:PATC:LIM "main",NONE,16.5;:TRIG:TIM 0.01')
+    await eventually(lambda: [alarm.name for alarm in station.alarms.active] == ["limit main"])
+    assert "above its high limit 16.5" in station.alarms.active[0].message
+    assert (await client.ask("SYST:ERR?")).startswith("-200")
+    assert b'radiometer_limit_alarm{patch="main"} 1.0' in station.metrics.render()
+    assert station.status()["patches"]["main"]["breached"] == "high"
+    await client.send('SENS:PATC:LIM "main",NONE,18')
+    assert await client.ask('SENS:PATC:LIM? "main"') == "NONE,1.800000000E+01,1.000000000E-02"
+    await eventually(lambda: not station.alarms.active)
+    assert b'radiometer_limit_alarm{patch="main"} 0.0' in station.metrics.render()
+
+
+def test_an_alarm_does_not_flap(make_reading: Callable[..., Reading]) -> None:
+    """Noise about the limit puts it up once; it goes only where two readings are inside by the hysteresis."""
+    watch = PatchWatch(PatchLimits(high=1.0, hysteresis_rel=0.05))
+
+    def course(*values: float) -> list[str]:
+        changes = []
+        for value in values:
+            if watch.take(make_reading(radiance=Quantity(value, 0.01, "W sr-1 m-2"))):
+                changes.append(watch.breached or "well")
+        return changes
+
+    assert course(0.9, 1.1, 0.9, 1.1, 0.99) == []  # single outliers are no alarm
+    assert course(1.01, 1.02) == ["high"]
+    assert course(0.99, 1.01, 0.96, 0.99, 0.97, 0.94, 0.96) == []  # within the hysteresis it stands
+    assert course(0.94, 0.93) == ["well"]
+    watch.limit(PatchLimits(low=-1.0, hysteresis_rel=0.1))
+    assert course(-1.05, -1.05) == ["low"]
+    assert course(-0.95, -0.95) == []
+    assert course(-0.85, -0.85) == ["well"]
+
+
+@pytest.mark.parametrize(
+    ("flag", "value", "breach"),
+    [
+        (Flag.SATURATED, 0.5, ""),
+        (Flag.SATURATED, 3.0, "high"),
+        (Flag.BELOW_NOISE, 3.0, ""),
+        (Flag.BELOW_NOISE, 0.5, "low"),
+    ],
+)
+def test_a_bound_breaks_only_the_limit_it_is_beyond(
+    make_reading: Callable[..., Reading], flag: Flag, value: float, breach: str
+) -> None:
+    """A saturated value is at least so large, one below the noise at most."""
+    reading = make_reading(radiance=Quantity(value, 0.1, "W sr-1 m-2"), flags=(flag,))
+    assert PatchLimits(1.0, 2.0).breach(reading, standing=False) == breach
+
+
+@pytest.mark.parametrize("name", ["", "main", "MAIN", " lamp", "a/b", "lämp", "x" * 33, "a\nb", '"'])
+def test_names_that_lead_astray_are_refused(name: str) -> None:
+    """Nothing that a path, a topic or a line of SCPI could stumble over."""
+    with pytest.raises(UsageError):
+        check_name(name)
+
+
+async def test_wrong_patches_are_refused(station: Station) -> None:
+    """Outside the picture, too many, unknown, upside down: each with its reason, and nothing is changed."""
+    for number in range(12):
+        station.define_patch(f"p{number}", LAMP)
+    station.define_patch("p3", replace(LAMP, x=1))  # moving one is not another one
+    for call, said in (
+        (lambda: station.define_patch("one more", LAMP), "12 patches"),
+        (lambda: station.define_patch("p1", Patch(60, 0, 10, 10)), "not inside"),
+        (lambda: station.delete_patch("nobody"), "no patch"),
+        (lambda: station.delete_patch("main"), "not deleted"),
+        (lambda: PatchLimits(2.0, 1.0), "below the high"),
+        (lambda: PatchLimits(hysteresis_rel=0.9), "hysteresis"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            call()
+    assert len(station.acquisition.named) == 12
+
+
+def _journal_of_a_day(path: Path, make_reading: Callable[..., Reading]) -> None:
+    """Two readings a minute for a day, with 38 minutes missing, rising by one an hour."""
+    times = [START_US + k * 30_000_000 for k in range(2880) if not 600 * 2 <= k < 638 * 2]
+    with Journal(path) as journal:
+        journal.append(
+            [
+                make_reading(time=iso_time(at), radiance=Quantity(1.0 + (at - START_US) / 3.6e9, 0.1, "W sr-1 m-2"))
+                for at in times
+            ]
+        )
+        journal.append(
+            [make_reading(time=iso_time(times[5]), session="scpi-1", radiance=Quantity(99.0, 1.0, "W sr-1 m-2"))]
+        )
+
+
+def test_a_day_is_drawn_with_its_gap(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:
+    """True times and means, no other client's readings, and 38 missing minutes are a row of nulls."""
+    _journal_of_a_day(tmp_path / "j.sqlite", make_reading)
+    points = JournalReader(tmp_path / "j.sqlite").trend("", START_US, START_US + 86_400_000_000, 480)
+    columns = trend_columns(points, 30.0)
+    times, values = columns["time"], columns["value"]
+    assert values.count(None) == 1
+    gap = values.index(None)
+    assert (times[gap - 1] - START_US / 1e6) / 60 == pytest.approx(598.5)
+    assert (times[gap + 1] - START_US / 1e6) / 60 == pytest.approx(639.0, abs=1.6)
+    assert sum(count for count in columns["count"] if count) == 2880 - 76
+    assert values[0] == pytest.approx(1.0 + 75 / 3600)  # six readings, 0 to 150 s
+    assert columns["U"][0] == pytest.approx(0.2)
+    assert (columns["low"][0], columns["high"][0]) == (pytest.approx(1.0), pytest.approx(1.0 + 150 / 3600))
+    assert max(value for value in values if value) < 26
+
+
+def test_an_hour_is_drawn_from_the_readings(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:
+    """Up to two hours each reading counts; the gap is found there too."""
+    _journal_of_a_day(tmp_path / "j.sqlite", make_reading)
+    since_us = START_US + 560 * 60_000_000
+    points = JournalReader(tmp_path / "j.sqlite").trend("", since_us, since_us + 6_000_000_000, 5000)
+    assert len(points) == 2 * (40 + 22)
+    assert all(point.count == 1 for point in points)
+    assert trend_columns(points, None)["value"].count(None) == 1
+
+
+def test_a_slow_period_is_no_gap() -> None:
+    """Readings asked for every ten minutes stand ten minutes apart."""
+    points = [TrendPoint(START_US + k * 600_000_000, 1.0, 0.1, 1.0, 1.0, 1, 0, "u") for k in (0, 1, 2)]
+    assert None not in trend_columns(points, 600.0)["value"]
+    assert trend_columns([], None)["time"] == []
+
+
+async def test_http_serves_patches_trends_and_remarks(station: Station, eventually: Eventually) -> None:
+    """Define, limit, measure, draw, remark, delete: each by its route, each refused with its reason where wrong."""
+    server = HttpServer(station)
+    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
+    async with aiohttp.ClientSession() as session:
+
+        async def post(path: str, body: dict[str, Any]) -> tuple[int, Any]:
+            async with session.post(base + path, json=body) as reply:
+                return reply.status, await reply.json()
+
+        place = {"x": 5, "y": 6, "width": 7, "height": 8}
+        status, state = await post("/patches", {"name": "lamp", "patch": place, "limits": {"low": 1, "high": 20}})
+        assert (status, state["patches"]["lamp"]["limits"]["high"], state["patches"]["lamp"]["patch"]) == (
+            200,
+            20,
+            place,
+        )
+        assert (await post("/patches", {"name": "../x", "patch": place}))[0] == 400
+        assert (await post("/patches", {"name": "lamp", "limits": {"low": 3, "high": 2}}))[0] == 400
+        station.set_every(0.02)
+        await eventually(lambda: station.watches["lamp"].latest)
+        async with session.get(f"{base}/trend", params={"stream": "patch lamp", "since": "10min"}) as reply:
+            trend = await reply.json()
+        assert (trend["unit"], trend["value"][0]) == ("W sr-1 m-2", 6.0)
+        for wrong in ("stream=own2", "stream=all", "points=1", "since=1h&until=2h"):
+            async with session.get(f"{base}/trend?{wrong}") as reply:
+                assert reply.status == 400
+        assert (await post("/events", {"message": "lamp  exchanged\n"}))[1]["message"] == "lamp exchanged"
+        assert (await post("/events", {"message": " "}))[0] == 400
+
+        async def messages() -> list[str]:
+            async with session.get(f"{base}/events?since=1h") as reply:
+                return [event["message"] for event in await reply.json()]
+
+        async with session.get(f"{base}/events?limit=0") as reply:
+            assert reply.status == 400
+        while "lamp exchanged" not in await messages():
+            pass
+        assert (await post("/patches/delete", {"name": "lamp"}))[0] == 200
+        assert (await post("/patches/delete", {"name": "lamp"}))[0] == 400
+        assert b'patch="lamp",unit' not in station.metrics.render()
+    await server.close()
