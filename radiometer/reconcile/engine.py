@@ -35,7 +35,7 @@ from radiometer.reconcile.report.result import (
 from radiometer.reconcile.search.frame_order import FrameLight, Periodic, periodic
 from radiometer.reconcile.search.localise import Disagreement, axis_of, global_p_value, places
 from radiometer.reconcile.search.search import Search, Step, search
-from radiometer.reconcile.verdict import doubts_of, faint, faint_names, rest_of, verdict_of
+from radiometer.reconcile.verdict import by_other_laws, doubts_of, faint, faint_names, rest_of, size_of_rest, verdict_of
 from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.registry import all_effects
@@ -313,6 +313,7 @@ def _found(
     parameters = fitted_parameters(state)
     present = {effect.name: effect for effect in state.effects}
     rest, found = rest_of(outcome, again), list[FoundEffect]()
+    others = by_other_laws(outcome)
     for step in outcome.steps:
         if step.name == "unnamed" and rest is not None and rest not in found:
             found.append(rest)
@@ -323,7 +324,9 @@ def _found(
             what = f"the capture that tells {step.name} from its rivals"
             advice = _spared(what, partial(propose, state, own, rivals), failed)
             shown = replace(step, rivals=rivals)
-            found.append(_effect(shown, own, parameters[step.name], advice, provisional=provisional))
+            effect = _effect(shown, own, parameters[step.name], advice, provisional=provisional)
+            other = size_of_rest(state, own.block) if own in others else None
+            found.append(replace(effect, other_law=other))
     return (*found, rest) if rest is not None and rest not in found else tuple(found)
 
 

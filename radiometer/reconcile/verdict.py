@@ -19,9 +19,16 @@ from radiometer.reconcile.fit.state import FitState, refit, with_effects
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.report.result import FittedParameter, FoundEffect, Verdict
 from radiometer.reconcile.search.frame_order import Periodic
-from radiometer.reconcile.search.localise import axis_of, departing
+from radiometer.reconcile.search.localise import axis_of, departing, own_place
 from radiometer.reconcile.search.search import Search, Step
-from radiometer.reconcile.thresholds import BOUND_CHI2, CLOSED_GAP, ESSENTIAL_SIGMAS, FAINT_NATS, SCATTER_SIGMAS
+from radiometer.reconcile.thresholds import (
+    BOUND_CHI2,
+    CLOSED_GAP,
+    ESSENTIAL_SIGMAS,
+    FAINT_NATS,
+    SCATTER_SIGMAS,
+    SMOOTH_SHARE,
+)
 from simulators.effects.catalogue import CatalogueEffect
 
 _REFITS: Final = 8
@@ -97,6 +104,28 @@ def faint(outcome: Search) -> list[str]:
     ]
 
 
+def by_other_laws(outcome: Search) -> tuple[CatalogueEffect, ...]:
+    """Return the named effects whose equation is not the one that the data follow, though the name explains most of it.
+
+    What stays in the very statistic and along the very covariate that a name stands for is the rest of its law, not one
+    more cause, as long as the name brings most of what both bring.
+    """
+    departed, weak = departing(outcome.tests, outcome.state.effects), faint_names(outcome)
+    gains = {step.name: step.gain_nats for step in outcome.steps if step.name != "unnamed"}
+    found = []
+    for effect in outcome.state.effects:
+        beside = [s for s in outcome.steps if s.name == "unnamed" and _place_of(s) == own_place(effect)]
+        nats, more = gains.get(effect.name, 0.0), sum(step.gain_nats for step in beside)
+        stays = beside or effect.name in departed
+        if stays and effect.name not in weak and nats >= SMOOTH_SHARE * (nats + more):
+            found.append(effect)
+    return tuple(found)
+
+
+def _place_of(step: Step) -> tuple[str, str]:
+    return axis_of(step.where, step.block), step.block
+
+
 def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | None:
     """Return all that is left without a name as one entry: its clearest place, its size, and where else it lies.
 
@@ -105,12 +134,14 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
         again: What comes back in the order of the frames.
     """
     state = outcome.state
-    steps = [step for step in outcome.steps if step.name == "unnamed"]
-    places = [(axis_of(step.where, step.block), step.block) for step in steps]
+    told = {own_place(effect) for effect in by_other_laws(outcome)}
+    steps = [step for step in outcome.steps if step.name == "unnamed" and _place_of(step) not in told]
+    places = [_place_of(step) for step in steps]
     places += [(axis_of(test.where, test.block), test.family) for test in outcome.left]
+    places = [place for place in places if place not in told]
     weak = faint_names(outcome)
     places += [(step.where, "") for step in outcome.steps if step.name in weak]
-    if not places and is_scattered(state):
+    if not places and not told and is_scattered(state):
         block, where = place_of_scatter(state)
         places = [(where, block)]
     if again is not None:

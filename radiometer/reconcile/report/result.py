@@ -67,6 +67,7 @@ class FoundEffect:
         block: Statistic that shows it.
         provisional: Whether structure stays, so that the name may still change.
         closest: For an unnamed one, the closest entry and the share that it explains.
+        other_law: For a named one that the data follow by another equation than the catalogue's: how large the rest is.
         elsewhere: For an unnamed one, where else structure stays: covariate and statistic.
     """
 
@@ -82,6 +83,7 @@ class FoundEffect:
     provisional: bool = False
     closest: tuple[str, float] | None = None
     elsewhere: tuple[tuple[str, str], ...] = ()
+    other_law: Mapping[str, FittedParameter] | None = None
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the documented JSON form."""
@@ -98,7 +100,13 @@ class FoundEffect:
             "gain_nats": self.gain_nats,
             "strength": "weak" if self.gain_nats < 10.0 else "clear",
             "provisional": self.provisional,
-        } | ({"closest": closest, "elsewhere": self._elsewhere()} if self.name == "unnamed" else {})
+        } | ({"closest": closest, "elsewhere": self._elsewhere()} if self.name == "unnamed" else self._law())
+
+    def _law(self) -> dict[str, Any]:
+        if self.other_law is None:
+            return {"law": "the catalogue's"}
+        left = {name: entry.to_mapping() for name, entry in self.other_law.items()}
+        return {"law": "other than the catalogue's", "left_by_the_law": left}
 
     def _elsewhere(self) -> list[dict[str, str]]:
         return [{"where": where, "statistic": block} for where, block in self.elsewhere]

@@ -287,6 +287,11 @@ def _beside(state: FitState, fit: LinearFit, basis: Basis) -> LinearFit:
     return fit.extended(fit.followed(state.pad(columns)))
 
 
+def own_place(effect: CatalogueEffect) -> tuple[str, str]:
+    """Return the covariate (as the picture shows it) and the statistic that an effect stands for."""
+    return _AS_SEEN.get(effect.where, effect.where), effect.block
+
+
 def departing(tests: Sequence[Disagreement], effects: Sequence[CatalogueEffect]) -> list[str]:
     """Return the names of effects beside which structure stays in the very statistic and place that they stand for.
 
@@ -299,8 +304,7 @@ def departing(tests: Sequence[Disagreement], effects: Sequence[CatalogueEffect])
     """
     found = []
     for effect in effects:
-        place = _AS_SEEN.get(effect.where, effect.where)
-        own = [t for t in tests if t.family == effect.block and axis_of(t.where, t.block) == place]
+        own = [t for t in tests if (axis_of(t.where, t.block), t.family) == own_place(effect)]
         if any(test.p_value < OWN_SIGNIFICANCE / len(own) for test in own):
             found.append(effect.name)
     return found
