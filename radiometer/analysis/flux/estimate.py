@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.flux.pattern import (
+    PEDESTAL_U,
     captured_fraction,
     flux_of_radiance,
     intensity_exponent,
     mean_to_axial_radiance,
     pupil_half_angle_rad,
+    spread_by_pedestal,
 )
 from radiometer.analysis.flux.report import Correction, Emitter, FluxReport
 from radiometer.analysis.flux.sensor import FluxScale, SensorFlux, as_quantity, sensor_flux
@@ -135,6 +137,7 @@ class _Ways:
             said.append(f"distance {self._distance_value():.4g} mm from focal length and magnification (thin lens)")
         if self.emitter is not None:
             said.append("intensity falls as a power of the cosine, the diode faces the lens")
+            said.append(f"a Lambertian part of 0 ± {100 * PEDESTAL_U:g} % of the axial intensity (k = 1)")
         return tuple(said)
 
     def _noise_w(self) -> float:
@@ -174,12 +177,18 @@ class _Ways:
         tau = Quantity(self.lens.transmittance or 1.0, 0.0, "1")
         u_tau = tau.value * (self.lens.transmittance_u_rel or 0.0)
         return _propagated(
-            lambda flux, transmittance, angle, away, stop: flux / transmittance / self._fraction(angle, away, stop),
+            lambda flux, transmittance, angle, away, stop, pedestal: (
+                flux
+                / transmittance
+                / self._fraction(angle, away, stop)
+                * spread_by_pedestal(_exponent(angle), pedestal)
+            ),
             self.on_sensor(),
             Quantity(tau.value, u_tau, "1"),
             self._half_angle(),
             distance,
             Quantity(1.0, self.f_number_u_rel, "1"),
+            Quantity(0.0, PEDESTAL_U, "1"),
         )
 
     def _is_in_focus(self) -> bool:
@@ -209,17 +218,25 @@ class _Ways:
             self.emitter.diameter_mm,
             self._distance() or Quantity(math.inf, 0.0, "mm"),
             Quantity(1.0, self.f_number_u_rel, "1"),
+            Quantity(0.0, PEDESTAL_U, "1"),
         )
 
     def _from_radiance(
-        self, irradiance: float, half_angle: float, diameter_mm: float, distance_mm: float, stop: float
+        self,
+        irradiance: float,
+        half_angle: float,
+        diameter_mm: float,
+        distance_mm: float,
+        stop: float,
+        pedestal: float,
     ) -> float:
         assert self.f_number is not None
         radiance = irradiance / lens_factor_sr(self.lens, self.f_number * stop)
         exponent = _exponent(half_angle)
         if math.isfinite(distance_mm) and self.lens.focal_length_mm is not None:
             radiance *= mean_to_axial_radiance(exponent, self._pupil_angle(distance_mm, stop))
-        return flux_of_radiance(radiance, math.pi * (0.5e-3 * diameter_mm) ** 2, exponent)
+        flux = flux_of_radiance(radiance, math.pi * (0.5e-3 * diameter_mm) ** 2, exponent)
+        return flux * spread_by_pedestal(exponent, pedestal)
 
 
 def _inside(light: NDArray[np.float64]) -> NDArray[np.bool_]:

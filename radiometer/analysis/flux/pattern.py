@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import Final
+
+# Lambertian part of the axial intensity of lensed diodes: 0 to some 10 %; a data sheet's half angle says nothing of it.
+PEDESTAL_U: Final = 0.05
 
 
 def intensity_exponent(half_angle_deg: float) -> float:
@@ -31,6 +35,19 @@ def flux_of_radiance(radiance: float, area_m2: float, exponent: float) -> float:
         exponent: m of the intensity.
     """
     return 2.0 * math.pi * area_m2 * radiance / (exponent + 1.0)
+
+
+def spread_by_pedestal(exponent: float, pedestal: float) -> float:
+    """Return by what the emitted flux grows where a part of the axial intensity is Lambertian rather than beamed.
+
+    I = I₀·[(1 − p)·cosᵐθ + p·cosθ] emits 2π·I₀·[(1 − p)/(m + 1) + p/2]: light that housing and chip scatter sideways
+    fills the half space and is seen by no lens on the axis. The axial intensity is taken as the same.
+
+    Args:
+        exponent: m of the beam.
+        pedestal: p, below 1; 0 is the beam alone.
+    """
+    return (1.0 - pedestal) + pedestal * (exponent + 1.0) / 2.0
 
 
 def pupil_half_angle_rad(pupil_diameter_mm: float, distance_mm: float) -> float:

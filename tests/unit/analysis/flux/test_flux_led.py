@@ -113,6 +113,17 @@ def test_both_ways_find_the_emitted_flux(half_angle: float) -> None:
         assert flux.value == pytest.approx(5e-3, rel=5e-3)
 
 
+def test_the_pattern_s_shape_is_in_the_uncertainty() -> None:
+    """At 20° (m = 11.1) a Lambertian part of 5 % spreads 25 % more flux; a Lambertian emitter has nothing to doubt."""
+    narrow, wide = (Setup(half_angle_deg=angle) for angle in (20.0, 60.0))
+    beam, lambertian = (_report(one, _emitter(one), one.frames()).emitted for one in (narrow, wide))
+    exponent = math.log(0.5) / math.log(math.cos(math.radians(20.0)))
+    shape = 0.05 * (0.5 * (exponent + 1.0) - 1.0)
+    for name, flux in beam.items():
+        rest = lambertian[name].u / lambertian[name].value
+        assert math.sqrt((flux.u / flux.value) ** 2 - shape**2) == pytest.approx(rest, rel=0.15)
+
+
 def test_defocused_diode_is_measured_through_the_pupil() -> None:
     """Defocus spreads the light but keeps its sum; the picture has no plateau, so its radiance is not used."""
     setup = Setup(blur_px=30.0)

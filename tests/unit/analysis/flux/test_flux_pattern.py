@@ -13,6 +13,7 @@ from radiometer.analysis.flux.pattern import (
     intensity_exponent,
     mean_to_axial_radiance,
     pupil_half_angle_rad,
+    spread_by_pedestal,
 )
 
 
@@ -54,3 +55,16 @@ def test_impossible_half_angles_are_refused(half_angle: float) -> None:
     """The message gives the value and the limits."""
     with pytest.raises(ValueError, match=r"half angle .* is out of range"):
         intensity_exponent(half_angle)
+
+
+@pytest.mark.parametrize("pedestal", [0.0, 0.05, 0.1])
+def test_a_lambertian_pedestal_spreads_flux_that_the_axis_does_not_show(pedestal: float) -> None:
+    """Against the integral of (1 − p)·cosᵐθ + p·cosθ over the half space, m = 12; none for a Lambertian emitter."""
+    theta = np.linspace(0.0, np.pi / 2.0, 20_001)
+    beam = np.cos(theta) ** 12
+    whole, alone = (
+        np.trapezoid(intensity * np.sin(theta), theta)
+        for intensity in ((1 - pedestal) * beam + pedestal * np.cos(theta), beam)
+    )
+    assert spread_by_pedestal(12.0, pedestal) == pytest.approx(whole / alone, rel=1e-6)
+    assert spread_by_pedestal(1.0, pedestal) == pytest.approx(1.0)
