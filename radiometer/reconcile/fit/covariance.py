@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
@@ -23,7 +24,7 @@ from radiometer.reconcile.report.result import FittedParameter
 _SIGMAS: Final = 5.0  # of a χ² of so many entries, beyond which structure is left
 _CLOSED: Final = 1.05  # gap that counts as closed
 _BLOCKS: Final = 5  # along a covariate, each left out in turn
-_UNDETERMINED: Final = 1e-9  # of its own scale: a direction that only the rows left out determine
+_ALONE: Final = 0.9  # share of a direction told by one group, beyond which the others cannot check it
 _WAVE: Final = "bands"
 _SIZE: Final = "modulation"
 _SEES_WAVE: Final = ("variance", "neighbour_x", "neighbour_y", "row_temporal", _WAVE)
@@ -86,15 +87,14 @@ def _jackknife(state: FitState, group: NDArray[np.intp], first: int) -> Array:
     known = fit.nuisances.rows[fit.nuisances.rows < size]
     columns[known, :first] = fit.nuisances.values[: known.size]
     columns[:, first:] = fit.effects[:size]
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(fit.normal), 1e-300))
+    whitened = fit.half(columns.T).T  # parameters in units of what all rows tell of them
     shifts = []
     for number in np.unique(group):
-        mine = columns[group == number] * scale
-        left = fit.normal * scale[:, None] * scale - mine.T @ mine
-        values, vectors = np.linalg.eigh(left)
+        mine = whitened[group == number]
+        told, vectors = np.linalg.eigh(mine.T @ mine)  # the share of each direction that this group tells
         pulled = vectors.T @ (mine.T @ fit.projected[:size][group == number])
-        step = np.where(values > _UNDETERMINED, pulled / np.where(values > _UNDETERMINED, values, 1.0), 0.0)
-        shifts.append((vectors @ step)[first:] * scale[first:])
+        step = np.where(told < _ALONE, pulled / np.maximum(1.0 - told, 1.0 - _ALONE), 0.0)
+        shifts.append(solve_triangular(fit.factor, vectors @ step, lower=True, trans="T")[first:])
     count = len(shifts)
     return np.asarray((count - 1.0) / count * np.sum(np.square(shifts), axis=0))
 
