@@ -161,7 +161,7 @@ def main() -> None:
         "One stack (four to eighteen frames of one channel) per fit; the same frames for every program.",
         "**rms of ln H about the raw values of the same shots** (neutral patches of a chart, whose own unevenness and "
         "rounding are some 2 to 4 %; for the linear Flea3 the straight line), digital numbers 13 to 242:",
-        table(tallies, "truth", with_truth, 100.0, "%"),
+        table(tallies, "truth", with_truth, 100.0, "%") if with_truth else "No set with raw values was asked for.",
         "**Left-out frames**: mean size of the error in DN with which a frame left out of the fit is predicted "
         "(hat-weighted mean exposure of the other frames, the same for all programs):",
         table(tallies, "left_out", cameras, 1.0, "DN"),

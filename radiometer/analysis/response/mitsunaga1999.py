@@ -91,7 +91,10 @@ def solve_mitsunaga1999(
 
     u = jackknife(samples, values)
     misfit, ratio_misfit = _misfit(situation, argument, order, here)
-    shared = situation.first.u_log_exposure if argument == OF_FIRST_ESTIMATE else np.zeros(size)
+    _refuse_flat(here.log_curve()[slice(*supported_range(samples))], situation.pairs)
+    shared = _off_the_first(situation, here) if situation.gauge.total is not None else np.zeros(size)
+    if argument == OF_FIRST_ESTIMATE:
+        shared = np.hypot(shared, situation.first.u_log_exposure)
     thirds = [_curve(samples, values(samples.third(k))[:size], u[:size] * 3**0.5, order) for k in range(3)]
     ratios = np.exp(here.log_ratios)
     curve = _curve(samples, here.log_curve(), np.sqrt(u[:size] ** 2 + misfit**2 + shared**2), order)
@@ -194,6 +197,28 @@ def _misfit(situation: _Situation, argument: str, order: int, here: Polynomial) 
     of_curve = [np.abs(fit.log_curve() - here.log_curve()) for fit in near]
     of_ratios = [np.abs(fit.log_ratios - here.log_ratios) for fit in near]
     return np.asarray(np.max(of_curve, axis=0)), np.asarray(np.max(of_ratios, axis=0))
+
+
+def _refuse_flat(log_exposure: Array, pairs: Pairs) -> None:
+    """Refuse a curve that explains nothing: a constant makes any two frames agree.
+
+    Raises:
+        MeasurementError: If ln H over all supported values spans less than the smallest step between two frames.
+    """
+    span, least = float(np.ptp(log_exposure)), float(np.min(pairs.nominal_log_ratio))
+    if not span >= least:
+        raise MeasurementError(
+            f"mitsunaga1999 finds no response: its best polynomial spans {span:.2g} in ln H over all values, while "
+            f"frames that differ by {least:.2g} show different values; use another method (auto)"
+        )
+
+
+def _off_the_first(situation: _Situation, here: Polynomial) -> Array:
+    """Return how far the polynomial lies off the first estimate, beyond three standard uncertainties of that."""
+    first = situation.first
+    gap = np.abs(here.log_curve() - first.log_exposure)
+    u = first.u_log_exposure
+    return np.where(np.isfinite(u), np.maximum(gap - 3.0 * np.where(np.isfinite(u), u, 0.0), 0.0), 0.0)
 
 
 def _notes(residual_rms: float) -> tuple[str, ...]:

@@ -115,3 +115,28 @@ def test_choice_all_names_every_method():
     assert DEFAULT_METHOD in METHODS
     with pytest.raises(UsageError, match="choose one of"):
         method_names("guess")
+
+
+def test_a_polynomial_that_explains_nothing_is_refused(make_stack, monkeypatch):
+    """A curve that is flat makes all frames agree, with u near 0: that is an error, not a response."""
+    from radiometer.analysis.response.polynomial import Polynomial
+
+    monkeypatch.setattr(Polynomial, "log_curve", lambda self: np.zeros(256))
+    with pytest.raises(MeasurementError, match="mitsunaga1999 finds no response"):
+        recover_response_mitsunaga1999(make_stack("gamma", bit_depth=8))
+
+
+def test_a_polynomial_off_the_first_estimate_owns_up_to_it(make_stack, monkeypatch):
+    """Bent by a fifth against Debevec and Malik's curve, its u holds most of that fifth."""
+    from radiometer.analysis.response.polynomial import Polynomial
+
+    plain = Polynomial.log_curve
+
+    def bent(self):
+        g = plain(self)
+        return g + 0.2 * np.sin(np.pi * np.arange(g.size) / 128.0)
+
+    monkeypatch.setattr(Polynomial, "log_curve", bent)
+    curve = recover_response_mitsunaga1999(make_stack("gamma", bit_depth=8)).curve
+    assert curve.u_log_exposure[64] > 0.15
+    assert curve.u_log_exposure[192] > 0.15
