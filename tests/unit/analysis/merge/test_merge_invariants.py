@@ -1,0 +1,154 @@
+"""What must hold of any merge, whatever the scene: order, scale, clipped frames, and u by the number of frames."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from radiometer.analysis.merge.bracket import merge
+from radiometer.analysis.merge.frames import frame_terms
+from radiometer.analysis.merge.tables import merge_tables
+from radiometer.analysis.signal.situation import situation_of
+from radiometer.data import (
+    BlackLevel,
+    Bracket,
+    Calibration,
+    CameraDescription,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    Scale,
+    SensorNoise,
+)
+
+FULL_SCALE, BLACK = 4095, 100.0
+CAMERA = CameraDescription(bit_depth=12)
+LENS = LensDescription()
+NOISE = SensorNoise(conversion_gain_e_per_dn=2.5, read_noise_e=5.0, full_well_e=20_000.0)
+CALIBRATION = Calibration(
+    camera=CAMERA,
+    lens=LENS,
+    scale=Scale(value=1.0, u_rel=0.0, method="relative"),
+    response=None,
+    noise=NOISE,
+    black_level=BlackLevel(dn=BLACK, u_dn=0.0),
+)
+seeds = st.integers(min_value=0, max_value=2**31)
+
+
+def frames(seed, times, shape=(12, 16)):
+    """Return frames of a scene whose noise is that of the calibration."""
+    rng = np.random.default_rng(seed)
+    rate_e = np.exp(rng.uniform(np.log(50.0), np.log(2000.0), shape))
+    found = []
+    for time in times:
+        electrons = rng.poisson(rate_e * time) + NOISE.read_noise_e * rng.standard_normal(shape)
+        dn = np.clip(np.round(electrons / 2.5 + BLACK), 0, FULL_SCALE).astype(np.uint16)
+        found.append(Frame(dn, 12, FrameSettings(float(time))))
+    return found
+
+
+def merged(several):
+    return merge(iter(several), CAMERA, LENS, CALIBRATION)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds, st.permutations(range(4)))
+def test_the_order_of_frames_changes_nothing(seed, order):
+    """Values, uncertainties and mask are those of the frames, in whatever order these come."""
+    several = frames(seed, (0.5, 1.0, 2.0, 4.0))
+    one, other = merged(several), merged([several[k] for k in order])
+    assert other.radiance == pytest.approx(one.radiance, rel=1e-4)
+    assert other.u_radiance == pytest.approx(one.u_radiance, rel=1e-4)
+    assert np.array_equal(other.mask, one.mask)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds)
+def test_a_frame_that_clips_everywhere_adds_nothing(seed):
+    """A white frame of a time that had to clip leaves value and uncertainty as they were."""
+    several = frames(seed, (1.0, 2.0))
+    white = Frame(np.full((12, 16), FULL_SCALE, np.uint16), 12, FrameSettings(4000.0))
+    one, other = merged(several), merged([*several, white])
+    assert other.radiance == pytest.approx(one.radiance, rel=1e-4)
+    assert other.u_radiance == pytest.approx(one.u_radiance, rel=1e-4)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds, st.floats(min_value=0.01, max_value=100.0))
+def test_values_scale_with_the_inverse_of_all_times(seed, factor):
+    """The same numbers from times longer by a factor are that much less light, u included."""
+    several = frames(seed, (0.5, 1.0, 2.0))
+    longer = [replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s * factor)) for f in several]
+    one, other = merged(several), merged(longer)
+    assert other.radiance * factor == pytest.approx(one.radiance, rel=1e-4)
+    assert other.u_radiance * factor == pytest.approx(one.u_radiance, rel=1e-4)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seeds, st.integers(min_value=2, max_value=9))
+def test_u_falls_by_the_root_of_the_frames(seed, count):
+    """n equal frames know a pixel √n times better than one."""
+    frame = frames(seed, (1.0,))[0]
+    one, several = merged([frame]), merged([frame] * count)
+    assert several.u_radiance * np.sqrt(count) == pytest.approx(one.u_radiance, rel=0.01)
+    assert several.radiance == pytest.approx(one.radiance, rel=1e-4)
+
+
+@pytest.mark.parametrize("gain_db", [0.0, 12.0])
+def test_the_variance_of_a_frame_is_read_noise_dark_noise_and_rounding(gain_db):
+    """c of x in DN at 0 dB: (σ_d² + dark)/K'² + 1/(12·G²); each term is there once, with its sign."""
+    noise = replace(NOISE, dark_current_e_per_s=30.0)
+    situation = situation_of(replace(CALIBRATION, noise=noise), CAMERA, LENS)
+    terms = frame_terms(FrameSettings(2.0, gain_db=gain_db), situation, (), through_lens=False)
+    gain = 10.0 ** (gain_db / 20.0)
+    assert terms.gain == pytest.approx(gain)
+    assert terms.variance == pytest.approx((25.0 + 60.0) / 2.5**2 + 1.0 / 12.0 / gain**2)
+    assert terms.exposure == 2.0
+
+
+def test_a_frame_clips_at_full_scale_and_starts_above_black():
+    """The last number used is full scale less one; the first is 0 where black stands clear of the noise, else 1."""
+    situation = situation_of(CALIBRATION, CAMERA, LENS)
+    terms = frame_terms(FrameSettings(1.0), situation, (), through_lens=False)
+    assert terms.high_dn == FULL_SCALE
+    assert terms.clips_at == pytest.approx(FULL_SCALE - 0.5 - BLACK)
+    assert terms.sigma_clip == pytest.approx(np.sqrt(25.0 / 6.25 + terms.clips_at / 2.5 + 1.0 / 12.0))
+    assert terms.low_dn == 0
+    low = situation_of(replace(CALIBRATION, black_level=BlackLevel(dn=7.9)), CAMERA, LENS)
+    assert frame_terms(FrameSettings(1.0), low, (), through_lens=False).low_dn == 1
+    just = situation_of(replace(CALIBRATION, black_level=BlackLevel(dn=8.1)), CAMERA, LENS)
+    assert frame_terms(FrameSettings(1.0), just, (), through_lens=False).low_dn == 0
+
+
+def test_bounds_of_pixels_that_no_frame_shows():
+    """Clipped everywhere: at least where the shortest frame clips; black: at most one number of the longest."""
+    situation = situation_of(CALIBRATION, CAMERA, LENS)
+    terms = [frame_terms(FrameSettings(t), situation, (), through_lens=False) for t in (1.0, 4.0)]
+    tables = merge_tables(terms, situation.model)
+    assert tables.bounds[0] == pytest.approx(terms[0].clips_at)
+    assert tables.bounds[1] == pytest.approx(1.0 / 4.0)
+    assert tables.frames[:, 0].tolist() == [1.0, 4.0]
+    assert tables.kappa == pytest.approx(1.0 / 2.5)
+
+
+def test_equal_exposures_are_averaged_with_the_stated_uncertainty():
+    """Over many pixels of one radiance, two frames: mean and scatter are those of shot, read and rounding noise."""
+    rng = np.random.default_rng(8)
+    several = []
+    for time in (1.0, 2.0):
+        electrons = rng.poisson(1000.0 * time, (200, 200)) + 5.0 * rng.standard_normal((200, 200))
+        several.append(Frame(np.round(electrons / 2.5 + BLACK).astype(np.uint16), 12, FrameSettings(time)))
+    found = merge(Bracket.from_frames(several), CAMERA, LENS, CALIBRATION)
+    value = found.radiance.astype(float)
+    # Inverse-variance weights: information t²/(κ·E·t + c) of each frame.
+    c = 25.0 / 6.25 + 1.0 / 12.0
+    information = sum(t**2 / (400.0 * t / 2.5 + c) for t in (1.0, 2.0))
+    unit = float(np.median(value)) / 400.0
+    assert value.std() / unit == pytest.approx(information**-0.5, rel=0.02)
+    assert np.median(found.u_radiance) / unit == pytest.approx(information**-0.5, rel=0.02)
+    assert np.count_nonzero(found.mask) < 5
