@@ -8,13 +8,30 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from benchmarks._adaptation_visits import shortened, visit
 from benchmarks._sections import write_section
-from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation
+from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, best_branches, fit_adaptation
+from radiometer.adaptation.method_bias import method_bias
+from radiometer.adaptation.protocol import read_protocol
+from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from simulators.eye_kinetics import Eye, drawn_eye, scotopic_per_photopic
+from radiometer.errors import MeasurementError
+from simulators.eye_kinetics import (
+    INTERCEPT_LOG10,
+    Eye,
+    drawn_amd_eye,
+    drawn_clinical_eye,
+    drawn_eye,
+    drawn_full_bleach_eye,
+    scotopic_per_photopic,
+)
+from simulators.observer import Habits, Observer
 
 TIMES_MIN = np.arange(0.5, 35.0, 0.5)
 SCATTER_LOG10 = 0.1
@@ -34,23 +51,169 @@ def truth_of(eye: Eye) -> dict[str, float]:
     }
 
 
-def visit(eye: Eye, rng: np.random.Generator) -> AdaptationFit:
+def noisy_visit(eye: Eye, rng: np.random.Generator) -> AdaptationFit:
     thresholds = np.array([eye.threshold_log10(time, 453.0) for time in TIMES_MIN])
     noisy = thresholds + rng.normal(0.0, SCATTER_LOG10, TIMES_MIN.size)
     return fit_adaptation(ThresholdSeries(TIMES_MIN, noisy), FitRequest(bootstrap_draws=0), rng)
+
+
+def healthy_break(first_seed: int, subjects: int, minutes: float) -> str:
+    """Return how near `classic` comes to break and S2 of healthy subjects before the simulated box."""
+    protocol, errors_min, errors_s2 = shortened("classic", minutes), [], []
+    for seed in range(first_seed, first_seed + subjects):
+        found = visit(protocol, drawn_full_bleach_eye(np.random.default_rng(seed)), seed)
+        fit = fit_adaptation(found.series, FitRequest(bootstrap_draws=0), np.random.default_rng(seed))
+        truth_min = found.eye.break_min(505.0)
+        assert truth_min is not None
+        errors_min.append(fit.chosen.values.get("break_min", math.inf) - truth_min)
+        errors_s2.append(fit.chosen.values.get("s2_slope_per_min", math.inf) - found.eye.s2_slope_per_min)
+    within_min, within_s2 = np.abs(errors_min) <= 1.0, np.abs(errors_s2) <= 0.02
+    return (
+        f"| `classic`, {subjects} healthy eyes, {minutes:g} min | break within ±1 min | {share(within_min)} | "
+        f"{spread(errors_min)} min |\n"
+        f"| | S2 within ±0.02 log10/min | {share(within_s2)} | {spread(errors_s2)} log10/min |\n"
+        f"| | both | {share(within_min & within_s2)} | |"
+    )
+
+
+def intercepts(first_seed: int, subjects: int) -> str:
+    """Return how near `rapid` comes to the rod intercept, and how well it tells healthy from AMD-like subjects."""
+    protocol = read_protocol("rapid")
+    bias = method_bias(protocol.method)
+    assert bias is not None
+    rule = InterceptRule(INTERCEPT_LOG10, 6.5, bias.log10, bias.u_log10)
+    told: dict[str, list[float]] = {}
+    errors: dict[str, list[float]] = {}
+    for name, draw in (("healthy", drawn_clinical_eye), ("AMD-like", drawn_amd_eye)):
+        for seed in range(first_seed, first_seed + subjects):
+            found = visit(protocol, draw(np.random.default_rng(seed)), seed)
+            met = rod_intercept(found.series, rule)
+            eye = found.eye
+            truth_min = eye.s2_zero_min + (INTERCEPT_LOG10 - eye.rod_final_log10) / eye.s2_slope_per_min
+            told.setdefault(name, []).append(protocol.end.duration_min if met is None else met.time_min)
+            errors.setdefault(name, []).append(math.inf if met is None else met.time_min - truth_min)
+        first_seed += subjects
+    rows = [
+        f"| `rapid`, {subjects} {name} eyes | RIT within ±0.5 min | {share(np.abs(errors[name]) <= 0.5)} | "
+        f"{spread(errors[name])} min |"
+        for name in told
+    ]
+    healthy, ill = np.array(told["healthy"]), np.array(told["AMD-like"])
+    auc = float(np.mean((ill[:, None] > healthy) + 0.5 * (ill[:, None] == healthy)))
+    rows.append(
+        f"| | area under the ROC curve | {auc:.4f} | healthy {healthy.min():.1f} to {healthy.max():.1f} min, "
+        f"AMD-like {ill.min():.1f} to {ill.max():.1f} min |"
+    )
+    rows.append(f"| | beyond 6.5 min | healthy {share(healthy > 6.5)}, AMD-like {share(ill > 6.5)} | |")
+    return "\n".join(rows)
+
+
+def false_breaks(first_seed: int, subjects: int) -> str:
+    """Return how often a break is claimed of eyes of one branch: cones alone, rods alone, and the weak protocols."""
+    claimed: dict[str, list[bool]] = {}
+    for seed in range(first_seed, first_seed + subjects):
+        rng = np.random.default_rng(seed)
+        for name, series in one_branch_series(rng).items():
+            try:
+                claimed.setdefault(name, []).append("break_min" in best_branches(series).values)
+            except MeasurementError:
+                claimed[name].append(False)
+    rows = [
+        f"| {subjects} eyes of one branch: {name} | break claimed | {share(hits)} | |" for name, hits in claimed.items()
+    ]
+    every = [hit for hits in claimed.values() for hit in hits]
+    return "\n".join([*rows, f"| all of these | break claimed | {share(every)} | |"])
+
+
+def one_branch_series(rng: np.random.Generator) -> dict[str, ThresholdSeries]:
+    """Return thresholds of one-branch eyes: scatter 0.06 to 0.2, 10 to 40 min; some by an observer's limits."""
+    duration_min, scatter = float(rng.uniform(10, 40)), float(rng.uniform(0.06, 0.2))
+    times = np.arange(0.3, duration_min, float(rng.choice([0.2, 0.35, 0.5, 1.0])))
+    noise = rng.normal(0, scatter, times.size)
+    exponential = -1 + rng.uniform(1.5, 4) * np.exp(-times / rng.uniform(1.0, 10.0))
+    rods = replace(
+        Eye(),
+        s2_zero_min=float(rng.uniform(3, 14)),
+        rods_blind_min=0.0,
+        s3_slope_per_min=float(rng.uniform(-0.08, -0.02)),
+        s2_slope_per_min=float(rng.normal(-0.24, 0.03)),
+        cone_plateau_log10=9.0,
+    )
+    cones = replace(drawn_eye(rng), rods_blind_min=1e9)
+    observed = {
+        name: limits_run(Observer(eye, Habits(), np.random.default_rng(rng.integers(2**31))), 505.0, duration_min)
+        for name, eye in (("rods, by an observer", rods), ("cones, by an observer", cones))
+    }
+    return {
+        "an exponential": ThresholdSeries(times, exponential + noise),
+        "rods alone": ThresholdSeries(times, np.array([rods.rod_log10(t) for t in times]) + noise),
+        **observed,
+    }
+
+
+def limits_run(observer: Observer, wavelength_nm: float, duration_min: float) -> ThresholdSeries:
+    """Return an observer's thresholds by ascending limits, 0.1 log10 per blink of 1 s, anew 0.5 below every 20 s."""
+    times, levels, start, time_s = [], [], 3.0, 30.0
+    while time_s < 60 * duration_min:
+        level, begun_s = start, time_s
+        if observer.answer(level, time_s, wavelength_nm) is not None:
+            start, time_s = start - 1.0, time_s + 2.0
+            continue
+        while observer.answer(level, time_s, wavelength_nm) is None and level < 5.0:
+            level, time_s = level + 0.1, time_s + 1.0
+        times.append((begun_s + time_s) / 120)
+        levels.append(level)
+        start, time_s = level - 0.5, begun_s + 20.0
+    return ThresholdSeries(np.array(times), np.array(levels))
+
+
+def share(hits: Sequence[bool] | NDArray[np.bool_]) -> str:
+    return f"{int(np.sum(hits))}/{len(hits)} ({100 * float(np.mean(hits)):.1f} %)"
+
+
+def spread(errors: Sequence[float]) -> str:
+    known = np.array([one for one in errors if math.isfinite(one)])
+    return f"mean {known.mean():+.3f}, standard deviation {known.std(ddof=1):.3f}" if known.size > 1 else "none"
+
+
+def protocols_main(wanted: argparse.Namespace) -> None:
+    parts = {
+        "classic": lambda: healthy_break(wanted.first_seed, wanted.subjects, wanted.minutes),
+        "rapid": lambda: intercepts(wanted.first_seed + 1000, wanted.subjects),
+        "one-branch": lambda: false_breaks(wanted.first_seed + 3000, wanted.subjects),
+    }
+    rows = parts[wanted.part]()
+    body = f"Seeds from {wanted.first_seed} on.\n\n| what | wanted | reached | errors |\n|---|---|---|---|\n{rows}"
+    print(body)
+    name = f"adaptation_{wanted.part.replace('-', '_')}"
+    command = f"python -m benchmarks.adaptation_cohort --part {wanted.part} --subjects {wanted.subjects}"
+    write_section(name, TITLES[wanted.part], command, body)
+
+
+TITLES = {
+    "classic": "Dark adaptation: `classic` before the simulated box",
+    "rapid": "Dark adaptation: `rapid` before the simulated box",
+    "one-branch": "Dark adaptation: false breaks of one-branch eyes",
+}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="adaptation_cohort")
     parser.add_argument("--subjects", type=int, default=200)
     parser.add_argument("--seed", type=int, default=12)
+    parser.add_argument("--part", choices=["fits", *TITLES], default="fits")
+    parser.add_argument("--first-seed", type=int, default=71000)
+    parser.add_argument("--minutes", type=float, default=25.0, help="of `classic`")
     wanted = parser.parse_args()
+    if wanted.part != "fits":
+        protocols_main(wanted)
+        return
     rng = np.random.default_rng(wanted.seed)
     held: dict[str, list[bool]] = {}
     errors = []
     for _ in range(wanted.subjects):
         eye = drawn_eye(rng)
-        first, truth = visit(eye, rng), truth_of(eye)
+        first, truth = noisy_visit(eye, rng), truth_of(eye)
         for name, value in truth.items():
             estimate = first.estimates.get(name)
             interval = estimate.profile if estimate else None

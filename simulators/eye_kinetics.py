@@ -40,6 +40,8 @@ class Eye:
         s3_slope_per_min: Slope of S3, between that of S2 and 0.
         rods_blind_min: How long the rods are saturated after the bleach, in min.
         pupil_mm: Diameter of the pupil in mm.
+        full_bleach_min: When its S2 line would reach the final threshold after a full bleach, in min; None for what
+            rate-limited regeneration says of a rested eye.
     """
 
     cone_plateau_log10: float = -2.45
@@ -51,6 +53,7 @@ class Eye:
     s3_slope_per_min: float = -0.06
     rods_blind_min: float = 4.0
     pupil_mm: float = 6.0
+    full_bleach_min: float | None = None
 
     def cone_log10(self, time_min: float, wavelength_nm: float) -> float:
         """Return the cones' threshold for a spot of one wavelength, log10 of scotopic cd·m⁻²."""
@@ -98,9 +101,37 @@ def eye_after_bleach(eye: Eye, luminance_cd_m2: float, duration_s: float, scotop
     photopic_td = luminance_cd_m2 * math.pi * (eye.pupil_mm / 2) ** 2
     cones = bleached(photopic_td, duration_s, CONE_EXPOSURE_TD_S, CONE_REGENERATION_S)
     rods = bleached(scotopic_ratio * photopic_td, duration_s, ROD_EXPOSURE_TD_S, ROD_REGENERATION_S)
-    zero_min = recovery_min(rods, -eye.s2_slope_per_min)
-    blind_min = FULL_BLIND_MIN * rods
+    return eye_of_pigments(eye, rods, cones)
+
+
+def eye_of_pigments(eye: Eye, rods: float, cones: float) -> Eye:
+    """Return an eye whose pigments are bleached by given fractions at the beginning of the dark.
+
+    `full_bleach_min` of the eye, where it has one, is when its S2 line reaches the final threshold after a full bleach;
+    a lesser bleach has by so much less to recover as rate-limited regeneration says.
+    """
+    slope = -eye.s2_slope_per_min
+    zero_min = recovery_min(rods, slope)
+    if eye.full_bleach_min is not None:
+        zero_min = max(eye.full_bleach_min - recovery_min(1.0, slope) + zero_min, 0.0)
+    blind_min = (
+        FULL_BLIND_MIN * rods * min(1.0, zero_min / recovery_min(rods, slope)) if rods > UNSEEN_FRACTION else 0.0
+    )
     return replace(eye, cone_amplitude=FULL_CONE_AMPLITUDE * cones, s2_zero_min=zero_min, rods_blind_min=blind_min)
+
+
+def pigments_after_flash(rods: float, cones: float, since_s: float, photopic_td_s: float) -> tuple[float, float]:
+    """Return the bleached fractions of rods and cones after a flash too short for regeneration.
+
+    Args:
+        rods: Fraction of the rods' pigment that was bleached.
+        cones: That of the cones'.
+        since_s: Time in s since then, in which it regenerated.
+        photopic_td_s: Retinal exposure of the flash; scotopic is twice that, as of white LEDs.
+    """
+    rods, cones = rods * math.exp(-since_s / ROD_REGENERATION_S), cones * math.exp(-since_s / CONE_REGENERATION_S)
+    left_rods = (1 - rods) * math.exp(-2.0 * photopic_td_s / ROD_EXPOSURE_TD_S)
+    return 1 - left_rods, 1 - (1 - cones) * math.exp(-photopic_td_s / CONE_EXPOSURE_TD_S)
 
 
 def bleached(illuminance_td: float, duration_s: float, exposure_td_s: float, regeneration_s: float) -> float:
@@ -154,3 +185,55 @@ def drawn_eye(rng: np.random.Generator, break_range_min: tuple[float, float] = (
     wanted_min = float(rng.uniform(*break_range_min))
     elevation = eye.cone_log10(wanted_min, 453.0) - eye.rod_final_log10
     return replace(eye, s2_zero_min=wanted_min - elevation / eye.s2_slope_per_min)
+
+
+# Published rod intercepts at 5·10⁻³ scotopic cd·m⁻² and 5°: 22 young healthy eyes 4.6 ± 0.7 min (abstract of the
+# University of Ulster), limit 6.5 min (Jackson et al. 2014); AMD 12 min and more, often beyond 20 min.
+INTERCEPT_LOG10: Final = math.log10(5e-3)
+HEALTHY_INTERCEPT_MIN: Final = (4.6, 0.7)
+CLINICAL_BLEACH: Final = 0.83
+AMD_INTERCEPT_MIN: Final = (12.5, 18.0)
+
+
+def drawn_clinical_eye(rng: np.random.Generator) -> Eye:
+    """Return a healthy eye whose rod intercept after the rapid test's bleach is as published, 3 to 6.4 min."""
+    wanted_min = float(np.clip(rng.normal(*HEALTHY_INTERCEPT_MIN), 3.0, 6.4))
+    return _eye_of_intercept(rng, wanted_min, float(rng.normal(-0.24, 0.02)))
+
+
+def drawn_amd_eye(rng: np.random.Generator) -> Eye:
+    """Return an AMD-like eye: S2 slowed to −0.10 to −0.18 log10 per min, rod intercept 12.5 to 18 min.
+
+    Source: Owsley et al. 2007 and Jackson et al. 2014 for delayed intercepts; slopes after Jackson and Edwards 2008
+    (not verified).
+    """
+    return _eye_of_intercept(rng, float(rng.uniform(*AMD_INTERCEPT_MIN)), float(rng.uniform(-0.18, -0.10)))
+
+
+def _eye_of_intercept(rng: np.random.Generator, wanted_min: float, slope: float) -> Eye:
+    eye = Eye(
+        cone_plateau_log10=float(rng.normal(-2.3, 0.1)),
+        cone_tau_min=float(rng.uniform(1.2, 1.9)),
+        rod_final_log10=float(rng.normal(-4.3, 0.15)),
+        s2_slope_per_min=slope,
+        s3_slope_per_min=float(rng.uniform(-0.05, -0.03)),
+    )
+    zero_min = wanted_min + (INTERCEPT_LOG10 - eye.rod_final_log10) / -slope
+    return replace(eye, full_bleach_min=zero_min + recovery_min(1.0, -slope) - recovery_min(CLINICAL_BLEACH, -slope))
+
+
+def drawn_full_bleach_eye(rng: np.random.Generator) -> Eye:
+    """Return a healthy eye with S2 −0.24 ± 0.02 log10 per min, its break at 505 nm 7 to 12 min after a full bleach.
+
+    Source: Hecht, Haig and Chase 1937; Lamb and Pugh 2004.
+    """
+    eye = Eye(
+        cone_plateau_log10=float(rng.normal(-2.3, 0.15)),
+        cone_tau_min=float(rng.uniform(1.2, 1.9)),
+        rod_final_log10=float(rng.normal(-4.3, 0.15)),
+        s2_slope_per_min=float(rng.normal(-0.24, 0.02)),
+        s3_slope_per_min=float(rng.uniform(-0.05, -0.03)),
+    )
+    wanted_min = float(rng.uniform(7.0, 12.0))
+    elevation = eye.cone_plateau_log10 + math.log10(scotopic_per_photopic(505.0)) - eye.rod_final_log10
+    return replace(eye, full_bleach_min=wanted_min - elevation / eye.s2_slope_per_min)

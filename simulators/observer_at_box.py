@@ -9,13 +9,13 @@ from typing import Final
 
 import numpy as np
 
-from simulators.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
+from simulators.eye_kinetics import Eye, eye_after_bleach, eye_of_pigments, pigments_after_flash, scotopic_lm_per_w
 from simulators.led_physics import LedState
 from simulators.light_box import LightBoxTwin
 from simulators.observer import Observer
 
 HOLD_S: Final = 0.15  # how long the button is held
-BLEACH: Final = "bleach"
+BLEACHES: Final = ("bleach", "field")
 WHITE_LM_PER_W: Final = 320.0  # of a white LED's light: 450 nm pump, phosphor at 560 nm
 TAPPING_S: Final = 0.7  # how often a subject presses who always does
 LONGEST_S: Final = 3 * 3600.0
@@ -25,7 +25,7 @@ LONGEST_S: Final = 3 * 3600.0
 class ObserverAtBox:
     """A subject in front of the simulated light box, with its hand on the button.
 
-    What the box's bleaching light does to the eye follows from its luminance and time; before any bleach the eye is as
+    What the box's bleaching lights do to the eye follows from their luminance and time; before any bleach the eye is as
     `observer` has it. False alarms come at random times, once in 1/`false_alarms` s on average, for nobody tells the
     subject when a blink without light (a catch) is due.
 
@@ -41,14 +41,16 @@ class ObserverAtBox:
 
     observer: Observer
     twin: LightBoxTwin
-    channels: tuple[str, ...] = ("spot", "spot_red")
+    channels: tuple[str, ...] = ("spot", "spot_red", "spot_green")
     filter_density: float = 0.0
     leaves_after_min: float = math.inf
     taps: bool = False
     answered: int = 0
     _lit: dict[str, bool] = field(default_factory=dict)
     _rested: Eye = field(init=False)
-    _bleach: tuple[float, float, float, bool] | None = None
+    _bleach: tuple[str, float, float, float, bool] | None = None
+    _flashes: int = 0
+    _bleached: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rods, cones, at which time in s
 
     def __post_init__(self) -> None:
         self._rested = self.observer.eye
@@ -69,6 +71,7 @@ class ObserverAtBox:
     def _look(self) -> None:
         """See what has come on or gone off; press if the spot was noticed."""
         self._watch_bleach()
+        self._watch_flash()
         for channel in self.channels:
             lit = self.twin.duty(channel) > 0
             came_on = lit and not self._lit.get(channel, False)
@@ -94,21 +97,39 @@ class ObserverAtBox:
 
     def _watch_bleach(self) -> None:
         """Note when the bleaching light comes on, and adapt from when it has gone."""
-        now_s, duty = self.twin.time_s, self.twin.duty(BLEACH)
-        if duty > 0:
+        now_s = self.twin.time_s
+        lit = next((name for name in BLEACHES if name in self._names and self.twin.duty(name) > 0), None)
+        if lit is not None:
             if self._bleach is None:
-                high = next(state.high for state in self.twin.channels if state.limits.name == BLEACH)
-                self._bleach = now_s, self._led(BLEACH).emission(now_s).radiance_w_sr_m2, duty, high
+                high = next(state.high for state in self.twin.channels if state.limits.name == lit)
+                first = self._led(lit).emission(now_s).radiance_w_sr_m2
+                self._bleach = lit, now_s, first, self.twin.duty(lit), high
             return
         if self._bleach is None:
             return
-        begun_s, first, duty, high = self._bleach
+        name, begun_s, first, duty, high = self._bleach
         self._bleach = None
-        led = copy(self._led(BLEACH))
+        led = copy(self._led(name))
         led.drive(duty, high=high, time_s=now_s)  # as it was just before: warm, hence a little dimmer than at first
         luminance = WHITE_LM_PER_W * 0.5 * (first + led.emission(now_s).radiance_w_sr_m2)
         self.observer.eye = eye_after_bleach(self._rested, luminance, now_s - begun_s)
         self.observer.dark_since_s = now_s
 
+    def _watch_flash(self) -> None:
+        """Be bleached by each flash, on top of what is left of those before."""
+        while self._flashes < len(self.twin.flash.fired_ms):
+            self._flashes += 1
+            now_s = self.twin.time_s
+            td_s = WHITE_LM_PER_W * self.twin.flash.exposure_j_sr_m2 * math.pi / 4 * self._rested.pupil_mm**2
+            rods, cones, since_s = self._bleached
+            rods, cones = pigments_after_flash(rods, cones, now_s - since_s, td_s)
+            self._bleached = rods, cones, now_s
+            self.observer.eye = eye_of_pigments(self._rested, rods, cones)
+            self.observer.dark_since_s = now_s
+
+    @property
+    def _names(self) -> list[str]:
+        return [limits.name for limits in self.twin.settings.channels]
+
     def _led(self, channel: str) -> LedState:
-        return self.twin.leds[[limits.name for limits in self.twin.settings.channels].index(channel)]
+        return self.twin.leds[self._names.index(channel)]

@@ -14,6 +14,7 @@ from radiometer.adaptation.branch_fit import BranchFit, fit_model
 from radiometer.adaptation.branch_models import MODELS
 from radiometer.adaptation.break_evidence import BreakEvidence, break_evidence, with_power
 from radiometer.adaptation.intervals import Interval, bootstrap_values, percentile_interval, profile_interval
+from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import MeasurementError
 
@@ -26,7 +27,6 @@ SETTLED_TAUS: Final = 1.5  # cones have gone 78 % of their way at the break; els
 FASTEST_CONES_MIN: Final = 0.5  # time constant of a cone branch that is seen to fall; published are 1 to 2 min
 SEEN_FALL: Final = 1.0  # log10 units of it in the thresholds from which its time constant is known
 LEAST_ROD_FALL: Final = 0.5  # log10 units by which rods must go below the cones for a break to be one
-CRITERION_BELOW_PLATEAU: Final = 2.0
 SLACK_MIN: Final = 1.0  # a test that ends at its criterion has its last threshold just there
 GRID: Final = 2000
 
@@ -38,16 +38,18 @@ class FitRequest:
     """How to fit.
 
     Attributes:
-        criterion: log10 threshold for the rod-intercept time; None for 2 log10 units below the cone plateau.
+        criterion: log10 threshold of which the time is wanted; None for none.
         stimulus_u_log10: Standard uncertainty of the stimulus calibration in log10 units, shared by all thresholds.
         bootstrap_draws: Redraws for the intervals of derived quantities; 0 leaves them out.
         confidence: Probability of the intervals.
+        intercept: The rod intercept that belongs to the protocol; None where it reports none.
     """
 
     criterion: float | None = None
     stimulus_u_log10: float = 0.0
     bootstrap_draws: int = 200
     confidence: float = 0.95
+    intercept: InterceptRule | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +79,7 @@ class AdaptationFit:
         chosen: The simplest model near the least AICc among those that make sense.
         tried: All fits, also those left out.
         estimates: Parameters and derived quantities by name.
-        criterion: log10 threshold of the rod-intercept time; None without a rod branch, or where one branch alone does
-            not cross it.
+        criterion: Stated log10 threshold of which the time is given; None where one branch alone does not cross it.
         verdict: What the curve shows, in words.
         request: How it was fitted.
         evidence: What speaks for a break.
@@ -117,8 +118,31 @@ def fit_adaptation(series: ThresholdSeries, request: FitRequest, rng: np.random.
     estimates = {
         **{name: _parameter(chosen, name, draws, request) for name in chosen.model.parameters},
         **_derived_estimates(chosen, criterion, draws, request),
+        **_intercept_estimate(series, request),
     }
     return AdaptationFit(chosen, fits, estimates, criterion, _verdict(chosen, evidence), request, evidence)
+
+
+def _intercept_estimate(series: ThresholdSeries, request: FitRequest) -> dict[str, Estimate]:
+    if request.intercept is None:
+        return {}
+    met = rod_intercept(series, request.intercept, request.stimulus_u_log10, request.confidence)
+    return {} if met is None else {"rod_intercept_min": Estimate(met.time_min, met.u_min, "min", met.interval)}
+
+
+def intercept_verdict(fit: AdaptationFit) -> str | None:
+    """Return what the rod intercept says, beside its published limit; None where the protocol reports none."""
+    rule = fit.request.intercept
+    if rule is None:
+        return None
+    limit = "" if rule.limit_min is None else f"; its limit is {rule.limit_min:g} min ({rule.source})"
+    met = fit.estimates.get("rod_intercept_min")
+    if met is None:
+        last_min = float(fit.chosen.series.time_min[-1])
+        return (
+            f"rod intercept: {10**rule.criterion_log10:.2g} scotopic cd/m² not reached within {last_min:.1f} min{limit}"
+        )
+    return f"rod intercept at {10**rule.criterion_log10:.2g} scotopic cd/m² after {met.value:.1f} min{limit}"
 
 
 def best_branches(series: ThresholdSeries) -> BranchFit:
@@ -187,7 +211,7 @@ def makes_sense(fit: BranchFit) -> bool:
 
 
 def derived_quantities(fit_values: Mapping[str, float], fit: BranchFit, criterion: float | None) -> dict[str, float]:
-    """Return final threshold, area under the curve and, with a rod branch, cone plateau and rod-intercept time.
+    """Return final threshold, area under the curve and, at a criterion, the time at which it is met.
 
     The area is that between the curve and its final threshold, from the first to the last threshold, in log10·min. The
     intercept is where the S2 line, prolonged where needed, or a single branch crosses the criterion.
@@ -198,7 +222,7 @@ def derived_quantities(fit_values: Mapping[str, float], fit: BranchFit, criterio
     final = float(curve[-1])
     derived = {"final_threshold": final, "area_log10_min": float(np.trapezoid(curve - final, grid))}
     if criterion is not None:
-        derived["rod_intercept_min"] = _crossing(fit_values, criterion)
+        derived["criterion_min"] = _crossing(fit_values, criterion)
     return derived
 
 
@@ -222,7 +246,7 @@ def _steepness(values: Mapping[str, float], criterion: float | None) -> float:
 def _criterion(fit: BranchFit, request: FitRequest) -> float | None:
     """Return the criterion: a stated one also for a single branch that crosses it within the test."""
     if "break_min" in fit.values:
-        return fit.values["plateau"] - CRITERION_BELOW_PLATEAU if request.criterion is None else request.criterion
+        return request.criterion
     if request.criterion is None:
         return None
     times = fit.series.time_min
@@ -257,9 +281,7 @@ def _derived_estimates(
     for name, value in values.items():
         boot = percentile_interval([one[name] for one in drawn], request.confidence) if drawn else None
         # A stated criterion is absolute: a wrong stimulus scale moves the time at which it is met.
-        moved = (
-            request.stimulus_u_log10 / slope if name == "rod_intercept_min" and request.criterion is not None else 0.0
-        )
+        moved = request.stimulus_u_log10 / slope if name == "criterion_min" else 0.0
         found[name] = _estimate(name, value, None, boot, request, moved)
     return found
 

@@ -6,10 +6,12 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from radiometer.adaptation.protocol import AdaptationProtocol, SteadyBleach
-from radiometer.devices.light_box import ButtonEvent, LightBox, Radiance
+from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, SteadyBleach
+from radiometer.devices.light_box import ButtonEvent, FlashBox, LightBox, Radiance
+from radiometer.errors import UsageError
 
-BLEACH, FIXATION = "bleach", "fixation"
+FIXATION = "fixation"
+FLASH_GAP_S = 10.0  # between two photographic flashes: the box wants 5 s, the flash charges
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +42,18 @@ class BoxLights:
             return Radiance(light.luminance_cd_m2 / self.bleach_photopic_lm_per_w)
         trolands = light.retinal_td_s / light.duration_s
         return Radiance(trolands / (math.pi / 4 * light.pupil_mm**2) / self.bleach_scotopic_lm_per_w)
+
+    def flashes(self, exposure_j_sr_m2: float) -> int:
+        """Return how many photographic flashes of a radiant exposure give the protocol's td·s, to the nearest one."""
+        light = self.protocol.bleach
+        assert isinstance(light, FlashBleach)
+        td_s = exposure_j_sr_m2 * self.bleach_scotopic_lm_per_w * math.pi / 4 * light.pupil_mm**2
+        return max(1, round(light.retinal_td_s / td_s))
+
+    @property
+    def by_flash(self) -> bool:
+        """Tell whether the photographic flash bleaches."""
+        return isinstance(self.protocol.bleach, FlashBleach) and self.protocol.bleach.source == "flash"
 
     def spot(self, log10_level: float) -> Radiance:
         """Return the radiance of the spot, before its filter, for a level in log10 scotopic cd·m⁻² behind it."""
@@ -116,9 +130,20 @@ class BoxStage:
             DeviceError: If the box fails.
             UnsafeStimulus: If it is too much for eye or box.
         """
-        self.box.pulse(BLEACH, self.lights.bleach, protocol.bleach.duration_s)
-        self.sleep(protocol.bleach.duration_s)
+        if self.lights.by_flash:
+            self._flash()
+        else:
+            self.box.pulse(protocol.bleach.channel, self.lights.bleach, protocol.bleach.duration_s)
+            self.sleep(protocol.bleach.duration_s)
         self._light_mark()
+
+    def _flash(self) -> None:
+        if not isinstance(self.box, FlashBox):
+            raise UsageError("the protocol bleaches by a photographic flash, which this light box has not")
+        count = self.lights.flashes(self.box.flash_exposure_j_sr_m2)
+        for number in range(count):
+            self.box.fire_flash()
+            self.sleep(FLASH_GAP_S if number < count - 1 else 0.1)
 
     def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
         """Blink the spot once and return the presses in s from its onset. Raises DeviceError, UnsafeStimulus."""

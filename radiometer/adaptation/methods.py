@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from radiometer.adaptation.protocol import LimitsMethod, QuestPlusMethod, Spot, StaircaseMethod
+from radiometer.adaptation.protocol import DownUpMethod, LimitsMethod, QuestPlusMethod, Spot, StaircaseMethod
 from radiometer.adaptation.quest_plus import QuestPlusSearch
 
 
@@ -111,9 +111,42 @@ class Staircase:
         self.level = min(max(moved, self.spot.lowest_log10), self.spot.highest_log10)
 
 
-def begin(
-    spot: Spot, method: LimitsMethod | StaircaseMethod | QuestPlusMethod, last: float | None, shift: float = 0.0
-) -> Method:
+@dataclass
+class DownUp:
+    """Down in big steps while it is seen, up in small ones until it is seen again: that level is the threshold."""
+
+    spot: Spot
+    method: DownUpMethod
+    last: float | None = None
+    shift: float = 0.0
+    threshold: float | None = None
+    exhausted: bool = False
+    u_log10: float | None = None
+    level: float = field(init=False)
+    _rising: bool = False
+
+    def __post_init__(self) -> None:
+        below = self.shift * self.method.up_log10 - self.method.start_above_log10
+        self.level = _start(self.spot, self.last, below)
+
+    def answer(self, *, seen: bool) -> None:
+        """Take the answer to the blink at `level` and go on."""
+        if seen and self._rising:
+            self.threshold = self.level
+            return
+        self._rising = self._rising or not seen
+        end = self.spot.highest_log10 if self._rising else self.spot.lowest_log10
+        if abs(self.level - end) < 1e-9:
+            self.exhausted = True
+            return
+        moved = self.level + (self.method.up_log10 if self._rising else -self.method.down_log10)
+        self.level = min(max(moved, self.spot.lowest_log10), self.spot.highest_log10)
+
+
+AnyMethod = LimitsMethod | StaircaseMethod | DownUpMethod | QuestPlusMethod
+
+
+def begin(spot: Spot, method: AnyMethod, last: float | None, shift: float = 0.0) -> Method:
     """Return the search for the next threshold, begun near the last one.
 
     Args:
@@ -130,6 +163,8 @@ def begin(
         return Ascent(spot, method, last, shift)
     if isinstance(method, StaircaseMethod):
         return Staircase(spot, method, last, shift)
+    if isinstance(method, DownUpMethod):
+        return DownUp(spot, method, last, shift)
     return QuestPlusSearch(spot, method, last)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -61,12 +62,17 @@ class Outcome:
         """Tell whether the thresholds are a subject's."""
         return self.verdict in (Verdict.COMPLETE, Verdict.CRITERION_REACHED, Verdict.FLOOR_REACHED)
 
-    def to_csv(self) -> str:
-        """Return the columns time (min), log10 threshold and, where it is known, its standard uncertainty."""
+    def to_csv(self, facts: Mapping[str, str] | None = None) -> str:
+        """Return the columns time (min), log10 threshold and, where it is known, its standard uncertainty.
+
+        Args:
+            facts: What stands before them, each in a line that begins with #.
+        """
         names = ["time_min", "log10_threshold", *(["u_log10_threshold"] if self.u_log10 else [])]
         columns = [self.times_min, self.thresholds_log10, *([self.u_log10] if self.u_log10 else [])]
         rows = [",".join([f"{row[0]:.5f}", *(f"{v:.4f}" for v in row[1:])]) for row in zip(*columns, strict=True)]
-        return "\n".join([",".join(names), *rows]) + "\n"
+        said = [f"# {name}: {value}" for name, value in (facts or {}).items()]
+        return "\n".join([*said, ",".join(names), *rows]) + "\n"
 
 
 def counting_trials(journal: Journal) -> list[Event]:

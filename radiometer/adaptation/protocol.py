@@ -7,32 +7,67 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from radiometer.adaptation.bleach import bleached_fraction, retinal_illuminance_td
 from radiometer.data.config_files import shipped_config
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.errors import ConfigurationError, InputError
 
-SHIPPED = ("classic", "quick", "screen-only", "led-only", "questplus")
+SHIPPED = (
+    "classic",
+    "classic-blue",
+    "rapid",
+    "quick",
+    "led-only",
+    "questplus",
+    "steady-low",
+    "screen-only",
+)
+BLEACH_CHANNEL = "bleach"
+# What a rod intercept at 5·10⁻³ scotopic cd·m⁻² was published for: spot of about 2°, 500 to 510 nm, 5° from fixation,
+# after three quarters to four fifths of the rods were bleached (Jackson and Edwards 2008; Jackson et al. 2014).
+RIT_CRITERION_CD_M2 = 5e-3
+RIT_SIZE_DEG = (1.5, 2.5)
+RIT_PEAK_NM = (500.0, 510.0)
+RIT_ECCENTRICITY_DEG = (4.0, 6.0)
+RIT_BLEACHED = (0.76, 0.82)
+WHITE_SCOTOPIC_RATIO = 1.72  # of the white LED `white_led`; the check before a run takes the named spectrum's
 
 
 class SteadyBleach(ConfigSection):
-    """A bright field looked at for some time."""
+    """A bright field looked at for some time, by a channel of the box; the pupil is stated where it is dilated."""
 
     kind: Literal["steady"] = "steady"
     luminance_cd_m2: float = Field(gt=0, le=10_000)
     duration_s: float = Field(gt=0, le=600)
+    channel: str = BLEACH_CHANNEL
+    pupil_mm: float | None = Field(None, ge=1, le=9)
+
+    def rods_bleached(self) -> float | None:
+        """Return the fraction of the rods' pigment that it bleaches by the calculator; None without a stated pupil."""
+        if self.pupil_mm is None:
+            return None
+        scotopic_td = WHITE_SCOTOPIC_RATIO * retinal_illuminance_td(self.luminance_cd_m2, self.pupil_mm)
+        return bleached_fraction(scotopic_td, self.duration_s, "rods")
 
 
 class FlashBleach(ConfigSection):
     """A flash, given by what reaches the retina in scotopic trolands × seconds through a pupil of known diameter.
 
-    It must be short beside the pigment's regeneration (400 s in rods), so that only its energy counts.
+    It must be short beside the pigment's regeneration (400 s in rods), so that only its energy counts. `source: flash`
+    is the photographic flash at the box's trigger, fired as often as the energy takes.
     """
 
     kind: Literal["flash"]
     retinal_td_s: float = Field(gt=0, le=1e8)
     duration_s: float = Field(0.01, gt=0, le=20.0)
     pupil_mm: float = Field(6.0, ge=1, le=9)
+    channel: str = BLEACH_CHANNEL
+    source: Literal["channel", "flash"] = "channel"
+
+    def rods_bleached(self) -> float:
+        """Return the fraction of the rods' pigment that it bleaches by the calculator."""
+        return bleached_fraction(self.retinal_td_s / self.duration_s, self.duration_s, "rods")
 
 
 class Spot(ConfigSection):
@@ -98,6 +133,19 @@ class StaircaseMethod(ConfigSection):
     start_below_log10: float = Field(0.2, gt=-1, le=3)
 
 
+class DownUpMethod(ConfigSection):
+    """Three down, one up: dimmer by three small steps while it is seen, then brighter by one until it is seen again.
+
+    That level is the threshold; the next search begins `start_above_log10` brighter. (The staircase of the rapid tests,
+    Jackson and Edwards 2008: 0.3 down, 0.1 up, 0.2 above.)
+    """
+
+    kind: Literal["down_up"]
+    down_log10: float = Field(0.3, gt=0, le=2)
+    up_log10: float = Field(0.1, gt=0, le=1)
+    start_above_log10: float = Field(0.2, ge=0, le=2)
+
+
 class QuestPlusMethod(ConfigSection):
     """QUEST+: each blink where it tells most, until the threshold is known to `stop_sd_log10`.
 
@@ -121,6 +169,15 @@ class Ending(ConfigSection):
 
     duration_min: float = Field(40.0, gt=0, le=120)
     criterion_log10: float | None = None
+    beyond: int = Field(1, ge=1, le=10)  # thresholds in a row below the criterion that end the test
+
+
+class Intercept(ConfigSection):
+    """The rod intercept that a protocol reports: the time at which the threshold meets a criterion, and its limit."""
+
+    criterion_log10: float
+    limit_min: float = Field(gt=0)
+    source: str
 
 
 class Watch(ConfigSection):
@@ -159,8 +216,10 @@ class AdaptationProtocol(ConfigSection):
     spot: Spot
     fixation: Fixation = Fixation()
     viewing: ViewingDistance = ViewingDistance()
-    method: Annotated[LimitsMethod | StaircaseMethod | QuestPlusMethod, Field(discriminator="kind")]
+    method: Annotated[LimitsMethod | StaircaseMethod | DownUpMethod | QuestPlusMethod, Field(discriminator="kind")]
     end: Ending = Ending()
+    intercept: Intercept | None = None
+    shows: Literal["break", "recovery"] = "break"
     watch: Watch = Watch()
     safety: Safety = Safety()
 
@@ -169,6 +228,27 @@ class AdaptationProtocol(ConfigSection):
         criterion = self.end.criterion_log10
         if criterion is not None and not self.spot.lowest_log10 < criterion < self.spot.highest_log10:
             raise ValueError("end.criterion_log10 lies outside the spot's levels")
+        return self
+
+    @model_validator(mode="after")
+    def _intercept_belongs(self) -> Self:
+        """Refuse a rod intercept where criterion, spot or bleach are not those for which it was published."""
+        if self.intercept is None:
+            return self
+        spot, bleached = self.spot, self.bleach.rods_bleached()
+        found = {
+            "intercept.criterion_log10": (10.0**self.intercept.criterion_log10, (0.0049, 0.0051)),
+            "spot.size_deg": (spot.size_deg, RIT_SIZE_DEG),
+            "spot.peak_nm": (spot.peak_nm, RIT_PEAK_NM),
+            "spot.eccentricity_deg": (spot.eccentricity_deg, RIT_ECCENTRICITY_DEG),
+            "bleached rods": (-1.0 if bleached is None else bleached, RIT_BLEACHED),
+        }
+        for name, (value, (low, high)) in found.items():
+            if not low <= value <= high:
+                raise ValueError(
+                    f"intercept: its limit holds for {name} of {low:g} to {high:g}, not {value:.3g}; "
+                    "leave `intercept` out"
+                )
         return self
 
 

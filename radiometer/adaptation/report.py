@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.adaptation.adaptation_fit import AdaptationFit, Estimate
+from radiometer.adaptation.adaptation_fit import AdaptationFit, Estimate, intercept_verdict
 from radiometer.data.storage import write_text_atomic
 
 LABELS: Final = {
@@ -24,6 +24,7 @@ LABELS: Final = {
     "s3_slope_per_min": "S3 slope",
     "rod_rod_break_min": "Rod–rod break",
     "rod_intercept_min": "Rod-intercept time",
+    "criterion_min": "Time at the criterion",
     "final_threshold": "Final threshold",
     "area_log10_min": "Area above the final threshold",
 }
@@ -52,6 +53,9 @@ def to_mapping(fit: AdaptationFit) -> dict[str, Any]:
         "thresholds": int(fit.chosen.series.time_min.size),
         "sigma_log10": fit.chosen.sigma,
         "criterion_log10": fit.criterion,
+        "rod_intercept": intercept_verdict(fit),
+        "taken": list(fit.chosen.series.taken),
+        "facts": dict(fit.chosen.series.facts),
         "stimulus_u_log10": fit.request.stimulus_u_log10,
         "confidence": fit.request.confidence,
         "estimates": {name: estimate.to_mapping() for name, estimate in fit.estimates.items()},

@@ -306,7 +306,8 @@ class _Run:
         if len(recent) == self.protocol.watch.absent_after and all(map(self._fruitless, recent)):
             return _why_fruitless(recent, known=bool(found))
         criterion = self.protocol.end.criterion_log10
-        if criterion is not None and found and found[-1] <= criterion:
+        last = found[-self.protocol.end.beyond :]
+        if criterion is not None and len(last) == self.protocol.end.beyond and max(last) <= criterion:
             return Verdict.CRITERION_REACHED
         if self._latest_s - self._dark_since_s >= 60 * self.protocol.end.duration_min:
             return Verdict.COMPLETE

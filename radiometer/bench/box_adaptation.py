@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.adaptation.box_stage import BLEACH, FIXATION, BoxLights, BoxStage
+from radiometer.adaptation.box_stage import FIXATION, BoxLights, BoxStage
 from radiometer.adaptation.checks import Check, Finding, judge_age
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach
 from radiometer.analysis.signal.photometry import luminous_efficacy_lm_per_w
@@ -25,7 +25,7 @@ from radiometer.data.config_files import shipped_config
 from radiometer.devices.light_box import Radiance
 from radiometer.devices.retinal_safety import HazardFractions, refuse_unsafe
 from radiometer.errors import CalibrationError, MeasurementError, RadiometerError, SettingOutOfRange, UsageError
-from simulators.eye_kinetics import Eye
+from simulators.eye_kinetics import Eye, drawn_amd_eye, drawn_clinical_eye
 from simulators.light_box import LightBoxTwin
 from simulators.observer import Habits, Observer
 from simulators.observer_at_box import ObserverAtBox
@@ -119,18 +119,28 @@ def seat_subject(twin: LightBoxTwin, behaviour: str, seed: int, filter_density: 
 
     Args:
         twin: The simulated box.
-        behaviour: "steady", "never" (presses), "always" (presses) or "leaves" (after 10 min).
+        behaviour: "steady", "never" (presses), "always" (presses), "leaves" (after 10 min); "healthy" and "amd" have
+            eyes drawn from published rod intercepts.
         seed: Makes the answers.
         filter_density: Optical density of the filter before the spot.
 
     Raises:
         UsageError: If the behaviour is unknown.
     """
-    habits = {"steady": Habits(), "never": Habits(lapses=1.0, false_alarms=0.0), "always": Habits(), "leaves": Habits()}
+    habits = {
+        "steady": Habits(),
+        "never": Habits(lapses=1.0, false_alarms=0.0),
+        "always": Habits(),
+        "leaves": Habits(),
+        "healthy": Habits(),
+        "amd": Habits(),
+    }
     if behaviour not in habits:
         raise UsageError(f"simulated subject {behaviour!r}: choose {', '.join(habits)}")
+    rng = np.random.default_rng(seed)
+    drawn = {"healthy": drawn_clinical_eye, "amd": drawn_amd_eye}.get(behaviour)
     subject = ObserverAtBox(
-        Observer(Eye(), habits[behaviour], np.random.default_rng(seed)),
+        Observer(drawn(rng) if drawn else Eye(), habits[behaviour], rng),
         twin,
         filter_density=filter_density,
         leaves_after_min=10.0 if behaviour == "leaves" else float("inf"),
@@ -171,7 +181,7 @@ def _safe(opened: OpenedBox, lights: BoxLights) -> Finding:
     facts: dict[str, object] = {"what": "safety", "allowed_fraction": box.ledger.allowed_fraction}
     try:
         _require_colour(opened, protocol)
-        used = [box.foresee(BLEACH, lights.bleach, protocol.bleach.duration_s)]
+        used = [_bleach_used(opened, lights)]
         box.foresee(spot.channel, lights.spot(spot.lowest_log10), spot.on_s)
         used.append(box.foresee(spot.channel, lights.spot(spot.highest_log10), share * bright_s))
         if lights.fixation_w_sr_m2:
@@ -183,6 +193,14 @@ def _safe(opened: OpenedBox, lights: BoxLights) -> Finding:
     except RadiometerError as refusal:
         return Finding("check", facts, _explained(refusal, opened, lights))
     return Finding("check", facts)
+
+
+def _bleach_used(opened: OpenedBox, lights: BoxLights) -> HazardFractions:
+    """Return what the bleach uses up of the exposure limits. Raises as the box's `foresee`."""
+    bleach = lights.protocol.bleach
+    if lights.by_flash:
+        return opened.box.foresee_flashes(lights.flashes(opened.box.flash_exposure_j_sr_m2))
+    return opened.box.foresee(bleach.channel, lights.bleach, bleach.duration_s)
 
 
 def _require_colour(opened: OpenedBox, protocol: AdaptationProtocol) -> None:
@@ -202,9 +220,9 @@ def _explained(refusal: RadiometerError, opened: OpenedBox, lights: BoxLights) -
     if not isinstance(refusal, SettingOutOfRange) or opened.calibration is None:
         return refusal
     protocol, spot = lights.protocol, lights.protocol.spot
-    if refusal.name.endswith(BLEACH):
-        _, brightest = opened.calibration.limits(BLEACH)
-        bleach = protocol.bleach
+    bleach = protocol.bleach
+    if refusal.name.endswith(bleach.channel):
+        _, brightest = opened.calibration.limits(bleach.channel)
         if isinstance(bleach, FlashBleach):
             shortest_s = bleach.duration_s * lights.bleach.radiance_w_sr_m2 / brightest
             way = f"this box needs {shortest_s:.3g} s at least for {bleach.retinal_td_s:g} td·s: bleach.duration_s"

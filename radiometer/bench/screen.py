@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,15 +11,16 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.analysis.signal.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.signal.spectra import spectrum
+from radiometer.analysis.signal.display_types import CRT, DISPLAY_TYPES
+from radiometer.analysis.signal.photometry import Observer, luminous_efficacy_lm_per_w
+from radiometer.analysis.signal.spectra import Spectrum, spectrum
 from radiometer.bench.assembly import calibration_path, open_bench_camera
 from radiometer.bench.cameras import SIMULATED, preset_path
 from radiometer.bench.config import BenchConfig, SimulatedCameraConfig, read_bench
 from radiometer.bench.instrument import Instrument, central_patch
 from radiometer.data import Calibration, Patch, Reading
 from radiometer.devices import Camera, CameraPreset, CameraSettings, Display
-from radiometer.errors import ConfigurationError, UsageError
+from radiometer.errors import ConfigurationError, InputError, UsageError
 from radiometer.screen.checks import Flicker, Uniformity, judge_flicker
 from radiometer.screen.meter import ScreenReading
 from radiometer.screen.photometer import RadiometerPhotometer
@@ -31,7 +32,8 @@ START_TIMEOUT_S: Final = 600.0  # from the page's opening until somebody presses
 # The camera sees only the middle of a simulated screen; a small sensor shows as much and is quick.
 _SIMULATED_SIZE: Final = (96, 64)
 _FLICKER_FRAMES: Final = 16
-_SPECTRA: Final = {"red": "display_red", "green": "display_green", "blue": "display_blue"}
+PRIMARIES: Final = ("red", "green", "blue")
+_OBSERVERS: Final[tuple[Observer, ...]] = ("photopic", "scotopic")
 
 
 @dataclass(frozen=True)
@@ -88,14 +90,71 @@ def screen_reading(reading: Reading, time_s: float) -> ScreenReading:
     return ScreenReading(value, own, float(np.sqrt(common2)), time_s, tuple(str(flag) for flag in reading.flags))
 
 
-def lights(white: str = "white_led") -> dict[str, Light]:
-    """Return the light of every channel by the spectra assumed. Raises InputError for an unknown spectrum."""
-    return {name: _light(kind) for name, kind in {"grey": white, **_SPECTRA}.items()}
+def lights(white: str = "white_led", primaries: str | None = None) -> dict[str, Light]:
+    """Return the light of every channel whose spectrum is known or chosen.
+
+    Args:
+        white: Spectrum of grey.
+        primaries: Display type (`DISPLAY_TYPES`), or a CSV with the columns wavelength in nm, red, green, blue; None
+            where the primaries are not known: then they have no light.
+
+    Raises:
+        InputError: If a spectrum or type is unknown, or the file cannot be used.
+    """
+    found = {"grey": _light(white)}
+    if primaries is None:
+        return found
+    if primaries.lower().endswith(".csv"):
+        return found | _measured_primaries(Path(primaries))
+    if primaries not in DISPLAY_TYPES:
+        raise InputError(f"primaries {primaries!r}: choose a display type ({', '.join(DISPLAY_TYPES)}) or name a CSV")
+    names = {one: f"display_{one}" if primaries == CRT else f"display:{primaries}:{one}" for one in PRIMARIES}
+    return found | {one: _light(name) for one, name in names.items()}
+
+
+def primaries_of(display: str, channels: Sequence[str], primaries: str | None) -> str | None:
+    """Return the display type or file that colours are to be taken by.
+
+    Simulated displays are made with the primaries of a CRT; of a real one nothing is taken by silence.
+
+    Raises:
+        UsageError: If colours are wanted of a real display and nothing is said of their spectra.
+    """
+    if primaries is not None or not set(channels) & set(PRIMARIES):
+        return primaries
+    if display in SIMULATED_DISPLAYS:
+        return CRT
+    raise UsageError(
+        f"colours are turned into luminance by their spectra: say --primaries with a display type "
+        f"({', '.join(DISPLAY_TYPES)}) or a CSV of wavelength_nm,red,green,blue"
+    )
+
+
+def _measured_primaries(path: Path) -> dict[str, Light]:
+    try:
+        lines = [line.replace(";", ",") for line in path.read_text("utf-8").splitlines() if line.strip()]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read the primaries {path}: {error}") from error
+    rows = [line.split(",") for line in lines if not line.startswith("#")]
+    try:
+        table = np.array(rows[1:], dtype=np.float64)
+    except ValueError as error:
+        raise InputError(f"{path}: expected wavelength_nm,red,green,blue: {error}") from error
+    if table.ndim != 2 or table.shape[0] < 2 or table.shape[1] < 4 or np.any(np.diff(table[:, 0]) <= 0):
+        raise InputError(f"{path}: expected ascending rows of wavelength_nm,red,green,blue")
+    return {
+        one: _light_of(Spectrum(f"{path.name}:{one}", table[:, 0], np.maximum(table[:, n + 1], 0.0)))
+        for n, one in enumerate(PRIMARIES)
+    }
 
 
 def _light(name: str) -> Light:
-    source = spectrum(name)
-    return Light(luminous_efficacy_lm_per_w(source, "photopic"), luminous_efficacy_lm_per_w(source, "scotopic"), name)
+    return _light_of(spectrum(name))
+
+
+def _light_of(source: Spectrum) -> Light:
+    photopic, scotopic = (luminous_efficacy_lm_per_w(source, observer) for observer in _OBSERVERS)
+    return Light(photopic, scotopic, source.name)
 
 
 @contextmanager

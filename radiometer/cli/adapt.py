@@ -31,13 +31,19 @@ def adapt() -> None:
 
 @app.command()
 def fit(
-    data: Annotated[Path, typer.Argument(help="CSV: time in min, log10 threshold, and perhaps its sigma.")],
+    data: Annotated[
+        Path,
+        typer.Argument(
+            help="Table of times and thresholds, perhaps with their sigma: many forms and units are understood."
+        ),
+    ],
     criterion: Annotated[
-        float | None, typer.Option(help="log10 threshold of the rod intercept; 2 below the cone plateau by default.")
+        float | None,
+        typer.Option(help="log10 threshold of which the time is wanted, in place of the protocol's rod intercept."),
     ] = None,
     stimulus_u_log10: Annotated[
-        float, typer.Option(min=0.0, help="Standard uncertainty of the stimulus calibration, log10 units.")
-    ] = 0.0,
+        float | None, typer.Option(min=0.0, help="Standard uncertainty of the stimulus calibration, log10 units.")
+    ] = None,
     bootstrap: Annotated[int, typer.Option(min=0, help="Bootstrap redraws; 0 for none.")] = 200,
     seed: Annotated[int, typer.Option(min=0, help="Makes the redraws.")] = 1,
     report: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
@@ -51,13 +57,18 @@ def fit(
     """
     import numpy as np
 
-    from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
+    from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation, intercept_verdict
     from radiometer.adaptation.report import curve_csv, label_of, to_mapping, write_page
+    from radiometer.adaptation.run_facts import intercept_of, number_of
     from radiometer.adaptation.threshold_series import ThresholdSeries
     from radiometer.data.storage import write_text_atomic
 
-    request = FitRequest(criterion, stimulus_u_log10, bootstrap)
-    found = fit_adaptation(ThresholdSeries.read(data), request, np.random.default_rng(seed))
+    series = ThresholdSeries.read(data)
+    if stimulus_u_log10 is None:
+        stimulus_u_log10 = number_of(series.facts, "u_scale_log10") or 0.0
+    rule = intercept_of(series.facts) if criterion is None else None
+    request = FitRequest(criterion, stimulus_u_log10, bootstrap, intercept=rule)
+    found = fit_adaptation(series, request, np.random.default_rng(seed))
     if report is not None:
         write_page(found, report, f"Dark adaptation: {data.stem}")
     if csv is not None:
@@ -67,10 +78,13 @@ def fit(
         return
     out = console()
     out.print(f"[bold]{found.verdict}[/bold]")
+    met = intercept_verdict(found)
+    if met is not None:
+        out.print(f"[bold]{met}[/bold]")
     for name, estimate in found.estimates.items():
         interval = estimate.profile or estimate.bootstrap
         shown = f"   {interval.low:.3f} to {interval.high:.3f} (95 %)" if interval else ""
         out.print(f"{label_of(name, found):<32} {estimate.value:9.3f} {estimate.unit:<10}{shown}")
     note(f"model {found.chosen.model.name}; scatter of a threshold {found.chosen.sigma:.3f} log10 units")
-    if found.criterion is not None:
-        note(f"rod intercept at log10 threshold {found.criterion:.2f}")
+    for said in series.taken:
+        note(f"taken: {said}")

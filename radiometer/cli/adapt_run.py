@@ -77,6 +77,7 @@ def run(
     from radiometer.adaptation.journal import Journal
     from radiometer.adaptation.protocol import read_protocol
     from radiometer.adaptation.run import run_test
+    from radiometer.adaptation.run_facts import facts_of
     from radiometer.bench.box_adaptation import SIMULATED, BoxRequest
     from radiometer.cli.adapt_watch import Watching, watchers
     from radiometer.cli.keys import listening
@@ -113,15 +114,19 @@ def run(
             )
     table = csv or (file.with_suffix(".csv") if outcome.can_be_fitted else None)
     if table is not None:
-        write_text_atomic(table, outcome.to_csv())
+        shared = [event["u_scale_log10"] for event in journal.of_kind("stage") if event.get("u_scale_log10")]
+        write_text_atomic(table, outcome.to_csv(facts_of(chosen, shared[-1] if shared else None)))
     _conclude(outcome, table, json=json)
-    shared = [event["u_scale_log10"] for event in journal.of_kind("stage") if event.get("u_scale_log10")]
-    if outcome.can_be_fitted and shared and not json:
-        met = chosen.end.criterion_log10
-        criterion = "" if met is None else f" --criterion {met:g}"
-        note(f"fit with: radiometer adapt fit {table} --stimulus-u-log10 {shared[-1]:g}{criterion}")
+    if outcome.can_be_fitted and not json:
+        note(f"fit with: radiometer adapt fit {table}{_criterion_option(chosen)}")
     if not outcome.can_be_fitted:
         raise typer.Exit(1)
+
+
+def _criterion_option(protocol: AdaptationProtocol) -> str:
+    """Return the option for a protocol that ends at a criterion which is no published rod intercept."""
+    met = protocol.end.criterion_log10
+    return "" if met is None or protocol.intercept is not None else f" --criterion {met:g}"
 
 
 @dataclass(frozen=True, slots=True)

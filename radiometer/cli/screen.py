@@ -11,6 +11,7 @@ import typer
 
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import console, note, progress_bar, significant
+from radiometer.cli.screen_import import register
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -43,6 +44,9 @@ def calibrate(
     ] = None,
     warm_up: Annotated[float, typer.Option(min=0.0, help="Longest wait for the screen to settle in s.")] = 900.0,
     white: Annotated[str, typer.Option(help="Spectrum assumed for grey: white_led, cie_d65, a CSV …")] = "white_led",
+    primaries: Annotated[
+        str | None, typer.Option(help="Spectra of red, green, blue: led_lcd, ccfl_lcd, oled, crt, or a CSV of them.")
+    ] = None,
     camera: Annotated[str | None, typer.Option(help="GenICam id, serial number or address.")] = None,
     bench: Annotated[Path | None, typer.Option(help="Bench file; the simulated bench by default.")] = None,
     calibration: Annotated[Path | None, typer.Option(help="The camera's calibration; the bench's by default.")] = None,
@@ -55,7 +59,7 @@ def calibrate(
     json: Annotated[bool, typer.Option("--json", help="Report as one JSON object on standard output.")] = False,
 ) -> None:
     """Measure which level of a screen gives which radiance and luminance, with uncertainty."""
-    from radiometer.bench.screen import lights, open_screen_bench
+    from radiometer.bench.screen import lights, open_screen_bench, primaries_of
     from radiometer.screen.calibration_run import Options, calibrate_screen
     from radiometer.screen.plan import parse_levels
 
@@ -71,7 +75,7 @@ def calibrate(
     )
     kinds = _export_kinds(export)
     where = parse_patch(patch) if patch else None
-    lamps = lights(white)
+    lamps = lights(white, primaries_of(display, options.channels, primaries))
 
     def announce(url: str) -> None:
         note(f"open this address on the screen to be measured, then press Start:\n  {url}")
@@ -93,6 +97,9 @@ def calibrate(
     result.write(out)
     _write_exports(result, kinds, out)
     _report(result, out, argyll=argyll, json=json, options=options)
+
+
+register(app)
 
 
 @app.command()

@@ -42,7 +42,7 @@ def oled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the calibration of a simulated OLED by the simulated camera."""
     file = tmp_path_factory.mktemp("screen") / "oled.yaml"
     with open_screen_bench("oled", seed=2) as bench:
-        calibrate_screen(bench, Options("oled", LEVELS, ("blue",)), lights()).write(file)
+        calibrate_screen(bench, Options("oled", LEVELS, ("blue",)), lights(primaries="crt")).write(file)
     return file
 
 
@@ -96,7 +96,7 @@ def test_filter_before_an_lcd_lets_the_curve_go_on(tmp_path: Path) -> None:
     """Its darkest level is above the cones' plateau: the curve ends at once, and behind density 2 it goes on."""
     file = tmp_path / "lcd.yaml"
     with open_screen_bench("lcd", seed=2) as bench:
-        calibrate_screen(bench, Options("lcd", LEVELS, ("blue",), repeats=2), lights()).write(file)
+        calibrate_screen(bench, Options("lcd", LEVELS, ("blue",), repeats=2), lights(primaries="crt")).write(file)
     lowest, counts = [], []
     for density in (0.0, 2.0):
         protocol = read_protocol("screen-only")

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.signal.display_types import primary_spectrum
 from radiometer.errors import InputError
 from radiometer.units import BOLTZMANN_J_K, PLANCK_J_S, SPEED_OF_LIGHT_M_S
 
@@ -23,7 +24,15 @@ _TABULATED: Final = {
     **dict.fromkeys(("cie_d65", "white_led", "display_red", "display_green", "display_blue"), "spectra.csv"),
     **dict.fromkeys(_CIE, "spectra_cie.csv"),
 }
-SPECTRUM_NAMES: Final = ("equal_energy", "planck:T", *_TABULATED, "line:NM", "band:NM,FWHM", "FILE.csv")
+SPECTRUM_NAMES: Final = (
+    "equal_energy",
+    "planck:T",
+    *_TABULATED,
+    "line:NM",
+    "band:NM,FWHM",
+    "display:TYPE:PRIMARY",
+    "FILE.csv",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,9 +81,9 @@ def spectrum(name: str) -> Spectrum:
     Args:
         name: "equal_energy", "planck:T" (T in K), "cie_d65", "white_led", "display_red", "display_green",
             "display_blue" (a display of 1998), "led_b1" … "led_v2" (CIE 015:2018), "cie_a", "cie_fl2", "cie_fl11",
-            "crt_red", "crt_green", "crt_blue", "line:NM" (a monochromatic line), "band:NM,FWHM" (a Gaussian), or the
-            path of a CSV with the columns wavelength in nm and relative power. All but line, band and CSV extend over
-            380–780 nm.
+            "crt_red", "crt_green", "crt_blue", "line:NM" (a monochromatic line), "band:NM,FWHM" (a Gaussian),
+            "display:TYPE:PRIMARY" (of a display type), or the path of a CSV with the columns
+            wavelength in nm and relative power. All but line, band and CSV extend over 380–780 nm.
 
     Raises:
         InputError: If there is no such spectrum, or the file cannot be used; the message lists the names.
@@ -88,6 +97,8 @@ def spectrum(name: str) -> Spectrum:
         return Spectrum(name, np.array([_number(name, argument, 200.0, 2000.0, "nm")]), np.ones(1))
     if kind == "band":
         return _band(name, argument)
+    if kind == "display":
+        return Spectrum(name, *primary_spectrum(*[*argument.split(":"), ""][:2]))
     if kind in _TABULATED:
         wavelengths, columns = table(_TABULATED[kind])
         return Spectrum(name, wavelengths, columns[kind])

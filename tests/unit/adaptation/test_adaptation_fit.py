@@ -90,18 +90,18 @@ def test_rod_intercept_of_one_branch_is_where_it_crosses_a_stated_criterion():
     rods = ThresholdSeries(times, -4 + 3 * np.exp(-times / 6) + noise)
     found = fit_adaptation(rods, FitRequest(criterion=-3.0, bootstrap_draws=60), np.random.default_rng(0))
     assert not found.has_break
-    met = found.estimates["rod_intercept_min"]
+    met = found.estimates["criterion_min"]
     assert abs(met.value - 6 * np.log(3)) < 3 * met.u
     assert met.u < 0.5
     never = fit_adaptation(rods, FitRequest(criterion=-5.0, bootstrap_draws=0), np.random.default_rng(0))
-    assert "rod_intercept_min" not in never.estimates
+    assert "criterion_min" not in never.estimates
 
 
 def test_rod_intercept_is_where_s2_meets_the_criterion():
     """At a criterion of -3.0: 9 + (2 + 2·exp(-9/1.6))/0.24 min."""
     found = fit_adaptation(series(0.0), FitRequest(-3.0, bootstrap_draws=0), np.random.default_rng(0))
     expected = 9 + (-3.0 - (-1 + 2 * np.exp(-9 / 1.6))) / -0.24
-    assert found.estimates["rod_intercept_min"].value == pytest.approx(expected, rel=2e-3)
+    assert found.estimates["criterion_min"].value == pytest.approx(expected, rel=2e-3)
 
 
 def test_stimulus_uncertainty_widens_levels_and_not_slopes():
@@ -112,7 +112,7 @@ def test_stimulus_uncertainty_widens_levels_and_not_slopes():
     assert shared["s2_slope_per_min"].u == plain["s2_slope_per_min"].u
     assert shared["plateau"].u == pytest.approx(np.hypot(plain["plateau"].u, 0.05), rel=1e-6)
     moved = 0.05 / abs(plain["s2_slope_per_min"].value)
-    assert shared["rod_intercept_min"].u == pytest.approx(np.hypot(plain["rod_intercept_min"].u, moved), rel=1e-6)
+    assert shared["criterion_min"].u == pytest.approx(np.hypot(plain["criterion_min"].u, moved), rel=1e-6)
 
 
 def test_rising_rods_make_no_sense():

@@ -47,15 +47,15 @@ def stage(box: RecordingBox) -> BoxStage:
     def sleep(seconds: float) -> None:
         box.time += seconds
 
-    lights = BoxLights(read_protocol("classic"), 300.0, 600.0, 900.0, fixation_w_sr_m2=1e-4)
+    lights = BoxLights(read_protocol("led-only"), 300.0, 600.0, 900.0, fixation_w_sr_m2=1e-4)
     return BoxStage(box, lights, lambda: box.time, sleep)  # type: ignore[arg-type]
 
 
 def test_bleach_is_the_protocols_light_and_then_the_mark(stage: BoxStage, box: RecordingBox) -> None:
     """300 cd/m² at 300 lm/W are 1 W/sr/m² for 120 s; the red mark follows."""
     stage.bleach(stage.lights.protocol)
-    assert box.asked == [("bleach", pytest.approx(1.0), 120.0), ("fixation", 1e-4)]
-    assert stage.now_s() == pytest.approx(120.0)
+    assert box.asked == [("bleach", pytest.approx(2.5), 150.0), ("fixation", 1e-4)]
+    assert stage.now_s() == pytest.approx(150.0)
 
 
 def test_blink_is_one_pulse_of_the_levels_radiance(stage: BoxStage, box: RecordingBox) -> None:

@@ -17,17 +17,19 @@ def test_shipped_protocols_are_valid(name: str) -> None:
 
 
 def test_classic_is_the_test_of_the_literature() -> None:
-    """300 cd/m² for 120 s, 453 nm, 1.5° at 8°, up to 40 min."""
+    """5,000 cd/m² for 180 s through 7 mm, 505 nm, 2° at 5°, up to 40 min; the blue one 453 nm at 8°."""
     classic = read_protocol("classic")
-    assert (classic.bleach.luminance_cd_m2, classic.bleach.duration_s) == (300, 120)
-    assert (classic.spot.peak_nm, classic.spot.size_deg, classic.spot.eccentricity_deg) == (453, 1.5, 8)
+    assert (classic.bleach.luminance_cd_m2, classic.bleach.duration_s) == (5000, 180)
+    assert (classic.spot.peak_nm, classic.spot.size_deg, classic.spot.eccentricity_deg) == (505, 2, 5)
+    blue = read_protocol("classic-blue")
+    assert (blue.spot.peak_nm, blue.spot.eccentricity_deg, blue.bleach) == (453, 8, classic.bleach)
     assert classic.end.duration_min == 40
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("duration_s: 120", "duration_s: -1", "duration_s"),
+        ("duration_s: 180", "duration_s: -1", "duration_s"),
         ("kind: limits", "kind: guess", "method"),
         ("end: {", "ende: {", "unknown key 'ende'"),
         ("duration_min: 40", "duration_min: 40, criterion_log10: -9", "outside the spot's levels"),
@@ -45,5 +47,5 @@ def test_wrong_protocols_are_refused(tmp_path: Path, project_root: Path, old: st
 
 def test_unknown_protocol_lists_the_shipped_ones() -> None:
     """The way out is in the message."""
-    with pytest.raises(ConfigurationError, match="classic, quick"):
+    with pytest.raises(ConfigurationError, match="classic, classic-blue, rapid, quick"):
         read_protocol("nothing.yaml")

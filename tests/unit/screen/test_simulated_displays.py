@@ -21,7 +21,7 @@ def calibrated(request: pytest.FixtureRequest) -> tuple[str, ScreenCalibration]:
     name = request.param
     options = Options(name, parse_levels("33"), seed=4)
     with open_screen_bench(name, seed=9) as bench:
-        return name, calibrate_screen(bench, options, lights())
+        return name, calibrate_screen(bench, options, lights(primaries="crt"))
 
 
 def _grey(name: str, level: float) -> float:
@@ -88,7 +88,7 @@ def test_primaries_add_up_to_white() -> None:
     """With all channels measured the sum of the primaries is white within 0.5 %."""
     options = Options("lcd", parse_levels("quick"), ("grey", "red", "green", "blue"))
     with open_screen_bench("lcd", seed=3) as bench:
-        calibration = calibrate_screen(bench, options, lights())
+        calibration = calibrate_screen(bench, options, lights(primaries="crt"))
     assert set(calibration.channels) == {"grey", "red", "green", "blue"}
     assert calibration.checks["additivity_rel"] == pytest.approx(0, abs=0.005)
 

@@ -1,0 +1,60 @@
+"""Simulated subjects before the simulated box, in the bytes of the real protocol."""
+
+from __future__ import annotations
+
+import tempfile
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drivers import light_box
+from radiometer.adaptation.journal import Journal
+from radiometer.adaptation.outcome import Outcome
+from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
+from radiometer.adaptation.run import run_test
+from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.bench.box_adaptation import BoxRequest, open_box_stage
+from simulators.eye_kinetics import Eye
+from simulators.observer import Habits, Observer
+from simulators.observer_at_box import ObserverAtBox
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """What a visit gave: thresholds, the outcome, and the eye as the bleach left it."""
+
+    series: ThresholdSeries
+    outcome: Outcome
+    eye: Eye
+
+
+def shortened(name: str, minutes: float) -> AdaptationProtocol:
+    """Return a shipped protocol that ends after some minutes."""
+    whole = read_protocol(name)
+    return whole.model_copy(update={"end": whole.end.model_copy(update={"duration_min": minutes})})
+
+
+# Fewer looks at the line and fewer comparisons of the clocks kept, so that simulated time passes faster.
+CLOCK_SAMPLES = 32
+light_box.LISTEN_S = 0.2  # type: ignore[misc]
+
+
+def visit(protocol: AdaptationProtocol, eye: Eye, seed: int) -> Visit:
+    """Run a test on a subject with an eye before the simulated box; the journal lies in memory where there is such."""
+    memory = "/dev/shm" if Path("/dev/shm").is_dir() else None
+    with (
+        tempfile.TemporaryDirectory(dir=memory) as folder,
+        open_box_stage(protocol, BoxRequest("sim", seed=seed)) as (stage, checks),
+        Journal(Path(folder) / "visit.jsonl", relive=True) as journal,
+    ):
+        observer = Observer(eye, Habits(), np.random.default_rng([seed, 1]))
+        box = stage.box
+        assert isinstance(box, light_box.SerialLightBox)
+        box.link.clock.samples = deque(box.link.clock.samples, maxlen=CLOCK_SAMPLES)
+        twin = box.link.line.twin  # type: ignore[attr-defined]
+        ObserverAtBox(observer, twin, filter_density=protocol.spot.filter_density).sit_down()
+        outcome = run_test(protocol, stage, journal, subject="S", seed=seed, checks=checks)
+    series = ThresholdSeries(np.array(outcome.times_min), np.array(outcome.thresholds_log10))
+    return Visit(series, outcome, observer.eye)

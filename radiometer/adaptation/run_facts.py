@@ -1,0 +1,56 @@
+"""What a table of thresholds says of the run it comes from, so that its fit reports what belongs to that protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from radiometer.adaptation.method_bias import method_bias
+from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.adaptation.rod_intercept import InterceptRule
+
+
+def facts_of(protocol: AdaptationProtocol, u_scale_log10: float | None = None) -> dict[str, str]:
+    """Return the lines that stand before the thresholds of a run, by name.
+
+    Args:
+        protocol: What was done.
+        u_scale_log10: Standard uncertainty that all levels share, log10 units; None where it is not known.
+    """
+    facts = {"protocol": protocol.name}
+    if protocol.shows != "break":
+        facts["shows"] = protocol.shows
+    bias = method_bias(protocol.method)
+    if bias is not None:
+        facts |= {"method_bias_log10": f"{bias.log10:.4f}", "u_method_bias_log10": f"{bias.u_log10:.4f}"}
+    if u_scale_log10:
+        facts["u_scale_log10"] = f"{u_scale_log10:.4f}"
+    if protocol.intercept is not None:
+        rule = protocol.intercept
+        facts |= {
+            "intercept_criterion_log10": f"{rule.criterion_log10:.4f}",
+            "intercept_limit_min": f"{rule.limit_min:g}",
+            "intercept_source": rule.source,
+        }
+    return facts
+
+
+def intercept_of(facts: Mapping[str, str]) -> InterceptRule | None:
+    """Return the rod intercept that belongs to a run by its facts; None where its protocol reports none."""
+    criterion = number_of(facts, "intercept_criterion_log10")
+    if criterion is None:
+        return None
+    return InterceptRule(
+        criterion,
+        number_of(facts, "intercept_limit_min"),
+        number_of(facts, "method_bias_log10") or 0.0,
+        number_of(facts, "u_method_bias_log10") or 0.0,
+        facts.get("intercept_source", ""),
+    )
+
+
+def number_of(facts: Mapping[str, str], name: str) -> float | None:
+    """Return a fact as a number; None where it is missing or none."""
+    try:
+        return float(facts[name])
+    except (KeyError, ValueError):
+        return None

@@ -1,0 +1,309 @@
+"""Reads thresholds as people have them: tables of many forms, R's `Dark`, OPI; and says what it took.
+
+Decibels are those of luminance, 10·log10: 1 dB is 0.1 log10 unit. Attenuation or sensitivity in dB grows while the
+threshold falls; 0 dB is 10 000/π cd·m⁻² in OPI's tables (its `dbTocd`).
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from radiometer.errors import InputError
+
+TIME_WORDS: Final = ("time", "t", "minutes", "min", "minute", "seconds", "sec", "s", "elapsed", "x")
+THRESHOLD_WORDS: Final = (
+    "threshold",
+    "thrs",
+    "thresholds",
+    "thr",
+    "sensitivity",
+    "log_threshold",
+    "luminance",
+    "attenuation",
+    "y",
+)
+LEVEL_WORDS: Final = (*THRESHOLD_WORDS, "level", "stim", "intensity", "db", "log", "log10")
+SIGMA_WORDS: Final = ("sigma", "u", "sd", "se", "u_log", "u_threshold", "u_log10_threshold", "u_log10", "stderr")
+MISSING: Final = ("", "na", "nan", "null", "none", "inf", "-inf", "-")
+OPI_BRIGHTEST_CD_M2: Final = 10_000.0 / math.pi
+DB_PER_LOG10: Final = 10.0
+SECONDS_FROM: Final = 121.0  # no test lasts so many minutes; greater times without a unit are seconds
+MILLISECONDS_FROM: Final = 36_000.0
+LINEAR_RATIO: Final = 30.0  # all above 0, and the greatest so many times the least: no logarithms
+
+
+@dataclass(frozen=True, slots=True)
+class TakenTable:
+    """Numbers of a file, turned to minutes and log10, and how.
+
+    Attributes:
+        rows: Time in min, log10 threshold and, where known, its u, in order of time; shape (n, 2) or (n, 3).
+        facts: What the lines beginning with # say, by lower-case name.
+        taken: What was made of the file, in words.
+    """
+
+    rows: np.ndarray
+    facts: dict[str, str] = field(default_factory=dict)
+    taken: tuple[str, ...] = ()
+
+
+def read_table(path: Path) -> TakenTable:
+    """Return the thresholds in a file.
+
+    Args:
+        path: CSV (comma, semicolon, tab or blanks; point or comma in numbers), with or without header and # lines; or
+            what R writes of a `Dark` list by `write.csv`, `write.table` or `dput`.
+
+    Raises:
+        InputError: If the file cannot be read or no time and threshold are found in it.
+    """
+    text = _text(path)
+    lists = _r_lists(text)
+    facts: dict[str, str] = {}
+    if lists is not None:
+        header, rows = ["time", "thrs"], [list(pair) for pair in zip(*lists, strict=False)]
+        how = ["an R list with time and thrs (dput of a Dark object)"]
+        if len(lists[0]) != len(lists[1]):
+            raise InputError(f"{path}: its list has {len(lists[0])} times and {len(lists[1])} thresholds")
+        numbered = list(enumerate(rows, 1))
+    else:
+        header, numbered, facts, how = _cells(path, text)
+    return _taken(path, header, numbered, facts, how)
+
+
+def _text(path: Path) -> str:
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return raw.decode("utf-16", errors="replace")
+    if raw[:2] == b"\x1f\x8b" or raw[:3] == b"BZh" or raw[:5] in (b"RDX2\n", b"RDX3\n"):
+        raise InputError(
+            f"{path}: a binary file of R; write it as text there: "
+            "write.csv(data.frame(time=dark$time, thrs=dark$thrs), 'run.csv')"
+        )
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def _r_lists(text: str) -> tuple[list[str], list[str]] | None:
+    """Return times and thresholds of a list written by `dput`; None where it is none."""
+    found = []
+    for name in ("time", "thrs"):
+        match = re.search(rf"\b{name}\s*=\s*c\(([^)]*)\)", text)
+        span = re.search(rf"\b{name}\s*=\s*(-?\d+)L?:(-?\d+)L?", text)
+        if match is not None:
+            found.append([cell.strip().removesuffix("L") for cell in match.group(1).split(",")])
+        elif span is not None:
+            low, high = int(span.group(1)), int(span.group(2))
+            found.append([str(number) for number in range(low, high + 1)])
+        else:
+            return None
+    return found[0], found[1]
+
+
+def _cells(path: Path, text: str) -> tuple[list[str], list[tuple[int, list[str]]], dict[str, str], list[str]]:
+    """Return header (empty where there is none), rows of cells with their line numbers, facts and what was taken."""
+    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    comments = [line.strip('"').lstrip("#%! ") for _, line in lines if line.strip('"')[:1] in "#%!"]
+    lines = [(number, line) for number, line in lines if line.strip('"')[:1] not in "#%!"]
+    if not lines:
+        raise InputError(f"{path} is empty; expected columns time_min,log10_threshold")
+    delimiter, name = _delimiter([line for _, line in lines])
+    split = [(number, _split(line, delimiter)) for number, line in lines]
+    facts, how = _facts(comments), [f"columns parted by {name}"]
+    comma = delimiter != "," and any(re.fullmatch(r"[-+]?\d+,\d+([eE][-+]?\d+)?", c) for _, row in split for c in row)
+    if comma:
+        how.append("decimal commas")
+        split = [
+            (n, [c.replace(",", ".") if re.fullmatch(r"[-+]?[\d,eE+-]+", c) else c for c in row]) for n, row in split
+        ]
+    start = next(
+        (n for n, (_, row) in enumerate(split) if _numbers_in(row) >= 2 or (len(row) == 1 and _numbers_in(row))), 0
+    )
+    header = split[start - 1][1] if start else []
+    if not start and not _numbers_in(split[0][1]):
+        header, start = split[0][1], 1
+    body = split[start:]
+    if not header and comments and delimiter is not None:  # the header may itself be a comment
+        said = _split(comments[-1], delimiter)
+        header = said if len(said) == len(body[0][1]) and len(said) > 1 else []
+    if header and body and len(body[0][1]) == len(header) + 1:
+        header = ["row", *header]  # R's write.table names no column for the row names
+    return header, body, facts, how
+
+
+def _delimiter(lines: Sequence[str]) -> tuple[str | None, str]:
+    sample = lines[-min(len(lines), 50) :]
+    for mark, name in ((";", "semicolons"), ("\t", "tabs"), (",", "commas")):
+        if all(mark in line for line in sample):
+            decimal = mark == "," and all(re.fullmatch(r"\s*[-+]?\d+,\d+\s+[-+]?\d+,\d+.*", line) for line in sample)
+            if not decimal:
+                return mark, name
+    return None, "blanks"
+
+
+def _split(line: str, delimiter: str | None) -> list[str]:
+    if delimiter is None:
+        return [cell.strip('"') for cell in line.split()]
+    return [cell.strip().strip('"') for cell in next(csv.reader([line], delimiter=delimiter))]
+
+
+def _facts(comments: Sequence[str]) -> dict[str, str]:
+    pairs = (re.split(r"\s*[:=]\s*", comment, maxsplit=1) for comment in comments)
+    return {pair[0].strip().lower(): pair[1].strip() for pair in pairs if len(pair) == 2}
+
+
+def _numbers_in(row: Sequence[str]) -> int:
+    return sum(_number(cell) is not None for cell in row)
+
+
+def _number(cell: str) -> float | None:
+    try:
+        value = float(cell)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _taken(
+    path: Path, header: list[str], body: list[tuple[int, list[str]]], facts: dict[str, str], how: list[str]
+) -> TakenTable:
+    columns = _columns(path, header, body)
+    wanted = [column for column in columns if column is not None]
+    rows, left_out = [], 0
+    for number, row in body:
+        cells = [row[column] if column < len(row) else None for column in wanted]
+        if None in cells:
+            raise InputError(f"{path}, line {number}: {len(row)} columns, expected {max(wanted) + 1}")
+        values = [_number(str(cell)) for cell in cells]
+        if any(v is None and str(c).lower() in MISSING for v, c in zip(values, cells, strict=True)):
+            left_out += 1
+            continue
+        if None in values:
+            raise InputError(f"{path}, line {number}: expected numbers, found {','.join(row)!r}")
+        rows.append([float(v) for v in values if v is not None])
+    if left_out:
+        how.append(f"{left_out} rows without a number left out")
+    if not rows:
+        raise InputError(f"{path} holds no thresholds")
+    table = np.array(rows, dtype=np.float64)
+    time_word = header[wanted[0]] if header else ""
+    level_word = header[wanted[1]] if header else ""
+    minutes, said_time = _minutes(table[:, 0], time_word, facts)
+    order = np.argsort(minutes, kind="stable")
+    levels, factor, said_level = _log10(path, table[order, 1], level_word, " ".join(header).lower(), facts)
+    taken = [minutes[order], levels]
+    if table.shape[1] == 3:
+        if np.any(table[:, 2] <= 0):
+            raise InputError(f"{path}: a standard deviation must be above 0")
+        taken.append(_u_log10(table[order, 2], table[order, 1], factor))
+    return TakenTable(np.column_stack(taken), facts, (*how, said_time, said_level))
+
+
+def _columns(path: Path, header: list[str], body: list[tuple[int, list[str]]]) -> tuple[int | None, ...]:
+    """Return the positions of time, threshold and its u (None where there is none)."""
+    width = len(body[0][1]) if body else len(header)
+    if not header:
+        if width < 2:
+            raise InputError(f"{path}: expected columns time_min,log10_threshold")
+        return (0, 1, 2) if width > 2 else (0, 1, None)
+    words = [_word(cell) for cell in header]
+    time = _position(words, TIME_WORDS)
+    sigma = _position(words, SIGMA_WORDS)
+    level = _position(words, LEVEL_WORDS, without=(time, sigma))
+    for found, name in ((time, "time_min"), (level, "log10_threshold")):
+        if found is None:
+            raise InputError(f"{path}: no column {name} in its header ({', '.join(header)})")
+    return (time, level, sigma)
+
+
+def _word(cell: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "_", re.sub(r"[\[(].*?[\])]", "", cell.lower())).strip("_")
+
+
+def _position(words: Sequence[str], known: Sequence[str], without: Sequence[int | None] = ()) -> int | None:
+    """Return where one of the known words stands, alone or at the beginning or end of a longer one."""
+    for name in known:
+        for at, word in enumerate(words):
+            if at not in without and word == name:
+                return at
+    for name in known:
+        for at, word in enumerate(words):
+            if at not in without and len(name) > 1 and (word.startswith(name + "_") or word.endswith("_" + name)):
+                return at
+    return None
+
+
+def _minutes(times: np.ndarray, word: str, facts: dict[str, str]) -> tuple[np.ndarray, str]:
+    said = re.sub(r"[^a-z]+", " ", f"{word} {facts.get('time unit', facts.get('time', ''))}".lower()).split()
+    if any(w in ("ms", "msec", "millisecond", "milliseconds") for w in said):
+        return times / 60_000.0, "time in milliseconds, as its header says"
+    if any(w in ("s", "sec", "secs", "second", "seconds") for w in said):
+        return times / 60.0, "time in seconds, as its header says"
+    if any(w in ("h", "hour", "hours") for w in said):
+        return times * 60.0, "time in hours, as its header says"
+    if any(w in ("min", "mins", "minute", "minutes") for w in said):
+        return times, "time in minutes, as its header says"
+    longest = float(times.max())
+    if longest >= MILLISECONDS_FROM:
+        return times / 60_000.0, f"time in milliseconds, for it goes to {longest:g}"
+    if longest >= SECONDS_FROM:
+        return times / 60.0, f"time in seconds, for it goes to {longest:g}"
+    return times, f"time in minutes, for it goes to {longest:g}"
+
+
+def _log10(
+    path: Path, levels: np.ndarray, word: str, header: str, facts: dict[str, str]
+) -> tuple[np.ndarray, float | None, str]:
+    """Return log10 thresholds, log10 units per unit of the file (None where it is linear), and what was taken."""
+    said = f"{word} {facts.get('threshold unit', facts.get('unit', facts.get('units', '')))}".lower()
+    words = re.sub(r"[^a-z0-9]+", " ", said).split()
+    if any(w in ("db", "decibel", "decibels") for w in words):
+        return _from_db(levels, said, header, facts)
+    if any(w.startswith("log") for w in words):
+        return levels, 1.0, "thresholds in log10 units, as its header says"
+    linear = any(
+        w in ("cd", "td", "cdm2", "nits", "w", "apostilb", "asb", "linear", "troland", "trolands") for w in words
+    )
+    spans = bool(np.all(levels > 0)) and float(levels.max() / levels.min()) > LINEAR_RATIO
+    if linear or spans:
+        if np.any(levels <= 0):
+            raise InputError(f"{path}: a threshold of {levels.min():g} in linear units; they must be above 0")
+        why = "as its header says" if linear else f"for all are above 0 and span {levels.max() / levels.min():.0f} : 1"
+        return np.log10(levels), None, f"thresholds in linear units, {why}: their log10 taken"
+    return levels, 1.0, "thresholds in log10 units"
+
+
+def _from_db(levels: np.ndarray, said: str, header: str, facts: dict[str, str]) -> tuple[np.ndarray, float | None, str]:
+    """Return log10 thresholds of decibels: attenuation, or sensitivity, which rise while the threshold falls."""
+    edge = max(1, levels.size // 4)
+    rises = float(np.median(levels[-edge:])) > float(np.median(levels[:edge]))
+    brightest = _number(facts.get("max_cd_m2", facts.get("0 db", "")).split(" ")[0])
+    if brightest is None and ("opi" in " ".join([*facts, *facts.values()]).lower() or "opi" in header.split()):
+        brightest = OPI_BRIGHTEST_CD_M2
+    if rises or brightest is not None or "sensitivity" in said or "attenuation" in said:
+        zero = 0.0 if brightest is None else math.log10(brightest)
+        of = "relative to 0 dB" if brightest is None else f"0 dB = {brightest:.5g} cd/m²"
+        return (
+            zero - levels / DB_PER_LOG10,
+            1 / DB_PER_LOG10,
+            f"thresholds in dB of attenuation, {of}: −0.1 log10 per dB",
+        )
+    return levels / DB_PER_LOG10, 1 / DB_PER_LOG10, "thresholds in dB: 0.1 log10 per dB"
+
+
+def _u_log10(u: np.ndarray, levels: np.ndarray, factor: float | None) -> np.ndarray:
+    """Return standard deviations in log10 units: of the file's unit, or relative to linear levels."""
+    return u * factor if factor is not None else u / levels / math.log(10.0)

@@ -1,0 +1,302 @@
+"""Reads what other programs have measured of a screen: ArgyllCMS, pacsdisplay, plain tables of level and luminance.
+
+Their luminance is turned into radiance by the screen's white; what no file says, the meter's scale above all, is stated
+as assumed.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data import Provenance
+from radiometer.errors import InputError
+from radiometer.screen.calibration import ChannelCurve, ScreenCalibration
+from radiometer.screen.run import Light
+
+Array = NDArray[np.float64]
+# Colorimeters of the i1Display and SpyderX kind are specified to some 4 % on displays they were not matched to.
+METER_U_REL: Final = 0.04
+REPEAT_U_REL: Final = 0.001  # of a reading; the SpyderX's white repeats within 0.1 to 0.3 %
+SHARED_SHAPE_U_REL: Final = 0.05  # of a primary whose curve is taken from grey's
+CAL_SHAPE_U_REL: Final = 0.03  # of a response inferred from a calibration curve and its target
+FULL: Final = 255
+
+
+@dataclass(frozen=True, slots=True)
+class ScreenReadings:
+    """Readings of one screen.
+
+    Attributes:
+        name: What the file calls it, or the file's name.
+        grey: Luminance in cd·m⁻² by 8-bit level; a level may have several readings.
+        primaries: The same of "red", "green" and "blue", where they were measured.
+        resolution_cd_m2: Last digit of the file's luminances.
+        taken: What was made of the file, in words.
+        shape_u_rel: Relative standard uncertainty of each level beyond repeatability.
+    """
+
+    name: str
+    grey: Mapping[int, Sequence[float]]
+    primaries: Mapping[str, Mapping[int, Sequence[float]]] = field(default_factory=dict)
+    resolution_cd_m2: float = 0.0
+    taken: tuple[str, ...] = ()
+    shape_u_rel: float = 0.0
+
+
+def read_screen_readings(path: Path, white_cd_m2: float | None = None, gamma: float = 2.2) -> ScreenReadings:
+    """Return the readings in a file.
+
+    Args:
+        path: ArgyllCMS .ti3 or .cal, pacsdisplay uLR, or a table of level and luminance.
+        white_cd_m2: Luminance of white, which a .cal does not hold.
+        gamma: Exponent that a .cal was made for.
+
+    Raises:
+        InputError: If the file cannot be read or holds none of these.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    first = text.lstrip()[:4].upper()
+    if first.startswith("CTI3"):
+        return _ti3(path, text)
+    if first.startswith("CAL"):
+        return _cal(path, text, white_cd_m2, gamma)
+    if re.search(r"#[0-9a-fA-F]{6}\b", text):
+        return _ulr(path, text)
+    return _table(path, text)
+
+
+def imported(
+    readings: ScreenReadings, lights: Mapping[str, Light], meter_u_rel: float, source: str
+) -> ScreenCalibration:
+    """Return a calibration by readings made elsewhere.
+
+    Args:
+        readings: The readings.
+        lights: Light of grey and, for primaries, of red, green and blue.
+        meter_u_rel: Relative standard uncertainty of the meter's scale, shared by all levels.
+        source: Name of the file, for the provenance.
+
+    Raises:
+        InputError: If there are fewer than three levels of grey.
+    """
+    channels = {"grey": _curve("grey", readings.grey, lights["grey"], readings, meter_u_rel)}
+    shared = []
+    for name, levels in readings.primaries.items():
+        if name not in lights:
+            continue
+        if len(levels) >= 3:
+            channels[name] = _curve(name, levels, lights[name], readings, meter_u_rel)
+        else:
+            channels[name] = _like_grey(name, levels, channels["grey"], lights, meter_u_rel)
+            shared.append(name)
+    assumptions = [f"{name}: spectrum {lights[name].spectrum}" for name in channels]
+    assumptions += [f"meter's scale: {100 * meter_u_rel:g} % (k = 1)"]
+    assumptions += [f"{', '.join(shared)}: curve as grey's, to {100 * SHARED_SHAPE_U_REL:g} %"] if shared else []
+    return ScreenCalibration(
+        readings.name,
+        channels,
+        provenance=Provenance(f"imported from {source}", assumptions=tuple(assumptions)),
+    )
+
+
+def _curve(
+    name: str, levels: Mapping[int, Sequence[float]], light: Light, readings: ScreenReadings, meter_u_rel: float
+) -> ChannelCurve:
+    if len(levels) < 3:
+        raise InputError(f"{readings.name}: {len(levels)} levels of {name} are too few; three at least are needed")
+    ordered = sorted(levels)
+    means = np.array([float(np.mean(levels[n])) for n in ordered])
+    counts = np.array([len(levels[n]) for n in ordered])
+    u = np.hypot(REPEAT_U_REL * means / np.sqrt(counts), readings.resolution_cd_m2 / math.sqrt(12.0))
+    u = np.maximum(u, _scatter(np.array(ordered, dtype=np.float64), means))
+    u = np.hypot(u, readings.shape_u_rel * means)
+    factor = 1.0 / light.photopic_lm_per_w
+    return ChannelCurve(
+        name,
+        tuple(ordered),
+        tuple(float(v) for v in means * factor),
+        tuple(float(v) for v in u * factor),
+        meter_u_rel,
+        light.photopic_lm_per_w,
+        light.scotopic_lm_per_w,
+        light.spectrum,
+    )
+
+
+def _like_grey(
+    name: str,
+    levels: Mapping[int, Sequence[float]],
+    grey: ChannelCurve,
+    lights: Mapping[str, Light],
+    meter_u_rel: float,
+) -> ChannelCurve:
+    """Return a primary of which only the top was read: black and shape of grey, scaled to it in luminance."""
+    light, top = lights[name], float(np.mean(levels[max(levels)]))
+    luminance = np.array(grey.radiance) * grey.photopic_lm_per_w
+    black, white = luminance[0], luminance[-1]
+    scale = (top - black) / (white - black)
+    own = black + (luminance - black) * scale
+    u = np.hypot(np.array(grey.u_independent) * grey.photopic_lm_per_w * scale, SHARED_SHAPE_U_REL * (own - black))
+    factor = 1.0 / light.photopic_lm_per_w
+    return ChannelCurve(
+        name,
+        grey.levels,
+        tuple(float(v) for v in own * factor),
+        tuple(float(v) for v in np.maximum(u, REPEAT_U_REL * own) * factor),
+        meter_u_rel,
+        light.photopic_lm_per_w,
+        light.scotopic_lm_per_w,
+        light.spectrum,
+    )
+
+
+def _scatter(levels: Array, values: Array) -> Array:
+    """Return what a level's reading differs from the line through its neighbours, as a local standard deviation.
+
+    Steps of the panel and drift between readings show there; a smooth curve does as well, which is on the safe side.
+    """
+    if values.size < 5:
+        return np.zeros_like(values)
+    middle = np.interp(levels[1:-1], levels[::2], values[::2])
+    odd = np.interp(levels[1:-1], levels[1::2], values[1::2])
+    away = np.abs(middle - odd) / math.sqrt(1.5)
+    padded = np.concatenate([away[:1], away, away[-1:]])
+    smooth = np.array([np.sqrt(np.mean(padded[max(0, n - 3) : n + 4] ** 2)) for n in range(padded.size)])
+    curved = np.abs(np.gradient(np.gradient(values, levels), levels)) * np.gradient(levels) ** 2
+    return np.asarray(np.maximum(smooth - curved, 0.0))
+
+
+def _ti3(path: Path, text: str) -> ScreenReadings:
+    """Return greys and primaries of an ArgyllCMS .ti3; its XYZ are relative to white where it says so."""
+    keys = dict(re.findall(r'^([A-Z_0-9]+)\s+"([^"]*)"', text, re.MULTILINE))
+    names = re.search(r"BEGIN_DATA_FORMAT\s+(.*?)\s+END_DATA_FORMAT", text, re.DOTALL)
+    data = re.search(r"BEGIN_DATA\s+(.*?)\s+END_DATA\b", text, re.DOTALL)
+    if names is None or data is None:
+        raise InputError(f"{path}: no table in this .ti3")
+    columns = names.group(1).split()
+    wanted = ("RGB_R", "RGB_G", "RGB_B", "XYZ_Y")
+    if any(name not in columns for name in wanted):
+        raise InputError(f"{path}: needs the columns {', '.join(wanted)}; it has {', '.join(columns)}")
+    at = [columns.index(name) for name in wanted]
+    rows = [line.split() for line in data.group(1).splitlines() if line.strip()]
+    scale, said = 1.0, "absolute XYZ"
+    if keys.get("NORMALIZED_TO_Y_100", "NO").upper() == "YES":
+        if "LUMINANCE_XYZ_CDM2" not in keys:
+            raise InputError(f"{path}: XYZ relative to white, and no LUMINANCE_XYZ_CDM2 that says how bright that is")
+        scale = float(keys["LUMINANCE_XYZ_CDM2"].split()[1]) / 100.0
+        said = f"XYZ relative to a white of {100 * scale:.4g} cd/m²"
+    patches = [tuple(float(row[n]) for n in at) for row in rows]
+    groups = {name: _grouped(patches, which, scale) for name, which in _AXES.items()}
+    return ScreenReadings(
+        path.stem,
+        groups["grey"],
+        {name: levels for name, levels in groups.items() if name != "grey" and len(levels) > 1},
+        taken=(f"ArgyllCMS .ti3, {len(patches)} patches, {said}", f"meter {keys.get('TARGET_INSTRUMENT', 'unknown')}"),
+    )
+
+
+_AXES: Final = {"grey": (1, 1, 1), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1)}
+
+
+def _grouped(patches: Sequence[tuple[float, ...]], axis: tuple[int, int, int], scale: float) -> dict[int, list[float]]:
+    """Return luminances by level of the patches (R, G, B in %, Y) that lie on an axis."""
+    found: dict[int, list[float]] = {}
+    for red, green, blue, luminance in patches:
+        rgb = (red, green, blue)
+        top = max(rgb)
+        if all(abs(v - top * on) < 1e-3 for v, on in zip(rgb, axis, strict=True)):
+            found.setdefault(round(top * FULL / 100.0), []).append(luminance * scale)
+    return found
+
+
+def _ulr(path: Path, text: str) -> ScreenReadings:
+    """Return greys and the primaries' tops of a pacsdisplay uLR file; steps between greys are left out."""
+    reading = re.compile(r"([0-9]*\.?[0-9]+)\s+#([0-9a-fA-F]{6})\b")
+    grey: dict[int, list[float]] = {}
+    primaries: dict[str, dict[int, list[float]]] = {}
+    digits = 0
+    for line in text.splitlines():
+        match = reading.search(line)
+        if match is None:
+            continue
+        digits = max(digits, len(match.group(1).partition(".")[2]))
+        rgb = tuple(int(match.group(2)[n : n + 2], 16) for n in (0, 2, 4))
+        if rgb[0] == rgb[1] == rgb[2]:
+            grey.setdefault(rgb[0], []).append(float(match.group(1)))
+        for name, axis in list(_AXES.items())[1:]:
+            if rgb == tuple(FULL * on for on in axis):
+                primaries.setdefault(name, {})[FULL] = [float(match.group(1))]
+    if len(grey) < 3:
+        raise InputError(f"{path}: {len(grey)} greys in this uLR file; three at least are needed")
+    meter = re.search(r"Meter=(\S+)", text)
+    named = re.search(r"Display ID:\s*(\S+)", text)
+    return ScreenReadings(
+        named.group(1) if named else path.stem,
+        dict(sorted(grey.items())),
+        {name: {0: [grey[min(grey)][0]], **levels} for name, levels in primaries.items()},
+        resolution_cd_m2=10.0**-digits,
+        taken=(f"pacsdisplay uLR, {len(grey)} greys", f"meter {meter.group(1) if meter else 'not named'}"),
+    )
+
+
+def _cal(path: Path, text: str, white_cd_m2: float | None, gamma: float) -> ScreenReadings:
+    """Return the response that a calibration curve implies: drive CAL(i) gives white·i^γ."""
+    if white_cd_m2 is None:
+        raise InputError(
+            f"{path}: a .cal holds curves and no luminance; give that of white by --white-luminance, or import the .ti3"
+        )
+    data = re.search(r"BEGIN_DATA\s+(.*?)\s+END_DATA\b", text, re.DOTALL)
+    rows = [[float(v) for v in line.split()] for line in (data.group(1) if data else "").splitlines() if line.strip()]
+    if len(rows) < 3 or any(len(row) < 4 for row in rows):
+        raise InputError(f"{path}: no table of RGB_I, RGB_R, RGB_G, RGB_B in this .cal")
+    table = np.array(rows)
+    drive, wanted = table[:, 1:4].mean(axis=1), table[:, 0]
+    rising = np.concatenate([[True], np.diff(drive) > 0])
+    levels = np.arange(0, FULL + 1, 5)
+    inside = levels[(levels >= drive[0] * FULL) & (levels <= drive[-1] * FULL)]
+    value = white_cd_m2 * np.interp(inside / FULL, drive[rising], wanted[rising]) ** gamma
+    return ScreenReadings(
+        path.stem,
+        {int(n): [float(v)] for n, v in zip(inside, value, strict=True)},
+        taken=(f"ArgyllCMS .cal for a gamma of {gamma:g}: the response is inferred, black counts as 0",),
+        shape_u_rel=CAL_SHAPE_U_REL,
+    )
+
+
+def _table(path: Path, text: str) -> ScreenReadings:
+    """Return the greys of two columns, level (0–255, 0–1 or %) and luminance in cd·m⁻²; others are left out."""
+    pairs, digits = [], 0
+    for line in text.splitlines():
+        cells = [cell.strip().strip('"') for cell in re.split(r"[;,\t]|\s+", line.strip()) if cell.strip()]
+        if line.lstrip().startswith("#") or len(cells) < 2:
+            continue
+        try:
+            pairs.append((float(cells[0]), float(cells[1])))
+        except ValueError:
+            if pairs:
+                raise InputError(f"{path}: expected level and luminance, found {line.strip()!r}") from None
+            continue
+        digits = max(digits, len(cells[1].partition(".")[2]))
+    if len(pairs) < 3:
+        raise InputError(f"{path}: {len(pairs)} rows of level and luminance; three at least are needed")
+    top = max(level for level, _ in pairs)
+    whole = all(float(level).is_integer() for level, _ in pairs)
+    unit = 1.0 if top <= 1.0 else 100.0 if top <= 100.0 and not (whole and top < 100.0) else float(FULL)
+    if top > FULL:
+        raise InputError(f"{path}: level {top:g}; levels are 0 to 255, 0 to 1 or per cent")
+    grey: dict[int, list[float]] = {}
+    for level, luminance in pairs:
+        grey.setdefault(round(level / unit * FULL), []).append(luminance)
+    said = {1.0: "0 to 1", 100.0: "in per cent", 255.0: "0 to 255"}[unit]
+    return ScreenReadings(path.stem, grey, resolution_cd_m2=10.0**-digits, taken=(f"a table, levels {said}",))

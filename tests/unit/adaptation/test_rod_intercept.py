@@ -1,0 +1,130 @@
+"""The rod intercept: when the criterion is met, by whose rules, and which protocols report one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation, intercept_verdict
+from radiometer.adaptation.method_bias import method_bias
+from radiometer.adaptation.methods import begin
+from radiometer.adaptation.protocol import AdaptationProtocol, DownUpMethod, LimitsMethod, Spot, read_protocol
+from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
+from radiometer.adaptation.run_facts import facts_of, intercept_of
+from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.data.validation import validate
+from radiometer.errors import ConfigurationError
+
+TIMES = np.arange(0.5, 12.0, 0.25)
+RULE = InterceptRule(-2.301, 6.5, source="J")
+
+
+def falling(times: np.ndarray = TIMES) -> np.ndarray:
+    """Return cones at −1.5 until 3 min, then −0.24 per min: −2.301 is met at 6.3375 min."""
+    return -1.5 - 0.24 * np.maximum(times - 3.0, 0.0)
+
+
+def test_intercept_is_where_the_line_meets_the_criterion():
+    """Without noise exactly; a method that finds 0.12 too low moves it by 0.12/0.24 min, and is taken out."""
+    series = ThresholdSeries(TIMES, falling())
+    assert rod_intercept(series, RULE).time_min == pytest.approx(3 + 0.801 / 0.24, abs=0.02)
+    biased = ThresholdSeries(TIMES, falling() - 0.12)
+    assert rod_intercept(biased, RULE).time_min == pytest.approx(3 + 0.681 / 0.24, abs=0.02)
+    mended = rod_intercept(biased, InterceptRule(-2.301, bias_log10=-0.12, u_bias_log10=0.03))
+    assert mended.time_min == pytest.approx(3 + 0.801 / 0.24, abs=0.02)
+    assert mended.u_min == pytest.approx(0.03 / 0.24, rel=0.05)
+
+
+def test_its_interval_holds_the_truth():
+    """Of 200 noisy series (0.12 log10 units) 95 % ± 4.6 % hold it, and wild presses hardly move it."""
+    rng, truth = np.random.default_rng(8), 3 + 0.801 / 0.24
+    held = []
+    for _ in range(200):
+        noisy = falling() + rng.normal(0, 0.12, TIMES.size)
+        held.append(rod_intercept(ThresholdSeries(TIMES, noisy), RULE).interval.holds(truth))
+    assert 0.90 <= np.mean(held) <= 1.0
+    wild = falling()
+    wild[[10, 20, 28]] -= 1.5
+    assert rod_intercept(ThresholdSeries(TIMES, wild), RULE).time_min == pytest.approx(truth, abs=0.1)
+
+
+def test_what_is_not_reached_has_no_time():
+    """A curve that stays above, one that begins below, and a rising one have no intercept."""
+    for levels in (falling() + 3.0, falling() - 3.0, -falling() - 4.0):
+        assert rod_intercept(ThresholdSeries(TIMES, levels), RULE) is None
+
+
+def test_only_a_protocol_with_the_published_conditions_reports_one():
+    """`rapid` has one; another size, wavelength, place, criterion or bleach is refused; classic reports none."""
+    rapid = read_protocol("rapid")
+    assert rapid.intercept.limit_min == 6.5
+    assert 0.76 <= rapid.bleach.rods_bleached() <= 0.82
+    assert read_protocol("classic").intercept is None
+    assert intercept_of(facts_of(read_protocol("classic"))) is None
+    whole = rapid.model_dump()
+    for change in (
+        {"spot": {**whole["spot"], "size_deg": 5.0}},
+        {"spot": {**whole["spot"], "peak_nm": 453.0}},
+        {"spot": {**whole["spot"], "eccentricity_deg": 12.0}},
+        {"bleach": {**whole["bleach"], "duration_s": 20.0}},
+        {"bleach": {**whole["bleach"], "pupil_mm": None}},
+        {"intercept": {**whole["intercept"], "criterion_log10": -3.0}},
+    ):
+        with pytest.raises(ConfigurationError, match="its limit holds for"):
+            validate(AdaptationProtocol, {**whole, **change}, "x", ConfigurationError)
+
+
+def test_facts_of_a_run_lead_to_its_intercept():
+    """What stands before the thresholds gives criterion, limit and bias back, and the fit says both."""
+    rule = intercept_of(facts_of(read_protocol("rapid"), 0.01))
+    assert (rule.criterion_log10, rule.limit_min) == (-2.301, 6.5)
+    assert rule.bias_log10 == pytest.approx(method_bias(read_protocol("rapid").method).log10, abs=1e-4)
+    noise = np.random.default_rng(1).normal(0, 0.05, TIMES.size)
+    series = ThresholdSeries(TIMES, falling() + noise)
+    fit = fit_adaptation(series, FitRequest(bootstrap_draws=0, intercept=rule), np.random.default_rng(0))
+    assert fit.estimates["rod_intercept_min"].value == pytest.approx(6.34, abs=0.3)
+    assert "its limit is 6.5 min" in intercept_verdict(fit)
+    plain = fit_adaptation(series, FitRequest(bootstrap_draws=0), np.random.default_rng(0))
+    assert "rod_intercept_min" not in plain.estimates
+    assert intercept_verdict(plain) is None
+
+
+def test_classic_bleaches_nine_tenths_and_the_screen_protocols_show_recovery():
+    """`classic` bleaches 90 % or more of the rods by the calculator; those that cannot show a break say so."""
+    for name in ("classic", "classic-blue"):
+        assert read_protocol(name).bleach.rods_bleached() >= 0.9
+    assert {name: read_protocol(name).shows for name in ("steady-low", "screen-only", "quick", "classic")} == {
+        "steady-low": "recovery",
+        "screen-only": "recovery",
+        "quick": "recovery",
+        "classic": "break",
+    }
+    assert facts_of(read_protocol("quick"))["shows"] == "recovery"
+
+
+@pytest.mark.parametrize(
+    "method", [LimitsMethod(), LimitsMethod(start_below_log10=0.3), DownUpMethod(kind="down_up")], ids=str
+)
+def test_bias_of_a_method_is_what_it_does(method):
+    """2000 searches by a Weibull observer of slope 3.5 with its 63 % point at −2 come out at the stated bias."""
+    spot = Spot(device="light_box", channel="spot_green", peak_nm=505.0)
+    rng, last, found = np.random.default_rng(5), -2.0, []
+    for _ in range(2000):
+        search = begin(spot, method, last, float(rng.random()))
+        while search.threshold is None:
+            search.answer(seen=bool(rng.random() < 1 - np.exp(-(10 ** (3.5 * (search.level + 2.0))))))
+        found.append(last := search.threshold)
+    u_mean = np.std(found) / np.sqrt(1000)  # neighbours hang together a little
+    assert np.mean(found) + 2.0 == pytest.approx(method_bias(method).log10, abs=4 * u_mean + 0.005)
+
+
+def test_three_down_one_up_goes_down_while_it_is_seen():
+    """Seen: 0.3 lower; unseen: 0.1 higher, until it is seen again: that level is the threshold."""
+    spot = Spot(device="light_box", channel="spot_green", peak_nm=505.0)
+    search = begin(spot, DownUpMethod(kind="down_up"), -1.0)
+    levels = []
+    for seen in (True, True, False, False, True):
+        levels.append(round(search.level, 3))
+        search.answer(seen=seen)
+    assert levels == [-0.8, -1.1, -1.4, -1.3, -1.2]
+    assert search.threshold == pytest.approx(-1.2)

@@ -1,0 +1,179 @@
+"""Screen calibrations by measurements made elsewhere: forms, units, honest uncertainty, spectra never by silence."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radiometer.bench.screen import lights, primaries_of
+from radiometer.cli.main import run
+from radiometer.errors import InputError, UsageError
+from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
+from radiometer.screen.measured_elsewhere import ScreenReadings, imported, read_screen_readings
+
+TI3 = """CTI3
+
+TARGET_INSTRUMENT "Some meter"
+LUMINANCE_XYZ_CDM2 "190.0 200.000000 210.0"
+NORMALIZED_TO_Y_100 "YES"
+
+NUMBER_OF_FIELDS 7
+BEGIN_DATA_FORMAT
+SAMPLE_ID RGB_R RGB_G RGB_B XYZ_X XYZ_Y XYZ_Z
+END_DATA_FORMAT
+
+BEGIN_DATA
+1 100.0 100.0 100.0 95.0 100.0 109.0
+2 0.0 0.0 0.0 0.1 0.1 0.1
+3 50.0 50.0 50.0 21.0 22.0 23.0
+4 100.0 0.0 0.0 38.0 19.0 0.9
+5 50.0 0.0 0.0 8.0 4.0 0.4
+6 100.0 100.0 100.0 95.0 99.0 109.0
+END_DATA
+"""
+
+
+def test_ti3_is_scaled_by_its_white_and_repeats_are_kept(tmp_path: Path) -> None:
+    """Y of 22 at a white of 200 cd/m² is 44; two whites of 200 and 198 give 199; red's three levels are read."""
+    file = tmp_path / "a.ti3"
+    file.write_text(TI3)
+    found = read_screen_readings(file)
+    assert found.grey[128] == [pytest.approx(44.0)]
+    assert np.mean(found.grey[255]) == pytest.approx(199.0)
+    assert found.primaries["red"][128] == [pytest.approx(8.0)]
+    known = imported(found, lights("white_led", "led_lcd"), 0.04, file.name)
+    assert known.channel("grey").at(128, LUMINANCE).value == pytest.approx(44.0)
+    file.write_text(TI3.replace('LUMINANCE_XYZ_CDM2 "190.0 200.000000 210.0"\n', ""))
+    with pytest.raises(InputError, match="LUMINANCE_XYZ_CDM2"):
+        read_screen_readings(file)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "0,0.3\n128,44\n255,200\n",
+        "level;cd\n0;0.3\n0.5;44\n1;200\n",
+        "0 0.3\n50 44\n100 200\n",
+        "# x\n0\t0.3\n128\t44\n255\t200\n",
+    ],
+)
+def test_tables_of_two_columns(text: str, tmp_path: Path) -> None:
+    """Levels of 0 to 255, 0 to 1 and per cent give the same curve."""
+    file = tmp_path / "a.csv"
+    file.write_text(text)
+    found = read_screen_readings(file)
+    assert {n: v[0] for n, v in found.grey.items()} == {0: 0.3, 128: 44.0, 255: 200.0}
+
+
+def test_cal_needs_whites_luminance_and_is_inverted(tmp_path: Path) -> None:
+    """A panel of gamma 1.8 calibrated to 2.2 has CAL(i) = i^(2.2/1.8): the response comes out as v^1.8."""
+    wanted = np.linspace(0, 1, 256)
+    rows = "\n".join(f"{i:.6f} " + " ".join([f"{i ** (2.2 / 1.8):.6f}"] * 3) for i in wanted)
+    file = tmp_path / "a.cal"
+    file.write_text(
+        f"CAL\n\nBEGIN_DATA_FORMAT\nRGB_I RGB_R RGB_G RGB_B\nEND_DATA_FORMAT\nBEGIN_DATA\n{rows}\nEND_DATA\n"
+    )
+    with pytest.raises(InputError, match="white-luminance"):
+        read_screen_readings(file)
+    found = read_screen_readings(file, 100.0)
+    for level in (50, 125, 200, 255):
+        assert found.grey[level][0] == pytest.approx(100.0 * (level / 255) ** 1.8, rel=2e-3)
+
+
+def test_nothing_is_taken_of_a_real_displays_colours_by_silence() -> None:
+    """Colours of a browser's screen need a type or a file; grey alone needs none; simulated displays say their own."""
+    with pytest.raises(UsageError, match="--primaries"):
+        primaries_of("browser", ("grey", "blue"), None)
+    assert primaries_of("browser", ("grey",), None) is None
+    assert primaries_of("browser", ("blue",), "oled") == "oled"
+    assert primaries_of("lcd", ("blue",), None) == "crt"
+    assert set(lights("white_led", None)) == {"grey"}
+    with pytest.raises(InputError, match="led_lcd"):
+        lights("white_led", "plasma")
+
+
+def test_given_spectra_are_integrated(tmp_path: Path) -> None:
+    """A red of a narrow band at 610 nm has 683·V(610) = 344 lm/W."""
+    file = tmp_path / "p.csv"
+    rows = [
+        f"{nm},{1 if abs(nm - 610) < 1 else 0},{1 if abs(nm - 540) < 1 else 0},{1 if abs(nm - 450) < 1 else 0}"
+        for nm in range(380, 781)
+    ]
+    file.write_text("wavelength_nm,red,green,blue\n" + "\n".join(rows))
+    found = lights("white_led", str(file))
+    assert found["red"].photopic_lm_per_w == pytest.approx(683 * 0.503, rel=0.01)
+    assert found["blue"].scotopic_lm_per_w == pytest.approx(1700 * 0.455, rel=0.01)
+
+
+@pytest.mark.parametrize(("kind", "file"), [("ccfl_lcd", "LCD-Dell"), ("oled", "OLED-Sony")])
+def test_display_types_are_like_measured_displays(kind: str, file: str, shared_data: Path) -> None:
+    """Efficacies by type lie within 20 % (red 25, blue 45 %) of a measured display's of that kind or near it."""
+    table = np.genfromtxt(
+        shared_data / "displays" / "isetbio" / f"{file}_spd_W_sr_m2_nm.csv", delimiter=",", names=True
+    )
+    v = np.genfromtxt(shared_data / "photometry" / "V_lambda_CIE1924_1nm.csv", delimiter=",", skip_header=1)
+    weight = np.interp(table["wavelength_nm"], v[:, 0], v[:, 1])
+    for name, column, tolerance in (("red", "R", 0.25), ("green", "G", 0.2), ("blue", "B", 0.45)):
+        measured = 683 * float(weight @ table[column] / table[column].sum())
+        assert lights("white_led", kind)[name].photopic_lm_per_w == pytest.approx(measured, rel=tolerance)
+
+
+def test_every_real_file_is_read_without_an_edit(shared_data: Path, tmp_path: Path) -> None:
+    """All uLR files of eight displays and the .ti3 become calibrations that can be read back."""
+    folder = shared_data / "displays"
+    files = [*sorted(folder.glob("pacsdisplay_uLR/*/*uLR_*.txt")), *folder.glob("*.ti3")]
+    assert len(files) > 60
+    for file in files:
+        readings = read_screen_readings(file)
+        known = imported(readings, lights("white_led", "ccfl_lcd"), 0.04, file.name)
+        curve = known.channel("grey")
+        assert curve.at(255, LUMINANCE).value > 100
+        assert len(curve.levels) > 50
+    known.write(tmp_path / "s.yaml")
+    assert ScreenCalibration.read(tmp_path / "s.yaml").channel("grey").levels == curve.levels
+
+
+def coverage(readings: ScreenReadings, step: int, below: float) -> list[bool]:
+    """Return for each level left out below a share of white whether it lies within 2 u of the curve."""
+    levels = sorted(readings.grey)
+    kept = {*levels[::step], levels[-1]}
+    fewer = ScreenReadings(
+        readings.name, {n: readings.grey[n] for n in levels if n in kept}, resolution_cd_m2=readings.resolution_cd_m2
+    )
+    curve = imported(fewer, lights(), 0.04, "x").channel("grey")
+    white = float(np.mean(readings.grey[levels[-1]]))
+    held = []
+    for n in (n for n in levels if n not in kept and np.mean(readings.grey[n]) < below * white):
+        value = float(np.mean(readings.grey[n]))
+        shape = curve.u_shape_at(n) * curve.photopic_lm_per_w
+        own = np.hypot(0.001 * value, readings.resolution_cd_m2 / np.sqrt(12))
+        missed = abs(curve.radiance_at(n).value * curve.photopic_lm_per_w - value)
+        held.append(bool(missed <= 2 * np.hypot(shape, own)))
+    return held
+
+
+@pytest.mark.parametrize("panel", ["L200ME_(8g)", "DELL_3007WFP_(16g)", "HP_LP2065_(2g)", "EA234WMi_(4g+)"])
+@pytest.mark.parametrize("step", [4, 8, 16])
+def test_left_out_levels_near_black_are_met_within_their_uncertainty(panel: str, step: int, shared_data: Path) -> None:
+    """Of real panels' levels below 2 % of white that were left out 93 % or more lie within k = 2."""
+    files = sorted((shared_data / "displays" / "pacsdisplay_uLR" / panel).glob("uLR_*.txt"))[:4]
+    held = [hit for file in files for hit in coverage(read_screen_readings(file), step, 0.02)]
+    assert np.mean(held) >= 0.93
+
+
+def test_command_imports_and_says_what_it_took(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The calibration is written; form, meter's scale and spectra are told; colours without spectra are left out."""
+    file, out = tmp_path / "a.ti3", tmp_path / "s.yaml"
+    file.write_text(TI3)
+    assert run(["screen", "import", str(file), "-o", str(out)]) == 0
+    told = capsys.readouterr()
+    assert "relative to a white of 200 cd/m²" in told.err
+    assert "red left out" in told.err
+    assert "meter's scale: 4 %" in told.out
+    assert run(["screen", "import", str(file), "-o", str(out), "--primaries", "oled", "--json"]) == 0
+    assert set(json.loads(capsys.readouterr().out)["channels"]) == {"grey", "red"}
+    assert run(["screen", "import", str(tmp_path / "none.ti3")]) == 1
+    assert capsys.readouterr().err.startswith("error:")
