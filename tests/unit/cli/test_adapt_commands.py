@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from radiometer.adaptation.protocol import SHIPPED
 from radiometer.cli.main import run
 
 
@@ -22,7 +23,7 @@ def test_protocols_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     """All of them, each with what it is for."""
     assert run(["adapt", "protocols"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == ["classic", "quick", "screen-only", "led-only", "questplus"]
+    assert [line.split()[0] for line in lines] == list(SHIPPED)
 
 
 @pytest.mark.parametrize(
