@@ -249,6 +249,8 @@ class SerialLightBox:
         """
         with self._lock:
             self._index(channel)
+            if channel not in self.ledger.optics:
+                return 0  # of light that the account knows nothing of, none is given
             accepted, refused = 0, self._channels[channel].level_limit[CurrentRange.HIGH] + 1
             while refused - accepted > 1:
                 level = (accepted + refused) // 2
