@@ -92,7 +92,7 @@ def test_run_taken_up_in_the_middle_of_a_search_has_the_same_events(
     """The answers before the crash are taken from the journal, not asked for again."""
     whole = _run(tmp_path / "whole", ScriptedStage(eye, protocol))
     broken = ScriptedStage(eye, protocol)
-    broken.dies_after = 209.5
+    broken.dies_after = 212.4
     with pytest.raises(DeviceLost):
         _run(tmp_path / "broken", broken)
     assert '"kind": "blink"' in (tmp_path / "broken").read_text().splitlines()[-1]
