@@ -68,6 +68,7 @@ def with_found_effects(base: Calibration, path: Path, stated: Collection[str]) -
                 f"{path}: readings cannot be corrected for {name!r}, only for {there}; mend its cause, or switch it "
                 "off in the model (enabled: false) and state its uncertainty with --stated"
             )
+        _refuse_table(entry.effect.values(), f"{path}: {name}")
         value, u = entry.effect.values()[use.parameter], _u_of(notes, use.parameter, f"{path}: {name}")
         found[use.corrects] = float(value)
         found.setdefault("names", []).append(name)
@@ -78,6 +79,16 @@ def with_found_effects(base: Calibration, path: Path, stated: Collection[str]) -
     uncertainties = base.uncertainties.model_copy(update=figures)
     section = type(base.found)(**{**found, "names": tuple(found.get("names", ()))})
     return replace(base, found=section, uncertainties=uncertainties, black_level=black, lens=lens)
+
+
+def _refuse_table(values: Mapping[str, Any], where: str) -> None:
+    """Refuse an effect whose law is a table: its one parameter says nothing of the table's entries."""
+    tables = [name for name, value in values.items() if isinstance(value, tuple) and value]
+    if tables:
+        raise InputError(
+            f"{where}: is a table ({', '.join(tables)}), and readings are corrected for one figure only; calibrate at "
+            "the gain of the readings, and switch it off in the model (enabled: false)"
+        )
 
 
 def _u_of(notes: Mapping[str, Any], parameter: str, where: str) -> float:

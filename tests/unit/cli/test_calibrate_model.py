@@ -101,6 +101,14 @@ def test_what_readings_cannot_be_corrected_for_is_refused(tmp_path):
         with_found_effects(BASE, path, stated=())
 
 
+def test_a_law_that_is_a_table_is_refused(tmp_path):
+    """A gain error per step is more than one figure: the message says what to do instead of correcting by nothing."""
+    table = {"gains_db": (0.0, 12.0), "errors_rel": (0.0, 0.02)}
+    path = model_file(tmp_path, "gain_step_error", table, {"error_rel": 1e-3})
+    with pytest.raises(InputError, match=r"gain_step_error: is a table \(gains_db, errors_rel\)"):
+        with_found_effects(BASE, path, stated=())
+
+
 def test_an_effect_without_its_uncertainty_is_refused(tmp_path):
     """A correction of unknown worth corrects nothing."""
     path = model_file(tmp_path, "veiling_glare", {"share": 0.01}, {})
