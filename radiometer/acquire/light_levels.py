@@ -132,7 +132,7 @@ class LevelSurvey:
             if change < SETTLED_REL + _own_u_rel(reading, DARK_TERM):
                 change = SETTLED_REL
                 break
-        if self.box.read_channel(channel).mode is not ChannelMode.PULSE:
+        if self.box.read_channel(channel).mode not in (ChannelMode.STEADY, ChannelMode.PULSE):
             raise MeasurementError(
                 f"channel {channel} went dark at level {drive.level}: its energy budget is used up; "
                 "leave it dark for ten minutes, then calibrate again"
@@ -140,10 +140,16 @@ class LevelSurvey:
         return self._measured(drive, (first, reading), change, waited_s, order)
 
     def _light(self, channel: str, drive: DriveLevel) -> float:
-        """Light a channel for as long as eye and energy budget allow, up to the longest settling, and return that time.
+        """Light a channel for as long as the eye allows, up to the longest settling, and return that time.
 
-        A stated end keeps a bright channel within the limits of the eye, which light without an end would not be.
+        Where light without an end would be beyond the limits of the eye, a stated end keeps it within them; what needs
+        an end is bright, so that readings take no time beside the settling.
         """
+        try:
+            self.box.set_level(channel, drive)
+            return LIT_S[0]
+        except UnsafeStimulus:
+            pass
         for lit_s in LIT_S[:-1]:
             try:
                 self.box.pulse(channel, drive, lit_s)

@@ -36,9 +36,9 @@ class Sensor:
         return self.figures[symbol]
 
     def __repr__(self) -> str:
-        """Return gain and read noise in one line."""
-        shown = [f"{name} = {_quantity(self[name])}" for name in ("K", "sigma_d", "mu_I_mean") if name in self.figures]
-        return f"<Sensor {', '.join(shown)}>"
+        """Return gain, read noise and dark current, or what there is, in one line."""
+        telling = [name for name in ("K", "sigma_d", "mu_I_mean") if name in self.figures] or list(self.figures)[:3]
+        return f"<Sensor {', '.join(f'{name} = {_quantity(self[name])}' for name in telling)}>"
 
     def _repr_html_(self) -> str:
         rows = "".join(

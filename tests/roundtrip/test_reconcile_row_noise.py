@@ -8,10 +8,9 @@ import pytest
 from radiometer.reconcile.fit.candidate_fit import accepted
 from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.state import FitState, first_state, refit, settled
-from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.design import Design, rough_share
 from radiometer.reconcile.measure.layout import tile_groups
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconcile.model.chain_steps import rough_share
 from simulators.effects.row_temporal_noise import RowTemporalNoise
 from tests.roundtrip.generator.session import make_session
 

@@ -9,7 +9,7 @@ import pytest
 
 import radiometer as rm
 from radiometer.data import CaptureSetWriter
-from radiometer.errors import CaptureError, MeasurementError, UsageError
+from radiometer.errors import CaptureError, UsageError
 
 TRUE_RADIANCE = 0.3
 
@@ -141,10 +141,16 @@ def test_a_response_is_recovered_drawn_and_written(tmp_path):
     assert response._repr_html_().startswith('<figure><img alt="&lt;Response by linear_spline')
 
 
-def test_one_frame_a_setting_is_no_photon_transfer(capture):
-    """The error says how to take what is missing."""
-    with pytest.raises(MeasurementError, match="capture with --repeat 2"):
-        rm.characterise(capture)
+def test_a_sensor_tells_its_figures_with_unit_and_uncertainty(stack, capture):
+    """Black level and dark noise of the simulated camera, by hand from its description; single lit frames give no K."""
+    sensor = rm.characterise(capture)
+    about = stack.camera
+    noise_dn = np.sqrt((about.read_noise_e / about.conversion_gain_e_per_dn) ** 2 + 1 / 12)
+    assert abs(sensor["mu_y_dark"].value - 64.0) < 4 * sensor["mu_y_dark"].u
+    assert abs(sensor["sigma_y_dark"].value - noise_dn) < 4 * sensor["sigma_y_dark"].u
+    assert "K" not in sensor.figures
+    assert "mu_y_dark = 64.0" in repr(sensor)
+    assert "<td>mu_y_dark</td><td>64.0" in sensor._repr_html_()
 
 
 def test_a_reconciliation_tells_verdict_and_names(tmp_path):
