@@ -137,6 +137,17 @@ def test_a_black_scene_costs_no_endless_exposures():
     assert len(plan.exposures_s) == 1
 
 
+def test_no_exposure_takes_more_than_a_third_of_the_time():
+    """A dim field that would like a minute: two of the longest and the rest fit into six seconds."""
+    camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": 0.2})
+    camera.set_scene(
+        scene_from_mapping({"kind": "uniform", "radiance_W_per_sr_m2": 300.0 / 10.0 / expected_rate(camera, 1.0)})
+    )
+    plan = plan_for_scene(camera, BracketRequest(time_limit_s=6.0))
+    assert max(plan.exposures_s) == pytest.approx(2.0)
+    assert plan.total_s <= 6.0
+
+
 def test_dark_frames_follow_with_the_shutter_closed():
     """Each distinct exposure gets its dark frames, which hold no light; the shutter is open again afterwards."""
     camera = camera_before(CHART)

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import yaml
 
+from radiometer.acquire.capture_plan import CapturePlan, take_capture_plan
 from radiometer.cli.main import run
-from radiometer.data import CaptureSet
+from radiometer.data import CaptureSet, LensDescription
+from radiometer.devices import CameraPreset
+from simulators.camera_model import CameraModel
+from simulators.scenes.factory import scene_from_mapping
+from simulators.simulated_camera import SimulatedCamera, default_limits
 
 PLAN = {
     "format": "radiometer-plan/1",
@@ -45,6 +52,18 @@ def test_a_plan_is_taken_as_it_stands(plan_file, tmp_path):
     # Patch "middle": gain 6 dB at 10 ms and f/4 against 0 dB at 40 ms, half the light and f/8 (a quarter of it).
     bright, dim = (frames[k].dn[240:360, 840:960].mean() - 64.0 for k in (0, 3))
     assert bright / dim == pytest.approx(10 ** (6 / 20) / (4 * 0.5 * 0.25), rel=0.01)
+
+
+def test_a_frame_is_filed_under_the_f_number_that_was_staged():
+    """A lens set by hand is not known to the camera: the plan's f-number stands in the frame all the same."""
+    preset = CameraPreset.shipped("BFS-U3-19S4M").camera
+    model = CameraModel.ideal(preset, LensDescription(focal_length_mm=16, f_number=4.0))
+    limits = replace(default_limits(), width=40, height=30)
+    camera = SimulatedCamera(model, scene_from_mapping({"kind": "uniform", "radiance_W_per_sr_m2": 0.1}), limits=limits)
+    planned = CapturePlan.model_validate({**PLAN, "frames": [{"exposure_s": 0.01, "f_number": 8.0}]})
+    with camera:
+        (frame,) = take_capture_plan(camera, planned, stage=lambda planned: None)
+    assert frame.settings.f_number == 8.0
 
 
 @pytest.mark.parametrize(
