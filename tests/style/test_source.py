@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import gc
 import re
 from pathlib import Path
 
@@ -15,6 +16,18 @@ TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
 LONGEST_MODULE = 500
 # A command's docstring is its help text for people; what it raises becomes an exit code.
 LIBRARY = [path for path in SOURCES if "cli" not in path.parts]
+
+
+def parsed(path: Path) -> ast.Module:
+    """Return the syntax tree of a file; a collection in between would run other tests' finalisers within the parser.
+
+    CPython 3.11 counts its recursion then and gives up (SystemError: recursion depth mismatch).
+    """
+    gc.disable()
+    try:
+        return ast.parse(path.read_text(encoding="utf-8"))
+    finally:
+        gc.enable()
 
 
 def name_of(path):
@@ -49,7 +62,7 @@ def raised_names(function):
 def test_raised_errors_stand_in_the_docstring(path):
     """What a public function raises itself is named in its docstring."""
     missing = []
-    for function in public_functions(ast.parse(path.read_text(encoding="utf-8"))):
+    for function in public_functions(parsed(path)):
         said = ast.get_docstring(function) or ""
         missing += [f"{function.name}: {name}" for name in raised_names(function) if name not in said]
     assert missing == []
@@ -64,7 +77,7 @@ def test_modules_stay_small(path):
 @pytest.mark.parametrize("path", TESTS, ids=name_of)
 def test_every_test_says_which_behaviour_it_shows(path):
     """The docstring of a test is the sentence that it proves."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = parsed(path)
     silent = [
         node.name
         for node in ast.walk(tree)
@@ -97,7 +110,7 @@ SETTINGS = {"source_level", "quantum_efficiency", "shutter", "lens"}
 def test_reconcile_knows_no_effect_by_name(path):
     """What is peculiar to an effect stands in its own file: no name of one as a string, no import of one."""
     found = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             found += {node.value} & (EFFECT_FILES - SETTINGS)
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("simulators.effects"):
