@@ -44,6 +44,17 @@ _UNNAMED = """
 JSON.stringify([...document.querySelectorAll("button, input, a, [tabindex]")].filter((e) => !(e.textContent.trim()
   || e.getAttribute("aria-label") || e.getAttribute("aria-labelledby") || e.closest("label"))).map((e) => e.outerHTML))
 """
+# What a finger meets is 44 pixels tall and wide (WCAG 2.1, 2.5.5); a switch by its label.
+_UNTOUCHABLE = """
+JSON.stringify([...document.querySelectorAll("button, a, input")].map((e) => e.closest(".switch") || e).filter((e) => {
+  const b = e.getBoundingClientRect();
+  return b.width && (b.height < 43.5 || b.width < (e.tagName === "A" ? 30 : 43.5));
+}).map((e) => e.outerHTML.slice(0, 90)))"""
+# Where the tab key goes, by the number of stops: what has the focus, whether that is seen, and where it lies.
+_FOCUS = """
+(() => { const e = document.activeElement, b = e.getBoundingClientRect(), s = getComputedStyle(e);
+  return JSON.stringify([e.tagName, e.id || e.name || e.textContent.trim().slice(0, 20), s.outlineStyle !== "none",
+    [...document.querySelectorAll(".card, header")].indexOf(e.closest(".card, header")), b.top + scrollY]); })()"""
 _SMALL = """
 JSON.stringify([...document.querySelectorAll("button, a, input")].filter((e) => {
   const b = e.getBoundingClientRect();
@@ -72,16 +83,20 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaemonProcess]:
 
 
 async def _shown(browser: Browser, daemon: DaemonProcess, size: tuple[int, int]) -> None:
+    await _shown_size(browser, daemon, size)
+    await browser.wait_for(
+        "document.getElementById('nothing')?.hidden && document.querySelectorAll('.panel canvas').length === 2"
+        " && document.querySelectorAll('#lights input').length > 0 && !!document.querySelector('.patch-row.bad')"
+    )
+
+
+async def _shown_size(browser: Browser, daemon: DaemonProcess, size: tuple[int, int]) -> None:
     phone = size[0] < 700
     await browser.command(
         "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1, mobile=phone
     )
     await browser.command("Emulation.setTouchEmulationEnabled", enabled=phone)
     await browser.command("Page.navigate", url=daemon.url + "/")
-    await browser.wait_for(
-        "document.getElementById('nothing')?.hidden && document.querySelectorAll('.panel canvas').length === 2"
-        " && document.querySelectorAll('#lights input').length > 0 && !!document.querySelector('.patch-row.bad')"
-    )
 
 
 async def _json(browser: Browser, expression: str) -> Any:
@@ -109,7 +124,7 @@ async def test_the_page_fits_and_can_be_read_at_three_sizes(daemon: DaemonProces
                 await browser.evaluate(f"document.querySelector('[data-theme={theme}]').click()")
                 assert await _json(browser, _CONTRASTS) == []
             assert await _json(browser, _UNNAMED) == []
-            assert await _json(browser, _SMALL) == []
+            assert await _json(browser, _SMALL if size[0] > 1000 else _UNTOUCHABLE) == []
         assert browser.errors == []
         assert [url for url in browser.requested if not url.startswith((daemon.url, "blob:", "data:", "about:"))] == []
 
@@ -180,3 +195,65 @@ async def test_a_person_names_limits_and_remarks(daemon: DaemonProcess, tmp_path
         await browser.wait_for("document.querySelectorAll('.panel').length === 2")
         assert "wall" not in daemon.get("/status")["patches"]
         assert browser.errors == []
+
+
+@pytest.mark.timeout(170)
+async def test_the_tab_key_goes_through_the_page_as_it_is_seen(daemon: DaemonProcess, tmp_path: Path) -> None:
+    """Every control is reached, each with a visible focus; card by card on a screen, from top to bottom on a phone."""
+    async with headless(tmp_path / "profile", SIZES[0]) as browser:
+        for size in (SIZES[0], SIZES[2]):
+            await _shown(browser, daemon, size)
+            stops = []
+            while len(stops) < 90:
+                await browser.command(
+                    "Input.dispatchKeyEvent", type="keyDown", code="Tab", key="Tab", windowsVirtualKeyCode=9
+                )
+                stop = await _json(browser, _FOCUS)
+                if stop[0] == "BODY" or (stops and stop[:2] == stops[0][:2]):
+                    break
+                stops.append(stop)
+            names = {stop[1] for stop in stops}
+            assert {"lights-off", "measure", "patch-name", "spot", "export", "event-list", "patch", "gain"} <= names
+            assert [stop for stop in stops if not stop[2]] == []
+            cards = [stop[3] for stop in stops if stop[3] >= 0]
+            visits = [card for card, before in zip(cards, [None, *cards], strict=False) if card != before]
+            assert len(visits) == len(set(visits))
+            if size[0] > 1000:
+                assert visits == sorted(visits)
+            else:
+                first = {card: min(stop[4] for stop in stops if stop[3] == card) for card in visits}
+                assert [first[card] for card in visits] == sorted(first.values())
+
+
+@pytest.mark.timeout(170)
+async def test_seven_patches_are_one_glance(daemon: DaemonProcess, tmp_path: Path) -> None:
+    """At 1440 × 900 each of seven patches has its panel in the window, and an event under the pointer is told."""
+    names = [f"lamp {number}" for number in range(5)]
+    for number, name in enumerate(names):
+        daemon.post("/patches", {"name": name, "patch": {"x": 95 + 10 * number, "y": 80, "width": 8, "height": 8}})
+    daemon.post("/events", {"message": "<b>the</b> shutter jams"})
+    try:
+        async with headless(tmp_path / "profile", SIZES[0]) as browser:
+            await _shown_panels(browser, daemon, 7)
+            inside = """JSON.stringify([...document.querySelectorAll('.panel')].map((e) => {
+              const b = e.getBoundingClientRect(), p = document.getElementById('panels').getBoundingClientRect();
+              return b.top >= p.top - 1 && b.bottom <= p.bottom + 1 && b.bottom <= innerHeight && b.height > 90; }))"""
+            assert await _json(browser, inside) == [True] * 7
+            place = await _json(
+                browser,
+                "(() => { const b = document.querySelector('.panel .u-over').getBoundingClientRect();"
+                " return JSON.stringify([b.right - 2, b.top + 20]); })()",
+            )
+            await browser.command("Input.dispatchMouseEvent", type="mouseMoved", x=place[0], y=place[1])
+            said = "document.querySelector('.panel figcaption .quiet').textContent"
+            await browser.wait_for(f"{said}.includes('remark: <b>the</b> shutter jams')")
+            assert browser.errors == []
+    finally:
+        for name in names:
+            daemon.post("/patches/delete", {"name": name})
+
+
+async def _shown_panels(browser: Browser, daemon: DaemonProcess, count: int) -> None:
+    await _shown_size(browser, daemon, SIZES[0])
+    await browser.wait_for(f"document.querySelectorAll('.panel canvas').length === {count}")
+    await browser.evaluate("document.querySelector('[data-span=\"86400\"]').click()")

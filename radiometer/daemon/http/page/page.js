@@ -1,6 +1,6 @@
 // The page: follows the stream of readings, shows state and picture, changes settings.
 import { drawRamp, drawResponse } from "/response.js";
-import { TrendPanel, timeText } from "/trends.js";
+import { TrendPanel, superscript, timeText, unitText } from "/trends.js";
 
 const $ = (id) => document.getElementById(id);
 const root = document.documentElement;
@@ -14,7 +14,6 @@ const MEANING = {
 };
 
 // ---- numbers -------------------------------------------------------------------------------------------------------
-const superscript = (n) => String(n).replace(/./g, (c) => ({ "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" })[c]);
 function written(value, U) {
   // Two significant digits of the expanded uncertainty decide how many of the value are shown.
   if (value === null || !Number.isFinite(value)) return { value: "undefined", U: "", power: "" };
@@ -22,7 +21,7 @@ function written(value, U) {
   const scale = 10 ** exponent, digits = U > 0 ? Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(U / scale)))) : 4;
   return { value: (value / scale).toFixed(digits), U: U > 0 ? (U / scale).toFixed(digits) : "", power: exponent ? ` × 10${superscript(exponent)}` : "" };
 }
-const unitText = (unit) => unit.replace(/([a-zA-Z])(-?\d+)/g, (_, letter, power) => letter + superscript(power)).replace(/ /g, " ");
+const said = (message) => message.replace(/\b(W|sr|m)(-[12])\b/g, (_, letter, power) => letter + superscript(power));
 const ago = (s) => (s < 2 ? "now" : s < 90 ? `${Math.round(s)} s ago` : s < 5400 ? `${Math.round(s / 60)} min ago` : `${Math.round(s / 3600)} h ago`);
 
 // ---- server --------------------------------------------------------------------------------------------------------
@@ -150,7 +149,7 @@ async function refreshTrends() {
   $("window").textContent = state.end === null ? "" : `${timeText(since, 7201)} to ${timeText(until, 7201)}`;
   $("now").setAttribute("aria-pressed", state.end === null);
   $("later").disabled = state.end === null;
-  const events = state.events.map((e) => ({ at: Date.parse(e.time) / 1000, kind: e.kind })).filter((e) => e.at >= since && e.at <= until && ["alarm", "clock", "calibration", "remark", "light"].includes(e.kind)).slice(0, 40);
+  const events = await marked(since, until, iso);
   await Promise.all(names.map(async (name) => {
     try {
       const stream = encodeURIComponent(name === "main" ? "main" : `patch ${name}`), points = Math.max(200, Math.min(2000, Math.round($("panels").clientWidth)));
@@ -158,6 +157,14 @@ async function refreshTrends() {
       panels.get(name)?.show(columns, [since, until], state.status?.patches?.[name]?.limits, events);
     } catch { /* the next turn tries again */ }
   }));
+}
+async function marked(since, until, iso) {
+  let known = state.events;
+  // The newest are at hand; a time before them is asked for.
+  if (known.length >= EVENTS_KEPT && Date.parse(known.at(-1).time) / 1000 > since) {
+    try { known = await (await ask(`/events?limit=1000&since=${iso(since)}&until=${iso(until)}`)).json(); } catch { /* the newest, then */ }
+  }
+  return known.map((e) => ({ at: Date.parse(e.time) / 1000, kind: e.kind, message: said(e.message) })).filter((e) => e.at >= since && e.at <= until && ["alarm", "clock", "calibration", "remark", "light"].includes(e.kind));
 }
 function setSpan(span) {
   state.span = span;
@@ -178,21 +185,31 @@ setInterval(() => freshTrends(), 2000);
 
 // ---- patches with names --------------------------------------------------------------------------------------------
 let limited = null;
+// A row stays the same element from reading to reading: whoever is on its button with the keyboard stays there.
+function patchRow(name) {
+  const known = [...$("patch-list").children].find((row) => row.dataset.patch === name);
+  if (known) return known;
+  const row = document.createElement("div"), button = document.createElement("button");
+  row.dataset.patch = name;
+  button.type = "button";
+  button.setAttribute("aria-label", `Limits of ${name}`);
+  button.addEventListener("click", () => askLimits(name, state.status?.patches?.[name]?.limits || { low: null, high: null }));
+  row.append(document.createElement("b"), document.createElement("span"), button);
+  return row;
+}
 function showPatches() {
-  const patches = state.status?.patches || {};
-  $("patch-list").replaceChildren(...Object.entries(patches).map(([name, entry]) => {
-    const row = document.createElement("div"), title = document.createElement("b"), value = document.createElement("span"), button = document.createElement("button");
-    const reading = state.latest[name], { low, high } = entry.limits;
-    row.className = `patch-row${entry.breached ? " bad" : ""}`; row.dataset.patch = name;
+  const patches = state.status?.patches || {}, units = new Set(Object.keys(patches).map((name) => state.latest[name]?.radiance.unit).filter(Boolean));
+  $("patch-unit").textContent = units.size === 1 ? unitText([...units][0]) : "";
+  const rows = Object.entries(patches).map(([name, entry]) => {
+    const row = patchRow(name), [title, value, button] = row.children, reading = state.latest[name], { low, high } = entry.limits;
+    row.className = `patch-row${entry.breached ? " bad" : ""}`;
     title.textContent = `${entry.breached ? "▲ " : ""}${name === "main" ? "patch" : name}`;
-    value.textContent = reading ? quantity(reading.radiance.value, (reading.radiance.u || 0) * reading.coverage_factor, "").trim() : "no reading yet";
+    value.textContent = reading ? quantity(reading.radiance.value, (reading.radiance.u || 0) * reading.coverage_factor, units.size > 1 ? reading.radiance.unit : "").trim() : "no reading yet";
     value.title = reading ? `${unitText(reading.radiance.unit)}, k = ${+reading.coverage_factor.toPrecision(3)}` : "";
-    button.type = "button"; button.textContent = low === null && high === null ? "limits" : [low === null ? "" : `≥ ${+low.toPrecision(4)}`, high === null ? "" : `≤ ${+high.toPrecision(4)}`].filter(Boolean).join(" · ");
-    button.setAttribute("aria-label", `Limits of ${name}`);
-    button.addEventListener("click", () => askLimits(name, entry.limits));
-    row.append(title, value, button);
+    button.textContent = low === null && high === null ? "limits" : [low === null ? "" : `≥ ${+low.toPrecision(4)}`, high === null ? "" : `≤ ${+high.toPrecision(4)}`].filter(Boolean).join(" · ");
     return row;
-  }));
+  });
+  if (rows.length !== $("patch-list").children.length || rows.some((row) => !row.isConnected)) $("patch-list").replaceChildren(...rows);
   if (state.frame) $("outlines").replaceChildren(...Object.entries(patches).filter(([name, e]) => name !== "main" && e.patch).map(([name, { patch, breached }]) => {
     const box = document.createElement("div"), { w, h } = state.frame;
     box.className = `outline${breached ? " bad" : ""}`; box.dataset.name = name;
@@ -239,9 +256,11 @@ function showEvents() {
   $("event-list").replaceChildren(...state.events.slice(0, 100).map((event) => {
     const row = document.createElement("li"), t = document.createElement("time"), kind = document.createElement("span"), text = document.createElement("span");
     const day = new Date(event.time);
-    t.dateTime = event.time; t.textContent = `${day.toDateString() === new Date().toDateString() ? "" : `${day.toLocaleDateString([], { day: "numeric", month: "short" })} `}${day.toLocaleTimeString([], { hour12: false })}`;
+    t.dateTime = event.time; const today = day.toDateString() === new Date().toDateString();
+    t.textContent = today ? day.toLocaleTimeString([], { hour12: false }) : `${day.toLocaleDateString([], { day: "numeric", month: "short" })} ${day.toLocaleTimeString([], { hour12: false, hour: "2-digit", minute: "2-digit" })}`;
+    t.title = day.toLocaleString([], { hour12: false });
     kind.className = `kind is-${event.kind}`; kind.textContent = KINDS[event.kind] || event.kind;
-    text.textContent = event.message;
+    text.textContent = said(event.message);
     row.append(t, kind, text);
     return row;
   }));
@@ -262,10 +281,13 @@ setInterval(() => {
 function showAlarms() {
   const alarms = state.status ? state.status.alarms : [];
   const all = state.online ? alarms : [{ message: "No connection to the daemon; trying again.", since: null }];
+  const told = JSON.stringify(all);
+  if ($("alarms").dataset.told === told) return;  // said once, not at every reading, to whoever listens to the page
+  $("alarms").dataset.told = told;
   $("alarms").replaceChildren(...all.map((alarm) => {
     const row = document.createElement("div");
     row.className = "alarm";
-    row.textContent = alarm.message;
+    row.textContent = said(alarm.message);
     if (alarm.since) { const t = document.createElement("time"); t.textContent = `since ${new Date(alarm.since).toLocaleTimeString([], { hour12: false })}`; row.append(t); }
     return row;
   }));
@@ -455,6 +477,15 @@ function setTheme(theme) {
 document.querySelectorAll(".themes button").forEach((b) => b.addEventListener("click", () => setTheme(b.dataset.theme)));
 new ResizeObserver(() => { drawResponse($("response"), state.curve || null); }).observe($("response").parentElement);
 document.addEventListener("visibilitychange", () => { if (!document.hidden && waiting) refreshPicture(); });
+
+// One column, or three: the cards lie in the order in which they are seen, so that the tab key follows it.
+const narrow = matchMedia("(max-width: 1079px)"), columns = [...document.querySelectorAll(".column")].map((column) => [column, [...column.children]]);
+function arrange() {
+  if (narrow.matches) document.querySelector("main").append(...["live", "trend", "patches", "scene", "devices", "events", "settings", "response"].map((name) => document.querySelector(`.card.${name}`)));
+  else columns.forEach(([column, cards]) => column.append(...cards));
+}
+narrow.addEventListener("change", arrange);
+arrange();
 
 const remembered = localStorage.getItem("theme");
 setTheme(remembered || (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));

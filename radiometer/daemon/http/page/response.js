@@ -50,7 +50,7 @@ function axes(pen, box, yLow, yHigh, xTicks) {
 
 export function drawResponse(canvas, curve) {
   const { pen, width, height } = prepared(canvas);
-  const box = { x: 46, y: 8, w: width - 56, h: height - 36 };
+  const box = { x: 46, y: 24, w: width - 56, h: height - 52 };
   if (!curve) {
     pen.fillStyle = css("--quiet"); pen.textAlign = "center";
     pen.fillText("taken as linear: no curve in use", width / 2, height / 2);
@@ -70,7 +70,7 @@ export function drawResponse(canvas, curve) {
   g.forEach((v, i) => pen[i ? "lineTo" : "moveTo"](x(v), y(curve.dn[i])));
   pen.stroke();
   pen.fillStyle = css("--quiet"); pen.textAlign = "left"; pen.textBaseline = "top";
-  pen.fillText(curve.linear ? "DN over ln(exposure), taken as linear" : curve.absolute ? "DN over ln(H / J m⁻²)" : "DN over ln(relative exposure)", box.x + 8, box.y + 4);
+  pen.fillText(curve.linear ? "DN over ln(exposure), taken as linear" : curve.absolute ? "DN over ln(H / J m⁻²)" : "DN over ln(relative exposure)", box.x - 38, 2);
 }
 
 const STOPS = { inferno: ["#000004", "#1b0c41", "#4a0c6b", "#781c6d", "#a52c60", "#cf4446", "#ed6925", "#fb9b06", "#f7d13d", "#fcffa4"], red: ["#000000", "#ff0000"] };

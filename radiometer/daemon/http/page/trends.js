@@ -9,6 +9,10 @@ export const timeText = (at, span) => new Date(at * 1000).toLocaleString([], {
   hour12: false, hour: "2-digit", minute: "2-digit", ...(span <= 7200 ? { second: "2-digit" } : {}), ...(span > 7200 ? { day: "numeric", month: "short" } : {}),
 });
 
+const POWERS = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
+export const superscript = (n) => String(n).replace(/./g, (c) => POWERS[c]);
+export const unitText = (unit) => unit.replace(/([a-zA-Z])(-?\d+)/g, (_, letter, power) => letter + superscript(power));
+
 function axisTimes(u, splits) {
   const span = u.scales.x.max - u.scales.x.min, step = splits.length > 1 ? splits[1] - splits[0] : span;
   return splits.map((at) => {
@@ -33,6 +37,7 @@ export class TrendPanel {
     this.caption = document.createElement("figcaption");
     this.title = document.createElement("b"); this.readout = document.createElement("span"); this.readout.className = "quiet";
     this.title.textContent = name === "main" ? "patch" : name;
+    this.unit = document.createElement("span"); this.unit.className = "unit"; this.title.append(this.unit);
     this.caption.append(this.title, this.readout);
     this.frame = document.createElement("div");
     this.frame.className = "plot";
@@ -93,8 +98,11 @@ export class TrendPanel {
       pen.beginPath(); pen.moveTo(left, y); pen.lineTo(left + width, y); pen.stroke();
     }
     pen.setLineDash([2 * ratio, 3 * ratio]); pen.lineWidth = ratio;
-    for (const event of this.events) {
-      const x = u.valToPos(event.at, "x", true), bad = event.kind === "alarm";
+    const drawn = new Set();
+    for (const event of this.events) {  // where many fall together, one line of each kind is enough
+      const x = u.valToPos(event.at, "x", true), bad = event.kind === "alarm", place = `${event.kind} ${Math.round(x / (4 * ratio))}`;
+      if (drawn.has(place)) continue;
+      drawn.add(place);
       pen.strokeStyle = pen.fillStyle = css(bad ? "--bad" : event.kind === "remark" ? "--ink" : "--quiet");
       pen.beginPath(); pen.moveTo(x, top); pen.lineTo(x, top + height); pen.stroke();
       pen.beginPath(); pen.moveTo(x - 4 * ratio, top); pen.lineTo(x + 4 * ratio, top); pen.lineTo(x, top + 7 * ratio); pen.fill();
@@ -104,11 +112,13 @@ export class TrendPanel {
   tell(index) {
     const c = this.columns;
     if (!c) return;
-    const shown = index != null && c.value[index] !== null ? index : null;
-    this.readout.textContent = this.hover(this, shown);
+    const shown = index != null && c.value[index] !== null ? index : null, left = this.plot.cursor.left;
+    const event = left >= 0 && this.events.find((e) => Math.abs(this.plot.valToPos(e.at, "x") - left) < 6);
+    this.readout.textContent = event ? `${timeText(event.at, 7201)}   ${event.kind}: ${event.message}` : this.hover(this, shown);
   }
   show(columns, window, limits, events) {
     Object.assign(this, { columns, window, limits: limits || {}, events: events || [] });
+    this.unit.textContent = columns?.unit ? unitText(columns.unit) : "";
     this.empty.textContent = columns?.value.some((v) => v !== null) ? "" : "no readings in this time";
     this.plot.setData(this.data());
     this.fit();
