@@ -21,7 +21,7 @@ define install_packages
 	fi
 endef
 
-.PHONY: help measure test test-fast test-slow check mutants bench soak firmware calibration clean
+.PHONY: help measure test test-fast test-slow check mutants coverage shake bench soak firmware calibration clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -47,6 +47,20 @@ check: $(VENV)/.ready-test  ## Format, lint, types, layers
 
 mutants: $(VENV)/.ready-test  ## Make plausible mistakes one at a time and count which the fast tests notice (AREA=planning for one)
 	$(BIN)/python -m tests.mutants $(AREA)
+
+coverage: $(VENV)/.ready-test  ## Run the whole suite and show which branches it never takes, least covered modules first
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST) -n 2 --dist loadgroup --cov --cov-report=
+	$(BIN)/python -m coverage report --sort=cover --skip-covered
+
+# Two loops that do nothing but take the processor, as a busy machine does; another order each time.
+RUNS  ?= 10
+TESTS ?= -m "not slow and not bench and not soak and not hardware" tests/unit tests/style
+shake: $(VENV)/.ready-test  ## Run the fast tests in ten orders under two busy loops (RUNS=n, TESTS="tests/protocol")
+	@for k in 1 2; do (while :; do :; done) & busy="$$busy $$!"; done; trap "kill $$busy" EXIT; failed=0; \
+	for run in $$(seq 1 $(RUNS)); do echo "run $$run of $(RUNS)"; \
+	  OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST) -n 2 --dist loadgroup -q --randomly-seed=$$run $(TESTS) \
+	    || failed=$$((failed + 1)); \
+	done; echo "$$failed of $(RUNS) runs failed"; [ $$failed = 0 ]
 
 bench: $(VENV)/.ready-test  ## Run the long benchmarks and rewrite the tables in docs/benchmarks.md
 	$(BIN)/python -m benchmarks

@@ -88,6 +88,65 @@ def test_every_test_says_which_behaviour_it_shows(path):
     assert silent == []
 
 
+JUDGES = ("assert_", "refuse_", "require_", "fail")
+
+
+def judges(node):
+    """Tell whether a node can fail a test: an assertion, an expected error, or a call that refuses what is wrong.
+
+    That something is not None says next to nothing: any wrong value is not None either.
+    """
+    if isinstance(node, ast.Assert):
+        return not is_not_none(node.test)
+    if isinstance(node, ast.Call):
+        name = getattr(node.func, "id", None) or getattr(node.func, "attr", "")
+        return name in {"raises", "warns", "eventually", "run_state_machine_as_test"} or name.startswith(JUDGES)
+    return False
+
+
+def is_not_none(test):
+    """Tell whether a condition only says that something is not None."""
+    if isinstance(test, ast.BoolOp):
+        return all(map(is_not_none, test.values))
+    return (
+        isinstance(test, ast.Compare)
+        and isinstance(test.ops[0], ast.IsNot)
+        and isinstance(test.comparators[0], ast.Constant)
+        and test.comparators[0].value is None
+    )
+
+
+def helpers_that_judge(tree):
+    """Return the names of a file's own functions and fixtures that can fail a test, also through each other."""
+    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    found: set[str] = set()
+    while True:
+        more = {one.name for one in functions if any(judges(node) or calls(node, found) for node in ast.walk(one))}
+        if more <= found:
+            return found
+        found |= more
+
+
+def calls(node, names):
+    """Tell whether a node calls one of the names."""
+    return isinstance(node, ast.Call) and (getattr(node.func, "id", None) or getattr(node.func, "attr", "")) in names
+
+
+@pytest.mark.parametrize("path", TESTS, ids=name_of)
+def test_every_test_can_fail(path):
+    """Each test asserts something more than that a value is there."""
+    tree = parsed(path)
+    judging = helpers_that_judge(tree)
+    toothless = [
+        node.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and node.name.startswith("test_")
+        and node.name not in judging
+    ]
+    assert toothless == []
+
+
 def test_nothing_names_a_package_registry():
     """Pins and configuration work with whatever registry is configured."""
     names = ("pyproject.toml", "constraints.txt", "Makefile", ".ci/run")

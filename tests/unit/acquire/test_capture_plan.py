@@ -38,6 +38,7 @@ def plan_file(tmp_path):
     return write
 
 
+@pytest.mark.slow
 def test_a_plan_is_taken_as_it_stands(plan_file, tmp_path):
     """Order, repeats, gain, shutter, source level and f-number are those of the plan, and so is the light."""
     assert run(["bracket", str(tmp_path / "out"), "--plan", str(plan_file())]) == 0

@@ -83,6 +83,7 @@ def test_bootstrap_and_profile_agree():
     assert 0.6 < ratio < 1.5
 
 
+@pytest.mark.slow
 def test_rod_intercept_of_one_branch_is_where_it_crosses_a_stated_criterion():
     """A quick test shows the rods alone: -4 + 3·exp(-t/6) meets -3 at 6·ln 3 min; -5 is met never, and not stated."""
     times = np.arange(0.2, 7.0, 0.2)
@@ -104,6 +105,7 @@ def test_rod_intercept_is_where_s2_meets_the_criterion():
     assert found.estimates["criterion_min"].value == pytest.approx(expected, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_stimulus_uncertainty_widens_levels_and_not_slopes():
     """A scale uncertainty of 0.05 shifts thresholds, leaves slopes, and moves a stated criterion's time by u/|S2|."""
     data = series(0.05)

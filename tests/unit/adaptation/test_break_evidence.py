@@ -48,6 +48,7 @@ def test_rods_alone_have_no_break(seed):
     assert f"a break earlier than {found.evidence.earliest_visible_min:.1f} min cannot be seen" in found.verdict
 
 
+@pytest.mark.slow
 def test_early_break_is_found_where_it_can_be_seen():
     """Cones for 5 min at −1, then rods at −0.24 per min: found, with evidence well beyond what is needed."""
     curve = -1 + 2 * np.exp(-np.minimum(TIMES, 5.0) / 1.2) - 0.24 * np.clip(TIMES - 5.0, 0.0, 9.0)

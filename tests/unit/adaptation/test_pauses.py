@@ -57,6 +57,7 @@ def _undisturbed(path: Path, stage: ScriptedStage, number: int) -> Event:
     return next(trial for trial in journal.of_kind("trial")[number:] if not trial["catch"])
 
 
+@pytest.mark.slow
 def test_trial_that_a_pause_cuts_is_begun_anew(tmp_path: Path, stage: ScriptedStage) -> None:
     """Its blinks before the pause count for nothing: the threshold has moved meanwhile."""
     cut_s = _undisturbed(tmp_path / "whole", stage, 5)["time_s"] - 1.5
@@ -78,6 +79,7 @@ def test_long_press_pauses_and_the_next_press_goes_on(tmp_path: Path, stage: Scr
     assert journal.of_kind("resume")[0]["time_s"] == pytest.approx(330.0, abs=0.5)
 
 
+@pytest.mark.slow
 def test_press_that_became_a_long_one_is_no_answer(tmp_path: Path, stage: ScriptedStage) -> None:
     """The trial that it ended is void: its threshold is not among the results."""
     trial = _undisturbed(tmp_path / "whole", stage, 2)
@@ -156,6 +158,7 @@ def test_controls_keep_the_first_who_asked() -> None:
     assert controls.stopped_by == "operator"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stopped", [False, True])
 def test_operators_wishes_are_lived_through_again(tmp_path: Path, stage: ScriptedStage, stopped: bool) -> None:
     """A simulated run that is taken up pauses, goes on and stops where it did, without anybody at the keyboard."""
@@ -172,6 +175,7 @@ def test_operators_wishes_are_lived_through_again(tmp_path: Path, stage: Scripte
     assert (tmp_path / "cut").read_bytes() == whole
 
 
+@pytest.mark.slow
 def test_run_that_died_in_a_pause_goes_on_when_lived_through_again(tmp_path: Path, stage: ScriptedStage) -> None:
     """Whoever starts the program again wants to go on, in simulated time too."""
     controls = Controls()

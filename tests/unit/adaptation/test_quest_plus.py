@@ -28,6 +28,7 @@ def seen_probability(level: float, alpha: float) -> float:
     return 0.01 + 0.97 * (1 - math.exp(-(10 ** (3.5 * (level - alpha)))))
 
 
+@pytest.mark.slow
 def test_threshold_lies_within_its_stated_uncertainty() -> None:
     """Over 24 subjects drawn from the prior, the squared errors in units of u are chi-squared (2 in 1000 outside)."""
     rng = np.random.default_rng(2)
@@ -86,6 +87,7 @@ def _run(path: Path, stage: ScriptedStage) -> Outcome:
         return run_test(stage.protocol, stage, journal, subject="A1", seed=3)
 
 
+@pytest.mark.slow
 def test_run_taken_up_in_the_middle_of_a_search_has_the_same_events(
     tmp_path: Path, protocol: AdaptationProtocol
 ) -> None:
@@ -104,6 +106,7 @@ def test_run_taken_up_in_the_middle_of_a_search_has_the_same_events(
     assert whole.to_csv().startswith("time_min,log10_threshold,u_log10_threshold\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("subject", "verdict"),
     [(lambda level, seconds: False, Verdict.NO_RESPONSE), (lambda level, seconds: True, Verdict.UNRELIABLE)],

@@ -74,6 +74,7 @@ def test_only_a_protocol_with_the_published_conditions_reports_one():
             validate(AdaptationProtocol, {**whole, **change}, "x", ConfigurationError)
 
 
+@pytest.mark.slow
 def test_facts_of_a_run_lead_to_its_intercept():
     """What stands before the thresholds gives criterion, limit and bias back, and the fit says both."""
     rule = intercept_of(facts_of(read_protocol("rapid"), 0.01))

@@ -34,6 +34,7 @@ def classic() -> AdaptationProtocol:
     return read_protocol("classic")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "tolerance"), [("classic", 0.11), ("quick", 0.35)])
 def test_thresholds_follow_the_eye(tmp_path: Path, name: str, tolerance: float) -> None:
     """Ascending limits overshoot by at most a step (0.1); the 4-2 dB staircase stays within its first step."""
@@ -96,6 +97,7 @@ def test_hasty_presses_count_as_false(tmp_path: Path, classic: AdaptationProtoco
     assert outcome.thresholds_log10 == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dies_after_s", [125.0, 700.0, 1500.0])
 def test_run_taken_up_after_a_crash_has_the_same_events(
     tmp_path: Path, classic: AdaptationProtocol, dies_after_s: float

@@ -124,6 +124,7 @@ def test_a_cluster_gives_the_same_table_bit_for_bit_though_a_worker_dies(make_ar
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "one.parquet"), pd.read_parquet(tmp_path / "two.parquet"))
 
 
+@pytest.mark.slow
 def test_no_scheduler_is_said_in_one_line(make_archive, tmp_path):
     """Nothing listens there."""
     with pytest.raises(DeviceNotFound, match="no Dask scheduler answers at tcp://127"):
@@ -146,6 +147,7 @@ def test_unfinished_captures_are_listed(make_archive):
     assert ([p.name for p in finished], [p.name for p in unfinished]) == (["day-0000"], ["day-0001"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("job", sorted(JOBS))
 def test_every_job_gives_rows_of_one_table(make_archive, tmp_path, job):
     """Whatever the job, its rows have the table's columns; a failure is a row too."""

@@ -24,6 +24,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
 
+@pytest.mark.slow
 def test_freed_arrays_are_used_again_without_new_pages(project_root):
     """In a process set as a Dask worker is, arrays of 3 MB cost page faults each time; kept, they cost next to none."""
     faults = {}

@@ -36,6 +36,7 @@ def test_the_stated_uncertainty_of_the_drift_is_honest():
     assert np.std(pulls) == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.slow
 def test_no_drift_is_claimed_where_there_is_none():
     """300 archives without a drift: at most 4 false claims at three sigmas (0.8 expected)."""
     claims = [fit_trend(*history(np.random.default_rng(seed), 0.0, readings=60)).drifts for seed in range(300)]
@@ -83,6 +84,7 @@ def correlated(seed, rho=0.8, days=7.0, count=104, sigma=0.003):
     return np.arange(count) * days * 86400.0, 5.0 * (1 + errors), np.full(count, 5.0 * sigma)
 
 
+@pytest.mark.slow
 def test_correlated_errors_are_no_drift():
     """300 archives of AR(1) errors, ρ = 0.8: at most 6 false claims (1 % are 3); u is no smaller than the scatter."""
     trends = [fit_trend(*correlated(seed)) for seed in range(300)]

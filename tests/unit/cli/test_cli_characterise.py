@@ -48,6 +48,7 @@ def test_json_and_camera_file_hold_the_same_figures(
     assert preset.camera.conversion_gain_e_per_dn == printed["camera"]["conversion_gain_e_per_dn"]
 
 
+@pytest.mark.slow
 def test_table_names_symbols_and_report_is_written(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -59,6 +60,7 @@ def test_table_names_symbols_and_report_is_written(
     assert (tmp_path / "sheet.html").read_text().startswith("<!doctype html>")
 
 
+@pytest.mark.slow
 def test_camera_is_driven_and_its_limits_stand_in_the_file(tmp_path: Path) -> None:
     """With --camera sim the frames are taken from the bench file's camera, and the file can be simulated again."""
     bench = {

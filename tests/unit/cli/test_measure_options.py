@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 from radiometer.cli.main import run
 
 
+@pytest.mark.slow
 def test_the_drawn_interval_stands_beside_the_budget_s(capsys):
     """On the simulated bench both agree: the ends lie within the tolerance that is stated."""
     assert run(["measure", "--json", "--monte-carlo"]) == 0

@@ -63,6 +63,7 @@ def test_misuse_is_exit_code_two(words: list[str], tmp_path: Path, capsys: pytes
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_json_and_argyll_speak_for_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """--json is one object; --argyll prints a line of spotread's for every level."""
     options = ["--display", "oled", "--levels", "0,128,255", "-o", str(tmp_path / "o.yaml")]

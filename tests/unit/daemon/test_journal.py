@@ -99,6 +99,7 @@ def test_a_full_journal_refuses_and_loses_nothing(tmp_path: Path, make_reading: 
     assert JournalReader(path).bounds() == (1, count + 1, count + 1)
 
 
+@pytest.mark.slow
 def test_a_locked_journal_is_named_as_such(tmp_path: Path, make_reading: Make) -> None:
     """A file locked by another program raises JournalError, and works again once it is free."""
     path = tmp_path / "j.sqlite"
@@ -174,6 +175,7 @@ def test_a_hole_is_found_on_opening(tmp_path: Path, make_reading: Make) -> None:
         Journal(path).open()
 
 
+@pytest.mark.slow
 def test_a_long_query_ends_at_its_deadline(tmp_path: Path, make_reading: Make) -> None:
     """A reader gives up rather than hold a thread for ever."""
     with Journal(tmp_path / "j.sqlite") as journal:

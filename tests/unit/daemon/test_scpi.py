@@ -227,6 +227,7 @@ async def test_settings_are_shared_and_status_is_not(connect: Any) -> None:
     assert await other.ask("SYST:ERR?") == '0,"No error"'
 
 
+@pytest.mark.slow
 async def test_a_blocked_journal_is_a_mass_storage_error(
     client: Any, station: Station, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,6 +21,7 @@ def _quiet() -> Iterator[None]:
     structlog.configure(**before)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_no_sequence_of_messages_ends_the_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
     """All commands, right and wrong, of three sessions, while camera and light box fail and come back."""

@@ -80,6 +80,7 @@ async def test_a_lost_camera_is_reported_and_reopened(
     assert station.camera.losses == 1
 
 
+@pytest.mark.slow
 async def test_a_camera_that_does_not_return_is_told_before_it_gives_up(
     station: Station, instrument: Any, eventually: Eventually
 ) -> None:
@@ -166,6 +167,7 @@ async def test_failed_measurements_put_an_alarm_up(station: Station, instrument:
     await eventually(lambda: not station.alarms.active)
 
 
+@pytest.mark.slow
 async def test_a_locked_journal_holds_readings_back(station: Station, eventually: Eventually) -> None:
     """While it is locked no client sees a reading; afterwards all come, numbered without holes."""
     other = sqlite3.connect(station.journal_path, isolation_level=None)
@@ -183,6 +185,7 @@ async def test_a_locked_journal_holds_readings_back(station: Station, eventually
     assert len(numbers) > 5
 
 
+@pytest.mark.slow
 async def test_measuring_pauses_when_too_much_waits(
     instrument: Any, tmp_path: Path, eventually: Eventually, make_reading: Any
 ) -> None:

@@ -57,6 +57,7 @@ OWNERS = {
 }
 
 
+@pytest.mark.slow
 def test_only_one_module_imports_each_library(project_root):
     """Each camera library is imported in its own module and nowhere else, and there not at module import."""
     importers = {library: set() for library in OWNERS}

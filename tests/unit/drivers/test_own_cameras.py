@@ -361,6 +361,7 @@ VIRTUAL = """
 """
 
 
+@pytest.mark.slow
 def test_the_real_libgphoto2_takes_a_bracket_with_its_virtual_camera(tmp_path, project_root):
     """libgphoto2's own virtual camera: its dial is set and read back, and a raw file comes through the library."""
     gphoto2 = pytest.importorskip("gphoto2")

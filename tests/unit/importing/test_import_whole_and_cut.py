@@ -104,6 +104,7 @@ def refused(path):
     return None
 
 
+@pytest.mark.slow
 def test_every_file_of_the_real_folders(shared_data, tmp_path):
     """Whole or cut in half, each real file is read or refused in one line of ours."""
     files = [

@@ -34,6 +34,7 @@ def test_importing_loads_neither_numpy_nor_any_room():
     assert in_a_new_process(code) == "[]"
 
 
+@pytest.mark.slow
 def test_the_function_reconcile_stays_when_its_room_is_imported():
     """`radiometer.reconcile` is the function, before and after `from radiometer.reconcile import …`."""
     code = (

@@ -90,17 +90,20 @@ EXACT = [2.0**-k for k in range(4, 13)]
 PRINTED = [1 / d for d in (15, 30, 60, 125, 250, 500, 1000, 2000, 4000)]
 
 
+@pytest.mark.slow
 def test_rounded_stops_of_photographs_are_named() -> None:
     """Printed 1/60 s exposed for 1/64 s and so on, through an unknown tone curve."""
     done = reconcile_photographs(_photographs(PRINTED, EXACT))
     assert [effect.name for effect in done.result.effects] == ["nominal_settings"]
 
 
+@pytest.mark.slow
 def test_truthful_labels_agree() -> None:
     """Exposures that are what they say: nothing is missing."""
     assert reconcile_photographs(_photographs(EXACT, EXACT)).result.verdict is Verdict.AGREES
 
 
+@pytest.mark.slow
 def test_label_that_lies_is_named_with_its_ratio() -> None:
     """One photograph labelled a stop too short: its label and the factor 2 come out."""
     printed = [*EXACT[:3], EXACT[3] * 1.9, *EXACT[4:]]

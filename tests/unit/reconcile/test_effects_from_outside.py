@@ -150,6 +150,7 @@ HIDDEN: dict[str, tuple[dict[str, Any], str, float]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("name", NAMES)
 def test_installed_effect_is_found_where_it_is_hidden(make_capture: Callable[..., Any], name: str) -> None:

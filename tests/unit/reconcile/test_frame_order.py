@@ -48,6 +48,7 @@ def test_every_nth_frame_that_is_dim_is_found(make_capture: Callable[..., Any], 
     assert found.depth == pytest.approx(0.04, abs=0.004)
 
 
+@pytest.mark.slow
 def test_lamp_that_wanders_at_random_has_no_period(make_capture: Callable[..., Any]) -> None:
     """Of 40 lamps that wander by 2 % from frame to frame none has a period, at a chance of 0.1 % each."""
     found = []
@@ -63,6 +64,7 @@ def test_first_frames_and_drifts_within_a_setting_have_no_period(make_capture: C
     assert _seen(make_capture, lambda n: 1.0 - 0.01 * (n % 4)) is None
 
 
+@pytest.mark.slow
 def test_every_fifth_frame_dim_does_not_agree(make_capture: Callable[..., Any]) -> None:
     """Of a source about which nothing is stated: never `agrees`, and the first thing told is the period."""
     frames = count()
@@ -80,6 +82,7 @@ def test_every_fifth_frame_dim_does_not_agree(make_capture: Callable[..., Any]) 
     assert rest.parameters["depth_rel"].value == pytest.approx(0.06, abs=0.005)
 
 
+@pytest.mark.slow
 def test_rest_is_one_entry_with_its_size(make_capture: Callable[..., Any]) -> None:
     """A scatter of captures by an unknown cause is one entry; its root mean square is that of what was added."""
     plan = [*EXPOSURES, *EXPOSURES, *EXPOSURES, *EXPOSURES, *DARKS]

@@ -30,6 +30,7 @@ def _weaker(loss: float, onset: float) -> Callable[[Any, Any], Any]:
     return lambda image, setting: image * (1.0 - loss * max(setting["d"] - onset, 0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("onset", "mended"), [(1.0 / 3.0, True), (0.0, False)])
 def test_droop_beyond_some_drive_takes_one_term_more(
     make_capture: Callable[..., Any], onset: float, mended: bool

@@ -103,6 +103,7 @@ def test_camera_of_stated_noise_has_no_dark_current_but_a_stated_one() -> None:
     assert not free(dark_current_e_per_s=1.0)
 
 
+@pytest.mark.slow
 def test_table_that_was_found_has_a_limit(make_capture: Callable[..., Any]) -> None:
     """The limit of an effect in the form of a table is that of its largest entry, near that of its law."""
     captured = make_capture(3)

@@ -102,6 +102,7 @@ def test_swinging_lamp_is_placed_along_time(make_capture: Callable[..., Any]) ->
     assert (first.block, axis_of(first.where, first.block)) == ("mean", "timestamp_s")
 
 
+@pytest.mark.slow
 def test_global_p_lies_within_what_overlapping_tests_allow(make_capture: Callable[..., Any]) -> None:
     """Of tests that overlap the global p lies below Bonferroni's n·p, but not by more than their number of kinds."""
     state = _state(make_capture(seed=5))

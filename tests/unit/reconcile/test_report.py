@@ -22,6 +22,7 @@ def glaring() -> Reconciled:
     return examine(session.header, frame_reader(frames), frames[0].shape, catalogue=entries, with_limits=False)
 
 
+@pytest.mark.slow
 def test_the_verdict_comes_first_and_pictures_before_tables(glaring):
     """What was found, the opening picture, the name, the map of the rest, then the folded figures."""
     page = report_html(glaring, "session <1>")
@@ -37,6 +38,7 @@ def test_the_verdict_comes_first_and_pictures_before_tables(glaring):
     assert page.index("<details>") > places[-1]
 
 
+@pytest.mark.slow
 def test_a_name_says_what_it_is_and_what_shows_it(glaring):
     """The effect's own sentence, the statistic and covariate in words, a picture, and its size with ±."""
     page = report_html(glaring, "session")
@@ -47,6 +49,7 @@ def test_a_name_says_what_it_is_and_what_shows_it(glaring):
     assert re.search(r"<td>share</td><td>[\d.]+</td><td>± ", part)
 
 
+@pytest.mark.slow
 def test_nothing_is_loaded_from_elsewhere(glaring):
     """The page is one file."""
     page = report_html(glaring, "session")

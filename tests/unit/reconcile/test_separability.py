@@ -45,6 +45,7 @@ def _sets(state: FitState) -> list[set[str]]:
     return [{entry.name, *entry.others} for entry in separability(state, whole_catalogue()).together]
 
 
+@pytest.mark.slow
 def test_bracket_of_one_chart_cannot_tell_stray_light_apart(plain: FitState) -> None:
     """A veil, light from the room and a black that glows stand together, and a capture is asked for that tells more."""
     found = separability(plain, whole_catalogue())
@@ -54,11 +55,13 @@ def test_bracket_of_one_chart_cannot_tell_stray_light_apart(plain: FitState) -> 
     assert "polarisation" in found.blind
 
 
+@pytest.mark.slow
 def test_short_exposures_do_not_tell_one_flicker_from_another(plain: FitState) -> None:
     """Mains and dimming shake frames alike where no exposure holds a period."""
     assert any(names >= {"mains_ripple", "pwm_flicker"} for names in _sets(plain))
 
 
+@pytest.mark.slow
 def test_another_surround_level_and_the_source_off_tell_them_apart(make_capture: Callable[..., Any]) -> None:
     """With these captures no two of the three stand together."""
     assert all(len(names & STRAY) < 2 for names in _sets(_state(make_capture, [*BRACKET, *DARKS, *OTHERS])))
@@ -83,6 +86,7 @@ def test_names_that_stand_together_fit_each_other_without_noise(
     assert alike or foreign - own > 100.0
 
 
+@pytest.mark.slow
 def test_plan_is_told_on_the_command_line(
     make_capture: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -121,6 +121,7 @@ def test_display_types_are_like_measured_displays(kind: str, file: str, shared_d
         assert lights("white_led", kind)[name].photopic_lm_per_w == pytest.approx(measured, rel=tolerance)
 
 
+@pytest.mark.slow
 def test_every_real_file_is_read_without_an_edit(shared_data: Path, tmp_path: Path) -> None:
     """All uLR files of eight displays and the .ti3 become calibrations that can be read back."""
     folder = shared_data / "displays"

@@ -21,6 +21,7 @@ from radiometer.screen.meter import ScreenReading
 from radiometer.screen.photometer import RadiometerPhotometer
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", EXPORTS)
 def test_every_export_is_written(kind: str, screen: ScreenCalibration, tmp_path: Path) -> None:
     """Each kind makes a file with content."""
@@ -95,6 +96,7 @@ def test_inverse_table_rises_and_meets_its_targets(screen: ScreenCalibration) ->
         assert abs(float(row[3]) - target) <= step / 2 * 1.05 + 1e-4
 
 
+@pytest.mark.slow
 def test_vcgt_has_apples_layout_and_straightens_the_screen(screen: ScreenCalibration) -> None:
     """18 bytes of head, 3 × 256 rising 16-bit numbers; driven through them the screen follows gamma 2.2."""
     content = EXPORTS["vcgt"][0](screen)
@@ -108,6 +110,7 @@ def test_vcgt_has_apples_layout_and_straightens_the_screen(screen: ScreenCalibra
     assert np.abs(shown - wanted).max() < 1e-4 * wanted[-1]
 
 
+@pytest.mark.slow
 def test_correction_of_another_gamma_is_another_table(screen: ScreenCalibration) -> None:
     """A target of 1.8 wants more drive in the middle."""
     assert correction(screen.channel(), 1.8)[128] > correction(screen.channel(), 2.2)[128]
@@ -132,6 +135,7 @@ def test_photometer_answers_as_psychopy_asks() -> None:
     assert photometer.OK
 
 
+@pytest.mark.slow
 def test_photometer_of_a_camera_reads_what_the_bench_shows() -> None:
     """The bench's middle patch has 1.5·0.5^2.2 W/sr/m²; the lens is known to 1 %, of which three sigmas are allowed."""
     with open_photometer() as photometer:

@@ -58,6 +58,7 @@ def test_shape_is_right_without_the_scale(calibrated: tuple[str, ScreenCalibrati
     assert np.mean(np.abs(z) <= 2) > 0.85
 
 
+@pytest.mark.slow
 def test_black_is_seen_or_becomes_a_limit(calibrated: tuple[str, ScreenCalibration]) -> None:
     """An OLED's true black is given as a limit of detection; the LCD's 0.1 cd/m² is measured."""
     name, calibration = calibrated

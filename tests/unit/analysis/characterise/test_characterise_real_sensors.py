@@ -198,6 +198,7 @@ def test_a_table_of_statistics_is_characterised(tmp_path):
     assert "DSNU_1288" not in figures
 
 
+@pytest.mark.slow
 def test_the_real_ccd_over_two_years(shared_data):
     """One camera's darks of 2017 and 2019: doubling 4.5 to 5 K; gain from flats and darks agree within 2 u."""
     folder = shared_data / "sensors"

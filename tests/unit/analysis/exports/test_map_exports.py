@@ -240,6 +240,7 @@ def test_misuse_of_the_command_is_one_line(words, code, message, capture, tmp_pa
     assert not list(tmp_path.glob("a.*"))
 
 
+@pytest.mark.slow
 def test_colour_photographs_are_merged_by_channel(tmp_path, capsys):
     """Three curves by channel, one command, an .exr with R, G and B in their proportion."""
     truth = np.geomspace(0.05, 4.0, 64)[None, :].repeat(16, 0)

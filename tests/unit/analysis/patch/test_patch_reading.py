@@ -69,6 +69,7 @@ def test_twenty_patches_over_five_decades_are_read_right(rig):
     assert 0.91 <= np.mean(hits) <= 0.99
 
 
+@pytest.mark.slow
 def test_weights_do_not_bias_a_dim_patch(rig):
     """At 20 electrons per pixel the mean of many readings meets the truth within 4 sigma of that mean.
 

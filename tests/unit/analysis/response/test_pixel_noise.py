@@ -89,6 +89,7 @@ def _photographs(folder, rng, *, dn_noise=2.0):
     return folder, radiance
 
 
+@pytest.mark.slow
 def test_one_command_from_photographs_to_a_colour_map(tmp_path, capsys):
     """`merge PHOTOS -o map.tiff` finds the response: radiance in proportion to the truth, errors as u says.
 

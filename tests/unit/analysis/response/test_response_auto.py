@@ -9,13 +9,16 @@ from radiometer.analysis.response.auto import recover_response_auto
 
 
 @pytest.mark.parametrize("response", ["gamma", "linear", "sigmoid"])
-@pytest.mark.parametrize(("bit_depth", "limit"), [(8, 0.0022), (12, 0.002), (16, 0.002)])
+@pytest.mark.parametrize(
+    ("bit_depth", "limit"), [(8, 0.0022), (12, 0.002), pytest.param(16, 0.002, marks=pytest.mark.slow)]
+)
 def test_response_comes_back(make_stack, inner_error, response, bit_depth, limit):
     """The scatter of ln H over 5–95 % stays under half of 0.0044, the best peer's at 8 bits."""
     curve = recover_response_auto(make_stack(response, bit_depth=bit_depth)).curve
     assert np.std(inner_error(curve, response)) < limit
 
 
+@pytest.mark.slow
 def test_parts_of_an_even_stack_agree(make_stack):
     """Where all quadrants and frames follow one curve, curves without one of them differ by less than 1 %."""
     for bit_depth in (8, 12):
@@ -37,6 +40,7 @@ def _mean_square_in_u(make_stack, inner_error, bit_depth, responses):
     return np.mean(squares)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bit_depth", [8, 12])
 def test_errors_are_what_the_uncertainty_says(make_stack, inner_error, bit_depth):
     """Over ten responses with bends at all levels the mean squared error in units of u is near 1: 0.4 to 2.5.
@@ -47,6 +51,7 @@ def test_errors_are_what_the_uncertainty_says(make_stack, inner_error, bit_depth
     assert 0.4 < _mean_square_in_u(make_stack, inner_error, bit_depth, films) < 2.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bit_depth", [8, 12])
 def test_errors_of_smooth_responses_stay_within_the_uncertainty(make_stack, inner_error, bit_depth):
     """Where a response is smoother than u must allow for, errors are smaller than u, not larger."""
@@ -54,6 +59,7 @@ def test_errors_of_smooth_responses_stay_within_the_uncertainty(make_stack, inne
     assert _mean_square_in_u(make_stack, inner_error, bit_depth, smooth) < 1.0
 
 
+@pytest.mark.slow
 def test_right_times_are_left_alone(make_stack):
     """Where the labels are right no time errors are fitted: the ratios are the given ones, without uncertainty."""
     estimate = recover_response_auto(make_stack("gamma"))
@@ -61,6 +67,7 @@ def test_right_times_are_left_alone(make_stack):
     assert np.all(estimate.u_exposure_ratios == 0)
 
 
+@pytest.mark.slow
 def test_wrong_time_is_found_and_taken_out(make_stack, inner_error):
     """A frame 3 % longer than its label is found, to within 5 u + 0.1 %, and does not bend the curve."""
     estimate = recover_response_auto(make_stack("gamma", time_errors={4: 1.03}))
@@ -95,6 +102,7 @@ def test_black_level_is_respected(make_stack):
     assert g / g[0] == pytest.approx([1, 2, 4], rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("response", ["gamma", "linear"])
 @pytest.mark.parametrize("bit_depth", [8, 16])
 def test_noise_behind_the_curve_is_borne_as_well(true_log_exposure, response, bit_depth):
@@ -128,6 +136,7 @@ def _with_flare(stack, amount):
     return Bracket.from_frames(frames)
 
 
+@pytest.mark.slow
 def test_parts_that_disagree_widen_the_uncertainty_and_smooth_the_curve(make_stack, inner_error):
     """Flare in one half: groups no longer count as independent, u grows at least threefold, and it holds the error."""
     plain, flared = (recover_response_auto(s) for s in (make_stack("gamma"), _with_flare(make_stack("gamma"), 0.1)))
@@ -140,6 +149,7 @@ def test_parts_that_disagree_widen_the_uncertainty_and_smooth_the_curve(make_sta
     assert not any("quadrant" in note for note in plain.notes)
 
 
+@pytest.mark.slow
 def test_outside_the_data_nothing_is_stated(make_stack):
     """u is infinite outside the supported values, finite inside; g goes on with no more than the slope at the edge."""
     curve = recover_response_auto(make_stack("gamma", bit_depth=8)).curve
@@ -151,6 +161,7 @@ def test_outside_the_data_nothing_is_stated(make_stack):
     assert curve.log_exposure[low] - curve.log_exposure[0] <= steepest * low
 
 
+@pytest.mark.slow
 def test_a_wrong_label_is_found_with_its_size(make_stack, inner_error):
     """A frame a third of a stop off its label is named, within 3 u + 0.2 % of the truth; right labels never are."""
     found = recover_response_auto(make_stack("gamma", time_errors={4: 0.79}))

@@ -13,6 +13,7 @@ from radiometer.data import Bracket, Frame, FrameSettings
 from radiometer.errors import InputError, MeasurementError, UsageError
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("response", ["linear", "gamma"])
 def test_method_gives_the_response_back(make_stack, inner_error, method, response):
@@ -40,6 +41,7 @@ def test_method_refuses_saturated_frames(method):
         METHODS[method]([Bracket.from_frames(frames)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bit_depth", [8, 12])
 def test_mitsunaga_recovers_ratios_from_one(make_stack, bit_depth):
     """With one of eight ratios known the others come out within 0.5 %, times unknown."""
@@ -51,6 +53,7 @@ def test_mitsunaga_recovers_ratios_from_one(make_stack, bit_depth):
     assert "known ratio of pair 0" in estimate.gauge
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bit_depth", [8, 12])
 def test_mitsunaga_recovers_ratios_where_no_polynomial_of_the_values_fits(make_stack, bit_depth):
     """Kinks and near-plateaus, stated times wrong by up to 15 %: within 0.5 %, and within 4 of the stated sigmas."""
@@ -100,6 +103,7 @@ def test_linear_spline_owns_up_to_a_response_that_is_not_linear(make_stack, inne
     assert 0.2 < np.mean((error[away] / u[away]) ** 2) < 2.0
 
 
+@pytest.mark.slow
 def test_methods_that_agree_differ_by_few_sigma(make_stack):
     """Debevec–Malik and the best estimate agree on a gamma stack to within 1 % and 6 sigma."""
     bracket = [make_stack("gamma", bit_depth=8)]
@@ -126,6 +130,7 @@ def test_a_polynomial_that_explains_nothing_is_refused(make_stack, monkeypatch):
         recover_response_mitsunaga1999(make_stack("gamma", bit_depth=8))
 
 
+@pytest.mark.slow
 def test_a_polynomial_off_the_first_estimate_owns_up_to_it(make_stack, monkeypatch):
     """Bent by a fifth against Debevec and Malik's curve, its u holds most of that fifth."""
     from radiometer.analysis.response.polynomial import Polynomial

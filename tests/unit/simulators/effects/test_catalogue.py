@@ -99,12 +99,14 @@ def test_the_catalogue_is_whole() -> None:
     assert set(NAMES) <= set(EFFECTS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(CATALOGUE))
 def test_entry_simulates_what_its_moments_say(name: str) -> None:
     """Frames through the whole chain have the expected mean: within 5 sigma of the mean over pixels and frames."""
     _check_mean(_starts(CATALOGUE[name], _context())[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FLEXIBLE)
 def test_flexible_form_simulates_what_its_moments_say(name: str) -> None:
     """The same holds for the forms that an entry takes where its plain one leaves structure."""

@@ -1,0 +1,42 @@
+"""The firmware as a library, built once."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.unit.firmware.board import FirmwareBox, build
+
+# Buckets of five ms of the bleach at its highest level, so that they are used up in a moment.
+DIVISOR = 40_000
+
+
+@pytest.fixture(scope="session")
+def libraries(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Return the firmware as it is, and with small buckets."""
+    if shutil.which("gcc") is None:
+        pytest.skip("there is no C compiler (apt install gcc)")
+    folder, firmware = tmp_path_factory.mktemp("firmware"), project_root / "drivers/firmware/light_box"
+    return {
+        "whole": build(firmware, folder / "whole.so"),
+        "small": build(firmware, folder / "small.so", f"BUCKET_DIVISOR={DIVISOR}UL"),
+    }
+
+
+@pytest.fixture
+def power(libraries: dict[str, Path], tmp_path: Path) -> Iterator[Callable[..., FirmwareBox]]:
+    """Return a function that powers a box: `whole` or `small`, and the cause of the reset."""
+    boxes: list[FirmwareBox] = []
+    numbers = itertools.count()
+
+    def powered(kind: str = "whole", reset_flags: int = 1, serial: str = "LB000007") -> FirmwareBox:
+        boxes.append(FirmwareBox(libraries[kind], tmp_path / f"{next(numbers)}.so", reset_flags, serial))
+        return boxes[-1]
+
+    yield powered
+    for box in boxes:
+        box.close()

@@ -1,0 +1,314 @@
+"""What the firmware must not let through, in numbers of docs/light-box-protocol.md and of the circuit."""
+
+from __future__ import annotations
+
+from zlib import crc32
+
+import pytest
+
+TABLE = {
+    0: "bleach 0 1024 1953 65535 60000 47000000 78",
+    1: "spot 453 8192 1953 65535 60000 846000000 1410",
+    2: "spot_red 640 8192 1953 65535 60000 846000000 1410",
+    3: "fixation 640 1024 1953 65535 20000 846000000 1410",
+    4: "spot_green 505 8192 1953 65535 60000 846000000 1410",
+    5: "field 0 1024 1953 65535 60000 70500000 118",
+}
+
+
+def bucket(box, channel):
+    return int(box.ask(f"RB {channel}").split()[-1])
+
+
+@pytest.mark.parametrize("channel", TABLE)
+def test_limits_are_those_of_the_document(power, channel):
+    """Name, peak, steps, PWM, highest levels and budget of each channel; one level more is refused in every verb."""
+    box = power()
+    box.ask("HI 2")
+    assert box.ask(f"CH {channel}") == f"OK {TABLE[channel]}"
+    highest = int(TABLE[channel].split()[5])
+    for words in ("SL {} H {}", "RA {} H {} 5", "PU {} H {} 5", "BL {} H {} 5 5 1"):
+        assert box.ask(words.format(channel, highest + 1)) == "ER 05"
+    assert box.duties() == [0.0] * 4
+    assert box.ask(f"SL {channel} H {highest}").startswith(f"OK H {highest} ")
+    assert sum(box.duties()) == pytest.approx(highest / 65536, abs=1.1 / 1024)
+
+
+@pytest.mark.parametrize(
+    ("current", "level", "cost"), [("H", 60_000, 235), ("H", 255, 1), ("H", 256, 2), ("L", 65_535, 1)]
+)
+def test_bright_time_costs_and_darkness_gives_back(power, current, level, cost):
+    """level/256 + 1 units per ms at the high current, one at the low; 78 per dark ms up to the full bucket."""
+    box = power()
+    box.ask("HI 2")
+    box.ask(f"SL 0 {current} {level}")
+    box.run(500)
+    assert bucket(box, 0) == 47_000_000 - 500 * cost
+    box.ask("OF 0")
+    dark_ms = min(500 * cost // 78, 900)
+    box.run(dark_ms)
+    assert bucket(box, 0) == 47_000_000 - 500 * cost + 78 * dark_ms
+    box.ask("TM")
+    box.run(900)
+    if 500 * cost < 78 * 900:
+        assert bucket(box, 0) == 47_000_000
+
+
+@pytest.mark.parametrize("words", ["SL 5 H 60000", "RA 5 H 60000 1", "BL 5 H 60000 60000 1 0", "BL 5 H 60000 3 3 0"])
+def test_light_without_an_end_is_ended_by_its_budget(power, words):
+    """1762 units at 235 per ms: dark after 7 bright ms, with an event; and a longer pulse is refused (06)."""
+    box = power("small")
+    box.ask("HI 2")
+    assert box.ask("PU 5 H 60000 8") == "ER 06"
+    assert box.ask("BL 5 H 60000 4 1 2") == "ER 06"
+    assert box.ask(words).startswith("OK")
+    box.take()
+    box.run(7 if words.startswith("BL 5 H 60000 3") else 6)
+    assert b"DK" not in box.take()
+    box.run(100)
+    assert box.take().count(b" DK 5 ") == 1
+    assert box.duties() == [0.0] * 4
+    assert box.ask("RB 5").startswith("OK O L 0 0 ")
+    assert box.ask("ST").split()[5] == "1"
+
+
+def test_silence_of_a_second_makes_dark_and_ends_the_session(power):
+    """999 ms are borne, 1000 are not; whatever arrives damaged does not count as being heard."""
+    box = power()
+    box.ask("HI 2")
+    box.ask("SL 1 L 60000")
+    box.run(999)
+    assert box.duties()[1] > 0.9
+    box.ask("TM")
+    box.run(500)
+    box.send(b"#01 TM*00000000\n")
+    box.run(499)
+    assert box.duties()[1] > 0.9
+    box.take()
+    box.run(1)
+    assert box.duties() == [0.0] * 4
+    assert b" DK D 1999.000*" in box.take()
+    assert box.ask("SL 1 L 1") == "ER 07"
+    assert box.ask("ST").split()[-1] == "0"
+
+
+def test_button_held_three_seconds_keeps_every_light_off(power):
+    """Dark after 3000 ms; no light, no flash until the contact has been open for 8 ms; bounces do not end the hold."""
+    box = power()
+    box.ask("HI 2")
+    box.ask("SL 1 L 60000")
+    box.contact(closed=True)
+    for _ in range(5):
+        box.run(599)
+        box.ask("TM")
+    assert box.duties()[1] > 0.9
+    box.take()
+    box.run(5)
+    assert b" DK B 3000.000*" in box.take()
+    assert box.duties() == [0.0] * 4
+    assert box.ask("SL 1 L 1") == "ER 12"
+    assert box.ask("FL") == "ER 12"
+    box.contact(closed=False)
+    box.run(7)
+    assert box.ask("SL 1 L 1") == "ER 12"
+    box.run(1)
+    assert box.ask("SL 1 L 1") == "OK L 1 0"
+
+
+def test_flash_gap_number_and_refill(power):
+    """Trigger for 10 ms; 5 s between two; eight in a row; one more after 75 s."""
+    box = power()
+    box.ask("HI 2")
+
+    def wait(ms):
+        for _ in range(ms // 500):
+            box.run(500)
+            box.ask("TM")
+        box.run(ms % 500)
+
+    assert box.ask("FL") == "OK 7 5000"
+    assert box.pins("B") & 1
+    box.run(9)
+    assert box.pins("B") & 1
+    box.run(1)
+    assert not box.pins("B") & 1
+    wait(4989)
+    assert box.ask("FL") == "ER 06"
+    box.run(1)
+    for left in range(6, -1, -1):
+        assert box.ask("FL") == f"OK {left} 5000"
+        wait(5000)
+    assert box.ask("FS") == "OK 0 0"
+    assert box.ask("FL") == "ER 06"
+    wait(75_000 - 40_000 - 1)
+    assert box.ask("FS") == "OK 0 0"
+    box.run(1)
+    assert box.ask("FS") == "OK 1 0"
+
+
+@pytest.mark.parametrize("end", ["OF *", "HI 2", None])
+def test_whatever_ends_the_light_ends_the_trigger(power, end):
+    """Lights off, a new session and silence pull the trigger down."""
+    box = power()
+    box.ask("HI 2")
+    box.ask("FL")
+    if end:
+        box.ask(end)
+    else:
+        box.run(1000)
+    assert not box.pins("B") & 1
+
+
+@pytest.mark.parametrize(
+    ("channel", "range_pin", "select_pin"),
+    [
+        (0, ("D", 4), None),
+        (1, ("D", 5), None),
+        (2, ("D", 6), None),
+        (3, ("D", 7), None),
+        (4, ("C", 4), 2),
+        (5, ("C", 5), 3),
+    ],
+)
+def test_pins_of_each_channel(power, channel, range_pin, select_pin):
+    """The high-current switch of the channel alone is on, the select line says whose light it is, and all rest low."""
+    box = power()
+    box.ask("HI 2")
+    outputs = {"B": 0b1110, "C": 0b111100, "D": 0b11111000}
+    box.ask(f"SL {channel} H 5000")
+    expected = {"C": 0, "D": 0}
+    expected[range_pin[0]] |= 1 << range_pin[1]
+    if select_pin is not None:
+        expected["C"] |= 1 << select_pin
+    assert {port: box.pins(port) & outputs[port] for port in "CD"} == expected
+    box.ask(f"SL {channel} L 5000")
+    expected[range_pin[0]] &= ~(1 << range_pin[1])
+    assert {port: box.pins(port) & outputs[port] for port in "CD"} == expected
+    box.ask("OF *")
+    assert [box.pins(port) for port in "BCD"] == [0, 0, 0]
+    assert box.duties() == [0.0] * 4
+
+
+def test_partners_never_shine_together(power):
+    """Bleach and field, red and green share an output: the second is refused (11) until the first is off."""
+    box = power()
+    box.ask("HI 2")
+    for one, other in ((0, 5), (5, 0), (2, 4), (4, 2)):
+        box.ask(f"SL {one} L 5000")
+        for words in (f"SL {other} L 1", f"RA {other} L 1 5", f"PU {other} L 1 5", f"BL {other} L 1 5 5 1"):
+            assert box.ask(words) == "ER 11"
+        assert box.ask(f"SL {other} L 0") == "OK L 0 0"
+        assert box.duties()[{0: 0, 5: 0, 2: 2, 4: 2}[one]] == pytest.approx(5000 / 65536, abs=6e-4)
+        box.ask("OF *")
+    assert box.ask("SL 1 L 5000").startswith("OK")
+    assert box.ask("SL 3 L 5000").startswith("OK")
+
+
+@pytest.mark.parametrize("level", [8, 9, 17, 33, 100, 1000, 12345, 32767, 32768, 60000])
+def test_dithering_gives_every_step(power, level):
+    """Over eight periods of the timers a spot is on for its steps of 8192, an area channel for its of 1024."""
+    box = power()
+    box.ask("HI 2")
+    box.ask(f"SL 1 L {level}")
+    box.ask(f"SL 0 L {level}")
+    scaled = level + (level >= 32768)
+    assert box.duties()[1] * 8192 == pytest.approx((scaled * 8192 + 32768) // 65536)
+    assert box.duties()[0] * 1024 == pytest.approx((scaled * 1024 + 32768) // 65536)
+
+
+def test_a_ramp_is_a_straight_line(power):
+    """From 1000 to 2003 in 100 ms, down again in 50: at each ms the level that a ruler gives, to one."""
+    box = power()
+    box.ask("HI 2")
+    box.ask("SL 1 L 1000")
+    for start, end, ms in ((1000, 2003, 100), (2003, 1000, 50)):
+        box.ask(f"RA 1 L {end} {ms}")
+        for passed in range(1, ms + 1):
+            box.run(1)
+            level = int(box.ask("RB 1").split()[3])
+            assert level == pytest.approx(start + (end - start) * passed / ms, abs=1.0)
+        assert box.ask("RB 1").split()[1] == "S"
+
+
+def test_a_repeated_request_is_answered_alike_and_done_once(power):
+    """The host that missed an answer asks again with the same bytes: no second flash, no light anew."""
+    box = power()
+    box.ask("HI 2")
+    line = b"#77 FL"
+    line += f"*{crc32(line):08X}\n".encode()
+    box.send(line)
+    first = box.take()
+    box.run(10)
+    box.send(line)
+    assert box.take() == first
+    assert not box.pins("B") & 1
+    assert box.ask("FS").split()[1] == "7"
+
+
+def test_sensors_in_their_units(power):
+    """TMP36: 0.75 V is 25.0 °C, 0.4 V is −10.0 °C; 3.0 V behind 30k/10k is 12 V."""
+    box = power()
+    box.analog(154, 614)  # counts of 5 V/1024
+    supply_mv, tenths = map(int, box.ask("ST").split()[1:3])
+    assert supply_mv == pytest.approx(4 * 614 * 5000 / 1024, abs=2)
+    assert tenths == pytest.approx(154 * 5000 / 1024 - 500, abs=1)
+    box.analog(82, 0)
+    supply_mv, tenths = map(int, box.ask("ST").split()[1:3])
+    assert (supply_mv, tenths) == (0, pytest.approx(82 * 5000 / 1024 - 500, abs=1))
+
+
+def test_lost_and_damaged_bytes_are_counted(power):
+    """A framing error counts once; of 200 bytes that come at once 127 are kept and 73 lost; bad lines are counted."""
+    box = power()
+    box.send(b"x", damaged=True)
+    box.send_at_once(b"y" * 200)
+    box.send(b"\n")
+    assert box.ask("ST").split()[3:5] == ["1", "74"]
+
+
+@pytest.mark.parametrize(("flags", "cause"), [(1, "P"), (2, "E"), (4, "B"), (8, "W"), (15, "W"), (6, "B")])
+def test_the_cause_of_a_reset_is_told(power, flags, cause):
+    """Watchdog before brown-out before the reset line before power, in the first event and in the status."""
+    box = power(reset_flags=flags)
+    assert box.take().startswith(f"!01 BO {cause} 0.008*".encode())
+    assert box.ask("ST").split()[6] == cause
+
+
+def test_a_serial_number_of_other_characters_is_shown_as_noughts(power):
+    """What stands in an empty memory does not reach the host."""
+    assert power(serial="AB 9z*~7").ask("HI 2").split()[4] == "AB09z007"
+
+
+def test_events_are_kept_and_stamped(power):
+    """Sixteen are kept; each has the tick of its edge; older ones are refused (10)."""
+    box = power()
+    box.ask("HI 2")
+    for press in range(20):
+        box.ticks(100)
+        box.contact(closed=press % 2 == 0)
+        box.ticks(0)
+        box.run(20)
+    assert box.ask("EV 15") == "OK BT U 380.400"
+    assert box.ask("EV 14") == "OK BT D 360.400"
+    assert box.ask("EV 06") == "OK BT D 80.400"
+    assert box.ask("EV 05") == "ER 10"
+    assert box.ask("EV 16") == "ER 10"
+
+
+def test_bounces_are_one_press_and_a_late_change_is_seen(power):
+    """Edges within 8 ms are bounce; where the contact then rests otherwise, that is reported, late."""
+    box = power()
+    box.take()
+    for _ in range(5):
+        box.contact(closed=True)
+        box.contact(closed=False)
+        box.run(1)
+    box.run(2)
+    assert box.take().count(b"BT") == 1
+    box.run(1)
+    assert b" BT U 8.000*" in box.take()
+    box.contact(closed=True)
+    box.run(8)
+    box.contact(closed=False)
+    box.run(8)
+    assert [line.split()[2] for line in box.take().splitlines()] == [b"D", b"U"]
