@@ -58,7 +58,7 @@ def command(
             _follow(out, device, plan, config)
             return
         exposures = _plan(device, request, ladder, repeat)
-        written = _capture(out, device, exposures, request, config)
+        written = capture_into(out, device, exposures, request, config)
         _report(written, exposures, region, as_json=json)
 
 
@@ -89,13 +89,14 @@ def _plan(
     return replace(plan, exposures_s=tuple(sorted(plan.exposures_s * repeat)))
 
 
-def _capture(
+def capture_into(
     out: Path,
     device: Camera,
     plan: ExposurePlan,
     request: BracketRequest,
     config: BenchConfig,
 ) -> CaptureSet:
+    """Capture the planned exposures into a new folder, with a progress bar, and return what was written."""
     from radiometer.acquire.bracketing import take_plan
     from radiometer.bench.assembly import known_patches
     from radiometer.data import CaptureSet, CaptureSetWriter

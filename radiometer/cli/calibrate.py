@@ -142,7 +142,7 @@ def command(
     if preset is not None and preset.spectral_response is not None:
         base = replace(base, spectral_response=preset.spectral_response)
     if spectral_response is not None:
-        base = replace(base, spectral_response=_spectral_response(spectral_response))
+        base = replace(base, spectral_response=read_spectral_response(spectral_response))
     if flat is not None:
         base = replace(base, flat_field=_flat_field(flat, base, flat_u_rel))
     scales: list[Scale] = []
@@ -326,7 +326,8 @@ def _flat_field(path: Path, base: Calibration, source_u_rel: float) -> FlatField
     return fit_flat_field(even, base.camera, base.lens, source_u_rel=source_u_rel)
 
 
-def _spectral_response(path: Path) -> SpectralResponse:
+def read_spectral_response(path: Path) -> SpectralResponse:
+    """Return the spectral response in a CSV of wavelength in nm and relative responsivity per watt."""
     from radiometer.analysis.signal.spectra import spectrum_from_csv
     from radiometer.data import SpectralResponse
 

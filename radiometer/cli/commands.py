@@ -26,6 +26,7 @@ COMMANDS: Final[dict[str, CommandEntry]] = {
     "characterise": CommandEntry(
         "radiometer.cli.characterise", "Find gain, noise, dark current and linearity of a camera (EMVA 1288)."
     ),
+    "quality": CommandEntry("radiometer.cli.quality", "Measure the instrument's quality indices; write its datasheet."),
     "import": CommandEntry(
         "radiometer.cli.import_", "Turn FITS, raw TIFF, EMVA 1288 sets and tables into capture sets."
     ),

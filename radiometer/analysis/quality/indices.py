@@ -1,0 +1,177 @@
+"""The indices that compare readings of one source: linearity, temperature, modulation, polarisation, range, focus."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from radiometer.analysis.quality.signals import Deviation, StepSignal, deviation
+from radiometer.errors import MeasurementError
+
+# f6 is stated for this change of temperature.
+_PER_K: Final = 10.0
+_LEAST_CHANGE_K: Final = 2.0
+_TEMPERATURE_U_K: Final = 0.3  # of a difference read from one sensor's thermometer: half its usual step of 1 K
+_LEAST_SHARE: Final = 0.02  # signals below this part of the largest are the dark level's business
+_FEWEST_ANGLES: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """What was found for one index.
+
+    Attributes:
+        value: The index; a ratio, or pixels where the unit says so.
+        u: Its standard uncertainty.
+        degrees_of_freedom: Effective ones.
+        unit: "1" or "px".
+        details: What it was found from.
+        remarks: What must be known of it.
+    """
+
+    value: float
+    u: float
+    degrees_of_freedom: float = math.inf
+    unit: str = "1"
+    details: tuple[Deviation, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+def worst_deviation(
+    signals: Sequence[StepSignal], reference: StepSignal, source_u_rel: float, *, signed: bool = False
+) -> Figure:
+    """Return the largest |Y/Y_reference − 1| over all other steps.
+
+    Args:
+        signals: Readings, the reference among them or not.
+        reference: The one that they are held against.
+        source_u_rel: Relative standard uncertainty that the source gives to each reading.
+        signed: Keep the sign of the largest.
+
+    Raises:
+        MeasurementError: If there is no other step, or the reference reads no light.
+    """
+    found = tuple(deviation(one, reference, source_u_rel) for one in signals if one.name != reference.name)
+    if not found:
+        raise MeasurementError(f"only step {reference.name!r} was captured; it needs another to be held against")
+    worst = max(found, key=lambda one: abs(one.value))
+    value = worst.value if signed else abs(worst.value)
+    return Figure(value, worst.u, worst.degrees_of_freedom, details=found)
+
+
+def linearity(
+    signals: Mapping[float, StepSignal], exposure_u_rel: float, offset_u_s: float, source_u_rel: float
+) -> Figure:
+    """Return f3 from readings of a steady source at several exposure times.
+
+    A reading is a rate, signal over exposure time, so that Y/X is the reading itself.
+
+    Args:
+        signals: Readings made from the frames of one exposure time each, by that time in s.
+        exposure_u_rel: Relative standard uncertainty of the ratio of two exposure times.
+        offset_u_s: Standard uncertainty of what the real times differ by from the stated ones, all alike.
+        source_u_rel: Of the source's steadiness.
+
+    Raises:
+        MeasurementError: If fewer than three exposure times are left.
+    """
+    longest = max(signals)
+    signal = {t: t * one.value for t, one in signals.items()}
+    kept = {t: one for t, one in signals.items() if signal[t] >= _LEAST_SHARE * signal[longest]}
+    if len(kept) < 3:
+        raise MeasurementError(
+            f"{len(kept)} usable exposure times; linearity needs three or more between "
+            f"{100 * _LEAST_SHARE:g} % and all of the range"
+        )
+    found = []
+    for t, one in sorted(kept.items()):
+        if t == longest:
+            continue
+        plain = deviation(one, kept[longest], source_u_rel, f"{1e3 * t:.4g} ms")
+        timing = math.hypot(exposure_u_rel, offset_u_s * (1.0 / t - 1.0 / longest))
+        found.append(Deviation(plain.label, plain.value, math.hypot(plain.u, timing), plain.degrees_of_freedom))
+    worst = max(found, key=lambda one: abs(one.value))
+    return Figure(abs(worst.value), worst.u, worst.degrees_of_freedom, details=tuple(found))
+
+
+def temperature(signals: Sequence[StepSignal], source_u_rel: float) -> Figure:
+    """Return f6: the relative change of the reading for 10 K, from the two steps farthest apart in temperature.
+
+    Raises:
+        MeasurementError: If temperatures are not stated or lie nearer than 2 K.
+    """
+    known = sorted((one for one in signals if one.temperature_c is not None), key=lambda one: one.temperature_c or 0.0)
+    if len(known) < 2:
+        raise MeasurementError("the frames of two steps must state their temperature; this camera has no thermometer")
+    cool, warm = known[0], known[-1]
+    change = (warm.temperature_c or 0.0) - (cool.temperature_c or 0.0)
+    if change < _LEAST_CHANGE_K:
+        raise MeasurementError(
+            f"the steps lie {change:.2g} K apart; they need {_LEAST_CHANGE_K:g} K at least, 10 K are good"
+        )
+    plain = deviation(warm, cool, source_u_rel, f"{change:.3g} K")
+    per_10 = plain.scaled(_PER_K / change)
+    u = math.hypot(per_10.u, per_10.value * _TEMPERATURE_U_K / change)
+    per_kelvin = Deviation("per K", per_10.value / _PER_K, u / _PER_K, per_10.degrees_of_freedom)
+    return Figure(abs(per_10.value), u, per_10.degrees_of_freedom, details=(plain, per_kelvin))
+
+
+def polarisation(signals: Mapping[float, StepSignal], source_u_rel: float) -> Figure:
+    """Return f8 from readings at several angles in degrees: the amplitude of Y₀·(1 + a·cos 2φ + b·sin 2φ).
+
+    The plain amplitude of noise is no polarisation: its expected square, u_a² + u_b², is taken off.
+
+    Raises:
+        MeasurementError: If there are fewer than three angles that differ by other than 180°.
+    """
+    angles = np.radians(sorted(signals))
+    distinct = {round(angle % 180.0, 3) for angle in signals}
+    if len(distinct) < _FEWEST_ANGLES:
+        raise MeasurementError(f"{len(distinct)} different angles; polarisation needs three or more, such as 0, 45, 90")
+    ordered = [signals[angle] for angle in sorted(signals)]
+    values = np.array([one.value for one in ordered])
+    u = np.array([deviation(one, ordered[0], source_u_rel).u / math.sqrt(2.0) for one in ordered]) * values[0]
+    u[0] = u[1:].mean()
+    design = np.stack([np.ones_like(angles), np.cos(2.0 * angles), np.sin(2.0 * angles)], axis=1)
+    weighted = design / u[:, None]
+    covariance = np.linalg.inv(weighted.T @ weighted)
+    mean, a, b = (float(one) for one in covariance @ weighted.T @ (values / u))
+    squared = a**2 + b**2
+    noise = float(covariance[1, 1] + covariance[2, 2])
+    amplitude = math.sqrt(squared) / mean
+    direction = np.array([a, b]) / math.sqrt(squared) if squared > 0.0 else np.array([1.0, 0.0])
+    spread = math.sqrt(float(direction @ covariance[1:, 1:] @ direction)) / mean
+    value = math.sqrt(max(squared - noise, 0.0)) / mean
+    axis = math.degrees(0.5 * math.atan2(b, a)) % 180.0
+    details = tuple(
+        Deviation(f"{angle:g}°", float(y) / mean - 1.0, float(u_y) / mean)
+        for angle, y, u_y in zip(sorted(signals), values, u, strict=True)
+    )
+    return Figure(
+        value, spread, details=details, remarks=(f"largest at {axis:.0f}°; amplitude before noise {amplitude:.2g}",)
+    )
+
+
+def glare_index(white: StepSignal, black: StepSignal, source_u_rel: float) -> Figure:
+    """Return the veiling glare index: what a black patch reads over what white reads at its place.
+
+    Source: ISO 9358, the black patch method.
+    """
+    plain = deviation(black, white, source_u_rel, "black over white − 1")
+    return Figure(
+        plain.value + 1.0,
+        plain.u,
+        plain.degrees_of_freedom,
+        details=(plain,),
+        remarks=("the black patch is taken to give no light of its own",),
+    )
+
+
+def size_of_source(signals: Mapping[float, StepSignal], source_u_rel: float) -> Figure:
+    """Return the largest deviation of a source of some diameter from the largest one of the same radiance."""
+    largest = signals[max(signals)]
+    return worst_deviation([signals[size] for size in sorted(signals)], largest, source_u_rel)

@@ -1,0 +1,184 @@
+"""What every quality index asks for: captures by name, what must stand before the camera, and the definition."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+Exposures = Literal["patch", "scene", "ladder", "overexposed"]
+
+STANDARD: Final = "ISO/CIE 19476 (CIE S 023)"
+IMAGING: Final = "CIE 244"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One capture of a procedure.
+
+    Attributes:
+        name: Folder of the capture within the procedure's.
+        ask: What must be arranged before it is taken.
+    """
+
+    name: str
+    ask: str
+
+
+@dataclass(frozen=True, slots=True)
+class Procedure:
+    """One quality index.
+
+    Attributes:
+        name: Folder in the session, and name on the command line.
+        symbol: As the field writes it.
+        title: What it tells, in words.
+        definition: Formula, in terms of the reading Y.
+        source: Document that defines the index; the definition here is the one found in open literature.
+        steps: Captures that the command asks for.
+        more: What further captures may be named, and what their names mean; empty for none.
+        exposures: Which exposures a capture takes: the patch's, the whole scene's, a ladder up to the patch's longest,
+            or that ladder and beyond, so that the patch clips.
+    """
+
+    name: str
+    symbol: str
+    title: str
+    definition: str
+    source: str
+    steps: tuple[Step, ...] = ()
+    more: str = ""
+    exposures: Exposures = "patch"
+
+
+PROCEDURES: Final = (
+    Procedure(
+        "spectral",
+        "f1′",
+        "general V(λ) mismatch",
+        "f1′ = ∫|s*(λ) − V(λ)| dλ / ∫V(λ) dλ, s* scaled so that the light of CIE illuminant A reads as V(λ) does",
+        STANDARD,
+    ),
+    Procedure(
+        "linearity",
+        "f3",
+        "linearity",
+        "f3 = max |(Y/X)·(X_max/Y_max) − 1|, X the exposure time before a steady source, signals of 2 % of Y_max up",
+        STANDARD,
+        (Step("ladder", "a steady, even source over the patch, so dim that full scale takes 50 ms or more"),),
+        exposures="ladder",
+    ),
+    Procedure(
+        "temperature",
+        "f6",
+        "temperature dependence",
+        "f6 = |Y(T₂)/Y(T₁) − 1|·10 K/|T₂ − T₁|, T as the camera reports it",
+        STANDARD,
+        (
+            Step("cool", "the camera as cool as it will be used, at rest there; a steady source over the patch"),
+            Step("warm", "the camera at least 10 K warmer; the source as before"),
+        ),
+    ),
+    Procedure(
+        "modulation",
+        "f7",
+        "modulated light",
+        "f7 = |Y(modulated)/Y(steady) − 1| at one mean radiance, the worst of the frequencies",
+        STANDARD,
+        (
+            Step("steady", "a steady source over the patch"),
+            Step("100Hz", "the same source modulated at 100 Hz, its mean unchanged"),
+        ),
+        more="further frequencies by name, such as 240Hz",
+    ),
+    Procedure(
+        "polarisation",
+        "f8",
+        "polarisation",
+        "f8 = (Y_max − Y_min)/(Y_max + Y_min) before linearly polarised light, from Y = Y₀·(1 + f8·cos 2(φ − φ₀))",
+        STANDARD,
+        tuple(
+            Step(f"{angle}", f"the camera turned to {angle}° about its axis, the patch on linearly polarised light")
+            for angle in (0, 45, 90, 135)
+        ),
+        more="further angles by their number of degrees",
+    ),
+    Procedure(
+        "range",
+        "f11",
+        "range change",
+        "f11 = max |Y(range)/Y(first range) − 1| before one steady source",
+        STANDARD,
+        (
+            Step("0dB", "a steady source over the patch; gain 0 dB"),
+            Step("12dB", "the same source; gain 12 dB (key camera.gain_db of the bench)"),
+        ),
+        more="further gains or stops by name; the first in order of steps is the reference",
+    ),
+    Procedure(
+        "focus",
+        "f12",
+        "focus distance",
+        "f12 = |Y(near)/Y(far) − 1| before an even source that fills the view at both distances",
+        STANDARD,
+        (
+            Step("far", "an even source, the lens focused as at calibration"),
+            Step("near", "the same source, the lens focused as near as it will be used"),
+        ),
+    ),
+    Procedure(
+        "uniformity",
+        "f21",
+        "uniformity over the picture",
+        "1 − L_min/L_max of the means of 10 × 10 tiles before an even source, the calibration's flat field applied",
+        IMAGING,
+        (Step("even", "an even source (sphere, diffuser before the lens) over the whole picture"),),
+        exposures="scene",
+    ),
+    Procedure(
+        "edge",
+        "edge",
+        "edge",
+        "distance in pixels over which a sharp edge rises from 10 to 90 %",
+        f"{IMAGING}; ISO 12233",
+        (Step("edge", "one straight, sharp, slightly slanted edge, dark beside bright, through the patch"),),
+    ),
+    Procedure(
+        "smear",
+        "smear",
+        "smear",
+        "signal in the columns of an overexposed source over that of the columns beside, relative to the source's, "
+        "for a source of a tenth of the picture's height",
+        IMAGING,
+        (Step("source", "a small, very bright source in the patch, all else dark"),),
+        exposures="overexposed",
+    ),
+    Procedure(
+        "size",
+        "size of source",
+        "size of source",
+        "max |Y(diameter)/Y(largest diameter) − 1| at one radiance",
+        f"{STANDARD}; {IMAGING}",
+        (
+            Step("2", "an even round source of 2 (degrees, or any unit) around the patch, all else dark"),
+            Step("5", "the same radiance, 5 across"),
+            Step("20", "the same radiance, 20 across"),
+        ),
+        more="further diameters by their number",
+    ),
+    Procedure(
+        "glare",
+        "VGI",
+        "veiling glare index",
+        "VGI = Y(black)/Y(white) at one place: a black patch in a white surround over that white",
+        "ISO 9358, black patch method",
+        (
+            Step("white", "an even white over the whole view"),
+            Step("black", "a black patch (light trap) over the patch, the white all around it"),
+        ),
+    ),
+)
+
+
+def procedure(name: str) -> Procedure | None:
+    """Return the procedure of a name, None where there is none."""
+    return next((one for one in PROCEDURES if one.name == name), None)

@@ -1,0 +1,152 @@
+"""Readings of one source under changed conditions, and their ratios, in which all that they share drops out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from radiometer.analysis.patch.contributions import PatchSituation, budget_terms
+from radiometer.analysis.patch.reading import patch_situation
+from radiometer.analysis.signal.lens import lens_factor_sr
+from radiometer.analysis.uncertainty.budget import (
+    Term,
+    combined_u,
+    coverage_factor,
+    effective_degrees_of_freedom,
+)
+from radiometer.data import Calibration, CaptureSet, Frame, Patch
+from radiometer.errors import MeasurementError
+
+# What two readings by one camera within a session do not share; all else drops out of their ratio.
+_OWN = frozenset({"repeatability", "source fluctuation"})
+
+
+@dataclass(frozen=True, slots=True)
+class StepSignal:
+    """What the instrument reads in one step, in radiance or a unit of its own.
+
+    Attributes:
+        name: Of the step.
+        value: Reading Y, unflagged ones only.
+        terms: Contributions that are this step's own, in the unit of Y.
+        dark: Change of Y for one standard deviation of the dark level that all steps share.
+        temperature_c: Mean temperature of the frames; None where a frame does not state it.
+        frames: Number of light frames used.
+    """
+
+    name: str
+    value: float
+    terms: tuple[Term, ...]
+    dark: float
+    temperature_c: float | None
+    frames: int
+
+
+@dataclass(frozen=True, slots=True)
+class Deviation:
+    """A relative deviation with its uncertainty.
+
+    Attributes:
+        label: What deviates.
+        value: Y/Y_reference − 1, or another figure of that kind.
+        u: Its standard uncertainty.
+        degrees_of_freedom: Effective ones.
+    """
+
+    label: str
+    value: float
+    u: float
+    degrees_of_freedom: float = math.inf
+
+    @property
+    def coverage_factor(self) -> float:
+        """Return k for 95.45 %."""
+        return coverage_factor(self.degrees_of_freedom)
+
+    @property
+    def expanded(self) -> float:
+        """Return the expanded uncertainty."""
+        return self.coverage_factor * self.u
+
+    def scaled(self, factor: float) -> Deviation:
+        """Return the deviation and its uncertainty times a factor above 0."""
+        return Deviation(self.label, factor * self.value, factor * self.u, self.degrees_of_freedom)
+
+
+def step_signal(
+    name: str, capture: CaptureSet, patch: Patch, calibration: Calibration | None, frames: Sequence[Frame] | None = None
+) -> StepSignal:
+    """Return what the instrument reads in the patch of a capture.
+
+    Args:
+        name: Of the step.
+        capture: The capture set.
+        patch: Where to read.
+        calibration: The instrument's calibration, whose corrections are part of it; None reads relative values.
+        frames: Some of the capture's frames; None for all.
+
+    Raises:
+        MeasurementError: If the patch clips in every frame or lies outside of them.
+        RadiometerError: If the calibration does not fit.
+    """
+    header = capture.header
+    situation = patch_situation(
+        capture.frames() if frames is None else frames, patch, calibration, header.camera, header.lens, header.source
+    )
+    if not situation.frames[0].unclipped:
+        raise MeasurementError(f"{capture.path}: the patch clips in every frame; capture shorter exposures")
+    unit = _unit(situation)
+    own = tuple(_in_unit(term, unit) for term in budget_terms(situation) if term.name in _OWN)
+    dark = situation.estimate.coefficients @ [level.u_common for level in situation.dark]
+    alone = situation.estimate.coefficients * [level.u_independent for level in situation.dark]
+    own += (Term("dark frames", unit * situation.scale * float(np.sqrt(np.sum(alone**2)))),)
+    temperatures = [one.settings.temperature_c for one in situation.frames]
+    known = [value for value in temperatures if value is not None]
+    return StepSignal(
+        name,
+        unit * situation.value,
+        own,
+        unit * situation.scale * float(dark),
+        float(np.mean(known)) if known and len(known) == len(temperatures) else None,
+        len(situation.frames),
+    )
+
+
+def _in_unit(term: Term, unit: float) -> Term:
+    return Term(term.name, unit * term.u, term.kind, term.degrees_of_freedom)
+
+
+def _unit(situation: PatchSituation) -> float:
+    """Return what makes relative readings of several captures comparable: they count from their first frame's lens."""
+    if situation.calibration is not None and situation.calibration.absolute:
+        return 1.0
+    first = situation.frames[0].settings
+    return 1.0 / lens_factor_sr(situation.lens, first.f_number or situation.lens.f_number)
+
+
+def deviation(one: StepSignal, reference: StepSignal, source_u_rel: float, label: str = "") -> Deviation:
+    """Return Y/Y_reference − 1 with what the two readings do not share.
+
+    Args:
+        one: The reading.
+        reference: The reading it is held against.
+        source_u_rel: Relative standard uncertainty that the source's steadiness gives to each.
+        label: Of the deviation; the reading's name by default.
+
+    Raises:
+        MeasurementError: If the reference is not above 0.
+    """
+    if reference.value <= 0.0:
+        raise MeasurementError(f"step {reference.name!r} reads no light; it is the reference of the others")
+    ratio = one.value / reference.value
+    shared = (one.dark - ratio * reference.dark) / reference.value
+    parts = [
+        *(Term(t.name, t.u / reference.value, t.kind, t.degrees_of_freedom) for t in one.terms),
+        *(Term(t.name, abs(ratio) * t.u / reference.value, t.kind, t.degrees_of_freedom) for t in reference.terms),
+        Term("shared dark level", abs(shared)),
+        Term("source", abs(ratio) * math.sqrt(2.0) * source_u_rel),
+    ]
+    return Deviation(label or one.name, ratio - 1.0, combined_u(parts), effective_degrees_of_freedom(parts))
