@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, cast
 
 PLANCK_J_S: Final = 6.62607015e-34  # SI 2019, exact
 SPEED_OF_LIGHT_M_S: Final = 299_792_458.0  # exact
@@ -16,7 +16,7 @@ _SAME_PRINT_REL: Final = 1e-3
 
 def gain_factor(gain_db: float) -> float:
     """Return the amplitude factor of a gain in dB (20 dB is a factor of 10)."""
-    return float(10.0 ** (gain_db / 20.0))
+    return cast(float, 10.0 ** (gain_db / 20.0))
 
 
 def photon_energy_j(wavelength_nm: float) -> float:

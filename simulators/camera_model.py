@@ -24,6 +24,7 @@ from radiometer.data.frame import DigitalNumbers
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.errors import ConfigurationError, MeasurementError
+from simulators.chain import place_for
 from simulators.effects.base import DIGITAL_NUMBER, RADIANCE, Effect, Moments, Stage
 from simulators.effects.context import ExposureContext, FrameGeometry, Signal
 from simulators.effects.registry import EffectEntry
@@ -118,7 +119,7 @@ class CameraModel:
             ConfigurationError: If its unit fits nowhere in its stage.
         """
         entry = EffectEntry(effect, notes=notes or {})
-        at = self._place_for(effect)
+        at = place_for(effect, [e.effect for e in self.entries], [e.enabled for e in self.entries])
         return replace(self, entries=(*self.entries[:at], entry, *self.entries[at:]))
 
     def without_effect(self, name: str) -> CameraModel:
@@ -219,27 +220,6 @@ class CameraModel:
     def write(self, path: Path) -> None:
         """Write the model as YAML, whole or not at all. Raises OutputError."""
         write_yaml_atomic(path, self.to_mapping())
-
-    def _place_for(self, effect: Effect) -> int:
-        unit, fits = RADIANCE, list[int]()
-        for position in range(len(self.entries) + 1):
-            following = self.entries[position].effect if position < len(self.entries) else None
-            previous = self.entries[position - 1].effect if position else None
-            in_stage = (previous is None or previous.stage <= effect.stage) and (
-                following is None or following.stage >= effect.stage
-            )
-            if in_stage and unit == effect.unit_in == effect.unit_out:
-                if following is not None and following.name == effect.before:
-                    return position
-                fits.append(position)
-            if following is not None and self.entries[position].enabled:
-                unit = following.unit_out
-        if not fits:
-            raise ConfigurationError(
-                f"camera model: effect {effect.name!r} fits nowhere in the {effect.stage.name.lower()} stage: "
-                f"no signal in {effect.unit_in} passes there"
-            )
-        return fits[-1]
 
 
 def _run(effect: Effect, step: Callable[[], _ResultT]) -> _ResultT:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any, Final
+
 from radiometer.data import CameraDescription, LensDescription
 from radiometer.errors import ConfigurationError
 from simulators.effects.adc_saturation import AdcSaturation
@@ -19,6 +22,16 @@ from simulators.effects.shot_noise import ShotNoise
 from simulators.effects.shutter import Shutter
 from simulators.effects.source_level import SourceLevel
 
+# (effect of the ideal chain, its parameter) → key of the camera's description
+_KEYS: Final = {
+    (QuantumEfficiency.name, "quantum_efficiency"): "quantum_efficiency",
+    (DarkCurrent.name, "rate_e_per_s"): "dark_current_e_per_s",
+    (DarkCurrent.name, "reference_C"): "dark_current_reference_C",
+    (DarkCurrent.name, "doubling_K"): "dark_current_doubling_K",
+    (FullWellSaturation.name, "full_well_e"): "full_well_e",
+    (ReadNoise.name, "read_noise_e"): "read_noise_e",
+    (ConversionGain.name, "conversion_gain_e_per_dn"): "conversion_gain_e_per_dn",
+}
 _NEEDED = ("pixel_pitch_um", "conversion_gain_e_per_dn", "read_noise_e", "full_well_e", "quantum_efficiency")
 
 
@@ -39,6 +52,27 @@ def ideal_chain(camera: CameraDescription, lens: LensDescription) -> tuple[Effec
             f"camera {camera.model or ''}: cannot be simulated without {', '.join(missing)}; add to its description"
         )
     return (*_light_path(lens), *_sensor(camera))
+
+
+def beside_ideal(
+    effects: Sequence[Effect], camera: CameraDescription, lens: LensDescription
+) -> tuple[CameraDescription, tuple[Effect, ...]]:
+    """Return the camera with the figures that a chain's ideal links hold, and the effects beside them.
+
+    Args:
+        effects: A chain that was built on that of `ideal_chain`.
+        camera: The camera's description.
+        lens: The lens's.
+    """
+    ideal = [effect.name for effect in ideal_chain(camera, lens)]
+    figures, further = dict[str, Any](), list[Effect]()
+    for effect in effects:
+        if effect.name not in ideal:
+            further.append(effect)
+            continue
+        ideal.remove(effect.name)
+        figures |= {_KEYS[effect.name, key]: v for key, v in effect.values().items() if (effect.name, key) in _KEYS}
+    return camera.model_copy(update=figures), tuple(further)
 
 
 def _light_path(lens: LensDescription) -> tuple[Effect, ...]:

@@ -22,7 +22,6 @@ from radiometer.reconcile.fit.nuisances import dark_current_is_free
 from radiometer.reconcile.fit.state import FitState, first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import FrameReader, frame_reader, reduce_frames
-from radiometer.reconcile.model.starting_model import adopted
 from radiometer.reconcile.report.result import (
     CovariateGap,
     FittedParameter,
@@ -39,6 +38,7 @@ from radiometer.reconcile.verdict import by_other_laws, doubts_of, faint, faint_
 from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.registry import all_effects
+from simulators.ideal_chain import beside_ideal
 
 _log = structlog.get_logger(__name__)
 
@@ -137,12 +137,21 @@ def gaps_of(
     gaps = []
     for entry in found:
         if isinstance(entry, CameraModel):  # it may state another black level, which the reduction goes by
-            changed, given = adopted(header, entry)
+            changed, given = _adopted(header, entry)
             own = Design.of(changed, held[0].shape)
             gaps.append(first_state(own, *reduce_frames(own, frame_reader(held)), given).gap)
         else:
             gaps.append(first_state(design, *reduced, () if entry is None else entry.added).gap)
     return tuple(gaps)
+
+
+def _adopted(header: CaptureHeader, model: CameraModel | None) -> tuple[CaptureHeader, tuple[CatalogueEffect, ...]]:
+    """Return the header with a model's camera and lens, and the effects that it holds beside the ideal chain."""
+    if model is None:
+        return header, ()
+    camera, further = beside_ideal(model.effects, model.camera, model.lens)
+    changed = header.model_copy(update={"camera": camera, "lens": model.lens})
+    return changed, tuple(effect for effect in further if isinstance(effect, CatalogueEffect))
 
 
 def reconcile_capture(
@@ -189,7 +198,7 @@ def plan_of(
         CaptureError: If the capture set is unfinished or inconsistent.
     """
     captured = CaptureSet.read(path)
-    header, given = adopted(captured.header, model)
+    header, given = _adopted(captured.header, model)
     design = Design.of(header, captured.read_frame(0).shape)
     start = first_state(design, *reduce_frames(design, captured.read_frame), given)
     return separability(start, whole_catalogue() if catalogue is None else catalogue)
@@ -212,7 +221,7 @@ def examine(
         CaptureError: If no part of any frame is free of clipping, or frames differ in size.
     """
     begun = time.monotonic()
-    header, given = adopted(header, model)
+    header, given = _adopted(header, model)
     design = Design.of(header, shape)
     total = len(header.frames)
     light = FrameLight(design, read)

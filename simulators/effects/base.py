@@ -32,6 +32,8 @@ import numpy as np
 
 from radiometer.errors import ConfigurationError
 from simulators.effects.context import ExposureContext, Signal
+from simulators.effects.tile_moments import Moments as Moments
+from simulators.effects.tile_moments import TileMoments
 
 RADIANCE: Final = "W sr-1 m-2"
 IRRADIANCE: Final = "W m-2"
@@ -84,29 +86,6 @@ class Parameter:
         """Return the lowest and the highest value for a camera of this highest digital number."""
         share = full_scale_dn / _LARGEST_FULL_SCALE_DN if self.of_full_scale else 1.0
         return self.low * share, self.high * share
-
-
-@dataclass(frozen=True, slots=True)
-class Moments:
-    """Expected value and variances of a signal, all of one shape.
-
-    Attributes:
-        mean: Expected value.
-        variance: Temporal variance of one pixel about it.
-        spatial_variance: Variance from pixel to pixel that stays from frame to frame (fixed pattern).
-        common_variance: Temporal variance that all pixels of one frame share (flicker).
-    """
-
-    mean: Signal
-    variance: Signal
-    spatial_variance: Signal
-    common_variance: Signal
-
-    @classmethod
-    def exactly(cls, mean: Signal) -> Moments:
-        """Return the moments of a signal that is known exactly."""
-        nothing = np.zeros_like(mean)
-        return cls(mean, nothing, nothing, nothing)
 
 
 def parameter(default: Any, unit: str, low: float, high: float, *, source: str, of_full_scale: bool = False) -> Any:
@@ -191,14 +170,34 @@ class Effect(ABC):
         return np.asarray(rise / (2.0 * step))
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
-        """Return the moments after the effect, by linear propagation; clipping and mixing effects override it."""
-        slope2 = np.square(self.slope(before.mean, context))
-        return Moments(
-            self.mean(before.mean, context),
-            before.variance * slope2 + self.variance(before.mean, context),
-            before.spatial_variance * slope2 + self.spatial_variance(before.mean, context),
-            before.common_variance * slope2 + self.common_variance(before.mean, context),
-        )
+        """Return the moments after the effect by linear propagation; clipping and mixing effects override it.
+
+        Statistics of tiles follow by `tile`, and the first frame of a series by `drifts`.
+        """
+        mean = before.mean
+        after = before.passed(self.mean(mean, context), self.slope(mean, context))
+        added = {
+            "variance": self.variance(mean, context),
+            "spatial_variance": self.spatial_variance(mean, context),
+            "common_variance": self.common_variance(mean, context),
+        }
+        more = {name: getattr(after, name) + v for name, v in added.items() if not isinstance(v, float) or v}
+        after = replace(after, **more) if more else after
+        if not (isinstance(after, TileMoments) and isinstance(before, TileMoments)):
+            return after
+        if context.first_frame is not None and context.later_frames is not None and self.drifts:
+            moved = self.mean(mean, context.first_frame) - self.mean(mean, context.later_frames)
+            after = replace(after, first_excess=after.first_excess + moved)
+        return self.tile(after, before, context)
+
+    @property
+    def drifts(self) -> bool:
+        """Tell whether it goes with time or temperature: the first frame of a series then differs from the others."""
+        return False
+
+    def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
+        """Return the moments with what the effect does to the other statistics of a tile; nothing by default."""
+        return after
 
 
 @cache

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 
-from simulators.effects.base import Effect, Moments
+from simulators.effects.base import Effect
 from simulators.effects.context import ExposureContext, Signal
-from simulators.effects.tile_moments import TileMoments, carried
 
 
 @dataclass(frozen=True)
@@ -43,6 +42,7 @@ class CatalogueEffect(Effect):
         saturates: `sharply` or `softly` for what limits the signal: the higher the limit the milder. Below a sharp one
             nothing bends.
         neutral_at_one: Parameters that do nothing at 1, as others do at 0.
+        looks_back: Whether it acts by what the frame before held (`context.previous_e`).
     """
 
     where: ClassVar[str]
@@ -64,6 +64,7 @@ class CatalogueEffect(Effect):
     is_stepwise: ClassVar[bool] = False
     saturates: ClassVar[Literal["", "softly", "sharply"]] = ""
     neutral_at_one: ClassVar[tuple[str, ...]] = ()
+    looks_back: ClassVar[bool] = False
 
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
@@ -138,41 +139,10 @@ class CatalogueEffect(Effect):
         """Return the excess kurtosis of a fixed pattern's values; 0 for normal ones."""
         return 0.0
 
-    def moments(self, before: Moments, context: ExposureContext) -> Moments:
-        """Return the moments after the effect by linear propagation; statistics of tiles by `tile`."""
-        after = super().moments(before, context)
-        if not isinstance(before, TileMoments):
-            return after
-        slope = np.asarray(self.slope(before.mean, context))
-        slope2 = np.square(slope)
-        passed = replace(
-            before,
-            mean=after.mean,
-            variance=after.variance,
-            spatial_variance=after.spatial_variance,
-            common_variance=after.common_variance,
-            row_variance=carried(before.row_variance, slope2),
-            band_variance=carried(before.band_variance, slope2),
-            fixed_column_variance=carried(before.fixed_column_variance, slope2),
-            fixed_row_variance=carried(before.fixed_row_variance, slope2),
-            neighbour_x=carried(before.neighbour_x, slope2),
-            neighbour_y=carried(before.neighbour_y, slope2),
-            first_excess=carried(before.first_excess, slope),
-            limit_variance=carried(before.limit_variance, slope2),
-        )
-        if context.first_frame is not None and context.later_frames is not None and self.drifts:
-            moved = self.mean(before.mean, context.first_frame) - self.mean(before.mean, context.later_frames)
-            passed = replace(passed, first_excess=passed.first_excess + moved)
-        return self.tile(passed, before, context)
-
     @property
     def drifts(self) -> bool:
         """Tell whether it goes with time or temperature: the first frame of a series then differs from the others."""
         return self.where in ("timestamp_s", "temperature_C")
-
-    def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with what the effect does to the other statistics of a tile; nothing by default."""
-        return after
 
     def unlike_itself(self, context: ExposureContext) -> bool:
         """Tell whether, with its parameters and these settings, the effect does what other causes do just as well."""

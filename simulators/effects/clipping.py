@@ -13,7 +13,7 @@ from scipy.special import ndtr
 
 from simulators.effects.base import Moments
 from simulators.effects.context import Signal
-from simulators.effects.tile_moments import TileMoments, carried
+from simulators.effects.tile_moments import TileMoments
 
 _NODES, _WEIGHTS = hermegauss(5)  # of a normal distribution: exact for polynomials up to the ninth degree
 _SPREAD: Final = tuple(zip(_NODES.tolist(), (_WEIGHTS / _WEIGHTS.sum()).tolist(), strict=True))
@@ -68,26 +68,20 @@ def limited(before: Moments, limit: Callable[[Moments], Moments]) -> Moments:
         before: Moments before it.
         limit: Gives mean, variances and fixed-pattern variance behind it.
     """
-    if not isinstance(before, TileMoments):
-        return limit(before)
+    after = limit(before) if not isinstance(before, TileMoments) else _limited_tile(before, limit)
+    return after if before.unrounded is None else replace(after, unrounded=limited(before.unrounded, limit))
+
+
+def _limited_tile(before: TileMoments, limit: Callable[[Moments], Moments]) -> TileMoments:
     one = np.ones((1,) * before.mean.ndim)
     after = limit(Moments(before.mean, before.variance, one, before.common_variance))
-    kept = after.spatial_variance
-    return replace(
-        before,
-        mean=after.mean,
-        variance=after.variance,
-        spatial_variance=carried(before.spatial_variance, kept),
-        common_variance=after.common_variance,
-        row_variance=carried(before.row_variance, kept),
-        band_variance=carried(before.band_variance, kept),
-        fixed_column_variance=carried(before.fixed_column_variance, kept),
-        fixed_row_variance=carried(before.fixed_row_variance, kept),
-        neighbour_x=carried(before.neighbour_x, kept),
-        neighbour_y=carried(before.neighbour_y, kept),
-        first_excess=carried(before.first_excess, np.sqrt(kept)),
-        limit_variance=carried(before.limit_variance, kept),
-    )
+    kept = before.passed(after.mean, np.sqrt(after.spatial_variance))
+    return replace(kept, variance=after.variance, common_variance=after.common_variance)
+
+
+def is_reached(before: Moments, limit: float) -> bool:
+    """Tell whether a limit from above is felt at all."""
+    return bool(np.max(before.mean + _FAR_SIGMAS * np.sqrt(np.maximum(before.variance, 0.0))) > limit)
 
 
 def unevenly_limited(before: Moments, limit: Callable[[Moments, float], Moments]) -> Moments:
@@ -100,7 +94,10 @@ def unevenly_limited(before: Moments, limit: Callable[[Moments, float], Moments]
     parts = [(weight, limit(before, node)) for node, weight in _SPREAD]
     mean = sum(weight * part.mean for weight, part in parts)
     left = sum(weight * np.square(part.mean - mean) for weight, part in parts)
-    names = [entry.name for entry in fields(before) if entry.name not in ("comb_step", "comb_kept", "band_frequency")]
+    alike = ("comb_step", "comb_kept", "band_frequency", "unrounded")
+    names = [entry.name for entry in fields(before) if entry.name not in alike]
     after = replace(before, **{name: sum(weight * getattr(part, name) for weight, part in parts) for name in names})
     after = replace(after, spatial_variance=after.spatial_variance + left)
+    if before.unrounded is not None:
+        after = replace(after, unrounded=unevenly_limited(before.unrounded, limit))
     return replace(after, limit_variance=after.limit_variance + left) if isinstance(after, TileMoments) else after

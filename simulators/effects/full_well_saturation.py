@@ -9,7 +9,7 @@ import numpy as np
 
 from simulators.effects.base import ELECTRONS, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, well_e
-from simulators.effects.clipping import censored_above, limited, unevenly_limited
+from simulators.effects.clipping import censored_above, is_reached, limited, unevenly_limited
 from simulators.effects.context import ExposureContext, Signal
 
 _SPREAD: Final = 0.01
@@ -55,7 +55,7 @@ class FullWellSaturation(CatalogueEffect):
 
     @staticmethod
     def _limited(before: Moments, well: float) -> Moments:
-        return limited(before, lambda tail: censored_above(tail, well))
+        return limited(before, lambda tail: censored_above(tail, well)) if is_reached(before, well) else before
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         """Return the electrons that stay in this camera's wells."""

@@ -35,6 +35,7 @@ class ImageLag(CatalogueEffect):
         {"share": 0.01},
     )
     fitted = ("share",)
+    looks_back = True
     settles = "a bright capture followed at once by dark frames"
     share: float = parameter(0.0, "1", -0.2, 0.2, source="engineering prior; refined on a real rig")
     older_share: float = parameter(0.0, "1", -0.1, 0.1, source="traps empty over several frames")

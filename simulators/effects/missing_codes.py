@@ -88,13 +88,14 @@ class MissingCodes(CatalogueEffect):
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
         """Return the moments of the coarser code."""
-        # Until here the value was rounded to whole codes; half a code is what rounding and cutting differ by.
-        narrow2 = np.maximum(before.variance - 1.0 / 12.0, 1e-6)
+        # What is cut off follows from the value in front of the rounding; cutting is lower by half a code.
+        before = before.unrounded or before
+        narrow2 = np.maximum(before.variance, 1e-6)
         u = before.mean + 0.5 + self.added_codes
         spread2 = narrow2 + before.spatial_variance
         cut, square, slope = _expected(u, spread2, round(self.step_codes), round(self.kept_codes))
         variance = narrow2 + square - cut**2 - 2.0 * narrow2 * slope
-        after = replace(before, mean=u - cut, variance=np.maximum(variance, 0.0))
+        after = replace(before, mean=u - cut, variance=np.maximum(variance, 0.0), unrounded=before)
         if not isinstance(after, TileMoments):
             return after
         return replace(after, comb_step=self.step_codes, comb_kept=self.kept_codes)

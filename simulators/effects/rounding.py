@@ -43,14 +43,15 @@ def rounded(before: SomeMoments) -> SomeMoments:
     shape = np.broadcast_shapes(np.shape(mean), variance.shape, fixed.shape)
     coarse = np.broadcast_to(variance + fixed < _FINE, shape)
     if not coarse.any():
-        return replace(before, variance=variance + 1.0 / 12.0)
+        return replace(before, variance=variance + 1.0 / 12.0, unrounded=before)
     mean, variance, fixed = (np.broadcast_to(values, shape).copy() for values in (mean, variance, fixed))
     common = np.broadcast_to(np.asarray(before.common_variance), shape).copy()
     at, sigma2, pattern2 = mean[coarse], variance[coarse], fixed[coarse]
     mean[coarse], variance[coarse], fixed[coarse], slope = _of_coarse(at, sigma2, pattern2)
     variance[~coarse] += 1.0 / 12.0
     common[coarse] *= np.square(slope)
-    return replace(before, mean=mean, variance=variance, spatial_variance=fixed, common_variance=common)
+    after = replace(before, mean=mean, variance=variance, spatial_variance=fixed, common_variance=common)
+    return replace(after, unrounded=before)
 
 
 def _of_coarse(mean: Signal, variance: Signal, pattern2: Signal) -> tuple[Signal, Signal, Signal, Signal]:

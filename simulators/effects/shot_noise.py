@@ -32,7 +32,7 @@ class ShotNoise(Effect):
 
     def variance(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the expected number: a Poisson count's variance is its mean."""
-        return signal
+        return np.maximum(signal, 0.0)
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
         """Return 1."""

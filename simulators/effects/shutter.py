@@ -23,4 +23,4 @@ class Shutter(Effect):
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
         """Return the time in s that light was let in."""
-        return 0.0 if context.settings.is_dark else context.settings.exposure_s
+        return context.settings.exposure_s * (1.0 - context.settings.is_dark)

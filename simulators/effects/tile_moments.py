@@ -1,13 +1,55 @@
-"""Moments of a tile of pixels: what a capture's statistics are expected to be, beside mean and variance."""
+"""Moments of a signal, and of a tile of pixels: what a capture's statistics are expected to be."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from simulators.effects.base import Moments
 from simulators.effects.context import Signal
+
+
+@dataclass(frozen=True, slots=True)
+class Moments:
+    """Expected value and variances of a signal, all of one shape.
+
+    Attributes:
+        mean: Expected value.
+        variance: Temporal variance of one pixel about it.
+        spatial_variance: Variance from pixel to pixel that stays from frame to frame (fixed pattern).
+        common_variance: Temporal variance that all pixels of one frame share (flicker).
+        unrounded: The moments in front of the rounding to whole codes; None where nothing was rounded.
+    """
+
+    squared: ClassVar[tuple[str, ...]] = ("variance", "spatial_variance", "common_variance")
+    linear: ClassVar[tuple[str, ...]] = ()
+
+    mean: Signal
+    variance: Signal
+    spatial_variance: Signal
+    common_variance: Signal
+    unrounded: Moments | None = field(default=None, kw_only=True)
+
+    @classmethod
+    def exactly(cls, mean: Signal) -> Self:
+        """Return the moments of a signal that is known exactly."""
+        nothing = np.zeros_like(mean)
+        return cls(mean, nothing, nothing, nothing)
+
+    def passed(self, mean: Signal, slope: Signal | float) -> Self:
+        """Return the moments behind a link of the chain, without what the link itself adds.
+
+        Args:
+            mean: Expected signal behind it.
+            slope: d(mean)/d(signal).
+        """
+        if isinstance(slope, float) and slope == 1.0:
+            return replace(self, mean=mean)
+        slope2 = np.square(slope)
+        changed: dict[str, Any] = {name: carried(getattr(self, name), slope2) for name in self.squared}
+        changed |= {name: carried(getattr(self, name), slope) for name in self.linear}
+        return replace(self, mean=mean, **changed)
 
 
 def carried(values: Signal | float, factor: Signal | float) -> Signal:
@@ -36,6 +78,18 @@ class TileMoments(Moments):
         band_frequency: Periods of that wave per row.
     """
 
+    squared: ClassVar[tuple[str, ...]] = (
+        *Moments.squared,
+        "row_variance",
+        "band_variance",
+        "fixed_column_variance",
+        "fixed_row_variance",
+        "neighbour_x",
+        "neighbour_y",
+        "limit_variance",
+    )
+    linear: ClassVar[tuple[str, ...]] = ("first_excess",)
+
     row_variance: Signal
     band_variance: Signal
     fixed_column_variance: Signal
@@ -51,7 +105,7 @@ class TileMoments(Moments):
     comb_kept: float = 1.0
 
     @classmethod
-    def exactly(cls, mean: Signal) -> TileMoments:
+    def exactly(cls, mean: Signal) -> Self:
         """Return the moments of a signal that is known exactly."""
         nothing = np.zeros((1,) * mean.ndim)
         return cls(

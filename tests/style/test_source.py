@@ -155,9 +155,6 @@ def test_nothing_names_a_package_registry():
     assert [file.name for file in files if host.search(file.read_text(encoding="utf-8"))] == []
 
 
-# The chain of the ideal camera, which the model of tiles repeats, still asks for effects by name.
-CHAIN = {"radiometer/reconcile/model/tile_model.py", "radiometer/reconcile/model/chain_steps.py"}
-CHAIN |= {"radiometer/reconcile/model/starting_model.py"}
 RECONCILE = [path for path in SOURCES if name_of(path).startswith("radiometer/reconcile/")]
 COMMON = {"__init__", "base", "catalogue", "context", "registry", "rounding", "tile_moments"}
 EFFECT_FILES = {path.stem for path in (ROOT / "simulators" / "effects").glob("*.py")} - COMMON
@@ -165,7 +162,7 @@ EFFECT_FILES = {path.stem for path in (ROOT / "simulators" / "effects").glob("*.
 SETTINGS = {"source_level", "quantum_efficiency", "shutter", "lens"}
 
 
-@pytest.mark.parametrize("path", [path for path in RECONCILE if name_of(path) not in CHAIN], ids=name_of)
+@pytest.mark.parametrize("path", RECONCILE, ids=name_of)
 def test_reconcile_knows_no_effect_by_name(path):
     """What is peculiar to an effect stands in its own file: no name of one as a string, no import of one."""
     found = []

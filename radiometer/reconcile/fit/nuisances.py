@@ -103,7 +103,7 @@ class NuisanceLayout:
     def unpack(self, design: Design, values: Array) -> Nuisance:
         """Return the nuisances that a parameter vector stands for."""
         start = Nuisance.start(design)
-        radiance, slope, texture = start.log_radiance, start.slope, start.texture
+        radiance, slope, texture = start.log_radiance, start.slope, start.off.texture
         index = list(self.patterns)
         if index:
             radiance[index] = self._light(values)[0]
@@ -115,7 +115,7 @@ class NuisanceLayout:
         known = dict(zip(self.scalars, values[: len(self.scalars)].tolist(), strict=True))
         # The means fix responsivity times gain: what K gains the responsivity loses.
         known["log_responsivity"] -= known.get("log_gain", 0.0)
-        return replace(start, log_radiance=radiance, slope=slope, texture=texture, **known)
+        return replace(start, log_radiance=radiance, slope=slope).with_off(texture=texture, **known)
 
     def jacobian(self, model: TileModel, comparison: Comparison, values: Array, base: Prediction) -> Array:
         """Return −d(residual)/d(parameter), shape (entries, parameters); what lies beyond the last row is zero."""
@@ -125,10 +125,10 @@ class NuisanceLayout:
         matrix = np.zeros((self._rows(comparison), self.size))
         for column, name in enumerate(self.scalars):
             step = _SCALAR_STEP.get(name, _STEP)
-            shifted = {name: getattr(nuisance, name) + step}
+            shifted = {name: getattr(nuisance.off, name) + step}
             if name == "log_gain":
-                shifted["log_responsivity"] = nuisance.log_responsivity - step
-            moved = replace(nuisance, **shifted)
+                shifted["log_responsivity"] = nuisance.off.log_responsivity - step
+            moved = nuisance.with_off(**shifted)
             change = (at - comparison.residual(model.predict(moved))) / step
             matrix[:, column] = change[: matrix.shape[0]]
             if name == "log_responsivity":
@@ -199,7 +199,7 @@ class NuisanceLayout:
                 self._spread(matrix, comparison, base, moved, 1e-3, first, (name,), only=pattern)
         first = start + 2 * len(self.patterns) * self.tiles
         step = 1e-6
-        moved = model.predict(replace(nuisance, texture=nuisance.texture + step))
+        moved = model.predict(nuisance.with_off(texture=nuisance.off.texture + step))
         for pattern in self.patterns:
             self._spread(matrix, comparison, base, moved, step, first, ("spatial",), only=pattern)
 

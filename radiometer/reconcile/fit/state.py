@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from radiometer.errors import ConfigurationError
 from radiometer.reconcile.fit.comparison import Comparison, compare
 from radiometer.reconcile.fit.held_out import Groups, HeldOut, leave_one_group_out
 from radiometer.reconcile.fit.linear import LinearFit, RowBlock
@@ -235,7 +236,7 @@ def light_sensitivity(model: TileModel, nuisance: Nuisance, base: Prediction) ->
 
 def light_response(model: TileModel, nuisance: Nuisance, base: Prediction) -> tuple[Array, Array]:
     """Return d(mean)/d(log light) in DN and |d(ln variance)/d(log light)| by a finite difference."""
-    moved = model.predict(replace(nuisance, log_responsivity=nuisance.log_responsivity + _SENSITIVITY_STEP))
+    moved = model.predict(nuisance.with_off(log_responsivity=nuisance.off.log_responsivity + _SENSITIVITY_STEP))
     mean = (moved.mean - base.mean) / _SENSITIVITY_STEP
     variance = np.abs(np.log(moved.variance / base.variance)) / _SENSITIVITY_STEP
     return np.asarray(mean), np.asarray(variance)
@@ -380,11 +381,11 @@ def _improved(state: FitState) -> FitState | None:
 
 
 def _cost_within_range(trial: FitState) -> float:
-    """Return the χ² of a trial step; infinite where it went so far that the light overflows."""
+    """Return the χ² of a trial step; infinite where it went so far that the light overflows or no camera is such."""
     try:
         with np.errstate(over="raise"):
             return trial.cost
-    except FloatingPointError:
+    except (FloatingPointError, ConfigurationError):
         return np.inf
 
 

@@ -13,10 +13,10 @@ from typing import Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.data import CameraDescription, LensDescription
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.pattern_images import PatternImages
 from simulators.effects.context import ExposureContext, FrameGeometry, Signal
+from simulators.undeclared import completed
 
 GAUSS_POINT: Final = 1.0 / math.sqrt(3.0)
 _DENSE: Final = 12  # points per side of a tile where light from elsewhere varies within it
@@ -44,7 +44,7 @@ class BatchSettings:
             design.exposure_s[:, None, None],
             design.gain_db[:, None, None],
             design.f_number[:, None, None],
-            design.black_level_dn[:, None, None],
+            np.nan_to_num(design.black_level_dn)[:, None, None],  # what is not declared is a link of its own
             design.temperature_c[:, None, None],
             design.timestamp_s[:, None, None],
             design.source_level[:, None, None],
@@ -156,6 +156,21 @@ def tile_points(design: Design) -> tuple[Array, Array]:
     return x, y
 
 
+def tilt_of(rise_x: Array, rise_y: Array) -> Array:
+    """Return the factor at the four points of tiles whose relative rise from centre to edge is given."""
+    signs_x, signs_y = np.array(_POINTS, dtype=np.float64).T
+    tilt = rise_x[:, :, None] * signs_x + rise_y[:, :, None] * signs_y
+    return np.asarray(1.0 + GAUSS_POINT * tilt)
+
+
+def rise_of(points: Signal) -> tuple[Array, Array]:
+    """Return the rise from centre to right and to bottom edge from values at the four points."""
+    per_edge = 0.25 / GAUSS_POINT
+    x = (points[..., 1] + points[..., 3] - points[..., 0] - points[..., 2]) * per_edge
+    y = (points[..., 2] + points[..., 3] - points[..., 0] - points[..., 1]) * per_edge
+    return np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+
+
 def _dense_points(design: Design) -> tuple[Array, Array, Array, Array]:
     """Return image coordinates of a grid of points in each tile, (tiles, points), and their places −1 … 1 in it."""
     steps = (2.0 * np.arange(_DENSE) + 1.0) / _DENSE - 1.0
@@ -165,13 +180,12 @@ def _dense_points(design: Design) -> tuple[Array, Array, Array, Array]:
     return x, y, u, v
 
 
-def tile_context(design: Design, images: PatternImages, previous: Array | None = None) -> TileContext:
+def tile_context(design: Design, images: PatternImages) -> TileContext:
     """Return the context of all captures of a design.
 
     Args:
         design: Captures and tiles.
         images: Mean picture of each pattern.
-        previous: Signal of the frame before each capture in electrons, (captures, tiles, 1).
     """
     x, y = tile_points(design)
     camera, lens = design.header.camera, design.header.lens
@@ -189,12 +203,11 @@ def tile_context(design: Design, images: PatternImages, previous: Array | None =
     context = TileContext(
         cast(Any, settings),
         geometry,
-        camera if isinstance(camera, CameraDescription) else design.header.camera,
-        lens if isinstance(lens, LensDescription) else LensDescription(),
+        camera.model_copy(update={"pixel_pitch_um": completed(camera).pixel_pitch_um}),
+        lens,
         design.header.source.wavelength_nm or 550.0,
         code=np.maximum(radiance / peak, 1e-9)[design.pattern_index][:, :, None],
         peak_radiance=peak,
-        previous_e=previous,
         surroundings=PictureSurroundings(design, images),
         frames=design.frame_count[:, None, None],
         tile_pixels=np.array([t.width * t.height for t in design.tiles], dtype=np.float64)[None, :, None],

@@ -1,43 +1,28 @@
-"""Predicts the statistics of all captures from the ideal camera and a set of effects."""
+"""Predicts the statistics of all captures: the simulator's chain of effects, walked with the moments of tiles."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.pattern_images import PatternImages
 from radiometer.reconcile.measure.row_bands import TileBands
-from radiometer.reconcile.model.chain_steps import (
-    LIGHT_LINKS,
-    link_of,
-    rise_of,
-    scaled,
-    textured,
-    tilt_of,
-    with_shot_noise,
-)
-from radiometer.reconcile.model.tile_context import TileContext, scene_radiance, tile_context
-from radiometer.units import photon_energy_j
+from radiometer.reconcile.model.tile_context import TileContext, rise_of, scene_radiance, tile_context, tilt_of
+from simulators.chain import place_for
+from simulators.effects.base import DIGITAL_NUMBER, ELECTRONS, Effect
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import Signal
-from simulators.effects.full_well_saturation import FullWellSaturation
-from simulators.effects.rounding import rounded, rounding_amplitude
-from simulators.effects.tile_moments import TileMoments
+from simulators.effects.rounding import rounding_amplitude
+from simulators.effects.tile_moments import Moments, TileMoments
+from simulators.undeclared import Undeclared, undeclared_chain
 
-# Stand in where capture.yaml says nothing; they are fitted then, and told as assumptions.
-TYPICAL_E_PER_DN: Final = 2.5
-TYPICAL_READ_NOISE_E: Final = 5.0
-TYPICAL_QUANTUM_EFFICIENCY: Final = 0.5
-TYPICAL_PITCH_UM: Final = 4.5
 _SMALLEST_VARIANCE_DN2: Final = 1e-3  # a value that always rounds or clips to one code has none
-_LAG: Final = "image_lag"
-_COARSER: Final = "missing_codes"
-_WELL_SHARE: Final = 0.6  # below it the well is never felt
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,30 +30,25 @@ class Nuisance:
     """What is fitted beside the effects and never named.
 
     Attributes:
-        log_responsivity: Natural logarithm of the responsivity over the declared one.
-        log_radiance: The same of each patch's radiance, (patterns, tiles).
-        log_gain: The same of the conversion gain K (fitted only where none is declared).
-        log_read: The same of the read noise variance (fitted only where none is declared).
-        black_dn: Black level in DN over the declared one (fitted only where none is declared).
-        dark_e_per_s: Dark current over the declared one (fitted only where none is declared).
+        off: What the camera's description leaves out.
+        log_radiance: Natural logarithm of each patch's radiance over the stated one, (patterns, tiles).
         slope: Rise of each tile's radiance from centre to edge, relative, (patterns, 2, tiles); unknown scenes only.
-        texture: Relative variance of each tile's radiance within it, (tiles,); unknown scenes only.
     """
 
-    log_responsivity: float
+    off: Undeclared
     log_radiance: Array
     slope: Array
-    texture: Array
-    log_gain: float = 0.0
-    log_read: float = 0.0
-    black_dn: float = 0.0
-    dark_e_per_s: float = 0.0
 
     @classmethod
     def start(cls, design: Design) -> Nuisance:
         """Return nuisances that change nothing."""
         patterns, tiles = len(design.patterns), len(design.tiles)
-        return cls(0.0, np.zeros((patterns, tiles)), np.zeros((patterns, 2, tiles)), np.zeros(tiles))
+        off = Undeclared(texture=np.zeros(tiles))
+        return cls(off, np.zeros((patterns, tiles)), np.zeros((patterns, 2, tiles)))
+
+    def with_off(self, **figures: Any) -> Nuisance:
+        """Return the nuisances with other figures of the camera."""
+        return replace(self, off=replace(self.off, **figures))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +86,7 @@ class Prediction:
     signal: Array
     gain: Array
     fixed: Array
-    unrounded: TileMoments
+    unrounded: Moments
     band_variance: Array
     band_frequency: float
     mixed_x: Array
@@ -144,9 +124,8 @@ class TileModel:
     @classmethod
     def of(cls, design: Design, images: PatternImages) -> TileModel:
         """Return the ideal camera."""
-        radiance = scene_radiance(design, images)
-        model = cls(design, tile_context(design, images), radiance, images)
-        return replace(model, context=replace(model.context, previous_e=model._previous_signal(Nuisance.start(design))))
+        model = cls(design, tile_context(design, images), scene_radiance(design, images), images)
+        return model._looking_back(Nuisance.start(design))
 
     def with_effects(self, effects: Sequence[CatalogueEffect]) -> TileModel:
         """Return the model with exactly these effects."""
@@ -158,7 +137,7 @@ class TileModel:
 
     def trace(self, nuisance: Nuisance) -> Trace:
         """Return the expected statistics with the moments between the links of the chain."""
-        return self._run(nuisance, 0, (), None)
+        return self._walked(nuisance, self.links(nuisance), (self._scene(nuisance),))
 
     def predict_again(self, trace: Trace, effects: Sequence[CatalogueEffect]) -> Prediction:
         """Return the statistics expected with other effects, from the first link on that differs.
@@ -169,140 +148,77 @@ class TileModel:
         """
         old, new = self.effects, tuple(effects)
         shared = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(old, new, strict=False)))
-        links = [link_of(effect) for effect in (*old[shared:], *new[shared:])]
-        if not links:
+        places = [place_for(effect, trace.links) for effect in (*old[shared:], *new[shared:])]
+        if not places:
             return trace.prediction
-        first = min(links)
-        light = trace.light if first > LIGHT_LINKS else None
-        return self.with_effects(new)._run(trace.nuisance, first, trace.between[: first + 1], light).prediction
+        model = self.with_effects(new)
+        return model._walked(trace.nuisance, trace.links, trace.between[: 1 + min(places)]).prediction
 
     # ---- the chain, link by link ---------------------------------------------------------------------------
 
-    def _run(
-        self, nuisance: Nuisance, first: int, between: tuple[TileMoments, ...], light: TileMoments | None
-    ) -> Trace:
-        model = self._lagging(nuisance)
-        gain = model._gain(nuisance)
-        links = model._links(nuisance, gain)
-        passed = list(between) or [model._scene(nuisance)]
-        for number in range(first, len(links)):
-            if number == LIGHT_LINKS:
-                light = passed[-1]
-            passed.append(links[number](passed[-1]))
-        assert light is not None
-        return Trace(nuisance, tuple(passed), light, model._summary(passed[-1], passed[-2], light, gain))
+    def links(self, nuisance: Nuisance) -> tuple[Effect, ...]:
+        """Return the links of the declared camera; effects act in front of the link that `place_for` gives."""
+        header = self.design.header
+        ends = header.camera.full_well_e is not None and not self.passes_well
+        return undeclared_chain(header.camera, header.lens, nuisance.off, ends_in_well=ends)
+
+    def _walked(self, nuisance: Nuisance, links: tuple[Effect, ...], between: tuple[TileMoments, ...]) -> Trace:
+        """Return the chain walked on from the last of the moments in front of the first links."""
+        looks_back = any(effect.looks_back for effect in (*self.given, *self.effects))
+        model = self._looking_back(nuisance) if looks_back else self
+        beside, passed = model._beside(links), list(between)
+        for place in range(len(between) - 1, len(links) + 1):
+            passed.append(model._through((*beside[place], *links[place : place + 1]), passed[-1]))
+        light, gain = passed[1 + _first(links, ELECTRONS)].mean, self._gain(links, passed)
+        return Trace(nuisance, links, tuple(passed), model._summary(passed[-1], light, gain))
+
+    def _beside(self, links: tuple[Effect, ...]) -> dict[int, list[CatalogueEffect]]:
+        """Return the effects that act in front of each link, in the order of their stages."""
+        found: dict[int, list[CatalogueEffect]] = defaultdict(list)
+        for effect in sorted((*self.given, *self.effects), key=lambda effect: effect.stage):
+            found[place_for(effect, links)].append(effect)
+        return found
+
+    def _through(self, effects: Sequence[Effect], moments: TileMoments) -> TileMoments:
+        for effect in effects:
+            after = effect.moments(moments, self.context)
+            assert isinstance(after, TileMoments)
+            moments = after
+        return moments
 
     def _scene(self, nuisance: Nuisance) -> TileMoments:
         scene = (self.radiance * np.exp(nuisance.log_radiance))[self.design.pattern_index]
         slopes = nuisance.slope[self.design.pattern_index]
         points = tilt_of(slopes[:, 0], slopes[:, 1]) if nuisance.slope.any() else 1.0
-        return TileMoments.exactly(scene[:, :, None] * np.ones(4) * points * self.context.settings.source_level)
+        return TileMoments.exactly(scene[:, :, None] * np.ones(4) * points)
 
-    def _links(self, nuisance: Nuisance, gain: Array) -> tuple[Callable[[TileMoments], TileMoments], ...]:
-        """Return what happens to the light, in order; effects act in the links that `link_of` numbers."""
-        settings = self.context.settings
-        open_s = np.where(settings.is_dark, 0.0, settings.exposure_s)
-        sensitivity = self._quantum_efficiency() * float(np.exp(nuisance.log_responsivity))
-        return (
-            lambda moments: self._apply(moments, 0),
-            lambda moments: self._apply(scaled(moments, self._lens_factor()), 1),
-            lambda moments: self._apply(scaled(moments, open_s), 2),
-            lambda moments: scaled(self._apply(scaled(moments, self._photons_per_exposure()), 3), sensitivity),
-            lambda moments: self._apply(textured(moments, nuisance.texture), 4),
-            lambda moments: self._apply(self._with_dark_electrons(moments, nuisance), 5),
-            lambda moments: self._full(self._apply(moments, 6)),
-            lambda moments: self._apply(self._with_read_noise(moments, nuisance), 7),
-            lambda moments: self._apply(scaled(moments, gain[:, None, None]), 8),
-            lambda moments: self._apply(self._on_black(moments, nuisance), 9),
-            lambda moments: self._apply(self._rounded(moments), 10),
+    def _gain(self, links: tuple[Effect, ...], passed: Sequence[TileMoments]) -> Array:
+        """Return DN per electron, (captures,)."""
+        at = _first(links, DIGITAL_NUMBER)
+        gain = np.asarray(links[at].slope(passed[at].mean, self.context), dtype=np.float64)
+        return np.asarray(np.broadcast_to(gain, (len(self.design.captures), 1, 1))[:, 0, 0])
+
+    def _looking_back(self, nuisance: Nuisance) -> TileModel:
+        """Return the model whose previous frames hold, in electrons, what its effects and nuisances make of light."""
+        ahead = replace(
+            self,
+            effects=tuple(effect for effect in self.effects if not effect.looks_back),
+            given=tuple(effect for effect in self.given if not effect.looks_back),
         )
-
-    def _full(self, moments: TileMoments) -> TileMoments:
-        well = self.design.header.camera.full_well_e
-        if well is None or self.passes_well or float(moments.mean.max()) < _WELL_SHARE * well:
-            return moments
-        full = FullWellSaturation(well).moments(moments, self.context)
-        assert isinstance(full, TileMoments)
-        return full
-
-    def _with_read_noise(self, moments: TileMoments, nuisance: Nuisance) -> TileMoments:
-        read = self.design.header.camera.read_noise_e
-        read_e2 = (TYPICAL_READ_NOISE_E if read is None else read) ** 2 * float(np.exp(nuisance.log_read))
-        return replace(moments, variance=moments.variance + read_e2)
-
-    def _on_black(self, moments: TileMoments, nuisance: Nuisance) -> TileMoments:
-        black = np.nan_to_num(self.context.settings.black_level_dn) + nuisance.black_dn  # type: ignore[arg-type]
-        return replace(moments, mean=moments.mean + black)
-
-    def _rounded(self, moments: TileMoments) -> TileMoments:
-        if any(effect.name == _COARSER for effect in (*self.given, *self.effects)):  # it rounds by itself
-            return replace(moments, variance=moments.variance + 1.0 / 12.0)
-        return rounded(moments)
-
-    def _apply(self, moments: TileMoments, link: int) -> TileMoments:
-        for effect in (*self.given, *self.effects):
-            if link_of(effect) == link:
-                after = effect.moments(moments, self.context)
-                assert isinstance(after, TileMoments)
-                moments = after
-        return moments
-
-    # ---- figures of the declared camera --------------------------------------------------------------------
-
-    def _lens_factor(self) -> Array:
-        lens = self.design.header.lens
-        tau = 1.0 if lens.transmittance is None else lens.transmittance
-        closeness = 1.0 + lens.magnification / lens.pupil_magnification
-        factor = np.pi * tau / (4.0 * (self.design.f_number * closeness) ** 2)
-        if lens.vignetting != "cos4":
-            return np.asarray(factor[:, None, None])
-        tangent = self.context.geometry.radius_um() / (1000.0 * (lens.focal_length_mm or 16.0))
-        return np.asarray(factor[:, None, None] / (1.0 + tangent**2) ** 2)
-
-    def _photons_per_exposure(self) -> float:
-        pitch_um = self.design.header.camera.pixel_pitch_um or TYPICAL_PITCH_UM
-        return (pitch_um * 1e-6) ** 2 / photon_energy_j(self.context.wavelength_nm)
-
-    def _quantum_efficiency(self) -> float:
-        return self.design.header.camera.quantum_efficiency or TYPICAL_QUANTUM_EFFICIENCY
-
-    def _gain(self, nuisance: Nuisance) -> Array:
-        e_per_dn = self.design.header.camera.conversion_gain_e_per_dn or TYPICAL_E_PER_DN
-        return np.asarray(10.0 ** (self.design.gain_db / 20.0) / e_per_dn * np.exp(nuisance.log_gain))
-
-    def _with_dark_electrons(self, moments: TileMoments, nuisance: Nuisance) -> TileMoments:
-        after = with_shot_noise(moments, self._dark_e(nuisance, self.design.temperature_c))
-        ends = [self._dark_e(nuisance, warm) for _, warm in (self.design.first_frames, self.design.later_frames)]
-        return replace(after, first_excess=after.first_excess + (ends[0] - ends[1])) if ends[0].any() else after
-
-    def _dark_e(self, nuisance: Nuisance, temperature_c: Array) -> Array:
-        camera = self.design.header.camera
-        reference = 25.0 if camera.dark_current_reference_C is None else camera.dark_current_reference_C
-        warmer = np.nan_to_num(temperature_c - reference)
-        rate = (camera.dark_current_e_per_s or 0.0) + nuisance.dark_e_per_s
-        per_second = rate * 2.0 ** (warmer / (camera.dark_current_doubling_K or 7.0))
-        return np.asarray((per_second * self.design.exposure_s)[:, None, None])
-
-    def _lagging(self, nuisance: Nuisance) -> TileModel:
-        """Return the model whose previous frames hold what all its effects and nuisances make of their light."""
-        if not any(effect.name == _LAG for effect in (*self.given, *self.effects)):
-            return self
-        effects, given = (tuple(e for e in some if e.name != _LAG) for some in (self.effects, self.given))
-        previous = replace(self, effects=effects, given=given)._previous_signal(nuisance)
-        return replace(self, context=replace(self.context, previous_e=previous))
-
-    def _previous_signal(self, nuisance: Nuisance) -> Array:
-        """Return the light that the frame before each capture held, in electrons, (captures, tiles, 1)."""
-        signal = self.trace(nuisance).light.mean.mean(axis=2)
+        links = self.links(nuisance)
+        beside, moments = ahead._beside(links), self._scene(nuisance)
+        for place in range(1 + _first(links, ELECTRONS)):
+            moments = ahead._through((*beside[place], links[place]), moments)
+        signal = moments.mean.mean(axis=2)
         order = np.argsort([capture.frames[0] for capture in self.design.captures])
         before = np.zeros_like(signal)
         before[order[1:]] = signal[order[:-1]]
-        return np.asarray(before[:, :, None])
+        return replace(self, context=replace(self.context, previous_e=before[:, :, None]))
 
     # ---- from moments at points to statistics of tiles -----------------------------------------------------
 
-    def _summary(self, final: TileMoments, unrounded: TileMoments, light: TileMoments, gain: Array) -> Prediction:
-        shape = light.mean.shape
+    def _summary(self, final: TileMoments, light: Signal, gain: Array) -> Prediction:
+        shape = light.shape
 
         def tiles(values: Signal) -> Array:
             return _of_tiles(values, shape[:2])
@@ -349,10 +265,10 @@ class TileModel:
             outliers=captures(final.outliers),
             comb_step=final.comb_step,
             comb_kept=final.comb_kept,
-            signal=tiles(light.mean),
+            signal=tiles(light),
             gain=gain,
             fixed=fixed,
-            unrounded=unrounded,
+            unrounded=final.unrounded or final,
             band_variance=band,
             band_frequency=final.band_frequency,
             mixed_x=tiles(final.neighbour_x) / safe,
@@ -367,15 +283,20 @@ class Trace:
 
     Attributes:
         nuisance: The nuisances.
-        between: Moments before the first link, between the links, and behind the last.
-        light: Light per pixel in electrons before anything electronic happens to it.
+        links: The links of the declared camera.
+        between: Moments in front of each link and of what acts before it, and behind the last.
         prediction: The expected statistics.
     """
 
     nuisance: Nuisance
+    links: tuple[Effect, ...]
     between: tuple[TileMoments, ...]
-    light: TileMoments
     prediction: Prediction
+
+
+def _first(links: Sequence[Effect], unit: str) -> int:
+    """Return the position of the link that first gives a unit."""
+    return next(place for place, link in enumerate(links) if link.unit_out == unit)
 
 
 def _of_tiles(values: Signal, shape: tuple[int, ...]) -> Array:

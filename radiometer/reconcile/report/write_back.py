@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -11,19 +11,13 @@ from radiometer.data.provenance import utc_now
 from radiometer.reconcile.engine import Reconciled
 from radiometer.reconcile.fit.covariance import effect_covariance, fitted_parameters
 from radiometer.reconcile.fit.state import FitState
-from radiometer.reconcile.model.tile_model import (
-    TYPICAL_E_PER_DN,
-    TYPICAL_PITCH_UM,
-    TYPICAL_QUANTUM_EFFICIENCY,
-    TYPICAL_READ_NOISE_E,
-)
 from radiometer.reconcile.report.result import FoundEffect, Verdict
 from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.registry import EffectEntry
+from simulators.undeclared import completed
 
 _SMALLEST, _LARGEST = 0.01, 1.0  # quantum efficiency
-_MARGIN_BITS: Final = 4.0  # stands for a full well that nobody declared: far above what the converter can show
 
 
 def reconciled_model(
@@ -60,14 +54,14 @@ def _switched_off(entry: EffectEntry, effect: CatalogueEffect) -> EffectEntry:
 def _base(state: FitState) -> CameraModel:
     header = state.design.header
     camera = _completed(state)
-    responsivity = float(np.exp(state.nuisance.log_responsivity))
+    responsivity = float(np.exp(state.nuisance.off.log_responsivity))
     for effect in state.effects:
         responsivity /= effect.responsivity_taken()
-    efficiency = camera.quantum_efficiency or TYPICAL_QUANTUM_EFFICIENCY
+    efficiency = camera.quantum_efficiency or _LARGEST
     if any(value is not None for tile in state.design.tiles for value in tile.radiance):
         # Beyond the bounds the pixels must be larger or smaller, or the light other, than declared.
         fitted, efficiency = efficiency * responsivity, min(max(efficiency * responsivity, _SMALLEST), _LARGEST)
-        pitch = (camera.pixel_pitch_um or TYPICAL_PITCH_UM) * float(np.sqrt(fitted / efficiency))
+        pitch = (camera.pixel_pitch_um or 1.0) * float(np.sqrt(fitted / efficiency))
         camera = camera.model_copy(update={"pixel_pitch_um": pitch})
     camera = camera.model_copy(update={"quantum_efficiency": efficiency})
     return CameraModel.ideal(camera, header.lens, header.source.wavelength_nm or 550.0)
@@ -75,20 +69,10 @@ def _base(state: FitState) -> CameraModel:
 
 def _completed(state: FitState) -> CameraDescription:
     """Return the camera with every figure that the ideal chain needs: declared, else fitted, else typical."""
-    camera, nuisance = state.design.header.camera, state.nuisance
-    e_per_dn = (camera.conversion_gain_e_per_dn or TYPICAL_E_PER_DN) * float(np.exp(-nuisance.log_gain))
-    read = camera.read_noise_e if camera.read_noise_e is not None else TYPICAL_READ_NOISE_E
-    black = camera.black_level_dn if camera.black_level_dn is not None else max(nuisance.black_dn, 0.0)
-    return camera.model_copy(
-        update={
-            "pixel_pitch_um": camera.pixel_pitch_um or TYPICAL_PITCH_UM,
-            "conversion_gain_e_per_dn": e_per_dn,
-            "read_noise_e": read * float(np.exp(nuisance.log_read / 2.0)),
-            "full_well_e": camera.full_well_e or _MARGIN_BITS * camera.full_scale_dn * e_per_dn,
-            "dark_current_e_per_s": max((camera.dark_current_e_per_s or 0.0) + nuisance.dark_e_per_s, 0.0),
-            "black_level_dn": black,
-        }
-    )
+    camera, off = state.design.header.camera, state.nuisance.off
+    dark = {"dark_current_e_per_s": max((camera.dark_current_e_per_s or 0.0) + off.dark_e_per_s, 0.0)}
+    black = {"black_level_dn": max(off.black_dn, 0.0)} if camera.black_level_dn is None else {}
+    return completed(camera, off).model_copy(update=dark | black)
 
 
 def _notes(

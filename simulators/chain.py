@@ -1,0 +1,39 @@
+"""The order of effects in a chain: where in it an effect acts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from radiometer.errors import ConfigurationError
+from simulators.effects.base import RADIANCE, Effect
+
+
+def place_for(effect: Effect, chain: Sequence[Effect], enabled: Sequence[bool] | None = None) -> int:
+    """Return the position in a chain at which an effect acts: in front of `effect.before`, else late in its stage.
+
+    Args:
+        effect: The effect to be added.
+        chain: The effects in order.
+        enabled: Which of them are switched on; all by default.
+
+    Raises:
+        ConfigurationError: If its unit fits nowhere in its stage.
+    """
+    unit, fits = RADIANCE, list[int]()
+    for position in range(len(chain) + 1):
+        following = chain[position] if position < len(chain) else None
+        in_stage = (position == 0 or chain[position - 1].stage <= effect.stage) and (
+            following is None or following.stage >= effect.stage
+        )
+        if in_stage and unit == effect.unit_in == effect.unit_out:
+            if following is not None and following.name == effect.before:
+                return position
+            fits.append(position)
+        if following is not None and (enabled is None or enabled[position]):
+            unit = following.unit_out
+    if not fits:
+        raise ConfigurationError(
+            f"camera model: effect {effect.name!r} fits nowhere in the {effect.stage.name.lower()} stage: "
+            f"no signal in {effect.unit_in} passes there"
+        )
+    return fits[-1]
