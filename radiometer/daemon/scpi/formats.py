@@ -43,7 +43,7 @@ def reading_elements(reading: Reading, function: str, elements: Iterable[str]) -
     Args:
         reading: The reading.
         function: "RADiance" or "LUMinance".
-        elements: Out of READing, UNCertainty, TIME, SEQuence, FLAGs.
+        elements: Out of READing, UNCertainty, EXPanded, COVerage, TIME, SEQuence, FLAGs.
     """
     return ",".join(_element(reading, function, element) for element in elements)
 
@@ -55,6 +55,10 @@ def _element(reading: Reading, function: str, element: str) -> str:
             return number(quantity.value if quantity else math.nan)
         case "UNCertainty":
             return number(quantity.u if quantity else math.nan)
+        case "EXPanded":
+            return number(reading.coverage_factor * quantity.u if quantity else math.nan)
+        case "COVerage":
+            return number(reading.coverage_factor)
         case "TIME":
             return string(reading.time)
         case "SEQuence":

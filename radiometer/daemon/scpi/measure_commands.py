@@ -17,7 +17,7 @@ from radiometer.data import Patch, Reading
 
 GROUP: Final = "Measuring"
 _DEFAULT_PERIOD_S: Final = 1.0
-ELEMENTS: Final = ("READing", "UNCertainty", "TIME", "SEQuence", "FLAGs")
+ELEMENTS: Final = ("READing", "UNCertainty", "EXPanded", "COVerage", "TIME", "SEQuence", "FLAGs")
 
 
 def _width(station: Station) -> Limits:
@@ -188,7 +188,10 @@ COMMANDS: Final = (
             do=lambda call: call.session.station.set_every(call.values[0]), ask=_ask_period,
             parameters=(Number("period", "S", _period),), reply="seconds", example="TRIG:TIM 500 MS;TIM?", group=GROUP),
     Command("ABORt", "Gives up a measurement that this session began.", do=_abort, example="ABOR", group=GROUP),
-    Command("FORMat:ELEMents", "Chooses what MEASure?, READ? and FETCh? reply, in that order.", do=_set_elements,
-            ask=lambda call: ",".join(call.session.elements), parameters=(Choice("element", ELEMENTS),) * 5, required=1,
-            reply="elements", example="FORM:ELEM READ,UNC,TIME,SEQ,FLAG;ELEM?", group=GROUP),
+    Command("FORMat:ELEMents",
+            "Chooses what MEASure?, READ? and FETCh? reply, in that order: the reading, its standard uncertainty (k=1),"
+            " its expanded uncertainty (95.45 %), the coverage factor k between the two, time, number, flags.",
+            do=_set_elements, ask=lambda call: ",".join(call.session.elements),
+            parameters=(Choice("element", ELEMENTS),) * len(ELEMENTS), required=1,
+            reply="elements", example="FORM:ELEM READ,UNC,EXP,COV,TIME,SEQ,FLAG;ELEM?", group=GROUP),
 )  # fmt: skip
