@@ -235,6 +235,16 @@ class StreamingMerge:
         doubt = calibration.uncertainties.falloff_u_rel * lost * radiance
         np.hypot(u_radiance, doubt.astype(np.float32), out=u_radiance)
 
+    def _stray_light(self, radiance: NDArray[np.float32]) -> tuple[str, ...]:
+        """Return what to say of the light that the lens spreads over the picture, which no pixel's u holds."""
+        calibration = self._calibration
+        share = math.hypot(calibration.uncertainties.glare_u, calibration.found.glare) if calibration else 0.0
+        if calibration is None or share == 0.0:
+            return ()
+        light = share * float(np.mean(radiance, dtype=np.float64))
+        unit = RADIANCE_UNIT if calibration.absolute else RELATIVE_UNIT
+        return (f"no stray light: the lens may add {light:.2g} {unit} (k = 1) to every pixel, which u does not hold",)
+
     def _map(
         self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32], mask: NDArray[np.uint8]
     ) -> RadianceMap:
@@ -250,7 +260,7 @@ class StreamingMerge:
             exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
             provenance=Provenance(
                 "maximum-likelihood merge",
-                assumptions=self._situation.assumptions,
+                assumptions=(*self._situation.assumptions, *self._stray_light(images[0])),
                 parameters={"frames": len(self._terms), "dark_frames": len(self._dark)},
             ),
         )

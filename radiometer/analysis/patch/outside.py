@@ -120,20 +120,30 @@ def outside_terms(
 
 
 def frame_u_rel(
-    calibration: Calibration, lens: LensDescription, numbers: set[float | None], settings: Sequence[FrameSettings]
+    calibration: Calibration,
+    lens: LensDescription,
+    numbers: set[float | None],
+    settings: Sequence[FrameSettings],
+    now: dt.datetime | None = None,
 ) -> float:
-    """Return the relative standard uncertainty that all pixels share through lens, gain and temperature.
+    """Return the relative standard uncertainty that all pixels share through lens, gain, temperature and age.
 
     Args:
         calibration: The calibration.
         lens: The lens in use.
         numbers: f-numbers of the frames.
         settings: Of the frames.
+        now: Time that the calibration's age is counted to, with time zone; None for the present.
     """
     even = np.full(len(settings), 1.0 / max(len(settings), 1))
     here = conditions_of(even, settings, 0.5, 1.0, 0.0, 1.0, None)
     stated, there = calibration.uncertainties, calibration.scale.conditions
-    terms = [_gain(1.0, here, there, stated), _temperature(1.0, here, there, stated), *_handling(1.0, lens, stated)]
+    terms = [
+        _gain(1.0, here, there, stated),
+        _temperature(1.0, here, there, stated),
+        _drift(1.0, calibration, now or dt.datetime.now(dt.UTC)),
+        *_handling(1.0, lens, stated),
+    ]
     parts = [
         f_number_u_rel(calibration, stated, numbers)[0],
         transmittance_u_rel(calibration, lens)[0],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime as dt
+import math
 import tracemalloc
 from dataclasses import replace
 
@@ -314,6 +316,28 @@ def test_the_common_uncertainty_is_stated_apart(rig):
     """Scale, exposure time, linearity and 3 K of unknown temperature add in quadrature for all pixels alike."""
     found = merged(rig, rig.frames(scene(rig), np.random.default_rng(1), (1e-3,)), u_rel=0.01)
     assert found.u_rel_common == pytest.approx((0.01**2 + 1e-3**2 + 1e-4**2 + 3e-3**2) ** 0.5)
+
+
+def test_the_calibration_s_age_is_part_of_the_common_uncertainty(rig):
+    """Four years at 1 % per year."""
+    frames, old = rig.frames(scene(rig), np.random.default_rng(1), (1e-3,)), dt.datetime.now(dt.UTC)
+    fresh = replace(rig.calibration(), created=old.isoformat())
+    aged = replace(fresh, created=(old - dt.timedelta(days=4 * 365.25)).isoformat())
+    young, aged_map = (merge(frames, rig.description, rig.lens, one) for one in (fresh, aged))
+    assert math.sqrt(aged_map.u_rel_common**2 - young.u_rel_common**2) == pytest.approx(0.04, rel=1e-3)
+
+
+def test_a_map_says_what_stray_light_it_may_hold(rig):
+    """Glare known to 2 % of the picture's mean is a figure in the map's assumptions; known to be none, no word."""
+    frames = rig.frames(scene(rig), np.random.default_rng(1), (1e-3,))
+    base = rig.calibration()
+    words = {}
+    for u in (0.0, 0.02):
+        stated = base.uncertainties.model_copy(update={"glare_u": u})
+        found = merge(frames, rig.description, rig.lens, replace(base, uncertainties=stated))
+        words[u] = [one for one in found.provenance.assumptions if "stray" in one]
+    assert words[0.0] == []
+    assert float(words[0.02][0].split("add ")[1].split()[0]) == pytest.approx(0.02 * found.radiance.mean(), rel=0.05)
 
 
 def test_more_than_thirty_two_frames(rig):
