@@ -6,7 +6,7 @@ from typing import Any
 
 from radiometer.reconcile import gaps_of as gaps_under
 from radiometer.reconcile import reconcile
-from radiometer.reconcile.report.result import ReconcileResult
+from radiometer.reconcile.result import ReconcileResult
 from tests.roundtrip.generator.session import Session
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from benchmarks._reconcile_judge import PARAMETERS
 from benchmarks._sections import write_section
 from radiometer.reconcile import reconcile
-from radiometer.reconcile.report.result import ReconcileResult
+from radiometer.reconcile.result import ReconcileResult
 from tests.roundtrip.generator.session import Session, make_session
 
 # Entries of every statistic: means, variances, patterns, lines, neighbours, first frames, whole frames, edges.

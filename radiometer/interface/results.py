@@ -13,7 +13,7 @@ from radiometer.analysis.characterise import characterise as characterise_subjec
 from radiometer.data import Patch, Quantity
 from radiometer.interface.files import PathLike
 from radiometer.other_data.sources import Done, reconcile_source
-from radiometer.reconcile.report.result import FittedParameter, FoundEffect
+from radiometer.reconcile.result import FittedParameter, FoundEffect
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ import numpy as np
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import InputError
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.report.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.reconcile.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.units import exact_exposure_s, exact_f_number
 
 _GAP_UNIT: Final = "standard deviation of ln K within a source"

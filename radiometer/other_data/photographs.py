@@ -36,7 +36,7 @@ from radiometer.analysis.response.wrong_labels import (
 from radiometer.data import Bracket, Frame
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import CaptureError, InputError, MeasurementError
-from radiometer.reconcile.report.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.reconcile.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.units import exact_exposure_s
 
 Array = NDArray[np.float64]

@@ -12,8 +12,9 @@ from radiometer.errors import CaptureError, OutputError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
 from radiometer.other_data.light_meter import reconcile_meter_table
 from radiometer.other_data.photographs import reconcile_photographs
-from radiometer.reconcile.engine import Progress, Reconciled, Say, examine, whole_catalogue
-from radiometer.reconcile.report.result import ReconcileResult
+from radiometer.reconcile.engine import Progress, Say, examine, whole_catalogue
+from radiometer.reconcile.result import ReconcileResult
+from radiometer.reconcile.search.outcome import Reconciled
 from simulators.camera_model import CameraModel
 
 _STAND_IN_SHARE: Final = 1e-3  # of the shortest exposure

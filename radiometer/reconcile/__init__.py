@@ -1,7 +1,8 @@
 """Measured against simulated: where they disagree, which effect is missing, and the model with it added."""
 
-from radiometer.reconcile.engine import Reconciled, gap_of, gaps_of, reconcile, reconcile_capture
-from radiometer.reconcile.report.result import FittedParameter, FoundEffect, ReconcileResult, Verdict
+from radiometer.reconcile.engine import gap_of, gaps_of, reconcile, reconcile_capture
+from radiometer.reconcile.result import FittedParameter, FoundEffect, ReconcileResult, Verdict
+from radiometer.reconcile.search.outcome import Reconciled
 
 __all__ = [
     "FittedParameter",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -22,7 +22,7 @@ from radiometer.reconcile.fit.nuisances import dark_current_is_free
 from radiometer.reconcile.fit.state import FitState, first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import FrameReader, frame_reader, reduce_frames
-from radiometer.reconcile.report.result import (
+from radiometer.reconcile.result import (
     CovariateGap,
     FittedParameter,
     FoundEffect,
@@ -33,7 +33,8 @@ from radiometer.reconcile.report.result import (
 )
 from radiometer.reconcile.search.frame_order import FrameLight, Periodic, periodic
 from radiometer.reconcile.search.localise import Disagreement, axis_of, global_p_value, places
-from radiometer.reconcile.search.search import Search, Step, search
+from radiometer.reconcile.search.outcome import Reconciled, Search, Step
+from radiometer.reconcile.search.search import search
 from radiometer.reconcile.verdict import by_other_laws, doubts_of, faint, faint_names, rest_of, size_of_rest, verdict_of
 from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
@@ -58,19 +59,6 @@ def whole_catalogue() -> dict[str, type[CatalogueEffect]]:
         ConfigurationError: If an installed package's effect cannot be loaded.
     """
     return {name: kind for name, kind in all_effects().items() if issubclass(kind, CatalogueEffect)}
-
-
-@dataclass(frozen=True, eq=False)
-class Reconciled:
-    """A result with what it was drawn from, for the model file and the report.
-
-    Attributes:
-        result: The result.
-        outcome: The search behind it.
-    """
-
-    result: ReconcileResult
-    outcome: Search
 
 
 def reconcile(

@@ -14,17 +14,13 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from radiometer.reconcile.chances import Mask, log_variance
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.layout import slope_lengths
-from radiometer.reconcile.measure.reduce import CaptureStatistics
 from radiometer.reconcile.measure.row_bands import RowBins
-from radiometer.reconcile.measure.sums import COMB_PERIODS
-from radiometer.reconcile.model.tile_model import Prediction
-from radiometer.reconcile.noise.chances import log_variance
-
-Mask = NDArray[np.bool_]
+from radiometer.reconcile.measure.seen import COMB_PERIODS, CaptureStatistics
+from radiometer.reconcile.prediction import Prediction
 
 MULTIPLICATIVE: Final = "multiplicative"
 ADDITIVE: Final = "additive"

@@ -13,20 +13,18 @@ from typing import Final
 import numpy as np
 
 from radiometer.reconcile.fit.comparison import FAMILY, TILE_BLOCKS, Comparison
-from radiometer.reconcile.fit.covariance import fitted_parameters
+from radiometer.reconcile.fit.covariance import fitted_parameters, is_misfit
 from radiometer.reconcile.fit.covariates import covariates
 from radiometer.reconcile.fit.state import FitState, refit, with_effects
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.report.result import FittedParameter, FoundEffect, Verdict
+from radiometer.reconcile.result import FittedParameter, FoundEffect, Verdict
 from radiometer.reconcile.search.frame_order import Periodic
 from radiometer.reconcile.search.localise import axis_of, departing, own_place
-from radiometer.reconcile.search.search import Search, Step
+from radiometer.reconcile.search.outcome import Search, Step
 from radiometer.reconcile.thresholds import (
     BOUND_CHI2,
-    CLOSED_GAP,
     ESSENTIAL_SIGMAS,
     FAINT_NATS,
-    SCATTER_SIGMAS,
     SMOOTH_SHARE,
 )
 from simulators.effects.catalogue import CatalogueEffect
@@ -79,7 +77,7 @@ def doubts_of(outcome: Search) -> list[str]:
 
 def _leaves_structure(outcome: Search) -> bool:
     unnamed = bool(outcome.left) or any(step.name == "unnamed" for step in outcome.steps)
-    return unnamed or is_scattered(outcome.state)
+    return unnamed or is_misfit(outcome.state)
 
 
 def faint_names(outcome: Search) -> list[str]:
@@ -141,7 +139,7 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
     places = [place for place in places if place not in told]
     weak = faint_names(outcome)
     places += [(step.where, "") for step in outcome.steps if step.name in weak]
-    if not places and not told and is_scattered(state):
+    if not places and not told and is_misfit(state):
         block, where = place_of_scatter(state)
         places = [(where, block)]
     if again is not None:
@@ -248,13 +246,6 @@ def _push(state: FitState, index: int) -> float:
 
 
 # ---- what speaks against names --------------------------------------------------------------------------------------
-
-
-def is_scattered(state: FitState) -> bool:
-    """Tell whether the held-out gap lies above 1 by more than chance."""
-    settings = int(state.design.setting_id.max()) + 1
-    count = max(float(state.held_out.count[:settings].sum()), 1.0)
-    return state.gap > max(CLOSED_GAP, 1.0 + SCATTER_SIGMAS * float(np.sqrt(2.0 / count)))
 
 
 def place_of_scatter(state: FitState) -> tuple[str, str]:

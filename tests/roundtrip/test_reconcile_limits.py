@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.reconcile_limits import FIRST_SEED, answer_at, is_named
 from radiometer.reconcile import reconcile
-from radiometer.reconcile.report.result import Limit
+from radiometer.reconcile.result import Limit
 from tests.roundtrip.generator.session import make_session
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]

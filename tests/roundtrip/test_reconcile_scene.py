@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from radiometer.reconcile import reconcile
-from radiometer.reconcile.report.result import ReconcileResult
+from radiometer.reconcile.result import ReconcileResult
 from tests.roundtrip.generator.session import make_session
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]

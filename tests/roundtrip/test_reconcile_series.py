@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from radiometer.reconcile import reconcile
-from radiometer.reconcile.report.result import Verdict
+from radiometer.reconcile.result import Verdict
 from tests.roundtrip.generator.session import Session
 
 PARAMETERS = {

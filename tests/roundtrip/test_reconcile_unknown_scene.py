@@ -7,7 +7,7 @@ import warnings
 import pytest
 
 from radiometer.reconcile import reconcile
-from radiometer.reconcile.report.result import ReconcileResult
+from radiometer.reconcile.result import ReconcileResult
 from tests.roundtrip.generator.session import make_session
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]

@@ -14,7 +14,8 @@ from radiometer.data import FrameEntry, FrameSettings
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import BRIGHT_SURROUND, DARK_SURROUND, Array, Design
 from radiometer.reconcile.measure.pattern_images import PatternImages
-from radiometer.reconcile.model.tile_model import Prediction, TileModel
+from radiometer.reconcile.model.tile_model import TileModel
+from radiometer.reconcile.prediction import Prediction
 from simulators.effects.context import ExposureContext
 
 FRAMES: Final = 4  # of one proposed capture

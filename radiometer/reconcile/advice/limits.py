@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.reconcile.fit.state import FitState, with_effects
-from radiometer.reconcile.report.result import Limit
+from radiometer.reconcile.result import Limit
 from radiometer.reconcile.search.screening import AT_ONCE, changes_of
 from radiometer.reconcile.statistics import partly_at_the_top
 from simulators.effects.catalogue import CatalogueEffect

@@ -21,7 +21,7 @@ from radiometer.data.storage import write_yaml_atomic
 from radiometer.reconcile.advice.capture_pool import FRAMES, CapturePool
 from radiometer.reconcile.fit.state import FitState, refit, with_effects, with_terms
 from radiometer.reconcile.measure.design import Array, Design
-from radiometer.reconcile.report.result import Limit, ReconcileResult
+from radiometer.reconcile.result import Limit, ReconcileResult
 from simulators.effects.catalogue import CatalogueEffect
 
 FORMAT: Final = "radiometer-plan/1"

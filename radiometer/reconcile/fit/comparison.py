@@ -15,35 +15,31 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.reconcile.chances import Mask, deviances, followed_scores, log_bias, sine_freedom
 from radiometer.reconcile.measure.design import Array, Design
-from radiometer.reconcile.measure.reduce import CaptureStatistics
 from radiometer.reconcile.measure.row_bands import RowBins, wave_power
-from radiometer.reconcile.measure.sums import COMB_PERIODS
-from radiometer.reconcile.model.tile_model import Prediction
-from radiometer.reconcile.noise.chances import deviances, followed_scores, log_bias, sine_freedom
-from radiometer.reconcile.noise.lines import (
+from radiometer.reconcile.measure.seen import COMB_PERIODS, CaptureStatistics
+from radiometer.reconcile.noise.repeatability import steady_wander2
+from radiometer.reconcile.noise.shared_errors import (
+    Part,
+    Repeatability,
     band_excess,
     common_of_rows,
     line_excess,
     mixing_of_bands,
     mixing_of_lines,
+    phases_of_wave,
     relative_bands,
     relative_flicker,
-    with_heavy_rows,
-)
-from radiometer.reconcile.noise.repeatability import steady_wander2
-from radiometer.reconcile.noise.shared_errors import (
-    Part,
-    Repeatability,
-    phases_of_wave,
     shared_errors,
     unsteady_phases,
     whiteners,
+    with_heavy_rows,
 )
+from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.statistics import (
     STATISTICS,
     Given,
-    Mask,
     Scale,
     Scatter,
     family_of,

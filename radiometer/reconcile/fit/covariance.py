@@ -14,15 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from radiometer.reconcile.chances import frames_counted
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.model.parameters import value_of
-from radiometer.reconcile.noise.chances import frames_counted
 from radiometer.reconcile.noise.shared_errors import chances_of_rows
-from radiometer.reconcile.report.result import FittedParameter
+from radiometer.reconcile.result import FittedParameter
+from radiometer.reconcile.thresholds import CLOSED_GAP, SCATTER_SIGMAS
 
-_SIGMAS: Final = 5.0  # of a χ² of so many entries, beyond which structure is left
-_CLOSED: Final = 1.05  # gap that counts as closed
 _BLOCKS: Final = 5  # along a covariate, each left out in turn
 _ALONE: Final = 0.9  # share of a direction told by one group, beyond which the others cannot check it
 _WAVE: Final = "bands"
@@ -33,7 +32,7 @@ _SEES_WAVE: Final = ("variance", "neighbour_x", "neighbour_y", "row_temporal", _
 def is_misfit(state: FitState) -> bool:
     """Tell whether structure is left: the gap of held-out settings lies above 1 by more than chance."""
     count = max(float(state.held_out.count[: state.settings].sum()), 1.0)
-    return state.gap > max(_CLOSED, 1.0 + _SIGMAS * float(np.sqrt(2.0 / count)))
+    return state.gap > max(CLOSED_GAP, 1.0 + SCATTER_SIGMAS * float(np.sqrt(2.0 / count)))
 
 
 def effect_covariance(state: FitState) -> Array:

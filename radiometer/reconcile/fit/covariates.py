@@ -8,9 +8,10 @@ from typing import Final
 import numpy as np
 from numpy.polynomial import legendre
 
+from radiometer.reconcile.chances import ranks
 from radiometer.reconcile.measure.design import Array, Design
-from radiometer.reconcile.model.tile_model import Prediction, TileModel
-from radiometer.reconcile.noise.chances import ranks
+from radiometer.reconcile.model.tile_model import TileModel
+from radiometer.reconcile.prediction import Prediction
 
 DEGREE: Final = 4
 _MOST_LEVELS: Final = 8  # a covariate with fewer distinct values is treated level by level

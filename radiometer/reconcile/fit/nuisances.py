@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from radiometer.reconcile.fit.comparison import Comparison
 from radiometer.reconcile.fit.linear import RowBlock
 from radiometer.reconcile.measure.design import Array, Design
-from radiometer.reconcile.model.tile_model import Nuisance, Prediction, TileModel
+from radiometer.reconcile.model.tile_model import Nuisance, TileModel
+from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.statistics import STATISTICS
 
 _FREE_LOG: Final = 5.0  # prior standard deviation of the logarithm of what is unknown: e^±5

@@ -17,13 +17,13 @@ from radiometer.reconcile.fit.nuisances import NuisanceLayout, rough_log_respons
 from radiometer.reconcile.fit.terms import LinearTerm, prior_rows
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.pattern_images import PatternImages
-from radiometer.reconcile.measure.reduce import CaptureStatistics
+from radiometer.reconcile.measure.seen import CaptureStatistics
 from radiometer.reconcile.model.parameters import EffectParameters
-from radiometer.reconcile.model.tile_model import Nuisance, Prediction, TileModel, Trace
+from radiometer.reconcile.model.tile_model import Nuisance, TileModel, Trace
 from radiometer.reconcile.noise.fixed_patterns import error_of_borders, fixed_errors
-from radiometer.reconcile.noise.lines import relative_bands, relative_flicker
 from radiometer.reconcile.noise.repeatability import capture_scale, estimate_tau
-from radiometer.reconcile.noise.shared_errors import Repeatability
+from radiometer.reconcile.noise.shared_errors import Repeatability, relative_bands, relative_flicker
+from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.statistics import STATISTICS, Scale, usable_entries
 from simulators.effects.catalogue import CatalogueEffect
 

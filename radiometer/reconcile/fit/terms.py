@@ -9,8 +9,8 @@ import numpy as np
 
 from radiometer.reconcile.fit.comparison import Comparison
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.model.tile_model import Prediction
 from radiometer.reconcile.noise.fixed_patterns import FixedError
+from radiometer.reconcile.prediction import Prediction
 
 ColumnBuilder = Callable[[Comparison, Prediction, Array], Array]
 

@@ -16,8 +16,8 @@ from radiometer.reconcile.measure.kernels import add_tiles
 from radiometer.reconcile.measure.layout import LINES, PatchSides, TileGroup
 from radiometer.reconcile.measure.profiles import fixed_profile, row_temporal_profile
 from radiometer.reconcile.measure.row_bands import RowBins, row_light
+from radiometer.reconcile.measure.seen import COMB_PERIODS
 
-COMB_PERIODS: Final = (2, 3, 4, 5)  # a coarser step shows at one of its divisors
 OUTLIER_SIGMAS: Final = 6.0  # one false alarm in 5·10⁸ pixels of Gaussian pattern
 _NEARLY_FULL: Final = 0.98  # counts as clipped: the highest code in use may lie a little below full scale
 _MAD_TO_SIGMA: Final = 1.4826

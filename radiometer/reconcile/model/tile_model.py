@@ -14,12 +14,12 @@ from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.pattern_images import PatternImages
 from radiometer.reconcile.measure.row_bands import TileBands
 from radiometer.reconcile.model.tile_context import TileContext, rise_of, scene_radiance, tile_context, tilt_of
+from radiometer.reconcile.prediction import Prediction, of_tiles
 from simulators.chain import place_for
 from simulators.effects.base import DIGITAL_NUMBER, ELECTRONS, Effect
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import Signal
-from simulators.effects.rounding import rounding_amplitude
-from simulators.effects.tile_moments import Moments, TileMoments
+from simulators.effects.tile_moments import TileMoments
 from simulators.undeclared import Undeclared, undeclared_chain
 
 _SMALLEST_VARIANCE_DN2: Final = 1e-3  # a value that always rounds or clips to one code has none
@@ -49,54 +49,6 @@ class Nuisance:
     def with_off(self, **figures: Any) -> Nuisance:
         """Return the nuisances with other figures of the camera."""
         return replace(self, off=replace(self.off, **figures))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
-    """Expected statistics, named and shaped as in CaptureStatistics.
-
-    Attributes:
-        signal: (captures, tiles) light signal in electrons, for regressors.
-        gain: (captures,) DN per electron.
-        fixed: (captures, tiles) fixed-pattern part of `spatial` in DN².
-        unrounded: Moments in DN before they are rounded to whole codes.
-        band_variance: (captures, tiles) variance of light that goes as a wave along the rows, in DN².
-        band_frequency: Periods of that wave per row.
-        mixed_x: (captures, tiles) correlation of neighbours in a row that exchange charge, without what rows share.
-        mixed_y: The same in a column.
-        limit_variance: (captures, tiles) part of `fixed` in DN² that limits which differ from pixel to pixel leave.
-    """
-
-    mean: Array
-    slope_x: Array
-    slope_y: Array
-    variance: Array
-    spatial: Array
-    neighbour_x: Array
-    neighbour_y: Array
-    first: Array
-    common_variance: Array
-    row_variance: Array
-    fixed_column_variance: Array
-    fixed_row_variance: Array
-    edge: Array
-    outliers: Array
-    comb_step: float
-    comb_kept: float
-    signal: Array
-    gain: Array
-    fixed: Array
-    unrounded: Moments
-    band_variance: Array
-    band_frequency: float
-    mixed_x: Array
-    mixed_y: Array
-    limit_variance: Array
-
-    @property
-    def rounding(self) -> Array:
-        """Return how far rounding to whole codes may move the mean, in DN, (captures, tiles)."""
-        return _of_tiles(rounding_amplitude(self.unrounded), self.mean.shape)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,7 +173,7 @@ class TileModel:
         shape = light.shape
 
         def tiles(values: Signal) -> Array:
-            return _of_tiles(values, shape[:2])
+            return of_tiles(values, shape[:2])
 
         def captures(values: Signal) -> Array:
             return np.asarray(np.broadcast_to(values, (shape[0], 1, 1))[:, 0, 0], dtype=np.float64)
@@ -297,11 +249,3 @@ class Trace:
 def _first(links: Sequence[Effect], unit: str) -> int:
     """Return the position of the link that first gives a unit."""
     return next(place for place, link in enumerate(links) if link.unit_out == unit)
-
-
-def _of_tiles(values: Signal, shape: tuple[int, ...]) -> Array:
-    """Return the mean over the points of each tile, of this shape."""
-    values = np.asarray(values, dtype=np.float64)
-    if values.shape[-1] == 1:
-        return np.broadcast_to(values[..., 0], shape)
-    return np.asarray(0.25 * (values[..., 0] + values[..., 1] + values[..., 2] + values[..., 3]))

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.edges import SHARPEST
 from radiometer.reconcile.measure.layout import slope_lengths
-from radiometer.reconcile.measure.reduce import CaptureStatistics
-from radiometer.reconcile.model.tile_model import Prediction
+from radiometer.reconcile.measure.seen import CaptureStatistics
 from radiometer.reconcile.noise.shared_errors import Part
+from radiometer.reconcile.prediction import Prediction
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext
 

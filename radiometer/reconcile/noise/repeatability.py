@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from radiometer.reconcile.chances import chi2_beyond, chi2_quantile
 from radiometer.reconcile.measure.design import Array, Design
-from radiometer.reconcile.noise.chances import chi2_beyond, chi2_quantile
 
 _ASSUMED_TAU: Final = 1e-3  # where neither repeats nor capture.yaml tell
 _ASSUMED_RANGE: Final = (0.3, 3.0)

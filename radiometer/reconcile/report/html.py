@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Final
 
 from radiometer.data.storage import write_text_atomic
-from radiometer.reconcile.engine import Reconciled
 from radiometer.reconcile.report import pictures
-from radiometer.reconcile.report.result import FoundEffect, ReconcileResult
 from radiometer.reconcile.report.words import along, seen_in
+from radiometer.reconcile.result import FoundEffect, ReconcileResult
+from radiometer.reconcile.search.outcome import Reconciled
 from simulators.effects.catalogue import CatalogueEffect
 
 _LISTED_PLACES: Final = 5

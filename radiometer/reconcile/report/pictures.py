@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from radiometer.reconcile.engine import Reconciled
 from radiometer.reconcile.fit.covariates import covariates
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.report.words import AXES, axis_label
+from radiometer.reconcile.search.outcome import Reconciled
 from radiometer.reconcile.statistics import STATISTICS
 from simulators.effects.catalogue import CatalogueEffect
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from radiometer.data import CameraDescription
 from radiometer.data.provenance import utc_now
-from radiometer.reconcile.engine import Reconciled
 from radiometer.reconcile.fit.covariance import effect_covariance, fitted_parameters
 from radiometer.reconcile.fit.state import FitState
-from radiometer.reconcile.report.result import FoundEffect, Verdict
+from radiometer.reconcile.result import FoundEffect, Verdict
+from radiometer.reconcile.search.outcome import Reconciled
 from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.registry import EffectEntry

@@ -15,14 +15,14 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtrc, gammaln
 
+from radiometer.reconcile.chances import chi2_beyond
 from radiometer.reconcile.fit.comparison import CAPTURE_BLOCKS, FAMILY, Comparison
 from radiometer.reconcile.fit.covariates import Covariate, covariates
 from radiometer.reconcile.fit.linear import LinearFit
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.fit.terms import LinearTerm
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.model.tile_model import Prediction
-from radiometer.reconcile.noise.chances import chi2_beyond
+from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.statistics import ADDITIVE, MULTIPLICATIVE, STATISTICS
 from radiometer.reconcile.thresholds import OWN_SIGNIFICANCE, SIGNIFICANCE
 from simulators.effects.catalogue import CatalogueEffect

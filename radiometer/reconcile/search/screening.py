@@ -13,8 +13,7 @@ from radiometer.errors import MeasurementError
 from radiometer.reconcile.fit.candidate_fit import Candidate
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.measure.reduce import CaptureStatistics
-from radiometer.reconcile.measure.sums import COMB_PERIODS
+from radiometer.reconcile.measure.seen import COMB_PERIODS, CaptureStatistics
 from radiometer.reconcile.search.starts import StartPool
 from radiometer.reconcile.statistics import seen_step
 from simulators.effects.catalogue import CatalogueEffect

@@ -20,14 +20,15 @@ from radiometer.reconcile.fit.candidate_fit import (
 from radiometer.reconcile.fit.state import FitState, refit, reweighted, with_terms
 from radiometer.reconcile.search.localise import Disagreement, departing, localise, significant, smooth_term
 from radiometer.reconcile.search.moves import Loosened, better, loosened, pruned, simpler
+from radiometer.reconcile.search.outcome import Search, Step
 from radiometer.reconcile.search.plain_trends import TRENDS
+from radiometer.reconcile.search.rivals import rivals_of
 from radiometer.reconcile.search.score import (
     contenders_of,
     is_shown,
     likeliest,
     log_chance,
     penalised_chi2,
-    rivals_of,
     score,
 )
 from radiometer.reconcile.search.screening import screen
@@ -48,55 +49,6 @@ _FITTED: Final = 7  # candidates that are fitted in each step
 _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _SMOOTHS_TRIED: Final = 4
 _NEAR_FORM: Final = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One effect (or unnamed term) as it was added.
-
-    Attributes:
-        name: Name of the effect, or `unnamed`.
-        where: Covariate along which the disagreement lay.
-        gain_nats: Improvement of the held-out log density.
-        gap_before: Reduced χ² of held-out settings before.
-        gap_after: The same after.
-        rivals: Effects within 5 nats.
-        closest: For an unnamed term, the closest entry and the share of it that it explains.
-        block: For an unnamed term, the statistic that shows it.
-        outdone: Whether a plain trend of fewer parameters along the same covariate, or another entry, predicts better:
-            only what is usual speaks for the name then.
-    """
-
-    name: str
-    where: str
-    gain_nats: float
-    gap_before: float
-    gap_after: float
-    rivals: tuple[CatalogueEffect, ...] = ()
-    closest: tuple[str, float] | None = None
-    block: str = ""
-    outdone: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Search:
-    """The outcome.
-
-    Attributes:
-        state: The fitted model.
-        start: The ideal camera fitted.
-        steps: What was added and stayed, in order.
-        left: Disagreements that stay significant.
-        tests: All tests of the final model.
-        first_tests: All tests of the ideal camera.
-    """
-
-    state: FitState
-    start: FitState
-    steps: tuple[Step, ...]
-    left: tuple[Disagreement, ...]
-    tests: tuple[Disagreement, ...]
-    first_tests: tuple[Disagreement, ...]
 
 
 @dataclass(slots=True)

@@ -14,10 +14,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from radiometer.reconcile.chances import deviances
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.noise.chances import deviances
-from radiometer.reconcile.noise.lines import mixing_of_bands, relative_bands
+from radiometer.reconcile.noise.shared_errors import mixing_of_bands, relative_bands
 from simulators.effects.catalogue import CatalogueEffect, Scaling
 from simulators.effects.tile_moments import TileMoments
 

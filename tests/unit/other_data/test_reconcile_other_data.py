@@ -16,7 +16,7 @@ from radiometer.errors import InputError
 from radiometer.importing import open_capture
 from radiometer.other_data.light_meter import read_meter_table, reconcile_meter_table
 from radiometer.other_data.photographs import reconcile_photographs
-from radiometer.reconcile.report.result import Verdict
+from radiometer.reconcile.result import Verdict
 
 THESIS = """\
 screen,luminance,f_number,time,iso

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from radiometer.reconcile.report.result import FittedParameter
+from radiometer.reconcile.result import FittedParameter
 from radiometer.reconcile.search.localise import Disagreement, departing
-from radiometer.reconcile.search.search import Step
+from radiometer.reconcile.search.outcome import Step
 from radiometer.reconcile.verdict import faint_beside_others, one_for_all, outdone, without_essential
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk

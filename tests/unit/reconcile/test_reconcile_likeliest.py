@@ -14,7 +14,7 @@ from radiometer.reconcile.fit.candidate_fit import UnfitError, included
 from radiometer.reconcile.fit.state import FitState, first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconcile.noise.lines import mixing_of_bands, mixing_of_lines
+from radiometer.reconcile.noise.shared_errors import mixing_of_bands, mixing_of_lines
 from radiometer.reconcile.search.screening import of_seen_codes
 from radiometer.reconcile.search.starts import StartPool
 from simulators.effects.base import EXPOSURE, Stage, parameter

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, rankdata
 
+from radiometer.reconcile.chances import chi2_beyond, chi2_quantile, ranks
 from radiometer.reconcile.fit.linear import LinearFit, RowBlock
-from radiometer.reconcile.noise.chances import chi2_beyond, chi2_quantile, ranks
 
 
 def test_parameters_take_up_their_projection_of_many_changes_at_once() -> None:

@@ -11,7 +11,7 @@ import pytest
 from radiometer.reconcile.fit.state import FitState, first_state, refit, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconcile.search.search import Search, Step
+from radiometer.reconcile.search.outcome import Search, Step
 from radiometer.reconcile.verdict import Verdict, by_other_laws, rest_of, verdict_of
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from radiometer.reconcile.fit.covariance import is_misfit
 from radiometer.reconcile.fit.state import FitState, first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.measure.row_bands import RowBins, TileBands, wave_power
 from radiometer.reconcile.search.localise import localise, significant
-from radiometer.reconcile.verdict import is_scattered, place_of_scatter
+from radiometer.reconcile.verdict import place_of_scatter
 
 PERIODS_PER_ROW = 0.0217
 AMPLITUDE = 0.01
@@ -106,6 +107,6 @@ def test_scatter_without_any_trend_is_told(make_capture: Callable[..., Any]) -> 
 
     plan = [{"t": t, "d": d} for t in (1e-3, 2e-3, 4e-3) for d in (0.3, 0.5, 0.9) for _ in range(3)]
     calm, restless = (_state(make_capture(plan=plan, seed=8, **hidden)) for hidden in ({}, {"picture": uneasy}))
-    assert not is_scattered(calm)
-    assert is_scattered(restless)
+    assert not is_misfit(calm)
+    assert is_misfit(restless)
     assert place_of_scatter(restless)[0] in ("mean", "first", "bands")

@@ -7,10 +7,10 @@ import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, FrameSettings, PatchDescription
 from radiometer.reconcile.measure.design import Design
-from radiometer.reconcile.measure.reduce import CaptureStatistics
 from radiometer.reconcile.measure.row_bands import RowBins, TileBands
-from radiometer.reconcile.model.tile_model import Prediction
+from radiometer.reconcile.measure.seen import CaptureStatistics
 from radiometer.reconcile.noise.shared_errors import Part, SharedError, phases_of_wave, whiteners
+from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.statistics import STATISTICS, Given, family_of
 
 

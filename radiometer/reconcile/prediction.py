@@ -1,0 +1,68 @@
+"""The expected statistics of a capture set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from radiometer.reconcile.measure.design import Array
+from simulators.effects.context import Signal
+from simulators.effects.rounding import rounding_amplitude
+from simulators.effects.tile_moments import Moments
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Expected statistics, named and shaped as in CaptureStatistics.
+
+    Attributes:
+        signal: (captures, tiles) light signal in electrons, for regressors.
+        gain: (captures,) DN per electron.
+        fixed: (captures, tiles) fixed-pattern part of `spatial` in DN².
+        unrounded: Moments in DN before they are rounded to whole codes.
+        band_variance: (captures, tiles) variance of light that goes as a wave along the rows, in DN².
+        band_frequency: Periods of that wave per row.
+        mixed_x: (captures, tiles) correlation of neighbours in a row that exchange charge, without what rows share.
+        mixed_y: The same in a column.
+        limit_variance: (captures, tiles) part of `fixed` in DN² that limits which differ from pixel to pixel leave.
+    """
+
+    mean: Array
+    slope_x: Array
+    slope_y: Array
+    variance: Array
+    spatial: Array
+    neighbour_x: Array
+    neighbour_y: Array
+    first: Array
+    common_variance: Array
+    row_variance: Array
+    fixed_column_variance: Array
+    fixed_row_variance: Array
+    edge: Array
+    outliers: Array
+    comb_step: float
+    comb_kept: float
+    signal: Array
+    gain: Array
+    fixed: Array
+    unrounded: Moments
+    band_variance: Array
+    band_frequency: float
+    mixed_x: Array
+    mixed_y: Array
+    limit_variance: Array
+
+    @property
+    def rounding(self) -> Array:
+        """Return how far rounding to whole codes may move the mean, in DN, (captures, tiles)."""
+        return of_tiles(rounding_amplitude(self.unrounded), self.mean.shape)
+
+
+def of_tiles(values: Signal, shape: tuple[int, ...]) -> Array:
+    """Return the mean over the points of each tile, of this shape."""
+    values = np.asarray(values, dtype=np.float64)
+    if values.shape[-1] == 1:
+        return np.broadcast_to(values[..., 0], shape)
+    return np.asarray(0.25 * (values[..., 0] + values[..., 1] + values[..., 2] + values[..., 3]))
