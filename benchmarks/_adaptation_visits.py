@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,8 @@ from radiometer.adaptation.outcome import Outcome
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.bench.box_adaptation import BoxRequest, open_box_stage
+from radiometer.bench.box_adaptation import BoxRequest, open_box_stage, places_of
+from radiometer.bench.boxes import read_preset
 from simulators.eye_kinetics import Eye
 from simulators.observer import Habits, Observer
 from simulators.observer_at_box import ObserverAtBox
@@ -41,20 +42,25 @@ CLOCK_SAMPLES = 32
 light_box.LISTEN_S = 0.2  # type: ignore[misc]
 
 
-def visit(protocol: AdaptationProtocol, eye: Eye, seed: int) -> Visit:
-    """Run a test on a subject with an eye before the simulated box; the journal lies in memory where there is such."""
+def visit(protocol: AdaptationProtocol, eye: Eye, seed: int, habits: Habits | None = None) -> Visit:
+    """Run a test on a subject with an eye before the simulated box, its pupil dilated as the protocol wants.
+
+    The journal lies in memory where there is such.
+    """
     memory = "/dev/shm" if Path("/dev/shm").is_dir() else None
     with (
         tempfile.TemporaryDirectory(dir=memory) as folder,
         open_box_stage(protocol, BoxRequest("sim", seed=seed)) as (stage, checks),
         Journal(Path(folder) / "visit.jsonl", relive=True) as journal,
     ):
-        observer = Observer(eye, Habits(), np.random.default_rng([seed, 1]))
+        pupil_mm = protocol.bleach.pupil_mm or eye.pupil_mm
+        observer = Observer(replace(eye, pupil_mm=pupil_mm), habits or Habits(), np.random.default_rng([seed, 1]))
         box = stage.box
         assert isinstance(box, light_box.SerialLightBox)
         box.link.clock.samples = deque(box.link.clock.samples, maxlen=CLOCK_SAMPLES)
         twin = box.link.line.twin  # type: ignore[attr-defined]
-        ObserverAtBox(observer, twin, filter_density=protocol.spot.filter_density).sit_down()
+        places = places_of(read_preset())
+        ObserverAtBox(observer, twin, filter_density=protocol.spot.filter_density, places=places).sit_down()
         outcome = run_test(protocol, stage, journal, subject="S", seed=seed, checks=checks)
     series = ThresholdSeries(np.array(outcome.times_min), np.array(outcome.thresholds_log10))
     return Visit(series, outcome, observer.eye)

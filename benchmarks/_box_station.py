@@ -25,6 +25,8 @@ OPTICS = {
     "bleach": ChannelOptics(None, 0.0, 60.0, 5.0),
     "spot": ChannelOptics(453.0, 22.0, 1.5, 3.0),
     "spot_red": ChannelOptics(640.0, 18.0, 1.5, 3.0),
+    "spot_green": ChannelOptics(505.0, 30.0, 2.0, 3.0),
+    "field": ChannelOptics(None, 0.0, 40.0, 36.6),
     "fixation": ChannelOptics(640.0, 18.0, 0.3, 1.0),
 }
 

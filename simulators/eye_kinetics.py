@@ -89,6 +89,14 @@ class Eye:
         return float(fine[0])
 
 
+def in_blind_spot(temporal_deg: float, above_deg: float) -> bool:
+    """Tell whether a direction from the line of sight falls on the optic disc, where no receptors are.
+
+    An ellipse of 5.5° by 7.5°, its middle 15.5° temporal and 1.5° below (Armaly 1969, not verified).
+    """
+    return ((temporal_deg - 15.5) / 2.75) ** 2 + ((above_deg + 1.5) / 3.75) ** 2 < 1.0
+
+
 def eye_after_bleach(eye: Eye, luminance_cd_m2: float, duration_s: float, scotopic_ratio: float = 2.0) -> Eye:
     """Return an eye as a bleach leaves it.
 

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from simulators.displays.base import SimulatedDisplay
-from simulators.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
+from simulators.eye_kinetics import Eye, eye_after_bleach, in_blind_spot, scotopic_lm_per_w
 
 # Wavelengths in nm that stand for a simulated display's primaries, and lm per W of its white (displays/lcd.py).
 PRIMARY_NM: Final = (610.0, 545.0, 450.0)
@@ -27,6 +27,7 @@ class Habits:
         false_alarms: Probability of answering what was not seen.
         reaction_s: Median reaction time in s.
         reaction_spread: Standard deviation of its natural logarithm.
+        fixation_losses: Probability of looking elsewhere when a light comes on.
     """
 
     slope: float = 3.5
@@ -34,6 +35,7 @@ class Habits:
     false_alarms: float = 0.01
     reaction_s: float = 0.35
     reaction_spread: float = 0.2
+    fixation_losses: float = 0.03
 
 
 @dataclass(slots=True)
@@ -60,8 +62,38 @@ class Observer:
         seen = 1.0 - math.exp(-ratio)
         return self.habits.false_alarms + (1.0 - self.habits.false_alarms - self.habits.lapses) * seen
 
-    def answer(self, log10_level: float | None, time_s: float, wavelength_nm: float) -> float | None:
-        """Return the reaction time in s to a blink (None: a catch without light), or None for no press."""
+    def falls_on_blind_spot(self, place_deg: tuple[float, float]) -> bool:
+        """Tell whether a light falls on the blind spot of this eye, which may look elsewhere at this moment.
+
+        A glance goes 6° to 12° in any direction; that another place has another threshold is left out.
+
+        Args:
+            place_deg: Where it is, in degrees temporal of and above the mark.
+        """
+        temporal_deg, above_deg = place_deg
+        if self.rng.random() < self.habits.fixation_losses:
+            angle, away_deg = self.rng.uniform(0.0, 2 * math.pi), self.rng.uniform(6.0, 12.0)
+            temporal_deg -= away_deg * math.cos(angle)
+            above_deg -= away_deg * math.sin(angle)
+        return in_blind_spot(temporal_deg, above_deg)
+
+    def answer(
+        self,
+        log10_level: float | None,
+        time_s: float,
+        wavelength_nm: float,
+        place_deg: tuple[float, float] | None = None,
+    ) -> float | None:
+        """Return the reaction time in s to a blink (None: a catch without light), or None for no press.
+
+        Args:
+            log10_level: Level of the light.
+            time_s: When.
+            wavelength_nm: Its wavelength.
+            place_deg: Where it is, in degrees temporal of and above the mark; None for the test spot's place.
+        """
+        if place_deg is not None and self.falls_on_blind_spot(place_deg):
+            log10_level = None
         if log10_level is None:
             probability = self.habits.false_alarms
         else:
@@ -93,8 +125,12 @@ class ObserverAtScreen:
         self.observer.eye = eye_after_bleach(self.observer.eye, luminance, duration_s)
         self.observer.dark_since_s = self.display.clock.now_s()
 
-    def answer(self, rgb: tuple[float, float, float]) -> float | None:
+    def answer(self, rgb: tuple[float, float, float], place_deg: tuple[float, float] | None = None) -> float | None:
         """Return the reaction time in s to a spot of a drive 0..1 on black, or None for no press.
+
+        Args:
+            rgb: Its drive.
+            place_deg: Where it is, in degrees temporal of and above the mark; None for the test spot's place.
 
         What the spot adds to the black is what is seen; that a shining black itself raises the threshold is left out.
         """
@@ -102,7 +138,7 @@ class ObserverAtScreen:
         if time_s - self.observer.dark_since_s > self.leaves_after_s:
             return None
         level, primary = self.level_log10(rgb), max(range(3), key=lambda n: rgb[n])
-        return self.observer.answer(level, time_s, PRIMARY_NM[primary])
+        return self.observer.answer(level, time_s, PRIMARY_NM[primary], place_deg)
 
     def level_log10(self, rgb: tuple[float, float, float]) -> float | None:
         """Return what a drive adds to the black, log10 of scotopic cd·m⁻²; None for nothing."""

@@ -33,7 +33,9 @@ class ObserverAtBox:
         observer: The subject.
         twin: The box.
         channels: The channels that it watches for.
-        filter_density: Optical density of the filter before them.
+        filter_density: Optical density of the filter before the test spot.
+        places: Where channels stand that have an opening of their own, without the filter, in degrees temporal of and
+            above the mark; the others are the test spot.
         leaves_after_min: Time in the dark after which it presses no more.
         taps: Press again and again, whatever is seen.
         answered: How often it has pressed for a light.
@@ -43,6 +45,7 @@ class ObserverAtBox:
     twin: LightBoxTwin
     channels: tuple[str, ...] = ("spot", "spot_red", "spot_green")
     filter_density: float = 0.0
+    places: dict[str, tuple[float, float]] = field(default_factory=dict)
     leaves_after_min: float = math.inf
     taps: bool = False
     answered: int = 0
@@ -54,6 +57,11 @@ class ObserverAtBox:
 
     def __post_init__(self) -> None:
         self._rested = self.observer.eye
+
+    def dilate(self, pupil_mm: float | None) -> None:
+        """Give the eye a pupil of a diameter in mm, as a protocol wants it; None leaves it as it is."""
+        if pupil_mm is not None:
+            self._rested = self.observer.eye = replace(self.observer.eye, pupil_mm=pupil_mm)
 
     def sit_down(self) -> None:
         """Begin to watch the box."""
@@ -85,8 +93,10 @@ class ObserverAtBox:
             return
         emission = self._led(channel).emission(time_s)
         wavelength_nm = emission.peak_nm or 555.0
-        luminance = emission.radiance_w_sr_m2 * scotopic_lm_per_w(wavelength_nm) * 10.0**-self.filter_density
-        reaction_s = self.observer.answer(math.log10(max(luminance, 1e-12)), time_s, wavelength_nm)
+        place = self.places.get(channel)
+        density = self.filter_density if place is None else 0.0
+        luminance = emission.radiance_w_sr_m2 * scotopic_lm_per_w(wavelength_nm) * 10.0**-density
+        reaction_s = self.observer.answer(math.log10(max(luminance, 1e-12)), time_s, wavelength_nm, place)
         if reaction_s is not None:
             self.answered += 1
             self._press(time_s + reaction_s)

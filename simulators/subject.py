@@ -53,6 +53,7 @@ class SimulatedSubject:
         reaction_s: Median reaction time in s; single ones scatter by a fifth.
         seed: Makes the answers; they follow from seed, trial and blink alone.
         leaves_after_min: Time after which the button is not pressed any more.
+        fixation_losses: Chance of looking elsewhere than at the mark when a light comes on.
     """
 
     curve: SubjectCurve = SubjectCurve()
@@ -62,6 +63,7 @@ class SimulatedSubject:
     reaction_s: float = 0.35
     seed: int = 0
     leaves_after_min: float = math.inf
+    fixation_losses: float = 0.03
 
     def presses(self, log10_level: float | None, minutes: float, trial: int, blink: int) -> list[float]:
         """Return the presses during a blink in s from its onset.
@@ -81,3 +83,14 @@ class SimulatedSubject:
         if minutes > self.leaves_after_min or rng.random() >= chance:
             return []
         return [float(self.reaction_s * math.exp(0.2 * rng.standard_normal()))]
+
+    def presses_at_blind_spot(self, minutes: float, trial: int, blink: int) -> list[float]:
+        """Return the presses to a bright light in the blind spot: it is seen by an eye that looks elsewhere.
+
+        Args:
+            minutes: Time in the dark in min.
+            trial: Number of the trial.
+            blink: Number of the blink in it.
+        """
+        elsewhere = np.random.default_rng([self.seed, trial, blink, 1]).random() < self.fixation_losses
+        return self.presses(math.inf if elsewhere else None, minutes, trial, blink)

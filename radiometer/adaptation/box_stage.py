@@ -25,6 +25,8 @@ class BoxLights:
         spot_scotopic_lm_per_w: That of the spot's light.
         fixation_w_sr_m2: Radiance of the fixation mark; 0 leaves it dark.
         u_scale_log10: Standard uncertainty that all levels of the spot share, in log10 units.
+        blind_spot_w_sr_m2: Radiance of the light in the blind spot; 0 where this box has none there.
+        no_fixation_check: Why it has none, for the journal.
     """
 
     protocol: AdaptationProtocol
@@ -33,6 +35,8 @@ class BoxLights:
     spot_scotopic_lm_per_w: float
     fixation_w_sr_m2: float = 0.0
     u_scale_log10: float = 0.0
+    blind_spot_w_sr_m2: float = 0.0
+    no_fixation_check: str = ""
 
     @property
     def bleach(self) -> Radiance:
@@ -105,11 +109,14 @@ class BoxStage:
 
     def facts(self) -> dict[str, str | float]:
         """Return which box it is, for the journal. Raises DeviceError."""
-        return {
+        known: dict[str, str | float] = {
             "box": self.box.identity.serial,
             "firmware": self.box.identity.firmware,
             "u_scale_log10": round(self.lights.u_scale_log10, 4),
         }
+        if self.lights.no_fixation_check:
+            known["no_fixation_check"] = self.lights.no_fixation_check
+        return known
 
     def health(self) -> dict[str, str]:
         """Return how the box is, for whoever watches. Raises DeviceError."""
@@ -147,9 +154,32 @@ class BoxStage:
 
     def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
         """Blink the spot once and return the presses in s from its onset. Raises DeviceError, UnsafeStimulus."""
-        spot, onset = self.lights.protocol.spot, self.clock()
-        if log10_level is not None:
-            self.box.pulse(spot.channel, self.lights.spot(log10_level), spot.on_s)
+        light = None if log10_level is None else self.lights.spot(log10_level)
+        return self._blink_once(self.protocol.spot.channel, light)
+
+    @property
+    def checks_fixation(self) -> bool:
+        """Tell whether the box has a light in the blind spot."""
+        return self.protocol.fixation_check is not None and self.lights.blind_spot_w_sr_m2 > 0
+
+    def blink_blind_spot(self, trial: int, number: int) -> list[float]:
+        """Show the light in the blind spot once and return the presses in s from its onset.
+
+        Raises:
+            UsageError: If the box has none.
+            DeviceError: If the box fails.
+            UnsafeStimulus: If it is too much for the eye.
+        """
+        check = self.protocol.fixation_check
+        if check is None or not self.checks_fixation:
+            raise UsageError("this box has no light in the blind spot")
+        return self._blink_once(check.channel, Radiance(self.lights.blind_spot_w_sr_m2))
+
+    def _blink_once(self, channel: str, light: Radiance | None) -> list[float]:
+        """Light a channel for the protocol's time (None: nothing) and return the presses until the cycle is over."""
+        spot, onset = self.protocol.spot, self.clock()
+        if light is not None:
+            self.box.pulse(channel, light, spot.on_s)
         presses = self._presses(self.box.buttons(max(0.0, spot.cycle_s - (self.clock() - onset))))
         return [time_s - onset for time_s in presses if time_s >= onset]
 

@@ -34,6 +34,8 @@ class Journal:
         tried = max((number + 1 for number, event in enumerate(known) if event["kind"] == REFUSED), default=0)
         self._past: deque[Event] = deque(known[tried:] if relive else [])
         self.events: list[Event] = known[:tried] if relive else known
+        self._of_kind: dict[str, list[Event]] = {}
+        self._sorted = 0
         self._stream: IO[bytes] | None = None
 
     def __enter__(self) -> Self:
@@ -91,7 +93,10 @@ class Journal:
 
     def of_kind(self, kind: str) -> list[Event]:
         """Return the events of a kind, in order."""
-        return [event for event in self.events if event["kind"] == kind]
+        for event in self.events[self._sorted :]:
+            self._of_kind.setdefault(str(event["kind"]), []).append(event)
+        self._sorted = len(self.events)
+        return list(self._of_kind.get(kind, ()))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

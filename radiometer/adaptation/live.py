@@ -11,6 +11,7 @@ import numpy as np
 from radiometer.adaptation.adaptation_fit import best_branches
 from radiometer.adaptation.journal import Event
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.adaptation.reliability import BLIND_SPOT, BRIGHT
 from radiometer.adaptation.threshold_series import FEWEST, ThresholdSeries
 from radiometer.errors import MeasurementError
 
@@ -29,6 +30,9 @@ class LiveState:
         dark_since_s: When the bleach ended; None before.
         thresholds: Time in min and log10 threshold by the trial's sequence number; None where not seen.
         catches: Time in min of each catch and whether it was pressed.
+        fixation: Lights in the blind spot that were seen, and of how many.
+        lapses: Bright spots that were missed, and of how many.
+        fixation_lost: Whether it was lost of late: since then no light in the blind spot was missed, as it should be.
         false_presses: How many presses had no light, or were faster than a human.
         blink: Level of the newest blink (None: a catch, or none yet) and its presses.
         outcome: Verdict and explanation, once over.
@@ -43,6 +47,9 @@ class LiveState:
     thresholds: dict[int, tuple[float, float | None]] = field(default_factory=dict)
     catches: dict[int, tuple[float, bool]] = field(default_factory=dict)
     hasty: set[int] = field(default_factory=set)
+    fixation: tuple[int, int] = (0, 0)
+    lapses: tuple[int, int] = (0, 0)
+    fixation_lost: bool = False
     blink: Event | None = None
     outcome: tuple[str, str] | None = None
 
@@ -63,6 +70,8 @@ class LiveState:
                 self.blink = event
             case "trial":
                 self._trial(event)
+            case "fixation":
+                self.fixation_lost = True
             case "pause" if event.get("voids") is not None:
                 for known in (self.thresholds, self.catches):
                     known.pop(int(event["voids"]), None)
@@ -74,6 +83,13 @@ class LiveState:
 
     def _trial(self, event: Event) -> None:
         number, minutes = int(event["sequence"]), self.minutes
+        if event.get("of") == BLIND_SPOT:
+            self.fixation_lost = self.fixation_lost and bool(event["seen"])
+            self.fixation = (self.fixation[0] + bool(event["seen"]), self.fixation[1] + 1)
+            return
+        if event.get("of") == BRIGHT:
+            self.lapses = (self.lapses[0] + (not event["seen"]), self.lapses[1] + 1)
+            return
         if event["catch"]:
             self.catches[number] = (minutes, bool(event["false_press"]))
             return
@@ -116,6 +132,9 @@ class LiveState:
             "missed": [round(t, 3) for t, v in self.thresholds.values() if v is None],
             "catches": len(self.catches),
             "false_presses": self.false_presses,
+            "fixation": list(self.fixation),
+            "lapses": list(self.lapses),
+            "fixation_lost": self.fixation_lost,
             "level": blink.get("log10_level"),
             "pressed": bool(blink.get("presses_s")),
             "outcome": self.outcome,

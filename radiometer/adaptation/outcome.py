@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
 from radiometer.adaptation.journal import Event, Journal
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.adaptation.reliability import BLANK, Reliability
 from radiometer.errors import InputError
 
 
@@ -21,6 +22,7 @@ class Verdict(StrEnum):
     NO_RESPONSE = "no_response"
     LEFT = "left"
     UNRELIABLE = "unreliable"
+    FIXATION_LOST = "fixation_lost"
     STOPPED = "stopped"
 
 
@@ -31,8 +33,13 @@ EXPLANATIONS: Final = {
     Verdict.NO_RESPONSE: "the button was never pressed: no threshold is known, nothing is fitted",
     Verdict.LEFT: "presses stopped: the subject left or fell asleep; nothing is fitted",
     Verdict.UNRELIABLE: "the button was pressed without a light too often: thresholds mean nothing, nothing is fitted",
+    Verdict.FIXATION_LOST: "the light in the blind spot was seen too often: the subject did not look at the mark, the "
+    "thresholds are of nobody knows which place; nothing is fitted",
     Verdict.STOPPED: "the test was stopped before its end: its thresholds are kept, nothing is fitted",
 }
+
+
+FITTED: Final = (Verdict.COMPLETE, Verdict.CRITERION_REACHED, Verdict.FLOOR_REACHED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +52,9 @@ class Outcome:
         times_min: Time of each threshold in min after the end of the bleach.
         thresholds_log10: Thresholds, log10 of scotopic cd·m⁻².
         false_presses: Presses to catches or faster than a human can.
-        catches: Catches shown.
+        catches: Catches without a light shown.
         u_log10: Standard uncertainty of each threshold; empty where the method states none.
+        reliability: False alarms, lapses and looks away from the mark.
     """
 
     verdict: Verdict
@@ -56,11 +64,12 @@ class Outcome:
     false_presses: int
     catches: int
     u_log10: tuple[float, ...] = ()
+    reliability: Reliability = field(default_factory=Reliability)
 
     @property
     def can_be_fitted(self) -> bool:
         """Tell whether the thresholds are a subject's."""
-        return self.verdict in (Verdict.COMPLETE, Verdict.CRITERION_REACHED, Verdict.FLOOR_REACHED)
+        return self.verdict in FITTED
 
     def to_csv(self, facts: Mapping[str, str] | None = None) -> str:
         """Return the columns time (min), log10 threshold and, where it is known, its standard uncertainty.
@@ -92,6 +101,9 @@ def outcome_of(journal: Journal, verdict: Verdict, protocol: AdaptationProtocol)
     trials = counting_trials(journal)
     if too_many_false(trials, protocol):
         verdict = Verdict.UNRELIABLE
+    reliability = Reliability.of_trials(journal.events, protocol.watch.fastest_press_s)
+    if verdict in FITTED and _fixation_lost(reliability, protocol):
+        verdict = Verdict.FIXATION_LOST
     found = [t for t in trials if t["threshold"] is not None]
     return Outcome(
         verdict,
@@ -99,14 +111,25 @@ def outcome_of(journal: Journal, verdict: Verdict, protocol: AdaptationProtocol)
         tuple(float(t["minutes"]) for t in found),
         tuple(float(t["threshold"]) for t in found),
         sum(bool(t["false_press"]) for t in trials),
-        sum(bool(t["catch"]) for t in trials),
+        sum(_is_blank(t) for t in trials),
         tuple(float(t["u_log10"]) for t in found if t.get("u_log10") is not None),
+        reliability,
     )
+
+
+def _fixation_lost(reliability: Reliability, protocol: AdaptationProtocol) -> bool:
+    """Tell whether the subject certainly looked away from the mark more often than the protocol allows."""
+    check, found = protocol.fixation_check, reliability.rates.get("fixation_losses")
+    return check is not None and found is not None and found.low > check.most_lost_share
+
+
+def _is_blank(trial: Event) -> bool:
+    return bool(trial["catch"]) and trial.get("of", BLANK) == BLANK
 
 
 def too_many_false(trials: list[Event], protocol: AdaptationProtocol) -> bool:
     """Tell whether a larger share than the protocol allows of the catches, or of all trials, had false presses."""
-    catches = [t for t in trials if t["catch"]]
+    catches = [t for t in trials if _is_blank(t)]
     caught = sum(bool(t["false_press"]) for t in catches)
     hasty = sum(bool(t["false_press"]) for t in trials) - caught
     limit = protocol.watch.most_false_share

@@ -17,6 +17,8 @@ def prompts_after(event: Event) -> tuple[str, ...]:
     match event["kind"]:
         case "dark":
             return ("dark", "mark")
+        case "fixation":
+            return ("mark",)
         case "bleach" | "pause" | "resume" | "end" as kind:
             return (str(kind),)
         case "trial" if not event["catch"] and event["threshold"] is not None:

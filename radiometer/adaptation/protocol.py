@@ -108,6 +108,33 @@ class Fixation(ConfigSection):
     luminance_cd_m2: float = Field(0.1, gt=0, le=10)
 
 
+class FixationCheck(ConfigSection):
+    """A light in the blind spot, shown now and then: who sees it does not look at the mark (Heijl and Krakau 1975).
+
+    It is red, as the mark: rods hardly see it, and the cones, once they are back, always do. The blind spot's middle is
+    15.5° temporal of fixation and 1.5° below it, its size 5.5° by 7.5° (Armaly 1969).
+
+    Attributes:
+        share: Share of the trials.
+        channel: Channel of the box whose opening stands there; a screen shows it by its red.
+        temporal_deg: Where it stands, temporal of the mark.
+        below_deg: And below it.
+        size_deg: Its diameter.
+        luminance_cd_m2: Its luminance at the eye.
+        from_min: Time in the dark from which it is shown.
+        most_lost_share: Share of lost fixation which, if it is certainly passed, leaves nothing to be fitted.
+    """
+
+    share: float = Field(0.06, gt=0, le=0.3)
+    channel: str = "spot_red"
+    temporal_deg: float = Field(15.5, ge=13.5, le=17.5)
+    below_deg: float = Field(1.5, ge=-1.0, le=4.0)
+    size_deg: float = Field(1.0, gt=0, le=2.0)
+    luminance_cd_m2: float = Field(0.1, gt=0, le=1)
+    from_min: float = Field(4.0, ge=0, le=30)
+    most_lost_share: float = Field(0.33, gt=0, le=1)
+
+
 class ViewingDistance(ConfigSection):
     """Where the eye is before a screen; the screen's calibration may know its pixels."""
 
@@ -181,14 +208,17 @@ class Intercept(ConfigSection):
 
 
 class Watch(ConfigSection):
-    """How false presses, absence and the wish for a pause are found out.
+    """How false presses, lapses, absence and the wish for a pause are found out.
 
+    `catch_share` of the trials have no spot, `lapse_share` one ten times above the last threshold, which only those
+    miss who do not attend.
     A press that is held for `hold_to_pause_s` asks for a pause. A trial is given up after `most_blinks`; after
     `absent_after` trials without a threshold, or a pause of more than `longest_pause_min`, the test is over. In the
     first `blind_min` after the bleach nothing may be seen: unanswered trials count only later.
     """
 
     catch_share: float = Field(0.1, ge=0, le=0.5)
+    lapse_share: float = Field(0.04, ge=0, le=0.2)
     fastest_press_s: float = Field(0.12, ge=0)
     pause_between_s: float = Field(4.0, ge=0)
     hold_to_pause_s: float = Field(2.0, gt=0, le=30)
@@ -215,6 +245,7 @@ class AdaptationProtocol(ConfigSection):
     bleach: Annotated[SteadyBleach | FlashBleach, Field(discriminator="kind")]
     spot: Spot
     fixation: Fixation = Fixation()
+    fixation_check: FixationCheck | None = None
     viewing: ViewingDistance = ViewingDistance()
     method: Annotated[LimitsMethod | StaircaseMethod | DownUpMethod | QuestPlusMethod, Field(discriminator="kind")]
     end: Ending = Ending()

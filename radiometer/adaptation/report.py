@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit, Estimate, intercept_verdict
+from radiometer.adaptation.reliability import MEANINGS, NAMES, Reliability
 from radiometer.data.storage import write_text_atomic
 
 LABELS: Final = {
@@ -54,6 +55,16 @@ def to_mapping(fit: AdaptationFit) -> dict[str, Any]:
         "sigma_log10": fit.chosen.sigma,
         "criterion_log10": fit.criterion,
         "rod_intercept": intercept_verdict(fit),
+        "reliability": {
+            name: {
+                "share": rate.value,
+                "low": rate.low,
+                "high": rate.high,
+                "hits": rate.count.hits,
+                "of": rate.count.of,
+            }
+            for name, rate in Reliability.of_facts(fit.chosen.series.facts).rates.items()
+        },
         "taken": list(fit.chosen.series.taken),
         "facts": dict(fit.chosen.series.facts),
         "stimulus_u_log10": fit.request.stimulus_u_log10,
@@ -95,12 +106,25 @@ def write_page(fit: AdaptationFit, path: Path, title: str = "Dark adaptation") -
         f'<img alt="Thresholds over time with the fitted branches" src="data:image/png;base64,{_plot(fit)}">'
         f"<h2>Estimates</h2><table><tr><th></th><th>value</th><th>u (k = 1)</th><th>{percent} % interval</th>"
         f"<th>unit</th></tr>{rows}</table>"
+        f"{_reliability(fit)}"
         f"<h2>Models</h2><table><tr><th>model</th><th>AICc above the best</th><th>scatter</th></tr>"
         f"{models}</table>"
         f"<p>Model {fit.chosen.model.name}: {fit.chosen.model.meaning}. Intervals of parameters by profile "
         f"likelihood, of the others by {fit.request.bootstrap_draws} bootstrap redraws; stimulus calibration u = "
         f"{fit.request.stimulus_u_log10:g} log10 units is in them.</p></html>\n",
     )
+
+
+def _reliability(fit: AdaptationFit) -> str:
+    """Return the table of false alarms, lapses and looks away, as far as the run has them."""
+    rates = Reliability.of_facts(fit.chosen.series.facts).rates
+    rows = "".join(
+        f"<tr><td>{NAMES[name]}</td><td>{100 * rate.value:.1f} %</td><td>{100 * rate.low:.1f} to "
+        f"{100 * rate.high:.1f} %</td><td>{rate.count}</td><td>{MEANINGS[name]}</td></tr>"
+        for name, rate in rates.items()
+    )
+    head = "<tr><th></th><th>share</th><th>95 % interval</th><th>counted</th><th>of what</th></tr>"
+    return f"<h2>The subject</h2><table>{head}{rows}</table>" if rows else ""
 
 
 def _row(label: str, estimate: Estimate) -> str:

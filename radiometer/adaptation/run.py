@@ -2,7 +2,8 @@
 
 Events of the journal: `start`, `stage` (what the devices are, where they can tell), `check`, `room`, `refused` (by a
 check), `bleach`, `dark`, then `blink` (after each blink, with its presses) and `trial` (after each threshold or catch);
-between them `pause`, `resume`, `taken_up` (after a crash) and `prompt` (a sound); at last `stop` and `end`.
+between them `pause`, `resume`, `taken_up` (after a crash), `fixation` (it was lost) and `prompt` (a sound); at last
+`stop` and `end`.
 """
 
 from __future__ import annotations
@@ -19,13 +20,16 @@ from radiometer.adaptation.journal import FORMAT, REFUSED, Event, Journal
 from radiometer.adaptation.methods import Method, begin
 from radiometer.adaptation.outcome import Outcome, Verdict, counting_trials, outcome_of, too_many_false
 from radiometer.adaptation.protocol import AdaptationProtocol, LimitsMethod, SteadyBleach
-from radiometer.adaptation.stage import DescribedStage, Stage, SteppedStage
+from radiometer.adaptation.reliability import BLANK, BLIND_SPOT, BRIGHT, kind_of_catch
+from radiometer.adaptation.stage import DescribedStage, FixationStage, Stage, SteppedStage
 from radiometer.errors import UsageError
 
 Watcher = Callable[[Event], None]
 SUBJECT: Final = "subject"
 HOPELESS: Final = 15  # trials without one threshold, but with false presses, after which the test is over
 SAME_TIME_S: Final = 1e-4  # to which the journal gives times
+ABOVE_LOG10: Final = 1.0  # how far above the last threshold a spot is that only lapses miss; half of it at least
+LOST_OF: Final = (2, 3)  # of so many checks of fixation in a row so many seen: the subject is told to look at the mark
 LOOK_S: Final = 0.5  # how often a rest looks whether a pause is asked for, or a pause whether it is over
 
 
@@ -39,6 +43,7 @@ def run_test(
     watch: Watcher = lambda event: None,
     controls: Controls | None = None,
     checks: Sequence[Check] = (),
+    eye: str | None = None,
 ) -> Outcome:
     """Run a test from the beginning, or from where its journal ends.
 
@@ -51,6 +56,7 @@ def run_test(
         watch: Told every new event.
         controls: Where pauses and the end are asked for; by the subject's long press alone where None.
         checks: Made before the bleach; what they find is journalled, what they refuse is raised.
+        eye: "right" or "left", for the journal; None where it is not known.
 
     Raises:
         UsageError: If the journal is of another subject or protocol.
@@ -58,7 +64,7 @@ def run_test(
         DeviceError: If a device fails; the run can be taken up again.
         MissingLibrary: If the protocol's method is QUEST+ and `questplus` is not installed.
     """
-    run = _Run(protocol, stage, journal, subject, seed, watch, controls or Controls(), checks)
+    run = _Run(protocol, stage, journal, subject, seed, watch, controls or Controls(), checks, eye)
     run.start()
     while (outcome := run.finished()) is None:
         run.trial()
@@ -77,6 +83,7 @@ class _Run:
     watch: Watcher
     controls: Controls
     checks: Sequence[Check]
+    eye: str | None = None
 
     def note(self, kind: str, *, lasting: bool = True, **facts: Any) -> Event:
         event = self.journal.write(kind, self.stage.now_s(), lasting=lasting, **facts)
@@ -97,15 +104,18 @@ class _Run:
     def _begin(self) -> None:
         wall_s = self.stage.wall_s()
         name = self.protocol.name
-        self.note("start", format=FORMAT, subject=self.subject, protocol=name, seed=self.seed, unix_s=wall_s)
+        facts: dict[str, Any] = {"format": FORMAT, "subject": self.subject, "protocol": name, "seed": self.seed}
+        if self.eye is not None:
+            facts["eye"] = self.eye
+        self.note("start", **facts, unix_s=wall_s)
 
     def _check_journal(self) -> None:
         begun = self.journal.events[0]
-        for key, mine in (("subject", self.subject), ("protocol", self.protocol.name), ("seed", self.seed)):
-            if begun.get(key) != mine:
-                raise UsageError(
-                    f"{self.journal.path}: belongs to {key} {begun.get(key)!r}, not {mine!r}; name another journal"
-                )
+        mine_by_key = {"subject": self.subject, "protocol": self.protocol.name, "seed": self.seed, "eye": self.eye}
+        for key, mine in mine_by_key.items():
+            known = begun.get(key, self.eye if key == "eye" else None)
+            if known != mine and mine is not None:
+                raise UsageError(f"{self.journal.path}: belongs to {key} {known!r}, not {mine!r}; name another journal")
 
     def _take_up(self) -> None:
         """Set the clock: the eye went on adapting while the program was away, simulated time stood still."""
@@ -162,10 +172,37 @@ class _Run:
         # The pause stands before the trial, so that a run taken up after a crash keeps the same times.
         if number and not self._blinks and self._rest_between():
             return
-        if rng.random() < self.protocol.watch.catch_share:
-            self._catch(number, int(rng.integers(2, 5)))
-        else:
-            self._threshold(number, shift=rng.random())
+        match self._kind_of_trial(rng.random()):
+            case "blank":
+                self._catch(number, int(rng.integers(2, 5)))
+            case "bright":
+                self._single(number, BRIGHT)
+            case "blind_spot":
+                self._single(number, BLIND_SPOT)
+                self._tell_lost_fixation()
+            case _:
+                self._threshold(number, shift=rng.random())
+
+    def _kind_of_trial(self, drawn: float) -> str | None:
+        """Return the kind of catch that a number drawn from 0 to 1 stands for; None for a threshold."""
+        if self._blinks:  # a trial that a crash has cut stays what it was
+            return kind_of_catch(self._blinks[0])
+        watch, check = self.protocol.watch, self.protocol.fixation_check
+        if drawn < watch.catch_share:
+            return BLANK
+        drawn -= watch.catch_share
+        if drawn < watch.lapse_share:
+            return None if self._bright_level() is None else BRIGHT
+        drawn -= watch.lapse_share
+        placed = check is not None and isinstance(self.stage, FixationStage) and self.stage.checks_fixation
+        if not placed or check is None or self._latest_s - self._dark_since_s < 60 * check.from_min:
+            return None
+        return BLIND_SPOT if drawn < check.share else None
+
+    def _bright_level(self) -> float | None:
+        """Return a level that whoever attends sees; None where none is known or the spot does not get so bright."""
+        last, highest = self._last(), self.protocol.spot.highest_log10
+        return None if last is None or last + 0.5 * ABOVE_LOG10 > highest else min(last + ABOVE_LOG10, highest)
 
     def _rest_between(self) -> bool:
         """Let the time between two trials pass, and tell whether a pause came."""
@@ -177,9 +214,13 @@ class _Run:
                 return True
         return False
 
-    def _blink(self, level: float | None, number: int) -> Event:
+    def _blink(self, level: float | None, number: int, of: str | None = None) -> Event:
         blinks, onset_s = len(self._blinks), self.stage.now_s()
-        presses = self.stage.blink(level, number, blinks)
+        if of == BLIND_SPOT and isinstance(self.stage, FixationStage):
+            presses = self.stage.blink_blind_spot(number, blinks)
+        else:
+            presses = self.stage.blink(level, number, blinks)
+        named = {} if of is None else {"of": of}
         return self.note(
             "blink",
             lasting=bool(presses),
@@ -187,6 +228,7 @@ class _Run:
             onset_s=round(onset_s, 4),
             log10_level=None if level is None else round(level, 4),
             presses_s=[round(press, 4) for press in presses],
+            **named,
         )
 
     def _catch(self, number: int, blinks: int) -> None:
@@ -196,6 +238,26 @@ class _Run:
                 return
         pressed = any(blink["presses_s"] for blink in self._blinks)
         self.note("trial", catch=True, false_press=pressed, threshold=None)
+
+    def _single(self, number: int, of: str) -> None:
+        """Give a catch of one blink: a bright spot, or the light in the blind spot."""
+        if not self._blinks:
+            self._blink(self._bright_level() if of == BRIGHT else None, number, of)
+            if self._pause_asked():
+                return
+        fastest_s = self.protocol.watch.fastest_press_s
+        seen = any(press >= fastest_s for blink in self._blinks for press in blink["presses_s"])
+        minutes = round((self._latest_s - self._dark_since_s) / 60, 5)
+        self.note("trial", catch=True, of=of, seen=seen, false_press=False, threshold=None, minutes=minutes)
+
+    def _tell_lost_fixation(self) -> None:
+        """Journal that fixation is lost where enough of the latest lights in the blind spot were seen."""
+        lost, of = LOST_OF
+        told = max((event["sequence"] for event in self.journal.of_kind("fixation")), default=-1)
+        checks = [t for t in self.journal.of_kind("trial") if t.get("of") == BLIND_SPOT and t["sequence"] > told]
+        seen = sum(bool(check["seen"]) for check in checks[-of:])
+        if seen >= lost:
+            self.note("fixation", lost=seen, of=len(checks[-of:]))
 
     def _threshold(self, number: int, shift: float) -> None:
         search = begin(self.protocol.spot, self.protocol.method, self._last(), shift)
@@ -321,7 +383,8 @@ class _Run:
 
 def _why_fruitless(trials: list[Event], *, known: bool) -> Verdict:
     """Return why trials in a row gave no threshold; `known` tells whether earlier ones did."""
-    if not any(trial["seen"] for trial in trials):
+    later = trials[1:] if known and len(trials) > 1 else trials  # presses may have stopped within the first of them
+    if not any(trial["seen"] for trial in later):
         return Verdict.LEFT if known else Verdict.NO_RESPONSE
     if known and all(trial["seen"] == trial["blinks"] for trial in trials):
         return Verdict.FLOOR_REACHED

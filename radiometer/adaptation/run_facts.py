@@ -6,15 +6,19 @@ from collections.abc import Mapping
 
 from radiometer.adaptation.method_bias import method_bias
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.adaptation.reliability import Reliability
 from radiometer.adaptation.rod_intercept import InterceptRule
 
 
-def facts_of(protocol: AdaptationProtocol, u_scale_log10: float | None = None) -> dict[str, str]:
+def facts_of(
+    protocol: AdaptationProtocol, u_scale_log10: float | None = None, reliability: Reliability | None = None
+) -> dict[str, str]:
     """Return the lines that stand before the thresholds of a run, by name.
 
     Args:
         protocol: What was done.
         u_scale_log10: Standard uncertainty that all levels share, log10 units; None where it is not known.
+        reliability: Counts of false alarms, lapses and looks away; None where they are not known.
     """
     facts = {"protocol": protocol.name}
     if protocol.shows != "break":
@@ -31,7 +35,7 @@ def facts_of(protocol: AdaptationProtocol, u_scale_log10: float | None = None) -
             "intercept_limit_min": f"{rule.limit_min:g}",
             "intercept_source": rule.source,
         }
-    return facts
+    return facts if reliability is None else facts | reliability.facts()
 
 
 def intercept_of(facts: Mapping[str, str]) -> InterceptRule | None:

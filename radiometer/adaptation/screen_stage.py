@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from radiometer.adaptation.protocol import AdaptationProtocol, SteadyBleach
 from radiometer.adaptation.screen_levels import SpotLevels, field_code, mark_code
-from radiometer.errors import UsageError
+from radiometer.errors import ConfigurationError, UsageError
 from radiometer.screen.calibration import ScreenCalibration
 from radiometer.screen.stimulus import Blink, Code, Hold, Picture, Shape, StimulusScreen, Viewing, in_codes
 
@@ -30,6 +30,7 @@ class ScreenStage:
         viewing: Where the eye is.
         clock: Steady clock in s.
         wall_clock: Time of day as Unix time in s; None where time is simulated.
+        eye: "right" or "left": the spot stands temporal of the mark, and so does the light in the blind spot.
     """
 
     screen: StimulusScreen
@@ -38,17 +39,20 @@ class ScreenStage:
     viewing: Viewing
     clock: Callable[[], float]
     wall_clock: Callable[[], float] | None = None
+    eye: str = "right"
     levels: SpotLevels = field(init=False)
     _zero_s: float = field(default=0.0, init=False)
     _bleach: Picture = field(init=False)
     _rest: Picture = field(init=False)
     _spot: Shape = field(init=False)
+    _blind_spot: Shape | None = field(default=None, init=False)
     _held: tuple[float, float] = field(default=(0.0, 0.0), init=False)
     _told_s: float = field(default=-math.inf, init=False)
     _last: Blink | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        spot, mark, half = self.protocol.spot, self.protocol.fixation, self.protocol.spot.eccentricity_deg / 2
+        spot, mark, side = self.protocol.spot, self.protocol.fixation, -1 if self.eye == "left" else 1
+        half = side * spot.eccentricity_deg / 2
         bleach = self.protocol.bleach
         if not isinstance(bleach, SteadyBleach):
             raise UsageError(
@@ -62,7 +66,22 @@ class ScreenStage:
         self.viewing.require_room((shown, self._spot), self.screen.size)
         self._bleach = Picture(field_code(self.calibration, bleach.luminance_cd_m2, self.protocol.name))
         self._rest = Picture(shapes=(shown,))
+        self._blind_spot = self._in_blind_spot(side)
         self._zero_s = self.clock()
+
+    def _in_blind_spot(self, side: int) -> Shape | None:
+        """Return the light in the blind spot; None where the protocol wants none or the page has no room for it."""
+        check, spot = self.protocol.fixation_check, self.protocol.spot
+        if check is None:
+            return None
+        red, _ = mark_code(self.calibration, check.luminance_cd_m2 * 10.0**spot.filter_density)
+        at_deg = side * (check.temporal_deg - spot.eccentricity_deg / 2)
+        shape = self.viewing.ellipse(at_deg, check.size_deg, red, check.below_deg)
+        try:
+            self.viewing.require_room((shape,), self.screen.size)
+        except ConfigurationError:
+            return None
+        return shape
 
     def _mark_code(self) -> tuple[Code, bool]:
         """Return the red that is the mark's luminance at the eye, behind the filter; and whether it is calibrated."""
@@ -99,7 +118,13 @@ class ScreenStage:
             "mark_calibrated": self._mark_code()[1],
             "u_press_s": round(self.u_press_s, 4),
             "warnings": self.screen.warnings(),
+            "eye": self.eye,
+            **({} if self.checks_fixation else {"no_fixation_check": self._why_unchecked()}),
         }
+
+    def _why_unchecked(self) -> str:
+        wanted = self.protocol.fixation_check is not None
+        return "the page has no room for the blind spot" if wanted else "the protocol has no fixation_check"
 
     def health(self) -> dict[str, str]:
         """Return how the screen is, for whoever watches."""
@@ -121,10 +146,30 @@ class ScreenStage:
 
     def blink(self, log10_level: float | None, trial: int, number: int) -> list[float]:
         """Blink the spot once and return the presses in s from its onset. Raises DeviceError."""
-        spot, lit = self.protocol.spot, self._rest
+        lit = self._rest
         if log10_level is not None:
             rgb = self.levels.rgb(self.levels.nearest(log10_level))
             lit = Picture(shapes=(*self._rest.shapes, in_codes(self._spot, rgb)))
+        return self._blink_once(lit)
+
+    @property
+    def checks_fixation(self) -> bool:
+        """Tell whether there is room for a light in the blind spot, and the protocol wants it."""
+        return self._blind_spot is not None
+
+    def blink_blind_spot(self, trial: int, number: int) -> list[float]:
+        """Show the light in the blind spot once and return the presses in s from its onset.
+
+        Raises:
+            UsageError: If there is none.
+            DeviceError: If the screen fails.
+        """
+        if self._blind_spot is None:
+            raise UsageError(self._why_unchecked())
+        return self._blink_once(Picture(shapes=(*self._rest.shapes, self._blind_spot)))
+
+    def _blink_once(self, lit: Picture) -> list[float]:
+        spot = self.protocol.spot
         seen = self._last = self.screen.blink(lit, self._rest, spot.on_s, spot.cycle_s)
         self._note(seen.hold)
         return list(seen.presses_s)

@@ -69,3 +69,17 @@ class SteppedStage(Protocol):
     def shown_log10(self, log10_level: float) -> float:
         """Return the level that is shown where one is asked for."""
         ...
+
+
+@runtime_checkable
+class FixationStage(Protocol):
+    """A stage that has a place for a light in the blind spot."""
+
+    @property
+    def checks_fixation(self) -> bool:
+        """Tell whether it can show one."""
+        ...
+
+    def blink_blind_spot(self, trial: int, number: int) -> list[float]:
+        """Show the light in the blind spot once and return the presses in s from its onset. Raises DeviceError."""
+        ...

@@ -16,6 +16,8 @@ from typing import Final
 
 import numpy as np
 
+from radiometer.adaptation.r_files import is_r_file, read_r_lists
+from radiometer.adaptation.trial_lists import changes_of_answer, column_of_answers, column_of_onsets
 from radiometer.errors import InputError
 
 TIME_WORDS: Final = ("time", "t", "minutes", "min", "minute", "seconds", "sec", "s", "elapsed", "x")
@@ -59,13 +61,20 @@ def read_table(path: Path) -> TakenTable:
     """Return the thresholds in a file.
 
     Args:
-        path: CSV (comma, semicolon, tab or blanks; point or comma in numbers), with or without header and # lines; or
-            what R writes of a `Dark` list by `write.csv`, `write.table` or `dput`.
+        path: CSV (comma, semicolon, tab or blanks; point or comma in numbers), with or without header and # lines;
+            what R writes of a `Dark` list by `write.csv`, `write.table`, `dput`, `save` or `saveRDS`; or a list of
+            trials, as OPI has them: when, which level, seen or not.
 
     Raises:
         InputError: If the file cannot be read or no time and threshold are found in it.
     """
-    text = _text(path)
+    raw = _raw(path)
+    if is_r_file(raw):
+        name, *numbers = read_r_lists(path)
+        rows = [[str(value) for value in pair] for pair in zip(*numbers, strict=True)]
+        how = [f"a file of R: time and thrs of {name}"]
+        return _taken(path, ["time", "thrs"], list(enumerate(rows, 1)), {}, how)
+    text = _text(raw)
     lists = _r_lists(text)
     facts: dict[str, str] = {}
     if lists is not None:
@@ -79,18 +88,16 @@ def read_table(path: Path) -> TakenTable:
     return _taken(path, header, numbered, facts, how)
 
 
-def _text(path: Path) -> str:
+def _raw(path: Path) -> bytes:
     try:
-        raw = path.read_bytes()
+        return path.read_bytes()
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def _text(raw: bytes) -> str:
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return raw.decode("utf-16", errors="replace")
-    if raw[:2] == b"\x1f\x8b" or raw[:3] == b"BZh" or raw[:5] in (b"RDX2\n", b"RDX3\n"):
-        raise InputError(
-            f"{path}: a binary file of R; write it as text there: "
-            "write.csv(data.frame(time=dark$time, thrs=dark$thrs), 'run.csv')"
-        )
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -180,6 +187,9 @@ def _number(cell: str) -> float | None:
 def _taken(
     path: Path, header: list[str], body: list[tuple[int, list[str]]], facts: dict[str, str], how: list[str]
 ) -> TakenTable:
+    seen = column_of_answers(header)
+    if seen is not None:
+        return _of_trials(path, header, body, facts, how, seen)
     columns = _columns(path, header, body)
     wanted = [column for column in columns if column is not None]
     rows, left_out = [], 0
@@ -210,6 +220,29 @@ def _taken(
             raise InputError(f"{path}: a standard deviation must be above 0")
         taken.append(_u_log10(table[order, 2], table[order, 1], factor))
     return TakenTable(np.column_stack(taken), facts, (*how, said_time, said_level))
+
+
+def _of_trials(
+    path: Path,
+    header: list[str],
+    body: list[tuple[int, list[str]]],
+    facts: dict[str, str],
+    how: list[str],
+    seen: int,
+) -> TakenTable:
+    """Return the thresholds of a list of trials: where the answer changes between two levels."""
+    when = column_of_onsets(path, header, [row for _, row in body], without=seen)
+    level = _position([_word(cell) for cell in header], (*LEVEL_WORDS, *THRESHOLD_WORDS), without=(when, seen))
+    if level is None:
+        raise InputError(f"{path}: a list of trials without a column `level` in its header ({', '.join(header)})")
+    kept = [(number, [row[when], row[level]]) for number, row in body]
+    trials = _taken(path, [f"time {header[when]}", header[level]], kept, facts, how)
+    if len(trials.rows) != len(body):
+        raise InputError(f"{path}: a trial without time or level")
+    order = np.argsort([float(row[when]) for _, row in body], kind="stable")
+    rows = changes_of_answer(path, trials.rows, [body[at][1][seen] for at in order])
+    said = f"a list of {len(body)} trials: {len(rows)} thresholds where the answer changes, midway between its levels"
+    return TakenTable(rows, facts, (*trials.taken, said))
 
 
 def _columns(path: Path, header: list[str], body: list[tuple[int, list[str]]]) -> tuple[int | None, ...]:

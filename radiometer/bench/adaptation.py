@@ -9,7 +9,7 @@ from radiometer.errors import UsageError
 from simulators.clock import SimulatedClock
 from simulators.subject import SimulatedSubject, SubjectCurve
 
-BEHAVIOURS = ("steady", "never", "always", "leaves")
+BEHAVIOURS = ("steady", "never", "always", "leaves", "wanders")
 
 
 @dataclass
@@ -44,6 +44,17 @@ class SubjectStage:
         self.clock.advance(self.protocol.spot.cycle_s)
         return self.subject.presses(log10_level, minutes, trial, number)
 
+    @property
+    def checks_fixation(self) -> bool:
+        """Tell whether the protocol has a light in the blind spot."""
+        return self.protocol.fixation_check is not None
+
+    def blink_blind_spot(self, trial: int, number: int) -> list[float]:
+        """Return the subject's presses to the light in its blind spot."""
+        minutes = (self.clock.now_s() - self.protocol.bleach.duration_s) / 60.0
+        self.clock.advance(self.protocol.spot.cycle_s)
+        return self.subject.presses_at_blind_spot(minutes, trial, number)
+
     def wait(self, seconds: float) -> None:
         """Let time pass."""
         self.clock.advance(seconds)
@@ -67,7 +78,8 @@ def simulated_stage(protocol: AdaptationProtocol, behaviour: str, *, seed: int =
 
     Args:
         protocol: The protocol.
-        behaviour: "steady", "never" (presses), "always" (presses) or "leaves" (after 10 min).
+        behaviour: "steady", "never" (presses), "always" (presses), "leaves" (after 10 min) or "wanders" (looks
+            away in two blinks of five).
         seed: Makes the answers.
 
     Raises:
@@ -81,5 +93,6 @@ def simulated_stage(protocol: AdaptationProtocol, behaviour: str, *, seed: int =
         "never": replace(steady, leaves_after_min=-1.0),
         "always": replace(steady, false_alarm=1.0, lapse=0.0),
         "leaves": replace(steady, leaves_after_min=10.0),
+        "wanders": replace(steady, fixation_losses=0.4),
     }
     return SubjectStage(protocol, subjects[behaviour])

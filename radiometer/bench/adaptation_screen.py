@@ -20,7 +20,7 @@ from radiometer.bench.screen import BROWSER, SIMULATED_DISPLAYS, START_TIMEOUT_S
 from radiometer.devices import DisplayPatch
 from radiometer.errors import ConfigurationError, UsageError
 from radiometer.screen.calibration import ScreenCalibration
-from radiometer.screen.stimulus import Blink, Code, Hold, Picture, Rest, StimulusScreen, Viewing
+from radiometer.screen.stimulus import Blink, Code, Hold, Picture, Rest, Shape, StimulusScreen, Viewing
 from simulators.displays import DISPLAYS, SimulatedDisplay
 from simulators.eye_kinetics import Eye
 from simulators.observer import Habits, Observer, ObserverAtScreen
@@ -33,6 +33,7 @@ _HABITS: Final[dict[str, tuple[Habits, float]]] = {
     "never": (Habits(), -1.0),
     "always": (Habits(false_alarms=1.0, lapses=0.0), np.inf),
     "leaves": (Habits(), 600.0),
+    "wanders": (Habits(fixation_losses=0.4), np.inf),
 }
 
 
@@ -42,11 +43,15 @@ class ObservedScreen:
 
     Attributes:
         watcher: The subject and the display.
+        viewing: Where the subject's eye is.
         seed: Makes the subject's answers.
+        eye: Which of its eyes looks.
     """
 
     watcher: ObserverAtScreen
+    viewing: Viewing
     seed: int = 0
+    eye: str = "right"
     _shown: Picture = field(default_factory=Picture)
 
     @property
@@ -66,9 +71,15 @@ class ObservedScreen:
         # The answer follows from the time, so that a run that was taken up after a crash goes on as it would have.
         clock = self.watcher.display.clock
         self.watcher.observer.rng = np.random.default_rng([self.seed, round(1e3 * clock.now_s())])
-        reaction_s = self.watcher.answer(rgb)
+        place = self._place(spots[0], rest.shapes[0]) if spots and rest.shapes else None
+        reaction_s = self.watcher.answer(rgb, place)
         self._pass(cycle_s)
         return Blink(() if reaction_s is None else (reaction_s,), Hold(), on_s, _FRAME_S, _FRAME_S)
+
+    def _place(self, shape: Shape, mark: Shape) -> tuple[float, float]:
+        """Return where a shape is, in degrees temporal of and above the mark."""
+        (right, above), (mark_right, mark_above) = map(self.viewing.direction_deg, (shape, mark))
+        return (mark_right - right if self.eye == "left" else right - mark_right), above - mark_above
 
     def rest(self, seconds: float) -> Rest:
         """Let time pass; whoever looks at a bright field meanwhile is bleached."""
@@ -109,6 +120,7 @@ def open_screen_stage(
     port: int = 0,
     announce: Callable[[str], None] = lambda url: None,
     seed: int = 0,
+    eye: str = "right",
     accept_stale: bool = False,
     room: Callable[[], Finding] | None = None,
 ) -> Iterator[tuple[ScreenStage, list[Check]]]:
@@ -118,10 +130,11 @@ def open_screen_stage(
         protocol: A protocol whose spot is on a screen.
         calibration: The screen's calibration.
         display: "browser", or "lcd", "pwm_lcd", "oled" for a simulated one.
-        subject: Simulated subject before a simulated display: "steady", "never", "always", "leaves".
+        subject: Simulated subject before a simulated display: "steady", "never", "always", "leaves", "wanders".
         port: Port of the page; 0 for any free one.
         announce: Called with the page's address.
         seed: Makes the simulated subject's answers.
+        eye: "right" or "left".
         accept_stale: Go on with a calibration that is older than the protocol allows.
         room: Checks the dark room; None where no camera does.
 
@@ -145,13 +158,13 @@ def open_screen_stage(
         with _browser(port, announce) as screen:
             viewing = _viewing(protocol, known, None)
             screen.show(Picture())  # nothing but black while the room is looked at
-            yield ScreenStage(screen, known, reached, viewing, time.monotonic, wall_clock=time.time), checks
+            yield ScreenStage(screen, known, reached, viewing, time.monotonic, time.time, eye), checks
     elif display in SIMULATED_DISPLAYS:
         watcher = _watcher(display, subject, protocol.spot.filter_density)
         with watcher.display:
             viewing = _viewing(protocol, known, _SIMULATED_PIXEL_MM)
-            screen_before = ObservedScreen(watcher, seed)
-            yield ObservedStage(screen_before, known, reached, viewing, watcher.display.clock.now_s), checks
+            before, now_s = ObservedScreen(watcher, viewing, seed, eye), watcher.display.clock.now_s
+            yield ObservedStage(before, known, reached, viewing, now_s, eye=eye), checks
     else:
         raise UsageError(f"display {display!r} is unknown; choose {BROWSER}, {', '.join(SIMULATED_DISPLAYS)}")
 
@@ -164,7 +177,9 @@ def _browser(port: int, announce: Callable[[str], None]) -> AbstractContextManag
 
 def _watcher(display: str, subject: str | None, filter_density: float) -> ObserverAtScreen:
     if subject is None:
-        raise UsageError("a simulated display needs a simulated subject: --simulate steady, never, always or leaves")
+        raise UsageError(
+            "a simulated display needs a simulated subject: --simulate steady, never, always, leaves or wanders"
+        )
     if subject not in _HABITS:
         raise UsageError(f"simulated subject {subject!r}: choose {', '.join(_HABITS)}")
     habits, leaves_after_s = _HABITS[subject]

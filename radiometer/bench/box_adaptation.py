@@ -19,7 +19,7 @@ from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach
 from radiometer.analysis.signal.photometry import luminous_efficacy_lm_per_w
 from radiometer.analysis.signal.spectra import spectrum
 from radiometer.bench.adaptation_room import measured_room
-from radiometer.bench.boxes import OpenedBox, open_light_box
+from radiometer.bench.boxes import LightBoxConfig, OpenedBox, open_light_box
 from radiometer.bench.light_bench import open_light_camera
 from radiometer.data.config_files import shipped_config
 from radiometer.devices.light_box import Radiance
@@ -33,6 +33,7 @@ from simulators.observer_at_box import ObserverAtBox
 SIMULATED: Final = "sim"
 SIMULATED_CALIBRATION: Final = "calibrations/simulated-box.yaml"
 PEAK_TOLERANCE_NM: Final = 10.0
+PLACE_TOLERANCE_DEG: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +50,9 @@ class BoxRequest:
         camera: Camera for that, by name; the bench's own where None.
         bench: Bench file of that camera.
         room_cd_m2: Luminance of the simulated room.
-        subject: Simulated subject before the simulated box: "steady", "never", "always", "leaves"; None for nobody.
+        subject: Simulated subject before the simulated box, as `seat_subject` knows them; None for nobody.
         seed: Makes the simulated subject's answers.
+        preset: Light-box preset; the reference box's where None.
     """
 
     box: str | None = None
@@ -64,6 +66,7 @@ class BoxRequest:
     room_cd_m2: float = 0.0
     subject: str | None = None
     seed: int = 0
+    preset: Path | None = None
 
 
 @contextmanager
@@ -82,13 +85,15 @@ def open_box_stage(protocol: AdaptationProtocol, request: BoxRequest) -> Iterato
         raise UsageError("a simulated subject can only sit before the simulated box: --box sim")
     own = request.box == SIMULATED and request.calibration is None
     file = shipped_config(SIMULATED_CALIBRATION) if own else request.calibration
-    with open_light_box(request.box, calibration=file) as opened:
+    with open_light_box(request.box, calibration=file, preset=request.preset) as opened:
         if opened.calibration is None:
             raise CalibrationError(
                 f"light box {opened.box.identity.serial} has no calibration: make one with `radiometer light calibrate`"
             )
         if opened.twin is not None and request.subject is not None:
-            seat_subject(opened.twin, request.subject, request.seed, protocol.spot.filter_density)
+            seated = seat_subject(opened.twin, request.subject, request.seed, protocol.spot.filter_density)
+            seated.places = places_of(opened.config)
+            seated.dilate(protocol.bleach.pupil_mm)
         lights = _lights(protocol, request, opened)
         clock = opened.box.link.line.now  # the clock that the button's times are given on
         stage = BoxStage(opened.box, lights, clock, opened.wait, None if opened.twin else time.time)
@@ -103,6 +108,7 @@ def _lights(protocol: AdaptationProtocol, request: BoxRequest, opened: OpenedBox
         known = opened.box.channels.get(FIXATION)
         peak_nm = known.peak_nm if known and known.peak_nm else protocol.fixation.peak_nm
         mark_w_sr_m2 = protocol.fixation.luminance_cd_m2 / luminous_efficacy_lm_per_w(spectrum(f"line:{peak_nm:g}"))
+    missing = _no_blind_spot(protocol, opened)
     spot_levels = opened.calibration.channels.get(protocol.spot.channel) if opened.calibration else None
     return BoxLights(
         protocol,
@@ -111,7 +117,45 @@ def _lights(protocol: AdaptationProtocol, request: BoxRequest, opened: OpenedBox
         luminous_efficacy_lm_per_w(spot, "scotopic"),
         mark_w_sr_m2,
         0.0 if spot_levels is None else spot_levels.common_u_rel / math.log(10.0),
+        0.0 if missing is not None else _blind_spot_w_sr_m2(protocol, opened),
+        missing or "",
     )
+
+
+def _no_blind_spot(protocol: AdaptationProtocol, opened: OpenedBox) -> str | None:
+    """Return why the box cannot check fixation as the protocol wants; None where it can."""
+    check = protocol.fixation_check
+    if check is None:
+        return "the protocol has no fixation_check"
+    stated = opened.config.channels.get(check.channel)
+    place = stated.place if stated else None
+    if place is None:
+        return f"the preset states no `place` for channel {check.channel}"
+    apart_deg = math.hypot(place.temporal_deg - check.temporal_deg, place.below_deg - check.below_deg)
+    if apart_deg > PLACE_TOLERANCE_DEG:
+        return (
+            f"channel {check.channel} stands {place.temporal_deg:g}° temporal and {place.below_deg:g}° below the mark, "
+            f"the protocol wants {check.temporal_deg:g}° and {check.below_deg:g}°"
+        )
+    if opened.calibration is None or check.channel not in opened.calibration.channels:
+        return f"channel {check.channel} has no calibration"
+    return None
+
+
+def _blind_spot_w_sr_m2(protocol: AdaptationProtocol, opened: OpenedBox) -> float:
+    """Return the radiance of the light in the blind spot: the protocol's luminance at the channel's wavelength."""
+    check = protocol.fixation_check
+    if check is None:
+        return 0.0
+    known = opened.box.channels.get(check.channel)
+    peak_nm = known.peak_nm if known and known.peak_nm else protocol.fixation.peak_nm
+    return check.luminance_cd_m2 / luminous_efficacy_lm_per_w(spectrum(f"line:{peak_nm:g}"))
+
+
+def places_of(preset: LightBoxConfig) -> dict[str, tuple[float, float]]:
+    """Return where the channels with an opening of their own stand, in degrees temporal of and above the mark."""
+    known = preset.channels
+    return {name: (c.place.temporal_deg, -c.place.below_deg) for name, c in known.items() if c.place is not None}
 
 
 def seat_subject(twin: LightBoxTwin, behaviour: str, seed: int, filter_density: float) -> ObserverAtBox:
@@ -119,8 +163,8 @@ def seat_subject(twin: LightBoxTwin, behaviour: str, seed: int, filter_density: 
 
     Args:
         twin: The simulated box.
-        behaviour: "steady", "never" (presses), "always" (presses), "leaves" (after 10 min); "healthy" and "amd" have
-            eyes drawn from published rod intercepts.
+        behaviour: "steady", "never" (presses), "always" (presses), "leaves" (after 10 min), "wanders" (looks away in
+            two blinks of five); "healthy" and "amd" have eyes drawn from published rod intercepts.
         seed: Makes the answers.
         filter_density: Optical density of the filter before the spot.
 
@@ -132,6 +176,7 @@ def seat_subject(twin: LightBoxTwin, behaviour: str, seed: int, filter_density: 
         "never": Habits(lapses=1.0, false_alarms=0.0),
         "always": Habits(),
         "leaves": Habits(),
+        "wanders": Habits(fixation_losses=0.4),
         "healthy": Habits(),
         "amd": Habits(),
     }
@@ -186,6 +231,10 @@ def _safe(opened: OpenedBox, lights: BoxLights) -> Finding:
         used.append(box.foresee(spot.channel, lights.spot(spot.highest_log10), share * bright_s))
         if lights.fixation_w_sr_m2:
             used.append(box.foresee(FIXATION, Radiance(lights.fixation_w_sr_m2), bright_s))
+        check = protocol.fixation_check
+        if check is not None and lights.blind_spot_w_sr_m2:
+            blinking_s = share * check.share * bright_s
+            used.append(box.foresee(check.channel, Radiance(lights.blind_spot_w_sr_m2), blinking_s))
         whole = HazardFractions(sum(one.blue_light for one in used), max(one.thermal for one in used))
         facts |= {"blue_light": float(f"{whole.blue_light:.3g}"), "thermal": float(f"{whole.thermal:.3g}")}
         facts["bleach_w_sr_m2"] = float(f"{lights.bleach.radiance_w_sr_m2:.5g}")
@@ -204,8 +253,16 @@ def _bleach_used(opened: OpenedBox, lights: BoxLights) -> HazardFractions:
 
 
 def _require_colour(opened: OpenedBox, protocol: AdaptationProtocol) -> None:
-    """Raise UsageError if the channel's light is not the protocol's."""
+    """Raise UsageError if the channel's light, or its place, is not the protocol's."""
     spot = protocol.spot
+    stated = opened.config.channels.get(spot.channel)
+    if stated is not None and stated.place is not None:
+        apart = math.hypot(stated.place.temporal_deg, stated.place.below_deg)
+        if abs(apart - spot.eccentricity_deg) > PLACE_TOLERANCE_DEG:
+            raise UsageError(
+                f"protocol {protocol.name} wants its spot {spot.eccentricity_deg:g}° from the mark, channel "
+                f"{spot.channel} stands {apart:.1f}° from it: name another channel, or a preset with its place"
+            )
     known = opened.box.channels.get(spot.channel)
     peak_nm = known.peak_nm if known else None
     if peak_nm is not None and abs(peak_nm - spot.peak_nm) > PEAK_TOLERANCE_NM:
@@ -228,6 +285,8 @@ def _explained(refusal: RadiometerError, opened: OpenedBox, lights: BoxLights) -
             way = f"this box needs {shortest_s:.3g} s at least for {bleach.retinal_td_s:g} td·s: bleach.duration_s"
         else:
             way = f"it reaches {brightest * lights.bleach_photopic_lm_per_w:.0f} cd/m²: bleach.luminance_cd_m2"
+    elif protocol.fixation_check is not None and refusal.name.endswith(protocol.fixation_check.channel):
+        way = "choose another fixation_check.luminance_cd_m2"
     else:
         low, high = (
             np.log10(radiance * lights.spot_scotopic_lm_per_w) - spot.filter_density

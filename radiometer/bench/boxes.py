@@ -41,14 +41,25 @@ _SILENT: Final[
 SIMULATED_PORTS: Final = "radiometer-light-boxes"
 
 
+class PlaceConfig(ConfigSection):
+    """Where a channel with an opening of its own stands, seen from the eye: temporal of and below the red mark."""
+
+    temporal_deg: float = Field(ge=-60, le=90)
+    below_deg: float = Field(0.0, ge=-60, le=60)
+
+
 class ChannelConfig(ConfigSection):
-    """What the eye meets when a channel is on; see ChannelOptics."""
+    """What the eye meets when a channel is on; see ChannelOptics.
+
+    A channel without a place stands where the test spot does, or fills the field.
+    """
 
     peak_nm: float | None = Field(None, gt=300, lt=1100)
     fwhm_nm: float = Field(20.0, ge=0)
     subtense_deg: float = Field(gt=0, le=180)
     radiance_bound_W_per_sr_m2: float = Field(gt=0)  # noqa: N815 (the file's key)
     low_range_ratio_bound: float = Field(0.01, gt=0, le=1)
+    place: PlaceConfig | None = None
 
     @property
     def optics(self) -> ChannelOptics:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from radiometer.bench.box_adaptation import seat_subject
+from radiometer.bench.box_adaptation import places_of, seat_subject
 from radiometer.bench.box_holder import runtime_folder
-from radiometer.bench.boxes import SIMULATED_PORTS
+from radiometer.bench.boxes import SIMULATED_PORTS, read_preset
 from radiometer.errors import OutputError, UsageError
 from simulators.avr_box import AvrBox
 from simulators.light_box import LightBoxTwin, TwinSettings
@@ -77,7 +77,7 @@ def served_box(
         return ServedBox(server, _locked(server, lambda pressed: avr.press(pressed=pressed)), lambda: None)
     twin = LightBoxTwin(TwinSettings(serial=serial, clock_ppm=clock_ppm))
     if subject is not None:
-        seat_subject(twin, subject, seed, filter_density)
+        seat_subject(twin, subject, seed, filter_density).places = places_of(read_preset())
     server = PtyServer(WiredTwin(twin), place, faults_in, faults_out)
 
     def reset() -> None:

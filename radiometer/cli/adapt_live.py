@@ -97,7 +97,16 @@ def live_lines(state: LiveState, fit: RunningFit, columns: int, waited_s: float 
         f"{len(state.points)} thresholds   {len(state.thresholds) - len(state.points)} not seen   "
         f"{len(state.catches)} catches   {state.false_presses} false presses{spot}"
     )
-    return [f"{_clock(state, waited_s)}   {_PHASES[state.phase]}", *_chart(state, fit, columns), fit.text, counts]
+    looks = f"fixation lost {state.fixation[0]}/{state.fixation[1]}   lapses {state.lapses[0]}/{state.lapses[1]}"
+    if state.fixation_lost:
+        looks += "   FIXATION LOST: look at the red mark"
+    return [
+        f"{_clock(state, waited_s)}   {_PHASES[state.phase]}",
+        *_chart(state, fit, columns),
+        fit.text,
+        looks,
+        counts,
+    ]
 
 
 def _clock(state: LiveState, waited_s: float) -> str:
@@ -140,6 +149,14 @@ def tell_line(event: Event) -> None:
         out.print("dark: look at the red mark and press whenever the spot is seen")
     elif event["kind"] in ("pause", "resume", "stop"):
         out.print(f"{event['kind']} by {event.get('by', 'operator')}")
+    elif event["kind"] == "fixation":
+        out.print(f"FIXATION LOST ({event['lost']} of the last {event['of']} checks): look at the red mark")
+    elif event["kind"] == "stage" and "no_fixation_check" in event:
+        out.print(f"fixation is not checked: {event['no_fixation_check']}")
+    elif event["kind"] == "trial" and event.get("of") == "blind_spot":
+        out.print("  blind spot: seen" if event["seen"] else "  blind spot: rightly not seen")
+    elif event["kind"] == "trial" and event.get("of") == "bright":
+        out.print("  bright spot: seen" if event["seen"] else "  bright spot: missed")
     elif event["kind"] == "trial" and event["catch"]:
         out.print("  catch: pressed" if event["false_press"] else "  catch: rightly not pressed")
     elif event["kind"] == "trial":

@@ -50,11 +50,17 @@ def run(
     ] = None,
     simulate: Annotated[
         str | None,
-        typer.Option(help="Simulated subject in simulated time: steady, never, always, leaves; also with --box sim."),
+        typer.Option(
+            help="Simulated subject: steady, never, always, leaves, wanders; before --box sim healthy or amd."
+        ),
     ] = None,
     room: Annotated[float, typer.Option(min=0.0, help="Luminance of the simulated box's room in cd/m².")] = 0.0,
     slow: Annotated[float, typer.Option(min=0.0, help="Real seconds per simulated trial, to watch it.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of catches and of the simulated subject.")] = 0,
+    eye: Annotated[
+        str, typer.Option(help="Eye that looks, right or left: the blind spot is on its temporal side.")
+    ] = "right",
+    preset: Annotated[Path | None, typer.Option(help="Light-box preset: bounds and places of its channels.")] = None,
     screen: Annotated[
         Path | None, typer.Option(help="Calibration of the screen that shows the spot, by `screen calibrate`.")
     ] = None,
@@ -85,15 +91,17 @@ def run(
     from radiometer.data.storage import write_text_atomic
 
     safe_name(subject, "--subject")
+    if eye not in ("right", "left"):
+        raise UsageError(f"--eye {eye}: right or left")
     chosen = read_protocol(protocol)
     file = out or Path(f"{subject}-{chosen.name}.jsonl")
     wanted, controls = Watching(page or page_port > 0, page_port, audio, json, slow), Controls(linger_s=slow)
     seen = camera is not None or bench is not None
     box_request = BoxRequest(
-        box, calibration, white, fixation, accept_stale, seen, camera, bench, room, subject=simulate, seed=seed
+        box, calibration, white, fixation, accept_stale, seen, camera, bench, room, simulate, seed, preset
     )
     with (
-        _stage(chosen, box_request, _Screen(screen, display, port)) as (stage, checks),
+        _stage(chosen, box_request, _Screen(screen, display, port, eye)) as (stage, checks),
         Journal(file, relive=box == SIMULATED) as journal,
     ):
         if file.stat().st_size and not json:
@@ -111,11 +119,12 @@ def run(
                 watch=watch,
                 controls=controls,
                 checks=checks,
+                eye=eye if chosen.fixation_check else None,
             )
     table = csv or (file.with_suffix(".csv") if outcome.can_be_fitted else None)
     if table is not None:
         shared = [event["u_scale_log10"] for event in journal.of_kind("stage") if event.get("u_scale_log10")]
-        write_text_atomic(table, outcome.to_csv(facts_of(chosen, shared[-1] if shared else None)))
+        write_text_atomic(table, outcome.to_csv(facts_of(chosen, shared[-1] if shared else None, outcome.reliability)))
     _conclude(outcome, table, json=json)
     if outcome.can_be_fitted and not json:
         note(f"fit with: radiometer adapt fit {table}{_criterion_option(chosen)}")
@@ -136,6 +145,7 @@ class _Screen:
     calibration: Path | None
     display: str
     port: int
+    eye: str
 
 
 @contextmanager
@@ -176,6 +186,7 @@ def _on_screen(
         port=screen.port,
         announce=announce,
         seed=request.seed,
+        eye=screen.eye,
         accept_stale=request.accept_stale,
         room=partial(room_by_camera, protocol, request.camera, request.bench, request.white)
         if request.measure_room
@@ -194,6 +205,8 @@ def _on_screen(
 
 
 def _conclude(outcome: Outcome, table: Path | None, *, json: bool) -> None:
+    from radiometer.adaptation.reliability import NAMES
+
     if json:
         result = {
             "verdict": str(outcome.verdict),
@@ -201,6 +214,16 @@ def _conclude(outcome: Outcome, table: Path | None, *, json: bool) -> None:
             "thresholds": len(outcome.times_min),
             "catches": outcome.catches,
             "false_presses": outcome.false_presses,
+            "reliability": {
+                name: {
+                    "share": rate.value,
+                    "low": rate.low,
+                    "high": rate.high,
+                    "hits": rate.count.hits,
+                    "of": rate.count.of,
+                }
+                for name, rate in outcome.reliability.rates.items()
+            },
             "csv": None if table is None else str(table),
         }
         print(json_module.dumps(result, ensure_ascii=False))
@@ -208,6 +231,10 @@ def _conclude(outcome: Outcome, table: Path | None, *, json: bool) -> None:
     console().print(f"{outcome.verdict}: {outcome.explanation}")
     wrote = "they stay in the journal (--csv writes them)" if table is None else f"wrote {table}"
     console().print(f"{len(outcome.times_min)} thresholds, {outcome.false_presses} false presses; {wrote}")
+    for name, rate in outcome.reliability.rates.items():
+        console().print(f"{NAMES[name]}: {rate}")
+    if "fixation_losses" not in outcome.reliability.rates:
+        console().print("fixation was not checked")
 
 
 def protocols(json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False) -> None:

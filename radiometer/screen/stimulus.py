@@ -111,24 +111,32 @@ class Viewing:
     distance_mm: float
     pixel_mm: float
 
-    def ellipse(self, at_deg: float, size_deg: float, rgb: Code) -> Shape:
-        """Return what covers a circle of visual angle around a direction in the horizontal.
+    def ellipse(self, at_deg: float, size_deg: float, rgb: Code, below_deg: float = 0.0) -> Shape:
+        """Return what covers a circle of visual angle around a direction in, or not far from, the horizontal.
 
         Args:
             at_deg: Direction from the screen's middle, right of it positive.
             size_deg: Diameter in degrees.
             rgb: Its codes.
+            below_deg: How far below the horizontal; a few degrees, for the shape is that in the horizontal.
         """
         scale = self.distance_mm / self.pixel_mm
         left, right = (math.tan(math.radians(at_deg + side * size_deg / 2)) for side in (-1, 1))
         height = 2.0 * math.tan(math.radians(size_deg / 2)) / math.cos(math.radians(at_deg))
-        return Shape(scale * (left + right) / 2, 0.0, scale * (right - left), scale * height, rgb)
+        y = math.tan(math.radians(below_deg)) / math.cos(math.radians(at_deg))
+        return Shape(scale * (left + right) / 2, scale * y, scale * (right - left), scale * height, rgb)
+
+    def direction_deg(self, shape: Shape) -> tuple[float, float]:
+        """Return where the middle of a shape stands, in degrees right of and above the screen's middle."""
+        x_mm, y_mm = shape.x * self.pixel_mm, shape.y * self.pixel_mm
+        right = math.atan2(x_mm, self.distance_mm)
+        return math.degrees(right), -math.degrees(math.atan2(y_mm, math.hypot(x_mm, self.distance_mm)))
 
     def require_room(self, shapes: tuple[Shape, ...], size: tuple[int, int]) -> None:
         """Refuse shapes that a screen of a width and height in pixels does not hold. Raises ConfigurationError."""
         for shape in shapes:
             reach = 2 * (abs(shape.x) + shape.width / 2)
-            if reach > size[0] or shape.height > size[1]:
+            if reach > size[0] or 2 * abs(shape.y) + shape.height > size[1]:
                 raise ConfigurationError(
                     f"mark and spot need a page {reach:.0f} pixels wide at {self.distance_mm:g} mm; it has {size[0]}: "
                     "go to full screen, sit closer (viewing.distance_mm) or lower spot.eccentricity_deg"

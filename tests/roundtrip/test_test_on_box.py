@@ -13,11 +13,13 @@ import pytest
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation
 from radiometer.adaptation.journal import Journal
 from radiometer.adaptation.outcome import Outcome, Verdict
-from radiometer.adaptation.protocol import AdaptationProtocol, SteadyBleach, read_protocol
+from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, SteadyBleach, read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.bench.box_adaptation import BoxRequest, open_box_stage
-from simulators.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
+from radiometer.data.config_files import shipped_config
+from radiometer.errors import RadiometerError
+from simulators.eye_kinetics import Eye, eye_after_bleach, recovery_min, scotopic_lm_per_w
 from simulators.observer_at_box import WHITE_LM_PER_W
 
 # Radiance for 750 cd/m² by the protocol's white LED (316.9 lm/W), as the simulated eye sees it.
@@ -41,11 +43,13 @@ def protocol(minutes: float, *, bleach_s: float = 150.0, **spot: Any) -> Adaptat
     )
 
 
-def run(path: Path, wanted: AdaptationProtocol, subject: str | None = "steady") -> tuple[Outcome, Journal]:
+def run(
+    path: Path, wanted: AdaptationProtocol, subject: str | None = "steady", preset: Path | None = None
+) -> tuple[Outcome, Journal]:
     """Run a test on the simulated box."""
-    request = BoxRequest("sim", subject=subject, seed=4)
+    request = BoxRequest("sim", subject=subject, seed=4, preset=preset)
     with open_box_stage(wanted, request) as (stage, checks), Journal(path, relive=True) as journal:
-        return run_test(wanted, stage, journal, subject="A1", seed=3, checks=checks), journal
+        return run_test(wanted, stage, journal, subject="A1", seed=5, checks=checks), journal
 
 
 def fitted(outcome: Outcome) -> AdaptationFit:
@@ -81,7 +85,11 @@ def test_red_spot_shows_no_break(tmp_path: Path) -> None:
     red = protocol(
         14.0, channel="spot_red", peak_nm=640.0, filter_density=1.5, lowest_log10=-6.0, highest_log10=-1.3
     )  # fmt: skip
-    outcome, _ = run(tmp_path / "j", red)
+    whole = shipped_config("light_boxes/reference.yaml").read_text(encoding="utf-8")
+    place = ",\n    place: {temporal_deg: 15.5, below_deg: 1.5}"
+    assert place in whole
+    (tmp_path / "red.yaml").write_text(whole.replace(place, ""), encoding="utf-8")  # the red LED is a test spot here
+    outcome, _ = run(tmp_path / "j", red, preset=tmp_path / "red.yaml")
     assert not fitted(outcome).has_break
 
 
@@ -124,3 +132,55 @@ def test_run_that_died_is_lived_through_again_and_goes_on(tmp_path: Path) -> Non
         (tmp_path / "cut").write_bytes(whole[: int(share * len(whole))])
         run(tmp_path / "cut", wanted)
         assert (tmp_path / "cut").read_bytes() == whole
+
+
+@pytest.mark.parametrize(("subject", "planted"), [("steady", 0.03), ("wanders", 0.4)])
+def test_fixation_losses_are_found_as_they_were_planted(tmp_path: Path, subject: str, planted: float) -> None:
+    """The red LED in the blind spot, in the protocol's bytes: the interval holds the share of glances elsewhere."""
+    wanted = protocol(12.0, bleach_s=10.0)
+    check = wanted.fixation_check
+    assert check is not None
+    wanted = wanted.model_copy(update={"fixation_check": check.model_copy(update={"share": 0.3, "from_min": 1.0})})
+    outcome, journal = run(tmp_path / "j", wanted, subject)
+    found = outcome.reliability.rates["fixation_losses"]
+    assert found.low <= planted <= found.high
+    assert found.count.of > 20
+    assert found.high - found.low < 0.5
+    assert bool(journal.of_kind("fixation")) is (subject == "wanders")
+
+
+def test_photographic_flashes_bleach_the_eye_before_the_box(tmp_path: Path) -> None:
+    """5·10⁶ scotopic td·s through 6 mm, 100 J·sr⁻¹·m⁻² each: three flashes, 10 s apart, by the box's trigger.
+
+    The eye takes them for 1.81·10⁶ each (640 scotopic lm/W): 1 − exp(−0.543) = 42 % of the rods, a little less for what
+    grows back in between.
+    """
+    flash = FlashBleach(kind="flash", retinal_td_s=5e6, pupil_mm=6.0, source="flash")
+    wanted = protocol(5.0).model_copy(update={"bleach": flash})
+    with open_box_stage(wanted, BoxRequest("sim", subject="steady")) as (stage, checks):
+        assert [check().refusal for check in checks] == [None]
+        stage.bleach(wanted)
+        twin = stage.box.link.line.twin  # type: ignore[attr-defined]
+        fired_ms = list(twin.flash.fired_ms)
+        observer = twin.watch.__self__.observer
+    assert len(fired_ms) == 3
+    assert np.diff(fired_ms) == pytest.approx([10_000, 10_000], abs=300)
+    rods = 0.0
+    for _ in range(3):
+        rods = 1 - (1 - rods * math.exp(-10 / 400)) * math.exp(-100 * 640 * math.pi * 9 / 1e7)
+    assert 0.38 < rods < 0.42
+    assert observer.eye.s2_zero_min == pytest.approx(recovery_min(rods, 0.24), rel=0.01)
+    assert observer.dark_since_s == pytest.approx(fired_ms[-1] / 1000, abs=0.2)
+
+
+def test_flashes_beyond_the_box_are_refused_before_the_first(tmp_path: Path) -> None:
+    """The trigger gives eight in a row: 2·10⁷ td·s would take thirteen, and nothing is fired."""
+    flash = FlashBleach(kind="flash", retinal_td_s=2e7, pupil_mm=6.0, source="flash")
+    wanted = protocol(5.0).model_copy(update={"bleach": flash})
+    with (
+        open_box_stage(wanted, BoxRequest("sim")) as (stage, checks),
+        Journal(tmp_path / "j", relive=True) as journal,
+    ):
+        with pytest.raises(RadiometerError, match="flash"):
+            run_test(wanted, stage, journal, subject="A1", checks=checks)
+        assert not stage.box.link.line.twin.flash.fired_ms  # type: ignore[attr-defined]

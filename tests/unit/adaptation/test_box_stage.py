@@ -9,6 +9,7 @@ import pytest
 from radiometer.adaptation.box_stage import BoxLights, BoxStage
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.devices.light_box import ButtonEvent, Radiance
+from radiometer.errors import UsageError
 
 
 class RecordingBox:
@@ -107,3 +108,20 @@ def test_button_that_is_still_held_is_a_long_press(stage: BoxStage, box: Recordi
     box.held = [(100.5, 999.0)]
     stage.rest(4.0)
     assert stage.long_press(2.0) == pytest.approx(0.5)
+
+
+def test_light_in_the_blind_spot_is_one_pulse_of_its_own_channel(stage: BoxStage, box: RecordingBox) -> None:
+    """No filter stands before it; presses count as for the spot."""
+    stage.lights = BoxLights(read_protocol("led-only"), 300.0, 600.0, 900.0, blind_spot_w_sr_m2=8e-4)
+    box.presses = [100.5]
+    assert stage.checks_fixation
+    assert stage.blink_blind_spot(0, 0) == [pytest.approx(0.5)]
+    assert box.asked == [("spot_red", 8e-4, 0.3)]
+
+
+def test_box_without_a_light_there_checks_no_fixation(stage: BoxStage, box: RecordingBox) -> None:
+    """And refuses to pretend."""
+    assert not stage.checks_fixation
+    with pytest.raises(UsageError, match="blind spot"):
+        stage.blink_blind_spot(0, 0)
+    assert box.asked == []

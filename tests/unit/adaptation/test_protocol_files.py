@@ -17,9 +17,9 @@ def test_shipped_protocols_are_valid(name: str) -> None:
 
 
 def test_classic_is_the_test_of_the_literature() -> None:
-    """5,000 cd/m² for 180 s through 7 mm, 505 nm, 2° at 5°, up to 40 min; the blue one 453 nm at 8°."""
+    """9,000 cd/m² for 180 s through 7 mm, 505 nm, 2° at 5°, up to 40 min; the blue one 453 nm at 8°."""
     classic = read_protocol("classic")
-    assert (classic.bleach.luminance_cd_m2, classic.bleach.duration_s) == (5000, 180)
+    assert (classic.bleach.luminance_cd_m2, classic.bleach.duration_s) == (9000, 180)
     assert (classic.spot.peak_nm, classic.spot.size_deg, classic.spot.eccentricity_deg) == (505, 2, 5)
     blue = read_protocol("classic-blue")
     assert (blue.spot.peak_nm, blue.spot.eccentricity_deg, blue.bleach) == (453, 8, classic.bleach)

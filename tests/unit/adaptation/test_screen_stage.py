@@ -220,3 +220,36 @@ def test_what_does_not_fit_is_refused(
     with pytest.raises(UsageError, match="gives no flash"):
         ScreenStage(watched, screen, flash, Viewing(600.0, 0.27), lambda: 0.0)
     assert screen.channel("blue").efficacy(SCOTOPIC) == EFFICACIES["blue"][1]
+
+
+@pytest.mark.parametrize(("eye", "side"), [("right", 1), ("left", -1)])
+def test_light_in_the_blind_spot_stands_temporal_of_the_mark(
+    screen: ScreenCalibration, protocol: AdaptationProtocol, watched: RecordingScreen, eye: str, side: int
+) -> None:
+    """15.5° from the mark and 1.5° below it, red, for an eye 600 mm away; the spot is on the same side."""
+    viewing = Viewing(600.0, 0.27)
+    stage = ScreenStage(watched, screen, protocol, viewing, lambda: watched.time, eye=eye)
+    watched.presses = (0.4,)
+    assert stage.blink_blind_spot(0, 0) == [0.4]
+    lit, rest, on_s, _ = watched.blinks[0]
+    mark, light = rest.shapes[0], lit.shapes[-1]
+    angles = [math.degrees(math.atan(side * shape.x * 0.27 / 600)) for shape in (mark, light)]
+    assert angles[1] - angles[0] == pytest.approx(15.5, abs=0.02)
+    assert math.degrees(math.atan(light.y * 0.27 / math.hypot(600, light.x * 0.27))) == pytest.approx(1.5, abs=0.01)
+    assert light.rgb[0] > 0
+    assert light.rgb[1:] == (0, 0)
+    assert on_s == protocol.spot.on_s
+    stage.blink(0.0, 0, 1)
+    assert side * watched.blinks[1][0].shapes[-1].x > 0
+
+
+def test_page_without_room_for_the_blind_spot_says_so(
+    screen: ScreenCalibration, protocol: AdaptationProtocol, watched: RecordingScreen
+) -> None:
+    """Mark and spot fit into 600 pixels, the light at 11.5° does not: the test goes on without."""
+    watched.size = (600, 400)
+    stage = ScreenStage(watched, screen, protocol, Viewing(600.0, 0.27), lambda: watched.time)
+    assert not stage.checks_fixation
+    assert "no room" in stage.facts()["no_fixation_check"]
+    with pytest.raises(UsageError, match="no room"):
+        stage.blink_blind_spot(0, 0)

@@ -152,3 +152,45 @@ def test_served_box_has_its_subject_before_the_twin_only(tmp_path: Path) -> None
         served_box("TWIN0001", tmp_path / "port", firmware=tmp_path / "x.hex", subject="steady")
     with pytest.raises(UsageError, match="choose steady"):
         served_box("TWIN0001", tmp_path / "port", subject="asleep")
+
+
+def test_light_in_the_blind_spot_is_as_bright_as_the_mark(quick: AdaptationProtocol) -> None:
+    """0.1 cd/m² at 640 nm (119.5 lm/W); the reference box has it 15.5° temporal."""
+    with open_box_stage(quick, BoxRequest("sim")) as (stage, _):
+        assert stage.checks_fixation
+        assert stage.lights.blind_spot_w_sr_m2 == pytest.approx(0.1 / (683 * 0.175), rel=1e-3)
+        assert "no_fixation_check" not in stage.facts()
+
+
+def test_light_in_the_blind_spot_beyond_the_channel_is_refused(quick: AdaptationProtocol) -> None:
+    """10⁻⁹ cd/m² is below what the red LED can be dimmed to: the message names the protocol's key."""
+    assert quick.fixation_check is not None
+    dim = quick.model_copy(update={"fixation_check": quick.fixation_check.model_copy(update={"luminance_cd_m2": 1e-9})})
+    assert "fixation_check.luminance_cd_m2" in str(refusal(dim))
+
+
+def _preset(path: Path, text: str) -> Path:
+    """Write the reference preset with another place of its red channel."""
+    whole = shipped_config("light_boxes/reference.yaml").read_text(encoding="utf-8")
+    stated = "place: {temporal_deg: 15.5, below_deg: 1.5}"
+    assert stated in whole
+    path.write_text(whole.replace(f",\n    {stated}", text), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("stated", "why"),
+    [("", "states no `place`"), (", place: {temporal_deg: 5, below_deg: 0}", "stands 5° temporal")],
+)
+def test_box_whose_red_light_stands_elsewhere_says_that_fixation_is_not_checked(
+    tmp_path: Path, quick: AdaptationProtocol, stated: str, why: str
+) -> None:
+    """The test is run all the same, and the journal tells why."""
+    with open_box_stage(quick, BoxRequest("sim", preset=_preset(tmp_path / "p.yaml", stated))) as (stage, _):
+        assert not stage.checks_fixation
+        assert why in str(stage.facts()["no_fixation_check"])
+
+
+def test_spot_of_a_channel_that_stands_elsewhere_is_refused(quick: AdaptationProtocol) -> None:
+    """The red channel of the reference box stands in the blind spot: nobody would see it as a test spot."""
+    assert "stands 15.6° from it" in str(refusal(changed(quick, "spot", channel="spot_red", peak_nm=640.0)))

@@ -8,7 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulators.eye_kinetics import Eye, bleached, drawn_eye, eye_after_bleach, recovery_min, scotopic_per_photopic
+from simulators.eye_kinetics import (
+    Eye,
+    bleached,
+    drawn_eye,
+    eye_after_bleach,
+    in_blind_spot,
+    recovery_min,
+    scotopic_per_photopic,
+)
 from simulators.light_box import LightBoxTwin
 from simulators.observer import Habits, Observer
 from simulators.observer_at_box import ObserverAtBox
@@ -107,3 +115,22 @@ def test_false_alarms_at_the_box_come_as_often_as_they_should():
     lines = [line.line for line in twin.emitted]
     assert sum(b" BT D " in line for line in lines) == pytest.approx(30, abs=4 * math.sqrt(30))
     assert seat.answered == 0
+
+
+def test_light_in_the_blind_spot_is_seen_as_often_as_the_eye_looks_elsewhere() -> None:
+    """15.5° temporal, 1.5° below: never by an eye that fixates; with 30 % glances in 30 % (within four sigmas)."""
+    bright, place, count = 2.0, (15.5, -1.5), 2000
+    for losses in (0.0, 0.3):
+        habits = Habits(lapses=0.0, false_alarms=0.0, fixation_losses=losses)
+        subject = Observer(Eye(), habits, np.random.default_rng(5))
+        seen = sum(subject.answer(bright, 1200.0, 640.0, place) is not None for _ in range(count))
+        assert abs(seen - losses * count) <= 4 * math.sqrt(losses * (1 - losses) * count)
+
+
+@pytest.mark.parametrize(
+    ("place", "blind"),
+    [((15.5, -1.5), True), ((17.9, -1.5), True), ((15.5, 2.0), True), ((18.4, -1.5), False), ((5.0, 0.0), False)],
+)
+def test_blind_spot_is_where_the_optic_disc_is(place: tuple[float, float], blind: bool) -> None:
+    """An ellipse of 5.5° by 7.5° around 15.5° temporal and 1.5° below."""
+    assert in_blind_spot(*place) is blind
