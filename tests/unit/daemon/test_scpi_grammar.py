@@ -1,0 +1,347 @@
+"""The grammar of messages, numbers, units, registers and replies, without a socket."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from decimal import Decimal
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from radiometer.daemon.instrument import MeasurementSettings
+from radiometer.daemon.journal import JournalError
+from radiometer.daemon.limits import TokenBucket
+from radiometer.daemon.scpi import formats
+from radiometer.daemon.scpi.errors import ScpiError, scpi_error
+from radiometer.daemon.scpi.lexer import Argument, Kind, split_message
+from radiometer.daemon.scpi.parameters import _MULTIPLIERS, Boolean, Choice, Limits, Number, Text
+from radiometer.daemon.scpi.session import Session
+from radiometer.daemon.scpi.status import QUEUE_LENGTH, Register, Status
+from radiometer.daemon.scpi.table import command_table
+from radiometer.data import Flag, Patch, Quantity, Reading
+from radiometer.errors import (
+    CalibrationError,
+    DeviceLost,
+    DeviceTimeout,
+    MeasurementError,
+    SettingOutOfRange,
+    UnsafeStimulus,
+    UsageError,
+)
+
+TABLE = command_table()
+WIDE = Limits(-1e30, 1e30, 7.0)
+# IEEE 488.2, 7.7.3, and SCPI-99, volume 1, 7.7.2: what a suffix multiplies by, in s, nm and dB.
+UNITS = {
+    "S": {"": "1", "S": "1", "MS": "1e-3", "US": "1e-6", "NS": "1e-9", "MIN": "60"},
+    "NM": {"": "1", "NM": "1", "UM": "1e3", "M": "1e9"},
+    "DB": {"": "1", "DB": "1"},
+    "PCT": {"": "1", "PCT": "0.01", "%": "0.01"},
+    "": {"": "1"},
+}
+headers = st.sampled_from(["SENS:GAIN", "*CLS", ":SYST:ERR", "EXP"])
+units = st.lists(st.tuples(headers, st.booleans(), st.integers(0, 3)), min_size=1, max_size=5)
+NUMBERS = st.decimals(-(10**6), 10**6, allow_nan=False, allow_infinity=False, places=6)
+
+
+def read(parameter: Any, text: str) -> Any:
+    """Return what a parameter makes of the one argument of a message."""
+    ((unit,), error) = split_message(f"X {text}")
+    assert error is None
+    (argument,) = unit.arguments
+    return parameter.read(argument, None)
+
+
+def number(unit: str = "", limits: Limits = WIDE, **more: Any) -> Number:
+    return Number("value", unit, lambda station: limits, **more)
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_suffixes_multiply_by_what_the_standard_says(unit: str) -> None:
+    """Each suffix, in any case, with and without blanks; no other is taken."""
+    assert {suffix: Decimal(str(by)) for suffix, by in _MULTIPLIERS[unit].items()} == {
+        suffix: Decimal(by) for suffix, by in UNITS[unit].items()
+    }
+    for suffix, by in UNITS[unit].items():
+        for written in (f"2.5{suffix}", f"2.5 {suffix.lower()}"):
+            assert read(number(unit), written) == pytest.approx(2.5 * float(by), rel=1e-12)
+    for wrong in {"KS", "HZ", "MM", "S", "NM", "DB", "PCT"} - set(UNITS[unit]):
+        with pytest.raises(ScpiError) as caught:
+            read(number(unit), f"1 {wrong}")
+        assert caught.value.number == (-131 if unit else -138)
+
+
+@settings(max_examples=150)
+@given(NUMBERS, st.sampled_from(["{}", "+{}", "{}e0", "{} E +1", "{}E-2"]))
+def test_every_decimal_number_is_read_as_it_is_written(value: Decimal, form: str) -> None:
+    """<NRf>: sign, point and exponent, with blanks about the E."""
+    text = form.format(abs(value) if form.startswith("+") else value)
+    scale = {"{} E +1": 10.0, "{}E-2": 0.01}.get(form, 1.0)
+    expected = float(abs(value) if form.startswith("+") else value) * scale
+    assert read(number(), text) == pytest.approx(expected, rel=1e-12, abs=1e-15)
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**31))
+def test_hexadecimal_octal_and_binary_are_whole_numbers(value: int) -> None:
+    """#H, #Q and #B of the same number."""
+    found = [
+        read(number(integer=True), f"#{mark}{value:{form}}") for mark, form in ("HX", "Qo", "Bb", "hx", "qo", "bb")
+    ]
+    assert found == [value] * 6
+
+
+@settings(max_examples=60)
+@given(st.floats(-1e3, 1e3), st.floats(0.001, 1e3), st.floats(-2e3, 3e3))
+def test_limits_hold_on_both_sides(low: float, span: float, value: float) -> None:
+    """Inside is taken, outside refused (−222); MIN, MAX and DEF are the limits and the default."""
+    low, high = abs(low), abs(low) + span
+    bounded = number(limits=Limits(low, high, low))
+    if low * (1 + 1e-6) < value < high * (1 - 1e-6):
+        assert read(bounded, repr(value)) == value
+    elif value < low * (1 - 1e-6) - 1e-12 or value > high * (1 + 1e-6):
+        with pytest.raises(ScpiError) as caught:
+            read(bounded, repr(value))
+        assert caught.value.number == -222
+    assert [read(bounded, word) for word in ("MIN", "maximum", "Def")] == [low, high, low]
+
+
+def test_words_choices_texts_and_switches() -> None:
+    """Short and long forms are taken and nothing between; 0 is off, all else on; quotes are doubled."""
+    also = number(also=("NONE", "CENTer"))
+    assert [read(also, word) for word in ("none", "CENT", "center")] == ["NONE", "CENTer", "CENTer"]
+    for wrong in ("CENTE", "MINI", "NON"):
+        with pytest.raises(ScpiError, match="-141"):
+            read(also, wrong)
+    choice = Choice("element", ("READing", "UNCertainty"))
+    assert [read(choice, word) for word in ("read", "READING", "unc")] == ["READing", "READing", "UNCertainty"]
+    with pytest.raises(ScpiError, match="-224"):
+        read(choice, "READI")
+    assert [read(Boolean(), word) for word in ("ON", "off", "1", "0", "0.4", "-2", "1e400")] == [
+        True, False, True, False, False, True, True,
+    ]  # fmt: skip
+    for wrong in ("MAYBE", "1 S", "'ON'"):
+        with pytest.raises(ScpiError):
+            read(Boolean(), wrong)
+    assert [read(Text("name"), text) for text in ('"a""b"', "'a''b'", '"a\'b"', '""')] == ['a"b', "a'b", "a'b", ""]
+    for wrong in ("abc", "1", "#11a"):
+        with pytest.raises(ScpiError, match="-104"):
+            read(Text("name"), wrong)
+    assert read(number(integer=True), "2.6") == 3
+    assert math.isclose(read(number("PCT", Limits(0.0, 1.0, 0.0)), "100 PCT"), 1.0)
+
+
+@settings(max_examples=80)
+@given(units, st.sampled_from([";", " ; ", ";\t"]))
+def test_a_message_comes_apart_as_it_was_put_together(parts: list[tuple[str, bool, int]], between: str) -> None:
+    """Headers, question marks and arguments of every unit, in order."""
+    texts = [header + "?" * query + (" " + ",".join("123"[:count]) if count else "") for header, query, count in parts]
+    units, error = split_message(between.join(texts))
+    assert error is None
+    assert [(unit.header, unit.is_query, len(unit.arguments)) for unit in units] == parts
+    assert all(
+        unit.arguments == tuple(Argument(Kind.NUMBER, n) for n in "123"[: len(unit.arguments)]) for unit in units
+    )
+
+
+@settings(max_examples=60)
+@given(st.text(st.characters(max_codepoint=255), max_size=30))
+def test_a_block_and_a_string_hold_any_text(content: str) -> None:
+    """#<digits><length><bytes>, #0 to the end, and quotes give back what was put in."""
+    length = str(len(content))
+    ((one, two), error) = split_message(f"A #{len(length)}{length}{content};B 1")
+    assert (error, one.arguments[0].text, one.arguments[0].kind, two.header) == (None, content, Kind.BLOCK, "B")
+    ((last,), error) = split_message(f"A #0{content}")
+    assert (error, last.arguments[0].text) == (None, content)
+    quoted = content.replace('"', '""')
+    ((unit,), error) = split_message(f'A "{quoted}"')
+    assert (error, unit.arguments[0].text) == (None, content)
+    assert formats.block(content.encode("latin-1")) == f"#{len(length)}{length}{content}"
+
+
+@settings(max_examples=100)
+@given(st.lists(st.integers(0, 2**13 - 1), min_size=1, max_size=6), st.integers(0, 2**13 - 1))
+def test_a_register_latches_what_rises(conditions: list[int], enable: int) -> None:
+    """Each bit that went from 0 to 1 since the last reading is in the event register, and no other."""
+    register, before, risen = Register(), 0, 0
+    register.enable = enable
+    for condition in conditions:
+        register.update(condition)
+        risen |= condition & ~before
+        before = condition
+        assert (register.condition, register.event, register.summary) == (condition, risen, bool(risen & enable))
+    assert (register.take_event(), register.take_event(), register.condition) == (risen, 0, before)
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 255), st.integers(0, 255), st.integers(0, 255), st.booleans(), st.booleans(), st.integers(0, 3))
+def test_the_status_byte_is_the_sum_of_its_parts(
+    event: int, enabled: int, service: int, operation: bool, questionable: bool, errors: int
+) -> None:
+    """IEEE 488.2, 11.2: errors 4, questionable 8, reply 16, events 32, operation 128, and 64 by *SRE."""
+    status = Status()
+    status.event_status, status.event_enable, status.service_enable = event, enabled, service & ~64
+    status.operation.update(16 * operation)
+    status.questionable.update(512 * questionable)
+    status.operation.enable = status.questionable.enable = 0xFFFF
+    for _ in range(errors):
+        status._errors.append(ScpiError(-113))
+    for available in (False, True):
+        byte = 4 * bool(errors) + 8 * questionable + 16 * available + 32 * bool(event & enabled) + 128 * operation
+        assert status.status_byte(message_available=available) == byte + 64 * bool(byte & service & ~64)
+    status.preset()
+    assert not status.status_byte() & 136
+    status.clear()
+    assert (status.event_status, status.error_count, status.service_enable) == (0, 0, service & ~64)
+
+
+def test_the_error_queue_keeps_the_oldest() -> None:
+    """First in, first out; of too many the last says so; each sets the event bit of its hundred."""
+    status = Status()
+    assert status.take_event_status() == 128
+    numbers = [-113, -222, -310, -440]
+    for error in numbers:
+        status.push(ScpiError(error))
+    assert status.take_event_status() == 32 + 16 + 8 + 4
+    assert [int(status.next_error().split(",")[0]) for _ in range(5)] == [*numbers, 0]
+    for _ in range(QUEUE_LENGTH + 3):
+        status.push(ScpiError(-113))
+    assert (QUEUE_LENGTH, status.error_count) == (32, 32)
+    entries = [status.next_error() for _ in range(32)]
+    assert [int(entry.split(",")[0]) for entry in entries] == [-113] * 31 + [-350]
+
+
+def test_our_errors_have_the_standard_s_numbers() -> None:
+    """Each kind of error by its number; what nobody foresaw is −310."""
+    expected = {
+        SettingOutOfRange("camera", "gain", 1.0, 0.0, 0.5, "dB"): -222,
+        UnsafeStimulus("too bright"): -222,
+        UsageError("wrong"): -222,
+        JournalError("full"): -250,
+        CalibrationError("stale"): -340,
+        MeasurementError("dark"): -200,
+        DeviceTimeout("slow"): -365,
+        DeviceLost("gone"): -240,
+        TimeoutError("slow"): -365,
+        ValueError("what"): -310,
+    }
+    assert {error: scpi_error(error).number for error in expected} == expected
+    assert scpi_error(DeviceLost('camera "1" × °')).entry == '-240,"Hardware error;camera ""1"" x "'
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.1, "1.000000000E-01"), (-1234.5678901, "-1.234567890E+03"), (math.nan, "9.91E+37"), (math.inf, "9.9E+37"),
+     (-math.inf, "-9.9E+37"), (0.0, "0.000000000E+00")],
+)  # fmt: skip
+def test_numbers_are_written_as_the_standard_says(value: float, text: str) -> None:
+    """<NR3> with ten digits; not a number and infinity as SCPI-99, 7.2.1.5, has them."""
+    assert formats.number(value) == text
+
+
+def test_the_elements_of_a_reading_come_in_the_order_asked_for() -> None:
+    """Value, u, time, number and flags of radiance or luminance; what is not there is not a number."""
+    reading = Reading(
+        Quantity(2.0, 0.25, "W sr-1 m-2"), Patch(0, 0, 1, 1), "1", Quantity(300.0, 4.0, "cd m-2"),
+        flags=(Flag.SATURATED, Flag.UNCALIBRATED), sequence=17, time="2026-01-02T03:04:05Z",
+    )  # fmt: skip
+    asked = ("SEQuence", "UNCertainty", "READing", "FLAGs", "TIME")
+    tail = '"saturated uncalibrated","2026-01-02T03:04:05Z"'
+    assert formats.reading_elements(reading, "RADiance", asked) == f"17,2.500000000E-01,2.000000000E+00,{tail}"
+    assert formats.reading_elements(reading, "LUMinance", asked) == f"17,4.000000000E+00,3.000000000E+02,{tail}"
+    unknown = replace(reading, luminance=None)
+    assert formats.reading_elements(unknown, "LUMinance", ("READing", "UNCertainty")) == "9.91E+37,9.91E+37"
+
+
+class Clock:
+    now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@settings(max_examples=60)
+@given(st.floats(1.0, 1000.0), st.lists(st.floats(0.0, 0.5), min_size=1, max_size=40))
+def test_no_more_than_rate_and_burst_is_let_through(per_s: float, pauses: list[float]) -> None:
+    """In any time at most a burst of one second and the rate; whoever waits as told is let through next."""
+    clock = Clock()
+    bucket, taken, start = TokenBucket(per_s, clock), 0, clock.now_s
+    assert bucket.is_full
+    for pause in pauses:
+        clock.now_s += pause
+        wait_s = bucket.take()
+        taken += wait_s == 0.0
+        assert taken <= per_s * (1.0 + clock.now_s - start) + 1e-6
+        if wait_s:
+            assert 0.0 < wait_s <= 1.0 / per_s + 1e-9
+            assert not bucket.is_full
+            clock.now_s += wait_s * (1.0 + 1e-9) + 1e-9
+            assert bucket.take() == 0.0
+            taken += 1
+    clock.now_s += 1.1
+    assert bucket.is_full
+
+
+# What each setting does to the next measurement: message, field, value.
+SETTINGS = [
+    ("SENS:EXP 4 MS", "exposure_s", 0.004),
+    ("SENS:EXP:TIME 20 US", "exposure_s", 2e-5),
+    ("SENS:EXP MAX", "exposure_s", 30.0),
+    ("SENS:EXP DEF", "exposure_s", 0.01),
+    ("SENS:EXP 1;EXP:AUTO ON", "auto_exposure", True),
+    ("SENS:EXP 1", "auto_exposure", False),
+    ("SENS:GAIN 6", "gain_db", 6.0),
+    ("SENS:GAIN 12DB", "gain_db", 12.0),
+    ("SENS:GAIN 3;GAIN DEF", "gain_db", 0.0),
+    ("SENS:PATC 7,8,9,10", "patch", Patch(7, 8, 9, 10)),
+    ("SENS:PATC 1,2,3,4;PATC CENT", "patch", None),
+    ("SENS:CORR:WAV 0.55 UM", "wavelength_nm", 550.0),
+    ("SENS:CORR:WAV 5e-7 M", "wavelength_nm", 500.0),
+    ("SENS:CORR:WAV 550;WAV NONE", "wavelength_nm", None),
+    ("SENS:CORR:WAV DEF", "wavelength_nm", 550.0),
+]
+
+
+@pytest.mark.parametrize(("message", "name", "value"), SETTINGS, ids=[entry[0] for entry in SETTINGS])
+async def test_a_setting_is_that_of_the_next_measurement(station: Any, message: str, name: str, value: Any) -> None:
+    """In s, dB, pixels and nm; the query gives it back."""
+    session = Session(station, TABLE)
+    assert session.execute(message) is None
+    assert session.status.error_count == 0
+    found = getattr(station.settings, name)
+    assert found == (pytest.approx(value, rel=1e-12) if isinstance(value, float) else value)
+    untouched = replace(station.settings, **{name: getattr(MeasurementSettings(), name)})
+    assert name == "exposure_s" or name == "auto_exposure" or untouched == MeasurementSettings()
+    session.execute("*RST")
+    assert station.settings == MeasurementSettings()
+
+
+@pytest.mark.parametrize(
+    ("query", "low", "high", "default"),
+    [("SENS:EXP?", 1e-5, 30.0, 0.01), ("SENS:GAIN?", 0.0, 48.0, 0.0), ("SENS:CORR:WAV?", 300.0, 1200.0, 550.0)],
+)
+async def test_limits_are_the_camera_s(station: Any, query: str, low: float, high: float, default: float) -> None:
+    """MIN, MAX and DEF of what the camera can do."""
+    session = Session(station, TABLE)
+    found = [float(session.execute(f"{query} {word}")) for word in ("MIN", "MAX", "DEF")]  # type: ignore[arg-type]
+    if "WAV" in query:
+        assert found[0] < 400.0 < 700.0 < found[1]
+        assert found[2] == default
+    else:
+        assert found == pytest.approx([low, high, default])
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(mask=st.integers(0, 255))
+async def test_masks_are_given_back(station: Any, mask: int) -> None:
+    """*ESE and the enable registers whole, *SRE without its own bit 6."""
+    session = Session(station, TABLE)
+    assert session.execute(f"*ESE {mask};*ESE?") == str(mask)
+    assert session.execute(f"*SRE {mask};*SRE?") == str(mask & ~64)
+    for name in ("OPER", "QUES"):
+        assert session.execute(f"STAT:{name}:ENAB {mask};ENAB?") == str(mask)
+    assert session.execute("STAT:PRES;:STAT:OPER:ENAB?;:STAT:QUES:ENAB?") == "0;0"
+    assert session.execute("*ESE 256;*ESE?") == str(mask)
