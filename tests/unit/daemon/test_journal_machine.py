@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
 from radiometer.daemon import journal as journal_module
+from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
+from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.timestamps import iso_time
 from radiometer.data import Flag, Quantity
 
@@ -24,7 +26,7 @@ HOUR_US = 3_600_000_000
 values = st.floats(0.1, 100.0).map(lambda value: round(value, 3))
 flags = st.sampled_from([(), (), (Flag.SATURATED,), (Flag.BELOW_NOISE, Flag.UNCALIBRATED)])
 streams = st.sampled_from(["", "", "lamp", "own"])
-hours = st.integers(0, 60)
+hours = st.sampled_from([0, 0, 1, 1, 2, 5, 30, 60])  # few, so that minutes are shared
 
 
 class JournalMachine(RuleBasedStateMachine):
@@ -88,13 +90,13 @@ class JournalMachine(RuleBasedStateMachine):
     def fail(self):
         """A transaction that cannot be committed leaves nothing behind."""
         reading = type(self).make_reading()
-        row = journal_module._row
-        journal_module._row = lambda reading: (1, 2)
+        statement = journal_module._ADD_TO_TREND
+        journal_module._ADD_TO_TREND = "INSERT INTO nowhere VALUES (:stream)"  # after the readings have gone in
         try:
             with pytest.raises(JournalError):
-                self.journal.append([reading])
+                self.journal.append([reading, reading])
         finally:
-            journal_module._row = row
+            journal_module._ADD_TO_TREND = statement
 
     @rule(name=st.sampled_from("ab"), line=st.sampled_from([None, "{}", '{"x": 1}']))
     def keep_patch(self, name, line):
@@ -145,6 +147,7 @@ class JournalMachine(RuleBasedStateMachine):
         assert sum(point.flagged for point in points) == sum(bool(entry[3]) for entry in own)
         assert sum(point.value * point.count for point in points) == pytest.approx(sum(entry[2] for entry in own))
         assert sum(point.u * point.count for point in points) == pytest.approx(sum(0.01 * entry[2] for entry in own))
+        assert JournalReader(self.path).trend("own", START_US, START_US + 100 * HOUR_US) == []
         for point in points:
             inside = [entry for entry in own if abs(entry[1] - point.time_us) <= HOUR_US / 2]
             assert (point.low, point.high) == (min(e[2] for e in inside), max(e[2] for e in inside))
@@ -185,6 +188,35 @@ def test_a_trend_point_stands_in_the_middle_of_its_time(tmp_path, make_reading):
     coarser = reader.trend("", base, base + 3 * HOUR_US, points=60)
     assert [(point.time_us - base) % 180_000_000 for point in coarser] == [90_000_000] * len(coarser)
     assert sum(point.count for point in coarser) == 4
+
+
+def test_an_undefined_radiance_is_not_drawn(tmp_path, make_reading):
+    """Neither of two hours nor of a day; the reading itself is kept."""
+    with Journal(tmp_path / "j.sqlite") as journal:
+        undefined = make_reading(time=iso_time(START_US), radiance=Quantity(float("nan"), float("nan"), "relative"))
+        unknown_u = make_reading(time=iso_time(START_US), radiance=Quantity(2.0, float("inf"), "relative"))
+        journal.append([undefined, unknown_u, make_reading(time=iso_time(START_US))])
+    reader = JournalReader(tmp_path / "j.sqlite")
+    for span in (HOUR_US, 100 * HOUR_US):
+        points = reader.trend("", START_US - HOUR_US // 2, START_US + span)
+        assert sorted((point.count, point.low, point.u) for point in points) == [(1, 1.0, 0.01), (1, 2.0, 0.0)]
+    assert reader.bounds() == (1, 3, 3)
+
+
+async def test_what_cannot_be_deleted_is_an_alarm(tmp_path, make_reading, monkeypatch):
+    """A journal that grows because nothing can be deleted must be told."""
+    alarms = Alarms(lambda *_: None)
+    journal = Journal(tmp_path / "j.sqlite")
+    writer = JournalWriter(journal, alarms, lambda *_: None, keep_days=1.0)
+    await writer.open()
+
+    def refused(before_us):
+        raise JournalError("read-only file system")
+
+    monkeypatch.setattr(journal, "drop_older", refused)
+    await writer._drop_old(1.0)
+    assert ["read-only" in alarm.message for alarm in alarms.active] == [True]
+    await writer.close()
 
 
 def test_deletion_in_chunks_deletes_all_that_is_old(tmp_path, make_reading, monkeypatch):

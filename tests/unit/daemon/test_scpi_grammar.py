@@ -174,6 +174,8 @@ def test_a_register_latches_what_rises(conditions: list[int], enable: int) -> No
         before = condition
         assert (register.condition, register.event, register.summary) == (condition, risen, bool(risen & enable))
     assert (register.take_event(), register.take_event(), register.condition) == (risen, 0, before)
+    register.update(before)  # what is still up does not rise again
+    assert register.event == 0
 
 
 @settings(max_examples=100)

@@ -1,0 +1,175 @@
+"""Digital numbers to signal and its noise: EMVA 1288's equations with numbers, inverses, and the dark level."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from radiometer.analysis.signal.dark import UNKNOWN_DARK_E_PER_S, dark_levels, dark_u
+from radiometer.analysis.signal.lens import lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.model import signal_model
+from radiometer.data import (
+    BlackLevel,
+    CameraDescription,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    ResponseCurve,
+    SensorNoise,
+)
+
+CAMERA = CameraDescription(bit_depth=12)
+NOISE = SensorNoise(conversion_gain_e_per_dn=2.0, read_noise_e=6.0, dark_current_e_per_s=50.0, full_well_e=7000.0)
+BLACK = 100.0
+LINEAR = signal_model(CAMERA, None, NOISE, BLACK, 0.001)
+quick = settings(max_examples=40, deadline=None)
+gains = st.floats(0.0, 24.0)
+
+
+def gamma_curve(gamma=2.2, valid=(120, 4000)):
+    """Return exposure ~ (M − black)^γ, in the middle 1."""
+    dn = np.maximum(np.arange(4096.0) - BLACK, 1e-3)
+    return ResponseCurve(gamma * np.log(dn / (2048 - BLACK)), np.full(4096, 0.01), valid_dn=valid)
+
+
+CURVED = signal_model(CAMERA, gamma_curve(), NOISE, BLACK)
+
+
+@quick
+@given(st.integers(0, 4095), gains, st.floats(50.0, 150.0))
+def test_a_number_is_light_less_its_black_level_over_its_gain(number, gain_db, black):
+    """x = (M − black)/G of a straight line; the frame's own black level counts."""
+    setting = FrameSettings(1e-3, gain_db, black_level_dn=black)
+    gain = 10 ** (gain_db / 20)
+    assert LINEAR.table(setting)[number] == pytest.approx((number - black) / gain)
+    assert LINEAR.table(FrameSettings(1e-3, gain_db))[number] == pytest.approx((number - BLACK) / gain)
+    assert LINEAR.black_of(setting) == black
+
+
+@quick
+@given(st.floats(200.0, 3900.0), gains, st.floats(80.0, 120.0), st.sampled_from([LINEAR, CURVED]))
+def test_number_and_signal_are_inverse(number, gain_db, black, model):
+    """dn_of undoes table, through a curve as through a line, whatever gain and black level."""
+    setting = FrameSettings(1e-3, gain_db, black_level_dn=black)
+    signal = model.at_dn(model.table(setting), number)
+    assert float(model.dn_of(signal, setting)) == pytest.approx(number, abs=0.02)
+
+
+@quick
+@given(st.floats(0.0, 3000.0), gains, st.floats(1e-4, 10.0), st.floats(0.0, 60.0))
+def test_the_variance_of_a_sample_is_emva_1288_s(signal, gain_db, exposure_s, celsius):
+    """σ² = (μ_e + σ_d² + μ_d)/K² + 1/(12·G²) DN² at 0 dB; the dark current doubles every 7 K from 25 °C."""
+    setting = FrameSettings(exposure_s, gain_db, temperature_c=celsius)
+    dark_e = 50.0 * 2 ** ((celsius - 25.0) / 7.0) * exposure_s
+    expected = (2.0 * signal + 36.0 + dark_e) / 4.0 + 1 / 12 / 10 ** (gain_db / 10)
+    assert float(LINEAR.variance(signal, setting)) == pytest.approx(expected, rel=1e-9)
+    assert float(LINEAR.variance(-signal, setting)) == pytest.approx(float(LINEAR.variance(0.0, setting)))
+    assert LINEAR.modelled_dark(setting) == pytest.approx(dark_e / 2.0)
+    in_dn = NOISE.variance_dn2(signal * 10 ** (gain_db / 20), gain_db, dark_e)
+    assert float(in_dn) == pytest.approx(expected * 10 ** (gain_db / 10), rel=1e-9)
+
+
+@quick
+@given(st.floats(500.0, 3500.0), gains)
+def test_rounding_behind_a_curve_is_the_curve_s_slope(number, gain_db):
+    """(dx/dM)²/12 at the number, over the gain squared; electrons per x so that the top holds K·(top − black)."""
+    setting = FrameSettings(1e-9, gain_db)
+    x = float(CURVED.at_dn(CURVED.table(setting), number))
+    exposure = ((number - BLACK) / (2048 - BLACK)) ** 2.2
+    gain = 10 ** (gain_db / 20)
+    assert x == pytest.approx(exposure / gain, rel=1e-4)
+    per_unit = 2.0 * (4000 - BLACK) / ((4000 - BLACK) / (2048 - BLACK)) ** 2.2
+    assert CURVED.electrons_per_unit == pytest.approx(per_unit, rel=1e-9)
+    slope = 2.2 * exposure / (number - BLACK) / gain
+    expected = (x * per_unit + 36.0) / per_unit**2 + slope**2 / 12
+    assert float(CURVED.variance(x, setting)) == pytest.approx(expected, rel=2e-3)
+
+
+def test_below_its_data_a_curve_is_a_line_to_black():
+    """Half as far above black is half the light; u is that of the lowest value with data; the gauge is kept."""
+    low = CURVED.signal[120]
+    assert CURVED.signal[110] == pytest.approx(low / 2)
+    assert CURVED.signal[100] == pytest.approx(0.0)
+    assert CURVED.signal[90] == pytest.approx(-low / 2)
+    assert CURVED.u_rel[50] == CURVED.u_rel[120] == 0.01
+    assert CURVED.valid_dn == (120, 4000)
+    assert LINEAR.u_rel[5] == 0.001
+
+
+@pytest.mark.parametrize("gain_db", [0.0, 6.0, 20.0])
+def test_where_a_frame_clips(gain_db):
+    """97 % of the full well above black, or the converter's end; behind a curve the last number with data and one."""
+    setting = FrameSettings(1e-3, gain_db)
+    assert LINEAR.saturation_dn(setting) == pytest.approx(min(4095.0, 100 + 0.97 * 3500 * 10 ** (gain_db / 20)))
+    assert CURVED.saturation_dn(setting) == 4001.0
+    assert CURVED.saturation_dn(setting, within_data=False) == 4095.0
+    unknown = SensorNoise(2.0, 6.0, full_well_e=7000.0, assumed=("full_well_e",))
+    assert signal_model(CAMERA, None, unknown, BLACK).saturation_dn(setting) == 4095.0
+
+
+def dark_frame(number, exposure_s, gain_db=0.0, size=10):
+    return Frame(np.full((size, size), number, np.uint16), 12, FrameSettings(exposure_s, gain_db, shutter="closed"))
+
+
+LIGHT = FrameSettings(0.1, 0.0, temperature_c=25.0)
+DOUBT = BlackLevel(dn=BLACK, u_dn=0.5, dark_u_rel=0.4)
+
+
+def test_without_dark_frames_the_model_stands_alone():
+    """Dark current 50 e⁻/s for 0.1 s are 2.5 DN, known to 40 %; the black level to half a number: all shared."""
+    (level,) = dark_levels([LIGHT], [], LINEAR, DOUBT)
+    assert (level.signal, level.source) == (pytest.approx(2.5), "black level")
+    assert (level.u_independent, level.u_common) == (0.0, pytest.approx(math.hypot(0.5, 0.4 * 2.5)))
+    assert dark_u(LIGHT, LINEAR, DOUBT) == pytest.approx(1.0)
+    unknown = signal_model(CAMERA, None, SensorNoise(2.0, 6.0, assumed=("dark_current_e_per_s",)), BLACK)
+    assert dark_u(LIGHT, unknown, DOUBT) == pytest.approx(UNKNOWN_DARK_E_PER_S * 0.1 / 2.0)
+
+
+def test_dark_frames_of_the_exposure_are_taken_as_they_are():
+    """Mean of the frames; noise of one sample over the root of all samples; nothing shared."""
+    frames = [dark_frame(110, 0.1), dark_frame(112, 0.1005)]
+    (level,) = dark_levels([LIGHT], frames, LINEAR, DOUBT)
+    assert (level.signal, level.u_common, level.source) == (pytest.approx(11.0), 0.0, "dark frames")
+    assert level.u_independent == pytest.approx(math.sqrt(float(LINEAR.variance(0.0, LIGHT)) / 200))
+    for other in (dark_frame(110, 0.098), dark_frame(110, 0.102)):
+        assert dark_levels([LIGHT], [other], LINEAR, DOUBT)[0].source == "dark frames of other exposures"
+    assert dark_levels([LIGHT], [dark_frame(110, 0.1, 6.0)], LINEAR, DOUBT)[0].source == "black level"
+
+
+def test_dark_frames_of_other_exposures_correct_the_black_level():
+    """Measured less modelled, on the modelled level of the frame; what the model doubts is the difference."""
+    frames = [dark_frame(110, 0.2), dark_frame(114, 0.4)]  # modelled 5 and 10 DN: offsets 5 and 4
+    (level,) = dark_levels([LIGHT], frames, LINEAR, DOUBT)
+    assert level.signal == pytest.approx(2.5 + 4.5)
+    noise = math.sqrt(sum(float(LINEAR.variance(0.0, one.settings)) / 100 for one in frames)) / 2
+    assert (level.u_independent, level.u_common) == (0.0, pytest.approx(math.hypot(noise, 0.4 * 5.0)))
+
+
+@quick
+@given(st.floats(0.7, 32.0), st.floats(0.01, 1.0), st.floats(0.0, 2.0), st.floats(0.3, 3.0))
+def test_irradiance_behind_a_lens(number, transmittance, magnification, pupils):
+    """E/L = π·τ/(4·N²·(1 + m/p)²)."""
+    lens = LensDescription(
+        f_number=5.0, transmittance=transmittance, magnification=magnification, pupil_magnification=pupils
+    )
+    expected = math.pi * transmittance / (4 * number**2 * (1 + magnification / pupils) ** 2)
+    assert lens_factor_sr(lens, number) == pytest.approx(expected)
+    assert lens_factor_sr(lens, None) == pytest.approx(expected * number**2 / 25)
+    assert lens_factor_sr(LensDescription(), None) == 1.0
+
+
+@quick
+@given(st.integers(0, 639), st.integers(0, 479))
+def test_natural_fall_off_is_the_fourth_power_of_the_cosine(x, y):
+    """tan α = pitch·distance/focal length, from the middle of the picture."""
+    camera = CameraDescription(bit_depth=12, pixel_pitch_um=10.0)
+    lens = LensDescription(focal_length_mm=8.0)
+    away_mm = 0.010 * math.hypot(x - 319.5, y - 239.5)
+    found = float(relative_sensitivity(camera, lens, None, (480, 640), x, y))
+    assert found == pytest.approx(math.cos(math.atan(away_mm / 8.0)) ** 4, rel=1e-9)
+    shifted = LensDescription(focal_length_mm=8.0, principal_point_px=(float(x), float(y)))
+    assert float(relative_sensitivity(camera, shifted, None, (480, 640), x, y)) == 1.0
