@@ -1,0 +1,167 @@
+"""Observers, efficacies and meters by the standards' own numbers, and units there and back."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from radiometer.analysis.calibration import absolute
+from radiometer.analysis.calibration.absolute import MeterSettings, scale_from_meter, scale_from_radiance
+from radiometer.analysis.signal import photometry
+from radiometer.analysis.signal.spectra import Spectrum, spectrum
+from radiometer.errors import InputError
+from tests.unit.golden import cie
+
+NAMES = ["equal_energy", "planck:2856", "cie_d65", "white_led", "display_red", "line:600", "line:450"]
+positive = st.floats(1e-3, 1e3)
+
+
+@pytest.mark.parametrize("nm", cie.OBSERVERS)
+def test_the_observers_are_the_published_tables(nm):
+    """V and V′ at each wavelength; a line of that wavelength has K·V and K′·V′."""
+    v, v_dark = cie.OBSERVERS[nm]
+    line = spectrum(f"line:{nm}")
+    wavelength, photopic = photometry.luminous_efficiency("photopic")
+    _, scotopic = photometry.luminous_efficiency("scotopic")
+    assert np.interp(nm, wavelength, photopic) == pytest.approx(v, rel=2e-3, abs=1e-7)
+    assert np.interp(nm, wavelength, scotopic) == pytest.approx(v_dark, rel=5e-3, abs=2e-8)
+    assert photometry.luminous_efficacy_lm_per_w(line) == pytest.approx(683.0 * v, rel=2e-3, abs=1e-4)
+    found = photometry.luminous_efficacy_lm_per_w(line, "scotopic")
+    assert found == pytest.approx(1700.0 * v_dark, rel=5e-3, abs=1e-4)
+
+
+@given(st.sampled_from(NAMES), st.sampled_from(["photopic", "scotopic"]), positive)
+def test_units_there_and_back(name, observer, radiance):
+    """W·sr⁻¹·m⁻² to cd·m⁻² and back; by a sum over wavelengths too."""
+    source = spectrum(name)
+    luminance = photometry.luminance_cd_m2(radiance, source, observer)
+    assert photometry.radiance_w_sr_m2(luminance, source, observer) == pytest.approx(radiance)
+    if source.wavelength_nm.size > 2:
+        grid = np.arange(380.0, 780.5, 0.5)
+        power = np.interp(grid, source.wavelength_nm, source.power)
+        efficiency = np.interp(grid, *photometry.luminous_efficiency(observer))
+        constant = {"photopic": cie.KM_LM_PER_W, "scotopic": cie.KM_SCOTOPIC_LM_PER_W}[observer]
+        expected = constant * (power * efficiency).sum() / power.sum()
+        assert luminance / radiance == pytest.approx(expected, rel=3e-3)
+
+
+@given(st.floats(2.0, 8.0), positive)
+def test_trolands_are_luminance_times_pupil_in_square_millimetres(diameter, luminance):
+    """π·d²/4."""
+    assert photometry.retinal_illuminance_td(luminance, diameter) == pytest.approx(
+        luminance * math.pi * diameter**2 / 4
+    )
+
+
+@pytest.mark.parametrize(("pupil", "taken"), [(0.99, False), (1.0, True), (10.0, True), (10.1, False)])
+def test_pupils_of_eyes(pupil, taken):
+    """1 to 10 mm."""
+    if taken:
+        assert photometry.retinal_illuminance_td(1.0, pupil) > 0.0
+    else:
+        with pytest.raises(InputError, match="1 to 10 mm"):
+            photometry.retinal_illuminance_td(1.0, pupil)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.floats(0.1, 1.0), min_size=4, max_size=4), st.floats(0.1, 1.0), st.floats(0.1, 1.0))
+def test_the_mismatch_factor_takes_a_reading_to_the_truth(power, blue, red):
+    """A camera of any response, calibrated under D65, reads another light right after the factor."""
+    wavelength = np.array([400.0, 500.0, 600.0, 700.0])
+    response = [0.0, blue, red, 0.0]
+    source, reference = Spectrum("x", wavelength, np.array(power)), spectrum("cie_d65")
+    grid = np.arange(380.0, 780.1, 0.25)
+    seen = np.interp(grid, wavelength, response, left=0.0, right=0.0)
+
+    def read(light, weight):
+        inside = (grid >= light.band_nm[0]) & (grid <= light.band_nm[1])
+        return float((np.interp(grid, light.wavelength_nm, light.power) * weight)[inside].sum())
+
+    for observer in (None, "photopic", "scotopic"):
+        eye = np.ones_like(grid) if observer is None else np.interp(grid, *photometry.luminous_efficiency(observer))
+        expected = read(source, eye) / read(source, seen) * read(reference, seen) / read(reference, eye)
+        found = photometry.spectral_mismatch_factor(source, reference, wavelength, np.array(response), observer)
+        assert found == pytest.approx(expected, rel=6e-3)
+
+
+@given(positive, st.floats(1e-4, 10.0), st.floats(1.0, 32.0), st.floats(25.0, 6400.0))
+def test_a_meter_s_constant_and_luminance_are_inverse(luminance, exposure_s, f_number, iso):
+    """K = L·t·S/N², and each power of it: twice the time, the speed or the aperture's area is half the luminance."""
+    setting = MeterSettings(exposure_s, f_number, iso)
+    constant = absolute.meter_constant(luminance, setting)
+    assert absolute.metered_luminance_cd_m2(constant, setting) == pytest.approx(luminance)
+    for other, factor in (
+        (MeterSettings(2 * exposure_s, f_number, iso), 0.5),
+        (MeterSettings(exposure_s, f_number, 2 * iso), 0.5),
+        (MeterSettings(exposure_s, 2 * f_number, iso), 4.0),
+    ):
+        assert absolute.metered_luminance_cd_m2(constant, other) == pytest.approx(factor * luminance)
+
+
+def test_what_iso_2720_leaves_open():
+    """A rectangle from 10.6 to 13.4 about 12: 6.74 %; with the meter's sixth of a stop 9.5 %."""
+    low, high = cie.ISO_2720_K
+    assert pytest.approx((high - low) / (high + low) / math.sqrt(3)) == absolute.K_UNKNOWN_U_REL
+    assert absolute.metered_u_rel(None) == pytest.approx(math.hypot(math.log(2) / 6 / math.sqrt(3), 0.06736), rel=1e-3)
+    assert absolute.metered_u_rel(0.03) == pytest.approx(math.hypot(math.log(2) / 6 / math.sqrt(3), 0.03))
+
+
+@given(positive, st.floats(0.001, 0.2), st.floats(0.0, 0.1), positive)
+def test_a_scale_by_a_meter(meter_k, u_of_k, u_signal, signal):
+    """H = L·(lens factor)·t over the signal, L = N²K/(tS)/efficacy; u of meter, K and curve in squares, and named."""
+    setting = MeterSettings(1 / 60, 5.6, 100.0)
+    green = spectrum("line:555")
+    found = scale_from_meter(meter_k, setting, signal, green, 0.02, k_u_rel=u_of_k, signal_u_rel=u_signal)
+    luminance = 5.6**2 * meter_k * 60 / 100
+    assert found.value == pytest.approx(luminance / 683.0 * 0.02 / 60 / signal, rel=1e-6)
+    parts = (math.log(2) / 6 / math.sqrt(3), u_of_k, u_signal)
+    assert found.u_rel == pytest.approx(math.sqrt(sum(u**2 for u in parts)))
+    assert sorted(found.budget.values()) == pytest.approx(sorted(parts))
+    assert (found.quantity, found.f_number, found.method) == ("luminance", 5.6, "light_meter_k")
+    unknown = scale_from_meter(meter_k, setting, signal, green, 0.02)
+    assert unknown.budget["constant K"] == pytest.approx(0.06736, rel=1e-3)
+
+
+@given(positive, st.floats(0.0, 0.1), positive, st.floats(0.0, 0.1))
+def test_a_scale_by_a_known_source(radiance, u_source, rate, u_rate):
+    """Radiance over reading; u of both in squares, each named."""
+    found = scale_from_radiance(radiance, u_source, rate, u_rate, 4.0)
+    assert found.value == pytest.approx(radiance / rate)
+    assert found.u_rel == pytest.approx(math.hypot(u_source, u_rate))
+    assert found.budget == {"reference source": u_source, "reading": u_rate}
+    lines = {"noise": 0.3, "dark": 0.4}
+    assert scale_from_radiance(radiance, 0.1, rate, 0.5, None, reading_budget=lines).budget == {
+        "reference source": 0.1, **lines,
+    }  # fmt: skip
+    for wrong in ((-1.0, rate), (radiance, 0.0), (math.nan, rate), (radiance, math.inf)):
+        with pytest.raises(InputError, match="above 0"):
+            scale_from_radiance(wrong[0], 0.1, wrong[1], 0.1, 4.0)
+
+
+@pytest.mark.parametrize("wrong", range(5))
+def test_a_meter_s_figures_must_be_above_nought(wrong):
+    """K, time, f-number, speed and signal."""
+    figures = [16.5, 1 / 60, 5.6, 100.0, 10.0]
+    figures[wrong] = 0.0
+    with pytest.raises(InputError, match="above 0"):
+        scale_from_meter(
+            figures[0], MeterSettings(*figures[1:4]), figures[4], spectrum("line:555"), 0.02
+        )  # fmt: skip
+
+
+@given(positive, st.floats(0.0, 1.2), st.floats(1e-3, 1.0), st.floats(1e-3, 0.1))
+def test_irradiance_and_radiance_are_inverse(radiance, angle, exposure_s, diameter):
+    """E = L·π/4·(d/f)²·cos⁴α, and back from H = E·t."""
+    focal = 0.05
+    irradiance = absolute.sensor_irradiance_w_m2(radiance, diameter, focal, angle)
+    assert irradiance == pytest.approx(radiance * math.pi / 4 * (diameter / focal) ** 2 * math.cos(angle) ** 4)
+    back = absolute.radiance_of_exposure_w_sr_m2(irradiance * exposure_s, exposure_s, diameter, focal, angle)
+    assert back == pytest.approx(radiance)
+    setting = MeterSettings(exposure_s, focal / diameter, 100.0)
+    exposure = absolute.reference_exposure_j_m2(radiance, setting)
+    assert exposure == pytest.approx(radiance * math.pi / 4 * (diameter / focal) ** 2 * exposure_s)
+    assert absolute.reference_exposure_j_m2(radiance, setting, 0.5) == pytest.approx(radiance * 0.5 * exposure_s)
