@@ -71,9 +71,9 @@ def test_pupils_of_eyes(pupil, taken):
 @given(st.lists(st.floats(0.1, 1.0), min_size=4, max_size=4), st.floats(0.1, 1.0), st.floats(0.1, 1.0))
 def test_the_mismatch_factor_takes_a_reading_to_the_truth(power, blue, red):
     """A camera of any response, calibrated under D65, reads another light right after the factor."""
-    wavelength = np.array([400.0, 500.0, 600.0, 700.0])
-    response = [0.0, blue, red, 0.0]
-    source, reference = Spectrum("x", wavelength, np.array(power)), spectrum("cie_d65")
+    nodes, wavelength = (400.0, 500.0, 600.0, 700.0), np.arange(400.0, 701.0, 2.0)
+    response = np.interp(wavelength, nodes, [0.0, blue, red, 0.0])
+    source, reference = Spectrum("x", wavelength, np.interp(wavelength, nodes, power)), spectrum("cie_d65")
     grid = np.arange(380.0, 780.1, 0.25)
     seen = np.interp(grid, wavelength, response, left=0.0, right=0.0)
 
@@ -84,7 +84,7 @@ def test_the_mismatch_factor_takes_a_reading_to_the_truth(power, blue, red):
     for observer in (None, "photopic", "scotopic"):
         eye = np.ones_like(grid) if observer is None else np.interp(grid, *photometry.luminous_efficiency(observer))
         expected = read(source, eye) / read(source, seen) * read(reference, seen) / read(reference, eye)
-        found = photometry.spectral_mismatch_factor(source, reference, wavelength, np.array(response), observer)
+        found = photometry.spectral_mismatch_factor(source, reference, wavelength, response, observer)
         assert found == pytest.approx(expected, rel=6e-3)
 
 

@@ -1,0 +1,111 @@
+"""The linearised fit against the whole system at once, whatever its columns; what scores and covariances come to."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from radiometer.reconcile.fit.linear import LinearFit, RowBlock, cholesky
+
+seeds = st.integers(0, 10**6)
+quick = settings(max_examples=30, deadline=None)
+
+
+def fit_of(seed, rows=40, known=5, effects=2):
+    """Return a fit without followers, and its whole Jacobian; half of the nuisances' rows are nought."""
+    rng = np.random.default_rng(seed)
+    nuisances = rng.standard_normal((rows, known))
+    nuisances[rng.permutation(rows)[: rows // 2]] = 0.0
+    columns, residual = rng.standard_normal((rows, effects)), rng.standard_normal(rows)
+    followers = RowBlock.of(np.zeros((rows, known)))
+    fit = LinearFit.of(residual, RowBlock.of(nuisances), columns, followers)
+    return fit, np.hstack([nuisances, columns]), residual, rng
+
+
+@quick
+@given(seeds)
+def test_step_and_covariance_are_those_of_least_squares(seed):
+    """(JᵀJ)⁻¹Jᵀr, its covariance (JᵀJ)⁻¹, and the residual that stays."""
+    fit, jacobian, residual, _ = fit_of(seed)
+    step = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+    assert fit.step == pytest.approx(step, rel=1e-6, abs=1e-8)
+    assert fit.covariance == pytest.approx(np.linalg.inv(jacobian.T @ jacobian), rel=1e-5, abs=1e-8)
+    assert fit.projected == pytest.approx(residual - jacobian @ step, abs=1e-7)
+    assert fit.normal == pytest.approx(jacobian.T @ jacobian)
+    assert jacobian.T @ fit.projected == pytest.approx(np.zeros(7), abs=1e-6)
+    vectors = np.random.default_rng(seed + 1).standard_normal((40, 3))
+    assert fit.pull(vectors) == pytest.approx(jacobian.T @ vectors)
+    assert fit.pull(vectors[10:25], 10) == pytest.approx(jacobian[10:25].T @ vectors[10:25])
+
+
+@quick
+@given(seeds, st.integers(0, 20), st.integers(1, 4))
+def test_a_score_is_what_more_columns_would_explain(seed, start, terms):
+    """χ² of further columns beside the parameters is the fall of the sum of squares when they are fitted too."""
+    fit, jacobian, residual, rng = fit_of(seed)
+    rows = slice(start, start + 15)
+    basis = rng.standard_normal((15, terms))
+    chi2, rank = fit.score(rows, basis)
+    wide = np.zeros((40, terms))
+    wide[rows] = basis
+
+    def left(columns):
+        return float(np.sum((residual - columns @ np.linalg.lstsq(columns, residual, rcond=None)[0]) ** 2))
+
+    assert rank == terms
+    assert chi2 == pytest.approx(left(jacobian) - left(np.hstack([jacobian, wide])), rel=1e-4, abs=1e-6)
+    half = fit.half(fit.pull(basis, start))
+    assert fit.score(rows, basis, half) == (pytest.approx(chi2, rel=1e-9), rank)
+    assert fit.score(rows, 7.0 * basis)[0] == pytest.approx(chi2, rel=1e-6)
+    assert fit.score(rows, np.zeros((15, terms))) == (0.0, 0)
+
+
+def test_what_the_parameters_explain_already_scores_nothing():
+    """A column of the fit itself leaves nothing to be tested; beside one of its own, that alone counts."""
+    fit, jacobian, _, rng = fit_of(3)
+    assert fit.score(slice(0, 40), jacobian[:, -1:])[1] == 0
+    own = rng.standard_normal((40, 1))
+    chi2, rank = fit.score(slice(0, 40), np.hstack([own, jacobian[:, -1:]]))
+    assert (chi2, rank) == (pytest.approx(fit.score(slice(0, 40), own)[0], rel=1e-3), 1)
+
+
+@quick
+@given(seeds)
+def test_more_effects_stand_beside_those_before(seed):
+    """Extended by columns, and by another residual, it is the fit of all of them."""
+    fit, jacobian, _, rng = fit_of(seed)
+    more, other = rng.standard_normal((40, 2)), rng.standard_normal(40)
+    wider = fit.extended(more, other)
+    step = np.linalg.lstsq(np.hstack([jacobian, more]), other, rcond=None)[0]
+    assert wider.step == pytest.approx(step, rel=1e-6, abs=1e-8)
+    assert fit.extended(more).residual is fit.residual
+
+
+@quick
+@given(seeds, st.integers(1, 6))
+def test_a_block_keeps_the_rows_that_hold_something(seed, below):
+    """Columns side by side, missing rows nought, priors below: the matrix itself, with nought where nothing stood."""
+    rng = np.random.default_rng(seed)
+    one, two = rng.standard_normal((12, 2)), rng.standard_normal((20, 3))
+    one[3:7], two[3:9] = 0.0, 0.0
+    priors = rng.standard_normal((below, 5))
+    block = RowBlock.of(one, two, below=priors, first=30)
+    whole = np.zeros((30 + below, 5))
+    whole[:12, :2], whole[:20, 2:], whole[30:] = one, two, priors
+    rebuilt = np.zeros_like(whole)
+    rebuilt[block.rows] = block.values
+    assert np.array_equal(rebuilt, whole)
+    assert np.all(np.diff(block.rows) > 0)
+    assert block.columns == 5
+    assert block.normal == pytest.approx(whole.T @ whole)
+    assert block.factor @ block.factor.T == pytest.approx(whole.T @ whole, rel=1e-6)
+
+
+def test_a_ridge_keeps_the_factor_of_a_singular_matrix():
+    """Two equal columns have a factor still, right to the ridge."""
+    normal = np.array([[4.0, 4.0], [4.0, 4.0]])
+    factor = cholesky(normal)
+    assert factor @ factor.T == pytest.approx(normal, rel=1e-9)
+    assert factor[0, 1] == 0.0

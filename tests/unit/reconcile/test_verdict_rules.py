@@ -1,0 +1,153 @@
+"""The verdict word by word, each rule on both sides of its threshold; and how far statistics scatter, by formula."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.reconcile import verdict
+from radiometer.reconcile.report.result import FittedParameter, Verdict
+from radiometer.reconcile.search.search import Step
+from radiometer.reconcile.statistics import Scatter
+from radiometer.reconcile.verdict import faint, faint_beside_others, faint_names, is_scattered, verdict_of
+from simulators.effects.conversion_gain_error import ConversionGainError
+from simulators.effects.crosstalk import Crosstalk
+from simulators.effects.psf_blur import PsfBlur
+
+BLUR, GAIN = PsfBlur(0.3), ConversionGainError(0.01)
+
+
+def state(effects: Any = (), gap: float = 1.0, settings: int = 10, each: float = 1000.0) -> Any:
+    """Return a stand-in for a fitted state: so many held-out settings of so many entries, and their gap."""
+    return SimpleNamespace(
+        effects=tuple(effects),
+        gap=gap,
+        design=SimpleNamespace(setting_id=np.arange(settings)),
+        held_out=SimpleNamespace(count=np.append(np.full(settings, each), 1e9)),
+    )
+
+
+def outcome(effects: Any = (), steps: Any = (), left: Any = (), **more: Any) -> Any:
+    return SimpleNamespace(state=state(effects, **more), steps=tuple(steps), left=tuple(left))
+
+
+def step(name: str, nats: float, *rivals: Any) -> Step:
+    return Step(name, "signal", nats, 1.01, 1.0, rivals)
+
+
+@pytest.mark.parametrize(
+    ("effects", "left", "steps", "gap", "doubts", "again", "word"),
+    [
+        ((), (), (), 1.0, [], None, Verdict.AGREES),
+        ((), (), (), 1.0, ["a doubt about no name"], None, Verdict.AGREES),
+        ((), (1,), (), 1.0, [], None, Verdict.UNNAMED),
+        ((), (), ("unnamed",), 1.0, [], None, Verdict.UNNAMED),
+        ((), (), (), 1.2, [], None, Verdict.UNNAMED),
+        ((), (), (), 1.0, [], 7, Verdict.UNNAMED),
+        ((BLUR,), (), ("psf_blur",), 1.0, [], None, Verdict.EFFECTS_FOUND),
+        ((BLUR,), (), ("psf_blur",), 1.0, ["it may be another"], None, Verdict.INCOMPLETE),
+        ((BLUR,), (1,), ("psf_blur",), 1.0, [], None, Verdict.INCOMPLETE),
+        ((BLUR,), (), ("psf_blur", "unnamed"), 1.0, [], None, Verdict.INCOMPLETE),
+        ((BLUR,), (), ("psf_blur",), 1.2, [], None, Verdict.INCOMPLETE),
+        ((BLUR,), (), ("psf_blur",), 1.0, [], 7, Verdict.INCOMPLETE),
+    ],
+)
+def test_the_verdict(effects, left, steps, gap, doubts, again, word):
+    """Names or none; structure, scatter or a period left or not; doubts of names."""
+    found = outcome(effects, [step(name, 100.0) for name in steps], left, gap=gap)
+    assert verdict_of(found, doubts, again) is word
+
+
+@pytest.mark.parametrize(
+    ("gap", "settings", "each", "scattered"),
+    [(1.049, 10, 1000.0, False), (1.08, 10, 1000.0, True), (1.06, 10, 1000.0, False), (1.051, 100, 1000.0, True),
+     (1.3, 10, 40.0, False), (1.4, 10, 40.0, True)],
+)  # fmt: skip
+def test_scatter_is_five_sigma_and_a_twentieth(gap, settings, each, scattered):
+    """χ² of n entries scatters by √(2/n); held-out entries beyond the settings do not count."""
+    expected = gap > max(1.05, 1.0 + 5.0 * math.sqrt(2.0 / (settings * each)))
+    assert is_scattered(state(gap=gap, settings=settings, each=each)) is scattered is expected
+
+
+def test_faint_names_beside_what_stays():
+    """Below 40 nats, or below the strongest, only where structure stays; those without a place in the model never."""
+    steps = [step("psf_blur", 500.0), step("conversion_gain_error", 39.0), step("crosstalk", 5.0)]
+    effects = (BLUR, GAIN)
+    assert faint_names(outcome(effects, steps)) == []
+    assert faint_names(outcome(effects, steps, left=(1,))) == ["conversion_gain_error"]
+    assert faint_names(outcome(effects, [steps[0], replace(steps[1], gain_nats=41.0)], left=(1,))) == []
+    assert faint_names(outcome(effects, [replace(s, gain_nats=20.0) for s in steps], left=(1,))) == []
+    (said,) = faint(outcome(effects, steps, left=(1,)))
+    assert said.startswith("conversion_gain_error is counted to what is left: it brings 39 nats")
+    assert faint_beside_others(steps, effects) == ["conversion_gain_error"]
+    assert faint_beside_others([step("psf_blur", 39.0)], (BLUR,)) == []
+    assert faint_beside_others([step("psf_blur", 39.0, Crosstalk(0.01))], (BLUR,)) == ["psf_blur"]
+    assert faint_beside_others([step("psf_blur", 41.0, Crosstalk(0.01))], (BLUR,)) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "lacking"),
+    [(2.9, 1.0, True), (3.1, 1.0, False), (-3.1, 1.0, False), (-2.9, 1.0, True), (0.1, None, False)],
+)
+def test_an_essential_parameter_is_three_uncertainties_from_nothing(value, u, lacking):
+    """On either side of zero; one that was not fitted says nothing."""
+    effect: Any = SimpleNamespace(name="entry", essential=("strength",))
+    fitted = {"entry": {"strength": FittedParameter(value, u, "1"), "other": FittedParameter(0.0, 1.0, "1")}}
+    assert (verdict.without_essential((effect,), fitted) == ["entry"]) is lacking
+
+
+def test_the_share_that_a_basis_explains():
+    """1 for the basis itself, about 0 for noise: each term costs one value."""
+    x = np.linspace(-1.0, 1.0, 400)
+    noise = np.random.default_rng(1).standard_normal(400)
+    assert verdict._explained(2.0 + 3.0 * x, x[:, None]) == pytest.approx(1.0)
+    assert verdict._explained(noise, np.vander(x, 21)[:, :20]) == pytest.approx(0.0, abs=0.08)
+    mixed = verdict._explained(x * math.sqrt(3.0) + noise, x[:, None])
+    assert mixed == pytest.approx(0.5, abs=0.07)
+
+
+def scatter(**changes: Any) -> Scatter:
+    """Return the scatter of two captures of one tile: 8 and 2 frames of 100 pixels, variances 25 and 36 DN²."""
+    base = {
+        "gain": np.array([0.5, 0.5]), "signal": np.full((2, 1), 40.0), "variance": np.full((2, 1), 30.0),
+        "neighbour_x": np.zeros((2, 1)), "neighbour_y": np.zeros((2, 1)), "row_variance": np.zeros(2),
+        "rounding": np.zeros((2, 1)),
+    }  # fmt: skip
+    seen = {
+        "variance": np.array([[25.0], [36.0]]), "pixels": np.full((2, 1), 100.0),
+        "variance_dof": np.array([[700.0], [100.0]]),
+    }  # fmt: skip
+    tile = SimpleNamespace(width=10, height=20)
+    design = SimpleNamespace(frame_count=np.array([8, 2]), uniform=True, tiles=[tile])
+    return Scatter(design, SimpleNamespace(**seen), SimpleNamespace(**base | changes), np.array([[True], [False]]))  # type: ignore[arg-type]
+
+
+def test_how_far_a_mean_scatters():
+    """√(σ²/(pixels·frames)) of the noise as seen, or as predicted where it is not known; neighbours that share move it
+    more; a tenth of what rounding may do is added."""
+    plain = np.sqrt(np.array([[25.0 / 800], [30.0 / 200]]))
+    assert scatter().mean == pytest.approx(plain)
+    shared = scatter(neighbour_x=np.full((2, 1), 0.1), neighbour_y=np.full((2, 1), 0.05), row_variance=np.full(2, 3.0))
+    # Rows that move together are taken apart: of 0.1, 3/30 is theirs.
+    assert shared.mean == pytest.approx(plain * math.sqrt(1.0 + 2.0 * 0.05))
+    assert scatter(neighbour_x=np.full((2, 1), -0.9)).mean == pytest.approx(plain * math.sqrt(0.5))
+    assert scatter(rounding=np.full((2, 1), 0.5)).mean == pytest.approx(np.hypot(plain, 0.05))
+    assert scatter().first == pytest.approx(np.sqrt(np.array([[25.0 / 100 * 8 / 7], [30.0 / 100 * 2.0]])))
+
+
+def test_how_far_a_variance_scatters():
+    """ln of a variance of ν degrees of freedom: trigamma(ν/2); photons add K⁴·N/(σ⁴·pixels·frames)."""
+    from scipy.special import polygamma
+
+    own = polygamma(1, np.array([[350.0], [50.0]]))
+    photons = 0.5**4 * 40.0 / 30.0**2
+    expected = np.sqrt(own + photons / np.array([[800.0], [200.0]]))
+    assert scatter().variance == pytest.approx(expected, rel=1e-3)
+    pairs = np.array([[700.0], [100.0]]) * 100.0 / 99.0
+    assert scatter().neighbours("width") == pytest.approx(np.sqrt(1.0 / (0.9 * pairs)))
+    assert scatter().neighbours("height") == pytest.approx(np.sqrt(1.0 / (0.95 * pairs)))
