@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from radiometer.reconcile.report.result import FittedParameter, Verdict
 
 from radiometer.reconcile import verdict
-from radiometer.reconcile.report.result import FittedParameter, Verdict
 from radiometer.reconcile.search.search import Step
 from radiometer.reconcile.statistics import Scatter
 from radiometer.reconcile.verdict import faint, faint_beside_others, faint_names, is_scattered, verdict_of
