@@ -248,7 +248,14 @@ def _bleach_used(opened: OpenedBox, lights: BoxLights) -> HazardFractions:
     """Return what the bleach uses up of the exposure limits. Raises as the box's `foresee`."""
     bleach = lights.protocol.bleach
     if lights.by_flash:
-        return opened.box.foresee_flashes(lights.flashes(opened.box.flash_exposure_j_sr_m2))
+        count, left = lights.flashes(opened.box.flash_exposure_j_sr_m2), opened.box.flash_state().left
+        if count > left:
+            raise MeasurementError(
+                f"protocol {lights.protocol.name}: its bleach takes {count} flashes, the box fires {left} in a row: "
+                "lower bleach.retinal_td_s, set the flash to more power (and state it in the preset), or wait for ten "
+                "minutes"
+            )
+        return opened.box.foresee_flashes(count)
     return opened.box.foresee(bleach.channel, lights.bleach, bleach.duration_s)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from radiometer.screen.transfer_models import MODELS, TransferFit, fit_transfer
 FORMAT = "radiometer-screen/1"
 RADIANCE, LUMINANCE, SCOTOPIC = "W sr-1 m-2", "cd m-2", "scotopic cd m-2"
 Array = NDArray[np.float64]
+MEDIAN_TO_SIGMA: Final = 1.4826  # of the sizes of normal deviates
 
 
 @dataclass(frozen=True)
@@ -75,11 +76,18 @@ class ChannelCurve:
         """Return the standard deviation of what interpolation misses within each gap between levels, shape (n − 1,).
 
         The largest by which any of the four nearest levels is missed when it is left out. Panels step from level to
-        level, so that a smaller gap misses no less, and where a curve has a kink one level tells of it, not all.
+        level, so that a smaller gap misses no less, and where a curve has a kink one level tells of it, not all. Steps
+        that come back every few levels may spare all four by chance (a DELL 2001FP's every fifth step is a third too
+        small): so it is no less than what the sixteen nearest levels are typically missed by, as a share of the rise.
         """
-        errors = np.abs(_left_out_errors(np.array(self.levels) / self.top_level, self.table.values))
+        values = self.table.values
+        errors = np.abs(_left_out_errors(np.array(self.levels) / self.top_level, values))
         padded = np.concatenate([errors[:1], errors, errors[-1:]])
-        return np.asarray(np.max([padded[:-3], padded[1:-2], padded[2:-1], padded[3:]], axis=0))
+        nearest = np.max([padded[:-3], padded[1:-2], padded[2:-1], padded[3:]], axis=0)
+        shares = errors / np.maximum(np.gradient(values), 1e-12 * max(float(values[-1]), 1e-300))
+        around = [shares[max(0, gap - 7) : gap + 9] for gap in range(values.size - 1)]
+        typical = MEDIAN_TO_SIGMA * np.array([float(np.median(near)) for near in around])
+        return np.asarray(np.maximum(nearest, typical * np.diff(values)))
 
     def radiance_at(self, level: float) -> Quantity:
         """Return the radiance at a level (integer or between), with the total standard uncertainty.
@@ -100,8 +108,19 @@ class ChannelCurve:
         into = (level - self.levels[gap]) / (self.levels[gap + 1] - self.levels[gap])
         # Nothing is missed at a measured level; next to it the steps of the panel are, in the middle the curve as well.
         between = float(self._missed[gap]) * (0.6 + 1.6 * into * (1.0 - into)) if 0.0 < into < 1.0 else 0.0
+        if gap == 0 and 0.0 < into < 1.0:
+            between = max(between, self._unknown_above_black(level, into))
         lost = self.detection_limit / 2 if self.radiance_is_lost(level) else 0.0
         return max(math.hypot(independent, between), lost)
+
+    def _unknown_above_black(self, level: float, into: float) -> float:
+        """Return the standard uncertainty of the curve between black and the next level in W·sr⁻¹·m⁻².
+
+        No level there can be left out. Between the power law and the straight line all values count alike.
+        """
+        black, next_one = (float(value) for value in self.table.values[:2])
+        line = black + (next_one - black) * into
+        return abs(line - float(self.table.at(level / self.top_level))) / math.sqrt(3.0)
 
     def radiance_is_lost(self, level: float) -> bool:
         """Tell whether the radiance at a level is below what could be detected."""

@@ -140,7 +140,9 @@ def test_fixation_losses_are_found_as_they_were_planted(tmp_path: Path, subject:
     wanted = protocol(12.0, bleach_s=10.0)
     check = wanted.fixation_check
     assert check is not None
-    wanted = wanted.model_copy(update={"fixation_check": check.model_copy(update={"share": 0.3, "from_min": 1.0})})
+    often = check.model_copy(update={"share": 0.3, "from_min": 1.0})
+    watch = wanted.watch.model_copy(update={"lapse_share": 0.15})  # enough of them to know the lapses by
+    wanted = wanted.model_copy(update={"fixation_check": often, "watch": watch})
     outcome, journal = run(tmp_path / "j", wanted, subject)
     found = outcome.reliability.rates["fixation_losses"]
     assert found.low <= planted <= found.high
@@ -181,6 +183,6 @@ def test_flashes_beyond_the_box_are_refused_before_the_first(tmp_path: Path) -> 
         open_box_stage(wanted, BoxRequest("sim")) as (stage, checks),
         Journal(tmp_path / "j", relive=True) as journal,
     ):
-        with pytest.raises(RadiometerError, match="flash"):
+        with pytest.raises(RadiometerError, match="takes 13 flashes, the box fires 8 in a row"):
             run_test(wanted, stage, journal, subject="A1", checks=checks)
         assert not stage.box.link.line.twin.flash.fired_ms  # type: ignore[attr-defined]
