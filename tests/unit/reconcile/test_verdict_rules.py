@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from radiometer.reconcile.report.result import FittedParameter, Verdict
 
 from radiometer.reconcile import verdict
-from radiometer.reconcile.search.search import Step
+from radiometer.reconcile.fit.covariance import is_misfit
+from radiometer.reconcile.result import FittedParameter, Verdict
+from radiometer.reconcile.search.outcome import Step
 from radiometer.reconcile.statistics import Scatter
-from radiometer.reconcile.verdict import faint, faint_beside_others, faint_names, is_scattered, verdict_of
+from radiometer.reconcile.verdict import faint, faint_beside_others, faint_names, verdict_of
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
 from simulators.effects.psf_blur import PsfBlur
@@ -27,7 +28,7 @@ def state(effects: Any = (), gap: float = 1.0, settings: int = 10, each: float =
     return SimpleNamespace(
         effects=tuple(effects),
         gap=gap,
-        design=SimpleNamespace(setting_id=np.arange(settings)),
+        settings=settings,
         held_out=SimpleNamespace(count=np.append(np.full(settings, each), 1e9)),
     )
 
@@ -71,7 +72,7 @@ def test_the_verdict(effects, left, steps, gap, doubts, again, word):
 def test_scatter_is_five_sigma_and_a_twentieth(gap, settings, each, scattered):
     """χ² of n entries scatters by √(2/n); held-out entries beyond the settings do not count."""
     expected = gap > max(1.05, 1.0 + 5.0 * math.sqrt(2.0 / (settings * each)))
-    assert is_scattered(state(gap=gap, settings=settings, each=each)) is scattered is expected
+    assert is_misfit(state(gap=gap, settings=settings, each=each)) is scattered is expected
 
 
 def test_faint_names_beside_what_stays():
