@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from radiometer.analysis.patch.estimate import _variances
 from radiometer.analysis.patch.frames import crop_frames
 from radiometer.analysis.patch.reading import patch_situation, read_patch
 from radiometer.analysis.signal.situation import situation_of
@@ -300,6 +301,44 @@ def test_a_surround_that_clips_may_be_of_any_brightness(rig, white, told):
     dn = flat(1000).dn.copy()
     dn[0, :white] = 4095
     assert (Flag.STRAY_LIGHT in read(rig, [replace(flat(1000), dn=dn)] * 5).flags) is told
+    deep = exact(rig)
+    deep = replace(deep, noise=replace(deep.noise, full_well_e=1e6))  # white is then the converter's last number
+    assert (Flag.STRAY_LIGHT in read(rig, [replace(flat(1000), dn=dn)] * 5, deep).flags) is told
+
+
+def test_a_pixel_that_clips_in_one_frame_takes_part_in_none(rig):
+    """Three times as bright as the rest: seen in the short frame, clipped in the long one, left out of both."""
+    short, long = flat(1064), flat(2064, 2e-3)
+    dn = [short.dn.copy(), long.dn.copy()]
+    dn[0][5, 5], dn[1][5, 5] = 3064, 4095
+    found = read(rig, [replace(short, dn=dn[0]), replace(long, dn=dn[1])])
+    assert found.radiance.value == pytest.approx(read(rig, [short, long]).radiance.value, rel=1e-9)
+    assert found.exposures_s == (1e-3, 2e-3)
+
+
+def test_another_focus_costs_what_the_change_is_known_to(rig):
+    """Magnification 0.2 instead of 0.1, known to 10 % of the change: 2·0.01/1.2; focused as at calibration, nothing."""
+    stated = NOTHING_STATED.model_copy(update={"magnification_u_rel": 0.1})
+    known = replace(exact(rig, uncertainties=stated), lens=rig.lens.model_copy(update={"magnification": 0.1}))
+    for magnification, u_rel in ((0.2, 2 * 0.01 / 1.2), (0.1, 0.0)):
+        lens = LensDescription(focal_length_mm=16.0, f_number=4.0, magnification=magnification)
+        assert line(read(rig, [flat(1000)] * 5, known, lens), "focus") == pytest.approx(u_rel)
+
+
+def test_frames_are_weighed_by_noise_curve_and_dark(rig):
+    """Variances of an expected signal: one pixel's, (u of the curve × signal)², and the dark level's."""
+    known = exact(rig, uncertainties=NOTHING_STATED.model_copy(update={"linearity_u_rel": 0.02}))
+    found = patch_situation(Bracket.from_frames([flat(564), flat(1064, 2e-3)]), PATCH, known, rig.description, rig.lens)
+    expected, single, curve, dark = _variances(
+        found.estimate.rate, found.frames, found.dark, found.exposures, found.model
+    )
+    assert expected == pytest.approx([500.0, 1000.0], rel=1e-6)
+    assert single == pytest.approx(expected / GAIN_E + (READ_E / GAIN_E) ** 2 + 1 / 12)
+    assert curve == pytest.approx((0.02 * expected) ** 2)
+    assert dark == pytest.approx([0.0, 0.0])
+    weights = np.array([1e-3, 2e-3]) / (single / 100 + curve)
+    shares = weights * [1e-3, 2e-3] / (weights @ [1e-3, 2e-3])
+    assert found.estimate.coefficients * found.exposures == pytest.approx(shares, rel=1e-6)
 
 
 def test_the_surround_is_the_mean_of_the_picture(rig):
