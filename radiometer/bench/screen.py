@@ -23,7 +23,6 @@ from radiometer.devices import Camera, CameraPreset, CameraSettings, Display
 from radiometer.errors import ConfigurationError, InputError, UsageError
 from radiometer.screen.checks import Flicker, Uniformity, judge_flicker
 from radiometer.screen.meter import ScreenReading
-from radiometer.screen.photometer import RadiometerPhotometer
 from radiometer.screen.run import Light
 
 SIMULATED_DISPLAYS: Final = ("lcd", "pwm_lcd", "oled")
@@ -193,43 +192,6 @@ def open_screen_bench(
             yield opened
     else:
         raise UsageError(f"display {display!r} is unknown; choose {BROWSER}, {', '.join(SIMULATED_DISPLAYS)}")
-
-
-@contextmanager
-def open_photometer(
-    *,
-    bench: Path | None = None,
-    camera: str | None = None,
-    calibration: Path | None = None,
-    patch: Patch | None = None,
-    white: str = "white_led",
-) -> Iterator[RadiometerPhotometer]:
-    """Open a camera as a photometer for PsychoPy, which shows the patches itself, for the block.
-
-    Args:
-        bench: Bench file; the simulated bench where None.
-        camera: The camera by name; the bench's where None.
-        calibration: Calibration file; the bench's own where None.
-        patch: Where the camera sees the middle of the screen; the middle of its frame where None.
-        white: Spectrum that the screen's light is taken to have.
-
-    Raises:
-        RadiometerError: If anything named cannot be used.
-    """
-    light = _light(white)
-    with open_bench_camera(bench, camera) as (config, opened):
-        where = patch or (config.patch.patch if config.patch else central_patch(opened))
-        instrument = _instrument(opened, where, calibration or calibration_path(config, bench), config)
-        yield RadiometerPhotometer(_CameraMeter(instrument), light.photopic_lm_per_w)
-
-
-@dataclass(frozen=True, slots=True)
-class _CameraMeter:
-    instrument: Instrument
-
-    def read(self) -> ScreenReading:
-        """Return one reading of the patch. Raises DeviceError, MeasurementError."""
-        return screen_reading(self.instrument.measure(), time.monotonic())
 
 
 @contextmanager

@@ -32,6 +32,7 @@ COMMANDS: Final[dict[str, CommandEntry]] = {
     ),
     "flux": CommandEntry("radiometer.cli.flux", "Find the radiant flux of a light-emitting diode."),
     "reconcile": CommandEntry("radiometer.cli.reconcile", "Find what a simulation lacks, name it and add it."),
+    "log-fit": CommandEntry("radiometer.cli.log_fit", "Find what a camera's log lacks beside a reference meter."),
     "serve": CommandEntry("radiometer.cli.serve", "Measure for weeks and serve readings over SCPI, HTTP and MQTT."),
     "log": CommandEntry("radiometer.cli.log", "Query, export and plot the daemon's journal."),
     "light": CommandEntry("radiometer.cli.light", "Set, pulse, blink and calibrate the light box; watch its button."),

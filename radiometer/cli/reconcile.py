@@ -78,7 +78,7 @@ def command(
     if json:
         print(result.to_json())
         return
-    _show(result)
+    show_result(result)
     for path in (result.model, result.report, planned):
         if path:
             note(f"wrote {path}")
@@ -138,7 +138,8 @@ def _read_effects(paths: Sequence[Path]) -> None:
         note(f"{path}: looks for {', '.join(register_file(path))} too")
 
 
-def _show(result: ReconcileResult) -> None:
+def show_result(result: ReconcileResult) -> None:
+    """Print a result for people."""
     out = console()
     open_names = any(effect.alternatives for effect in result.effects) and result.verdict == "effects_found"
     out.print(f"[bold]{_OPEN if open_names else _VERDICTS[result.verdict]}[/bold]")

@@ -22,13 +22,14 @@ from radiometer.importing.emva_listing import EmvaListing, find_descriptor
 from radiometer.importing.file_bytes import kind_of
 from radiometer.importing.fits_files import read_fits_headers, read_fits_pixels
 from radiometer.importing.found import FoundFrame, ImportOptions
+from radiometer.importing.micro_manager import FACT as ACQUISITION
 from radiometer.importing.record import ImportRecord, named
 from radiometer.importing.statistics_table import is_statistics_table, read_statistics_table
 from radiometer.importing.tiff_files import read_tiff_headers, read_tiff_pixels
 
 FITS_SUFFIXES: Final = (".fit", ".fits", ".fts", ".fz")
 TIFF_SUFFIXES: Final = (".tif", ".tiff")
-_RAW_TIFF_FACTS: Final = ("black_level_dn", "band", "temperature_C")
+_RAW_TIFF_FACTS: Final = ("black_level_dn", "band", "temperature_C", ACQUISITION)
 _WILDCARDS: Final = "*?["
 
 

@@ -22,6 +22,7 @@ from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.file_names import claims_of, contradictions
 from radiometer.importing.found import FoundFrame
 from radiometer.importing.maker_models import corners_of_plane, fall_off_of, row_exposure_of
+from radiometer.importing.micro_manager import completed, planes_of
 from radiometer.importing.xmp import numbers, read_xmp
 
 _EXIF, _XMP, _MAKE, _MODEL, _DESCRIPTION, _DATE_TIME = 34665, 700, 271, 272, 270, 306
@@ -42,7 +43,9 @@ def read_tiff_headers(path: Path) -> list[FoundFrame]:
         if not pages:
             raise CaptureError(f"{path}: the TIFF holds no page")
         facts = _facts(pages[0])
-        return [_frame(path, page, number, len(pages), facts) for number, page in enumerate(pages)]
+        frames = [_frame(path, page, number, len(pages), facts) for number, page in enumerate(pages)]
+        said = planes_of(path, pages, tiff.ome_metadata if tiff.is_ome else None)
+    return [frame if plane is None else completed(frame, plane) for frame, plane in zip(frames, said, strict=True)]
 
 
 def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:

@@ -6,13 +6,11 @@ at face value they scatter by up to a tenth, and with the exact stops behind the
 
 from __future__ import annotations
 
-import csv
 import html
 import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +18,7 @@ import numpy as np
 
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import InputError
+from radiometer.other_data.columns import column_for, positive, read_table
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.units import exact_exposure_s, exact_f_number
@@ -29,10 +28,11 @@ _COINCIDENCE: Final = 2e-3  # rows that agree to this, though printed values sca
 _STEP_OF_A_METER: Final = math.log(2.0) / 3.0  # meters and cameras run in thirds of a stop
 _ALIASES: Final[Mapping[str, tuple[str, ...]]] = {
     "luminance": ("luminance", "luminance_cd_m2", "l_v", "lv", "cd_m2", "luminance_cd_per_m2"),
-    "f_number": ("f_number", "fnumber", "f-number", "f", "aperture", "n"),
+    "f_number": ("f_number", "fnumber", "f", "aperture", "n"),
     "time": ("time", "time_s", "exposure", "exposure_s", "t", "exposure_time", "exposure_time_s", "shutter"),
     "iso": ("iso", "s", "speed", "iso_speed"),
 }
+_NEEDS: Final = "luminance, f_number, time and iso"
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,17 +99,12 @@ def read_meter_table(path: Path) -> tuple[MeterRow, ...]:
     Raises:
         InputError: If a column is missing or a value is no positive number; the message gives the line.
     """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            lines = list(csv.reader(stream))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read {path}: {error}") from error
-    if not lines:
-        raise InputError(f"{path} is empty; it needs the columns luminance, f_number, time, iso")
-    header = [cell.strip().lower().replace(" ", "_") for cell in lines[0]]
-    place = {key: _column(header, names, path) for key, names in _ALIASES.items()}
-    named = next((i for i, name in enumerate(header) if name in ("screen", "source", "scene", "target", "name")), None)
-    rows = [_row(cells, place, named, f"{path}, line {n}") for n, cells in enumerate(lines[1:], 2) if any(cells)]
+    table = read_table(path, f"the columns {_NEEDS}")
+    place = {key: column_for(table, _ALIASES, key, _NEEDS) for key in _ALIASES}
+    named = next(
+        (i for i, name in enumerate(table.plain) if name in ("screen", "source", "scene", "target", "name")), None
+    )
+    rows = [_row(cells, place, named, table.where(line)) for line, cells in table.rows if any(cells)]
     if len(rows) < 2:
         raise InputError(f"{path}: holds {len(rows)} reading; two of one source are the least that can disagree")
     return tuple(rows)
@@ -258,25 +253,10 @@ def _table(rows: Sequence[MeterRow]) -> list[dict[str, Any]]:
     ]
 
 
-def _column(header: Sequence[str], names: Sequence[str], path: Path) -> int:
-    for name in names:
-        if name in header:
-            return header.index(name)
-    raise InputError(f"{path}: no column {names[0]!r}; the first line must name luminance, f_number, time and iso")
-
-
 def _row(cells: Sequence[str], place: Mapping[str, int], named: int | None, where: str) -> MeterRow:
     try:
-        luminance, f_number, seconds, iso = (_number(cells[place[key]]) for key in _ALIASES)
+        luminance, f_number, seconds, iso = (positive(cells[place[key]]) for key in _ALIASES)
     except (ValueError, IndexError, ZeroDivisionError) as error:
         raise InputError(f"{where}: {error}; expected positive numbers, times as 0.004 or 1/250") from error
     source = cells[named].strip() if named is not None else f"{luminance:g} cd/m2"
     return MeterRow(source, luminance, f_number, seconds, iso)
-
-
-def _number(text: str) -> float:
-    cleaned = text.strip().lower().removeprefix("f/").removesuffix("s").strip()
-    value = float(Fraction(cleaned))
-    if value <= 0:
-        raise ValueError(f"{text!r} is not above zero")
-    return value

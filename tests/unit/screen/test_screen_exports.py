@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiometer.bench.screen import lights, open_photometer
 from radiometer.errors import UsageError
 from radiometer.screen import ScreenCalibration
 from radiometer.screen.calibration import LUMINANCE
@@ -17,8 +16,6 @@ from radiometer.screen.exports import EXPORTS, write_export
 from radiometer.screen.exports.chromaticity import argyll_line
 from radiometer.screen.exports.tables import to_csv, to_inverse_csv
 from radiometer.screen.exports.video_lut import correction
-from radiometer.screen.meter import ScreenReading
-from radiometer.screen.photometer import RadiometerPhotometer
 
 
 @pytest.mark.slow
@@ -120,23 +117,3 @@ def test_argyll_line_is_spotreads() -> None:
     """The words are those of spotread's printf; Y stands twice; X of D65 white is 0.9505 Y."""
     line = argyll_line("grey", 100.0)
     assert line == " Result is XYZ: 95.045593 100.000000 108.905775, Yxy: 100.000000 0.312700 0.329000"
-
-
-def test_photometer_answers_as_psychopy_asks() -> None:
-    """getLum returns cd/m² and leaves it in lastLum."""
-
-    class Meter:
-        def read(self) -> ScreenReading:
-            return ScreenReading(0.5, 0.001, 0.01, 0.0)
-
-    photometer = RadiometerPhotometer(Meter(), 320.0)
-    assert photometer.getLum() == 160.0
-    assert photometer.lastLum == 160.0
-    assert photometer.OK
-
-
-@pytest.mark.slow
-def test_photometer_of_a_camera_reads_what_the_bench_shows() -> None:
-    """The bench's middle patch has 1.5·0.5^2.2 W/sr/m²; the lens is known to 1 %, of which three sigmas are allowed."""
-    with open_photometer() as photometer:
-        assert photometer.getLum() == pytest.approx(1.5 * 0.5**2.2 * lights()["grey"].photopic_lm_per_w, rel=0.03)

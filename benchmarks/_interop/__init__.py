@@ -1,0 +1,1 @@
+"""Other people's programs, too heavy for the tests: `make interop` runs them in an environment of their own."""
