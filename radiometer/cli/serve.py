@@ -59,8 +59,10 @@ def command(
         str | None, typer.Option(help=f"User at the broker; the password is ${_MQTT_PASSWORD_VARIABLE}.")
     ] = None,
     mqtt_tls: Annotated[bool, typer.Option("--mqtt-tls", help="Use TLS to the broker.")] = False,
+    pva: Annotated[bool, typer.Option("--pva", help="Serve readings over EPICS pvAccess (needs p4p).")] = False,
+    pva_prefix: Annotated[str, typer.Option(help="First part of the names of process variables.")] = "radiometer",
 ) -> None:
-    """Measure for weeks and serve the readings over SCPI, HTTP (with a web page) and MQTT.
+    """Measure for weeks and serve the readings over SCPI, HTTP (with a web page), MQTT and EPICS pvAccess.
 
     SIGTERM or Ctrl-C ends it, SIGHUP reloads the calibration. A camera that is lost is reported and reopened.
     SCPI has no authentication: it listens on this machine only, or on another address for those listed with
@@ -68,6 +70,7 @@ def command(
     """
     import asyncio
 
+    from radiometer.daemon.epics import PvaOptions
     from radiometer.daemon.limits import Limits, parse_networks
     from radiometer.daemon.mqtt import parse_target
     from radiometer.daemon.service import ServiceOptions
@@ -86,6 +89,7 @@ def command(
         mqtt=parse_target(mqtt, mqtt_prefix, mqtt_user, os.environ.get(_MQTT_PASSWORD_VARIABLE), tls=mqtt_tls)
         if mqtt
         else None,
+        pva=PvaOptions(pva_prefix) if pva else None,
     )
 
     def make_station() -> Station:

@@ -13,6 +13,7 @@ from typing import Final
 
 import structlog
 
+from radiometer.daemon.epics import PvaOptions, PvaServer
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.limits import Limits, Network, is_loopback
 from radiometer.daemon.mqtt import MqttPublisher, MqttTarget
@@ -41,6 +42,7 @@ class ServiceOptions:
         http_port: Port for HTTP; 0 chooses a free one.
         token: Token for HTTP; None where only loopback is listened on.
         mqtt: Broker to publish to; None for none.
+        pva: How to serve pvAccess; None for not at all.
         limits: What clients may use.
     """
 
@@ -53,6 +55,7 @@ class ServiceOptions:
     http_port: int = 8080
     token: str | None = None
     mqtt: MqttTarget | None = None
+    pva: PvaOptions | None = None
     limits: Limits = field(default_factory=Limits)
 
 
@@ -78,6 +81,7 @@ class Service:
         self._scpi = ScpiServer(station, limits=options.limits, allow=options.scpi_allow)
         self._http = HttpServer(station, limits=options.limits, token=options.token)
         self._mqtt = MqttPublisher(station, options.mqtt) if options.mqtt else None
+        self._pva = PvaServer(station, options.pva) if options.pva else None
         self._stop = asyncio.Event()
         self._reloads: set[asyncio.Task[None]] = set()
 
@@ -121,6 +125,9 @@ class Service:
         if self._mqtt is not None:
             self._mqtt.start()
             self._announce(f"MQTT to {self._mqtt.target} under {self._mqtt.topic}/")
+        if self._pva is not None:
+            self._pva.start()
+            self._announce(f"pvAccess: {', '.join(self._pva.names)} (no authentication; read only)")
         self._announce(f"journal {self._station.journal_path}")
 
     async def _watch(self) -> None:
@@ -139,6 +146,8 @@ class Service:
     async def _close(self) -> None:
         await self._http.close()
         await self._scpi.close()
+        if self._pva is not None:
+            await self._pva.stop()
         await self._station.stop()
         if self._mqtt is not None:
             await self._mqtt.stop()

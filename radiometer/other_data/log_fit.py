@@ -21,7 +21,7 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from radiometer.errors import MeasurementError
-from radiometer.other_data.log_model import DOUBLING_K, LogTerm, axes, catalogue, gain_levels, jacobian, predicted_log
+from radiometer.other_data.log_model import LogTerm, axes, catalogue, gain_levels, jacobian, predicted_log
 from radiometer.other_data.log_table import Array, LogTable
 from radiometer.reconcile.fit.held_out import Groups, HeldOut, leave_one_group_out
 from radiometer.reconcile.fit.linear import LinearFit, RowBlock
@@ -284,7 +284,7 @@ def _scatter(state: LogState) -> Scatter:
     log = state.log
     terms = catalogue(log)
     terms = tuple(term for term in terms if not term.flexible or term.where == "gain")
-    parameters = np.concatenate([state.parameters, np.zeros(sum(term.size for term in terms))])
+    parameters = np.concatenate([state.parameters, *(term.begins for term in terms)])
     columns = jacobian(log, terms, parameters)
     curves = [legvander(axis, _DEGREE)[:, 1:] for axis in axes(log).values()]
     design = _independent(np.column_stack([columns, *curves]))
@@ -471,17 +471,11 @@ def _result(
         gap_after=state.gap,
         limits=_limits(state),
         captures=log.size,
-        assumptions=(*log.assumptions, *_assumed(state)),
+        assumptions=log.assumptions,
         gap_unit=GAP_UNIT,
         repeatability=state.scatter.reading,
         extra=extra,
     )
-
-
-def _assumed(state: LogState) -> list[str]:
-    if any(term.name == "dark_current" and not term.flexible for term in state.terms):
-        return [f"the dark current doubles every {DOUBLING_K:g} K"]
-    return []
 
 
 def _effect(state: LogState, step: LogStep, *, provisional: bool) -> FoundEffect:
@@ -526,8 +520,8 @@ def _limits(state: LogState) -> dict[str, Limit]:
             continue
         more = state.with_term(term)
         ways = {id(way): way for way in (more, more.other_way)}.values()
-        u = max(float(way.uncertainty()[-1]) for way in ways)
-        apart = abs(more.parameters[-1] - more.other_way.parameters[-1]) / 2.0
+        u = max(float(way.uncertainty()[-term.size]) for way in ways)
+        apart = abs(more.parameters[-term.size] - more.other_way.parameters[-term.size]) / 2.0
         seen = math.isfinite(u) and u < 1e3 * term.scales[0]
         found[term.name] = Limit(_SIGMAS * u + float(apart) if seen else None, term.parameters[0], term.units[0])
     return found

@@ -24,8 +24,9 @@ from radiometer.other_data.log_table import Array, LogTable
 _STEP: Final = 1e-5  # of a parameter's scale, for differences
 _DARK_AT_C: Final = 25.0
 DOUBLING_K: Final = 6.5
-"""Temperature that doubles a dark current. Source: between 5 K and 9 K on silicon; EMVA 1288 release 4.0, chapter 7."""
+"""Warming in K that doubles a dark current, where its fit begins. Source: between 5 K and 9 K on silicon; EMVA 1288 release 4.0, chapter 7."""
 
+_LEAST_DOUBLING_K, _MOST_DOUBLING_K = 3.0, 20.0
 _LARGEST_LOG: Final = 200.0  # what a step of the fit may try; far beyond any camera
 _NEAR_DB: Final = 0.05  # gains that differ less are one
 _MOST_GAINS: Final = 12
@@ -148,9 +149,8 @@ def catalogue(log: LogTable) -> tuple[LogTerm, ...]:
         )
         dark = 0.01 * value / float(np.median(log.exposure_s)) / gain
         names, units = ("dark_at_25C_dn_per_s", "doubling_K"), ("DN s-1", "K")
-        found.append(LogTerm("dark_current", "temperature", names[:1], units[:1], (dark,), _dark))
         found.append(
-            LogTerm("dark_current", "temperature", names, units, (dark, 0.02), _dark, True, (dark, DOUBLING_K))
+            LogTerm("dark_current", "temperature", names, units, (dark, 0.02), _dark, False, (dark, DOUBLING_K))
         )
     if log.colour is not None and _varies(log.colour):
         per = (log.units or {}).get("colour", "1")
@@ -237,7 +237,7 @@ def _temperature(mean_c: float) -> Act:
 
 def _dark(log: LogTable, light: _Light, own: Array) -> None:
     assert log.temperature_c is not None
-    doubling = min(max(float(own[1]), 3.0), 20.0) if own.size > 1 else DOUBLING_K
+    doubling = min(max(float(own[1]), _LEAST_DOUBLING_K), _MOST_DOUBLING_K)
     warm = 2.0 ** ((log.temperature_c - _DARK_AT_C) / doubling)
     light.dark = light.dark + own[0] * log.exposure_s * warm
 

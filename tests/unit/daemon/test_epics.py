@@ -1,0 +1,105 @@
+"""pvAccess: a real p4p client reads value, unit, alarm, time stamp, display limits and the map."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from datetime import datetime
+
+import numpy as np
+import pytest
+from p4p.client.thread import Context, RemoteError
+
+from radiometer.daemon.epics import PvaOptions, PvaServer
+from radiometer.daemon.patches import MAIN, PatchLimits
+from radiometer.errors import UsageError
+
+
+@pytest.fixture
+async def served(station):
+    """Return a served station and a client of it; one that nobody else on this machine can find."""
+    server = PvaServer(station, PvaOptions("lab", isolated=True))
+    server.start()
+    client = await asyncio.to_thread(Context, "pva", conf=server.settings, useenv=False, nt=False)
+    yield server, client
+    await asyncio.to_thread(client.close)
+    await server.stop()
+
+
+async def _read(client, name):
+    return await asyncio.to_thread(client.get, f"lab:4711:{name}", timeout=20.0)
+
+
+async def test_client_reads_the_reading(served, station, eventually):
+    """Value, unit, description, time of the reading, no alarm; before any reading the value is invalid."""
+    _, client = served
+    before = await _read(client, "radiance")
+    assert math.isnan(before.value)
+    assert (before.alarm.severity, before.alarm.message) == (3, "no reading yet")
+    reading = await station.measure()
+    await eventually(lambda: station.latest is not None)
+    found = await _read(client, "radiance")
+    assert found.getID().startswith("epics:nt/NTScalar")
+    assert found.value == reading.radiance.value == 17.0
+    assert found.display.units == "W sr-1 m-2"
+    assert found.display.description == "radiance of the patch"
+    assert (found.display.limitLow, found.display.limitHigh) == (0.0, 34.0)
+    assert found.alarm.severity == 0
+    stamp = found.timeStamp.secondsPastEpoch + 1e-9 * found.timeStamp.nanoseconds
+    assert stamp == pytest.approx(datetime.fromisoformat(reading.time).timestamp(), abs=1e-5)
+    assert (await _read(client, "u_radiance")).value == 0.01
+    luminance = await _read(client, "luminance")
+    assert (luminance.value, luminance.display.units) == (100.0, "cd m-2")
+    assert (await _read(client, "u_luminance")).value == 2.0
+
+
+async def test_alarms_and_limits_are_epics_own(served, station, instrument, eventually):
+    """Limits of the patch are those of display and alarm; a broken limit is major, a lost camera invalid."""
+    _, client = served
+    await station.measure()
+    station.set_limits(MAIN, PatchLimits(low=1.0, high=10.0))
+    for _ in range(2):
+        await station.measure()
+    await eventually(lambda: station.alarms.active)
+    found = await _read(client, "radiance")
+    assert (found.display.limitLow, found.display.limitHigh) == (1.0, 10.0)
+    assert (found.valueAlarm.active, found.valueAlarm.highAlarmLimit) == (True, 10.0)
+    assert found.alarm.severity == 2
+    assert found.alarm.message == station.alarms.active[0].message
+    instrument.unplugged = True
+    await eventually(lambda: any(alarm.name == "camera" for alarm in station.alarms.active))
+    found = await _read(client, "radiance")
+    assert found.alarm.severity == 3
+    assert "unplugged" in found.alarm.message
+
+
+async def test_map_is_an_nt_nd_array(served, station, eventually):
+    """While somebody watches, each reading brings the radiance of every pixel, row by row."""
+    server, client = served
+    seen = []
+    watching = await asyncio.to_thread(client.monitor, "lab:4711:map", seen.append)
+    await eventually(lambda: server._watched)
+    reading = await station.measure()
+    await eventually(lambda: seen)
+    found = seen[-1]
+    assert found.getID().startswith("epics:nt/NTNDArray")
+    columns, rows = (axis.size for axis in found.dimension)
+    assert (rows, columns) == (48, 64)
+    picture = np.asarray(found.value).reshape(rows, columns)
+    assert float(picture[reading.patch.slices].mean()) == pytest.approx(reading.radiance.value, rel=1e-4)
+    assert {a.name: a.value for a in found.attribute}["unit"] == "W sr-1 m-2"
+    await asyncio.to_thread(watching.close)
+    await eventually(lambda: not server._watched)
+
+
+async def test_nothing_can_be_written(served, station):
+    """A put is refused."""
+    _, client = served
+    with pytest.raises(RemoteError):
+        await asyncio.to_thread(client.put, "lab:4711:radiance", 5.0, timeout=20.0)
+
+
+def test_prefix_without_letters_is_misuse():
+    """A name with blanks could never be found."""
+    with pytest.raises(UsageError, match="no prefix"):
+        PvaOptions("two words")
