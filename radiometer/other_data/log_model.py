@@ -24,7 +24,7 @@ from radiometer.other_data.log_table import Array, LogTable
 _STEP: Final = 1e-5  # of a parameter's scale, for differences
 _DARK_AT_C: Final = 25.0
 DOUBLING_K: Final = 6.5
-"""Warming in K that doubles a dark current, where its fit begins. Source: between 5 K and 9 K on silicon; EMVA 1288 release 4.0, chapter 7."""
+"""Warming in K that doubles a dark current, where its fit begins: 5 K to 9 K are usual for silicon."""
 
 _LEAST_DOUBLING_K, _MOST_DOUBLING_K = 3.0, 20.0
 _LARGEST_LOG: Final = 200.0  # what a step of the fit may try; far beyond any camera
