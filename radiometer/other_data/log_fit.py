@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from radiometer.errors import MeasurementError
 from radiometer.other_data.log_model import LogTerm, axes, catalogue, gain_levels, jacobian, predicted_log
 from radiometer.other_data.log_table import Array, LogTable
+from radiometer.reconcile.chances import chi2_beyond
 from radiometer.reconcile.fit.held_out import Groups, HeldOut, leave_one_group_out
 from radiometer.reconcile.fit.linear import LinearFit, RowBlock
-from radiometer.reconcile.noise.chances import chi2_beyond
-from radiometer.reconcile.report.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.reconcile.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reconcile.thresholds import (
     FLEXIBLE_NATS,
     LATER_NATS,

@@ -24,6 +24,7 @@ def _fitted(tmp_path, camera, seed=3, control=False):
     return fit_log(read_log(write(sky_log(seed, camera), tmp_path / "log.csv")), control=control)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("camera", "name", "parameter", "true"),
     [
@@ -38,7 +39,7 @@ def _fitted(tmp_path, camera, seed=3, control=False):
     ],
 )
 def test_planted_term_is_named_with_its_size(tmp_path, camera, name, parameter, true):
-    """One term, named first and alone, within two (three for the many) of its standard uncertainties; error shrinks."""
+    """One term, named first and alone, within two of its standard uncertainties; the error of nights shrinks."""
     found = _fitted(tmp_path, camera)
     assert str(found.result.verdict) == "effects_found"
     assert [effect.name for effect in found.result.effects] == [name]
@@ -49,12 +50,14 @@ def test_planted_term_is_named_with_its_size(tmp_path, camera, name, parameter, 
     assert found.result.gap_after < 1.2 < found.result.gap_before
 
 
+@pytest.mark.slow
 def test_bent_response_is_found_or_told_as_the_rival(tmp_path):
     """Automatic exposure hardly moves the signal: a bend may look like a black level, and is then named beside it."""
     effect = _fitted(tmp_path, Camera(bends_at_dn=6000.0)).result.effects[0]
     assert "response_nonlinearity" in (effect.name, *effect.alternatives)
 
 
+@pytest.mark.slow
 def test_what_has_no_name_is_told_by_its_column(tmp_path):
     """A lens that dirties is none of the terms: the verdict says along which column it lies."""
     result = _fitted(tmp_path, Camera(share_per_day=-0.02)).result
@@ -62,6 +65,7 @@ def test_what_has_no_name_is_told_by_its_column(tmp_path):
     assert [(effect.name, effect.where) for effect in result.effects] == [("unnamed", "time")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_nothing_is_found_where_nothing_is(tmp_path, seed):
     """Clouds, haze and a moon alone raise no alarm, and limits say what would have been seen."""
@@ -73,6 +77,7 @@ def test_nothing_is_found_where_nothing_is(tmp_path, seed):
     assert 0.0 < result.limits["exposure_time_offset"].amplitude < 0.005
 
 
+@pytest.mark.slow
 def test_command_says_what_it_took_and_its_control_is_silent(tmp_path, capsys):
     """Columns, unit of the gain, magnitudes, error before and after, the control; JSON in the words of reconcile."""
     path = write(sky_log(3, Camera(magnitude_per_colour=0.2)), tmp_path / "log.csv")
