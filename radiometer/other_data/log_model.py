@@ -21,6 +21,7 @@ import numpy as np
 
 from radiometer.other_data.log_table import Array, LogTable
 
+SIGNAL: Final = "signal"
 _STEP: Final = 1e-5  # of a parameter's scale, for differences
 _DARK_AT_C: Final = 25.0
 DOUBLING_K: Final = 6.5
@@ -132,9 +133,9 @@ def catalogue(log: LogTable) -> tuple[LogTerm, ...]:
     light, exposure = float(np.median(log.reference)), float(np.min(log.exposure_s))
     gain = float(np.median(10.0 ** (log.gain_db / 20.0)))
     found = [
-        LogTerm("black_level_offset", "signal", ("offset_dn",), ("DN",), (0.01 * value,), _black),
+        LogTerm("black_level_offset", SIGNAL, ("offset_dn",), ("DN",), (0.01 * value,), _black),
         LogTerm("ambient_light_leak", "reference", ("constant",), (unit,), (0.01 * light,), _ambient),
-        LogTerm("response_nonlinearity", "signal", ("a2",), ("1",), (0.01,), _curvature(value)),
+        LogTerm("response_nonlinearity", SIGNAL, ("a2",), ("1",), (0.01,), _curvature(value)),
     ]
     if _varies(np.log(log.exposure_s)):
         found.append(LogTerm("exposure_time_offset", "exposure", ("offset_s",), ("s",), (0.01 * exposure,), _exposure))
