@@ -21,7 +21,7 @@ from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconcile.advice.next_capture import tells_apart
 from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.search.screening import change_of
+from radiometer.reconcile.search.screening import directions_of
 from radiometer.reconcile.thresholds import PARAMETER_NATS, RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
 
@@ -29,7 +29,6 @@ _STARTS: Final = 6  # of an entry, spread over all that it has
 _ASKED_CHI2: Final = 400.0  # the size at which a plan is asked about an entry: twenty sigma, whatever is usual
 _LARGEST_FACTOR: Final = 1000.0  # times the size of its start, beyond which the entry would be absurd
 _ABSORBED: Final = 1e-6  # share of what an entry changes that the nuisances must leave
-_STEP: Final = 0.1  # of a parameter's scale
 _REACH: Final = 2.0  # scales by which a parameter may leave its start: beyond, its derivative there is another effect
 _DIRECTION: Final = 1e-6  # share of a column that the others of its entry must leave
 
@@ -143,16 +142,11 @@ def _times(effect: CatalogueEffect, amount: float) -> CatalogueEffect:
 
 def _columns(state: FitState, start: CatalogueEffect) -> Array | None:
     """Return what a start changes, and what its parameters but the first (its amount) do there; None for nothing."""
-    effects = (*state.effects, start)
     try:
-        at = change_of(state, effects)
-        if not at.any():
-            return None
-        own = state.parameters_of(effects)
-        moves = own.differences(lambda moved: change_of(state, moved), at, _STEP, owner=len(state.effects))
+        own = directions_of(state, (*state.effects, start), len(state.effects))
     except (MeasurementError, ConfigurationError):  # what no camera does is no likeness
         return None
-    return np.column_stack([at, moves[:, 1:]])
+    return np.delete(own, slice(1, 2), axis=1) if own[:, 0].any() else None
 
 
 def inseparable(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -11,12 +11,13 @@ import numpy as np
 from radiometer.errors import ConfigurationError
 from radiometer.reconcile.fit.comparison import FAMILY
 from radiometer.reconcile.fit.held_out import leave_one_group_out
+from radiometer.reconcile.fit.linear import descended
 from radiometer.reconcile.fit.state import FitState, refit, settled, with_effects
 from radiometer.reconcile.measure.design import Array
 from simulators.effects.catalogue import CatalogueEffect
 
-_ITERATIONS: Final = 25
 _CONVERGED: Final = 0.02
+_DAMPING, _LESS, _MORE, _DAMPINGS = 1e-3, 0.3, 10.0, 5
 _PROFILE_POINTS: Final = 61
 _PROFILE_SPANS: Final = (0.002, 0.0002)
 
@@ -85,9 +86,9 @@ def fit_candidate(state: FitState, candidate: Candidate) -> FittedCandidate:
     trials = [_Trial.of(state, start) for start in (candidate.effect, *candidate.others)]
     best = min(trials, key=lambda trial: trial.cost)
     if best.effect.profiled:
-        best = _descended(state, _Trial.of(state, _profiled(state, best.effect)))
+        best = _fitted(state, _Trial.of(state, _profiled(state, best.effect)))
     else:
-        best = min((_descended(state, trial) for trial in _variants(trials)), key=lambda trial: trial.cost)
+        best = min((_fitted(state, trial) for trial in _variants(trials)), key=lambda trial: trial.cost)
     return _judged(state, best, candidate)
 
 
@@ -100,24 +101,20 @@ def _variants(trials: Sequence[_Trial]) -> list[_Trial]:
     return list(found.values())
 
 
-def _descended(state: FitState, best: _Trial) -> _Trial:
-    """Return the trial at the least χ² by damped Gauss–Newton steps."""
-    damping = 1e-3
-    for _ in range(_ITERATIONS if best.effect.free() else 0):
-        columns = best.columns(state)
-        better = None
-        for _ in range(5):
-            trial = best.stepped(state, columns, damping)
-            if trial is not None and trial.cost < best.cost:
-                better, damping = trial, damping * 0.3
-                break
-            damping = max(damping * 10.0, 1e-3)
-        if better is None:
-            break
-        gained, best = best.cost - better.cost, better
-        if gained < _CONVERGED * state.misfit:
-            break
-    return best
+def _fitted(state: FitState, start: _Trial) -> _Trial:
+    """Return the trial at the least χ² (Levenberg's damping, less after each step that helped)."""
+    damping = _DAMPING / _LESS
+
+    def trials(trial: _Trial) -> Iterator[_Trial]:
+        nonlocal damping
+        damping, columns = damping * _LESS, trial.columns(state)
+        for _ in range(_DAMPINGS):
+            further = trial.stepped(state, columns, damping)
+            if further is not None:
+                yield further
+            damping = max(damping * _MORE, _DAMPING)
+
+    return descended(start, trials, lambda trial: _CONVERGED * state.misfit) if start.effect.free() else start
 
 
 @dataclass(frozen=True, eq=False)

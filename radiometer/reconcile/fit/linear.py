@@ -5,8 +5,10 @@ The nuisances touch few of the statistics (the means, mostly), the effects any: 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from scipy.linalg import solve_triangular
 
 from radiometer.reconcile.measure.design import Array
 
+_ITERATIONS: Final = 25
 _RIDGE = 1e-12  # relative; keeps a Cholesky factor regular
 _OWN_SHARE = 1e-4  # of a trend's square that the parameters must leave for it to be tested
 
@@ -206,3 +209,35 @@ def cholesky(normal: Array) -> Array:
     """Return the lower Cholesky factor of a normal matrix, a little ridge keeping it regular."""
     ridge = _RIDGE * np.maximum(np.diag(normal), 1e-300)
     return np.asarray(np.linalg.cholesky(normal + np.diag(ridge)))
+
+
+class _Point(Protocol):
+    @property
+    def cost(self) -> float: ...
+
+
+_PointT = TypeVar("_PointT", bound=_Point)
+
+
+def descended(
+    point: _PointT,
+    trials: Callable[[_PointT], Iterable[_PointT]],
+    enough: Callable[[_PointT], float],
+    iterations: int = _ITERATIONS,
+) -> _PointT:
+    """Return the point of least χ² by damped Gauss–Newton steps: of each point's trials the first lower one is taken.
+
+    Args:
+        point: Where to start.
+        trials: Gives what to try from a point, each more damped than the one before.
+        enough: Gives the gain of χ² below which a point is the last.
+        iterations: How many steps at most.
+    """
+    for _ in range(iterations):
+        lower = next((trial for trial in trials(point) if trial.cost < point.cost), None)
+        if lower is None:
+            break
+        gained, point = point.cost - lower.cost, lower
+        if gained < enough(point):
+            break
+    return point

@@ -19,6 +19,8 @@ _FREE_LOG: Final = 5.0  # prior standard deviation of the logarithm of what is u
 _DEFAULT_U_REL: Final = 0.02  # of a radiance that is stated without an uncertainty
 _SAME_U_REL: Final = 5e-3  # by how much the same patch differs between patterns
 _STEP: Final = 1e-4
+_SLOPE_STEP: Final = 1e-3
+_TEXTURE_STEP: Final = 1e-6
 _BRIGHT_SHARE: Final = 0.05  # of the brightest tile: enough to tell the responsivity roughly
 _FREE_RESPONSIVITY: Final = 50.0  # where no radiance is known its unit is arbitrary too
 _SCALARS: Final = ("log_responsivity", "log_gain", "log_read", "black_dn", "dark_e_per_s")
@@ -30,6 +32,30 @@ _LINEAR: Final = (-0.5, 1.0)  # relative errors of a radiance between which its 
 _TOLD_K: Final = 2.0  # span of temperatures of darks from which they tell how dark current grows
 _FREE_SLOPE: Final = 3.0
 _FREE_TEXTURE: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """What a step of a nuisance changes, per unit of the step: of the means in DN, and of the whitened residual."""
+
+    mean: Array
+    residual: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Here:
+    """The point at which derivatives are taken: a model and its nuisances, with what they predict and leave."""
+
+    model: TileModel
+    comparison: Comparison
+    nuisance: Nuisance
+    base: Prediction
+    residual: Array
+
+    def change(self, moved: Nuisance, step: float) -> Change:
+        """Return the finite difference to other nuisances that lie a step away."""
+        there = self.model.predict(moved)
+        return Change((there.mean - self.base.mean) / step, (self.comparison.residual(there) - self.residual) / step)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,43 +144,41 @@ class NuisanceLayout:
         known["log_responsivity"] -= known.get("log_gain", 0.0)
         return replace(start, log_radiance=radiance, slope=slope).with_off(texture=texture, **known)
 
-    def jacobian(self, model: TileModel, comparison: Comparison, values: Array, base: Prediction) -> Array:
-        """Return −d(residual)/d(parameter), shape (entries, parameters); what lies beyond the last row is zero."""
-        design = model.design
-        at = comparison.residual(base)
-        nuisance = self.unpack(design, values)
-        matrix = np.zeros((self._rows(comparison), self.size))
+    def derivatives(self, here: Here, values: Array) -> tuple[Array, RowBlock]:
+        """Return −d(residual)/d(parameter): of what tells the light, and of the variances as far as they follow it.
+
+        The latter do not say how much light there is (see `_only_means`), but the light says how large they are.
+
+        Args:
+            here: The point at which they are taken.
+            values: The parameters there.
+
+        Returns:
+            (entries, parameters), what lies beyond the last row being zero, and the rows that follow.
+        """
+        matrix = np.zeros((self._rows(here.comparison), self.size))
         for column, name in enumerate(self.scalars):
             step = _SCALAR_STEP.get(name, _STEP)
-            shifted = {name: getattr(nuisance.off, name) + step}
+            shifted = {name: getattr(here.nuisance.off, name) + step}
             if name == "log_gain":
-                shifted["log_responsivity"] = nuisance.off.log_responsivity - step
-            moved = nuisance.with_off(**shifted)
-            change = (at - comparison.residual(model.predict(moved))) / step
-            matrix[:, column] = change[: matrix.shape[0]]
+                shifted["log_responsivity"] = here.nuisance.off.log_responsivity - step
+            matrix[:, column] = -here.change(here.nuisance.with_off(**shifted), step).residual[: matrix.shape[0]]
             if name == "log_responsivity":
-                _only_means(matrix, comparison, column)
-        moved = replace(nuisance, log_radiance=nuisance.log_radiance + _STEP)
-        first = self._radiances.start
-        self._spread(matrix, comparison, base, model.predict(moved), _STEP, first, _TILE_ROWS)
+                _only_means(matrix, here.comparison, column)
+        light = here.change(replace(here.nuisance, log_radiance=here.nuisance.log_radiance + _STEP), _STEP)
+        self._spread(matrix, here.comparison, light, self._radiances.start, _TILE_ROWS)
         if self.patterns:
             matrix[:, self._radiances] *= self._light(values)[1].ravel()
             matrix[:, self._common] = self._summed(matrix[:, self._radiances])
         if self.free_scene:
-            self._scene_columns(matrix, model, comparison, nuisance, base)
-        return matrix
+            self._scene_columns(matrix, here)
+        return matrix, self._followers(here.comparison, light, values)
 
-    def followers(self, model: TileModel, comparison: Comparison, values: Array, base: Prediction) -> RowBlock:
-        """Return −d(residual)/d(parameter) of the variances, as far as they follow the light.
-
-        They do not say how much light there is (see `_only_means`), but the light says how large they are.
-        """
-        nuisance = self.unpack(model.design, values)
+    def _followers(self, comparison: Comparison, light: Change, values: Array) -> RowBlock:
         matrix = np.zeros((comparison.size, self.size))
         if not self.patterns:
             return RowBlock.of(matrix[:0])
-        moved = model.predict(replace(nuisance, log_radiance=nuisance.log_radiance + _STEP))
-        self._spread(matrix, comparison, base, moved, _STEP, self._radiances.start, _FOLLOWING)
+        self._spread(matrix, comparison, light, self._radiances.start, _FOLLOWING)
         cuts = [comparison.cuts[block] for block in _FOLLOWING]
         first = min(cut.start for cut in cuts)
         matrix = matrix[first : max(cut.stop for cut in cuts)]
@@ -187,37 +211,31 @@ class NuisanceLayout:
             return comparison.size
         return int(max(comparison.cuts[block].stop for block in _TILE_ROWS))
 
-    def _scene_columns(
-        self, matrix: Array, model: TileModel, comparison: Comparison, nuisance: Nuisance, base: Prediction
-    ) -> None:
+    def _scene_columns(self, matrix: Array, here: Here) -> None:
         start = self._common.stop
         for axis, name in enumerate(("slope_x", "slope_y")):
-            slope = nuisance.slope.copy()
-            slope[:, axis] += 1e-3
-            moved = model.predict(replace(nuisance, slope=slope))
+            slope = here.nuisance.slope.copy()
+            slope[:, axis] += _SLOPE_STEP
+            change = here.change(replace(here.nuisance, slope=slope), _SLOPE_STEP)
             for number, pattern in enumerate(self.patterns):
                 first = start + (2 * number + axis) * self.tiles
-                self._spread(matrix, comparison, base, moved, 1e-3, first, (name,), only=pattern)
+                self._spread(matrix, here.comparison, change, first, (name,), only=pattern)
         first = start + 2 * len(self.patterns) * self.tiles
-        step = 1e-6
-        moved = model.predict(nuisance.with_off(texture=nuisance.off.texture + step))
+        change = here.change(here.nuisance.with_off(texture=here.nuisance.off.texture + _TEXTURE_STEP), _TEXTURE_STEP)
         for pattern in self.patterns:
-            self._spread(matrix, comparison, base, moved, step, first, ("spatial",), only=pattern)
+            self._spread(matrix, here.comparison, change, first, ("spatial",), only=pattern)
 
     def _spread(
         self,
         matrix: Array,
         comparison: Comparison,
-        base: Prediction,
-        moved: Prediction,
-        step: float,
+        change: Change,
         first: int,
         blocks: tuple[str, ...],
         only: int | None = None,
     ) -> None:
         """Write the change of each tile into the column of that tile (and pattern)."""
         position = {pattern: number for number, pattern in enumerate(self.patterns)}
-        before, after = comparison.residual(base), comparison.residual(moved)
         pattern_of = comparison.design.pattern_index
         chosen = [
             c for c in range(pattern_of.size) if pattern_of[c] in position and (only is None or pattern_of[c] == only)
@@ -228,17 +246,15 @@ class NuisanceLayout:
         own = first + offset[:, None] + tiles
         for block in blocks:
             cut = comparison.cuts[block]
+            rows = cut.start + captures[:, None] * self.tiles + tiles
             if block == "mean":
-                change = np.where(comparison.usable["mean"], (moved.mean - base.mean) / step, 0.0)
-                values = comparison.whiteners["mean"][captures] * change[captures][:, None, :]
-                rows = cut.start + captures[:, None] * self.tiles + tiles
+                means = np.where(comparison.usable["mean"], change.mean, 0.0)
+                values = comparison.whiteners["mean"][captures] * means[captures][:, None, :]
                 matrix[rows[:, :, None], own[:, None, :]] += values
                 continue
-            change = ((before[cut] - after[cut]) / step).reshape(-1, self.tiles)
-            if not change.any():
-                continue
-            rows = cut.start + captures[:, None] * self.tiles + tiles
-            matrix[rows, own] += change[captures]
+            values = -change.residual[cut].reshape(-1, self.tiles)
+            if values.any():
+                matrix[rows, own] += values[captures]
 
 
 _TILE_ROWS: Final = tuple(name for name, row in STATISTICS.items() if row.tells_light)

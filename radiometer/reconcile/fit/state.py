@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
@@ -12,8 +12,8 @@ import numpy as np
 from radiometer.errors import ConfigurationError
 from radiometer.reconcile.fit.comparison import Comparison, compare
 from radiometer.reconcile.fit.held_out import Groups, HeldOut, leave_one_group_out
-from radiometer.reconcile.fit.linear import LinearFit, RowBlock
-from radiometer.reconcile.fit.nuisances import NuisanceLayout, rough_log_responsivity
+from radiometer.reconcile.fit.linear import LinearFit, RowBlock, descended
+from radiometer.reconcile.fit.nuisances import Here, NuisanceLayout, rough_log_responsivity
 from radiometer.reconcile.fit.terms import LinearTerm, prior_rows
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.pattern_images import PatternImages
@@ -27,7 +27,7 @@ from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.statistics import STATISTICS, Scale, usable_entries
 from simulators.effects.catalogue import CatalogueEffect
 
-_ITERATIONS: Final = 25
+_SHORTER, _SHORTENINGS = 0.3, 6  # steps that are tried
 _IDLE: Final = 1e-3  # sigmas that a parameter moves by its whole scale
 _CONVERGED: Final = 1e-3  # change of χ², in units of the reduced χ² where that is above 1, that ends the fit
 _SENSITIVITY_STEP: Final = 1e-3
@@ -36,6 +36,14 @@ _SETTLED: Final = 0.02  # share of a parameter's size
 _PAST_WELL: Final = 1.02  # times the declared full well, which is rounded
 _ALIVE: Final = 0.5  # share of its shot noise that a tile keeps where charge does not end
 _FORM_FLOOR: Final = 0.005  # share of an accepted effect's own correction that its form is not trusted with
+
+
+# What of a state was worked out and hangs on the model and the nuisances alone, whatever is frozen or fitted.
+_OF_THE_MODEL: Final = ("nuisance", "trace", "prediction", "sensitivity", "parameters")
+_OF_THE_POINT: Final = (
+    *_OF_THE_MODEL, "term_columns", "plain_residual", "data_residual", "term_residual", "residual", "misfit",
+    "_nuisance_derivatives", "nuisance_jacobian", "effect_jacobian", "groups",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,9 +159,14 @@ class FitState:
         return max(1.0, self.cost / max(int(self.comparison.counts().sum()), 1))
 
     @cached_property
+    def _nuisance_derivatives(self) -> tuple[Array, RowBlock]:
+        here = Here(self.model, self.comparison, self.nuisance, self.prediction, self.plain_residual)
+        return self.layout.derivatives(here, self.values)
+
+    @cached_property
     def nuisance_jacobian(self) -> RowBlock:
         """Return −d(residual)/d(nuisances and term weights), prior rows included."""
-        data = self.layout.jacobian(self.model, self.comparison, self.values, self.prediction)
+        data = self._nuisance_derivatives[0]
         prior = np.concatenate([self.layout.prior, self._term_prior])
         _, priors = prior_rows(prior, np.zeros(prior.size))
         return RowBlock.of(data, self.term_columns, below=priors, first=self.comparison.size)
@@ -173,8 +186,7 @@ class FitState:
         effects = self.effect_jacobian
         if self.frozen:
             effects = np.delete(effects, sorted(self.frozen), axis=1)
-        followers = self.layout.followers(self.model, self.comparison, self.values, self.prediction)
-        return LinearFit.of(self.residual, self.nuisance_jacobian, effects, followers)
+        return LinearFit.of(self.residual, self.nuisance_jacobian, effects, self._nuisance_derivatives[1])
 
     def effect_step(self, step: Array) -> Array:
         """Return the effects' part of a step of the whole fit, 0 for parameters that are frozen."""
@@ -295,8 +307,10 @@ def reweighted(state: FitState) -> FitState:
     terms = (*smooth, *(LinearTerm.of(error) for error in errors))
     floors = _form_floors(state.model, state.nuisance, state.prediction)
     mask = state.comparison.usable
-    again = _weighted(state.seen, state.model, state.layout, state.values, terms, tau, floors, mask)
-    return replace(again, weights=np.concatenate([kept, np.zeros(sum(t.size for t in terms) - kept.size)]))
+    again = _weighted(state.seen, state.model, state.layout, state.values, terms, tau, floors, mask, state.trace)
+    found = replace(again, weights=np.concatenate([kept, np.zeros(sum(t.size for t in terms) - kept.size)]))
+    vars(found).update({name: known for name, known in vars(again).items() if name in _OF_THE_MODEL})
+    return found
 
 
 def settled(state: FitState) -> FitState:
@@ -324,7 +338,7 @@ def with_effects(state: FitState, effects: Sequence[CatalogueEffect]) -> FitStat
     return replace(state, model=state.model.with_effects(effects), frozen=frozenset(), held_columns=None)
 
 
-def refit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
+def refit(state: FitState, iterations: int = 25) -> FitState:
     """Return the state at the least χ² over nuisances, term weights and effect parameters (damped Gauss–Newton).
 
     Parameters that come frozen within their bounds stay so. They are known by effect and name: a further term that
@@ -334,16 +348,8 @@ def refit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
     inside = state.frozen - frozenset(np.flatnonzero(on_low | on_high).tolist())
     own = state.parameters
     fixed = frozenset((own.owner[i], own.names[i]) for i in inside)
-    state = _held_at_bounds(state, fixed)
-    for _ in range(iterations):
-        following = _improved(state)
-        if following is None:
-            return state
-        gained = state.cost - following.cost
-        state = _held_at_bounds(following, fixed)
-        if gained < _CONVERGED * state.misfit:
-            break
-    return state
+    start = _held_at_bounds(state, fixed)
+    return descended(start, lambda at: _trials(at, fixed), lambda at: _CONVERGED * at.misfit, iterations)
 
 
 def _held_at_bounds(state: FitState, fixed: frozenset[tuple[int, str]]) -> FitState:
@@ -357,7 +363,7 @@ def _held_at_bounds(state: FitState, fixed: frozenset[tuple[int, str]]) -> FitSt
     named = zip(state.parameters.owner, state.parameters.names, strict=True)
     held = frozenset(i for i, entry in enumerate(named) if entry in fixed) | frozenset(idle.tolist())
     while True:
-        state = state if state.frozen == held else replace(state, frozen=held)
+        state = state if state.frozen == held else _frozen(state, held)
         if not (on_low | on_high).any():
             return state
         step = state.effect_step(state.fit.step)
@@ -367,26 +373,30 @@ def _held_at_bounds(state: FitState, fixed: frozenset[tuple[int, str]]) -> FitSt
         held = more
 
 
-def _improved(state: FitState) -> FitState | None:
-    step = state.fit.step
+def _frozen(state: FitState, held: frozenset[int]) -> FitState:
+    """Return the state with these parameters frozen; what does not hang on that is kept."""
+    other = replace(state, frozen=held)
+    vars(other).update({name: known for name, known in vars(state).items() if name in _OF_THE_POINT})
+    return other
+
+
+def _trials(state: FitState, fixed: frozenset[tuple[int, str]]) -> Iterator[FitState]:
+    """Yield the states after ever shorter steps; none where even the linearised model promises nothing."""
     if state.cost - float(state.fit.projected @ state.fit.projected) < _CONVERGED * state.misfit:
-        return None  # even the linearised model promises nothing
-    damping = 1.0
-    for _ in range(6):
-        trial = _moved(state, damping * step)
-        if _cost_within_range(trial) < state.cost:
-            return trial
-        damping *= 0.3
-    return None
+        return
+    for number in range(_SHORTENINGS):
+        trial = _moved(state, _SHORTER**number * state.fit.step)
+        if _is_within_range(trial):
+            yield _held_at_bounds(trial, fixed) if trial.cost < state.cost else trial
 
 
-def _cost_within_range(trial: FitState) -> float:
-    """Return the χ² of a trial step; infinite where it went so far that the light overflows or no camera is such."""
+def _is_within_range(trial: FitState) -> bool:
+    """Tell whether a trial step leads to a camera: not so far that the light overflows."""
     try:
         with np.errstate(over="raise"):
-            return trial.cost
+            return bool(np.isfinite(trial.cost))
     except (FloatingPointError, ConfigurationError):
-        return np.inf
+        return False
 
 
 def _moved(state: FitState, step: Array) -> FitState:
@@ -411,10 +421,11 @@ def _weighted(
     tau: float,
     floors: dict[str, Array],
     usable: object,
+    trace: Trace | None = None,
 ) -> FitState:
     design = model.design
-    nuisance = layout.unpack(design, values)
-    prediction = model.predict(nuisance)
+    trace = trace or model.trace(layout.unpack(design, values))
+    nuisance, prediction = trace.nuisance, trace.prediction
     sensitivity, response = light_response(model, nuisance, prediction)
     flicker = relative_flicker(prediction) * (prediction.common_variance.max(axis=1) > 0)
     bands = (relative_bands(prediction), prediction.band_frequency)
@@ -422,7 +433,9 @@ def _weighted(
     mask = usable if isinstance(usable, dict) else usable_entries(design, seen, prediction)
     comparison = compare(design, seen, prediction, sensitivity, repeatability, response, floors, mask)
     weights = np.zeros(sum(term.size for term in terms))
-    return FitState(seen, model, layout, values, terms, weights, comparison, tau)
+    state = FitState(seen, model, layout, values, terms, weights, comparison, tau)
+    vars(state).update({"trace": trace, "sensitivity": sensitivity})
+    return state
 
 
 def _form_floors(model: TileModel, nuisance: Nuisance, prediction: Prediction) -> dict[str, Array]:

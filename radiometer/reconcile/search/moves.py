@@ -17,14 +17,13 @@ from radiometer.reconcile.fit.candidate_fit import UnfitError, fit_candidate, in
 from radiometer.reconcile.fit.state import FitState, refit, reweighted, settled, with_effects, with_terms
 from radiometer.reconcile.fit.terms import LinearTerm
 from radiometer.reconcile.search.score import contenders_of, likeliest
-from radiometer.reconcile.search.screening import change_of, screen
+from radiometer.reconcile.search.screening import directions_of, screen
 from radiometer.reconcile.search.starts import StartPool
 from radiometer.reconcile.thresholds import KEPT_NATS, NAMED_NATS, OWN_LAW_NATS, PARAMETER_NATS
 from simulators.effects.catalogue import CatalogueEffect
 
 _FITTED: Final = 4  # entries that are fitted in another's place
 _REFITTED: Final = 2  # forms that are fitted in full, the most promising first
-_STEP: Final = 0.1  # of a parameter's scale
 
 
 def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[str]]:
@@ -184,10 +183,8 @@ def _further(effect: CatalogueEffect, form: CatalogueEffect) -> int:
 def _linear_gain(state: FitState, index: int, form: CatalogueEffect) -> float:
     """Return the χ² that a form in an effect's place explains by itself and by its parameters' directions."""
     effects = [form if place == index else effect for place, effect in enumerate(state.effects)]
-    at = change_of(state, effects)
-    own = state.parameters_of(effects).differences(lambda changed: change_of(state, changed), at, _STEP, index)
-    gain, _ = state.fit.score(slice(0, state.comparison.size), state.fit.followed(np.column_stack([at, own])))
-    return float(gain)
+    followed = state.fit.followed(directions_of(state, effects, index))
+    return state.fit.score(slice(0, state.comparison.size), followed)[0]
 
 
 def _fitted(state: FitState, index: int, form: CatalogueEffect) -> Loosened | None:

@@ -20,7 +20,7 @@ from simulators.effects.catalogue import CatalogueEffect
 
 _OTHER_STARTS: Final = 2  # of an entry that are kept for the fit beside the best
 _LARGEST_AMPLITUDE: Final = 300.0  # a start may be that much too small …
-_FLEXIBLE_STEP: Final = 0.1  # of a parameter's size: a start is far from the best values
+_FAR_STEP: Final = 0.1  # of a parameter's size: a start is far from the best values
 _SMALLEST_CURVATURE: Final = 1e-9
 AT_ONCE: Final = 32  # changes that are projected together: one at a time would read the whole fit for each
 
@@ -146,7 +146,7 @@ def _flexible(state: FitState, covers: Sequence[CatalogueEffect]) -> list[Candid
     found: list[Candidate] = []
     waiting: list[tuple[CatalogueEffect, Array]] = []
     for number, cover in enumerate(covers, start=1):
-        waiting.append((cover, _flexible_columns(state, cover)))
+        waiting.append((cover, directions_of(state, (*state.effects, cover), len(state.effects))))
         if sum(columns.shape[1] for _, columns in waiting) >= AT_ONCE or number == len(covers):
             found += _flexible_batch(state, waiting)
             waiting = []
@@ -165,11 +165,17 @@ def _flexible_batch(state: FitState, covers: Sequence[tuple[CatalogueEffect, Arr
     return found
 
 
-def _flexible_columns(state: FitState, cover: CatalogueEffect) -> Array:
-    """Return what a cover changes in the residual, and what its parameters do then, (entries, 1 + parameters)."""
-    effects = (*state.effects, cover)
+def directions_of(state: FitState, effects: Sequence[CatalogueEffect], index: int) -> Array:
+    """Return what a set of effects changes in the residual, and what the parameters of one of them do then.
+
+    Args:
+        state: The fitted model.
+        effects: The effects to have instead of the model's.
+        index: Position of the one whose parameters are moved.
+
+    Returns:
+        (entries, 1 + parameters).
+    """
     at = change_of(state, effects)
-    own = state.parameters_of(effects).differences(
-        lambda changed: change_of(state, changed), at, _FLEXIBLE_STEP, len(state.effects)
-    )
-    return np.column_stack([at, own])
+    moves = state.parameters_of(effects).differences(lambda changed: change_of(state, changed), at, _FAR_STEP, index)
+    return np.column_stack([at, moves])
