@@ -71,6 +71,13 @@ class CatalogueEffect(Effect):
         """Return the effects from which a search begins; by default those of `trials`."""
         return cast(tuple[Self, ...], _of_trials(cls))
 
+    def resized(self, factor: float, about: float = 0.0) -> Self:
+        """Return the effect with its first fitted parameter's distance from a value times a factor, within bounds."""
+        name = self.free()[0]
+        known = next(entry for entry in self.parameters() if entry.name == name)
+        size = about + factor * (float(getattr(self, name)) - about)
+        return self.with_parameters(**{name: min(max(size, known.low), known.high)})
+
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return flexible forms of the effect that cover other equations of it; none by default."""

@@ -35,9 +35,11 @@ def _expected(u: Signal, variance: Signal, step: int, kept: int) -> tuple[Signal
     """Return the mean of what is cut off from a normal variable, of its square, and the derivative of the former."""
     first, second = _series(step, kept)
     cut, square, slope = (np.full_like(u, value) for value in (first[0].real, second[0].real, 0.0))
+    turn, turned = np.exp(2j * np.pi / step * u), np.ones_like(u, dtype=np.complex128)
     for h in range(1, first.size):
         rate = 2.0 * np.pi * h / step
-        wave = 2.0 * np.exp(-0.5 * rate**2 * variance + 1j * rate * u)
+        turned = turned * turn
+        wave = 2.0 * np.exp(-0.5 * rate**2 * variance) * turned
         cut += (first[h] * wave).real
         square += (second[h] * wave).real
         slope += (1j * rate * first[h] * wave).real

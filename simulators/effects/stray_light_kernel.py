@@ -18,7 +18,7 @@ from simulators.effects.tile_moments import TileMoments
 class StrayLightKernel(CatalogueEffect):
     """Spreads a share of the light over a wide Gaussian: E' = (1 − v)·E + v·(E ∗ G_σ).
 
-    Source: the wide wing of a point-spread function; σ a tenth of the picture and more.
+    Source: the far tail of a point-spread function; σ a tenth of the picture and more.
     """
 
     name = "stray_light_kernel"
@@ -36,11 +36,11 @@ class StrayLightKernel(CatalogueEffect):
     )
     fitted = ("share", "radius", "edge_share")
     settles = "one bright patch with several sizes of surround"
-    essential = ("radius",)  # a wing of any width is any glare
+    essential = ("radius",)  # a kernel of any width is any glare
     share: float = parameter(0.0, "1", -0.05, 0.5, source="engineering prior; refined on a real rig")
     radius: float = parameter(0.1, "1", 0.02, 1.0, source="sigma as a fraction of the longer side")
     edge_share: float = parameter(
-        0.05, "1", 0.0, 0.4, source="part of the wing in the last line before an edge, over the patch's own mean"
+        0.05, "1", 0.0, 0.4, source="part of the kernel in the last line before an edge, over the patch's own mean"
     )
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
@@ -53,5 +53,5 @@ class StrayLightKernel(CatalogueEffect):
         return 1.0 - self.share
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with what the wing carries across an edge, which hangs on where the patch ends."""
+        """Return the moments with what the kernel carries across an edge, which hangs on where the patch ends."""
         return replace(after, edge_share=before.edge_share + np.full((1, 1, 1), self.share * self.edge_share))

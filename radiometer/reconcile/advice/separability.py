@@ -134,19 +134,17 @@ def _times(effect: CatalogueEffect, amount: float) -> CatalogueEffect:
     names = effect.free()
     if not names or "[" in names[0]:
         return effect
-    known = next(entry for entry in effect.parameters() if entry.name == names[0])
-    nothing, power = effect.neutral(names[0]), 0.5 if effect.acts_by_square else 1.0
-    size = nothing + amount**power * (float(getattr(effect, names[0])) - nothing)
-    return effect.with_parameters(**{names[0]: min(max(size, known.low), known.high)})
+    power = 0.5 if effect.acts_by_square else 1.0
+    return effect.resized(amount**power, about=effect.neutral(names[0]))
 
 
 def _columns(state: FitState, start: CatalogueEffect) -> Array | None:
     """Return what a start changes, and what its parameters but the first (its amount) do there; None for nothing."""
     try:
-        own = directions_of(state, (*state.effects, start), len(state.effects))
+        own = directions_of(state, (*state.effects, start), len(state.effects), first=1)
     except (MeasurementError, ConfigurationError):  # what no camera does is no likeness
         return None
-    return np.delete(own, slice(1, 2), axis=1) if own[:, 0].any() else None
+    return own if own[:, 0].any() else None
 
 
 def inseparable(

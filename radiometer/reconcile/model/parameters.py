@@ -87,12 +87,16 @@ class EffectParameters:
             changes[owner][plain] = tuple(table)
         return tuple(_changed(e, c) for e, c in zip(self.effects, changes, strict=True))
 
+    def of_effect(self, place: int) -> list[int]:
+        """Return the positions of the parameters of one effect."""
+        return [index for index, owner in enumerate(self.owner) if owner == place]
+
     def differences(
         self,
         statistics_of: Callable[[tuple[CatalogueEffect, ...]], Array],
         at: Array,
         share: float = _STEP,
-        owner: int | None = None,
+        only: Sequence[int] | None = None,
     ) -> Array:
         """Return d(statistics)/d(scaled parameter) by one-sided steps within the bounds, (entries, parameters).
 
@@ -100,12 +104,10 @@ class EffectParameters:
             statistics_of: Gives (entries,) statistics for effects.
             at: The same for the parameters as they are.
             share: Step in units of the scales.
-            owner: Position of the effect whose parameters are moved alone; by default all are.
+            only: Positions of the parameters that are moved; by default all are.
         """
         values, found = self.values, []
-        for index in range(self.size):
-            if owner is not None and self.owner[index] != owner:
-                continue
+        for index in range(self.size) if only is None else only:
             step = share if values[index] + share * self.scale[index] <= self.high[index] else -share
             moved = values.copy()
             moved[index] += step * self.scale[index]

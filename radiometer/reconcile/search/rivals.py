@@ -43,7 +43,7 @@ def rivals_of(
 def _is_rival(other: FittedCandidate, nats: float, chosen: Judged) -> bool:
     """Tell whether another entry predicts about as well; each further parameter must be paid for.
 
-    One with more parameters of which one lies on its bound is the chosen one's likeness in a limit: a wing as wide as
+    One with more parameters of which one lies on its bound is the chosen one's likeness in a limit: a kernel as wide as
     the picture is a veil.
     """
     further = max(other.parameters - chosen[0].parameters, 0)

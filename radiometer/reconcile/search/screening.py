@@ -135,11 +135,8 @@ def _scaled(effect: CatalogueEffect, amplitude: float) -> tuple[CatalogueEffect,
     """Return the effect with its first parameter times the amplitude, and times its root, within bounds."""
     if not effect.free() or "[" in effect.free()[0] or amplitude <= 0:
         return ()
-    name = effect.free()[0]
-    known = next(entry for entry in effect.parameters() if entry.name == name)
-    value = float(getattr(effect, name))
-    wanted = {float(np.clip(value * factor, known.low, known.high)) for factor in (amplitude, amplitude**0.5)}
-    return tuple(effect.with_parameters(**{name: v}) for v in sorted(wanted))
+    sized = (effect.resized(factor) for factor in sorted({amplitude, amplitude**0.5}))
+    return tuple({getattr(one, one.free()[0]): one for one in sized}.values())
 
 
 def _flexible(state: FitState, covers: Sequence[CatalogueEffect]) -> list[Candidate]:
@@ -165,17 +162,19 @@ def _flexible_batch(state: FitState, covers: Sequence[tuple[CatalogueEffect, Arr
     return found
 
 
-def directions_of(state: FitState, effects: Sequence[CatalogueEffect], index: int) -> Array:
+def directions_of(state: FitState, effects: Sequence[CatalogueEffect], index: int, first: int = 0) -> Array:
     """Return what a set of effects changes in the residual, and what the parameters of one of them do then.
 
     Args:
         state: The fitted model.
         effects: The effects to have instead of the model's.
         index: Position of the one whose parameters are moved.
+        first: The first of its parameters that is moved.
 
     Returns:
         (entries, 1 + parameters).
     """
-    at = change_of(state, effects)
-    moves = state.parameters_of(effects).differences(lambda changed: change_of(state, changed), at, _FAR_STEP, index)
+    at, own = change_of(state, effects), state.parameters_of(effects)
+    only = own.of_effect(index)[first:]
+    moves = own.differences(lambda changed: change_of(state, changed), at, _FAR_STEP, only)
     return np.column_stack([at, moves])

@@ -92,7 +92,7 @@ class StartPool:
         order = [int(i) for i in np.argsort(least)]
         first = {_variant(dense[i]): i for i in reversed(order)}
         chosen = list(dict.fromkeys([*sorted(first.values(), key=lambda i: least[i]), *order]))[:_KEPT]
-        return tuple(_resized(dense[i], float(np.sqrt(sizes[best[i]]))) for i in chosen)
+        return tuple(dense[i].resized(float(np.sqrt(sizes[best[i]]))) for i in chosen)
 
 
 def _stacked(values: Any, captures: int) -> Array:
@@ -103,14 +103,6 @@ def _variant(start: CatalogueEffect) -> tuple[object, ...]:
     """Return what of a start is not fitted."""
     free = start.free()
     return tuple(value for name, value in start.values().items() if name not in free)
-
-
-def _resized(start: CatalogueEffect, factor: float) -> CatalogueEffect:
-    """Return a start with its first parameter times a factor, within its bounds."""
-    name = start.free()[0]
-    known = next(entry for entry in start.parameters() if entry.name == name)
-    size = float(getattr(start, name)) * factor
-    return start.with_parameters(**{name: min(max(size, known.low), known.high)})
 
 
 def _of_all_captures(state: FitState) -> tuple[Array, Array]:
@@ -196,7 +188,7 @@ class _WaveRater:
         whole = self._more / max(float(np.sum(np.where(self._mask, added, 0.0))), 1e-30)
         rated = [(self._deviance(self._steady + scale * whole * added), scale * whole) for scale in _SCALES.tolist()]
         least, scale = min(rated)
-        return _Rated(least, _resized(start, float(np.sqrt(scale))), per_row)
+        return _Rated(least, start.resized(float(np.sqrt(scale))), per_row)
 
     def refined(self, rated: _Rated) -> _Rated:
         """Return the likeliest wave about one: each turn of what the entry calls nearby, twice."""
