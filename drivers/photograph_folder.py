@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
-from drivers.photograph_pixels import CHANNELS, IMAGE_SUFFIXES, RAW_SUFFIXES, Photograph, read_photograph
+from drivers.photograph_pixels import CHANNELS, IMAGE_SUFFIXES, Photograph, read_photograph
 from drivers.photograph_times import LIST_NAMES, PhotographSettings, find_list, read_exif, read_list
 from radiometer.data import Bracket, Frame, FrameSettings
 from radiometer.data.iso_speeds import IsoSpeeds
+from radiometer.data.raw_files import RAW_SUFFIXES
 from radiometer.errors import CaptureError, UsageError
 
 CHANNEL_CHOICES: Final = (*CHANNELS, "luminance", "each")

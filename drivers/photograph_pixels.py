@@ -13,11 +13,11 @@ from PIL import Image, UnidentifiedImageError
 
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.guards import refuse_large_picture
-from radiometer.errors import CaptureError, MissingLibrary
+from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
+from radiometer.errors import CaptureError
 
 CHANNELS: Final = ("red", "green", "blue")
 IMAGE_SUFFIXES: Final = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
-RAW_SUFFIXES: Final = frozenset({".cr2", ".cr3", ".nef", ".arw", ".dng", ".orf", ".raf", ".rw2", ".pef"})
 _JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
 
 
@@ -145,31 +145,7 @@ def _decode_lossless(path: Path) -> Any:
 
 def _read_raw(path: Path, most_pixels: int | None = None) -> Photograph:
     """Return the three colours of a mosaic at half size, straight from the sensor: linear, black level not removed."""
-    try:
-        import rawpy
-    except ImportError as error:
-        raise MissingLibrary(
-            f"{path}: camera raw files need rawpy; install it with `pip install 'radiometer[photo]'`"
-        ) from error
-    try:
-        with rawpy.imread(str(path)) as raw:
-            mosaic, pattern = raw.raw_image_visible.copy(), raw.raw_pattern
-            white, black = int(raw.white_level), raw.black_level_per_channel
-            names = raw.color_desc.decode("ascii", "replace")
-    except (rawpy.LibRawError, OSError) as error:
-        raise CaptureError(f"{path}: not a readable camera raw file: {error}") from error
-    if pattern is None or pattern.shape != (2, 2):
-        raise CaptureError(f"{path}: its colour mosaic is not the 2 × 2 Bayer pattern; develop it to linear TIFF")
-    planes = [_bayer_plane(mosaic, pattern, names, letter) for letter in "RGB"]
-    bit_depth = max(9, min(16, int(np.ceil(np.log2(white + 1)))))
-    values = np.minimum(np.stack(planes, axis=2), (1 << bit_depth) - 1).astype(np.uint16)
-    values[values >= white] = (1 << bit_depth) - 1
-    shape = (int(values.shape[0]), int(values.shape[1]))
-    values = _on_lattice(values, _step(shape, most_pixels))
-    return Photograph(values, bit_depth, float(np.mean(black)), is_raw=True, full_shape=shape)
-
-
-def _bayer_plane(mosaic: Any, pattern: Any, names: str, letter: str) -> Any:
-    row, column = next((r, c) for r in (0, 1) for c in (0, 1) if names[pattern[r, c]] == letter)
-    height, width = (size // 2 * 2 for size in mosaic.shape)
-    return mosaic[row:height:2, column:width:2]
+    raw = read_raw_colours(path)
+    shape = (int(raw.values.shape[0]), int(raw.values.shape[1]))
+    values = _on_lattice(raw.values, _step(shape, most_pixels))
+    return Photograph(values, raw.bit_depth, raw.black_level_dn, is_raw=True, full_shape=shape)

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Protocol, Self, TypeVar
 
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription
-from radiometer.data.frame import DigitalNumbers
+from radiometer.data.frame import CameraFile, DigitalNumbers
 from radiometer.devices import (
     AcquisitionCounts,
     CameraCapabilities,
@@ -43,6 +43,7 @@ class Grab:
         timestamp_s: Time of a steady clock in s.
         temperature_c: Sensor temperature in °C; None where unknown.
         f_number: f-number as the camera states it; None where it does not.
+        file: The raw file that the numbers were read from, where the camera wrote one.
     """
 
     dn: DigitalNumbers
@@ -53,6 +54,7 @@ class Grab:
     timestamp_s: float
     temperature_c: float | None = None
     f_number: float | None = None
+    file: CameraFile | None = None
 
 
 class FrameLink(Protocol):
@@ -281,6 +283,7 @@ class PlainCamera:
                 timestamp_s=grab.timestamp_s,
             ),
             frame_id=self._frames,
+            file=grab.file if roi is None else None,  # a region is not what the file holds
         )
 
     def _check(self, settings: CameraSettings) -> None:

@@ -10,9 +10,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol
 
-from drivers.photograph_pixels import RAW_SUFFIXES, Photograph, read_photograph
+from drivers.photograph_pixels import Photograph, read_photograph
 from drivers.photograph_times import is_dial_time
 from drivers.plain_camera import Grab
+from radiometer.data.frame import CameraFile
+from radiometer.data.raw_files import RAW_SUFFIXES
 from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings, Finding, Health
 from radiometer.errors import CaptureError, DeviceError, DeviceLost
 from radiometer.units import exact_exposure_s, exact_f_number
@@ -123,7 +125,7 @@ class TetheredLink:
             self._iso = _dial(device, names, ("iso",), _number_of)
             self._findings = [*_raw_files(device, names), *_falsifiers(device, names)]
             self._set(0.01, 0.0)
-            self._limits = self._limits_of(self._photograph(0.01))
+            self._limits = self._limits_of(self._photograph(0.01)[0])
         except BaseException:
             self.close()
             raise
@@ -151,7 +153,7 @@ class TetheredLink:
     def grab(self) -> Grab:
         """Release the shutter and return the green pixels of the raw file."""
         settings = self._settings
-        photograph = self._photograph(settings.exposure_s)
+        photograph, file = self._photograph(settings.exposure_s)
         return Grab(
             dn=photograph.plane("green"),
             bit_depth=photograph.bit_depth,
@@ -160,6 +162,7 @@ class TetheredLink:
             black_level_dn=photograph.black_level_dn or 0.0,
             timestamp_s=time.monotonic(),
             f_number=self._f_number(),
+            file=file,
         )
 
     def findings(self) -> list[Finding]:
@@ -184,18 +187,19 @@ class TetheredLink:
         iso = _number_of(self._open.write("iso", self._iso.nearest(lowest * 10 ** (gain_db / 20))))
         return found_s, round(20 * math.log10((iso or lowest) / lowest), 6)
 
-    def _photograph(self, exposure_s: float) -> Photograph:
+    def _photograph(self, exposure_s: float) -> tuple[Photograph, CameraFile]:
         name, content = self._open.capture(2 * exposure_s + 30.0)
         if content.startswith(_JPEG_MAGIC):
             raise DeviceError(
                 f"{self._identity.device_id}: sends JPEG ({name}), which is no measurement; set its quality to raw"
             )
         suffix = Path(name).suffix.lower()
+        kept = CameraFile(suffix if suffix in RAW_SUFFIXES else ".dng", content)
         with tempfile.TemporaryDirectory(prefix="radiometer-") as folder:
-            file = Path(folder) / f"frame{suffix if suffix in RAW_SUFFIXES else '.dng'}"
+            file = Path(folder) / f"frame{kept.suffix}"
             file.write_bytes(content)
             try:
-                return read_photograph(file)
+                return read_photograph(file), kept
             except CaptureError as error:
                 reason = str(error).removeprefix(f"{file}: ")
                 raise DeviceError(f"{self._identity.device_id}: its file {name} cannot be used: {reason}") from error

@@ -22,6 +22,7 @@ from radiometer.data.capture_header import (
 )
 from radiometer.data.frame import DigitalNumbers, Frame, FrameSettings
 from radiometer.data.guards import refuse_large_picture
+from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import FileSection, validate
 from radiometer.errors import CaptureError
@@ -276,11 +277,14 @@ def read_header(path: Path) -> CaptureHeader:
 
 
 def read_digital_numbers(path: Path) -> DigitalNumbers:
-    """Return the raw digital numbers of a single-channel 8- or 16-bit PNG or TIFF.
+    """Return the raw digital numbers of a single-channel 8- or 16-bit PNG or TIFF, or the green ones of a raw file.
 
     Raises:
         CaptureError: If the file is missing, truncated, or of another form.
+        MissingLibrary: If it is a camera raw file and rawpy is not installed.
     """
+    if path.suffix.lower() in RAW_SUFFIXES:
+        return read_raw_colours(path).green
     try:
         content = np.fromfile(path, np.uint8)
     except OSError as error:

@@ -65,7 +65,7 @@ class CaptureSetWriter:
         return self
 
     def add(self, frame: Frame, **further: Any) -> None:
-        """Write one frame.
+        """Write one frame: the camera's own raw file where it has one, its digital numbers as PNG where not.
 
         Args:
             frame: The frame.
@@ -74,12 +74,16 @@ class CaptureSetWriter:
         Raises:
             OutputError: If the disk refuses it.
         """
-        name = f"frames/{len(self._entries):04d}.png"
+        suffix = frame.file.suffix if frame.file else ".png"
+        name = f"frames/{len(self._entries):04d}{suffix}"
+        write_bytes_atomic(self.path / name, frame.file.content if frame.file else self._as_png(frame))
+        self._entries.append(FrameEntry.of(name, frame.settings, **further))
+
+    def _as_png(self, frame: Frame) -> bytes:
         done, encoded = cv2.imencode(".png", frame.dn, [cv2.IMWRITE_PNG_COMPRESSION, 1])
         if not done:
             raise OutputError(f"cannot encode frame {len(self._entries)} as PNG")
-        write_bytes_atomic(self.path / name, encoded.tobytes())
-        self._entries.append(FrameEntry.of(name, frame.settings, **further))
+        return encoded.tobytes()
 
     def finish(self) -> CaptureSet:
         """Write `capture.yaml` and return the finished set.

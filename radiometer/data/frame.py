@@ -54,6 +54,19 @@ class FrameSettings:
         return self.exposure_s * gain_factor(self.gain_db)
 
 
+@dataclass(frozen=True, slots=True)
+class CameraFile:
+    """The file that a camera itself wrote for a frame, as it came.
+
+    Attributes:
+        suffix: How its name ends, such as ".cr2".
+        content: Its bytes.
+    """
+
+    suffix: str
+    content: bytes = field(repr=False)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """One exposure: raw digital numbers, right-aligned, with the settings read back.
@@ -64,6 +77,7 @@ class Frame:
         settings: What the frame was taken with.
         frame_id: Running number given by the device; None where there is none.
         extra: Further facts from the device (chunk data, counts of resent packets).
+        file: The camera's own raw file that the numbers were read from; None where there is none.
     """
 
     dn: DigitalNumbers
@@ -71,6 +85,7 @@ class Frame:
     settings: FrameSettings
     frame_id: int | None = None
     extra: dict[str, float | int | str] = field(default_factory=dict)
+    file: CameraFile | None = None
 
     def __post_init__(self) -> None:
         if self.dn.ndim != 2 or self.dn.dtype not in (np.uint8, np.uint16):

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import textwrap
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
+import radiometer as rm
 from drivers import own_cameras
 from drivers.gphoto_library import _said
 from drivers.pi_link import PiLink, green_of
@@ -20,8 +24,8 @@ from drivers.v4l2_link import V4l2Link, plain_numbers
 from radiometer.bench.cameras import open_camera
 from radiometer.bench.config import read_bench
 from radiometer.cli.main import run
-from radiometer.data import LensDescription
-from radiometer.devices import CameraIdentity, CameraSettings, Health
+from radiometer.data import CaptureSet, CaptureSetWriter, LensDescription
+from radiometer.devices import CameraIdentity, CameraSettings, Health, Roi
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout, MissingLibrary
 from simulators.edge_devices import (
     ControlRange,
@@ -267,16 +271,82 @@ def test_a_mode_dial_that_cannot_be_turned_by_wire_is_a_fault(body):
     assert "chooses the exposure itself" in found.message
 
 
-def test_a_bracket_of_a_tethered_camera_is_a_capture_set(body, monkeypatch, tmp_path):
-    """`bracket --camera gphoto2:…` writes linear frames with exact times, f-number and black level."""
-    monkeypatch.setattr(own_cameras, "open_own", lambda _name, _lens, _preset: body[1])
-    words = ["bracket", str(tmp_path / "set"), "--camera", "gphoto2:usb:001,004", "--from", "1ms", "--to", "16ms"]
+def test_a_bracket_of_a_tethered_camera_is_a_capture_set_of_its_raw_files(body, monkeypatch, tmp_path):
+    """`bracket --camera gphoto2:…` keeps the files that the camera gave, byte for byte, exact times beside them."""
+    device, camera = body
+    given: list[bytes] = []
+    taken = type(device).capture
+
+    def capture(self: SimulatedTether, deadline_s: float) -> tuple[str, bytes]:
+        name, content = taken(self, deadline_s)
+        given.append(content)
+        return name, content
+
+    monkeypatch.setattr(SimulatedTether, "capture", capture)
+    monkeypatch.setattr(own_cameras, "open_own", lambda _name, _lens, _preset: camera)
+    folder = tmp_path / "set"
+    words = ["bracket", str(folder), "--camera", "gphoto2:usb:001,004", "--from", "1ms", "--to", "16ms"]
     assert run(words) == 0
-    written = yaml.safe_load((tmp_path / "set" / "capture.yaml").read_text(encoding="utf-8"))
+    written = yaml.safe_load((folder / "capture.yaml").read_text(encoding="utf-8"))
     assert written["camera"]["bit_depth"] == 14
     assert written["camera"]["model"] == "EOS 5D"
     assert [frame["exposure_s"] for frame in written["frames"]] == [2.0**-10, 2.0**-9, 2.0**-8, 2.0**-7, 2.0**-6]
     assert {(frame["f_number"], frame["black_level_dn"]) for frame in written["frames"]} == {(4.0, 512.0)}
+    files = [folder / frame["file"] for frame in written["frames"]]
+    assert {file.suffix for file in files} == {".dng"}
+    assert [file.read_bytes() for file in files] == given[-5:]
+    # Read again, every frame is the green pixels of its file: black level and signal of its own time.
+    levels = [int(frame.dn[5, 7]) for frame in CaptureSet.read(folder).frames()]
+    assert levels == [round(512 + DN_PER_S * 2.0**exponent) for exponent in (-10, -9, -8, -7, -6)]
+
+
+def ramp(request) -> np.ndarray:
+    """Return a ramp of light over four decades without noise: black level and signal, clipped at full scale."""
+    light = np.geomspace(2.0, 4.0e4, request.width)[None, :] * np.ones((request.height, 1))
+    level = np.rint(request.black_level_dn + 40.0 * light * request.exposure_s)
+    return np.minimum(level, (1 << request.bit_depth) - 1).astype(np.uint16)
+
+
+def test_raw_files_of_a_capture_set_are_merged_measured_and_give_the_response(tmp_path, capsys):
+    """Merge, measure and response read raw files as they read the same numbers in PNG."""
+    pytest.importorskip("rawpy")
+    link = TetheredLink(SimulatedTether(ramp, 96, 32), CameraIdentity("", "EOS 5D", "", "gphoto2:usb:001,004"))
+    with ExitStack() as held:
+        camera = held.enter_context(PlainCamera(link))
+        raw, plain = (
+            held.enter_context(CaptureSetWriter(tmp_path / kind, camera.description, camera.lens))
+            for kind in ("raw", "png")
+        )
+        for exponent in (-8, -7, -6, -5, -4):
+            camera.configure(CameraSettings(2.0**exponent, 0.0, 512, "Mono14"))
+            for frame in camera.capture(2):
+                raw.add(frame)
+                plain.add(replace(frame, file=None))
+    assert len(list((tmp_path / "raw" / "frames").glob("*.dng"))) == 10
+    assert len(list((tmp_path / "png" / "frames").glob("*.png"))) == 10
+    maps, curves, readings = [], [], []
+    for kind in ("raw", "png"):
+        stack = rm.read(tmp_path / kind)
+        maps.append(rm.merge(stack).value)
+        curves.append(rm.recover_response(stack, "linear_spline").log_exposure)
+        words = ["measure", "--photographs", str(tmp_path / kind), "--patch", "40,4,2,16", "--uncalibrated", "--json"]
+        assert run(words) == 0
+        readings.append(json.loads(capsys.readouterr().out)["radiance"]["value"])
+    assert np.array_equal(maps[0], maps[1])
+    assert np.array_equal(curves[0], curves[1])
+    assert readings[0] == readings[1] > 0
+    # Columns 40 and 60 lie 20 steps of the ramp apart; whole numbers are rounded to half a DN.
+    ratio = float(maps[0][8, 60] / maps[0][8, 40])
+    assert ratio == pytest.approx((2.0e4) ** (20 / 95), rel=0.01)
+
+
+def test_a_region_of_a_tethered_camera_is_kept_as_its_numbers(body):
+    """The raw file holds the whole sensor: a frame of a region has none, so that file and frame never disagree."""
+    with body[1] as camera:
+        camera.configure(CameraSettings(0.004, 0.0, 512, "Mono14", roi=Roi(2, 2, 8, 8)))
+        assert camera.capture(1)[0].file is None
+        camera.configure(CameraSettings(0.004, 0.0, 512, "Mono14"))
+        assert camera.capture(1)[0].file is not None
 
 
 def test_a_bench_file_names_such_a_camera(webcam, monkeypatch, tmp_path):
