@@ -21,7 +21,7 @@ define install_packages
 	fi
 endef
 
-.PHONY: help measure test test-fast test-slow check mutants coverage shake bench soak firmware calibration clean
+.PHONY: help measure test test-fast test-slow check docs man tutorial mutants coverage shake bench soak firmware calibration clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -44,6 +44,18 @@ check: $(VENV)/.ready-test  ## Format, lint, types, layers
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: $(VENV)/.ready-test  ## Build the documentation site into out/site; a broken link is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+man: $(VENV)/.ready-run  ## Write the manual page docs/radiometer.1 anew, after a command changed
+	$(BIN)/radiometer man > docs/.radiometer.1 && mv docs/.radiometer.1 docs/radiometer.1
+
+tutorial: $(VENV)/.ready-test  ## Follow the tutorial word by word in a fresh folder and environment, from a fresh wheel
+	rm -rf out/tutorial out/wheel
+	$(BIN)/python -m pip wheel -q --disable-pip-version-check --no-deps -w out/wheel .
+	PIP_FIND_LINKS=$(CURDIR)/out/wheel PIP_CONSTRAINT=$(CURDIR)/constraints.txt PIP_DISABLE_PIP_VERSION_CHECK=1 \
+	  $(BIN)/python docs/_site/follow.py docs/tutorial.md out/tutorial
 
 mutants: $(VENV)/.ready-test  ## Make plausible mistakes one at a time and count which the fast tests notice (AREA=planning for one)
 	$(BIN)/python -m tests.mutants $(AREA)
@@ -95,5 +107,5 @@ $(VENV)/.ready-run: pyproject.toml constraints.txt
 $(VENV)/.ready-test: pyproject.toml constraints.txt
 	$(call install_packages,$(TEST_PACKAGES))
 	[ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[genicam,photo,v4l2,gphoto2,fleet,cluster,dev]'
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[genicam,photo,v4l2,gphoto2,fleet,cluster,docs,dev]'
 	@touch $@ $(VENV)/.ready-run

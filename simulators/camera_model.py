@@ -217,9 +217,9 @@ class CameraModel:
         """Return the model in a YAML file. Raises InputError or ConfigurationError saying what is wrong where."""
         return cls.from_mapping(read_yaml(path), str(path))
 
-    def write(self, path: Path) -> None:
+    def write(self, path: Path | str) -> None:
         """Write the model as YAML, whole or not at all. Raises OutputError."""
-        write_yaml_atomic(path, self.to_mapping())
+        write_yaml_atomic(Path(path), self.to_mapping())
 
 
 def _run(effect: Effect, step: Callable[[], _ResultT]) -> _ResultT:

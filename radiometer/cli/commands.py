@@ -46,4 +46,5 @@ COMMANDS: Final[dict[str, CommandEntry]] = {
     "doctor": CommandEntry("radiometer.cli.doctor", "Check computer and camera, and say how to cure what is wrong."),
     "new-bench": CommandEntry("radiometer.cli.new_bench", "Ask five questions and write a bench file."),
     "completion": CommandEntry("radiometer.cli.completion", "Print what makes a shell complete commands and options."),
+    "man": CommandEntry("radiometer.cli.man", "Print the manual page."),
 }

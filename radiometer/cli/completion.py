@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import typer
 
-from radiometer.cli.commands import COMMANDS, CommandEntry
+from radiometer.cli.command_tree import command_tree
+from radiometer.cli.commands import COMMANDS
 from radiometer.errors import UsageError
 
 _HELP: Final = ("--help", "Show what it does and leave.")
@@ -48,34 +48,9 @@ def command(
 
 def all_words() -> Iterator[Words]:
     """Yield the words of every command and of the commands below it."""
-    yield from _of_table(COMMANDS, ())
-
-
-def _of_table(table: Mapping[str, CommandEntry], path: tuple[str, ...]) -> Iterator[Words]:
-    for name, entry in table.items():
-        module, here = importlib.import_module(entry.module), (*path, name)
-        if hasattr(module, "command"):
-            app = typer.Typer(add_completion=False)
-            app.command(name=name)(module.command)
-            yield from _below(typer.main.get_command(app), here, entry.summary)
-        elif isinstance(module.app, typer.Typer):
-            yield from _below(typer.main.get_command(module.app), here, entry.summary)
-        else:  # a table of its own, each line a module
-            yield Words(here, entry.summary, (_HELP,), tuple(module.DEVICES))
-            yield from _of_table(module.DEVICES, here)
-
-
-def _below(found: Any, path: tuple[str, ...], summary: str) -> Iterator[Words]:
-    named = [(option, _first_line(p.help)) for p in found.params for option in (*p.opts, *p.secondary_opts)]
-    options = tuple((option, words) for option, words in named if option.startswith("--"))
-    inner = getattr(found, "commands", {})
-    yield Words(path, summary, (*options, _HELP), tuple(inner))
-    for name, single in inner.items():
-        yield from _below(single, (*path, name), _first_line(single.help))
-
-
-def _first_line(text: str | None) -> str:
-    return (text or "").strip().partition("\n")[0]
+    for one in command_tree():
+        options = [(name, word.said) for word in one.options for name in word.names if name.startswith("--")]
+        yield Words(one.path, one.summary, (*options, _HELP), one.below)
 
 
 def bash(words: list[Words]) -> str:

@@ -7,10 +7,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 from radiometer.data.provenance import Provenance, utc_now
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_BARS: Final = 8  # contributions that a plot shows
 RADIANCE_UNIT = "W sr-1 m-2"
 LUMINANCE_UNIT = "cd m-2"
 RELATIVE_UNIT = "relative"
@@ -43,7 +47,16 @@ class Flag(StrEnum):
 
 @dataclass(frozen=True, slots=True, order=True)
 class Patch:
-    """A rectangle of pixels: left, top, width and height in pixels of the frame."""
+    """A rectangle of pixels: left, top, width and height in pixels of the frame.
+
+    Example:
+        >>> import radiometer as rm
+        >>> patch = rm.Patch(840, 240, 120, 100)
+        >>> patch.slices
+        (slice(240, 340, None), slice(840, 960, None))
+        >>> patch.fits((1240, 1616)), patch.fits((480, 640))
+        (True, False)
+    """
 
     x: int
     y: int
@@ -106,9 +119,22 @@ class Contribution:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Reading:
     """The radiance of one patch at one moment.
+
+    Example:
+        >>> import radiometer as rm
+        >>> with rm.open("bench.yaml") as meter:
+        ...     reading = meter.measure()
+        >>> print(reading)
+        0.30... ± 0.00... W sr-1 m-2 (k = 2)
+        >>> reading.radiance.unit, [str(flag) for flag in reading.flags]
+        ('W sr-1 m-2', [])
+        >>> max(reading.budget, key=lambda line: line.u_rel).name
+        'scale'
+        >>> reading.plot().get_xlabel()
+        'relative standard uncertainty in %'
 
     Attributes:
         radiance: Radiance in W·sr⁻¹·m⁻² (unit "relative" where uncalibrated).
@@ -173,6 +199,45 @@ class Reading:
     def to_json(self) -> str:
         """Return the reading as one line of JSON."""
         return json.dumps(self.to_mapping(), ensure_ascii=False, allow_nan=False)
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the largest contributions to the uncertainty as bars.
+
+        Args:
+            axes: Where to draw; a new figure by default.
+        """
+        from radiometer.data.drawing import new_axes
+
+        where = axes if axes is not None else new_axes()
+        largest = sorted(self.budget, key=lambda line: line.u_rel)[-_BARS:]
+        where.barh([line.name for line in largest], [100 * line.u_rel for line in largest], color="tab:blue")
+        where.set_xlabel("relative standard uncertainty in %")
+        return where
+
+    def __str__(self) -> str:
+        """Return value, expanded uncertainty, unit and flags in one line."""
+        expanded = self.coverage_factor * self.radiance.u
+        flags = f" [{', '.join(self.flags)}]" if self.flags else ""
+        said = f"{_rounded(self.radiance.value, expanded)} {self.radiance.unit}"
+        return f"{said} (k = {self.coverage_factor:.3g}){flags}"
+
+    def __repr__(self) -> str:
+        """Return value, patch and instrument in one line; every field stands in `to_mapping()`."""
+        where = f"{self.patch.x},{self.patch.y} {self.patch.width} × {self.patch.height}"
+        return f"<Reading {self}, patch {where} of {self.instrument}>"
+
+    def _repr_html_(self) -> str:
+        from radiometer.data.drawing import picture
+
+        return picture(self.plot, str(self))
+
+
+def _rounded(value: float, expanded: float) -> str:
+    """Return "value ± U" with two digits of U."""
+    if not (math.isfinite(value) and math.isfinite(expanded) and expanded > 0):
+        return f"{value:.5g} ± {expanded:.2g}"
+    decimals = max(0, 1 - math.floor(math.log10(expanded)))
+    return f"{value:.{decimals}f} ± {expanded:.{decimals}f}"
 
 
 def finite_or_null(value: Any) -> Any:

@@ -6,13 +6,21 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from radiometer.bench.sources import open_brackets
 from radiometer.data import Bracket, CameraDescription, CaptureHeader, LensDescription
 from radiometer.data.capture_set import HEADER_NAME
+from radiometer.data.drawing import new_axes, picture
+from radiometer.data.frame import DigitalNumbers
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import validate
 from radiometer.errors import CaptureError, UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 PathLike = str | os.PathLike[str]
 
@@ -20,6 +28,16 @@ PathLike = str | os.PathLike[str]
 @dataclass(frozen=True, eq=False)
 class Stack:
     """Frames of one camera: one bracket per displayed pattern or colour channel.
+
+    Example:
+        >>> import radiometer as rm
+        >>> stack = rm.read_photographs("photographs")
+        >>> len(stack), list(stack.brackets)
+        (3, ['red', 'green', 'blue'])
+        >>> stack["green"]
+        <Stack photographs: green: 3 frames of 96 × 64 pixels, 8 bits, 0.02 to 0.08 s>
+        >>> stack["green"].bracket.frames[0].dn.shape
+        (64, 96)
 
     Attributes:
         brackets: The brackets by pattern, or by channel ("red", "luminance", …).
@@ -58,6 +76,28 @@ class Stack:
             )
         return next(iter(self.brackets.values()))
 
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the digital numbers over the effective exposure: median, and the middle 98 % of the pixels.
+
+        Args:
+            axes: Where to draw; a new figure by default.
+        """
+        where = axes if axes is not None else new_axes()
+        for name, bracket in self.brackets.items():
+            exposures = [frame.settings.effective_exposure_s for frame in bracket.frames]
+            low, middle, high = np.transpose([np.percentile(_thinned(one.dn), (1, 50, 99)) for one in bracket.frames])
+            (line,) = where.plot(exposures, middle, "o-", markersize=3, label=name)
+            where.fill_between(exposures, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
+            where.axhline(bracket.frames[0].full_scale_dn, color="black", linewidth=0.8, linestyle=":")
+        where.set_xscale("log")
+        where.set_xlabel("exposure time × gain in s")
+        where.set_ylabel("digital number (DN); dotted: full scale")
+        where.legend()
+        return where
+
+    def _repr_html_(self) -> str:
+        return picture(self.plot, repr(self))
+
     def __repr__(self) -> str:
         """Return size, number of frames and exposures in one line."""
         parts = []
@@ -74,6 +114,14 @@ class Stack:
 
 def read(path: PathLike, channel: str = "luminance") -> Stack:
     """Read a capture set or a folder of photographs.
+
+    Example:
+        >>> import radiometer as rm
+        >>> stack = rm.read("out/chart")
+        >>> stack
+        <Stack out/chart: default: 9 + 9 dark frames of 96 × 64 pixels, 12 bits, 0.0002 to 0.0512 s>
+        >>> stack.plot().get_xlabel()
+        'exposure time × gain in s'
 
     Args:
         path: Folder with `capture.yaml`, or with photographs and their times.
@@ -97,6 +145,13 @@ def read(path: PathLike, channel: str = "luminance") -> Stack:
 def read_photographs(path: PathLike, channel: str = "each") -> Stack:
     """Read a folder of photographs whose times are in EXIF or in a list beside them; colours apart by default.
 
+    Example:
+        >>> import radiometer as rm
+        >>> list(rm.read_photographs("photographs").brackets)
+        ['red', 'green', 'blue']
+        >>> len(rm.read_photographs("photographs", "luminance"))
+        1
+
     Args:
         path: The folder.
         channel: "luminance", "red", "green", "blue" or "each".
@@ -107,6 +162,12 @@ def read_photographs(path: PathLike, channel: str = "each") -> Stack:
     if (Path(path) / HEADER_NAME).exists():
         raise CaptureError(f"{path} is a capture set, not a folder of photographs; use radiometer.read")
     return read(path, channel)
+
+
+def _thinned(dn: DigitalNumbers) -> DigitalNumbers:
+    """Return at most some hundred thousand pixels, on an even lattice."""
+    step = max(1, round((dn.size / 2e5) ** 0.5))
+    return dn[::step, ::step]
 
 
 def _name(bracket: Bracket) -> str:

@@ -21,6 +21,16 @@ class Meter:
 
     Made by `radiometer.open`; use it as a context manager, or close it when done.
 
+    Example:
+        >>> import radiometer as rm
+        >>> with rm.open("bench.yaml", uncalibrated=True) as meter:
+        ...     relative = meter.measure((8, 8, 32, 32), u_rel=0.01)
+        ...     stack = meter.bracket(darks=1)
+        ...     meter
+        <Meter FLIR BFS-U3-19S4M 22500001, patch 40,24 16 × 16, uncalibrated>
+        >>> relative.radiance.unit, relative.patch.width, len(stack.bracket.dark_frames) > 0
+        ('relative', 32, True)
+
     Attributes:
         instrument: What it is made of.
     """
@@ -102,6 +112,16 @@ def open(
     f_number: float | None = None,
 ) -> Meter:
     """Open a camera as a radiance meter.
+
+    Example:
+        >>> import radiometer as rm
+        >>> with rm.open("bench.yaml") as meter:
+        ...     reading = meter.measure()
+        >>> abs(reading.radiance.value - 0.3) < 3 * reading.radiance.u
+        True
+        >>> with rm.open("sim", uncalibrated=True) as meter:
+        ...     meter.calibration is None
+        True
 
     Args:
         source: A bench file (.yaml), "sim", or a camera's id, serial number or address; the simulated bench by default.

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from radiometer.analysis.exports.maps import Picture, writer_for
 from radiometer.analysis.merge.bracket import merge as merge_bracket
 from radiometer.data import BlackLevel, Bracket, Calibration, PixelMask, RadianceMap, Scale, SensorNoise
+from radiometer.data.drawing import new_axes, picture
 from radiometer.errors import MissingLibrary, UsageError
-from radiometer.interface.drawing import new_axes, picture
 from radiometer.interface.files import PathLike, Stack
 from radiometer.interface.response import Response
 
@@ -25,6 +25,17 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False)
 class Radiance:
     """Radiance per pixel.
+
+    Example:
+        >>> import radiometer as rm
+        >>> radiance = rm.merge(rm.read("out/chart"), calibration="calibration.yaml")
+        >>> radiance.value.shape, radiance.u.shape, radiance.unit
+        ((64, 96), (64, 96), 'W sr-1 m-2')
+        >>> radiance.mask.dtype, bool((radiance.u[radiance.mask == 0] > 0).all())
+        (dtype('uint8'), True)
+        >>> radiance.to_xarray().radiance.attrs["units"]
+        'W sr-1 m-2'
+        >>> radiance.write("map.exr")
 
     Attributes:
         map: Values, uncertainties, mask and provenance as the merge gave them.
@@ -131,6 +142,14 @@ def merge(
     calibration: Calibration | PathLike | None = None,
 ) -> Radiance:
     """Merge a bracket into radiance per pixel, by maximum likelihood over the frames that do not clip there.
+
+    Example:
+        >>> import radiometer as rm
+        >>> stack = rm.read("out/chart")
+        >>> rm.merge(stack)
+        <Radiance 96 × 64 pixels in relative: ...>
+        >>> rm.merge(stack, calibration="calibration.yaml").unit
+        'W sr-1 m-2'
 
     Args:
         stack: Frames of one unmoving scene.

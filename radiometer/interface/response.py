@@ -14,8 +14,8 @@ from radiometer.analysis.response.estimate import ResponseEstimate, median_uncer
 from radiometer.analysis.response.labels import refuse_lying_labels
 from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, method_names
 from radiometer.data import Bracket, ResponseCurve
+from radiometer.data.drawing import new_axes, picture
 from radiometer.errors import UsageError
-from radiometer.interface.drawing import new_axes, picture
 from radiometer.interface.files import PathLike, Stack
 
 if TYPE_CHECKING:
@@ -25,6 +25,15 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False)
 class Response:
     """How digital numbers follow from exposure.
+
+    Example:
+        >>> import radiometer as rm
+        >>> response = rm.recover_response(rm.read("out/chart"), "linear_spline")
+        >>> response.log_exposure.shape, response.u.shape
+        ((4096,), (4096,))
+        >>> response.to_csv("curve.csv")
+        >>> response.plot().get_xlabel()
+        'digital number M (DN)'
 
     Attributes:
         estimate: The curve with all diagnostics.
@@ -86,6 +95,11 @@ class Response:
 
 def recover_response(stacks: Stack | Bracket | Sequence[Stack | Bracket], method: str = DEFAULT_METHOD) -> Response:
     """Recover a camera's response from brackets of one unmoving scene each.
+
+    Example:
+        >>> import radiometer as rm
+        >>> rm.recover_response(rm.read("out/chart"), "linear_spline")
+        <Response by linear_spline: ..., 12 bits, DN ... to ..., median u ... %>
 
     Args:
         stacks: One or several; all of one camera and channel, fitted jointly.

@@ -6,19 +6,34 @@ import html
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from radiometer.analysis.characterise import Characterisation, read_subject
 from radiometer.analysis.characterise import characterise as characterise_subject
+from radiometer.analysis.characterise.report_plots import draw_telling
 from radiometer.data import Patch, Quantity
+from radiometer.data.drawing import new_axes, picture
+from radiometer.data.storage import write_text_atomic
+from radiometer.errors import UsageError
 from radiometer.interface.files import PathLike
 from radiometer.other_data.sources import Done, reconcile_source
 from radiometer.reconcile.result import FittedParameter, FoundEffect
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
     """The figures of a camera after EMVA 1288.
+
+    Example:
+        >>> import radiometer as rm
+        >>> sensor = rm.characterise("out/chart")
+        >>> black = sensor["mu_y_dark"]
+        >>> abs(black.value - 64) < 4 * black.u, black.unit
+        (True, 'DN')
+        >>> sensor.to_csv("sensor.csv")
 
     Attributes:
         characterisation: Figures, steps, linearity and notes.
@@ -35,6 +50,23 @@ class Sensor:
         """Return one figure. Raises KeyError for one that the frames do not give."""
         return self.figures[symbol]
 
+    def to_csv(self, path: PathLike) -> None:
+        """Write `symbol,value,u,unit`. Raises UsageError for another ending, OutputError if it fails."""
+        if Path(path).suffix.lower() != ".csv":
+            raise UsageError(f"{path}: the name must end in .csv")
+        rows = [f"{name},{one.value!r},{one.u!r},{one.unit}" for name, one in self.figures.items()]
+        write_text_atomic(Path(path), "\n".join(["symbol,value,u,unit", *rows]) + "\n")
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the photon transfer (variance over signal), or the dark signal where no gain was found.
+
+        Args:
+            axes: Where to draw; a new figure by default.
+        """
+        where = axes if axes is not None else new_axes()
+        draw_telling(where, self.characterisation)
+        return where
+
     def __repr__(self) -> str:
         """Return gain, read noise and dark current, or what there is, in one line."""
         telling = [name for name in ("K", "sigma_d", "mu_I_mean") if name in self.figures] or list(self.figures)[:3]
@@ -46,12 +78,23 @@ class Sensor:
             for name, figure in self.figures.items()
         )
         notes = "".join(f"<p>{html.escape(note)}</p>" for note in self.characterisation.notes)
-        return f"<table><tr><th>EMVA 1288</th><th>value ± u (k = 1)</th></tr>{rows}</table>{notes}"
+        table = f"<table><tr><th>EMVA 1288</th><th>value ± u (k = 1)</th></tr>{rows}</table>{notes}"
+        return picture(self.plot, repr(self)) + table
 
 
 @dataclass(frozen=True, eq=False)
 class Reconciliation:
     """Where simulation and measurement disagree, and which effect is missing.
+
+    Example:
+        >>> import radiometer as rm
+        >>> found = rm.reconcile("meter.csv")
+        >>> found.verdict, [effect.name for effect in found.effects]
+        ('effects_found', ['nominal_settings'])
+        >>> before, after = found.gap
+        >>> after <= before
+        True
+        >>> found.write_report("report.html")
 
     Attributes:
         done: The result, and what can be written of it.
@@ -86,6 +129,21 @@ class Reconciliation:
         """Return the documented JSON form."""
         return self.done.result.to_mapping()
 
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the gap of held-out settings as it closes, name by name.
+
+        Args:
+            axes: Where to draw; a new figure by default.
+        """
+        where = axes if axes is not None else new_axes()
+        names = ["as it was", *(f"+ {effect.name}" for effect in self.effects)]
+        gaps = [self.gap[0], *(effect.gap_after for effect in self.effects)]
+        where.barh(names, gaps, color=["tab:red", *["tab:blue"] * len(self.effects)])
+        where.axvline(1.0, color="black", linewidth=0.8, linestyle=":")
+        where.invert_yaxis()
+        where.set_xlabel("gap of held-out settings (dotted: noise alone)")
+        return where
+
     def __repr__(self) -> str:
         """Return verdict, names and gap in one line."""
         names = ", ".join(effect.name for effect in self.effects) or "nothing missing"
@@ -100,11 +158,16 @@ class Reconciliation:
         )
         head = "<tr><th>effect</th><th>parameters</th><th>where</th><th>alternatives</th></tr>"
         table = f"<table>{head}{rows}</table>" if rows else ""
-        return f"<p><b>{html.escape(repr(self)[1:-1])}</b></p>{table}"
+        return picture(self.plot, repr(self)) + table
 
 
 def characterise(path: PathLike, patch: tuple[int, int, int, int] | None = None) -> Sensor:
     """Find gain, noise, dark current, saturation and linearity of a camera after EMVA 1288.
+
+    Example:
+        >>> import radiometer as rm
+        >>> rm.characterise("out/chart", patch=(0, 0, 48, 32))
+        <Sensor ...mu_y_dark = 6...>
 
     Args:
         path: Capture set, or EMVA 1288 descriptor.
@@ -119,6 +182,11 @@ def characterise(path: PathLike, patch: tuple[int, int, int, int] | None = None)
 
 def reconcile(path: PathLike, *, model: PathLike | None = None, without: tuple[str, ...] = ()) -> Reconciliation:
     """Find where simulation and measurement disagree, name the missing effect, and show the gap shrink.
+
+    Example:
+        >>> import radiometer as rm
+        >>> rm.reconcile("meter.csv")
+        <Reconciliation effects_found: nominal_settings; gap ... → ...>
 
     Args:
         path: Capture set, EMVA 1288 descriptor, or light-meter table.

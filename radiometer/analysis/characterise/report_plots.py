@@ -33,6 +33,17 @@ def plots(result: Characterisation) -> list[tuple[str, str]]:
     return [(caption, _svg(draw)) for caption, draw in drawn]
 
 
+def draw_telling(axes: Axes, result: Characterisation) -> None:
+    """Draw the photon transfer where there is one, else the dark signal over exposure, else the figures' lack."""
+    axes.grid(visible=True, alpha=0.3)
+    if result.transfer is not None and "K" in result.figures:
+        _transfer(axes, result)
+    elif result.dark_points:
+        _dark(axes, result)
+    else:
+        axes.text(0.5, 0.5, "neither photon transfer nor darks", ha="center", transform=axes.transAxes)
+
+
 def _svg(draw: Callable[[Axes], None]) -> str:
     figure = Figure(figsize=(_WIDTH_IN, _HEIGHT_IN), layout="constrained")
     FigureCanvasSVG(figure)

@@ -164,7 +164,11 @@ def _diverging() -> Any:
 
 def residual_panels(reconciled: Reconciled) -> str:
     """Return the residuals of the means along the most telling covariates, before and after."""
-    names = sorted(reconciled.result.covariates, key=lambda name: -reconciled.result.covariates[name].before)[:_PANELS]
+    gaps = reconciled.result.covariates
+    # What varies in the tiles that one model leaves usable need not vary in those of the other.
+    drawn = [covariates(one.model, one.prediction) for one in (reconciled.outcome.start, reconciled.outcome.state)]
+    both = [name for name in gaps if all(name in axes for axes in drawn)]
+    names = sorted(both, key=lambda name: -gaps[name].before)[:_PANELS]
     rows = max(1, (len(names) + 1) // 2)
     figure = _figure(10.0, 2.6 * rows)
     panels = figure.subplots(rows, 2, squeeze=False).ravel()

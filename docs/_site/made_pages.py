@@ -1,0 +1,143 @@
+"""Pages that are made from the program itself: commands, effects, notebooks, and texts that lie elsewhere."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).resolve().parents[2]
+# Texts beside what they are about, and where the site shows them.
+ELSEWHERE = {"firmware.md": "drivers/firmware/light_box/README.md", "changelog.md": "CHANGELOG.md"}
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add the pages that are made."""
+    made: dict[str, Callable[[], str]] = {"reference/commands.md": commands, "reference/effects.md": effects}
+    made |= {name: partial(_from_elsewhere, path) for name, path in ELSEWHERE.items()}
+    for name, content in made.items():
+        files.append(File.generated(config, name, content=content()))
+    for notebook in sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")):
+        name = f"notebooks/{notebook.stem}"
+        text, pictures = notebook_page(notebook)
+        files.append(File.generated(config, f"{name}.md", content=text))
+        for number, picture in enumerate(pictures):
+            files.append(File.generated(config, f"{name}-{number}.png", content=picture))
+    return files
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Point links to texts that lie elsewhere at their pages."""
+    for page, path in ELSEWHERE.items():
+        markdown = markdown.replace(f"](../{path})", f"]({page})")
+    return markdown
+
+
+def _from_elsewhere(path: str) -> str:
+    """Return a text with its links into `docs/` as the site has them."""
+    return re.sub(r"\]\((\.\./)*docs/", "](", (ROOT / path).read_text(encoding="utf-8"))
+
+
+def commands() -> str:
+    """Return the reference of the command line, from the commands themselves."""
+    from radiometer.cli.command_tree import command_tree
+
+    parts = ["# Commands\n\nMade from the command line itself. `radiometer man` prints the same as a manual page."]
+    for one in command_tree():
+        words = " ".join(one.path)
+        usage = " ".join(
+            [f"radiometer {words}", *(["COMMAND"] if one.below else []), *(["[OPTIONS]"] if one.options else [])]
+            + [word.names[0] if word.required else f"[{word.names[0]}]" for word in one.arguments]
+        )
+        heading = "##" if len(one.path) == 1 else "###"
+        parts.append(f"{heading} `{words}`\n\n```\n{usage}\n```\n\n{_escaped(one.text)}")
+        rows = [(", ".join(word.names) + (f" {word.takes}" if word.takes else ""), word.said) for word in one.arguments]
+        rows += [(", ".join(word.names) + (f" {word.takes}" if word.takes else ""), word.said) for word in one.options]
+        if rows:
+            parts.append("| | |\n|---|---|\n" + "\n".join(f"| `{name}` | {_cell(said)} |" for name, said in rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def effects() -> str:
+    """Return the catalogue of effects: what each does, where in the chain, its parameters with bounds and sources."""
+    from simulators.effects.base import Stage
+    from simulators.effects.registry import EFFECTS
+
+    parts = [
+        "# Effects\n\nThe whole catalogue of the forward model, made from the effects themselves; "
+        "`radiometer reconcile` looks for those that are marked. [Add one of your own](../add-an-effect.md)."
+    ]
+    for stage in Stage:
+        parts.append(f"## {stage.name.capitalize()}")
+        for name, kind in sorted(EFFECTS.items()):
+            if kind.stage is stage:
+                parts.append("\n\n".join(_effect(name, kind)))
+    return "\n\n".join(parts) + "\n"
+
+
+def _effect(name: str, kind: Any) -> Iterator[str]:
+    from simulators.effects.catalogue import CatalogueEffect
+
+    looked_for = " · looked for by reconcile" if issubclass(kind, CatalogueEffect) else ""
+    yield f"### `{name}`"
+    yield f"*{kind.unit_in} → {kind.unit_out}{looked_for}*"
+    yield _docstring(kind.__doc__ or "")
+    rows = [f"| `{one.name}` | {one.unit} | {_range(one)} | {_cell(one.source)} |" for one in kind.parameters()]
+    if rows:
+        yield "| parameter | unit | range | source |\n|---|---|---|---|\n" + "\n".join(rows)
+
+
+def _range(one: Any) -> str:
+    if one.of_full_scale:
+        low, high = one.bounds(1.0)
+        return f"{low:.4g} to {high:.4g} of full scale"
+    return f"{one.low:g} to {one.high:g}"
+
+
+def _docstring(text: str) -> str:
+    """Return a class's text; lines that were set in keep their form."""
+    lines = text.strip().splitlines()
+    body = "\n".join(line[4:] if line.startswith("    ") else line for line in lines)
+    return _escaped(re.sub(r"^Source:", "**Source:**", body, flags=re.MULTILINE))
+
+
+def _escaped(text: str) -> str:
+    return text.replace("<", "&lt;").replace("$", "&#36;")
+
+
+def _cell(text: str) -> str:
+    return _escaped(" ".join(text.split()).replace("|", "\\|"))
+
+
+def notebook_page(path: Path) -> tuple[str, list[bytes]]:
+    """Return a notebook as Markdown, and the pictures in it."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    parts: list[str] = []
+    pictures: list[bytes] = []
+    for cell in content["cells"]:
+        source = "".join(cell["source"])
+        if cell["cell_type"] == "markdown":
+            parts.append(source)
+            continue
+        parts.append(f"```python\n{source}\n```")
+        for output in cell["outputs"]:
+            parts.append(_output(output, path.stem, pictures))
+    parts.insert(1, f"[The notebook itself]({path.name}){{ download }}")
+    return "\n\n".join(part for part in parts if part) + "\n", pictures
+
+
+def _output(output: dict[str, Any], name: str, pictures: list[bytes]) -> str:
+    shown = output.get("data", {})
+    if "image/png" in shown:
+        pictures.append(base64.b64decode(shown["image/png"]))
+        return f"![{''.join(shown.get('text/plain', name))}]({name}-{len(pictures) - 1}.png)"
+    if "text/html" in shown:
+        return f'<div class="output">{"".join(shown["text/html"])}</div>'
+    text = "".join(shown.get("text/plain", output.get("text", "")))
+    return f"```text\n{text.rstrip()}\n```" if text.strip() else ""

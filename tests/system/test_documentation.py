@@ -1,0 +1,180 @@
+"""The documentation does what it says: the site builds without a broken link, pages and notebooks run as they stand."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from types import ModuleType
+
+import nbformat
+import pytest
+
+import radiometer
+from radiometer.cli.command_tree import command_tree
+from simulators.effects.registry import EFFECTS
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+
+# Pages with commands that run on the simulated bench, from an empty folder.
+FOLLOWED = ("tutorial", "how-to/without-a-camera", "how-to/sphere", "how-to/light-meter", "how-to/psychopy")
+NOTEBOOKS = ("reading-and-budget", "reconcile-a-hidden-effect", "response-and-merge")
+
+
+@pytest.fixture(scope="session")
+def follow_module(project_root: Path) -> ModuleType:
+    """Return the program that follows pages."""
+    spec = importlib.util.spec_from_file_location("follow", project_root / "docs" / "_site" / "follow.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["follow"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("page", FOLLOWED)
+def test_a_page_followed_word_by_word_prints_what_it_says(page, follow_module, tmp_path, project_root, monkeypatch):
+    """Its files are written, its commands run in a fresh folder, and every line that it shows comes, but for noise."""
+    commands = tmp_path / "bin"
+    commands.mkdir()
+    program = commands / "radiometer"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m radiometer "$@"\n', encoding="utf-8")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{commands}:{os.environ['PATH']}")
+    monkeypatch.setenv("PYTHONPATH", str(project_root))
+    folder = tmp_path / "desk"
+    folder.mkdir()
+    file = project_root / "docs" / f"{page}.md"
+    assert any(block.language == "console" for block in follow_module.blocks_of(file))
+    if page == "how-to/psychopy":  # its Python block needs PsychoPy and a camera
+        text = re.sub(r"```python.*?```", "", file.read_text(encoding="utf-8"), flags=re.DOTALL)
+        file = tmp_path / "psychopy.md"
+        file.write_text(text, encoding="utf-8")
+    assert follow_module.follow(file, folder, installing=False) == []
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_runs_as_it_stands_and_says_what_is_stored_in_it(name, project_root, tmp_path, monkeypatch):
+    """Every cell runs in a kernel of its own; each cell gives outputs of the kinds that the site shows."""
+    from nbclient import NotebookClient
+
+    monkeypatch.setenv("PYTHONPATH", str(project_root))
+    monkeypatch.setenv("JUPYTER_CONFIG_DIR", str(tmp_path))
+    monkeypatch.setenv("JUPYTER_PREFER_ENV_PATH", "1")
+    notebook = nbformat.read(project_root / "docs" / "notebooks" / f"{name}.ipynb", as_version=4)
+    stored = [_kinds(cell) for cell in notebook.cells]
+    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    assert [_kinds(cell) for cell in notebook.cells] == stored
+    assert any(kind == "image/png" or "text/html" in kind for kinds in stored for kind in kinds)
+    text = json.dumps(notebook.cells)
+    if name == "reconcile-a-hidden-effect":
+        (found,) = re.findall(r"([\d.]+) ± ([\d.]+) µs; hidden were 30", text)
+        assert abs(float(found[0]) - 30) < 4 * float(found[1])
+        assert "Reconciliation agrees" in text
+    if name == "response-and-merge":
+        (error,) = re.findall(r"root mean square error of ln H: ([\d.]+)", text)
+        assert float(error) < 0.02
+    if name == "reading-and-budget":
+        (off,) = re.findall(r"off by ([+-][\d.]+) standard", text)
+        assert abs(float(off)) < 3
+
+
+def _kinds(cell) -> list[str]:
+    """Return the kinds of a cell's outputs, without their order of arrival."""
+    if cell.cell_type != "code":
+        return []
+    return sorted(
+        "stream" if one.output_type == "stream" else ",".join(sorted(one.get("data", {}))) for one in cell.outputs
+    )
+
+
+class _Loaded(HTMLParser):
+    """Collects what a browser would fetch for a page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fetched: list[str] = []
+
+    def handle_starttag(self, tag, attrs):
+        """Note scripts, pictures, styles and icons."""
+        told = dict(attrs)
+        if tag in ("script", "img", "iframe", "source") and told.get("src"):
+            self.fetched.append(told["src"])
+        if tag == "link" and told.get("rel") not in ("canonical", "prev", "next") and told.get("href"):
+            self.fetched.append(told["href"])
+
+
+@pytest.fixture(scope="module")
+def site(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the site, built as `make docs` does: a broken link, anchor or reference ends the build."""
+    folder = tmp_path_factory.mktemp("site")
+    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-d", str(folder)]
+    env = os.environ | {"PYTHONPATH": str(project_root), "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(words, cwd=project_root, env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+@pytest.mark.xdist_group("site")
+def test_the_site_loads_nothing_from_anywhere_else(site):
+    """Every script, style, font and picture of every page lies in the site itself."""
+    pages = sorted(site.rglob("*.html"))
+    assert len(pages) > 30
+    for page in pages:
+        loaded = _Loaded()
+        loaded.feed(page.read_text(encoding="utf-8"))
+        foreign = [one for one in loaded.fetched if re.match(r"(https?:)?//", one)]
+        assert foreign == [], page
+        for one in loaded.fetched:
+            if not one.startswith("data:"):
+                path = one.partition("?")[0].partition("#")[0]
+                base = site if path.startswith("/") else page.parent
+                assert (base / path.lstrip("/")).exists(), (page, one)
+
+
+@pytest.mark.xdist_group("site")
+def test_the_site_shows_formulas_without_a_script(site):
+    """No formula is left in TeX; those of the physics page are MathML."""
+    physics = (site / "physics.html").read_text(encoding="utf-8")
+    assert physics.count('display="block"') >= 10
+    assert "arithmatex" not in physics
+    assert "\\frac" not in re.sub(r"<annotation.*?</annotation>", "", physics, flags=re.DOTALL)
+
+
+@pytest.mark.xdist_group("site")
+def test_the_reference_holds_every_public_name_command_and_effect(site):
+    """What can be imported, typed or switched on stands in the reference, with its words."""
+    names = (site / "reference" / "python.html").read_text(encoding="utf-8")
+    for name in radiometer.__all__:
+        assert re.search(rf'id="radiometer\.(interface|data)\.{name}"', names), name
+    commands = (site / "reference" / "commands.html").read_text(encoding="utf-8")
+    effects = (site / "reference" / "effects.html").read_text(encoding="utf-8")
+    for one in command_tree():
+        assert f"<code>{' '.join(one.path)}</code>" in commands
+    for name in EFFECTS:
+        assert f"<code>{name}</code>" in effects
+
+
+def test_a_page_is_followed_by_kind_not_by_noise(follow_module):
+    """Numbers may differ within their uncertainties; another word, unit, or a value beyond them is told."""
+    same = follow_module._same_kind
+    assert same("radiance 0.3265 ± 0.0033 W", "radiance 0.3281 ± 0.0030 W (k = 2)")
+    assert not same("radiance 0.3265 ± 0.0033 W", "radiance 0.4265 ± 0.0033 W")
+    assert not same("radiance 0.3265 ± 0.0033 W", "radiance 0.3265 ± 0.0003 W")
+    assert not same("radiance 0.3265 ± 0.0033 W", "luminance 0.3265 ± 0.0033 W")
+    assert not same("exposures 1.25 ms", "exposures 1.25 s")
+    assert list(follow_module._missing("a 1\nb 2\n", "x\n a   3\n")) == ["b 2"]
+
+
+def test_a_command_that_fails_ends_the_following(follow_module, tmp_path):
+    """A page whose command fails is no page that works."""
+    page = tmp_path / "page.md"
+    page.write_text("```console\n$ true\n$ exit 3\n```\n", encoding="utf-8")
+    with pytest.raises(RuntimeError, match=r"failed \(3\)"):
+        follow_module.follow(page, tmp_path, installing=False)

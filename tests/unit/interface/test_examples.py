@@ -1,0 +1,158 @@
+"""The examples of all public names run as they stand, and so do those of the Python page."""
+
+from __future__ import annotations
+
+import doctest
+import re
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import radiometer as rm
+from radiometer.bench.cameras import open_camera
+from radiometer.bench.config import read_bench
+from radiometer.cli.main import run
+from radiometer.data import Flag, Quantity
+from radiometer.errors import UsageError
+
+BENCH = """\
+format: radiometer-bench/1
+camera: {kind: simulated, preset: BFS-U3-19S4M, serial: "22500001", seed: 5, width: 96, height: 64, black_level_dn: 64}
+lens: {focal_length_mm: 16, f_number: 4, transmittance: 0.95, transmittance_u_rel: 0.01}
+SCENE
+patch: {x: 40, y: 24, width: 16, height: 16}
+calibration: calibration.yaml
+"""
+UNIFORM = "scene: {kind: uniform, radiance_W_per_sr_m2: 0.3}"
+CHART = "scene: {kind: step_chart, steps: {count: 24, lowest: 0.02, highest: 1.2}, scramble_seed: 5}"
+METER = (
+    "screen,luminance,f_number,time,iso\nscreen,250,16,1/60,100\nscreen,500,16,1/125,100\nscreen,1000,16,1/250,100\n"
+)
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory, project_root: Path) -> Path:
+    """Return a folder with what the examples name: a bench, its calibration, a chart, photographs, a meter's table."""
+    folder = tmp_path_factory.mktemp("desk")
+    shutil.copy(project_root / "configs" / "calibrations" / "simulated.yaml", folder / "calibration.yaml")
+    (folder / "bench.yaml").write_text(BENCH.replace("SCENE", UNIFORM), encoding="utf-8")
+    (folder / "chart.yaml").write_text(BENCH.replace("SCENE", CHART), encoding="utf-8")
+    (folder / "meter.csv").write_text(METER, encoding="utf-8")
+    ladder = ["--from", "200us", "--to", "51.2ms", "--stops", "1", "--darks", "1"]
+    assert run(["bracket", str(folder / "out" / "chart"), "--bench", str(folder / "chart.yaml"), *ladder]) == 0
+    (folder / "photographs").mkdir()
+    ramp = np.geomspace(100, 4000, 96)[None, :, None] * np.ones((64, 1, 3)) * np.array([0.8, 1.0, 0.6])
+    lines = []
+    for number, time_s in enumerate((0.02, 0.04, 0.08)):
+        grey = np.clip(ramp * time_s, 0, 255).astype(np.uint8)
+        cv2.imwrite(str(folder / "photographs" / f"{number}.png"), grey)
+        lines.append(f"{number}.png {time_s}\n")
+    (folder / "photographs" / "exposures.txt").write_text("".join(lines), encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("name", rm.__all__)
+def test_the_example_of_a_public_name_runs_as_it_stands(name, desk, monkeypatch):
+    """Every public name has an example, and the example prints what it says."""
+    monkeypatch.chdir(desk)
+    kind = getattr(rm, name)
+    namespace = {}
+    (example,) = doctest.DocTestFinder(recurse=False).find(kind, name, globs=namespace)
+    assert example.examples, f"radiometer.{name} has no example"
+    told: list[str] = []
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS, verbose=False)
+    assert runner.run(example, out=told.append).failed == 0, "".join(told)
+
+
+def test_the_python_page_runs_as_it_stands(desk, monkeypatch, project_root):
+    """The blocks of docs/python.md run in order where its files are; nothing in it is a sketch."""
+    monkeypatch.chdir(desk)
+    text = (project_root / "docs" / "python.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert len(blocks) >= 3
+    namespace: dict[str, object] = {}
+    for block in blocks:
+        exec(compile(block, "docs/python.md", "exec"), namespace)
+    assert namespace["absolute"].unit == "W sr-1 m-2"
+    assert namespace["found"].verdict == "effects_found"
+
+
+def test_every_object_shows_itself_in_one_line_and_in_a_picture(desk, monkeypatch):
+    """Reading, bracket, response, map, sensor and result: a short line, HTML with a picture, a plot on given axes."""
+    monkeypatch.chdir(desk)
+    stack = rm.read("out/chart")
+    with rm.open("bench.yaml") as meter:
+        reading = meter.measure()
+    shown = [
+        reading,
+        stack,
+        rm.recover_response(stack, "linear_spline"),
+        rm.merge(stack),
+        rm.characterise("out/chart"),
+        rm.reconcile("meter.csv"),
+    ]
+    from matplotlib.figure import Figure
+
+    for one in shown:
+        assert repr(one).startswith(f"<{type(one).__name__} ")
+        assert len(repr(one)) < 200
+        assert "\n" not in repr(one)
+        assert one._repr_html_().startswith('<figure><img alt="')
+        assert "data:image/png;base64," in one._repr_html_()
+        axes = Figure().subplots()
+        assert one.plot(axes) is axes
+        assert axes.has_data()
+
+
+def test_a_reading_is_printed_with_two_digits_of_its_uncertainty():
+    """Value and expanded uncertainty are cut at the same place, unit and flags follow."""
+    reading = rm.Reading(
+        radiance=Quantity(0.326512, 0.00164, "W sr-1 m-2"),
+        patch=rm.Patch(840, 240, 120, 120),
+        instrument="22500001",
+        flags=(Flag.DRIFT,),
+    )
+    assert str(reading) == "0.3265 ± 0.0033 W sr-1 m-2 (k = 2) [drift]"
+    assert repr(reading) == f"<Reading {reading}, patch 840,240 120 × 120 of 22500001>"
+
+
+def test_the_figures_of_a_sensor_are_written_as_a_table(desk, monkeypatch):
+    """Symbol, value, standard uncertainty and unit, to the last digit; another ending is refused."""
+    monkeypatch.chdir(desk)
+    sensor = rm.characterise("out/chart")
+    sensor.to_csv("figures.csv")
+    lines = Path("figures.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "symbol,value,u,unit"
+    table = {line.split(",")[0]: line.split(",")[1:] for line in lines[1:]}
+    black = sensor["mu_y_dark"]
+    assert table["mu_y_dark"] == [repr(black.value), repr(black.u), "DN"]
+    with pytest.raises(UsageError, match=r"must end in \.csv"):
+        sensor.to_csv("figures.txt")
+
+
+@pytest.mark.parametrize("source", ["bench.yaml", "sim", None])
+def test_open_takes_a_bench_file_the_word_sim_or_nothing(source, desk, monkeypatch):
+    """Each is the simulated camera; what is known of the bench differs."""
+    monkeypatch.chdir(desk)
+    with rm.open(source) as meter:
+        assert meter.instrument.camera.identity.serial == "22500001"
+        small = meter.instrument.camera.capabilities.width == 96
+    assert small == (source == "bench.yaml")
+
+
+def test_open_takes_a_serial_number(desk, monkeypatch):
+    """A serial number goes to the search for cameras on the wire, and nothing of any bench is taken along."""
+    monkeypatch.chdir(desk)
+    asked = []
+
+    def opened(config, *_rest):
+        asked.append((config.camera.kind, config.camera.id, config.lens))
+        return open_camera(*read_bench(Path("bench.yaml")))
+
+    monkeypatch.setattr("radiometer.bench.assembly.open_camera", opened)
+    with rm.open("22500001", uncalibrated=True) as meter:
+        assert meter.calibration is None
+    assert asked[0][:2] == ("genicam", "22500001")
