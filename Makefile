@@ -54,7 +54,8 @@ man: $(VENV)/.ready-run  ## Write the manual page docs/radiometer.1 anew, after 
 tutorial: $(VENV)/.ready-test  ## Follow the tutorial word by word in a fresh folder and environment, from a fresh wheel
 	rm -rf out/tutorial out/wheel
 	$(BIN)/python -m pip wheel -q --disable-pip-version-check --no-deps -w out/wheel .
-	PIP_FIND_LINKS=$(CURDIR)/out/wheel PIP_CONSTRAINT=$(CURDIR)/constraints.txt PIP_DISABLE_PIP_VERSION_CHECK=1 \
+	sed '$$aradiometer @ file://'"$$(echo $(CURDIR)/out/wheel/radiometer-*.whl)" constraints.txt > out/wheel/constraints.txt
+	PIP_CONSTRAINT=$(CURDIR)/out/wheel/constraints.txt PIP_DISABLE_PIP_VERSION_CHECK=1 \
 	  $(BIN)/python docs/_site/follow.py docs/tutorial.md out/tutorial
 
 mutants: $(VENV)/.ready-test  ## Make plausible mistakes one at a time and count which the fast tests notice (AREA=planning for one)

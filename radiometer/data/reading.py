@@ -49,7 +49,7 @@ class Flag(StrEnum):
 class Patch:
     """A rectangle of pixels: left, top, width and height in pixels of the frame.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> patch = rm.Patch(840, 240, 120, 100)
         >>> patch.slices
@@ -123,7 +123,7 @@ class Contribution:
 class Reading:
     """The radiance of one patch at one moment.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> with rm.open("bench.yaml") as meter:
         ...     reading = meter.measure()

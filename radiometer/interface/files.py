@@ -29,7 +29,7 @@ PathLike = str | os.PathLike[str]
 class Stack:
     """Frames of one camera: one bracket per displayed pattern or colour channel.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> stack = rm.read_photographs("photographs")
         >>> len(stack), list(stack.brackets)
@@ -115,7 +115,7 @@ class Stack:
 def read(path: PathLike, channel: str = "luminance") -> Stack:
     """Read a capture set or a folder of photographs.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> stack = rm.read("out/chart")
         >>> stack
@@ -145,7 +145,7 @@ def read(path: PathLike, channel: str = "luminance") -> Stack:
 def read_photographs(path: PathLike, channel: str = "each") -> Stack:
     """Read a folder of photographs whose times are in EXIF or in a list beside them; colours apart by default.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> list(rm.read_photographs("photographs").brackets)
         ['red', 'green', 'blue']

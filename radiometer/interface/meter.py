@@ -21,7 +21,7 @@ class Meter:
 
     Made by `radiometer.open`; use it as a context manager, or close it when done.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> with rm.open("bench.yaml", uncalibrated=True) as meter:
         ...     relative = meter.measure((8, 8, 32, 32), u_rel=0.01)
@@ -113,7 +113,7 @@ def open(
 ) -> Meter:
     """Open a camera as a radiance meter.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> with rm.open("bench.yaml") as meter:
         ...     reading = meter.measure()

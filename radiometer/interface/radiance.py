@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 class Radiance:
     """Radiance per pixel.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> radiance = rm.merge(rm.read("out/chart"), calibration="calibration.yaml")
         >>> radiance.value.shape, radiance.u.shape, radiance.unit
@@ -143,7 +143,7 @@ def merge(
 ) -> Radiance:
     """Merge a bracket into radiance per pixel, by maximum likelihood over the frames that do not clip there.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> stack = rm.read("out/chart")
         >>> rm.merge(stack)

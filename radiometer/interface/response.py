@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 class Response:
     """How digital numbers follow from exposure.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> response = rm.recover_response(rm.read("out/chart"), "linear_spline")
         >>> response.log_exposure.shape, response.u.shape
@@ -96,7 +96,7 @@ class Response:
 def recover_response(stacks: Stack | Bracket | Sequence[Stack | Bracket], method: str = DEFAULT_METHOD) -> Response:
     """Recover a camera's response from brackets of one unmoving scene each.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> rm.recover_response(rm.read("out/chart"), "linear_spline")
         <Response by linear_spline: ..., 12 bits, DN ... to ..., median u ... %>

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 class Sensor:
     """The figures of a camera after EMVA 1288.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> sensor = rm.characterise("out/chart")
         >>> black = sensor["mu_y_dark"]
@@ -86,7 +86,7 @@ class Sensor:
 class Reconciliation:
     """Where simulation and measurement disagree, and which effect is missing.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> found = rm.reconcile("meter.csv")
         >>> found.verdict, [effect.name for effect in found.effects]
@@ -164,7 +164,7 @@ class Reconciliation:
 def characterise(path: PathLike, patch: tuple[int, int, int, int] | None = None) -> Sensor:
     """Find gain, noise, dark current, saturation and linearity of a camera after EMVA 1288.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> rm.characterise("out/chart", patch=(0, 0, 48, 32))
         <Sensor ...mu_y_dark = 6...>
@@ -183,7 +183,7 @@ def characterise(path: PathLike, patch: tuple[int, int, int, int] | None = None)
 def reconcile(path: PathLike, *, model: PathLike | None = None, without: tuple[str, ...] = ()) -> Reconciliation:
     """Find where simulation and measurement disagree, name the missing effect, and show the gap shrink.
 
-    Example:
+    Examples:
         >>> import radiometer as rm
         >>> rm.reconcile("meter.csv")
         <Reconciliation effects_found: nominal_settings; gap ... → ...>

@@ -72,7 +72,7 @@ def test_a_notebook_runs_as_it_stands_and_says_what_is_stored_in_it(name, projec
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
     assert [_kinds(cell) for cell in notebook.cells] == stored
     assert any(kind == "image/png" or "text/html" in kind for kinds in stored for kind in kinds)
-    text = json.dumps(notebook.cells)
+    text = json.dumps(notebook.cells, ensure_ascii=False)
     if name == "reconcile-a-hidden-effect":
         (found,) = re.findall(r"([\d.]+) ± ([\d.]+) µs; hidden were 30", text)
         assert abs(float(found[0]) - 30) < 4 * float(found[1])
