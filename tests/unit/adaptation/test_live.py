@@ -137,3 +137,21 @@ def test_prompts_that_a_crash_left_out_are_given_once(tmp_path: Path, given: int
         prompter.catch_up()
         assert [event["say"] for event in journal.of_kind("prompt")] == ["dark", "mark"]
     assert len(heard) == 2 - given
+
+
+def test_lost_fixation_is_announced_until_a_light_in_the_blind_spot_is_missed(state: LiveState) -> None:
+    """Counts of looks away and lapses are shown; they are neither catches nor thresholds."""
+    look = {"catch": True, "false_press": False, "threshold": None}
+    for event in (
+        _event("trial", 400.0, of="blind_spot", seen=True, **look),
+        _event("trial", 410.0, of="bright", seen=False, **look),
+        _event("trial", 420.0, of="blind_spot", seen=True, **look),
+        _event("fixation", 420.0, lost=2, of=2),
+    ):
+        state.take(event)
+    told = state.to_mapping()
+    assert (told["fixation"], told["lapses"], told["fixation_lost"]) == ([2, 2], [1, 1], True)
+    assert (told["catches"], told["points"], told["missed"]) == (0, [], [])
+    assert "fixation lost 2/2   lapses 1/1   FIXATION LOST" in "\n".join(live_lines(state, running_fit([]), 60))
+    state.take(_event("trial", 430.0, of="blind_spot", seen=False, **look))
+    assert not state.to_mapping()["fixation_lost"]

@@ -1,9 +1,11 @@
-"""`radiometer adapt bleach` and `protocols`."""
+"""`radiometer adapt bleach`, `protocols`, `retest` and what `fit` tells of the subject."""
 
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from radiometer.adaptation.protocol import SHIPPED
@@ -38,3 +40,39 @@ def test_misuse_is_exit_code_two(words: list[str], capsys: pytest.CaptureFixture
     """Unknown protocol, unknown subject, and a simulated subject before a real box."""
     assert run(["adapt", "run", *words]) == 2
     assert capsys.readouterr().err.startswith("error:")
+
+
+def _table(path: Path, break_min: float, seed: int, head: str = "") -> str:
+    """Write thresholds of two branches with a break."""
+    times = np.arange(0.3, 20, 0.2)
+    cones = -1.5 + 2.5 * np.exp(-times / 1.5)
+    levels = np.where(times > break_min, -1.5 - 0.25 * (times - break_min), cones)
+    levels = levels + np.random.default_rng(seed).normal(0, 0.05, times.size)
+    rows = "".join(f"{t:.3f},{v:.4f}\n" for t, v in zip(times, levels, strict=True))
+    path.write_text(f"{head}time_min,log10_threshold\n{rows}")
+    return str(path)
+
+
+def test_retest_gives_limits_of_agreement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Three subjects whose break is 1, 1.5 and 2 min later: mean 1.5, limits 1.5 ± 0.98, to what the fits leave."""
+    files = [_table(tmp_path / f"{n}{k}.csv", 8.0 + k * (1 + 0.5 * n), 2 * n + k) for n in range(3) for k in (0, 1)]
+    assert run(["adapt", "retest", *files, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["break_min"]["agreement"]
+    assert found["mean"]["value"] == pytest.approx(1.5, abs=0.3)
+    assert found["upper"]["value"] - found["mean"]["value"] == pytest.approx(1.96 * found["sd"], rel=1e-4)
+    assert found["upper"]["low"] < found["upper"]["value"] < found["upper"]["high"]
+    assert run(["adapt", "retest", *files[:3]]) == 2
+    assert "two for each subject" in capsys.readouterr().err
+
+
+def test_fit_tells_false_alarms_lapses_and_looks_away(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From the counts in the table's head, in terminal, JSON and page."""
+    head = "# false_alarms: 2/100\n# lapses: 1/20\n# seen_at_blind_spot: 6/30\n"
+    file, page = _table(tmp_path / "a.csv", 8.0, 1, head), tmp_path / "a.html"
+    assert run(["adapt", "fit", file, "--bootstrap", "0", "--report", str(page)]) == 0
+    assert "Fixation lost                    19.3 %" in capsys.readouterr().out
+    assert run(["adapt", "fit", file, "--bootstrap", "0", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["reliability"]
+    assert told["fixation_losses"]["share"] == pytest.approx((0.2 - 0.02) / (0.98 * 0.95))
+    assert (told["lapses"]["hits"], told["lapses"]["of"]) == (1, 20)
+    assert "<h2>The subject</h2>" in page.read_text(encoding="utf-8")
