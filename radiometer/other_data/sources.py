@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Protocol
 
-from radiometer.data import CaptureHeader, CaptureSet, Frame
+from radiometer.data import CaptureSet, Frame
 from radiometer.errors import CaptureError, OutputError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
 from radiometer.other_data.light_meter import reconcile_meter_table
@@ -16,8 +15,6 @@ from radiometer.reconcile.engine import Progress, Say, examine, whole_catalogue
 from radiometer.reconcile.result import ReconcileResult
 from radiometer.reconcile.search.outcome import Reconciled
 from simulators.camera_model import CameraModel
-
-_STAND_IN_SHARE: Final = 1e-3  # of the shortest exposure
 
 
 class Done(Protocol):
@@ -112,26 +109,9 @@ def reconcile_source(
     capture = open_capture(path)
     for line in imported_of(capture).lines() if capture.store else ():
         doubt(line)
-    header = _without_zeros(capture.header)
-
-    def read(index: int) -> Frame:
-        return replace(capture.read_frame(index), settings=header.frames[index].settings)
-
     shape = capture.read_frame(0).shape
-    found = examine(header, read, shape, model, catalogue=entries, progress=progress, say=say)
+    found = examine(capture.header, capture.read_frame, shape, model, catalogue=entries, progress=progress, say=say)
     return DoneCapture(found, path, lambda: _hash(capture))
-
-
-def _without_zeros(header: CaptureHeader) -> CaptureHeader:
-    """Return the header with a stand-in for bias frames' exposure of 0 s, far below every other.
-
-    Exposures are compared by their logarithm; what a dark current makes of the stand-in is below what any of them
-    shows.
-    """
-    shortest = min((entry.exposure_s for entry in header.frames if entry.exposure_s > 0), default=1.0)
-    stand_in_s = _STAND_IN_SHARE * shortest
-    frames = tuple(e if e.exposure_s > 0 else e.model_copy(update={"exposure_s": stand_in_s}) for e in header.frames)
-    return header.model_copy(update={"frames": frames})
 
 
 def _hash(capture: CaptureSet) -> str:

@@ -22,6 +22,7 @@ from radiometer.reconcile.fit.nuisances import dark_current_is_free
 from radiometer.reconcile.fit.state import FitState, first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import FrameReader, frame_reader, reduce_frames
+from radiometer.reconcile.noise.darkness import uncertainty_of_readings, wander_of_black
 from radiometer.reconcile.result import (
     CovariateGap,
     FittedParameter,
@@ -390,6 +391,12 @@ def _assumptions(outcome: Search, doubts: Sequence[str]) -> tuple[str, ...]:
         said.append(
             f"the source wanders by {np.sqrt(state.comparison.wander2):.2g} from frame to frame: fitted, not named"
         )
+    wander_dn = wander_of_black(state.design, state.seen)
+    if wander_dn:
+        said.append(f"the black level wanders by {wander_dn:.2g} DN from frame to frame: fitted aside, not named")
+    reading_k = uncertainty_of_readings(state.design.frame_temperatures_c)
+    if reading_k:
+        said.append(f"temperatures are read in steps: each is known to {reading_k:.2g} K")
     if np.isnan(state.design.black_level_dn).any():
         said.append("the black level is not declared: it was fitted")
     if not state.design.uniform:

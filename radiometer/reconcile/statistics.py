@@ -37,6 +37,8 @@ _SHOT_NOISE: Final = 4.0  # times the read noise's variance
 _READ_NOISE_LEFT: Final = 0.5  # of its variance, below which the converter hides it
 _FINE_NOISE: Final = 0.5  # standard deviation over code spacing that statistics need to be nearly normal
 _LARGEST_COMB_COUNT: Final = 1e5  # beyond it the honest shape of a histogram itself would show
+_MANY_OUTLIERS: Final = 1000.0
+_TAIL_FORM: Final = 0.1
 _ROUNDING_SHARE: Final = 0.1  # of what rounding may move a mean: counts of few electrons are not quite normal
 _COMB_SQUARES: Final = np.array([1.0 if period == 2 else 0.5 for period in COMB_PERIODS])  # mean of cos²(2πn/period)
 
@@ -323,6 +325,15 @@ class Scatter:
         least_dn2 = float(np.min(noise / base.gain[:, None] ** 2)) * base.gain[:, None] ** 2
         return np.asarray(np.sqrt(square + np.exp(-2.0 * np.pi**2 * least_dn2 / np.square(COMB_PERIODS)) ** 2))
 
+    @property
+    def outliers(self) -> Array:
+        """Return that of twice the root of their number: 1 of a few, as counts have it.
+
+        Of thousands the form of the tail counts, which no law of two parameters holds better than to a tenth.
+        """
+        many = np.maximum(np.sqrt(self.seen.outliers) - np.sqrt(_MANY_OUTLIERS), 0.0)
+        return np.asarray(np.hypot(1.0, 2.0 * _TAIL_FORM * many))
+
     def one(self, name: str) -> Array:
         """Return 1 for what is in units of its own scatter already."""
         return np.ones(getattr(self.seen, name).shape)
@@ -403,7 +414,7 @@ _ROWS: Final = (
         lambda c: c.bordered, ("constant", "f_number"), holds_form=True,
     ),
     Statistic(
-        "outliers", Given.CAPTURE, Scale.ROOT, lambda s: s.one("outliers"), lambda c: c.patched,
+        "outliers", Given.CAPTURE, Scale.ROOT, lambda s: s.outliers, lambda c: c.patched,
         ("constant", "exposure_s", "temperature_C"),
     ),
     Statistic("comb", Given.PERIOD, Scale.COMB, lambda s: s.comb, lambda c: c.combed, ("constant",)),

@@ -19,12 +19,14 @@ from radiometer.reconcile.chances import Mask, deviances, followed_scores, log_b
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.row_bands import RowBins, wave_power
 from radiometer.reconcile.measure.seen import COMB_PERIODS, CaptureStatistics
+from radiometer.reconcile.noise.darkness import Darkness
 from radiometer.reconcile.noise.repeatability import steady_wander2
 from radiometer.reconcile.noise.shared_errors import (
     Part,
     Repeatability,
     band_excess,
     common_of_rows,
+    errors_of_darkness,
     line_excess,
     mixing_of_bands,
     mixing_of_lines,
@@ -295,6 +297,7 @@ def compare(
     variance_response: Array | None = None,
     floors: Mapping[str, Array] | None = None,
     usable: Mapping[str, Mask] | None = None,
+    darkness: Darkness | None = None,
 ) -> Comparison:
     """Return the measured statistics with weights.
 
@@ -307,6 +310,7 @@ def compare(
         variance_response: (captures, tiles) d(ln variance)/d(log light); large where a well fills up.
         floors: Standard uncertainty of the accepted effects' own form, by block.
         usable: Entries that count; found anew from `base` where missing.
+        darkness: How far darkness differs from frame to frame; None where it does not.
     """
     mask = dict(usable or usable_entries(design, seen, base))
     if repeatability.row_variance.any():
@@ -326,6 +330,8 @@ def compare(
     if repeatability.bands2.any():
         share, frequency = plain.share_of_bands, plain.band_frequency
         errors = (*errors, phases_of_wave(design, seen.bands_basis, mask["bands"], share, frequency))
+    if darkness is not None:
+        errors = (*errors, *errors_of_darkness(design, mask, darkness))
     return replace(plain, whiteners=whiteners(errors, deviation, mask))
 
 

@@ -20,6 +20,7 @@ from radiometer.reconcile.measure.pattern_images import PatternImages
 from radiometer.reconcile.measure.seen import CaptureStatistics
 from radiometer.reconcile.model.parameters import EffectParameters
 from radiometer.reconcile.model.tile_model import Nuisance, TileModel, Trace
+from radiometer.reconcile.noise.darkness import Darkness, uncertainty_of_readings, wander_of_black
 from radiometer.reconcile.noise.fixed_patterns import error_of_borders, fixed_errors
 from radiometer.reconcile.noise.repeatability import capture_scale, estimate_tau
 from radiometer.reconcile.noise.shared_errors import Repeatability, relative_bands, relative_flicker
@@ -32,6 +33,8 @@ _IDLE: Final = 1e-3  # sigmas that a parameter moves by its whole scale
 _CONVERGED: Final = 1e-3  # change of χ², in units of the reduced χ² where that is above 1, that ends the fit
 _SENSITIVITY_STEP: Final = 1e-3
 _REWEIGHTINGS: Final = 3
+_WARMER_K: Final = 0.1
+_STEEPEST_DOUBLING_K: Final = 4.0  # of a dark current in silicon
 _SETTLED: Final = 0.02  # share of a parameter's size
 _PAST_WELL: Final = 1.02  # times the declared full well, which is rounded
 _ALIVE: Final = 0.5  # share of its shot noise that a tile keeps where charge does not end
@@ -431,11 +434,24 @@ def _weighted(
     bands = (relative_bands(prediction), prediction.band_frequency)
     repeatability = Repeatability(tau, flicker, prediction.row_variance, *bands)
     mask = usable if isinstance(usable, dict) else usable_entries(design, seen, prediction)
-    comparison = compare(design, seen, prediction, sensitivity, repeatability, response, floors, mask)
+    darkness = _darkness(model, nuisance, prediction, seen)
+    comparison = compare(design, seen, prediction, sensitivity, repeatability, response, floors, mask, darkness)
     weights = np.zeros(sum(term.size for term in terms))
     state = FitState(seen, model, layout, values, terms, weights, comparison, tau)
     vars(state).update({"trace": trace, "sensitivity": sensitivity})
     return state
+
+
+def _darkness(model: TileModel, nuisance: Nuisance, base: Prediction, seen: CaptureStatistics) -> Darkness | None:
+    """Return how far darkness differs from frame to frame; None where nothing shows that it does."""
+    design = model.design
+    black_dn, reading_k = wander_of_black(design, seen), uncertainty_of_readings(design.frame_temperatures_c)
+    if not (black_dn or reading_k):
+        return None
+    warmer = model.warmed(_WARMER_K).predict(nuisance) if reading_k else base
+    # A law that is not found yet may rise steeply: no more than what was seen to gather can.
+    most = np.log(2.0) / _STEEPEST_DOUBLING_K * np.maximum(seen.mean - np.nanmin(seen.mean), 0.0)
+    return Darkness(black_dn, reading_k, np.clip((warmer.mean - base.mean) / _WARMER_K, -most, most))
 
 
 def _form_floors(model: TileModel, nuisance: Nuisance, prediction: Prediction) -> dict[str, Array]:

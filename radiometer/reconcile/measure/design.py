@@ -26,6 +26,7 @@ SURFACE_TERMS: Final = 6  # of a tile's pixels that its quadratic surface takes 
 SURFACE_LINES: Final = 3  # of its rows or columns
 _MARGIN_FRACTION: Final = 0.125  # keeps a tile's interior more than four blur sigmas from the patch's edge
 _TEMPERATURE_STEP_K: Final = 0.75  # a larger change starts a new capture
+_STAND_IN_SHARE: Final = 1e-3  # of the shortest exposure
 _SAME_TEMPERATURE_K: Final = 2.0  # width of a step of temperature within which a setting repeats
 
 
@@ -77,7 +78,7 @@ class Design:
     """What was captured: settings per capture and the tiles, without any pixel.
 
     Attributes:
-        header: What `capture.yaml` says.
+        header: What `capture.yaml` says, with a stand-in for exposures of 0 s.
         shape: (height, width) of the frames in pixels.
         captures: Captures in the order taken.
         tiles: Tiles of the picture.
@@ -97,6 +98,7 @@ class Design:
         Raises:
             CaptureError: If a patch lies outside the frames or is too small to be judged.
         """
+        header = _without_zeros(header)
         tiles = _patch_tiles(header, shape) or _grid_tiles(len(_patterns(header)), shape)
         return cls(header, shape, group_captures(header), tiles, bool(header.patches))
 
@@ -169,6 +171,12 @@ class Design:
         return self._column("temperature_c")
 
     @cached_property
+    def frame_temperatures_c(self) -> Array:
+        """Return the temperature reading of each frame in °C; NaN where there is none."""
+        readings = [entry.temperature_C for entry in self.header.frames]
+        return np.array([np.nan if reading is None else reading for reading in readings], dtype=np.float64)
+
+    @cached_property
     def timestamp_s(self) -> Array:
         """Return the time of each capture in s from the first; the running number where none is stated."""
         stamps = self._column("timestamp_s")
@@ -177,23 +185,47 @@ class Design:
         return np.asarray(stamps - stamps.min())
 
     @cached_property
-    def first_frames(self) -> tuple[Array, Array]:
-        """Return time in s and temperature in °C of the first frame of each capture, on the scales of the captures."""
+    def first_frames(self) -> tuple[Array, Array, Array]:
+        """Return time in s, temperature in °C and time since light in s of the first frame of each capture."""
         return self._within(slice(0, 1))
 
     @cached_property
-    def later_frames(self) -> tuple[Array, Array]:
+    def later_frames(self) -> tuple[Array, Array, Array]:
         """Return the mean of the same over the other frames; those of the first where there is no other."""
         return self._within(slice(1, None))
 
-    def _within(self, part: slice) -> tuple[Array, Array]:
+    @cached_property
+    def since_light_s(self) -> Array:
+        """Return the mean time in s from the last frame with light to those of each capture; infinite without one."""
+        return self._mean_since_light(slice(None))
+
+    def _mean_since_light(self, part: slice) -> Array:
+        chosen = [capture.frames[part] or capture.frames for capture in self.captures]
+        return np.array([float(np.mean(self._since_light[list(indices)])) for indices in chosen])
+
+    @cached_property
+    def _since_light(self) -> Array:
+        """Return the time in s from the last frame with light to each frame; infinite where there is none."""
+        found, last = np.full(len(self.header.frames), np.inf), None
+        stamps = [entry.timestamp_s for entry in self.header.frames]
+        known = [(stamp, index) for index, stamp in enumerate(stamps) if stamp is not None]
+        for stamp, index in sorted(known) if len(known) == len(stamps) else ():
+            if last is not None:
+                found[index] = stamp - last
+            settings = self.header.frames[index].settings
+            if not settings.is_dark and settings.source_level > 0:
+                last = stamp
+        return found
+
+    def _within(self, part: slice) -> tuple[Array, Array, Array]:
         chosen = [capture.frames[part] or capture.frames for capture in self.captures]
         entries = [[self.header.frames[index].settings for index in indices] for indices in chosen]
         warm = [_mean_of([s.temperature_c for s in several]) for several in entries]
         if not self.has_timestamps:
-            return self.timestamp_s, np.array(warm)
+            return self.timestamp_s, np.array(warm), self._mean_since_light(part)
         begun = float(np.min(self._column("timestamp_s")))
-        return np.array([_mean_of([s.timestamp_s for s in several]) - begun for several in entries]), np.array(warm)
+        times = np.array([_mean_of([s.timestamp_s for s in several]) - begun for several in entries])
+        return times, np.array(warm), self._mean_since_light(part)
 
     @cached_property
     def has_timestamps(self) -> bool:
@@ -229,17 +261,36 @@ class Design:
 
     @cached_property
     def setting_id(self) -> NDArray[np.intp]:
-        """Return a number for each capture that repeats of one setting share, temperatures alike within a kelvin or so.
-
-        The steps of temperature are laid so that most captures stand in the middle of one.
-        """
-        turns = np.exp(2j * np.pi * self.temperature_c / _SAME_TEMPERATURE_K)
-        middle = float(np.angle(np.mean(turns))) / (2.0 * np.pi) if np.isfinite(turns).all() else 0.0
-        steps = np.nan_to_num(np.round(self.temperature_c / _SAME_TEMPERATURE_K - middle), nan=-1e6).tolist()
-        plain = [_setting_key(capture.settings, with_temperature=False) for capture in self.captures]
+        """Return a number for each capture that repeats of one setting share, temperatures alike within some kelvin."""
+        steps = _steps_of_temperature(self.temperature_c).tolist()
+        plain = [_setting_key(capture.settings) for capture in self.captures]
         keys = list(zip(plain, steps, strict=True))
         order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
         return np.array([order[key] for key in keys], dtype=np.intp)
+
+
+def _without_zeros(header: CaptureHeader) -> CaptureHeader:
+    """Return the header with a stand-in for bias frames' exposure of 0 s, far below every other.
+
+    Exposures are compared by their logarithm; what a dark current makes of the stand-in is below what any of them
+    shows.
+    """
+    if all(entry.exposure_s > 0 for entry in header.frames):
+        return header
+    shortest = min((entry.exposure_s for entry in header.frames if entry.exposure_s > 0), default=1.0)
+    stand_in_s = _STAND_IN_SHARE * shortest
+    frames = tuple(e if e.exposure_s > 0 else e.model_copy(update={"exposure_s": stand_in_s}) for e in header.frames)
+    return header.model_copy(update={"frames": frames})
+
+
+def _steps_of_temperature(temperature_c: Array) -> Array:
+    """Return the number of the step of temperature that each value lies in; a number of its own where unknown.
+
+    The steps are laid so that most values stand in the middle of one: two readings of one plateau are never apart.
+    """
+    turns = np.exp(2j * np.pi * temperature_c / _SAME_TEMPERATURE_K)
+    middle = float(np.angle(np.mean(turns))) / (2.0 * np.pi) if np.isfinite(turns).all() else 0.0
+    return np.asarray(np.nan_to_num(np.round(temperature_c / _SAME_TEMPERATURE_K - middle), nan=-1e6))
 
 
 def _mean_of(values: Sequence[float | None]) -> float:
@@ -292,9 +343,10 @@ def _runs(header: CaptureHeader) -> list[list[int]]:
 
 def _gathered(header: CaptureHeader) -> tuple[Capture, ...]:
     groups: dict[Any, list[int]] = {}
-    for index in range(len(header.frames)):
-        settings = header.frames[index].settings
-        groups.setdefault(_setting_key(settings, with_temperature=True), []).append(index)
+    warm = [entry.temperature_C for entry in header.frames]
+    steps = _steps_of_temperature(np.array([np.nan if t is None else t for t in warm], dtype=np.float64)).tolist()
+    for index, step in enumerate(steps):
+        groups.setdefault((step, _key(header, index)), []).append(index)
     return tuple(_capture(header, group) for group in groups.values())
 
 
@@ -306,12 +358,10 @@ def _same_capture(header: CaptureHeader, first: int, other: int) -> bool:
 
 
 def _key(header: CaptureHeader, index: int) -> Any:
-    return _setting_key(header.frames[index].settings, with_temperature=False)
+    return _setting_key(header.frames[index].settings)
 
 
-def _setting_key(settings: FrameSettings, *, with_temperature: bool) -> Any:
-    warm = settings.temperature_c
-    rounded = None if warm is None or not with_temperature else round(warm / _SAME_TEMPERATURE_K)
+def _setting_key(settings: FrameSettings) -> Any:
     level = 0.0 if settings.is_dark else settings.source_level
     return (
         settings.exposure_s,
@@ -321,7 +371,6 @@ def _setting_key(settings: FrameSettings, *, with_temperature: bool) -> Any:
         level,
         "" if settings.is_dark else settings.pattern,
         settings.shutter,
-        rounded,
     )
 
 

@@ -26,9 +26,11 @@ def add_tiles(
     comb_mad_dn: float,
     total: Array,
     square: Array,
+    pair_x: Array,
+    pair_y: Array,
     histogram: Array,
     occurring: NDArray[np.bool_],
-) -> tuple[Array, Array, Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array]:
     """Add one frame to the sums of all tiles of one size.
 
     Args:
@@ -40,17 +42,18 @@ def add_tiles(
         comb_mad_dn: Median absolute deviation above which a tile's histogram must be smooth, in DN.
         total: (tiles, height, width) sum of deviations from the tile's mean in DN; this frame is added.
         square: Same shape, sum of their squares; this frame is added.
+        pair_x: Same shape, sum of products with the left neighbour in DN²; this frame is added.
+        pair_y: The same with the upper neighbour.
         histogram: Counts of digital numbers over smooth tiles, longer than the largest one; this frame is added.
         occurring: Digital numbers that occur in any tile, as long; this frame is added.
 
     Returns:
-        (tiles,) mean in DN, share at 0, share clipped, sum of products of horizontal and of vertical neighbours in
-        DN², and (tiles, height) sum of deviations along each row
-        of the pixels that count.
+        (tiles,) mean in DN, share at 0, share clipped, and (tiles, height) sum of deviations along each row of the
+        pixels that count.
     """
     tiles, height, width = total.shape
     mean, low, high = np.zeros(tiles), np.zeros(tiles), np.zeros(tiles)
-    pair_x, pair_y, rows = np.zeros(tiles), np.zeros(tiles), np.zeros((tiles, height))
+    rows = np.zeros((tiles, height))
     counts = np.zeros(histogram.size, np.int64)
     for k in range(tiles):
         y0, x0 = top[k], left[k]
@@ -77,19 +80,19 @@ def add_tiles(
                 total[k, i, j] += deviation
                 square[k, i, j] += deviation * deviation
                 along += deviation * good[y0 + i, x0 + j]
-                pair_x[k] += deviation * before
+                pair_x[k, i, j] += deviation * before
                 before = deviation
             rows[k, i] = along
         for i in range(1, height):
             for j in range(width):
-                pair_y[k] += (dn[y0 + i, x0 + j] - middle) * (dn[y0 + i - 1, x0 + j] - middle)
+                pair_y[k, i, j] += (dn[y0 + i, x0 + j] - middle) * (dn[y0 + i - 1, x0 + j] - middle)
         smooth = dark == 0 and full == 0 and _within(counts, middle, comb_mad_dn) * 2 < height * width
         for code in range(smallest, largest + 1):
             if smooth:
                 histogram[code] += counts[code]
             occurring[code] |= counts[code] > 0
             counts[code] = 0
-    return mean, low, high, pair_x, pair_y, rows
+    return mean, low, high, rows
 
 
 @compiled

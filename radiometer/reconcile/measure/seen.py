@@ -31,6 +31,9 @@ class CaptureStatistics:
         high: Share of samples at full scale.
         common: (captures,) variance of the frame-common relative fluctuation over what pixel noise alone gives.
         common_unit: (captures,) relative variance that pixel noise alone gives it.
+        black: (captures,) variance in DN² of an offset that all tiles of a frame share, steady change taken out.
+        black_unit: (captures,) what pixel noise alone gives it.
+        black_dof: (captures,) its degrees of freedom; 0 where too few frames tell it.
         row_temporal: (captures,) variance of row means from frame to frame over what pixel noise alone gives.
         row_temporal_weight: (captures,) its sensitivity: mean over rows of Σ 1/variance, in DN⁻².
         row_temporal_dof: (captures,) its degrees of freedom.
@@ -67,6 +70,9 @@ class CaptureStatistics:
     high: Array
     common: Array
     common_unit: Array
+    black: Array
+    black_unit: Array
+    black_dof: Array
     row_temporal: Array
     row_temporal_weight: Array
     row_temporal_dof: Array

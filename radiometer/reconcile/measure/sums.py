@@ -44,8 +44,8 @@ class CaptureSums:
         frame_means: Per frame, (tiles,) mean of each tile's good pixels in DN.
         total: Per group, sum of pixels minus their tile's mean, (tiles, height, width).
         square: The same of squares.
-        pair_x: (tiles,) sum of products of horizontal neighbours' deviations in DN².
-        pair_y: (tiles,) the same of vertical ones.
+        pair_x: Per group, sum of products of each pixel's deviation with its left neighbour's in DN², as `total`.
+        pair_y: The same with its upper neighbour's.
         row_sums: Per group and frame, sums of deviations along each tile row.
         low: (tiles,) sum of the shares of samples at 0 DN.
         high: (tiles,) the same at full scale.
@@ -60,8 +60,8 @@ class CaptureSums:
     frame_means: list[Array]
     total: list[Array]
     square: list[Array]
-    pair_x: Array
-    pair_y: Array
+    pair_x: list[Array]
+    pair_y: list[Array]
     row_sums: list[list[Array]]
     low: Array
     high: Array
@@ -80,8 +80,8 @@ class CaptureSums:
             [],
             zeros,
             [np.zeros_like(z) for z in zeros],
-            np.zeros(tiles),
-            np.zeros(tiles),
+            [np.zeros(z.shape, np.float32) for z in zeros],
+            [np.zeros(z.shape, np.float32) for z in zeros],
             [[] for _ in groups],
             np.zeros(tiles),
             np.zeros(tiles),
@@ -94,10 +94,10 @@ class CaptureSums:
         """Add a frame."""
         self._make_room(max(frame.full_scale_dn, int(frame.dn.max(initial=0))) + 1)
         good, nearly_full = ~self.defects, _NEARLY_FULL * frame.full_scale_dn
-        mean = np.empty(self.pair_x.size)
+        mean = np.empty(self.low.size)
         for number, group in enumerate(self.groups):
             index = group.index
-            mean[index], low, high, pair_x, pair_y, rows = add_tiles(
+            mean[index], low, high, rows = add_tiles(
                 frame.dn,
                 good,
                 group.rows[:, 0],
@@ -106,13 +106,13 @@ class CaptureSums:
                 _SMOOTH_MAD_DN,
                 self.total[number],
                 self.square[number],
+                self.pair_x[number],
+                self.pair_y[number],
                 self.histogram,
                 self.occurring,
             )
             self.low[index] += low
             self.high[index] += high
-            self.pair_x[index] += pair_x
-            self.pair_y[index] += pair_y
             self.row_sums[number].append(rows)
         self.frame_means.append(mean)
         self.side_lines += self.sides.means(frame.dn)
@@ -134,8 +134,8 @@ class CaptureSums:
             frame_means=self.frame_means[1:],
             total=[both - one for both, one in zip(self.total, first.total, strict=True)],
             square=[both - one for both, one in zip(self.square, first.square, strict=True)],
-            pair_x=self.pair_x - first.pair_x,
-            pair_y=self.pair_y - first.pair_y,
+            pair_x=[both - one for both, one in zip(self.pair_x, first.pair_x, strict=True)],
+            pair_y=[both - one for both, one in zip(self.pair_y, first.pair_y, strict=True)],
             row_sums=[sums[1:] for sums in self.row_sums],
             low=self.low - first.low,
             high=self.high - first.high,
@@ -152,7 +152,7 @@ class CaptureSums:
             bins: Bins of rows for bands.
             structured: Whether the tiles show a scene rather than even light: nothing in them is outlying.
         """
-        n, tiles = len(self.frame_means), self.pair_x.size
+        n, tiles = len(self.frame_means), self.low.size
         out = {name: np.full(tiles, np.nan) for name in _PER_TILE}
         outlying = np.zeros(self.defects.shape, dtype=np.bool_)
         means = np.array(self.frame_means)
@@ -176,6 +176,7 @@ class CaptureSums:
         result |= fixed_profile(self.groups, residuals, spatial, counting)
         result |= row_light(bins, self.groups, self.row_sums, known, means, variance, black_dn, structured=structured)
         result |= _common_fluctuation(means, out, black_dn)
+        result |= _additive_fluctuation(means, out)
         result["side_lines"] = self.side_lines / n
         result |= _comb(self.histogram)
         return result, outlying
@@ -253,13 +254,20 @@ class CaptureSums:
         variance = np.maximum(scatter.sum(axis=(1, 2)), 0.0) / out["variance_dof"][index]
         out["variance"][index] = variance
         safe = np.where(variance > 0, variance, np.nan)
+        known = np.asarray(good, dtype=np.bool_)
         for axis, pairs in (("neighbour_x", self.pair_x), ("neighbour_y", self.pair_y)):
-            a, b = (total[:, :, 1:], total[:, :, :-1]) if axis == "neighbour_x" else (total[:, 1:], total[:, :-1])
-            covariance = pairs[index] - np.einsum("kij,kij->k", a, b) / n * steady
-            count = a.shape[1] * a.shape[2]
+            later, earlier = _NEIGHBOURS[axis]
+            both = (known[later] & known[earlier]).astype(np.float64)
+            products = np.einsum("kij,kij->k", pairs[number][later], both)
+            covariance = products - np.einsum("kij,kij,kij->k", total[later], total[earlier], both) / n * steady
+            count = np.maximum(both.sum(axis=(1, 2)), 1.0)
             out[axis][index] = covariance / ((n - 1) * count * safe) + 1.0 / out["pixels"][index]
 
 
+_NEIGHBOURS: Final = {
+    "neighbour_x": ((slice(None), slice(None), slice(1, None)), (slice(None), slice(None), slice(None, -1))),
+    "neighbour_y": ((slice(None), slice(1, None)), (slice(None), slice(None, -1))),
+}
 _PER_TILE: Final = (
     "mean",
     "variance",
@@ -328,6 +336,30 @@ def _common_fluctuation(means: Array, out: dict[str, Array], black_dn: float) ->
     if n < 2 or information <= 0:
         return {"common": np.nan, "common_unit": np.nan}
     return {"common": float(np.sum(amplitude**2) / (n - 1) * information), "common_unit": 1.0 / information}
+
+
+def _additive_fluctuation(means: Array, out: dict[str, Array]) -> dict[str, float]:
+    """Return the variance in DN² of an offset that all tiles of a frame share, and what pixel noise alone gives it.
+
+    What goes on steadily through the frames is a drift, not a wander: a straight line over them is taken out.
+    """
+    means = means[1:] if means.shape[0] > 2 else means  # the first frame may differ for a reason of its own
+    n = means.shape[0]
+    taken = 1 if n < 3 else 2
+    usable = _free(out) & (out["variance"] > 0)
+    weight = np.where(usable, out["pixels"] / np.where(usable, out["variance"], 1.0), 0.0)
+    information = float(weight.sum())
+    if n <= taken or information <= 0:
+        return {"black": np.nan, "black_unit": np.nan, "black_dof": 0.0}
+    offset = (means - means.mean(axis=0)) @ weight / information
+    if taken == 2:
+        steady = np.arange(n) - (n - 1) / 2.0
+        offset = offset - steady * float(offset @ steady) / float(steady @ steady)
+    return {
+        "black": float(offset @ offset) / (n - taken),
+        "black_unit": 1.0 / information,
+        "black_dof": float(n - taken),
+    }
 
 
 def _common_amplitude(means: Array, out: dict[str, Array], black_dn: float) -> tuple[Array, float]:

@@ -53,8 +53,9 @@ class BatchSettings:
         )
 
     def at(self, time_s: Array, temperature_c: Array) -> BatchSettings:
-        """Return the settings at another time and temperature of each capture, (captures,) each."""
-        return replace(self, timestamp_s=time_s[:, None, None], temperature_c=temperature_c[:, None, None])
+        """Return the settings at another time and temperature of each capture, one figure for each."""
+        shape = self.timestamp_s.shape
+        return replace(self, timestamp_s=time_s.reshape(shape), temperature_c=temperature_c.reshape(shape))
 
 
 class PictureSurroundings:
@@ -145,6 +146,18 @@ class TileContext(ExposureContext):
         """Return the mean over the whole frame, shape (captures, 1, 1)."""
         return self.surroundings.frame_mean(signal) if self.surroundings else signal.mean(axis=(1, 2), keepdims=True)
 
+    def warmed(self, kelvin: float) -> TileContext:
+        """Return the context of captures that are so much warmer."""
+
+        def warm(context: ExposureContext | None) -> Any:
+            if context is None:
+                return None
+            settings: Any = context.settings
+            return replace(context, settings=settings.at(settings.timestamp_s, settings.temperature_c + kelvin))
+
+        own = cast(TileContext, warm(self))
+        return replace(own, first_frame=warm(self.first_frame), later_frames=warm(self.later_frames))
+
 
 def tile_points(design: Design) -> tuple[Array, Array]:
     """Return column and row coordinates of the tiles' Gauss points in pixels, each (tiles, 4)."""
@@ -208,6 +221,7 @@ def tile_context(design: Design, images: PatternImages) -> TileContext:
         design.header.source.wavelength_nm or 550.0,
         code=np.maximum(radiance / peak, 1e-9)[design.pattern_index][:, :, None],
         peak_radiance=peak,
+        since_light_s=_column(design.since_light_s),
         surroundings=PictureSurroundings(design, images),
         frames=design.frame_count[:, None, None],
         tile_pixels=np.array([t.width * t.height for t in design.tiles], dtype=np.float64)[None, :, None],
@@ -216,9 +230,14 @@ def tile_context(design: Design, images: PatternImages) -> TileContext:
     if not (design.frame_count > 1).any():
         return context
     first, later = (
-        replace(context, settings=cast(Any, settings.at(*when))) for when in (design.first_frames, design.later_frames)
+        replace(context, settings=cast(Any, settings.at(time_s, warm)), since_light_s=_column(since))
+        for time_s, warm, since in (design.first_frames, design.later_frames)
     )
     return replace(context, first_frame=first, later_frames=later)
+
+
+def _column(values: Array) -> Array:
+    return values[:, None, None]
 
 
 def scene_radiance(design: Design, images: PatternImages) -> Array:

@@ -83,6 +83,10 @@ class TileModel:
         """Return the model with exactly these effects."""
         return replace(self, effects=tuple(effects))
 
+    def warmed(self, kelvin: float) -> TileModel:
+        """Return the model of the same captures, all of them so much warmer."""
+        return replace(self, context=self.context.warmed(kelvin))
+
     def predict(self, nuisance: Nuisance) -> Prediction:
         """Return the expected statistics."""
         return self.trace(nuisance).prediction

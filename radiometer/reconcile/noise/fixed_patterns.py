@@ -87,7 +87,8 @@ def fixed_errors(
         # Purest in bright captures, but for full wells, which hide it.
         light = _unit_of_light(prediction)
         bright, relative = light > 0.2 * light.max(axis=0), fixed / np.maximum(light**2, 1e-30)
-        white = np.array([np.median(column[mask]) for column, mask in zip(relative.T, bright.T, strict=True)])
+        columns = zip(relative.T, bright.T, strict=True)
+        white = np.array([np.median(column[mask]) if mask.any() else 0.0 for column, mask in columns])  # darks alone
         terms += _offset_terms("proportional pattern", _unit_of_light, white, (0.0, 0.0), pixels, design)
     if additive:
         lines = _line_variances(prediction)

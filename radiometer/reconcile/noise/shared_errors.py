@@ -21,6 +21,7 @@ from radiometer.reconcile.chances import Mask, frames_counted, score_slope
 from radiometer.reconcile.measure.design import SURFACE_LINES, Array, Design
 from radiometer.reconcile.measure.row_bands import RowBins, TileBands
 from radiometer.reconcile.measure.seen import CaptureStatistics
+from radiometer.reconcile.noise.darkness import Darkness
 from radiometer.reconcile.prediction import Prediction
 
 _LEAST_EXCESS: Final = -0.9  # of a variance ratio, so that it stays positive
@@ -121,6 +122,32 @@ def shared_errors(
         found += _row_noise(design, base, usable, repeatability.row_variance)
     if repeatability.bands2.any():
         found += _wave(design, light, repeatability)
+    return tuple(found)
+
+
+def errors_of_darkness(design: Design, usable: Mapping[str, Mask], darkness: Darkness) -> tuple[SharedError, ...]:
+    """Return what a wandering black level and a coarse thermometer do to the means of a capture and to its first frame.
+
+    Repeated frames do not average it out: they follow one another, and the black level has its way from one series to
+    the next.
+
+    Args:
+        design: Captures and tiles.
+        usable: Which entries of each statistic count.
+        darkness: How far darkness differs.
+    """
+    first = 1.0 + 1.0 / np.maximum(design.frame_count - 1.0, 1.0)
+    every, one = np.ones(len(design.captures)), np.ones((len(design.tiles), 1))
+    found = []
+    for name, amplitude, u in (
+        ("black level of a capture", np.ones_like(darkness.warmth), darkness.black_dn),
+        ("temperature of a capture", darkness.warmth, darkness.temperature_k),
+    ):
+        if u > 0:
+            found += [
+                SharedError(name, {"mean": Part(np.where(usable["mean"], amplitude, 0.0), one)}, u**2 * every),
+                SharedError(name, {"first": Part(np.where(usable["first"], amplitude, 0.0), one)}, u**2 * first),
+            ]
     return tuple(found)
 
 

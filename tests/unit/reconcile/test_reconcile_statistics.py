@@ -83,10 +83,11 @@ def test_compiled_sums_agree_with_numpy() -> None:
     good = np.ones(dn.shape, dtype=np.bool_)
     good[5, 5] = False
     corners = [(2, 3), (9, 12)]
-    total, square, histogram = np.zeros((2, 8, 9)), np.zeros((2, 8, 9)), np.zeros(4096)
+    total, square, pair_x, pair_y = (np.zeros((2, 8, 9)) for _ in range(4))
+    histogram = np.zeros(4096)
     occurring = np.zeros(4096, dtype=np.bool_)
     top, left = (np.array(values, dtype=np.intp) for values in zip(*corners, strict=True))
-    found = add_tiles(dn, good, top, left, 4000.0, 2.6, total, square, histogram, occurring)
+    found = add_tiles(dn, good, top, left, 4000.0, 2.6, total, square, pair_x, pair_y, histogram, occurring)
     for k, (y, x) in enumerate(corners):
         tile, counted = dn[y : y + 8, x : x + 9].astype(float), good[y : y + 8, x : x + 9]
         deviation = tile - tile[counted].mean()
@@ -94,17 +95,20 @@ def test_compiled_sums_agree_with_numpy() -> None:
             tile[counted].mean(),
             np.mean(tile <= 0),
             np.mean(tile >= 4000),
-            np.sum(deviation[:, 1:] * deviation[:, :-1]),
-            np.sum(deviation[1:] * deviation[:-1]),
             (deviation * counted).sum(axis=1),
         )
         for value, wanted in zip(found, expected, strict=True):
             np.testing.assert_allclose(value[k], wanted, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(total[k], deviation, atol=1e-9)
         np.testing.assert_allclose(square[k], deviation**2, rtol=1e-9)
+        np.testing.assert_allclose(pair_x[k, :, 1:], deviation[:, 1:] * deviation[:, :-1], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(pair_y[k, 1:], deviation[1:] * deviation[:-1], rtol=1e-9, atol=1e-9)
+        assert not pair_x[k, :, 0].any()
+        assert not pair_y[k, 0].any()
     assert histogram.sum() == 0, "both tiles hold a clipped sample"
     assert set(np.flatnonzero(occurring)) == {int(v) for y, x in corners for v in dn[y : y + 8, x : x + 9].ravel()}
-    add_tiles(dn, good, top[1:] - 9, left[1:] + 6, 4000.0, 2.6, total[1:], square[1:], histogram, occurring)
+    sums = (total[1:], square[1:], pair_x[1:], pair_y[1:])
+    add_tiles(dn, good, top[1:] - 9, left[1:] + 6, 4000.0, 2.6, *sums, histogram, occurring)
     np.testing.assert_array_equal(histogram, np.bincount(dn[0:8, 18:27].ravel(), minlength=4096))
 
 

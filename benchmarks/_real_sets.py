@@ -1,0 +1,142 @@
+"""The open sets of real sensors: which effects their owners document, by what names and along what covariates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class Documented:
+    """One effect that somebody documented in a set.
+
+    Attributes:
+        what: The effect in the words of who documents it, with its figure.
+        names: Entries that name it rightly.
+        covariates: Covariates along which a disagreement points at it.
+        by: Who says so.
+    """
+
+    what: str
+    names: tuple[str, ...]
+    covariates: tuple[str, ...]
+    by: str
+
+
+@dataclass(frozen=True, slots=True)
+class RealSet:
+    """One set that `reconcile` takes.
+
+    Attributes:
+        name: Name in the table.
+        folder: Folder under the shared data, or a pattern in it.
+        files: Pattern of the files to take; empty for the whole folder.
+        documented: Its effects, the largest first; none for a set that must stay silent.
+        likely: Names that are so beside the documented ones, as independent measurements of the same frames show.
+    """
+
+    name: str
+    folder: str
+    files: str
+    documented: tuple[Documented, ...]
+    likely: tuple[str, ...] = ()
+
+
+_OWN: str = "clipped means of the frames (PROVENANCE)"
+_CCD_PATTERNS: tuple[str, ...] = (
+    "dark_current_nonuniformity",
+    "hot_pixels",
+    "line_start_offset",
+    "column_pattern",
+    "dark_current_shading",
+    "readout_dark_charge",
+    "black_level_settling",
+    "row_temporal_noise",
+    "crosstalk",
+    "dsnu",
+    "row_pattern",
+)
+SETS: tuple[RealSet, ...] = (
+    RealSet(
+        "CCD STL-1001E, September 2017, 32 frames",
+        "sensors/sbig_stl1001_2017",
+        "",
+        (
+            Documented(
+                "dark current, doubling 4.9 K",
+                ("dark_current", "dark_current_clamped"),
+                ("exposure_s", "temperature_C"),
+                _OWN,
+            ),
+            Documented(
+                "header gain 6 % off",
+                ("conversion_gain_error",),
+                ("signal", "constant"),
+                "photon transfer (PROVENANCE)",
+            ),
+            Documented(
+                "flats of one setting differ by 0.4 %", ("lamp_step", "source_warmup_drift"), ("timestamp_s",), _OWN
+            ),
+            Documented(
+                "first bias of a series 0.4 DN low",
+                ("first_frame_offset", "black_level_settling"),
+                ("previous_frame", "timestamp_s"),
+                _OWN,
+            ),
+            Documented(
+                "hot pixels, 63 000 DN after 60 s",
+                ("hot_pixels", "dark_current_nonuniformity"),
+                ("exposure_s", "temperature_C"),
+                _OWN,
+            ),
+        ),
+        _CCD_PATTERNS,
+    ),
+    RealSet(
+        "the same camera, September 2019, 22 darks",
+        "sensors/sbig_stl1001_2019",
+        "",
+        (
+            Documented(
+                "dark current, doubling 4.6 K",
+                ("dark_current", "dark_current_clamped"),
+                ("exposure_s", "temperature_C"),
+                _OWN,
+            ),
+            Documented("dark charge gathered in readout, 9 DN at 10 °C", ("readout_dark_charge",), ("image_y",), _OWN),
+            Documented(
+                "first bias 3.9 DN high",
+                ("first_frame_offset", "black_level_settling"),
+                ("previous_frame", "timestamp_s"),
+                _OWN,
+            ),
+        ),
+        _CCD_PATTERNS,
+    ),
+    RealSet(
+        "CCD of 12 bits, EMVA 1288 ref001, 100 + 8 images",
+        "emva/ref001_ccd_12bit",
+        "",
+        (
+            Documented(
+                "linearity error −0.6 to +0.5 %",
+                ("response_nonlinearity", "gamma_enabled", "soft_saturation"),
+                ("signal", "exposure_s"),
+                "Basler; emva1288 1.0.2",
+            ),
+        ),
+        ("row_temporal_noise", "column_pattern", "row_pattern", "prnu", "dsnu", "crosstalk", "conversion_gain_error"),
+    ),
+    RealSet(
+        "null: five equal bias frames at −10 °C, 2017", "sensors/sbig_stl1001_2017", "bias-Neg10-*", (), _CCD_PATTERNS
+    ),
+    RealSet("null: four equal darks of 60 s, 2017", "sensors/sbig_stl1001_2017", "darks-expos1-*", (), _CCD_PATTERNS),
+)
+
+
+def data_folder() -> Path | None:
+    """Return the folder of real measurements beside the checkout or a folder above it; None where there is none."""
+    for parent in Path(__file__).resolve().parents[1:]:
+        if (parent / "shared" / "data" / "sensors").is_dir():
+            return parent / "shared" / "data"
+    return None

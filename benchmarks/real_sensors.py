@@ -1,0 +1,208 @@
+"""Real sensors whose effects somebody documents: what this program says of them.
+
+    python -m benchmarks real_sensors [--sets PART…]
+
+Needs the real sets in shared/data; says so and leaves where they are absent. Right is an effect that is named, or whose
+covariate comes first; partly one that shows only further down; wrong a name that neither its owner documents nor an
+independent measurement of the same frames shows. A provisional name is one that the verdict itself calls so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks._real_sets import SETS, Documented, RealSet, data_folder
+from benchmarks._sections import write_section
+from radiometer.importing import import_sources, imported_of
+from radiometer.importing.sources import as_capture
+from radiometer.other_data.sources import reconcile_source
+from radiometer.reconcile.result import ReconcileResult
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "real-sensors.md"
+_LEADING = 3  # places of the localisation that count as first
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of the table."""
+
+    title: str
+    documented: str
+    by: str
+    said: str
+    judged: str
+    seconds: float
+
+    def markdown(self) -> str:
+        cells = (self.title, self.documented, self.by, self.said, self.judged, f"{self.seconds:.1f} s")
+        return "| " + " | ".join(cells) + " |"
+
+
+def judged(effect: Documented, result: ReconcileResult) -> str:
+    """Return whether a documented effect was named, only pointed at, or missed."""
+    if any(found.name in effect.names for found in result.effects):
+        return "right"
+    places = [place.where for place in result.localisation]
+    if any(where in effect.covariates for where in places[:_LEADING]):
+        return "right covariate"
+    shown = [*places, *(found.where for found in result.effects)]
+    return "partly" if any(where in effect.covariates for where in shown) else "missed"
+
+
+def wrong_names(known: RealSet, result: ReconcileResult) -> list[str]:
+    """Return names that are neither documented nor likely."""
+    right = {name for effect in known.documented for name in effect.names} | set(known.likely) | {"unnamed"}
+    return [found.name for found in result.effects if found.name not in right]
+
+
+def of_reconcile(known: RealSet, folder: Path) -> Iterator[Row]:
+    """Yield a row for each documented effect of a set, and one for names that are not so."""
+    path = folder / known.folder / known.files if known.files else folder / known.folder
+    begun = time.process_time()
+    result = reconcile_source(path).result
+    seconds = time.process_time() - begun
+    for effect in known.documented:
+        named = [f for f in result.effects if f.name in effect.names]
+        said = "; ".join(_shown(f.name, f.parameters) for f in named) or f"first along {_first(result)}"
+        yield Row(known.name, effect.what, effect.by, said, judged(effect, result), seconds)
+    wrong = wrong_names(known, result)
+    provisional = "provisional " if result.verdict == "incomplete" else "confident "
+    said = f"{result.verdict}; " + (", ".join(found.name for found in result.effects) or "no name")
+    verdict = "wrong: " + provisional + ", ".join(wrong) if wrong else "right: nothing that is not so"
+    yield Row(known.name, "no other effect", "", said, verdict, seconds)
+
+
+def _first(result: ReconcileResult) -> str:
+    return ", ".join(dict.fromkeys(place.where for place in result.localisation[:_LEADING])) or "nothing"
+
+
+def _shown(name: str, parameters: object) -> str:
+    figures = [
+        f"{key} {entry.value:.3g} ± {entry.u:.1g}"
+        for key, entry in dict(parameters).items()  # type: ignore[call-overload]
+        if entry.u is not None
+    ]
+    return f"`{name}` ({', '.join(figures[:3])})"
+
+
+def of_multispectral(folder: Path) -> Iterator[Row]:
+    """Yield what the reading of raw frames says of black levels, bits and fall-off."""
+    begun = time.process_time()
+    found = [as_capture(one, folder) for one in import_sources([folder / "sensors" / "micasense_raw"])]
+    seconds = time.process_time() - begun
+    doubts = [line for capture in found for line in imported_of(capture).doubts]
+    masked = [
+        float(entry.model_extra["masked_rows_dn"])
+        for capture in found
+        for entry in capture.header.frames
+        if entry.model_extra and "masked_rows_dn" in entry.model_extra
+    ]
+    steps = sorted({capture.header.camera.code_step_dn for capture in found})
+    named = any("masked" in line for line in doubts)
+    title, maker = "RedEdge and Sequoia, 16 raw frames", "the maker's tags in every file"
+    span = f"masked rows {min(masked):.0f} to {max(masked):.0f} DN against the tag 4800"
+    yield Row(
+        title, "black level tag 4800, masked rows 4899 to 5562", maker, span, "right" if named else "missed", seconds
+    )
+    said = "codes in steps of " + " and ".join(f"{step} DN" for step in steps)
+    yield Row(title, "12 and 10 bits in 16", "all values", said, "right" if steps == [16, 64] else "missed", seconds)
+
+
+def of_clamped_pairs(folder: Path) -> Iterator[Row]:
+    """Yield what the statistics of the clamped converter say."""
+    from radiometer.analysis.characterise.characterise import characterise
+    from radiometer.analysis.characterise.subject import read_subject
+
+    path = folder / "sensors" / "astrotracker_ptc_clamp" / "exposure_sweep_pairs.csv"
+    begun = time.process_time()
+    notes = list(characterise(read_subject(path)).notes)
+    seconds = time.process_time() - begun
+    clipped = [note for note in notes if "clip" in note]
+    yield Row(
+        "star-tracker CMOS, pairs as a table",
+        "12 bits clamped at 255",
+        "PLAN.md of its repository",
+        clipped[0] if clipped else "nothing of clipping",
+        "partly" if clipped else "missed",  # that it clips, not that four bits were cut off
+        seconds,
+    )
+
+
+def of_lenses(folder: Path) -> Iterator[Row]:
+    """Yield how many measured fall-off curves the form of the optical entries holds."""
+    from scipy.optimize import least_squares
+
+    path = folder / "sensors" / "lensfun_vignetting" / "vignetting_pa.csv.gz"
+    begun = time.process_time()
+    with gzip.open(path, "rt", encoding="utf-8") as stream:
+        head = stream.readline().strip().split(",")
+        lines = [line.rstrip("\n").rsplit(",", 3)[-3:] for line in stream]
+    assert head[-3:] == ["k1", "k2", "k3"], head
+    k = np.array(lines, dtype=float)[:: max(1, len(lines) // 300)]
+    r = np.linspace(0.0, 1.0, 21)
+    curves = 1.0 + k[:, :1] * r**2 + k[:, 1:2] * r**4 + k[:, 2:] * r**6
+
+    def form(p: np.ndarray) -> np.ndarray:
+        return (1.0 + r**2 / np.exp(2.0 * p[0])) ** -2 * (1.0 - p[1] * r ** np.exp(p[2]))
+
+    within = 0
+    for curve in curves:
+        starts = ((1.0, 0.1, 1.4), (0.3, 0.1, 2.0))
+        fits = [least_squares(lambda p, c=curve: form(p) - c, s, max_nfev=60) for s in starts]
+        within += min(float(np.sqrt(2.0 * fit.cost / r.size)) for fit in fits) < 0.01
+    share = within / len(curves)
+    said = f"natural and mechanical vignetting hold {100 * share:.0f} % of {len(curves)} curves within 1 %"
+    verdict, seconds = "right" if share > 0.9 else "partly", time.process_time() - begun
+    yield Row("709 lenses, fall-off curves", "96 % of curves within 1 %", "lensfun", said, verdict, seconds)
+
+
+QUESTIONS: tuple[tuple[str, Callable[[Path], Iterator[Row]]], ...] = (
+    ("RedEdge", of_multispectral),
+    ("star-tracker", of_clamped_pairs),
+    ("lenses", of_lenses),
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks real_sensors")
+    parser.add_argument("--sets", nargs="*", default=[], help="parts of the names of sets to take; all by default")
+    wanted = parser.parse_args().sets
+    folder = data_folder()
+    if folder is None:
+        sys.exit("skipped: the real sets (../shared/data) are not on this machine")
+    rows: list[Row] = []
+    for known in SETS:
+        if not wanted or any(part in known.name for part in wanted):
+            rows += _told(of_reconcile(known, folder))
+    for name, question in QUESTIONS:
+        if not wanted or any(part in name for part in wanted):
+            rows += _told(question(folder))
+    table = "| set | documented | by | what it says | judged | time |\n|---|---|---|---|---|---|\n"
+    asked = [row for row in rows if row.by]
+    right = sum(row.judged in ("right", "right covariate") for row in asked)
+    confident = sum(row.judged.startswith("wrong: confident") for row in rows)
+    body = table + "\n".join(row.markdown() for row in rows)
+    body += f"\n\n{right} of {len(asked)} documented effects: right name, or right covariate first; {confident} sets "
+    body += "with a confidently wrong name. Time is processor time, reading included."
+    print(body)
+    if not wanted:
+        write_section("real-sensors", "Documented effects", "python -m benchmarks real_sensors", body, PAGE)
+
+
+def _told(rows: Iterator[Row]) -> list[Row]:
+    told = list(rows)
+    for row in told:
+        print(row.markdown(), flush=True)
+    return told
+
+
+if __name__ == "__main__":
+    main()
