@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import signal
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,9 @@ import pytest
 from radiometer.cli.logging_setup import configure_logging
 
 PROJECT_ROOT = Path(__file__).resolve().parents[1]
+# A shell's background job ignores Ctrl-C, and so would every program that a test starts and ends by it.
+with contextlib.suppress(ValueError):  # a worker's thread that is not its main one
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True)

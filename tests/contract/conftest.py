@@ -30,6 +30,7 @@ from simulators.camera_model import CameraModel
 from simulators.edge_devices import SimulatedPiCamera, SimulatedTether, SimulatedWebcam
 from simulators.scenes.factory import scene_from_mapping
 from simulators.simulated_camera import SimulatedCamera, default_limits
+from tests.patience import within
 
 LOOPBACK = "127.0.0.1"
 SMALL_REGION = Roi(16, 8, 64, 48)
@@ -93,7 +94,7 @@ def fake_gige_process(aravis_installed: None, gige_port: None) -> Iterator[Calla
     def start(*options: str) -> subprocess.Popen[bytes]:
         process = subprocess.Popen([program, "-i", LOOPBACK, "-s", "GV77", *options], stderr=subprocess.DEVNULL)
         running.append(process)
-        end = time.monotonic() + 10
+        end = time.monotonic() + within(10.0)
         while not answers(LOOPBACK, attempts=1, timeout_s=0.2):
             assert time.monotonic() < end, "arv-fake-gv-camera did not come up"
         return process

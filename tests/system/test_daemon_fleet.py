@@ -22,6 +22,7 @@ from radiometer.daemon.journal import Journal
 from radiometer.daemon.mqtt import MqttPublisher, MqttTarget, parse_target
 from radiometer.daemon.station import Station
 from radiometer.errors import UsageError
+from tests.patience import within
 
 INSTRUMENTS = 50
 
@@ -37,7 +38,7 @@ def broker(tmp_path: Path) -> Iterator[int]:
     settings = tmp_path / "mosquitto.conf"
     settings.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\n", encoding="ascii")
     process = subprocess.Popen([program, "-c", str(settings)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    give_up = time.monotonic() + 10
+    give_up = time.monotonic() + within(10.0)
     while time.monotonic() < give_up:
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1):
             break

@@ -14,6 +14,7 @@ import pytest
 
 from benchmarks import daemon_kill, daemon_load, daemon_soak
 from benchmarks._daemon import ROOT, DaemonProcess, write_small_bench
+from tests.patience import within
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -159,7 +160,7 @@ def _log(daemon: DaemonProcess, *arguments: str) -> str:
 
 
 def _until(condition: object, deadline_s: float = 30.0) -> None:
-    give_up = time.monotonic() + deadline_s
+    give_up = time.monotonic() + within(deadline_s)
     while not condition():  # type: ignore[operator]
         assert time.monotonic() < give_up, "the condition did not come true"
         time.sleep(0.05)

@@ -20,6 +20,7 @@ from radiometer.errors import MissingLibrary
 from simulators.avr_box import AvrBox
 from simulators.light_box import LightBoxTwin
 from simulators.pty_line import PtyServer, WiredTwin
+from tests.patience import within
 
 OPTICS = {
     "bleach": ChannelOptics(None, 0.0, 60.0, 5.0),
@@ -48,7 +49,7 @@ class Rig:
 
     def wait_until(self, condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
         """Poll until something holds; tell whether it ever did."""
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + within(timeout_s)
         while time.monotonic() < deadline_s:
             if condition():
                 return True

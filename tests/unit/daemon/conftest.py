@@ -20,6 +20,7 @@ from radiometer.daemon.station import Station
 from radiometer.data import Contribution, Frame, FrameSettings, Patch, Quantity, Reading, ResponseCurve
 from radiometer.devices import CameraCapabilities, CameraIdentity
 from radiometer.errors import DeviceError, DeviceLost, MeasurementError
+from tests.patience import within
 
 QUICK = KeeperTimes(first_pause_s=0.01, longest_pause_s=0.05, check_every_s=0.05, overdue_s=1.0)
 
@@ -160,7 +161,7 @@ def eventually() -> Callable[..., Awaitable[None]]:
     """Return a wait for a condition, 20 s unless told otherwise."""
 
     async def wait(condition: Callable[[], object], deadline_s: float = 20.0) -> None:
-        async with asyncio.timeout(deadline_s):
+        async with asyncio.timeout(within(deadline_s)):
             while not condition():
                 await asyncio.sleep(0.005)
 
@@ -180,7 +181,7 @@ class LineClient:
 
     async def ask(self, message: str) -> str:
         await self.send(message)
-        async with asyncio.timeout(20.0):
+        async with asyncio.timeout(within(20.0)):
             reply = await self.reader.readline()
             if reply.startswith(b"#"):  # a block may hold line feeds
                 length = 2 + int(reply[1:2]) + int(reply[2 : 2 + int(reply[1:2])]) + 1
