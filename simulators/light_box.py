@@ -203,22 +203,31 @@ class LightBoxTwin:
         self.time_s = target_s
 
     def _step(self, ms: int) -> None:
+        before = [(channel.driven_level, channel.high) for channel in self.channels]
         self._ms += ms
         self.time_s = self._true_s(self._ms)
-        before = [(channel.driven_level, channel.high) for channel in self.channels]
-        for index, channel in enumerate(self.channels):
-            if channel.advance(ms):
-                self.darkened += 1
-                self.add_event("DK", str(index), self._ms)
-        if self._ms == self._silent_since_ms + DEADMAN_MS:
+        silent = self._ms == self._silent_since_ms + DEADMAN_MS
+        held = self._held_since_ms is not None and self._ms == self._held_since_ms + HELD_OFF_MS
+        if silent or held:  # the box looks at both before it counts what a millisecond costs
+            self._account(ms - 1)
+            ms = 1
+        if silent:
             self._go_silent()
-        if self._held_since_ms is not None and self._ms == self._held_since_ms + HELD_OFF_MS:
+        if held:
             for channel in self.channels:
                 channel.darken()
             self.darkened += 1
             self.add_event("DK", "B", self._ms)
+        self._account(ms)
         if before != [(channel.driven_level, channel.high) for channel in self.channels]:
             self._drive_leds()
+
+    def _account(self, ms: int) -> None:
+        """Let the channels go on for so long; tell of those whose energy is used up."""
+        for index, channel in enumerate(self.channels):
+            if ms and channel.advance(ms):
+                self.darkened += 1
+                self.add_event("DK", str(index), self._ms)
 
     def _go_silent(self) -> None:
         for channel in self.channels:

@@ -163,6 +163,8 @@ def run_tests(tests: tuple[str, ...], copy: Path, environment: dict[str, str]) -
     os.chdir(copy)
     os.environ.update(environment, PYTHONPATH=str(copy))
     sys.path.insert(0, str(copy))
+    if "NUMBA_CACHE_DIR" in environment:  # read by numba when it was imported
+        sys.modules["numba"].config.CACHE_DIR = environment["NUMBA_CACHE_DIR"]
     own = {"radiometer", "drivers", "simulators", "tests", "benchmarks"}
     for name in [name for name in sys.modules if name.partition(".")[0] in own]:
         del sys.modules[name]

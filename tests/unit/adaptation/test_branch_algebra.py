@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.stats import f as f_distribution
 
 from radiometer.adaptation import adaptation_fit as rules
-from radiometer.adaptation import branch_fit
+from radiometer.adaptation import branch_fit, intervals
 from radiometer.adaptation.branch_fit import fit_model, prior_weights, project
 from radiometer.adaptation.branch_models import CONE_S2, CONE_S2_S3, MODELS, ONE_BRANCH
 from radiometer.adaptation.intervals import Interval, percentile_interval, profile_interval
@@ -128,6 +128,9 @@ def test_the_profile_of_a_level_is_student_s_interval():
     half = fit.sigma * math.sqrt(float(f_distribution.ppf(0.95, 1, 57)) / late)
     assert 0.5 * (found.high - found.low) == pytest.approx(half, rel=0.2)
     assert found.holds(fit.values["plateau"])
+    limit = fit.sum_of_squares + fit.sigma**2 * float(f_distribution.ppf(0.95, 1, 58 - 1)) * (1 + 2.6 / 60)
+    for end in (found.low, found.high):
+        assert intervals._profile(fit, "plateau", end, np.array([1.6]))[0] == pytest.approx(limit, rel=2e-3)
     wider = profile_interval(fit, "plateau", 0.99)
     assert (wider.high - wider.low) / (found.high - found.low) == pytest.approx(2.66 / 2.0, rel=0.03)
 

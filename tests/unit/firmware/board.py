@@ -36,17 +36,17 @@ class FirmwareBox:
     """
 
     def __init__(self, library: Path, copy: Path, reset_flags: int = 1, serial: str = SERIAL) -> None:
-        shutil.copy(library, copy)
+        self._copy = Path(shutil.copy(library, copy))
         self._board = ctypes.CDLL(str(copy))
-        copy.unlink()
         self._board.board_start(serial.encode(), reset_flags)
         self._board.board_pass.argtypes = [ctypes.c_uint32]
         self._taken = ctypes.create_string_buffer(65536)
         self._sequence = 0
 
     def close(self) -> None:
-        """Forget the box."""
+        """Forget the box; its file stays till then, for one that takes over its number would be taken for the same."""
         dlclose(self._board._handle)
+        self._copy.unlink()
 
     def run(self, ms: int) -> None:
         """Let ms pass."""

@@ -123,6 +123,7 @@ def test_a_known_luminance_goes_through_the_spectrum(capture, tmp_path):
         (["{capture}", "-o", "{out}", "--response", "{curve}"], 1, "8 bits"),
         (["{capture}", "-o", "/nowhere/cal.yaml"], 1, "/nowhere/cal.yaml"),
         (["{capture}", "-o", "{out}", *METER, "--reference-dn", "5000"], 2, "5000"),
+        (["{capture}", "-o", "{out}", *METER, "--reference-dn", "4095"], 2, "4095"),
         (["no-such-folder", "-o", "{out}"], 1, "no-such-folder"),
     ],
 )

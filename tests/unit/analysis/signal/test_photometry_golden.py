@@ -102,6 +102,14 @@ def test_a_meter_s_constant_and_luminance_are_inverse(luminance, exposure_s, f_n
         assert absolute.metered_luminance_cd_m2(constant, other) == pytest.approx(factor * luminance)
 
 
+@given(st.floats(400.0, 700.0), st.floats(5.0, 60.0))
+def test_a_band_has_its_width_at_half_maximum(peak, width):
+    """Half on either side at half the width, from one set of its wavelengths."""
+    band = spectrum(f"band:{peak},{width}")
+    found = np.interp([peak - width / 2, peak, peak + width / 2], band.wavelength_nm, band.power)
+    assert found == pytest.approx([0.5, 1.0, 0.5], abs=2e-3)
+
+
 def test_what_iso_2720_leaves_open():
     """A rectangle from 10.6 to 13.4 about 12: 6.74 %; with the meter's sixth of a stop 9.5 %."""
     low, high = cie.ISO_2720_K
