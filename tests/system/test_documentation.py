@@ -114,7 +114,7 @@ class _Loaded(HTMLParser):
 def site(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the site, built as `make docs` does: a broken link, anchor or reference ends the build."""
     folder = tmp_path_factory.mktemp("site")
-    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-d", str(folder)]
+    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "-d", str(folder)]
     env = os.environ | {"PYTHONPATH": str(project_root), "NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(words, cwd=project_root, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
