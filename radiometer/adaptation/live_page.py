@@ -7,10 +7,10 @@ import contextlib
 import queue
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from importlib.resources import files
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from aiohttp import web
 
@@ -19,11 +19,12 @@ from radiometer.adaptation.journal import Event
 from radiometer.adaptation.live import LiveState, RunningFit, running_fit
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.errors import DeviceError
-from radiometer.screen.loopback import LoopbackServer, Message
+from radiometer.screen.loopback import Darken, LoopbackServer, Message, darkened, nothing_to_darken
 
 _SLOW_BROWSER_S: Final = 2.0
 _REFRESH_S: Final = 0.05  # events that come closer together are told together
 _BY: Final = "page"
+_LIGHTS_OFF: Final = "lights off"
 _OVER: Final = None
 
 Health = Callable[[], Mapping[str, str]]
@@ -38,6 +39,7 @@ class LivePage:
         port: Port on 127.0.0.1; 0 for any free one.
         audio: Whether prompts are sounded.
         health: Returns the state of box or screen by name; asked on the thread of the run after every trial.
+        darken: Darkens the light box, whoever holds it, and returns what it did in words; called on its own thread.
         clock: Steady clock in s.
     """
 
@@ -49,11 +51,13 @@ class LivePage:
         *,
         audio: bool = False,
         health: Health = dict,
+        darken: Darken = nothing_to_darken,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         page = files("radiometer.adaptation.page").joinpath("live.html").read_text(encoding="utf-8")
         self._server = LoopbackServer(page, self, port, what="page of the test")
         self._controls, self._audio, self._health, self._clock = controls, audio, health, clock
+        self._darken = darken
         self._state, self._fit = LiveState(protocol), RunningFit(0, "")
         self._told_s, self._due = clock(), False
         self._devices = self._ask_devices()
@@ -98,6 +102,9 @@ class LivePage:
                 self._controls.resume()
             case "stop":
                 self._controls.stop(_BY)
+            case "lights_off":  # the test ends, or its next blink would light the box again
+                self._controls.stop(_LIGHTS_OFF)
+                self._keep(self._tell_dark())
             case _:
                 return
         self._broadcast()
@@ -147,9 +154,15 @@ class LivePage:
 
     def _send_all(self, message: Message) -> None:
         for socket in tuple(self._sockets):
-            task = asyncio.get_running_loop().create_task(self._send(socket, message))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            self._keep(self._send(socket, message))
+
+    def _keep(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _tell_dark(self) -> None:
+        self._send_all(await darkened(self._darken))
 
     async def _send(self, socket: web.WebSocketResponse, message: Message) -> None:
         """Send to a browser, and drop one that does not take it."""

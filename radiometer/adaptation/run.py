@@ -141,6 +141,8 @@ class _Run:
         self.note("bleach", light=bleach.model_dump())
         self.stage.bleach(self.protocol)
         self.note("dark", steady=isinstance(bleach, SteadyBleach))
+        if self.controls.stopped_by is not None:
+            self.note("stop", by=self.controls.stopped_by)
 
     @property
     def _latest_s(self) -> float:

@@ -16,6 +16,7 @@ from radiometer.adaptation.checks import Check, Finding, judge_age
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.adaptation.screen_levels import SpotLevels, within_reach
 from radiometer.adaptation.screen_stage import ScreenStage
+from radiometer.bench.box_holder import darken_held
 from radiometer.bench.screen import BROWSER, SIMULATED_DISPLAYS, START_TIMEOUT_S
 from radiometer.devices import DisplayPatch
 from radiometer.errors import ConfigurationError, UsageError
@@ -172,7 +173,7 @@ def open_screen_stage(
 def _browser(port: int, announce: Callable[[str], None]) -> AbstractContextManager[StimulusScreen]:
     from radiometer.screen.browser_stimulus import BrowserStimulus
 
-    return BrowserStimulus(port, announce=announce, start_timeout_s=START_TIMEOUT_S)
+    return BrowserStimulus(port, announce=announce, start_timeout_s=START_TIMEOUT_S, darken=darken_held)
 
 
 def _watcher(display: str, subject: str | None, filter_density: float) -> ObserverAtScreen:

@@ -113,6 +113,27 @@ def ask_for_darkness(held: HeldBox) -> None:
         )
 
 
+def darken_held() -> str:
+    """Have every program of this user that holds a light box darken it, and return in words which boxes are dark.
+
+    One that nobody holds is dark by itself: without a host it ends its light within 1 s.
+
+    Raises:
+        DeviceInUse: If a program that holds one does not answer; the others were asked all the same.
+    """
+    failure: DeviceInUse | None = None
+    dark = []
+    for held in held_boxes():
+        try:
+            ask_for_darkness(held)
+            dark.append(held.serial)
+        except DeviceInUse as error:
+            failure = error
+    if failure is not None:
+        raise failure
+    return f"dark: light box {', '.join(dark)}" if dark else "no program holds a light box, so none is lit"
+
+
 def _asked(address: Path, word: str) -> str:
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:

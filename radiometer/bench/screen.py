@@ -15,6 +15,7 @@ from radiometer.analysis.signal.display_types import CRT, DISPLAY_TYPES
 from radiometer.analysis.signal.photometry import Observer, luminous_efficacy_lm_per_w
 from radiometer.analysis.signal.spectra import Spectrum, spectrum
 from radiometer.bench.assembly import calibration_path, open_bench_camera
+from radiometer.bench.box_holder import darken_held
 from radiometer.bench.cameras import SIMULATED, preset_path
 from radiometer.bench.config import BenchConfig, SimulatedCameraConfig, read_bench
 from radiometer.bench.instrument import Instrument, central_patch
@@ -208,7 +209,7 @@ def _browser_bench(
     with open_bench_camera(bench, name) as (config, camera):
         where = patch or (config.patch.patch if config.patch else central_patch(camera))
         instrument = _instrument(camera, where, calibration or calibration_path(config, bench), config)
-        with BrowserDisplay(port, announce=announce, start_timeout_s=START_TIMEOUT_S) as display:
+        with BrowserDisplay(port, announce=announce, start_timeout_s=START_TIMEOUT_S, darken=darken_held) as display:
             yield ScreenBench(display, instrument, time.sleep, time.monotonic)
 
 

@@ -66,11 +66,14 @@ def watchers(wanted: Watching, stage: Stage, journal: Journal, controls: Control
 def _page(wanted: Watching, stage: Stage, journal: Journal, controls: Controls) -> Iterator[Watcher]:
     from radiometer.adaptation.live_page import LivePage, replayed
     from radiometer.adaptation.stage import DescribedStage
+    from radiometer.bench.box_holder import darken_held
 
     def health() -> Mapping[str, str]:
         return stage.health() if isinstance(stage, DescribedStage) else {}
 
-    with LivePage(stage.protocol, controls, wanted.page_port, audio=wanted.audio, health=health) as page:
+    with LivePage(
+        stage.protocol, controls, wanted.page_port, audio=wanted.audio, health=health, darken=darken_held
+    ) as page:
         note(f"the running test, dim and red, is at\n  {page.url}")
         replayed(page, journal.events)
         yield page.tell

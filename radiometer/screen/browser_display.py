@@ -8,6 +8,7 @@ from typing import Final
 from radiometer.devices import DisplayPatch
 from radiometer.errors import SettingOutOfRange
 from radiometer.screen.browser_page import BrowserPage, require_shown
+from radiometer.screen.loopback import Darken, nothing_to_darken
 from radiometer.screen.page_server import PageServer
 
 _LEVELS: Final = 255  # a canvas holds 8 bits per channel
@@ -21,6 +22,7 @@ class BrowserDisplay(BrowserPage):
         announce: Called with the address once it is served; opens a browser or prints it.
         page_timeout_s: How long to wait for a browser to open it.
         start_timeout_s: How long to wait for somebody to press Start; None where nothing is to be waited for.
+        darken: Darkens the light box, whoever holds it, for the page's key O; returns what it did in words.
         show_timeout_s: How long a patch may take to appear.
     """
 
@@ -31,9 +33,12 @@ class BrowserDisplay(BrowserPage):
         announce: Callable[[str], None] = lambda url: None,
         page_timeout_s: float = 120.0,
         start_timeout_s: float | None = None,
+        darken: Darken = nothing_to_darken,
         show_timeout_s: float = 5.0,
     ) -> None:
-        super().__init__(PageServer(port), "the screen's page", announce, page_timeout_s, start_timeout_s)
+        super().__init__(
+            PageServer(port, darken=darken), "the screen's page", announce, page_timeout_s, start_timeout_s
+        )
         self._show_timeout_s = show_timeout_s
 
     def show(self, patch: DisplayPatch) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from radiometer.screen.browser_page import BrowserPage, require_shown
+from radiometer.screen.loopback import Darken, nothing_to_darken
 from radiometer.screen.page_server import PageServer
 from radiometer.screen.stimulus import Blink, Hold, Picture, Rest, Shape
 
@@ -20,6 +21,7 @@ class BrowserStimulus(BrowserPage):
         announce: Called with the address once it is served; opens a browser or prints it.
         page_timeout_s: How long to wait for a browser to open it.
         start_timeout_s: How long to wait for somebody to press Start; None where nothing is to be waited for.
+        darken: Darkens the light box, whoever holds it, for the page's key O; returns what it did in words.
     """
 
     def __init__(
@@ -29,8 +31,9 @@ class BrowserStimulus(BrowserPage):
         announce: Callable[[str], None] = lambda url: None,
         page_timeout_s: float = 120.0,
         start_timeout_s: float | None = None,
+        darken: Darken = nothing_to_darken,
     ) -> None:
-        server = PageServer(port, "stimulus.html")
+        server = PageServer(port, "stimulus.html", darken)
         super().__init__(server, "the test's page", announce, page_timeout_s, start_timeout_s)
 
     @property

@@ -12,7 +12,7 @@ from typing import Any, Final, Protocol, TypeVar
 
 from aiohttp import WSMsgType, web
 
-from radiometer.errors import DeviceError, DeviceInUse
+from radiometer.errors import DeviceError, DeviceInUse, RadiometerError
 
 _HEADERS: Final = {
     "Cache-Control": "no-store",
@@ -23,7 +23,21 @@ _HEADERS: Final = {
 _TIMEOUT_S: Final = 10.0
 
 Message = dict[str, Any]
+Darken = Callable[[], str]
 Result = TypeVar("Result")
+
+
+def nothing_to_darken() -> str:
+    """Return what a page says that was given no way to a light box."""
+    return "this page knows of no light box"
+
+
+async def darkened(darken: Darken) -> Message:
+    """Darken the light box, however long it takes, and return what a page is told of it."""
+    try:
+        return {"kind": "told", "text": await asyncio.to_thread(darken)}
+    except RadiometerError as error:
+        return {"kind": "told", "text": f"not dark: {error}"}
 
 
 class Host(Protocol):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import threading
 from concurrent.futures import Future
 from importlib.resources import files
@@ -10,7 +12,7 @@ from typing import Final
 from aiohttp import web
 
 from radiometer.errors import DeviceLost, DeviceTimeout
-from radiometer.screen.loopback import LoopbackServer, Message
+from radiometer.screen.loopback import Darken, LoopbackServer, Message, darkened, nothing_to_darken
 
 _COMMON: Final = "/* common.js */"
 
@@ -28,13 +30,15 @@ class PageServer:
     Args:
         port: Port on 127.0.0.1; 0 for any free one.
         page: File of the page.
+        darken: Darkens the light box, whoever holds it, and returns what it did in words; called on its own thread.
     """
 
-    def __init__(self, port: int = 0, page: str = "display.html") -> None:
+    def __init__(self, port: int = 0, page: str = "display.html", darken: Darken = nothing_to_darken) -> None:
         self._server = LoopbackServer(page_text(page), self, port, what="screen's page")
         self._socket: web.WebSocketResponse | None = None
         self._connected, self._begun = threading.Event(), threading.Event()
         self._waiting: dict[int, Future[Message]] = {}
+        self._darken, self._darkening = darken, set[asyncio.Task[None]]()
         self.conditions: Message = {}
 
     @property
@@ -94,6 +98,10 @@ class PageServer:
             self._connected.set()
             if message.get("kind") == "ready" or message.get("fullscreen"):
                 self._begun.set()
+        if message.get("kind") == "lights_off":
+            task = asyncio.get_running_loop().create_task(self._lights_off())
+            self._darkening.add(task)
+            task.add_done_callback(self._darkening.discard)
         number = message.get("sequence")
         answer = self._waiting.get(number) if isinstance(number, int) else None
         if message.get("kind") == "shown" and answer is not None and not answer.done():
@@ -113,6 +121,11 @@ class PageServer:
         if self._socket is None or self._socket.closed:
             raise DeviceLost("the page is not connected; open its address again and repeat")
         await self._socket.send_json(message)
+
+    async def _lights_off(self) -> None:
+        told = await darkened(self._darken)
+        with contextlib.suppress(DeviceLost, ConnectionError):
+            await self._send(told)
 
     async def _say_goodbye(self) -> None:
         if self._socket is not None and not self._socket.closed:

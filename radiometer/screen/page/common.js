@@ -42,6 +42,7 @@ function connect() {
   mine.onopen = () => { state.textContent = "connected"; tell({kind: "hello"}); };
   mine.onmessage = event => {
     const order = JSON.parse(event.data);
+    if (order.kind === "told") { state.textContent = order.text; return; }
     if (order.kind === "end") {
       document.body.classList.remove("running");
       state.textContent = "done; the page can be closed";
@@ -55,6 +56,13 @@ function connect() {
   };
   mine.onclose = () => { if (mine.over) return; state.textContent = "not connected; trying again"; setTimeout(connect, 1000); };
 }
+
+// A light box goes dark by the key O at any time, by the button while no picture stands on the screen.
+function lightsOff() { if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify({kind: "lights_off"})); }
+document.getElementById("dark").onclick = lightsOff;
+addEventListener("keydown", event => {
+  if (event.code === "KeyO" && !event.repeat && !event.ctrlKey && !event.metaKey && !event.altKey) lightsOff();
+});
 
 document.getElementById("go").onclick = async () => {
   try { await document.documentElement.requestFullscreen({navigationUI: "hide"}); }

@@ -113,3 +113,31 @@ def test_page_holds_no_colour_but_red_and_nothing_from_elsewhere(page: LivePage)
     assert len(parts) > 5
     assert all(part.split(")")[0].split()[1:] == ["0", "0"] or part.startswith("${") for part in parts)
     assert "http" not in text.replace("ws://", "")
+
+
+async def test_lights_off_darkens_the_box_and_ends_the_test() -> None:
+    """The box is darkened at once, whoever holds it; the run is asked to end, or its next blink would light it."""
+    controls, asked = Controls(), []
+
+    def darken() -> str:
+        asked.append(controls.stopped_by)
+        return "dark: light box AAAA0001"
+
+    with LivePage(read_protocol("classic"), controls, darken=darken) as page:
+        async with aiohttp.ClientSession() as session, session.ws_connect(page.url.replace("/?", "/socket?")) as socket:
+            await socket.send_json({"kind": "lights_off"})
+            assert (await _until(socket, "kind", "told"))["text"] == "dark: light box AAAA0001"
+    assert asked == ["lights off"]
+
+
+async def test_a_box_that_cannot_be_darkened_is_said_to_be_lit() -> None:
+    """The page tells why and how else; the server goes on."""
+
+    def stuck() -> str:
+        raise DeviceInUse("process 7 holds light box AAAA0001 and does not darken it; hold its button for 3 s")
+
+    with LivePage(read_protocol("classic"), Controls(), darken=stuck) as page:
+        async with aiohttp.ClientSession() as session, session.ws_connect(page.url.replace("/?", "/socket?")) as socket:
+            await socket.send_json({"kind": "lights_off"})
+            told = await _until(socket, "kind", "told")
+            assert str(told["text"]).startswith("not dark: process 7 holds")

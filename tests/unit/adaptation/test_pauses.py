@@ -190,3 +190,13 @@ def test_run_that_died_in_a_pause_goes_on_when_lived_through_again(tmp_path: Pat
     assert outcome.verdict is Verdict.COMPLETE
     assert (tmp_path / "cut").read_bytes().startswith(cut)
     assert journal.of_kind("resume")[0]["paused_s"] == 0.0
+
+
+def test_stop_during_the_bleach_lets_nothing_blink(tmp_path: Path, stage: ScriptedStage) -> None:
+    """Lights off while the bleach is on ends the test before the first blink."""
+    controls = Controls()
+    controls.stop("lights off")
+    outcome, journal = _run(tmp_path / "j", stage, controls)
+    assert outcome.verdict is Verdict.STOPPED
+    assert journal.of_kind("stop")[0]["by"] == "lights off"
+    assert journal.of_kind("blink") == []

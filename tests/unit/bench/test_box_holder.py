@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from radiometer.bench.box_holder import ask_for_darkness, held_boxes, holding, is_ours, runtime_folder
+from radiometer.bench.box_holder import ask_for_darkness, darken_held, held_boxes, holding, is_ours, runtime_folder
 from radiometer.bench.boxes import candidate_ports, open_light_box, simulated_port_folder
 from radiometer.bench.served_box import served_box
 from radiometer.cli.main import run
@@ -62,6 +62,21 @@ def test_a_holder_that_does_not_darken_is_named() -> None:
         (held,) = held_boxes()
         with pytest.raises(DeviceInUse, match=rf"process {os.getpid()} .* button"):
             ask_for_darkness(held)
+
+
+def test_pages_darken_every_box_that_is_held() -> None:
+    """Lights off of a page asks all holders, the one after a stuck one too, and says who is dark."""
+    dark: list[str] = []
+
+    def stuck() -> None:
+        raise OSError("the port has gone")
+
+    assert darken_held() == "no program holds a light box, so none is lit"
+    with holding("BBBB0001", "/dev/b", lambda: dark.append("b")):
+        assert darken_held() == "dark: light box BBBB0001"
+        with holding("AAAA0001", "/dev/a", stuck), pytest.raises(DeviceInUse, match="AAAA0001"):
+            darken_held()
+    assert dark == ["b", "b"]
 
 
 def test_what_a_killed_holder_left_behind_is_removed(tmp_path: Path) -> None:

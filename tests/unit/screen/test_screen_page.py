@@ -15,6 +15,7 @@ import pytest
 from radiometer.devices import Display, DisplayPatch
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceTimeout, SettingOutOfRange
 from radiometer.screen.browser_display import BrowserDisplay
+from radiometer.screen.page_server import PageServer, page_text
 
 Answer = Callable[[dict], dict | None]
 
@@ -177,3 +178,34 @@ def test_impossible_patches_are_refused(shown: tuple[BrowserDisplay, FakePage], 
     with pytest.raises(SettingOutOfRange):
         display.show(patch)
     assert page.orders == []
+
+
+async def test_lights_off_of_a_screen_page_darkens_the_box() -> None:
+    """Its key reaches whoever holds the box, also while a picture stands on the screen; the page is told."""
+    asked = threading.Event()
+
+    def darken() -> str:
+        asked.set()
+        return "dark: light box AAAA0001"
+
+    server = PageServer(darken=darken)
+    server.start()
+    try:
+        address = server.url.replace("/?", "/socket?")
+        async with aiohttp.ClientSession() as session, session.ws_connect(address) as socket:
+            await socket.send_json({"kind": "lights_off"})
+            assert json.loads((await socket.receive(timeout=20)).data) == {
+                "kind": "told",
+                "text": "dark: light box AAAA0001",
+            }
+        assert asked.is_set()
+    finally:
+        await asyncio.to_thread(server.stop)
+
+
+@pytest.mark.parametrize("page", ["display.html", "stimulus.html"])
+def test_every_screen_page_has_lights_off(page: str) -> None:
+    """A button before the start, and the key O at any time."""
+    text = page_text(page)
+    assert 'id="dark"' in text
+    assert '"KeyO"' in text
