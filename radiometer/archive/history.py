@@ -30,6 +30,10 @@ def read_histories(table: Path, quantity: str) -> list[Trend]:
     if missing:
         raise InputError(f"{table}: column {sorted(missing)[0]!r} is missing; it is no table of `radiometer batch`")
     chosen = frame[(frame["quantity"] == quantity) & (frame["status"] == "ok") & frame["captured"].notna()]
+    try:
+        chosen = chosen.astype(dict.fromkeys(("captured", "value", "u"), float))
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{table}: a time, value or uncertainty is no number ({error})") from error
     return [
         fit_trend(
             np.asarray(rows["captured"], float),

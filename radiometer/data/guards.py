@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,6 +26,9 @@ MOST_ENTRIES: Final = 5_000_000  # after all repetitions are written out
 _Loader: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # PNG specification, 11.2.2: channels of each colour type
+_HDR_RESOLUTION: Final = re.compile(rb"[-+][XY] +(\d{1,12}) +[-+][XY] +(\d{1,12})\s")
+_LONGEST_HEAD: Final = 65_536
+_EXR_CHANNELS: Final = 4
 _MODE_BYTES: Final = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I": 4, "F": 4, "RGB": 3, "RGBA": 4, "CMYK": 4}
 
 
@@ -49,7 +53,7 @@ def refuse_size(path: Path, shape: Sequence[int], bytes_each: int) -> None:
 
 
 def refuse_large_picture(path: Path, content: bytes) -> None:
-    """Refuse a PNG, TIFF or JPEG that is too large once decoded, by its header alone.
+    """Refuse a PNG, TIFF, JPEG, Radiance .hdr or OpenEXR that is too large once decoded, by its header alone.
 
     What is no such file is left to its decoder.
 
@@ -68,6 +72,9 @@ def refuse_large_picture(path: Path, content: bytes) -> None:
         for width, height, samples, bits in _tiff_sizes(content):
             refuse_size(path, (height, width, samples), max(1, (bits + 7) // 8))
         return
+    if (size := _hdr_size(content) or _exr_size(content)) is not None:
+        refuse_size(path, size, 4)
+        return
     try:
         with Image.open(io.BytesIO(content)) as image:
             refuse_size(path, (image.height, image.width), _MODE_BYTES.get(image.mode, 4))
@@ -75,6 +82,23 @@ def refuse_large_picture(path: Path, content: bytes) -> None:
         raise CaptureError(f"{path}: {error}; look whether the file is what it says") from error
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, struct.error, OverflowError):
         return  # its decoder will say what is wrong with it
+
+
+def _hdr_size(content: bytes) -> tuple[int, int, int] | None:
+    """Return rows, columns and channels of a Radiance picture (Radiance's filefmts, the resolution line)."""
+    if not content.startswith((b"#?RADIANCE", b"#?RGBE")):
+        return None
+    found = _HDR_RESOLUTION.search(content[:_LONGEST_HEAD])
+    return (int(found[1]), int(found[2]), 3) if found else None
+
+
+def _exr_size(content: bytes) -> tuple[int, int, int] | None:
+    """Return rows, columns and channels of an OpenEXR picture (OpenEXR file layout, attribute dataWindow)."""
+    at = content.find(b"dataWindow\0box2i\0", 0, _LONGEST_HEAD)
+    if not content.startswith(b"v/1\x01") or at < 0 or len(content) < at + 37:
+        return None
+    left, top, right, bottom = struct.unpack_from("<4i", content, at + 21)
+    return abs(bottom - top) + 1, abs(right - left) + 1, _EXR_CHANNELS
 
 
 def _tiff_sizes(content: bytes) -> list[tuple[int, int, int, int]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from radiometer.archive.history import read_histories
 from radiometer.archive.trend import MONTH_S, fit_trend
 from radiometer.errors import InputError
 
@@ -115,3 +116,11 @@ def test_a_drift_under_season_and_correlation_is_found():
     trend = fit_trend(time_s, value, u)
     assert trend.drifts
     assert abs(trend.drift_per_month - 0.002 / (1 + 0.002 * months.mean())) < 3 * trend.u_drift_per_month
+
+
+def test_a_table_whose_numbers_are_none_is_refused(tmp_path):
+    """A damaged cell is one clear line, not a traceback."""
+    table = tmp_path / "results.csv"
+    table.write_text("captured,quantity,patch,value,u,unit,status\n17x0,radiance,p,1.0,0.01,W,ok\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"results\.csv: a time, value or uncertainty is no number"):
+        read_histories(table, "radiance")
