@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from radiometer.data import LensDescription, Patch, PatchDescription, SourceDescription
 from radiometer.data.capture_header import LensHandling
@@ -34,6 +34,11 @@ class SimulatedCameraConfig(ConfigSection):
     model: str | None = None
 
 
+def _as_text(value: object) -> object:
+    """Return a serial number that YAML took for a whole number as it was written, as far as can be told."""
+    return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
 class GenicamCameraConfig(ConfigSection):
     """A real camera: GenICam by id, serial number or address, any other kind by its path, number or port.
 
@@ -41,7 +46,7 @@ class GenicamCameraConfig(ConfigSection):
     """
 
     kind: Literal["genicam", "v4l2", "picamera", "gphoto2"]
-    id: str | None = None
+    id: Annotated[str | None, BeforeValidator(_as_text)] = None
     preset: str | None = None
     black_level_dn: float = Field(64.0, ge=0)
     gain_db: float = Field(0.0, ge=0)

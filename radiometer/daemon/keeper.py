@@ -15,6 +15,7 @@ import structlog
 
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.instrument import DeviceReport
+from radiometer.daemon.patience import Patience
 from radiometer.errors import (
     DeviceError,
     DeviceInUse,
@@ -112,6 +113,7 @@ class DeviceKeeper:
         self._last_used = 0.0
         self._call_began: float | None = None
         self._usual_s: dict[str, float] = {}
+        self._patience, self._called_late_at = Patience(), None  # type: Patience, float | None
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
 
     @property
@@ -237,20 +239,37 @@ class DeviceKeeper:
         return result
 
     async def _tell_if_late(self, future: asyncio.Future[_T], name: str, started: float, usual_end: float) -> None:
-        """Return when the call is over; put the alarm up meanwhile if the device itself, else the clock, says late."""
+        """Return when the call is over; put the alarm up meanwhile if the device itself, else the clock, says late.
+
+        Time in which this program itself did not get to run is nothing that the device is to blame for.
+        """
+        starved_s = 0.0
         while not future.done():
-            late_at = self._device.late_at
-            due = usual_end if late_at is None else late_at
-            await asyncio.wait({future}, timeout=max(_LOOK_S, min(due - time.monotonic(), 10 * _LOOK_S)))
-            is_late = self._device.late_at == late_at and time.monotonic() >= due
-            if not future.done() and is_late and self.state is DeviceState.READY:
-                self.state = DeviceState.OVERDUE
-                self._alarms.put_up(
-                    self.name, f"{self.name} has not answered {name!r} for {time.monotonic() - started:.1f} s"
-                )
+            late_at, looked_at = self._device.late_at, time.monotonic()
+            due = (usual_end if late_at is None else late_at) + self._patience.extra_s + starved_s
+            pause_s = max(_LOOK_S, min(due - looked_at, 10 * _LOOK_S))
+            await asyncio.wait({future}, timeout=pause_s)
+            now = time.monotonic()
+            if self._device.late_at != late_at:
+                starved_s = 0.0
+                continue
+            overslept_s = max(0.0, now - looked_at - pause_s)
+            starved_s += overslept_s
+            if not future.done() and now >= due + overslept_s and self.is_ready and self._called_late_at is None:
+                self._called_late_at = now
+                self._call_late(name, now - started)
+
+    def _call_late(self, name: str, for_s: float) -> None:
+        if self.state is DeviceState.READY:
+            self.state = DeviceState.OVERDUE
+            self._alarms.put_up(self.name, f"{self.name} has not answered {name!r} for {for_s:.1f} s")
 
     def _answered(self) -> None:
-        if self.state is DeviceState.OVERDUE:
+        """Take the alarm of a late answer down once answers come in time again."""
+        late_at, self._called_late_at = self._called_late_at, None
+        if late_at is not None:
+            self._patience.was_late(time.monotonic() - late_at)
+        elif self._patience.was_on_time() and self.state is DeviceState.OVERDUE:
             self.state = DeviceState.READY
             self._alarms.clear(self.name, f"{self.name} answers again")
 

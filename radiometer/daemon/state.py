@@ -9,11 +9,23 @@ from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.keeper import DeviceKeeper
 from radiometer.daemon.timestamps import iso_time
 from radiometer.data import Patch
+from radiometer.data.serials import other_notation
+from radiometer.devices import CameraIdentity
 
 
 def patch_mapping(patch: Patch) -> dict[str, int]:
     """Return {x, y, width, height} in pixels."""
     return {"x": patch.x, "y": patch.y, "width": patch.width, "height": patch.height}
+
+
+def identity_mapping(identity: CameraIdentity) -> dict[str, str]:
+    """Return who the camera is; `serial_also` is a hexadecimal number in decimal, as people and labels write it."""
+    return {
+        "vendor": identity.vendor,
+        "model": identity.model,
+        "serial": identity.serial,
+        "serial_also": other_notation(identity.serial),
+    }
 
 
 def settings_mapping(settings: MeasurementSettings) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.keeper import DeviceKeeper, DeviceState, KeeperTimes
 from radiometer.daemon.metrics import Metrics
 from radiometer.daemon.patches import MAIN, MOST_PATCHES, NamedPatch, PatchLimits, PatchWatch, check_name
-from radiometer.daemon.state import device_mapping, jump_mapping, patch_mapping, settings_mapping
+from radiometer.daemon.state import device_mapping, identity_mapping, jump_mapping, patch_mapping, settings_mapping
 from radiometer.data import Patch, Reading
 from radiometer.data.provenance import utc_now
 from radiometer.errors import DeviceError, DeviceLost, RadiometerError, SettingOutOfRange, UsageError
@@ -311,7 +311,7 @@ class Station:
         identity, settings = self.instrument.identity, self.settings
         return {
             "time": utc_now(),
-            "instrument": {"vendor": identity.vendor, "model": identity.model, "serial": identity.serial},
+            "instrument": identity_mapping(identity),
             "software": f"radiometer {radiometer.__version__}",
             "devices": {keeper.name: device_mapping(keeper) for keeper in self._keepers()},
             "alarms": [alarm.to_mapping() for alarm in self.alarms.active],

@@ -68,3 +68,10 @@ def test_a_bench_that_cannot_be_built_says_why(edited, change, message):
     config, where = read_bench(edited(change))
     with pytest.raises(ConfigurationError, match=message):
         make_camera(config, where)
+
+
+@pytest.mark.parametrize("number", [20497219, "20497219", "0138C343"])
+def test_a_serial_number_may_stand_as_a_number(edited, number):
+    """Decimals as people write them, which YAML takes for a whole number, and hexadecimal digits as USB has them."""
+    path = edited(lambda m: m.update(camera={"kind": "genicam", "id": number}))
+    assert read_bench(path)[0].camera.id == str(number)

@@ -1,15 +1,21 @@
-"""What a kept device leaves behind when a call to it fails."""
+"""What a kept device leaves behind when a call to it fails, and when a late one is called late."""
 
 from __future__ import annotations
 
+import asyncio
 import gc
+import threading
+import time
 import weakref
+from types import SimpleNamespace
 
 import pytest
 
+from radiometer.daemon import keeper as keeper_module
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.instrument import DeviceReport
-from radiometer.daemon.keeper import DeviceKeeper
+from radiometer.daemon.keeper import DeviceKeeper, DeviceState
+from radiometer.daemon.patience import Patience
 from radiometer.errors import DeviceLost
 
 
@@ -62,3 +68,92 @@ async def test_failed_call_keeps_nothing_of_the_device(broken: BrokenDevice) -> 
     finally:
         gc.enable()
         await keeper.close()
+
+
+class SlowDevice:
+    """A device that answers when it is told to, and says that it is late at once."""
+
+    def __init__(self) -> None:
+        self.late_at: float | None = None
+        self.may_answer = threading.Event()
+
+    def open(self) -> None:
+        """Open at once."""
+
+    def close(self) -> None:
+        """Close nothing."""
+
+    def check(self) -> DeviceReport:
+        """Answer at once."""
+        return DeviceReport()
+
+    def ask(self) -> None:
+        """Answer once it is allowed to."""
+        self.may_answer.wait(20)
+
+
+async def test_late_answers_do_not_make_the_alarm_flap() -> None:
+    """Late and timely answers by turns are one alarm, not many; two timely ones in a row end it."""
+    told: list[str] = []
+    device, alarms = SlowDevice(), Alarms(lambda kind, name, message: told.append(kind))
+    keeper = DeviceKeeper("camera", device, alarms)
+    keeper._patience = Patience(lambda: 0.0)
+    await keeper.open_once()
+
+    async def late() -> None:
+        device.may_answer.clear()
+        device.late_at = time.monotonic() - 5.0  # later than any patience
+        asking = asyncio.create_task(keeper.use(device.ask))
+        while keeper._called_late_at is None:
+            await asyncio.sleep(0.005)
+        device.may_answer.set()
+        await asking
+        device.late_at = None
+
+    for _ in range(3):
+        await late()
+        await keeper.use(device.ask)
+        assert keeper.state is DeviceState.OVERDUE
+    assert told == ["alarm"]
+    await keeper.use(device.ask)
+    assert (keeper.state, told) == (DeviceState.READY, ["alarm", "cleared"])
+    await keeper.close()
+
+
+async def test_time_in_which_the_daemon_itself_stood_still_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A loop that slept 30 s where 0.2 s were meant calls nobody late for that."""
+    device, alarms = SlowDevice(), Alarms(lambda *_: None)
+    keeper = DeviceKeeper("camera", device, alarms)
+    await keeper.open_once()
+    shift, wait = [0.0], asyncio.wait
+    monkeypatch.setattr(keeper_module, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + shift[0]))
+
+    async def stand_still(futures: object, timeout: float) -> object:
+        outcome = await wait(futures, timeout=timeout)  # type: ignore[type-var, arg-type]
+        shift[0] += 30.0
+        if shift[0] > 200.0:
+            device.may_answer.set()
+        return outcome
+
+    device.late_at = time.monotonic() + 25.0
+    monkeypatch.setattr(keeper_module.asyncio, "wait", stand_still)
+    await keeper.use(device.ask)
+    monkeypatch.undo()
+    assert alarms.active == ()
+    await keeper.close()
+
+
+def test_patience_grows_by_what_came_late_and_fades() -> None:
+    """Half as much again as the lateness, half of that a minute later, never more than 3 s; luck resets nothing."""
+    now = [100.0]
+    patience = Patience(lambda: now[0])
+    assert patience.extra_s == 0.0
+    patience.was_late(0.4)
+    assert patience.extra_s == pytest.approx(0.6)
+    now[0] += 60.0
+    assert patience.extra_s == pytest.approx(0.3)
+    patience.was_late(100.0)
+    assert patience.extra_s == 3.0
+    assert [patience.was_on_time(), patience.was_on_time()] == [False, True]
+    patience.was_late(0.0)
+    assert not patience.was_on_time()

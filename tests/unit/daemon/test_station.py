@@ -15,8 +15,10 @@ import pytest
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.keeper import DeviceState
+from radiometer.daemon.state import identity_mapping
 from radiometer.daemon.station import Station
 from radiometer.data import Patch
+from radiometer.devices import CameraIdentity
 from radiometer.errors import DeviceError, OutputError, SettingOutOfRange, UsageError
 
 Eventually = Callable[..., Awaitable[None]]
@@ -84,14 +86,15 @@ async def test_a_lost_camera_is_reported_and_reopened(
 async def test_a_camera_that_does_not_return_is_told_before_it_gives_up(
     station: Station, instrument: Any, eventually: Eventually
 ) -> None:
-    """While a call hangs the alarm is up; once it returns the alarm goes, and no loss is counted."""
+    """While a call hangs the alarm is up; once answers come in time again it goes, and no loss is counted."""
     instrument.measure_s = 2.0
     instrument.late_at = time.monotonic() + 0.2
     measuring = asyncio.create_task(station.measure())
     await eventually(lambda: station.camera.state is DeviceState.OVERDUE)
     assert "has not answered" in station.alarms.active[0].message
     await measuring
-    assert station.alarms.active == ()
+    instrument.late_at, instrument.measure_s = None, 0.002
+    await eventually(lambda: station.alarms.active == ())
     assert station.camera.losses == 0
 
 
@@ -245,3 +248,10 @@ async def test_ending_continuous_measurement_while_it_fails_ends_nothing_else(
     assert (station.failed_task(), station.alarms.active) == (None, ())
     instrument.failing = False
     assert (await station.measure(deadline_s=20.0)).sequence == 1
+
+
+def test_a_hexadecimal_serial_number_is_told_in_decimal_too() -> None:
+    """The state, and with it the page, shows the number as USB reports it and as its label has it."""
+    blackfly = identity_mapping(CameraIdentity("FLIR", "BFS-U3-19S4M", "0138C343", "id"))
+    assert (blackfly["serial"], blackfly["serial_also"]) == ("0138C343", "20497219")
+    assert identity_mapping(CameraIdentity("FLIR", "BFS", "20497219", "id"))["serial_also"] == ""

@@ -295,7 +295,7 @@ function showAlarms() {
 function showStatus(status) {
   state.status = status;
   const { instrument, settings, calibration } = status;
-  $("who").textContent = `${instrument.vendor} ${instrument.model} · ${instrument.serial}`;
+  $("who").textContent = `${instrument.vendor} ${instrument.model} · ${instrument.serial}${instrument.serial_also && ` (${instrument.serial_also})`}`;
   $("software").textContent = status.software;
   $("devices").replaceChildren(...Object.entries(status.devices).map(([name, device]) => deviceRow(name, device)));
   lightRows(status.light, status.light_limits || {});
