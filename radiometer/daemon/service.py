@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import signal
-import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ from typing import Final
 
 import structlog
 
+from radiometer.daemon import memory
 from radiometer.daemon.epics import PvaOptions, PvaServer
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.limits import Limits, Network, is_loopback
@@ -23,8 +23,6 @@ from radiometer.daemon.systemd import Notifier
 from radiometer.errors import RadiometerError
 
 _log = structlog.get_logger(__name__)
-# The event loop must get the interpreter soon after a reply is due, even while a measurement computes.
-_SWITCH_INTERVAL_S: Final = 0.0005
 _HUNG_S: Final = 600.0  # a driver's call that takes longer never ends: systemd may start the daemon anew
 
 
@@ -84,6 +82,7 @@ class Service:
         self._pva = PvaServer(station, options.pva) if options.pva else None
         self._stop = asyncio.Event()
         self._reloads: set[asyncio.Task[None]] = set()
+        self._housekeeping: asyncio.Task[None] | None = None
 
     async def run(self) -> None:
         """Serve until a signal ends it; SIGHUP reloads the calibration.
@@ -91,7 +90,6 @@ class Service:
         Raises:
             RadiometerError: If it cannot start, or a part of it has ended that never should.
         """
-        sys.setswitchinterval(_SWITCH_INTERVAL_S)
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self._stop.set)
@@ -100,6 +98,7 @@ class Service:
             await self._station.start()
             await self._listen()
             self._station.set_every(self._options.every_s)
+            self._housekeeping = asyncio.create_task(memory.run())
             self._notifier.ready(self._summary())
             self._station.on_change.append(lambda: self._notifier.status(self._summary()))
             await self._watch()
@@ -144,6 +143,8 @@ class Service:
                 self._notifier.alive()
 
     async def _close(self) -> None:
+        if self._housekeeping is not None:
+            self._housekeeping.cancel()
         await self._http.close()
         await self._scpi.close()
         if self._pva is not None:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from scipy import stats
+from scipy import special
 
 from radiometer.data import Contribution, Flag, Quantity, Reading
 from radiometer.errors import MeasurementError
@@ -73,7 +73,7 @@ def coverage_factor(degrees_of_freedom: float, probability: float = 0.9545) -> f
 
     Source: JCGM 100:2008, annex G.
     """
-    return float(stats.t.ppf(0.5 + probability / 2.0, min(degrees_of_freedom, 1e9)))
+    return float(special.stdtrit(min(degrees_of_freedom, 1e9), 0.5 + probability / 2.0))
 
 
 def shares(contributions: Iterable[Contribution]) -> list[tuple[Contribution, float]]:
