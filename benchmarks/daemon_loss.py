@@ -42,10 +42,10 @@ class WireCamera:
     One at a time per computer, for all answer on the same port.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, bench: Path | None = None, serial: str = SERIAL) -> None:
         self._command = [
-            sys.executable, "-m", "radiometer", "simulate", "camera", "--serial", SERIAL, "--bench",
-            str(write_small_bench(folder)), "--frame-pool", "4",
+            sys.executable, "-m", "radiometer", "simulate", "camera", "--serial", serial, "--bench",
+            str(bench or write_small_bench(folder)), "--frame-pool", "4",
         ]  # fmt: skip
         self._process: subprocess.Popen[bytes] | None = None
 

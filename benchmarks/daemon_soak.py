@@ -41,15 +41,15 @@ def run(seconds: float, *, warm_up_s: float, sample_s: float = 1.0) -> SoakResul
         users = [_User(daemon, work) for work in (_ask_scpi, _ask_http, _watch_stream)]
         for user in users:
             user.start()
-        _sample(daemon, warm_up_s, sample_s)
-        times_s, megabytes, descriptors = _sample(daemon, seconds, sample_s)
+        sample(daemon, warm_up_s, sample_s)
+        times_s, megabytes, descriptors = sample(daemon, seconds, sample_s)
         for user in users:
             user.stop()
         readings = daemon.get("/status")["latest_sequence"]
-    slope, u_slope = _slope(times_s, megabytes)
+    rate, u_rate = slope(times_s, megabytes)
     tenth = max(1, len(descriptors) // 10)
     return SoakResult(
-        seconds, readings, megabytes[0], megabytes[-1], slope * 3600, u_slope * 3600,
+        seconds, readings, megabytes[0], megabytes[-1], rate * 3600, u_rate * 3600,
         round(statistics.median(descriptors[:tenth])), round(statistics.median(descriptors[-tenth:])),
         sum(user.errors for user in users),
     )  # fmt: skip
@@ -102,7 +102,8 @@ def _watch_stream(daemon: DaemonProcess) -> None:
             reply.readline()
 
 
-def _sample(daemon: DaemonProcess, seconds: float, sample_s: float) -> tuple[list[float], list[float], list[int]]:
+def sample(daemon: DaemonProcess, seconds: float, sample_s: float) -> tuple[list[float], list[float], list[int]]:
+    """Return times in s, memory in MB and open descriptors over a time."""
     times_s, megabytes, descriptors = list[float](), list[float](), list[int]()
     begun = time.monotonic()
     while (elapsed_s := time.monotonic() - begun) < seconds:
@@ -113,7 +114,7 @@ def _sample(daemon: DaemonProcess, seconds: float, sample_s: float) -> tuple[lis
     return times_s, megabytes, descriptors
 
 
-def _slope(times_s: list[float], megabytes: list[float]) -> tuple[float, float]:
+def slope(times_s: list[float], megabytes: list[float]) -> tuple[float, float]:
     """Return slope and its standard uncertainty in MB/s from the means of ten blocks (neighbours are correlated)."""
     size = max(1, len(times_s) // 10)
     blocks = [slice(i, i + size) for i in range(0, size * 10, size)]
