@@ -115,13 +115,12 @@ class FullDisk:
             self._lock = sqlite3.connect(self._journal, timeout=10.0, isolation_level=None, check_same_thread=False)
             self._lock.execute("BEGIN EXCLUSIVE")
             return
-        self._fill()
-        with contextlib.closing(sqlite3.connect(self._journal, timeout=10.0)) as connection:
+        with (
+            contextlib.suppress(sqlite3.Error),
+            contextlib.closing(sqlite3.connect(self._journal, timeout=10.0)) as connection,
+        ):
             connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-        self._fill()
-
-    def _fill(self) -> None:
-        with contextlib.suppress(OSError), self._ballast.open("ab", buffering=0) as ballast:
+        with contextlib.suppress(OSError), self._ballast.open("wb", buffering=0) as ballast:
             for size in (2**20, 4096):
                 with contextlib.suppress(OSError):
                     while ballast.write(b"\0" * size):
