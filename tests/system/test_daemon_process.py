@@ -66,17 +66,22 @@ def test_a_port_that_is_taken_is_named(tmp_path: Path) -> None:
 
 
 def test_hangup_reloads_the_calibration(tmp_path: Path) -> None:
-    """A changed file is taken; a broken one puts an alarm up and the old one stays in use."""
+    """A changed file is taken; a broken one, or one that nests without end, is an alarm and the old one stays."""
     calibration = tmp_path / "calibration.yaml"
     text = (ROOT / "configs/calibrations/simulated.yaml").read_text(encoding="utf-8")
     calibration.write_text(text, encoding="utf-8")
     with DaemonProcess(tmp_path, "--every", "0.1", "--calibration", str(calibration)) as daemon:
         daemon.wait_for_reading()
         before = daemon.post("/measure", {})["radiance"]["value"]
-        calibration.write_text("format: nonsense\n", encoding="utf-8")
-        daemon.process.send_signal(signal.SIGHUP)  # type: ignore[union-attr]
-        _until(lambda: [alarm["name"] for alarm in daemon.get("/status")["alarms"]] == ["calibration"])
-        assert daemon.post("/measure", {})["radiance"]["value"] == pytest.approx(before, rel=0.01)
+        for broken, reason in (("format: nonsense\n", "format"), ("[" * 100_000, "nested more than")):
+            calibration.write_text(broken, encoding="utf-8")
+            daemon.process.send_signal(signal.SIGHUP)  # type: ignore[union-attr]
+            _until(
+                lambda reason=reason: (
+                    [reason in alarm["message"] for alarm in daemon.get("/status")["alarms"]] == [True]
+                )
+            )
+            assert daemon.post("/measure", {})["radiance"]["value"] == pytest.approx(before, rel=0.01)
         calibration.write_text(text, encoding="utf-8")
         daemon.process.send_signal(signal.SIGHUP)  # type: ignore[union-attr]
         _until(lambda: daemon.get("/status")["alarms"] == [])
