@@ -21,7 +21,7 @@ define install_packages
 	fi
 endef
 
-.PHONY: help measure test test-fast test-slow check docs man tutorial mutants coverage shake bench soak firmware calibration clean
+.PHONY: help measure test test-fast test-slow check docs man tutorial mutants coverage shake bench interop soak firmware calibration clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -91,6 +91,18 @@ calibration: $(VENV)/.ready-run  ## Calibrate the simulated bench and box anew: 
 	  --stated glare_u=0 --stated exposure_u_s=0 --stated drift_u_rel_per_year=0 --stated polarisation_u_rel=0 \
 	  -o configs/calibrations/simulated.yaml
 	$(BIN)/radiometer light calibrate --box sim --seed 1 -o configs/calibrations/simulated-box.yaml
+
+# PsychoPy without what its windows, sounds and Builder need: that is some 3 GB, and none of it calibrates a screen.
+PSYCHOPY := psychopy==2026.2.5 six json_tricks psutil pyzmq requests packaging i18next astunparse esprima python-bidi \
+            arabic-reshaper websockets distro
+
+interop:  ## Run PsychoPy, pymmcore-plus and obsarray with our adapters, each in an environment of its own, and keep what they say
+	$(PYTHON) -m venv .venv-interop/psychopy && $(PYTHON) -m venv .venv-interop/micro_manager && $(PYTHON) -m venv .venv-interop/obsarray
+	.venv-interop/psychopy/bin/python -m pip install -q -c constraints.txt -e . $(filter-out psychopy%,$(PSYCHOPY))
+	.venv-interop/psychopy/bin/python -m pip install -q --no-deps $(filter psychopy%,$(PSYCHOPY))
+	.venv-interop/micro_manager/bin/python -m pip install -q -e . pymmcore-plus==0.18.1
+	.venv-interop/obsarray/bin/python -m pip install -q -c constraints.txt -e '.[xarray]' obsarray==1.0.3
+	for name in psychopy micro_manager obsarray; do .venv-interop/$$name/bin/python -m benchmarks._interop $$name || exit 1; done
 
 firmware:  ## Build the light box's firmware and print its size
 	$(call install_packages,gcc-avr avr-libc make)

@@ -74,7 +74,10 @@ class Radiance:
         writer_for(target)(target, Picture({"mono": self.map}))
 
     def to_xarray(self) -> xarray.Dataset:
-        """Return an xarray.Dataset with `radiance`, `u_radiance` and `mask`, units and flag meanings as in CF.
+        """Return an xarray.Dataset with `radiance`, its two uncertainties and `mask`: units and flags as in CF.
+
+        `u_radiance` is each pixel's own, `u_common` what all share; how they hang together stands in their attributes
+        as obsarray reads it (`unc_comps`, `err_corr_…`). `to_netcdf(…, engine="h5netcdf")` keeps all of it.
 
         Raises:
             MissingLibrary: If xarray is not installed.
@@ -83,19 +86,14 @@ class Radiance:
             import xarray
         except ImportError as error:
             raise MissingLibrary("xarray is not installed: pip install 'radiometer[xarray]'") from error
-        dims, unit = ("y", "x"), self.unit.replace("relative", "1")
-        bits = [flag for flag in PixelMask if flag]
-        named: dict[str, Any] = {"flag_masks": [int(b) for b in bits], "flag_meanings": " ".join(map(_meaning, bits))}
-        radiance = {"units": unit, "long_name": "radiance", "ancillary_variables": "u_radiance mask"}
-        own = {"units": unit, "long_name": "standard uncertainty of each pixel's own (k = 1)"}
         return xarray.Dataset(
-            {
-                "radiance": (dims, self.value, radiance),
-                "u_radiance": (dims, self.u, own),
-                "mask": (dims, self.mask, named),
+            _variables(self),
+            coords={
+                name: (name, np.arange(size), _axis(name)) for name, size in zip("yx", self.map.shape, strict=True)
             },
             attrs={
                 "Conventions": "CF-1.11",
+                "title": "radiance per pixel",
                 "u_rel_common": self.u_rel_common,
                 "exposures_s": list(self.map.exposures_s),
                 "assumptions": "; ".join(self.map.provenance.assumptions),
@@ -133,6 +131,50 @@ class Radiance:
 
     def _repr_html_(self) -> str:
         return picture(self.plot, repr(self))
+
+
+def _variables(radiance: Radiance) -> dict[str, Any]:
+    """Return the variables of a Dataset: dimensions, values, attributes."""
+    dims, unit = ("y", "x"), radiance.unit.replace("relative", "1")
+    bits = [flag for flag in PixelMask if flag]
+    common = np.abs(radiance.value) * np.float32(radiance.u_rel_common)
+    named = {
+        "long_name": "what must be known of a pixel",
+        "flag_masks": np.array([int(bit) for bit in bits], dtype=np.uint8),
+        "flag_meanings": " ".join(map(_meaning, bits)),
+    }
+    own = {"units": unit, "long_name": "standard uncertainty of each pixel's own (k = 1)"} | _correlation("random")
+    shared = {"units": unit, "long_name": "standard uncertainty shared by all pixels (k = 1)"} | _correlation(
+        "systematic"
+    )
+    held = {
+        "units": unit,
+        "long_name": "radiance",
+        "ancillary_variables": "u_radiance u_common mask",
+        "unc_comps": ["u_radiance", "u_common"],
+    }
+    return {
+        "radiance": (dims, radiance.value, held),
+        "u_radiance": (dims, radiance.u, own),
+        "u_common": (dims, common, shared),
+        "mask": (dims, radiance.mask, named),
+    }
+
+
+def _correlation(form: str) -> dict[str, Any]:
+    """Return how errors of pixels hang together along both axes, by obsarray's names."""
+    found: dict[str, Any] = {"pdf_shape": "gaussian"}
+    for number, dimension in ((1, "y"), (2, "x")):
+        key = f"err_corr_{number}"
+        found |= {f"{key}_dim": dimension, f"{key}_form": form, f"{key}_params": [], f"{key}_units": []}
+    return found
+
+
+def _axis(name: str) -> dict[str, str]:
+    return {
+        "units": "1",
+        "long_name": {"y": "row of pixels, from the top", "x": "column of pixels, from the left"}[name],
+    }
 
 
 def merge(

@@ -113,9 +113,29 @@ def test_a_map_goes_into_xarray_with_units_and_flags(stack):
     radiance = rm.merge(stack)
     dataset = radiance.to_xarray()
     assert dataset.radiance.attrs["units"] == "1"
-    assert dataset.radiance.attrs["ancillary_variables"] == "u_radiance mask"
+    assert dataset.radiance.attrs["ancillary_variables"] == "u_radiance u_common mask"
     assert len(dataset.mask.attrs["flag_masks"]) == len(dataset.mask.attrs["flag_meanings"].split())
     assert np.array_equal(dataset.radiance.values, radiance.value)
+
+
+def test_netcdf_keeps_units_uncertainties_and_flags(stack, tmp_path):
+    """Written and read by a real engine: values, CF attributes, and what obsarray needs to add the uncertainties up."""
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("h5netcdf")
+    radiance = rm.merge(stack)
+    radiance.to_xarray().to_netcdf(tmp_path / "map.nc", engine="h5netcdf")
+    with xarray.open_dataset(tmp_path / "map.nc", engine="h5netcdf") as back:
+        assert back.attrs["Conventions"].startswith("CF-")
+        assert np.array_equal(back.radiance.values, radiance.value)
+        assert np.array_equal(back.u_radiance.values, radiance.u)
+        assert np.allclose(back.u_common.values, np.abs(radiance.value) * radiance.u_rel_common)
+        assert {back[name].attrs["units"] for name in ("radiance", "u_radiance", "u_common")} == {"1"}
+        assert list(back.radiance.attrs["unc_comps"]) == ["u_radiance", "u_common"]
+        forms = {name: back[name].attrs["err_corr_1_form"] for name in back.radiance.attrs["unc_comps"]}
+        assert forms == {"u_radiance": "random", "u_common": "systematic"}
+        assert [back.u_common.attrs[f"err_corr_{n}_dim"] for n in (1, 2)] == ["y", "x"]
+        assert back.mask.attrs["flag_masks"].dtype == back.mask.dtype
+        assert back.attrs["exposures_s"].tolist() == pytest.approx(list(radiance.map.exposures_s))
 
 
 def test_response_and_calibration_exclude_each_other(stack):
