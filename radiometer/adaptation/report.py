@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import csv
-import html
 import io
 import math
 from pathlib import Path
@@ -12,9 +10,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.adaptation.adaptation_fit import AdaptationFit, Estimate, intercept_verdict
+from radiometer.adaptation.adaptation_fit import AdaptationFit, intercept_verdict
 from radiometer.adaptation.reliability import MEANINGS, NAMES, Reliability
+from radiometer.adaptation.report_picture import short, story
 from radiometer.data.storage import write_text_atomic
+from radiometer.reporting.page import folded, listed, page, paragraph, section, table
 
 LABELS: Final = {
     "plateau": "Cone plateau",
@@ -29,11 +29,7 @@ LABELS: Final = {
     "final_threshold": "Final threshold",
     "area_log10_min": "Area above the final threshold",
 }
-_STYLE: Final = (
-    "body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}"
-    "table{border-collapse:collapse}td,th{padding:.25rem .8rem;border-bottom:1px solid #ccc;text-align:right}"
-    "td:first-child,th:first-child{text-align:left}img{max-width:100%}"
-)
+_HELD_WEIGHT: Final = 0.5  # of the largest; below, a threshold hardly counts
 
 
 def label_of(name: str, fit: AdaptationFit) -> str:
@@ -93,69 +89,151 @@ def curve_csv(fit: AdaptationFit) -> str:
 
 def write_page(fit: AdaptationFit, path: Path, title: str = "Dark adaptation") -> None:
     """Write a self-contained HTML page. Raises OutputError."""
-    rows = "".join(_row(label_of(name, fit), estimate) for name, estimate in fit.estimates.items())
-    models = "".join(
-        f"<tr><td>{one.model.name}</td><td>{one.aicc - fit.chosen.aicc:+.1f}</td><td>{one.sigma:.3f}</td></tr>"
-        for one in fit.tried
+    write_text_atomic(path, report_html(fit, title))
+
+
+def report_html(fit: AdaptationFit, title: str = "Dark adaptation") -> str:
+    """Return the report: what the eye did in a sentence, the curve, what it means, what to mind, tables last."""
+    return page(
+        title,
+        outcome(fit),
+        [
+            _intercept(fit),
+            story(fit),
+            section("What it means, and what to do", listed(meaning(fit))),
+            section("What to mind", *(paragraph(text, "flag") for text in _remarks(fit))),
+            section("Estimates", _estimates(fit)),
+            section("The subject", _reliability(fit)),
+            section("Models that were tried", _models(fit)),
+            folded("What the file says of itself", table((), sorted(fit.chosen.series.facts.items()), words=(1,))),
+            folded("What was assumed", listed(_assumptions(fit))),
+        ],
+        kind="Dark adaptation",
     )
-    percent = f"{100 * fit.request.confidence:g}"
-    write_text_atomic(
-        path,
-        f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title><style>{_STYLE}</style>"
-        f"<h1>{html.escape(title)}</h1><p><strong>{html.escape(fit.verdict)}</strong></p>"
-        f'<img alt="Thresholds over time with the fitted branches" src="data:image/png;base64,{_plot(fit)}">'
-        f"<h2>Estimates</h2><table><tr><th></th><th>value</th><th>u (k = 1)</th><th>{percent} % interval</th>"
-        f"<th>unit</th></tr>{rows}</table>"
-        f"{_reliability(fit)}"
-        f"<h2>Models</h2><table><tr><th>model</th><th>AICc above the best</th><th>scatter</th></tr>"
-        f"{models}</table>"
-        f"<p>Model {fit.chosen.model.name}: {fit.chosen.model.meaning}. Intervals of parameters by profile "
-        f"likelihood, of the others by {fit.request.bootstrap_draws} bootstrap redraws; stimulus calibration u = "
-        f"{fit.request.stimulus_u_log10:g} log10 units is in them.</p></html>\n",
+
+
+def outcome(fit: AdaptationFit) -> str:
+    """Return in one sentence what the eye did, with intervals; where no break is claimed, that none is."""
+    percent = f"{100 * fit.request.confidence:g} % intervals"
+    if not fit.has_break:
+        final = short(fit, "final_threshold")
+        return f"No rod–cone break is claimed: one branch, falling to {final} log10 units ({percent})."
+    return (
+        f"Rod–cone break at {short(fit, 'break_min')} min, then S2 of {short(fit, 's2_slope_per_min')} log10 units per "
+        f"min ({percent})."
     )
+
+
+def _intercept(fit: AdaptationFit) -> str:
+    """Return what the rod intercept says, where the protocol reports one."""
+    met = intercept_verdict(fit)
+    if met is None:
+        return ""
+    time = (
+        f" The time is {_with_interval(fit, 'rod_intercept_min', 'min')}."
+        if "rod_intercept_min" in fit.estimates
+        else ""
+    )
+    return paragraph(f"{met[0].upper()}{met[1:]}.{time}")
+
+
+def meaning(fit: AdaptationFit) -> list[str]:
+    """Return what the curve says of the eye, and what would tell more."""
+    last_min = float(fit.chosen.series.time_min[-1])
+    if not fit.has_break:
+        earliest = fit.evidence.earliest_visible_min
+        seen = (
+            "With these thresholds no break could be seen at all: take more of them, or a longer test."
+            if earliest is None
+            else f"A typical eye's break after {earliest:.1f} min would have been seen, an earlier one not. An eye of "
+            "rods or of cones alone looks like this, and so does a bleach that was too weak."
+        )
+        return [
+            seen,
+            f"The last threshold was taken after {last_min:.1f} min: a break after it cannot be told from none.",
+        ]
+    values = fit.chosen.values
+    said = [
+        f"Cones alone set the threshold until {values['break_min']:.1f} min, and levelled off at "
+        f"{_with_interval(fit, 'plateau', 'log10')}.",
+        f"Then the rods took over: their threshold falls by one log10 unit in "
+        f"{1.0 / -values['s2_slope_per_min']:.1f} min.",
+    ]
+    if "rod_rod_break_min" in values:
+        said.append(f"From {_with_interval(fit, 'rod_rod_break_min', 'min')} on they fall more slowly (S3).")
+    interval = fit.estimates["break_min"].profile or fit.estimates["break_min"].bootstrap
+    if interval is None or not np.isfinite([interval.low, interval.high]).all():
+        said.append("The break's interval is open at an end: more thresholds around it would close it.")
+    return said
+
+
+def _remarks(fit: AdaptationFit) -> list[str]:
+    series = fit.chosen.series
+    light = np.count_nonzero(fit.chosen.weights < _HELD_WEIGHT * float(np.max(fit.chosen.weights)))
+    said = [f"Taken: {text}." for text in series.taken]
+    if light and series.sigma is None:
+        said.append(f"{light} of {series.time_min.size} thresholds lie far off the curve and count for little.")
+    if not fit.request.stimulus_u_log10:
+        said.append("No uncertainty of the stimulus' calibration was given: levels in log10 units are without it.")
+    return said
+
+
+def _assumptions(fit: AdaptationFit) -> list[str]:
+    percent = f"{100 * fit.request.confidence:g} %"
+    return [
+        f"Model {fit.chosen.model.name}: {fit.chosen.model.meaning}.",
+        f"Intervals are of {percent}: of parameters by profile likelihood, of the others by "
+        f"{fit.request.bootstrap_draws} bootstrap redraws.",
+        f"The stimulus' calibration is uncertain by {fit.request.stimulus_u_log10:g} log10 units, which levels hold.",
+        f"A break is claimed from a deviance of {fit.evidence.needed:g} on against the best falling convex curve; here "
+        f"it is {_deviance(fit)}.",
+    ]
+
+
+def _deviance(fit: AdaptationFit) -> str:
+    found = fit.evidence.deviance
+    return f"{found:.1f}" if math.isfinite(found) else "none, for no model with a break makes sense"
+
+
+def _with_interval(fit: AdaptationFit, name: str, unit: str) -> str:
+    """Return value ± half the interval, unit and confidence."""
+    return f"{short(fit, name)} {unit} ({100 * fit.request.confidence:g} %)"
+
+
+def _estimates(fit: AdaptationFit) -> str:
+    rows = []
+    for name, estimate in fit.estimates.items():
+        interval = estimate.profile or estimate.bootstrap
+        shown = f"{interval.low:.3f} to {interval.high:.3f}" if interval else ""
+        u = f"{estimate.u:.3f}" if math.isfinite(estimate.u) else "–"
+        rows.append((label_of(name, fit), f"{estimate.value:.3f}", u, shown, estimate.unit))
+    head = ("", "value", "u (k = 1)", f"{100 * fit.request.confidence:g} % interval", "unit")
+    return table(head, rows, words=(4,))
 
 
 def _reliability(fit: AdaptationFit) -> str:
     """Return the table of false alarms, lapses and looks away, as far as the run has them."""
     rates = Reliability.of_facts(fit.chosen.series.facts).rates
-    rows = "".join(
-        f"<tr><td>{NAMES[name]}</td><td>{100 * rate.value:.1f} %</td><td>{100 * rate.low:.1f} to "
-        f"{100 * rate.high:.1f} %</td><td>{rate.count}</td><td>{MEANINGS[name]}</td></tr>"
+    rows = [
+        (
+            NAMES[name],
+            f"{100 * rate.value:.1f} %",
+            f"{100 * rate.low:.1f} to {100 * rate.high:.1f} %",
+            str(rate.count),
+            MEANINGS[name],
+        )
         for name, rate in rates.items()
-    )
-    head = "<tr><th></th><th>share</th><th>95 % interval</th><th>counted</th><th>of what</th></tr>"
-    return f"<h2>The subject</h2><table>{head}{rows}</table>" if rows else ""
+    ]
+    return table(("", "share", "95 % interval", "counted", "of what"), rows, words=(4,))
 
 
-def _row(label: str, estimate: Estimate) -> str:
-    interval = estimate.profile or estimate.bootstrap
-    shown = f"{interval.low:.3f} to {interval.high:.3f}" if interval else ""
-    return (
-        f"<tr><td>{label}</td><td>{estimate.value:.3f}</td><td>{estimate.u:.3f}</td><td>{shown}</td>"
-        f"<td>{estimate.unit}</td></tr>"
-    )
-
-
-def _plot(fit: AdaptationFit) -> str:
-    """Return the curve as a base64 PNG."""
-    from matplotlib.figure import Figure
-
-    series, values = fit.chosen.series, fit.chosen.values
-    figure = Figure(figsize=(8, 4.8), layout="constrained")
-    axes = figure.add_subplot()
-    axes.plot(series.time_min, series.log_threshold, "o", ms=4, color="#555", label="thresholds")
-    grid = np.linspace(float(series.time_min[0]), float(series.time_min[-1]), 600)
-    axes.plot(grid, fit.chosen.threshold(grid), color="#0b5", lw=2, label=fit.chosen.model.name)
-    if fit.has_break:
-        interval = fit.estimates["break_min"].profile
-        axes.axvline(values["break_min"], color="#06c", lw=1, label="rod–cone break")
-        if interval is not None and np.isfinite([interval.low, interval.high]).all():
-            axes.axvspan(interval.low, interval.high, color="#06c", alpha=0.15)
-        cone = values["plateau"] + values["amplitude"] * np.exp(-grid / values["tau_min"])
-        axes.plot(grid, cone, "--", color="#a33", lw=1, label="cones alone")
-    axes.set_xlabel("time in the dark / min")
-    axes.set_ylabel("log10 threshold")
-    axes.legend(frameon=False)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png")
-    return base64.b64encode(stream.getvalue()).decode("ascii")
+def _models(fit: AdaptationFit) -> str:
+    rows = [
+        (
+            f"{one.model.name}{', chosen' if one is fit.chosen else ''}",
+            f"{one.aicc - fit.chosen.aicc:+.1f}",
+            f"{one.sigma:.3f}",
+        )
+        for one in fit.tried
+    ]
+    return table(("model", "AICc above the chosen", "scatter in log10 units"), rows)

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from radiometer.archive.trend import Trend, fit_trend
 from radiometer.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def read_histories(table: Path, quantity: str) -> list[Trend]:
@@ -34,14 +41,26 @@ def read_histories(table: Path, quantity: str) -> list[Trend]:
         chosen = chosen.astype(dict.fromkeys(("captured", "value", "u"), float))
     except (ValueError, TypeError) as error:
         raise InputError(f"{table}: a time, value or uncertainty is no number ({error})") from error
-    return [
-        fit_trend(
-            np.asarray(rows["captured"], float),
-            np.asarray(rows["value"], float),
-            np.asarray(rows["u"], float),
-            patch=str(name),
-            quantity=quantity,
-            unit=str(rows["unit"].iloc[0]),
-        )
-        for name, rows in chosen.groupby("patch")
-    ]
+    return [_history(str(name), quantity, rows) for name, rows in chosen.groupby("patch")]
+
+
+def _history(patch: str, quantity: str, rows: pd.DataFrame) -> Trend:
+    """Return the trend of one patch, with when its settings changed and what its readings were flagged."""
+    trend = fit_trend(
+        np.asarray(rows["captured"], float),
+        np.asarray(rows["value"], float),
+        np.asarray(rows["u"], float),
+        patch=patch,
+        quantity=quantity,
+        unit=str(rows["unit"].iloc[0]),
+    )
+    flags: Counter[str] = Counter()
+    if "flags" in rows:
+        for written in rows["flags"].dropna():
+            flags.update(flag for flag in re.split(r"[\s,;|]+", str(written)) if flag)
+    changes: tuple[float, ...] = ()
+    if "fingerprint" in rows:  # of settings, calibration and code
+        ordered = rows.sort_values("captured", kind="stable")
+        marks, times = ordered["fingerprint"].astype(str).to_numpy(), ordered["captured"].to_numpy(float)
+        changes = tuple(float(t) for t in times[1:][marks[1:] != marks[:-1]])
+    return replace(trend, changes_s=changes, flags=dict(flags))

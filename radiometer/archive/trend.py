@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -48,6 +49,8 @@ class Trend:
         degrees_of_freedom: Behind that uncertainty: of the readings' effective number.
         correlation: Of a reading with the next one, beyond line and season.
         season_rel: Amplitude of the yearly cycle; None where the span is too short to tell it from a drift.
+        changes_s: Times from which on another calibration, or other settings, were in use; in s since 1970.
+        flags: How many readings bear each flag.
     """
 
     patch: str
@@ -65,6 +68,8 @@ class Trend:
     degrees_of_freedom: float = math.inf
     correlation: float = 0.0
     season_rel: float | None = None
+    changes_s: tuple[float, ...] = ()
+    flags: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def claim_sigmas(self) -> float:

@@ -41,7 +41,7 @@ def command(
     radiance_u_rel: Annotated[float, typer.Option(min=0.0, help="Its relative standard uncertainty.")] = 0.0,
     steps: Annotated[int, typer.Option(min=6, help="With --camera: exposures from darkness to saturation.")] = 30,
     keep: Annotated[Path | None, typer.Option(help="With --camera: keep the frames as a capture set here.")] = None,
-    report: Annotated[Path | None, typer.Option(help="Datasheet (HTML) to write.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Report (HTML) to write: outcome, pictures, figures.")] = None,
     emva_descriptor: Annotated[
         Path | None, typer.Option(help="EMVA 1288 descriptor file to write, for other programs.")
     ] = None,
@@ -183,8 +183,8 @@ def _write(result: Characterisation, limits: dict[str, Any] | None, output: Path
 def _show(result: Characterisation, output: Path | None, report: Path | None) -> None:
     from rich.table import Table
 
-    from radiometer.analysis.characterise.report import rounded
     from radiometer.analysis.characterise.symbols import SYMBOLS
+    from radiometer.reporting.numbers import rounded
 
     out = console()
     table = Table(title=f"EMVA 1288 figures at {result.gain_db:g} dB", title_justify="left")
@@ -192,7 +192,7 @@ def _show(result: Characterisation, output: Path | None, report: Path | None) ->
         table.add_column(heading, justify="right" if heading in ("value", "U (k = 2)") else "left")
     for key, symbol in SYMBOLS.items():
         if key in result.figures:
-            value, expanded = rounded(result.figures[key])
+            value, expanded = rounded(result.figures[key].value, 2 * result.figures[key].u)
             unit = result.figures[key].unit
             table.add_row(symbol.sign, symbol.meaning, value, expanded, "" if unit == "1" else unit)
     out.print(table)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def command(
     results: Annotated[Path, typer.Argument(help="Table written by `radiometer batch --do measure`.")],
     quantity: Annotated[str, typer.Option(help="Quantity to follow.")] = "radiance",
-    report: Annotated[Path | None, typer.Option(help="HTML report with control charts.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Report (HTML) to write: outcome, histories, figures.")] = None,
     json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False,
 ) -> None:
     """Find the drift of a source or of the instrument over months, with its uncertainty.

@@ -1,73 +1,139 @@
-"""A one-page datasheet of a characterisation in HTML that needs no other file."""
+"""The report of a characterisation: what the camera does in one sentence and one picture, what to do, tables last."""
 
 from __future__ import annotations
 
-import html
 import math
 
-from radiometer.analysis.characterise.report_plots import plots
+from radiometer.analysis.characterise.report_plots import further_pictures, story
 from radiometer.analysis.characterise.result import Characterisation
 from radiometer.analysis.characterise.symbols import SYMBOLS
 from radiometer.data import Quantity
-
-_STYLE = """
-body{font:15px/1.45 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222}
-h1{font-size:1.5rem;margin-bottom:.2rem} .sub{color:#555;margin-top:0} p.made{color:#555;margin-top:1.5rem}
-table{border-collapse:collapse;margin:1rem 0} td,th{padding:.2rem .8rem;border-bottom:1px solid #ddd;text-align:left}
-td.n{text-align:right;font-variant-numeric:tabular-nums} .plots{display:grid;grid-template-columns:repeat(auto-fit,
-minmax(24rem,1fr));gap:1rem} figure{margin:0} figcaption{color:#555;font-size:.9rem} svg{max-width:100%;height:auto}
-.note{background:#fff6dd;border-left:4px solid #e0b000;padding:.4rem .8rem;margin:.4rem 0}
-"""
+from radiometer.reporting.numbers import rounded, unit_text, with_u
+from radiometer.reporting.page import folded, listed, page, paragraph, section, side_by_side, table
 
 
 def datasheet(result: Characterisation) -> str:
-    """Return the datasheet as one HTML page: figures with k = 2 uncertainty, notes, plots, provenance."""
+    """Return the report as one HTML page: outcome, picture, meaning, notes, plots, figures with U (k = 2)."""
     camera = result.believed
     name = " ".join(part for part in (camera.vendor, camera.model) if part) or "Camera"
-    parts = [
-        "<!doctype html><html lang='en'><meta charset='utf-8'>",
-        f"<title>{html.escape(name)}: EMVA 1288 figures</title><style>{_STYLE}</style>",
-        f"<h1>{html.escape(name)}</h1>",
-        f"<p class='sub'>serial {html.escape(camera.serial or 'unknown')}, {camera.bit_depth} bit, gain "
-        f"{result.gain_db:g} dB; EMVA 1288 release 4.0 (linear); saturation is set by the {result.limited_by}</p>",
-        *(f"<p class='note'>{html.escape(note)}</p>" for note in result.notes),
-        _table(result),
-        _gains(result),
-        "<div class='plots'>",
-        *(f"<figure>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>" for caption, svg in plots(result)),
-        "</div>",
-        f"<p class='made'>Made {html.escape(result.provenance.created)} by {html.escape(result.provenance.software)} "
-        f"from {html.escape(', '.join(result.provenance.inputs))}.</p></html>",
+    made = result.provenance
+    return page(
+        f"{name}, serial {camera.serial or 'unknown'}",
+        outcome(result),
+        [
+            paragraph(
+                f"{camera.bit_depth} bit, gain {result.gain_db:g} dB; EMVA 1288 release 4.0 (linear); saturation is "
+                f"set by the {result.limited_by}. Every ± is an expanded uncertainty, k = 2."
+            ),
+            story(result),
+            section("What it means, and what to do", listed(meaning(result))),
+            section("What to mind", *(paragraph(note, "flag") for note in result.notes)),
+            section("Further pictures", side_by_side(*further_pictures(result))),
+            section("Figures", _figures(result), _gains(result)),
+            folded("Steps of the photon transfer", _steps(result)),
+        ],
+        kind="EMVA 1288 figures",
+        made=f"Made {made.created} by {made.software} from {', '.join(made.inputs)}.",
+    )
+
+
+def outcome(result: Characterisation) -> str:
+    """Return in one sentence what was found: gain, noise and capacity, or what is missing for them."""
+    figures = result.figures
+    gain = figures.get("K", figures.get("K_dark"))
+    if gain is None or not math.isfinite(gain.value):
+        return "These frames tell no gain: the camera's electrons cannot be counted from them."
+    said = [f"One electron is {with_u(gain.value, 2 * gain.u, 'DN')}"]
+    if "sigma_d" in figures:
+        said.append(f"the camera reads with {_with_u(figures['sigma_d'])} of noise")
+    if "mu_e_sat" in figures:
+        said.append(f"holds {_with_u(figures['mu_e_sat'])} before it saturates")
+    if len(said) == 3:
+        said[1:] = [f"{said[1]} and {said[2]}"]
+    return f"{'; '.join(said)}."
+
+
+def meaning(result: Characterisation) -> list[str]:
+    """Return what the figures mean for measuring, and what to do about it."""
+    figures = result.figures
+    said = [
+        _noise(figures.get("sigma_d"), figures.get("K")),
+        _range(figures.get("DR_dB"), figures.get("SNR_max")),
+        _straightness(figures.get("LE_min"), figures.get("LE_max")),
+        _dark(figures.get("mu_I_mean"), figures.get("sigma_d")),
     ]
-    return "\n".join(parts)
+    if "K" in figures:
+        said.append(
+            "Put it to use: write the camera file (-o camera.yaml) and give it to radiometer calibrate --camera-file; "
+            "its noise then weighs every measurement."
+        )
+    elif "K_dark" in figures:
+        said.append(
+            "The gain comes from dark frames alone. Frames of steady, even light from darkness to saturation would "
+            "tell it better, and linearity and saturation with it."
+        )
+    else:
+        said.append(
+            "To count electrons, take pairs of frames of steady, even light at three levels or more, and darks at the "
+            "same exposures: radiometer bracket --repeat 2 --darks 2."
+        )
+    return [text for text in said if text]
 
 
-def rounded(quantity: Quantity) -> tuple[str, str]:
-    """Return value and expanded uncertainty (k = 2), both to two digits of the uncertainty."""
-    expanded = 2 * quantity.u
-    if not (math.isfinite(expanded) and expanded > 0 and math.isfinite(quantity.value)):
-        return f"{quantity.value:.5g}", "–"
-    decimals = max(0, 1 - math.floor(math.log10(expanded)))
-    return f"{quantity.value:.{decimals}f}", f"{expanded:.{decimals}f}"
+def _noise(read: Quantity | None, gain: Quantity | None) -> str:
+    if read is None or gain is None or not read.value > 0:
+        return ""
+    equal_e = read.value**2
+    return (
+        f"From {equal_e:.3g} e⁻ ({equal_e * gain.value:.3g} DN above black) on, the light's own noise is larger than "
+        "the camera's: more light helps there, and nothing else. Below, longer exposures help more than averages."
+    )
 
 
-def _table(result: Characterisation) -> str:
+def _range(dynamic: Quantity | None, best: Quantity | None) -> str:
+    if dynamic is None or best is None or not best.value > 0:
+        return ""
+    return (
+        f"One exposure spans {dynamic.value:.3g} dB; the best pixel of one frame is uncertain by "
+        f"{100 / best.value:.2g} %. Scenes that span more take a bracket."
+    )
+
+
+def _straightness(low: Quantity | None, high: Quantity | None) -> str:
+    if low is None or high is None:
+        return ""
+    worst = low if abs(low.value) > abs(high.value) else high
+    ends = [rounded(one.value, 2 * worst.u)[0] for one in (low, high)]
+    span = f"off by {ends[0]} to {ends[1]} %, each ± {rounded(worst.value, 2 * worst.u)[1]} %"
+    if abs(worst.value) > 2 * worst.u:
+        return (
+            f"The signal is not in proportion to the light ({span}): recover its response (radiometer response) before "
+            "it is trusted better than that."
+        )
+    return f"The signal is in proportion to the light as far as the noise lets one see ({span}): no response is needed."
+
+
+def _dark(current: Quantity | None, read: Quantity | None) -> str:
+    if current is None or not math.isfinite(current.value):
+        return ""
+    if current.value <= 2 * current.u:
+        return f"No dark current is seen: {_with_u(current)}."
+    when = f"; its noise reaches the read noise at {read.value**2 / current.value:.3g} s" if read is not None else ""
+    return f"Every pixel gathers {_with_u(current)} in the dark{when}. Take darks at the exposures of long frames."
+
+
+def _with_u(quantity: Quantity) -> str:
+    return with_u(quantity.value, 2 * quantity.u, unit_text(quantity.unit))
+
+
+def _figures(result: Characterisation) -> str:
     rows = []
     for key, symbol in SYMBOLS.items():
         if key in result.figures:
-            value, expanded = rounded(result.figures[key])
-            unit = "" if result.figures[key].unit == "1" else result.figures[key].unit
-            rows.append(
-                f"<tr><td>{_subscripted(symbol.sign)}</td><td>{symbol.meaning}</td><td class='n'>{value}</td>"
-                f"<td class='n'>± {expanded}</td><td>{html.escape(unit)}</td></tr>"
-            )
-    head = "<tr><th>symbol</th><th>figure</th><th>value</th><th>U (k = 2)</th><th>unit</th></tr>"
-    return f"<table>{head}{''.join(rows)}</table>"
-
-
-def _subscripted(sign: str) -> str:
-    stem, _, below = sign.partition("_")
-    return f"{stem}<sub>{below}</sub>" if below else stem
+            value, expanded = rounded(result.figures[key].value, 2 * result.figures[key].u)
+            unit = unit_text(result.figures[key].unit)
+            rows.append((symbol.sign.replace("_", " "), symbol.meaning, value, f"± {expanded}", unit))
+    return table(("symbol", "figure", "value", "U (k = 2)", "unit"), rows, words=(1, 4))
 
 
 def _gains(result: Characterisation) -> str:
@@ -75,9 +141,20 @@ def _gains(result: Characterisation) -> str:
         return ""
     rows = []
     for gain_db, K in result.gains.items():
-        value, expanded = rounded(K)
-        rows.append(
-            f"<tr><td class='n'>{gain_db:g} dB</td><td class='n'>{value}</td><td class='n'>± {expanded}</td></tr>"
+        value, expanded = rounded(K.value, 2 * K.u)
+        rows.append((f"{gain_db:g} dB", value, f"± {expanded}"))
+    return table(("gain", "K in DN/e⁻", "U (k = 2)"), rows)
+
+
+def _steps(result: Characterisation) -> str:
+    rows = [
+        (
+            f"{step.bright.settings.exposure_s:.6g}",
+            f"{step.bright.settings.source_level:.4g}",
+            f"{step.signal_dn:.5g}",
+            f"{step.bright.variance_dn2:.4g}",
+            f"{step.dark_variance_dn2:.4g}",
         )
-    head = "<tr><th>gain</th><th>K in DN/e⁻</th><th>U (k = 2)</th></tr>"
-    return f"<h2>Overall system gain by gain</h2><table>{head}{''.join(rows)}</table>"
+        for step in result.steps
+    ]
+    return table(("exposure in s", "source level", "signal in DN", "σ_y² in DN²", "σ_y.dark² in DN²"), rows)

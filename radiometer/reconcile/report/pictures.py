@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -12,17 +10,21 @@ from radiometer.reconcile.fit.covariates import covariates
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.report.words import AXES, axis_label
+from radiometer.reconcile.result import Verdict
 from radiometer.reconcile.search.outcome import Reconciled
 from radiometer.reconcile.statistics import STATISTICS
+from radiometer.reporting.pictures import BEFORE, RULE, SEEN, dress, label, legend, picture, shortened
+from radiometer.reporting.pictures import MODEL as AFTER
 from simulators.effects.catalogue import CatalogueEffect
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BEFORE: Final = "#b03a2e"
-AFTER: Final = "#1f618d"
-_GREY: Final = "#777777"
+_WIDE: Final = (8.0, 3.3)
+_NARROW: Final = (4.0, 3.0)
+_CHANCE_SIGMAS: Final = 4.0
+_FEWEST_ROWS: Final = 3  # of the bars: one alone is not drawn as tall as the picture
 _BINS: Final = 14
 _PANELS: Final = 6
 _DIMMEST_DN: Final = 3.0  # below, a relative deviation of the means says nothing
@@ -30,28 +32,47 @@ _DIMMEST_DN: Final = 3.0  # below, a relative deviation of the means says nothin
 
 def story(reconciled: Reconciled) -> str:
     """Return the opening picture: measured over simulated before and after, and the gap step by step."""
-    figure = _figure(10.0, 3.7)
-    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-    _deviations(left, reconciled)
-    _steps(right, reconciled)
-    return _encoded(figure)
+    steps = len(reconciled.outcome.steps)
+
+    def draw(figure: Figure, narrow: bool) -> None:
+        if narrow:
+            first, second = figure.subplots(2, 1, height_ratios=(3.0, 1.2 + 0.25 * steps))
+        else:
+            first, second = figure.subplots(1, 2, width_ratios=(3, 2))
+        _deviations(first, reconciled)
+        _steps(second, reconciled)
+
+    caption = (
+        "Every patch of every setting, measured against simulated, before and after; then how far settings that the "
+        "fit did not see are missed, step by step: at 1 only noise is left."
+    )
+    return picture(draw, caption, (10.0, 3.9), (4.0, 4.9 + 0.25 * steps))
 
 
 def _deviations(axes: Axes, reconciled: Reconciled) -> None:
     outcome = reconciled.outcome
     drawn = ((outcome.start, BEFORE, "simulated before"), (outcome.state, AFTER, "simulated after"))
-    for state, colour, label in drawn:
+    for state, colour, words in drawn:
         light, deviation = _relative(state)
-        axes.plot(light, 100.0 * deviation, ".", ms=3, alpha=0.35, color=colour, label=label, markeredgewidth=0)
-    axes.axhline(0.0, color="#333", lw=1.2, label="measured = simulated")
+        axes.plot(
+            light,
+            100.0 * deviation,
+            ".",
+            ms=4,
+            alpha=0.4,
+            color=colour,
+            label=words,
+            markeredgewidth=0,
+            rasterized=True,
+        )
+    axes.axhline(0.0, color=SEEN, lw=1.2, label="measured = simulated")
     _, first = _relative(outcome.start)
     reach = 100.0 * max(float(np.quantile(np.abs(first), 0.99)), 1e-4) if first.size else 1.0
     axes.set_ylim(-1.3 * reach, 1.3 * reach)
     axes.set_xscale("log")
-    axes.set_xlabel("simulated signal above black in DN")
-    axes.set_ylabel("measured − simulated in %")
-    legend = axes.legend(frameon=False, fontsize=8, markerscale=3)
-    for handle in legend.legend_handles:
+    dress(axes, "simulated signal above black in DN", "measured − simulated in %")
+    shown = axes.legend(fontsize=9, markerscale=3, framealpha=0.85, edgecolor="none")
+    for handle in shown.legend_handles:
         if handle is not None:
             handle.set_alpha(1.0)
 
@@ -71,18 +92,21 @@ def _steps(axes: Axes, reconciled: Reconciled) -> None:
     if steps and abs(gaps[-1] - result.gap_after) > 0.005:
         names, gaps = [*names, "all, fitted together"], [*gaps, result.gap_after]
     place = np.arange(len(gaps))[::-1]
-    colours = [BEFORE, *[AFTER] * (len(gaps) - 1)]
+    agrees = not steps and result.verdict is Verdict.AGREES
+    colours = [AFTER if agrees else BEFORE, *[AFTER] * (len(gaps) - 1)]
     axes.barh(place, gaps, color=colours, height=0.62)
     for y, gap in zip(place, gaps, strict=True):
-        axes.annotate(f"{gap:.3g}", (gap, y), xytext=(3, 0), textcoords="offset points", va="center", fontsize=8)
-    axes.axvline(1.0, color="#333", lw=1.0, ls="--")
-    axes.set_yticks(place, names, fontsize=8)
+        axes.annotate(f"{gap:.3g}", (gap, y), xytext=(3, 0), textcoords="offset points", va="center")
+    axes.axvline(1.0, color=SEEN, lw=1.0, ls="--")
+    axes.set_ylim(min(0.0, len(gaps) - _FEWEST_ROWS) - 0.6, len(gaps) - 0.4)
+    axes.set_yticks(place, [label(shortened(name, 30)) for name in names])
     if max(gaps) > 8.0:
         axes.set_xscale("log")
         axes.set_xlim(0.5, 3.0 * max(gaps))
     else:
         axes.set_xlim(0.0, 1.2 * max(*gaps, 1.0))
-    axes.set_xlabel("gap of held-out settings (1 = noise alone)")
+    dress(axes, "gap of held-out settings\n(1 = noise alone)", "")
+    axes.grid(visible=False, axis="y")
 
 
 def effect_plot(state: FitState, effect: CatalogueEffect, u_rel: float | None) -> str | None:
@@ -108,15 +132,47 @@ def effect_plot(state: FitState, effect: CatalogueEffect, u_rel: float | None) -
     value = np.broadcast_to(_fitting(axis.value, len(shape)), shape)[usable]
     x, seen, u = _binned(effect.where, value, without[usable])
     _, curve, _ = _binned(effect.where, value, (without - within)[usable])
-    figure = _figure(7.0, 2.9)
-    axes = figure.subplots()
-    axes.errorbar(x, seen, u, fmt="o", ms=4, lw=1, color=BEFORE, label="measured − simulated without it")
-    axes.plot(x, curve, color=AFTER, lw=1.6, label=f"what {effect.name} predicts")
-    if u_rel is not None and np.isfinite(u_rel):
-        wide = 2.0 * min(u_rel, 1.0) * np.abs(curve)
-        axes.fill_between(x, curve - wide, curve + wide, color=AFTER, alpha=0.2, linewidth=0)
-    _dress(axes, effect.where, f"{effect.block}, in σ")
-    return _encoded(figure)
+
+    def draw(figure: Figure, narrow: bool) -> None:
+        axes = figure.subplots()
+        axes.errorbar(x, seen, u, fmt="o", ms=4, lw=1, color=BEFORE, label="measured − simulated without it")
+        axes.plot(x, curve, color=AFTER, lw=1.6, label=label(f"what {shortened(effect.name, 40)} predicts"))
+        if u_rel is not None and np.isfinite(u_rel):
+            wide = 2.0 * min(u_rel, 1.0) * np.abs(curve)
+            axes.fill_between(x, curve - wide, curve + wide, color=AFTER, alpha=0.2, linewidth=0)
+        _along(axes, effect.where, f"{effect.block}: residual in σ")
+
+    caption = "Points: what is left without it, with k = 1 bars. Line: what it predicts, with its k = 2 band."
+    return picture(draw, caption, _WIDE, _NARROW)
+
+
+def unnamed_plot(state: FitState, where: str, block: str) -> str | None:
+    """Return what the final model leaves of a statistic along a covariate.
+
+    Args:
+        state: The final model.
+        where: The covariate.
+        block: The statistic.
+
+    Returns:
+        The picture; None where the covariate does not vary.
+    """
+    axis = covariates(state.model, state.prediction).get(where)
+    if axis is None or block not in state.comparison.cuts:
+        return None
+    shape = STATISTICS[block].shape(state.design)
+    usable = state.comparison.usable[block]
+    left = state.comparison.residual(state.prediction)[state.comparison.cuts[block]].reshape(shape)[usable]
+    x, seen, u = _binned(where, np.broadcast_to(_fitting(axis.value, len(shape)), shape)[usable], left)
+
+    def draw(figure: Figure, narrow: bool) -> None:
+        axes = figure.subplots()
+        axes.errorbar(
+            x, seen, u, fmt="o", ms=4, lw=1, color=BEFORE, label="measured − simulated with all that is named"
+        )
+        _along(axes, where, f"{block}: residual in σ")
+
+    return picture(draw, "What no known effect explains, along what it follows, with k = 1 bars.", _WIDE, _NARROW)
 
 
 def _fitting(value: Array, dimensions: int) -> Array:
@@ -128,6 +184,7 @@ def _fitting(value: Array, dimensions: int) -> Array:
 
 def rest_map(state: FitState) -> str:
     """Return where on the picture the final model still disagrees: each patch by its residual over all captures."""
+    from matplotlib.cm import ScalarMappable
     from matplotlib.colors import TwoSlopeNorm
     from matplotlib.patches import Rectangle
 
@@ -138,22 +195,30 @@ def rest_map(state: FitState) -> str:
     count = usable.sum(axis=0)
     score = np.where(count > 0, residual.sum(axis=0) / np.sqrt(np.maximum(count, 1)), np.nan)
     height, width = design.shape
-    figure = _figure(6.4, max(2.4, min(6.4, 6.0 * height / width)))
-    axes = figure.subplots()
-    reach = max(4.0, float(np.nanmax(np.abs(score), initial=0.0)))
+    reach = max(_CHANCE_SIGMAS, float(np.nanmax(np.abs(score), initial=0.0)))
     norm, colours = TwoSlopeNorm(0.0, -reach, reach), _diverging()
-    for tile, one in zip(design.tiles, score, strict=True):
-        colour = colours(norm(one)) if np.isfinite(one) else "#dddddd"
-        axes.add_patch(Rectangle((tile.x, tile.y), tile.width, tile.height, facecolor=colour, edgecolor="#555", lw=0.4))
-    axes.set_xlim(0, width)
-    axes.set_ylim(height, 0)
-    axes.set_aspect("equal")
-    axes.set_xlabel("column in pixels")
-    axes.set_ylabel("row in pixels")
-    from matplotlib.cm import ScalarMappable
 
-    figure.colorbar(ScalarMappable(norm, colours), ax=axes, label="mean over all captures, in σ", shrink=0.85)
-    return _encoded(figure)
+    def draw(figure: Figure, narrow: bool) -> None:
+        axes = figure.subplots()
+        for tile, one in zip(design.tiles, score, strict=True):
+            colour = colours(norm(one)) if np.isfinite(one) else "#dddddd"
+            axes.add_patch(
+                Rectangle((tile.x, tile.y), tile.width, tile.height, facecolor=colour, edgecolor="#555", lw=0.4)
+            )
+        axes.set_xlim(0, width)
+        axes.set_ylim(height, 0)
+        axes.set_aspect("equal")
+        axes.set_xlabel("column in pixels")
+        axes.set_ylabel("row in pixels")
+        bar = {"orientation": "horizontal", "aspect": 40} if narrow else {"shrink": 0.9}
+        figure.colorbar(ScalarMappable(norm, colours), ax=axes, label="mean over all captures, in σ", **bar)
+
+    beyond = int(np.count_nonzero(np.abs(score[np.isfinite(score)]) > _CHANCE_SIGMAS))
+    caption = (
+        f"Patches by what the final model leaves of them; within ±{_CHANCE_SIGMAS:g} σ is chance. {beyond} of "
+        f"{int(np.isfinite(score).sum())} lie beyond."
+    )
+    return picture(draw, caption, (6.8, 0.6 + 5.2 * height / width), (4.0, 1.0 + 3.2 * height / width))
 
 
 def _diverging() -> Any:
@@ -169,20 +234,25 @@ def residual_panels(reconciled: Reconciled) -> str:
     drawn = [covariates(one.model, one.prediction) for one in (reconciled.outcome.start, reconciled.outcome.state)]
     both = [name for name in gaps if all(name in axes for axes in drawn)]
     names = sorted(both, key=lambda name: -gaps[name].before)[:_PANELS]
-    rows = max(1, (len(names) + 1) // 2)
-    figure = _figure(10.0, 2.6 * rows)
-    panels = figure.subplots(rows, 2, squeeze=False).ravel()
-    for axes, name in zip(panels, names, strict=False):
-        for state, colour, label in (
-            (reconciled.outcome.start, BEFORE, "before"),
-            (reconciled.outcome.state, AFTER, "after"),
-        ):
-            x, y, u = _profile(state, name)
-            axes.errorbar(x, y, u, fmt="o", ms=3, lw=1, color=colour, label=label)
-        _dress(axes, name, "measured − simulated, in σ")
-    for axes in panels[len(names) :]:
-        axes.set_visible(False)
-    return _encoded(figure)
+    if not names:
+        return ""
+
+    def draw(figure: Figure, narrow: bool) -> None:
+        columns = 1 if narrow else 2
+        panels = figure.subplots(-(-len(names) // columns), columns, squeeze=False).ravel()
+        for axes, name in zip(panels, names, strict=False):
+            for state, colour, words in (
+                (reconciled.outcome.start, BEFORE, "before"),
+                (reconciled.outcome.state, AFTER, "after"),
+            ):
+                x, y, u = _profile(state, name)
+                axes.errorbar(x, y, u, fmt="o", ms=3, lw=1, color=colour, label=words)
+            _along(axes, name, "residual in σ")
+        for axes in panels[len(names) :]:
+            axes.set_visible(False)
+
+    caption = "Measured − simulated: means of patches, of one setting or of neighbouring settings."
+    return picture(draw, caption, (10.0, 2.6 * -(-len(names) // 2)), (4.0, 2.3 * len(names)))
 
 
 def _profile(state: FitState, name: str) -> tuple[Array, Array, Array]:
@@ -218,26 +288,10 @@ def _in_units(name: str, value: Array) -> Array:
     return np.asarray(10.0**value if name in AXES else value)
 
 
-def _dress(axes: Axes, covariate: str, label: str) -> None:
+def _along(axes: Axes, covariate: str, what: str) -> None:
     words, logarithmic = axis_label(covariate)
-    axes.axhline(0.0, color=_GREY, lw=0.8)
+    axes.axhline(0.0, color=RULE, lw=0.8)
     if logarithmic:
         axes.set_xscale("log")
-    axes.set_xlabel(words)
-    axes.set_ylabel(label)
-    axes.legend(frameon=False, fontsize=8)
-
-
-def _figure(width: float, height: float) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _encoded(figure: Figure) -> str:
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=100)
-    return base64.b64encode(stream.getvalue()).decode("ascii")
+    dress(axes, label(words), label(what))
+    legend(axes)

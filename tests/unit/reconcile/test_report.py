@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import pytest
 
 from radiometer.reconcile.engine import Reconciled, examine, whole_catalogue
 from radiometer.reconcile.measure.reduce import frame_reader
-from radiometer.reconcile.report.html import report_html
+from radiometer.reconcile.report.html import outcome, report_html
 from radiometer.reconcile.report.words import along, axis_label, seen_in
+from radiometer.reconcile.result import FoundEffect, Verdict
+from radiometer.reporting.numbers import rounded
 from tests.roundtrip.generator.session import make_session
+from tests.system.report_checks import check_reports
+from tests.unit.reporting.test_page import HOSTILE
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +33,8 @@ def test_the_verdict_comes_first_and_pictures_before_tables(glaring):
     page = report_html(glaring, "session <1>")
     marks = [
         "session &lt;1&gt;",
-        "class='verdict'",
-        "Right: how far settings",
+        "class='outcome'",
+        "<picture>",
         "<h2>veiling_glare",
         "Where the rest lies",
     ]
@@ -46,15 +51,63 @@ def test_a_name_says_what_it_is_and_what_shows_it(glaring):
     assert "Spreads a share of all light evenly" in part
     assert "how bright patches are, with the brightness of the patch" in part
     assert "Line: what it predicts" in part
-    assert re.search(r"<td>share</td><td>[\d.]+</td><td>± ", part)
+    assert re.search(r"<td>share</td><td>[\d.]+</td><td>±\u00a0[\d.]+</td>", part)
+    assert "<p class='do'>" in part
 
 
 @pytest.mark.slow
 def test_nothing_is_loaded_from_elsewhere(glaring):
     """The page is one file."""
     page = report_html(glaring, "session")
-    assert not re.findall(r"(?:src|href)='(?!data:)", page)
-    assert "http" not in page
+    assert not re.findall(r"(?:src|srcset|href)='(?!data:)", page)
+    assert "http:" not in page
+
+
+@pytest.mark.slow
+def test_the_outcome_names_what_was_missing_with_its_size(glaring):
+    """The effect's first parameter with U (k = 2): twice what the result states."""
+    result = replace(glaring.result, verdict=Verdict.EFFECTS_FOUND)
+    share = result.effects[0].parameters["share"]
+    value, expanded = rounded(share.value, 2 * share.u)
+    assert outcome(result) == f"Found what was missing: veiling_glare (share {value} ± {expanded}). With it they agree."
+
+
+@pytest.mark.slow
+def test_the_outcome_of_each_other_verdict(glaring):
+    """Agreement with its gap; along what they disagree; names that are provisional."""
+    result = glaring.result
+    agrees = outcome(replace(result, verdict=Verdict.AGREES, effects=()))
+    assert (
+        agrees
+        == f"Nothing is missing: simulation and measurement agree (gap {result.gap_after:.3g}; 1 is noise alone)."
+    )
+    unnamed = FoundEffect("unnamed", {}, "temperature_C", 2.0, 2.0, block="mean", closest=("gamma_enabled", 0.4))
+    disagrees = replace(result, verdict=Verdict.UNNAMED, effects=(unnamed,))
+    assert outcome(disagrees) == ("They come apart with the sensor's temperature, and no known effect explains it.")
+    assert outcome(replace(result, verdict=Verdict.INCOMPLETE)).startswith(
+        "Structure stays: provisional are veiling_glare ("
+    )
+    page = report_html(replace(glaring, result=disagrees), "session")
+    part = page[page.index("<h2>Not explained by any known effect") :]
+    assert "<picture>" in part[: part.index("<h2>Where")]
+    assert "Closest known effect: gamma_enabled, which explains 40\u00a0% of it. " in part
+
+
+@pytest.mark.slow
+def test_rivals_are_told_in_words(glaring):
+    """Each rival with what it is, and that the ± knows nothing of the choice."""
+    effect = replace(glaring.result.effects[0], alternatives=("ghost", "another_lab's"))
+    page = report_html(replace(glaring, result=replace(glaring.result, effects=(effect,))), "session")
+    assert "<li>ghost. " in page
+    assert "<li>another_lab&#x27;s.</li>" in page
+    assert "Each\u00a0±\u00a0holds only if it is this one" in page
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+async def test_the_page_in_a_browser(glaring, tmp_path):
+    """At two widths: no scrolling sideways, readable, every picture shown, nothing loaded, no error."""
+    await check_reports({"reconcile": report_html(glaring, HOSTILE)}, tmp_path)
 
 
 @pytest.mark.parametrize("kind", whole_catalogue().values(), ids=whole_catalogue())

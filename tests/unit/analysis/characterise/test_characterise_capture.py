@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,15 +11,17 @@ import pytest
 
 from radiometer.analysis.characterise import EmvaDescriptor, characterise, read_subject, subject_of_capture
 from radiometer.analysis.characterise.emva_export import export_descriptor
-from radiometer.analysis.characterise.report import datasheet, rounded
+from radiometer.analysis.characterise.report import datasheet, meaning
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import CameraDescription, CaptureSet, FrameSettings, LensDescription, Patch, Quantity
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.devices import CameraPreset
 from radiometer.errors import InputError, MeasurementError
+from radiometer.reporting.numbers import rounded
 from simulators.camera_model import CameraModel
 from simulators.scenes import StepChartScene, UniformScene
 from simulators.simulated_capture import simulate_capture
+from tests.unit.reporting.test_page import HOSTILE
 
 CAMERA = CameraDescription(
     bit_depth=12,
@@ -281,16 +284,47 @@ def test_wrong_descriptors_are_refused_by_line(tmp_path: Path, text: str, messag
         EmvaDescriptor.read(tmp_path / "d.txt")
 
 
-def test_datasheet_is_one_page_with_figures_and_plots(capture: CaptureSet) -> None:
-    """The page holds K with its unit, five plots, and refers to no other file."""
+def test_the_report_opens_with_gain_noise_and_capacity(capture: CaptureSet) -> None:
+    """The sentence holds K, σ_d and the saturation with U (k = 2); a picture, the meaning, then the tables."""
     result = characterise(subject_of_capture(capture))
     page = datasheet(result)
-    value, expanded = rounded(result.figures["K"])
-    assert f"<td class='n'>{value}</td><td class='n'>± {expanded}</td><td>DN/e-</td>" in page
-    assert page.count("<svg") == 5
-    assert "src=" not in page
+    K, noise, full = (
+        "\u00a0±\u00a0".join(rounded(result.figures[name].value, 2 * result.figures[name].u))
+        for name in ("K", "sigma_d", "mu_e_sat")
+    )
+    said = f"One electron is {K} DN; the camera reads with {noise} e⁻ of noise and holds {full} e⁻ before it saturates."
+    assert f"class='outcome'>{said}<" in page
+    places = [page.index(mark) for mark in ("class='outcome'", "<picture>", "What it means", "<h2>Figures", "<table")]
+    assert places == sorted(places)
+    assert page.count("<picture>") == 4
+    assert not re.findall(r"(?:src|srcset|href)='(?!data:)", page)
 
 
-def test_rounding_gives_two_digits_of_the_expanded_uncertainty() -> None:
-    """Value and U end at the same digit."""
-    assert rounded(Quantity(0.281652, 0.00123, "DN/e-")) == ("0.2817", "0.0025")
+def test_the_report_tells_where_the_camera_stops_being_the_noise(capture: CaptureSet) -> None:
+    """Read noise squared, in electrons, and times K in DN; a linear camera needs no response, a bent one does."""
+    result = characterise(subject_of_capture(capture))
+    equal = result.figures["sigma_d"].value ** 2
+    told = meaning(result)
+    assert told[0].startswith(f"From {equal:.3g} e⁻ ({equal * result.figures['K'].value:.3g} DN above black) on")
+    assert any("no response is needed" in text for text in told)
+    bent = {**result.figures, "LE_max": Quantity(3.0, 0.1, "%")}
+    assert any("recover its response" in text for text in meaning(replace(result, figures=bent)))
+
+
+def test_without_a_gain_the_report_says_so_and_what_to_take(capture: CaptureSet) -> None:
+    """No K in the sentence, no photon transfer, and the captures that would tell it."""
+    result = characterise(subject_of_capture(capture))
+    figures = {name: q for name, q in result.figures.items() if name not in ("K", "K_dark")}
+    page = datasheet(replace(result, figures=figures))
+    assert "class='outcome'>These frames tell no gain" in page
+    assert "Photon transfer" not in page
+    assert "radiometer bracket --repeat 2 --darks 2" in page
+
+
+def test_no_name_of_a_camera_is_markup(capture: CaptureSet) -> None:
+    """A camera that calls itself a script, and a note with one, are shown as they are written."""
+    result = characterise(subject_of_capture(capture))
+    camera = result.believed.model_copy(update={"model": HOSTILE, "serial": HOSTILE})
+    page = datasheet(replace(result, believed=camera, notes=(HOSTILE,)))
+    assert "<script" not in page
+    assert page.count("&lt;script&gt;") == 5

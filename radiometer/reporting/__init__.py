@@ -1,0 +1,1 @@
+"""The skeleton, the words of numbers and the pictures that all HTML reports share."""

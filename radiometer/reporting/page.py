@@ -1,0 +1,133 @@
+"""The skeleton of every HTML report: the outcome in a sentence, one picture, what it means, what to do, tables last.
+
+What is handed over is plain text and is escaped here; only what these functions return is HTML. A page holds no script
+and loads nothing, and says so to the browser, which then refuses both.
+"""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+_POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+# Every colour of text has a contrast of 4.5 or more on what lies behind it (WCAG 2.1, 1.4.3).
+_MANY_COLUMNS: Final = 5  # a table of so many scrolls on a phone rather than that its words break
+STYLE: Final = """
+:root{color-scheme:light}*{box-sizing:border-box}
+body{font:16px/1.55 system-ui,-apple-system,"Segoe UI",Roboto,"Noto Sans",sans-serif;max-width:62rem;margin:1.6rem auto;
+padding:0 1rem;color:#1a1a1a;background:#fff;overflow-wrap:break-word}
+h1{font-size:1.05rem;font-weight:500;color:#555;margin:0}h2{margin:2.2rem 0 .4rem;font-size:1.25rem;line-height:1.3}
+p,ul{margin:.5rem 0}ul{padding-left:1.2rem}li{margin:.3rem 0}
+.outcome{font-size:clamp(1.3rem,1rem + 1.6vw,1.8rem);font-weight:650;line-height:1.28;margin:.25rem 0 .6rem;
+text-wrap:balance}
+.outcome+p{color:#404040}
+figure{margin:1rem 0}img{max-width:100%;height:auto;display:block;margin:0 auto}
+figcaption,.small{color:#555;font-size:.9rem}
+.what{font-size:1.08rem}
+.do{border-left:4px solid #1f618d;background:#eef4f8;padding:.55rem .9rem;margin:.8rem 0}
+.flag{border-left:4px solid #9a6700;background:#fff6dd;padding:.45rem .9rem;margin:.5rem 0}
+.tag{font-size:.8rem;font-weight:600;white-space:nowrap;border-radius:.6rem;padding:.1rem .6rem;background:#fbe9d0;
+color:#6b3d00;margin-left:.5rem}
+.wide{overflow-x:auto}table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums}
+td,th{padding:.25rem .9rem .25rem 0;text-align:right;border-bottom:1px solid #ddd;vertical-align:baseline}
+td:first-child,th:first-child,td.words,th.words{text-align:left}th{font-weight:600;color:#444}
+td:not(:first-child,.words){white-space:nowrap}td:last-child,th:last-child{padding-right:.2rem}
+details{margin:.7rem 0;border-top:1px solid #ddd;padding-top:.5rem}
+summary{cursor:pointer;font-weight:600;min-height:2.75rem;display:list-item;padding:.5rem 0}
+summary:focus-visible{outline:2px solid #1f618d;outline-offset:2px}
+footer{color:#555;font-size:.85rem;margin:2.5rem 0 1rem;border-top:1px solid #ddd;padding-top:.6rem}
+.side{display:grid;gap:0 1.2rem;grid-template-columns:repeat(auto-fit,minmax(min(100%,26rem),1fr))}
+@media (max-width:640px){table{font-size:.88rem}.many{min-width:34rem}td,th{padding-right:.6rem}}
+@media print{@page{margin:14mm}body{font-size:11pt;margin:0;max-width:none;padding:0}h2{break-after:avoid}
+figure,.do,.flag,tr{break-inside:avoid}.do,.flag{background:none}.wide{overflow:visible}summary{min-height:0}
+details::details-content{content-visibility:visible;height:auto}}
+"""
+
+
+def page(subject: str, outcome: str, parts: Iterable[str], *, kind: str, made: str = "") -> str:
+    """Return a whole page.
+
+    Args:
+        subject: What the report is about, such as the camera's name.
+        outcome: The outcome in one sentence.
+        parts: HTML from the functions of this module, in order; empty ones are passed by.
+        kind: What kind of report it is, for the title of the window.
+        made: How and from what it was made, for the foot of the page.
+    """
+    head = (
+        "<!doctype html>\n<html lang='en'><head><meta charset='utf-8'>"
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
+        "<meta name='viewport' content='width=device-width,initial-scale=1'>"
+        f"<title>{escaped(kind)}: {escaped(subject)}</title><style>{STYLE}</style></head><body><main>"
+    )
+    opening = f"<h1>{escaped(subject)}</h1><p class='outcome'>{prose(outcome)}</p>"
+    foot = f"</main><footer>{escaped(made)}</footer>" if made else "</main>"
+    return "\n".join((head, opening, *(part for part in parts if part), f"{foot}</body></html>\n"))
+
+
+def escaped(text: str) -> str:
+    """Return text as HTML that shows just this text; what no page may hold is shown as a replacement character."""
+    return html.escape("".join(c if c.isprintable() or c in "\n\t\u00a0" else "\ufffd" for c in text))
+
+
+def prose(text: str) -> str:
+    """Return running text as HTML: signs as printed, and a number stays with its ± and its %."""
+    text = re.sub(r"(?<![\w.,-])-(?=\d)", "\u2212", text)
+    text = re.sub(r"\be-(?!\w)", "e⁻", text)
+    kept = escaped(text).replace(" %", "\u00a0%").replace("± ", "±\u00a0").replace(" ±", "\u00a0±")
+    return kept.replace("k = ", "k\u00a0=\u00a0")
+
+
+def paragraph(text: str, kind: str = "") -> str:
+    """Return a paragraph; kind is "do" (what to do), "flag" (what to mind), "what", "small" or nothing."""
+    marked = f" class='{kind}'" if kind else ""
+    return f"<p{marked}>{prose(text)}</p>" if text else ""
+
+
+def heading(text: str, tags: Sequence[str] = ()) -> str:
+    """Return the heading of a section, with marks behind it."""
+    marks = "".join(f"<span class='tag'>{escaped(tag)}</span>" for tag in tags)
+    return f"<h2>{escaped(text)}{marks}</h2>"
+
+
+def listed(texts: Sequence[str]) -> str:
+    """Return a list; nothing where there is nothing to list."""
+    return f"<ul>{''.join(f'<li>{prose(text)}</li>' for text in texts)}</ul>" if texts else ""
+
+
+def section(title: str, *content: str) -> str:
+    """Return a heading and what belongs to it; nothing where nothing does."""
+    filled = [part for part in content if part]
+    return "\n".join((heading(title), *filled)) if filled else ""
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: Sequence[int] = ()) -> str:
+    """Return a table that scrolls where it is too wide; nothing where it has no rows.
+
+    Args:
+        head: What stands over the columns; empty for none.
+        rows: Texts; the first column is of words, the others of numbers.
+        words: Numbers of further columns of words.
+    """
+
+    def line(cells: Sequence[str], name: str) -> str:
+        kinds = [" class='words'" if number in words else "" for number in range(len(cells))]
+        return "".join(f"<{name}{kind}>{prose(cell)}</{name}>" for kind, cell in zip(kinds, cells, strict=True))
+
+    body = "".join(f"<tr>{line(row, 'td')}</tr>" for row in rows)
+    top = f"<thead><tr>{line(head, 'th')}</tr></thead>" if head else ""
+    many = " class='many'" if len(head) >= _MANY_COLUMNS else ""
+    return f"<div class='wide'><table{many}>{top}<tbody>{body}</tbody></table></div>" if body else ""
+
+
+def side_by_side(*figures: str) -> str:
+    """Return figures beside each other where there is room."""
+    return f"<div class='side'>{''.join(figures)}</div>" if any(figures) else ""
+
+
+def folded(title: str, *content: str) -> str:
+    """Return what is shown on demand (and in print); nothing where there is no content."""
+    filled = "\n".join(part for part in content if part)
+    return f"<details><summary>{escaped(title)}</summary>{filled}</details>" if filled else ""

@@ -1,0 +1,134 @@
+"""Pictures of reports: drawn once for a screen and once for a phone, and carried within the page."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+import warnings
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+
+from radiometer.reporting.page import prose
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Told apart by the colour-blind, and by 3 : 1 or more from white (WCAG 2.1, 1.4.11).
+SEEN: Final = "#1a1a1a"  # what was measured
+MODEL: Final = "#1f618d"  # what the model says
+BEFORE: Final = "#b03a2e"  # what was before, what is out of bounds
+MARK: Final = "#9a5b00"  # what is pointed out
+DIMMED: Final = "#8a8a8a"  # what is not claimed
+RULE: Final = "#555555"  # lines that something is held against
+_NARROW_PX: Final = 640
+_SMALLEST_PT: Final = 9.0
+
+Place = Literal["best", "upper left", "upper right", "lower left", "lower right"]
+Draw = Callable[["Figure", bool], None]
+
+
+def picture(draw: Draw, caption: str, wide: tuple[float, float], narrow: tuple[float, float]) -> str:
+    """Return a figure in two forms, of which the browser takes the one that fits.
+
+    Args:
+        draw: Draws into an empty figure; told whether it is the narrow one.
+        caption: What is to be seen, for all readers.
+        wide: Width and height in inches on a screen; 10 inches fill the page.
+        narrow: The same on a phone; 4 inches fill it.
+    """
+    said = prose(caption)
+    return (
+        f"<figure><picture><source media='(max-width:{_NARROW_PX}px)' srcset='{_address(draw, narrow, narrow=True)}'>"
+        f"<img alt='{said}' src='{_address(draw, wide, narrow=False)}'></picture>"
+        f"<figcaption>{said}</figcaption></figure>"
+    )
+
+
+def label(text: str) -> str:
+    """Return text as a label that shows just this text: no formulas, no characters that a picture cannot hold."""
+    return "".join(c if c.isprintable() else "\ufffd" for c in text).replace("$", r"\$")
+
+
+def shortened(text: str, most: int) -> str:
+    """Return text of at most so many characters."""
+    return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
+def dress(axes: Axes, x: str, y: str, title: str = "") -> None:
+    """Give axes their labels, a faint grid and no box."""
+    from matplotlib.ticker import NullFormatter
+
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    if title:
+        axes.set_title(title, fontsize=_SMALLEST_PT + 1, loc="left", fontweight="bold")
+    for side in (axes.xaxis, axes.yaxis):
+        if side.get_scale() == "log" and abs(np.diff(np.log10(side.get_view_interval()))[0]) > 1.0:
+            side.set_minor_formatter(NullFormatter())
+    axes.grid(visible=True, color="#dddddd", lw=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def mark(
+    axes: Axes, text: str, place: tuple[float, float], offset: tuple[float, float], colour: str, **form: Any
+) -> None:
+    """Write a few words into a plot, in bold, readable across what lies under them.
+
+    Args:
+        axes: Where to.
+        text: The words; hyphens before digits become minus signs.
+        place: What they belong to, in the coordinates of the data or as `xycoords` says.
+        offset: Where they stand from there, in points.
+        colour: Their colour.
+        form: More of what matplotlib's annotations take.
+    """
+    from matplotlib.patheffects import withStroke
+
+    words = axes.annotate(
+        re.sub(r"(?<!\w)-(?=\d)", "\u2212", text), place, xytext=offset, textcoords="offset points", color=colour,
+        fontweight="bold", path_effects=[withStroke(linewidth=3.0, foreground="white")], zorder=5, **form,
+    )  # fmt: skip
+    words.set_in_layout(False)  # words that reach over an edge make no plot smaller
+
+
+def legend_above(figure: Figure, axes: Axes, columns: int) -> None:
+    """Add the legend of some axes above all of the figure."""
+    handles, labels = _entries(axes)
+    figure.legend(handles, labels, fontsize=_SMALLEST_PT, loc="outside upper center", ncols=columns, frameon=False)
+
+
+def legend(axes: Axes, place: Place = "best") -> None:
+    """Add a legend that hides nothing."""
+    handles, labels = _entries(axes)
+    axes.legend(handles, labels, fontsize=_SMALLEST_PT, loc=place, framealpha=0.85, edgecolor="none")
+
+
+def _entries(axes: Axes) -> tuple[list[Any], list[str]]:
+    """Return handles and labels, what was measured first: matplotlib has points with bars last."""
+    handles, labels = axes.get_legend_handles_labels()
+    order = sorted(range(len(handles)), key=lambda k: not hasattr(handles[k], "has_yerr"))
+    return [handles[k] for k in order], [labels[k] for k in order]
+
+
+def _address(draw: Draw, size: tuple[float, float], *, narrow: bool) -> str:
+    """Return a picture as the address of its own content."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with rc_context({"svg.hashsalt": "radiometer", "font.size": _SMALLEST_PT}), warnings.catch_warnings():
+        # A name in a script that the font lacks is no reason to say anything: the page's text shows it.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        # Words too long for their plot overlap; that is seen, and nothing for the terminal.
+        warnings.filterwarnings("ignore", message="constrained_layout not applied")
+        figure = Figure(figsize=size, layout="constrained", dpi=160)
+        FigureCanvasSVG(figure)
+        draw(figure, narrow)
+        stream = io.BytesIO()
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    return f"data:image/svg+xml;base64,{base64.b64encode(stream.getvalue()).decode('ascii')}"

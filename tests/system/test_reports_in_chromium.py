@@ -1,0 +1,68 @@
+"""The reports in a real browser at two widths: they fit, can be read, load nothing, and no name in them acts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
+from radiometer.adaptation.report import report_html
+from radiometer.adaptation.rod_intercept import InterceptRule
+from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.analysis.characterise import characterise, read_subject
+from radiometer.analysis.characterise.report import datasheet
+from radiometer.archive.trend import MONTH_S, fit_trend
+from radiometer.archive.trend_report import trend_report
+from radiometer.data import CameraDescription, FrameSettings, LensDescription
+from simulators.camera_model import CameraModel
+from simulators.scenes import UniformScene
+from simulators.simulated_capture import simulate_capture
+from tests.system.report_checks import check_reports
+from tests.unit.reporting.test_page import HOSTILE
+
+
+def _trends() -> str:
+    rng = np.random.default_rng(1)
+    days = np.concatenate([np.arange(60.0), np.arange(95.0, 180.0)])
+    time_s = 1.75e9 + 86400.0 * days
+    histories = []
+    for name, drift in (("lamp " * 12, -0.01), (HOSTILE, 0.0), ("third", 0.002)):
+        value = 0.8 * (1 + drift * (time_s - time_s[0]) / MONTH_S + 0.004 * rng.standard_normal(days.size))
+        histories.append(fit_trend(time_s, value, 0.005 * value, patch=name, quantity="radiance", unit="W sr-1 m-2"))
+    return trend_report([replace(one, flags={HOSTILE: 2}) for one in histories], "a-long-folder-name/" * 12)
+
+
+def _adaptations() -> dict[str, str]:
+    times = np.linspace(0.5, 25.0, 45)
+    noise = np.random.default_rng(3).normal(0.0, 0.08, times.size)
+    broken = -1.0 + 2.5 * np.exp(-np.minimum(times, 9.0) / 1.6) - 0.23 * np.maximum(times - 9.0, 0.0) + noise
+    smooth = -4.0 + 3.0 * np.exp(-times / 6.0) + noise
+    pages = {}
+    for name, curve in (("adapt fit, break", broken), ("adapt fit, none", smooth)):
+        series = ThresholdSeries(times, curve, None, {"subject": HOSTILE}, ("seconds",))
+        request = FitRequest(bootstrap_draws=5, intercept=InterceptRule(-2.3, 12.3, source="a source"))
+        pages[name] = report_html(fit_adaptation(series, request, np.random.default_rng(0)), HOSTILE)
+    return pages
+
+
+def _datasheet(folder: Path) -> str:
+    camera = CameraDescription(
+        bit_depth=12, model=HOSTILE, pixel_pitch_um=4.5, conversion_gain_e_per_dn=2.6, read_noise_e=3.0,
+        full_well_e=10_500, dark_current_e_per_s=2.0, black_level_dn=64, quantum_efficiency=0.62,
+    )  # fmt: skip
+    model = CameraModel.ideal(camera, LensDescription(focal_length_mm=16, f_number=4.0))
+    bright = [FrameSettings(float(t)) for t in np.linspace(0.002, 0.05, 12)]
+    plan = [*bright, *(replace(one, shutter="closed") for one in bright)]
+    scene = UniformScene(radiance_W_per_sr_m2=0.14)
+    simulate_capture(model, plan, scene, folder, frames_per_setting=2, believed_camera=camera, seed=5)
+    return datasheet(characterise(read_subject(folder, None)))
+
+
+@pytest.mark.timeout(170)
+async def test_reports_hold_in_a_browser_at_two_widths(tmp_path: Path) -> None:
+    """Trend, adaptation with and without a break, characterisation: each with hostile names in it."""
+    pages = {"trend": _trends(), **_adaptations(), "characterise": _datasheet(tmp_path / "set")}
+    await check_reports(pages, tmp_path)

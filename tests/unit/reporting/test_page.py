@@ -1,0 +1,116 @@
+"""The skeleton of reports: nothing that is handed over can act, and numbers are written to their uncertainty."""
+
+from __future__ import annotations
+
+import base64
+import re
+import xml.etree.ElementTree as ElementTree
+from typing import Any
+
+import pytest
+
+from radiometer.reporting.numbers import rounded, unit_text, with_u
+from radiometer.reporting.page import escaped, folded, heading, listed, page, paragraph, prose, section, table
+from radiometer.reporting.pictures import dress, label, mark, picture, shortened
+
+HOSTILE = "<script>alert(1)</script>\" onload='x' $\\frac$ \x1b[31m 灯 --> &amp;"
+
+
+def test_no_text_becomes_markup():
+    """Whatever is handed over is shown as it is written, in every part of a page."""
+    parts = [
+        paragraph(HOSTILE),
+        heading(HOSTILE, [HOSTILE]),
+        listed([HOSTILE]),
+        table((HOSTILE,), [(HOSTILE,)]),
+        folded(HOSTILE, paragraph(HOSTILE)),
+        picture(lambda figure, narrow: None, HOSTILE, (1.0, 1.0), (1.0, 1.0)),
+    ]
+    whole = page(HOSTILE, HOSTILE, parts, kind=HOSTILE, made=HOSTILE)
+    assert "<script" not in whole
+    assert "onload='" not in whole
+    assert "\x1b" not in whole
+    assert whole.count("&lt;script&gt;alert(1)&lt;/script&gt;") == 15
+    assert "&amp;amp;" in whole
+
+
+def test_a_page_forbids_scripts_and_loading():
+    """The browser is told that nothing but the page's own style and pictures may be used."""
+    whole = page("a", "b", [], kind="c")
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', whole)
+    assert policy is not None
+    assert policy[1] == "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+    assert whole.index("Content-Security-Policy") < whole.index("<style>")
+
+
+def test_the_outcome_comes_before_the_parts_and_empty_ones_are_passed_by():
+    """Subject, outcome, parts in their order."""
+    whole = page("subject", "outcome", [paragraph("first"), "", section("empty"), section("last", "x")], kind="k")
+    places = [whole.index(text) for text in ("subject</h1>", "outcome</p>", "<p>first</p>", "<h2>last</h2>")]
+    assert places == sorted(places)
+    assert ">empty" not in whole
+
+
+def test_prose_has_printed_signs_and_keeps_numbers_together():
+    """A minus is no hyphen, and no line breaks within a value; names keep their hyphens."""
+    assert prose("-0.5 ± 0.1 %, k = 2") == "−0.5\u00a0±\u00a00.1\u00a0%, k\u00a0=\u00a02"
+    assert prose("S-12, 2026-11-22, a-b, DN/e-") == "S-12, 2026-11-22, a-b, DN/e⁻"
+    assert escaped("-0.5 %") == "-0.5 %"
+
+
+@pytest.mark.parametrize(
+    ("value", "expanded", "shown"),
+    [
+        (0.281652, 0.00246, ("0.2817", "0.0025")),
+        (13945.2, 48.0, ("13945", "48")),
+        (-0.61536, 0.0131, ("-0.615", "0.013")),
+        (3.2166e-9, 4.4e-11, ("3.217e-09", "0.044e-09")),
+        (5.123456, float("nan"), ("5.1235", "–")),
+        (5.123456, 0.0, ("5.1235", "–")),
+    ],
+)
+def test_rounding_gives_two_digits_of_the_expanded_uncertainty(value, expanded, shown):
+    """Value and U end at the same digit; a U that says nothing is a dash."""
+    assert rounded(value, expanded) == shown
+
+
+def test_a_value_stands_with_its_uncertainty_and_unit():
+    """Per cent stand behind brackets; without an uncertainty there is no ±."""
+    assert with_u(0.281652, 0.00246, "DN/e⁻") == "0.2817 ± 0.0025 DN/e⁻"
+    assert with_u(-0.61536, 0.0131, "% per month") == "(-0.615 ± 0.013) % per month"
+    assert with_u(2.5, float("inf"), "e⁻") == "2.5 e⁻"
+    assert with_u(-7.7949e-6, 5.31e-8, "s") == "(-7.795 ± 0.053)·10⁻⁶ s"
+
+
+def test_units_are_printed_as_the_field_does():
+    """Powers are raised, the unit one is nothing, the electron has its charge."""
+    assert unit_text("W sr-1 m-2") == "W·sr⁻¹·m⁻²"
+    assert (unit_text("1"), unit_text("e-/s"), unit_text("DN/e-")) == ("", "e⁻/s", "DN/e⁻")
+
+
+def test_a_picture_shows_hostile_names_in_both_forms():
+    """A name that is no formula, not in the font or not for XML is drawn, as a well-formed file without scripts."""
+
+    def draw(figure: Any, narrow: bool) -> None:
+        axes = figure.subplots()
+        axes.plot([1, 2], [1, 3], label=label(HOSTILE))
+        mark(axes, "-2", (1, 1), (0, 0), "black")
+        dress(axes, label(HOSTILE), label(HOSTILE), label(HOSTILE))
+        axes.legend()
+
+    made = picture(draw, "caption", (6.0, 4.0), (4.0, 4.0))
+    files = [base64.b64decode(code) for code in re.findall(r"data:image/svg\+xml;base64,([\w+/=]+)'", made)]
+    assert len(files) == 2
+    widths = []
+    for file in files:
+        tree = ElementTree.fromstring(file)
+        widths.append(tree.get("width"))
+        assert not [one for one in tree.iter() if one.tag.endswith(("script", "foreignObject"))]
+    assert widths == ["288pt", "432pt"]
+    assert "media='(max-width:640px)'" in made
+
+
+def test_a_long_name_is_shortened():
+    """The last of so many characters tells that there were more."""
+    assert shortened("abcdef", 6) == "abcdef"
+    assert shortened("abcdefg", 6) == "abcde…"
