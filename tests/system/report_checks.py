@@ -30,7 +30,7 @@ _LOW_CONTRAST = """
 _BROKEN_PICTURES = "[...document.images].filter((i) => !i.complete || !i.naturalWidth).length"
 
 
-async def check_reports(pages: dict[str, str], folder: Path) -> None:
+async def assert_reports_hold(pages: dict[str, str], folder: Path) -> None:
     """Show each page at both widths and refuse what no report may do.
 
     Args:

@@ -20,7 +20,7 @@ from radiometer.data import CameraDescription, FrameSettings, LensDescription
 from simulators.camera_model import CameraModel
 from simulators.scenes import UniformScene
 from simulators.simulated_capture import simulate_capture
-from tests.system.report_checks import check_reports
+from tests.system.report_checks import assert_reports_hold
 from tests.unit.reporting.test_page import HOSTILE
 
 
@@ -65,4 +65,4 @@ def _datasheet(folder: Path) -> str:
 async def test_reports_hold_in_a_browser_at_two_widths(tmp_path: Path) -> None:
     """Trend, adaptation with and without a break, characterisation: each with hostile names in it."""
     pages = {"trend": _trends(), **_adaptations(), "characterise": _datasheet(tmp_path / "set")}
-    await check_reports(pages, tmp_path)
+    await assert_reports_hold(pages, tmp_path)

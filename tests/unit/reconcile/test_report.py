@@ -14,7 +14,7 @@ from radiometer.reconcile.report.words import along, axis_label, seen_in
 from radiometer.reconcile.result import FoundEffect, Verdict
 from radiometer.reporting.numbers import rounded
 from tests.roundtrip.generator.session import make_session
-from tests.system.report_checks import check_reports
+from tests.system.report_checks import assert_reports_hold
 from tests.unit.reporting.test_page import HOSTILE
 
 
@@ -107,7 +107,7 @@ def test_rivals_are_told_in_words(glaring):
 @pytest.mark.timeout(120)
 async def test_the_page_in_a_browser(glaring, tmp_path):
     """At two widths: no scrolling sideways, readable, every picture shown, nothing loaded, no error."""
-    await check_reports({"reconcile": report_html(glaring, HOSTILE)}, tmp_path)
+    await assert_reports_hold({"reconcile": report_html(glaring, HOSTILE)}, tmp_path)
 
 
 @pytest.mark.parametrize("kind", whole_catalogue().values(), ids=whole_catalogue())
