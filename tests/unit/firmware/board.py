@@ -19,10 +19,13 @@ FLAGS = ("-O1", "-std=gnu11", "-shared", "-fPIC", "-fshort-enums", "-Wall", "-We
 
 
 def build(firmware: Path, target: Path, *defines: str) -> Path:
-    """Compile the firmware's sources and the board around them into a library."""
+    """Compile the firmware's sources and the board around them into a library that calls its own functions.
+
+    Without -Bsymbolic another library of the process that has a `crc32` too would be called in their place.
+    """
     sources = [str(firmware / f"{name}.c") for name in SOURCES] + [str(HOST / "board.c")]
     flags = [*FLAGS, f"-I{HOST}", f"-I{firmware}", *(f"-D{one}" for one in defines)]
-    subprocess.run(["gcc", *flags, "-o", str(target), *sources], check=True, capture_output=True)
+    subprocess.run(["gcc", *flags, "-Wl,-Bsymbolic", "-o", str(target), *sources], check=True, capture_output=True)
     return target
 
 

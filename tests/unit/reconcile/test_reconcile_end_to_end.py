@@ -113,7 +113,7 @@ def test_command_writes_json_model_and_report(
     assert (printed["model"], printed["report"]) == (str(model), str(report))
     loaded = CameraModel.read(model)
     assert loaded.effect("black_level_offset").values()["offset_dn"] == pytest.approx(1.5, abs=0.02)
-    assert "data:image/png;base64," in report.read_text(encoding="utf-8")
+    assert "data:image/svg+xml;base64," in report.read_text(encoding="utf-8")
 
 
 def test_found_model_as_start_agrees(make_capture: Callable[..., Any], tmp_path: Path) -> None:
