@@ -113,8 +113,10 @@ export class TrendPanel {
     const c = this.columns;
     if (!c) return;
     const shown = index != null && c.value[index] !== null ? index : null, left = this.plot.cursor.left;
-    const event = left >= 0 && this.events.find((e) => Math.abs(this.plot.valToPos(e.at, "x") - left) < 6);
-    this.readout.textContent = event ? `${timeText(event.at, 7201)}   ${event.kind}: ${event.message}` : this.hover(this, shown);
+    const near = (left < 0 ? [] : this.events.filter((e) => Math.abs(this.plot.valToPos(e.at, "x") - left) < 6)).sort((a, b) => b.at - a.at);
+    const event = near.find((e) => e.kind === "remark") || near.find((e) => e.kind === "alarm") || near[0];
+    const more = near.length > 1 ? ` (and ${near.length - 1} more)` : "";  // what people wrote comes first, the newest of it
+    this.readout.textContent = event ? `${timeText(event.at, 7201)}   ${event.kind}: ${event.message}${more}` : this.hover(this, shown);
   }
   show(columns, window, limits, events) {
     Object.assign(this, { columns, window, limits: limits || {}, events: events || [] });
