@@ -122,7 +122,7 @@ def main() -> int:
     asked.folder.mkdir(parents=True, exist_ok=True)
     if any(asked.folder.iterdir()):
         sys.exit(f"{asked.folder} is not empty")
-    differs = follow(asked.page.resolve(), asked.folder, installing=not asked.skip_installing)
+    differs = follow(asked.page.resolve(), asked.folder.resolve(), installing=not asked.skip_installing)
     sys.stdout.write("\n".join([*differs, f"{asked.page.name}: followed in {asked.folder}"]) + "\n")
     return 1 if differs else 0
 
