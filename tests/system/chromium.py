@@ -57,9 +57,9 @@ class Browser:
         result = await self.command("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
         return result["result"].get("value")
 
-    async def wait_for(self, expression: str) -> Any:
+    async def wait_for(self, expression: str, deadline_s: float = 20.0) -> Any:
         """Return the value of an expression once it is true."""
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(deadline_s):
             while not (value := await self.evaluate(expression)):
                 await asyncio.sleep(0.1)
             return value

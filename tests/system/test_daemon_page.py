@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import json
 from collections.abc import Iterator
@@ -167,33 +168,33 @@ async def test_a_person_names_limits_and_remarks(daemon: DaemonProcess, tmp_path
     async with headless(tmp_path / "profile", SIZES[2]) as browser:
         await _shown(browser, daemon, SIZES[2])
 
-        async def tap(selector: str) -> None:
-            place = await _json(
-                browser,
-                f"(() => {{ const e = document.querySelector('{selector}'); e.scrollIntoView({{block: 'center'}});"
-                " const b = e.getBoundingClientRect();"
-                " return JSON.stringify([b.x + b.width / 2, b.y + b.height / 2]); })()",
-            )
-            for kind, points in (("touchStart", [{"x": place[0], "y": place[1]}]), ("touchEnd", [])):
-                await browser.command("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+        async def tap(selector: str, until: str) -> None:
+            """Touch until it had its effect: what is drawn anew in between moves the place."""
+            for _ in range(8):
+                place = await _json(
+                    browser,
+                    f"(() => {{ const e = document.querySelector('{selector}'); e.scrollIntoView({{block: 'center'}});"
+                    " const b = e.getBoundingClientRect();"
+                    " return JSON.stringify([b.x + b.width / 2, b.y + b.height / 2]); })()",
+                )
+                for kind, points in (("touchStart", [{"x": place[0], "y": place[1]}]), ("touchEnd", [])):
+                    await browser.command("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+                with contextlib.suppress(TimeoutError):
+                    await browser.wait_for(until, 5.0)
+                    return
+            raise AssertionError(f"{selector}: touched eight times without effect")
 
         await browser.evaluate("document.getElementById('patch-name').value = 'wall'")
-        await tap("#name-patch button")
-        await browser.wait_for("document.querySelectorAll('.panel canvas').length === 3")
+        await tap("#name-patch button", "document.querySelectorAll('.panel canvas').length === 3")
         assert daemon.get("/status")["patches"]["wall"]["patch"] == {"x": 20, "y": 30, "width": 20, "height": 20}
-        await tap('.patch-row[data-patch="wall"] button')
-        await browser.wait_for("document.getElementById('limits').open")
+        await tap('.patch-row[data-patch="wall"] button', "document.getElementById('limits').open")
         await browser.evaluate("document.getElementById('limit-high').value = 0.5")
-        await tap('#limits button[value="save"]')
-        await browser.wait_for("!!document.querySelector('.patch-row.bad[data-patch=wall]')")
+        await tap('#limits button[value="save"]', "!!document.querySelector('.patch-row.bad[data-patch=wall]')")
         await browser.evaluate("document.getElementById('remark').value = 'lamp exchanged'")
-        await tap("#remark-form button")
-        await browser.wait_for(
-            "document.querySelector('.is-remark')?.parentElement.textContent.includes('lamp exchanged')"
-        )
-        await tap('.patch-row[data-patch="wall"] button')
-        await tap("#limit-delete")
-        await browser.wait_for("document.querySelectorAll('.panel').length === 2")
+        remarks = "[...document.querySelectorAll('.is-remark')].map((e) => e.parentElement.textContent).join()"
+        await tap("#remark-form button", f"{remarks}.includes('lamp exchanged')")
+        await tap('.patch-row[data-patch="wall"] button', "document.getElementById('limits').open")
+        await tap("#limit-delete", "document.querySelectorAll('.panel').length === 2")
         assert "wall" not in daemon.get("/status")["patches"]
         assert browser.errors == []
 
