@@ -92,6 +92,13 @@ class Reliability:
             found["fixation_losses"] = _rate(float(best), drawn, self.fixation)
         return found
 
+    def to_mapping(self) -> dict[str, dict[str, float]]:
+        """Return the shares with their intervals and counts for programs."""
+        return {
+            name: {"share": r.value, "low": r.low, "high": r.high, "hits": r.count.hits, "of": r.count.of}
+            for name, r in self.rates.items()
+        }
+
     def facts(self) -> dict[str, str]:
         """Return the counts as they stand in a table of thresholds; those of what was tried."""
         counts = {"false_alarms": self.false_alarms, "lapses": self.lapses, "seen_at_blind_spot": self.fixation}

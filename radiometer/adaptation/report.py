@@ -51,16 +51,7 @@ def to_mapping(fit: AdaptationFit) -> dict[str, Any]:
         "sigma_log10": fit.chosen.sigma,
         "criterion_log10": fit.criterion,
         "rod_intercept": intercept_verdict(fit),
-        "reliability": {
-            name: {
-                "share": rate.value,
-                "low": rate.low,
-                "high": rate.high,
-                "hits": rate.count.hits,
-                "of": rate.count.of,
-            }
-            for name, rate in Reliability.of_facts(fit.chosen.series.facts).rates.items()
-        },
+        "reliability": Reliability.of_facts(fit.chosen.series.facts).to_mapping(),
         "taken": list(fit.chosen.series.taken),
         "facts": dict(fit.chosen.series.facts),
         "stimulus_u_log10": fit.request.stimulus_u_log10,

@@ -214,16 +214,7 @@ def _conclude(outcome: Outcome, table: Path | None, *, json: bool) -> None:
             "thresholds": len(outcome.times_min),
             "catches": outcome.catches,
             "false_presses": outcome.false_presses,
-            "reliability": {
-                name: {
-                    "share": rate.value,
-                    "low": rate.low,
-                    "high": rate.high,
-                    "hits": rate.count.hits,
-                    "of": rate.count.of,
-                }
-                for name, rate in outcome.reliability.rates.items()
-            },
+            "reliability": outcome.reliability.to_mapping(),
             "csv": None if table is None else str(table),
         }
         print(json_module.dumps(result, ensure_ascii=False))

@@ -63,9 +63,7 @@ def worst_deviation(
     return Figure(value, worst.u, worst.degrees_of_freedom, details=found)
 
 
-def linearity(
-    signals: Mapping[float, StepSignal], exposure_u_rel: float, offset_u_s: float, source_u_rel: float
-) -> Figure:
+def linearity(signals: Mapping[float, StepSignal], exposure_u_rel: float, source_u_rel: float) -> Figure:
     """Return f3 from readings of a steady source at several exposure times.
 
     A reading is a rate, signal over exposure time, so that Y/X is the reading itself.
@@ -73,7 +71,6 @@ def linearity(
     Args:
         signals: Readings made from the frames of one exposure time each, by that time in s.
         exposure_u_rel: Relative standard uncertainty of the ratio of two exposure times.
-        offset_u_s: Standard uncertainty of what the real times differ by from the stated ones, all alike.
         source_u_rel: Of the source's steadiness.
 
     Raises:
@@ -92,8 +89,8 @@ def linearity(
         if t == longest:
             continue
         plain = deviation(one, kept[longest], source_u_rel, f"{1e3 * t:.4g} ms")
-        timing = math.hypot(exposure_u_rel, offset_u_s * (1.0 / t - 1.0 / longest))
-        found.append(Deviation(plain.label, plain.value, math.hypot(plain.u, timing), plain.degrees_of_freedom))
+        u = math.hypot(plain.u, exposure_u_rel)
+        found.append(Deviation(plain.label, plain.value, u, plain.degrees_of_freedom))
     worst = max(found, key=lambda one: abs(one.value))
     return Figure(abs(worst.value), worst.u, worst.degrees_of_freedom, details=tuple(found))
 

@@ -240,7 +240,7 @@ def _linearity(captures: Mapping[str, CaptureSet], how: Evaluation) -> Figure:
     if not signals:
         raise MeasurementError(f"{capture.path}: the patch clips in every frame; capture shorter exposures")
     stated = how.calibration.uncertainties if how.calibration else StatedUncertainties()
-    return indices.linearity(signals, stated.exposure_u_rel, stated.exposure_u_s, how.source_u_rel)
+    return indices.linearity(signals, stated.exposure_u_rel, how.source_u_rel)
 
 
 def _of_exposure(dark: list[Frame], exposure_s: float) -> list[Frame]:

@@ -33,6 +33,7 @@ class StepSignal:
         value: Reading Y, unflagged ones only.
         terms: Contributions that are this step's own, in the unit of Y.
         dark: Change of Y for one standard deviation of the dark level that all steps share.
+        timing: Change of Y for one standard deviation of what all real exposure times differ by from the stated ones.
         temperature_c: Mean temperature of the frames; None where a frame does not state it.
         frames: Number of light frames used.
     """
@@ -41,6 +42,7 @@ class StepSignal:
     value: float
     terms: tuple[Term, ...]
     dark: float
+    timing: float
     temperature_c: float | None
     frames: int
 
@@ -110,6 +112,7 @@ def step_signal(
         unit * situation.value,
         own,
         unit * situation.scale * float(dark),
+        unit * situation.value * situation.stated.exposure_u_s * situation.conditions.inverse_exposure_per_s,
         float(np.mean(known)) if known and len(known) == len(temperatures) else None,
         len(situation.frames),
     )
@@ -142,11 +145,15 @@ def deviation(one: StepSignal, reference: StepSignal, source_u_rel: float, label
     if reference.value <= 0.0:
         raise MeasurementError(f"step {reference.name!r} reads no light; it is the reference of the others")
     ratio = one.value / reference.value
-    shared = (one.dark - ratio * reference.dark) / reference.value
+    dark, timing = (
+        (here - ratio * there) / reference.value
+        for here, there in ((one.dark, reference.dark), (one.timing, reference.timing))
+    )
     parts = [
         *(Term(t.name, t.u / reference.value, t.kind, t.degrees_of_freedom) for t in one.terms),
         *(Term(t.name, abs(ratio) * t.u / reference.value, t.kind, t.degrees_of_freedom) for t in reference.terms),
-        Term("shared dark level", abs(shared)),
+        Term("shared dark level", abs(dark)),
+        Term("exposure offset", abs(timing)),
         Term("source", abs(ratio) * math.sqrt(2.0) * source_u_rel),
     ]
     return Deviation(label or one.name, ratio - 1.0, combined_u(parts), effective_degrees_of_freedom(parts))

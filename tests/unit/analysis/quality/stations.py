@@ -99,8 +99,9 @@ def warmed(session: Path, seed: int, per_kelvin: float = 0.001) -> None:
 def ranged(session: Path, seed: int, error: float = 0.015) -> None:
     """Take a camera whose 12 dB are 1.5 % off."""
     effect = {"gain_step_error": {"gains_db": (0.0, 12.0), "errors_rel": (0.0, error)}}
-    capture(session / "range" / "0dB", uniform(0.4), effect, seed=seed)
-    capture(session / "range" / "12dB", uniform(0.4), effect, seed=seed + 1, gain_db=12.0, exposures_s=(0.002,) * 4)
+    for step, gain_db in (("0dB", 0.0), ("12dB", 12.0)):
+        capture(session / "range" / step, uniform(0.4), effect, seed=seed, gain_db=gain_db, exposures_s=(0.002,) * 4)
+        seed += 1
 
 
 def refocused(session: Path, seed: int, magnification: float = 0.02) -> None:

@@ -113,6 +113,16 @@ def test_an_unsteady_source_widens_every_ratio(tmp_path):
     assert unsteady.u == pytest.approx(math.hypot(steady.u, math.sqrt(2.0) * 0.01 * ratio), rel=1e-6)
 
 
+def test_steps_of_other_exposures_carry_the_offset_of_the_clock(tmp_path):
+    """Real times off the stated ones by 2.9 µs (k = 1) move a reading at 0.5 ms, and hardly one at 4 ms."""
+    stations.capture(tmp_path / "focus" / "far", stations.uniform(), seed=1)
+    stations.capture(tmp_path / "focus" / "near", stations.uniform(), seed=2, exposures_s=(0.0005,) * 3)
+    figure = figure_of(tmp_path, "focus")
+    offset = 2.9e-6 * (1.0 / 0.0005 - 1.0 / 0.004)
+    assert offset < figure.u < 1.3 * offset
+    assert held(figure, 0.0)
+
+
 def test_a_stated_focus_is_no_error(tmp_path):
     """The factor (1 + m)² of a magnification that the capture states belongs to the instrument, and is corrected."""
     near = stations.LENS.model_copy(update={"magnification": 0.02})
