@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 import json as json_module
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +17,7 @@ from radiometer.cli.console import console, note, progress_bar, shutter_by_hand,
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
+    from radiometer.analysis.patch.contributions import PatchSituation
     from radiometer.analysis.uncertainty.monte_carlo import Distribution
     from radiometer.bench.instrument import Instrument
     from radiometer.data import Bracket, Patch, Reading
@@ -81,23 +82,23 @@ def command(
     if calibration and uncalibrated:
         raise UsageError("--calibration and --uncalibrated exclude each other")
     wanted = parse_patch(patch) if patch else None
-    if photographs is not None and monte_carlo:
-        raise UsageError("--monte-carlo belongs to a camera; photographs are read with --budget")
     if photographs is not None or measured_iso:
         if photographs is None or camera or bench:
             raise UsageError("--photographs takes the place of --camera and --bench; --measured-iso belongs to it")
-        reading = _photographed(
+        reading, situation = _photographed(
             photographs, wanted, calibration, channel, measured_iso, spectrum, f_number, relative=uncalibrated
         )
+        drawn = _distribution(situation, reading) if monte_carlo else None
         said = reading.provenance
         if json:
             iso = said.parameters.get("iso", []) if said else []
-            whole = {**reading.to_mapping(), "iso": iso, "assumptions": list(said.assumptions) if said else []}
-            print(json_module.dumps(whole, ensure_ascii=False, allow_nan=False), flush=True)
+            further = {"iso": iso, "assumptions": list(said.assumptions) if said else []}
+            print(_as_json(reading, drawn, further), flush=True)
         else:
             for assumption in said.assumptions if said else ():
                 note(f"assumed: {assumption}")
             _show(reading, budget=budget)
+            _show_distribution(reading, drawn)
         return
     from radiometer.bench.assembly import open_instrument
 
@@ -111,7 +112,7 @@ def command(
         for number in itertools.count(1) if watch else range(1, repeat + 1):
             begun = time.monotonic()
             reading, frames = _one(instrument, number, u_rel, shown=not json, patient=watch)
-            drawn = _distribution(instrument, frames, reading) if monte_carlo else None
+            drawn = _distribution(instrument.situation(frames), reading) if monte_carlo else None
             if json:
                 print(_as_json(reading, drawn), flush=True)
             else:
@@ -131,9 +132,9 @@ def _photographed(
     f_number: float | None,
     *,
     relative: bool,
-) -> Reading:
-    """Return the reading of a patch in a folder of photographs."""
-    from radiometer.analysis.patch.reading import read_patch
+) -> tuple[Reading, PatchSituation]:
+    """Return the reading of a patch in a folder of photographs, and what it was made from."""
+    from radiometer.analysis.patch.reading import patch_situation, read_patch
     from radiometer.bench.sources import open_brackets
     from radiometer.cli.iso_record import with_iso_in_reading
     from radiometer.data import Calibration, CameraDescription, LensDescription
@@ -147,7 +148,8 @@ def _photographed(
     bracket = with_f_number(bracket, f_number)
     camera = known.camera if known else CameraDescription(bit_depth=bracket.bit_depth)
     lens = LensDescription()
-    return with_iso_in_reading(read_patch(bracket, patch, known, camera, lens, spectrum=spectrum), bracket)
+    reading = read_patch(bracket, patch, known, camera, lens, spectrum=spectrum)
+    return with_iso_in_reading(reading, bracket), patch_situation(bracket, patch, known, camera, lens)
 
 
 def _cover(instrument: Instrument) -> Callable[[bool], None]:
@@ -187,19 +189,19 @@ def _taken(instrument: Instrument, number: int, u_rel: float | None, *, shown: b
         return instrument.read(frames, sequence=number), frames
 
 
-def _distribution(instrument: Instrument, frames: Bracket, reading: Reading) -> Distribution:
+def _distribution(situation: PatchSituation, reading: Reading) -> Distribution:
     """Return the distribution of a reading from 100 000 draws of all its inputs."""
     import numpy as np
 
     from radiometer.analysis.uncertainty.monte_carlo import propagate_distributions
 
-    return propagate_distributions(instrument.situation(frames), np.random.default_rng(reading.sequence))
+    return propagate_distributions(situation, np.random.default_rng(reading.sequence))
 
 
-def _as_json(reading: Reading, drawn: Distribution | None) -> str:
-    if drawn is None:
-        return reading.to_json()
-    whole = {**reading.to_mapping(), "monte_carlo": drawn.to_mapping(reading)}
+def _as_json(reading: Reading, drawn: Distribution | None, further: Mapping[str, Any] | None = None) -> str:
+    whole = {**reading.to_mapping(), **(further or {})}
+    if drawn is not None:
+        whole["monte_carlo"] = drawn.to_mapping(reading)
     return json_module.dumps(whole, ensure_ascii=False, allow_nan=False)
 
 
@@ -246,6 +248,8 @@ def _show(reading: Reading, *, budget: bool) -> None:
         luminance = reading.luminance
         expanded = reading.coverage_factor * luminance.u
         out.print(f"luminance  {significant(luminance.value, luminance.u)} ± {expanded:.2g} cd·m⁻²")
+    if reading.band_nm:
+        out.print("band       {:g} to {:g} nm".format(*reading.band_nm))
     exposures = ", ".join(_time(t) for t in sorted(set(reading.exposures_s)))
     out.print(f"exposures  {exposures}")
     for flag in reading.flags:

@@ -94,11 +94,13 @@ class SpectralResponse(FileSection):
         wavelength_nm: Ascending wavelengths in nm.
         relative: Responsivity at each, 0 or more, not all 0.
         u_rel: Relative standard uncertainty of a correction made with it.
+        source: Where it is from, in words.
     """
 
     wavelength_nm: tuple[float, ...] = Field(min_length=2)
     relative: tuple[Annotated[float, Field(ge=0)], ...] = Field(min_length=2)
     u_rel: float = Field(0.02, ge=0)
+    source: str = ""
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

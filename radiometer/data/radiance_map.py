@@ -34,6 +34,7 @@ class RadianceMap:
         u_rel_common: Relative standard uncertainty common to all pixels (scale, lens, exposure time).
         exposures_s: Exposure times merged, in s.
         provenance: Method, inputs, assumptions.
+        not_in_u: What neither `u_radiance` nor `u_rel_common` holds, in words with its size.
     """
 
     radiance: NDArray[np.float32]
@@ -43,6 +44,7 @@ class RadianceMap:
     u_rel_common: float = 0.0
     exposures_s: tuple[float, ...] = ()
     provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
+    not_in_u: tuple[str, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:

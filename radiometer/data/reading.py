@@ -150,6 +150,7 @@ class Reading:
         coverage_factor: k of the expanded uncertainty: Student's t at 95.45 % for the degrees of freedom.
         degrees_of_freedom: Effective ones of the uncertainty (Welch–Satterthwaite); infinite where all are.
         time: ISO 8601 in UTC.
+        band_nm: Shortest and longest wavelength that the radiance counts light of, in nm; None where it is relative.
     """
 
     radiance: Quantity
@@ -166,6 +167,7 @@ class Reading:
     provenance: Provenance | None = None
     name: str = ""
     session: str = ""
+    band_nm: tuple[float, float] | None = None
 
     @property
     def expanded_u_rel(self) -> float:
@@ -192,6 +194,7 @@ class Reading:
             "exposures_s": list(self.exposures_s),
             "sequence": self.sequence,
         }
+        mapping |= {"band_nm": list(self.band_nm)} if self.band_nm else {}
         mapping |= {"name": self.name} if self.name else {}
         mapping |= {"session": self.session} if self.session else {}
         return {key: finite_or_null(value) for key, value in mapping.items()}

@@ -115,6 +115,7 @@ def reading_of(mapping: Mapping[str, Any]) -> Reading:
             sequence=int(mapping["sequence"]),
             coverage_factor=float(mapping["coverage_factor"]),
             time=str(mapping["time"]),
+            band_nm=tuple(mapping["band_nm"]) if mapping.get("band_nm") else None,
         )
     except (KeyError, TypeError, ValueError) as error:
         raise DeviceError(f"what came is no reading: {error}; is it a radiometer daemon of this version?") from error

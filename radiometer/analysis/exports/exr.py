@@ -18,7 +18,8 @@ def write_exr(path: Path, picture: Picture) -> None:
     """Write a picture as OpenEXR.
 
     Channels are Y (or R, G, B) for the values, Y.u (R.u, …) for their standard uncertainty, both 32-bit floating
-    point, and Y.mask (R.mask, …) for the PixelMask bits. The header names the unit.
+    point, and Y.mask (R.mask, …) for the PixelMask bits. The header names the unit, what all pixels share
+    (`u_rel_common`), and what is in no uncertainty (`not_in_u`).
 
     Args:
         path: File to write.
@@ -37,6 +38,7 @@ def write_exr(path: Path, picture: Picture) -> None:
         "type": OpenEXR.scanlineimage,
         "unit": picture.unit,
         "u_rel_common": float(picture.first.u_rel_common),
+        "not_in_u": "; ".join(picture.first.not_in_u),
         "software": f"radiometer {radiometer.__version__}",
     }
     file = OpenEXR.File(header, _channels(picture))

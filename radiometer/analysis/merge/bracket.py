@@ -35,6 +35,7 @@ from radiometer.errors import MeasurementError
 
 MOST_FRAMES = 64
 _BLOCK_PIXELS = 1 << 15  # a block's sums stay in a core's second-level cache
+_TOLD_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not told of
 _PARTS_PER_CORE = 4  # few, because each costs the interpreter's lock; several, because cores are not equally fast
 
 
@@ -245,6 +246,21 @@ class StreamingMerge:
         unit = RADIANCE_UNIT if calibration.absolute else RELATIVE_UNIT
         return (f"no stray light: the lens may add {light:.2g} {unit} (k = 1) to every pixel, which u does not hold",)
 
+    def _exposure_offset(self) -> tuple[str, ...]:
+        """Return what the clock's offset may do to the brightest pixels, those of the shortest exposure."""
+        calibration = self._calibration
+        if calibration is None:
+            return ()
+        shortest = min(terms.settings.exposure_s for terms in self._terms)
+        there = calibration.scale.conditions.inverse_exposure_per_s
+        off = calibration.uncertainties.exposure_u_s * abs(1.0 / shortest - there)
+        if off < _TOLD_REL:
+            return ()
+        return (
+            f"the exposure of {1e6 * shortest:.3g} µs may be off: {100 * off:.2g} % (k = 1) of the brightest pixels, "
+            "which u does not hold",
+        )
+
     def _map(
         self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32], mask: NDArray[np.uint8]
     ) -> RadianceMap:
@@ -253,6 +269,7 @@ class StreamingMerge:
         self._doubt_falloff(*images[:2])
         repair_defects(*images, calibration.defects if calibration else ())
         numbers = {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
+        not_in_u = (*self._stray_light(images[0]), *self._exposure_offset())
         return RadianceMap(
             *images,
             unit=RADIANCE_UNIT if calibration is not None and calibration.absolute else RELATIVE_UNIT,
@@ -260,9 +277,10 @@ class StreamingMerge:
             exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
             provenance=Provenance(
                 "maximum-likelihood merge",
-                assumptions=(*self._situation.assumptions, *self._stray_light(images[0])),
+                assumptions=(*self._situation.assumptions, *not_in_u),
                 parameters={"frames": len(self._terms), "dark_frames": len(self._dark)},
             ),
+            not_in_u=not_in_u,
         )
 
 

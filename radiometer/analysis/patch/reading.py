@@ -299,9 +299,10 @@ def _reading(
 
 
 def _with_luminance(reading: Reading, calibration: Calibration | None, name: str | None) -> Reading:
-    """Return the reading with the luminance of its radiance; relative or invisible light has none."""
+    """Return the reading with its band and the luminance of its radiance; relative or invisible light has none."""
     if calibration is None or not calibration.absolute:
         return reading
+    reading = replace(reading, band_nm=spectrum_of(calibration.spectrum).band_nm)
     spectrum = spectrum_of(name or calibration.spectrum)
     if not holds_visible_light(spectrum):
         return reading

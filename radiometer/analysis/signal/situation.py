@@ -98,7 +98,8 @@ def spectral_correction(calibration: Calibration) -> tuple[float, tuple[str, ...
         np.array(response.wavelength_nm),
         np.array(response.relative),
     )
-    return factor, (f"calibrated under {of_scale}; spectral mismatch factor {factor:.4g} applied",)
+    by = f", by the {response.source}" if response.source else ""
+    return factor, (f"calibrated under {of_scale}; spectral mismatch factor {factor:.4g} applied{by}",)
 
 
 def spectral_u_rel(calibration: Calibration, stated: StatedUncertainties) -> float:
@@ -106,14 +107,14 @@ def spectral_u_rel(calibration: Calibration, stated: StatedUncertainties) -> flo
 
     A radiance that came by way of a luminance carries that of the assumed spectrum's luminous efficacy as well. Where
     calibration and source differ in spectrum and the camera's response is unknown, the spread of plausible responses
-    counts.
+    counts; it also bounds what a known response costs, for spectra that are nearly alike ask little of it.
     """
     of_scale = calibration.scale.spectrum or calibration.spectrum
     efficacy = stated.efficacy_u_rel if calibration.scale.quantity == "luminance" else 0.0
     if of_scale == calibration.spectrum or not calibration.absolute:
         return math.hypot(stated.spectral_u_rel, efficacy)
-    response = calibration.spectral_response
-    own = response.u_rel if response else unknown_mismatch_u_rel(calibration.spectrum, of_scale)
+    response, unknown = calibration.spectral_response, unknown_mismatch_u_rel(calibration.spectrum, of_scale)
+    own = min(response.u_rel, unknown) if response else unknown
     return math.hypot(stated.spectral_u_rel, efficacy, own)
 
 

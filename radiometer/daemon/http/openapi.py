@@ -39,6 +39,7 @@ _SCHEMAS: Final[dict[str, Any]] = {
             "radiance": {"$ref": "#/components/schemas/Quantity"},
             "luminance": {"oneOf": [{"$ref": "#/components/schemas/Quantity"}, {"type": "null"}]},
             "coverage_factor": {"type": "number"},
+            "band_nm": {"type": "array", "items": {"type": "number"}, "description": "Light that the radiance counts."},
             "U_rel": {**_NUMBER_OR_NULL, "description": "Expanded relative uncertainty."},
             "flags": {"type": "array", "items": {"type": "string", "enum": [str(flag) for flag in Flag]}},
             "exposures_s": {"type": "array", "items": {"type": "number"}},

@@ -55,3 +55,14 @@ def test_a_reading_asks_for_the_f_number_and_uses_it(folder, capsys):
     assert "--f-number" in capsys.readouterr().err
     assert measure(folder, "--f-number", "5.6") == 0
     assert json.loads(capsys.readouterr().out)["radiance"]["value"] == pytest.approx(0.5 / 8.0, rel=2e-3)
+
+
+def test_photographs_have_a_drawn_interval_too(folder, capsys):
+    """At f/8 under an f/16 calibration (4 % of radiance) both intervals agree."""
+    assert calibrate(folder, "--f-number", "16") == 0
+    capsys.readouterr()
+    assert measure(folder, "--f-number", "8", "--monte-carlo") == 0
+    said = json.loads(capsys.readouterr().out)
+    drawn, u = said["monte_carlo"], said["radiance"]["u"]
+    assert drawn["u"] == pytest.approx(u, rel=0.02)
+    assert drawn["high"] - drawn["low"] == pytest.approx(2.0 * said["coverage_factor"] * u, rel=0.05)

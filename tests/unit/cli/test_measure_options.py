@@ -18,9 +18,3 @@ def test_the_drawn_interval_stands_beside_the_budget_s(capsys):
     assert drawn["validates"]
     assert abs(drawn["u"] / radiance["u"] - 1.0) < 0.02
     assert drawn["low"] < radiance["value"] < drawn["high"]
-
-
-def test_photographs_have_no_drawn_interval(capsys, tmp_path):
-    """Refused in one line."""
-    assert run(["measure", "--photographs", str(tmp_path), "--monte-carlo"]) == 2
-    assert "--monte-carlo" in capsys.readouterr().err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription
@@ -22,13 +23,23 @@ def test_shipped_blackfly_has_the_figures_of_its_specification_page() -> None:
     assert limits.gain_db == (0.0, 47.9943)
 
 
+def test_shipped_blackfly_has_the_spectral_response_of_its_family() -> None:
+    """Per watt: highest at 580 nm, a half at 400 and at 820 nm, nothing to speak of at 1100; the origin is told."""
+    response = CameraPreset.shipped("BFS-U3-19S4M").spectral_response
+    assert response is not None
+    nm, relative = np.array(response.wavelength_nm), np.array(response.relative)
+    assert nm[relative.argmax()] == 580.0
+    assert np.interp((400.0, 820.0, 1100.0), nm, relative) == pytest.approx((0.5, 0.47, 0.01), abs=0.02)
+    assert "IMX428" in response.source
+
+
 def test_every_figure_of_every_shipped_camera_has_a_source(project_root: Path) -> None:
     """No value of a camera file stands without saying where it comes from."""
     files = sorted((project_root / "configs" / "cameras").glob("*.yaml"))
     assert files
     for path in files:
         content = read_yaml(path)
-        figures = {*content["camera"], *content.get("limits", {})}
+        figures = {*content["camera"], *content.get("limits", {}), *({"spectral_response"} & set(content))}
         assert figures - set(content["sources"]) == set(), path.name
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -41,13 +42,15 @@ def colour(grey):
 
 def test_exr_carries_value_uncertainty_mask_and_unit(grey, tmp_path):
     """All in 32 bits, exactly."""
-    writer_for(tmp_path / "map.exr")(tmp_path / "map.exr", Picture({"mono": grey}))
+    told = replace(grey, not_in_u=("no stray light", "no offset"))
+    writer_for(tmp_path / "map.exr")(tmp_path / "map.exr", Picture({"mono": told}))
     file = OpenEXR.File(str(tmp_path / "map.exr"), separate_channels=True)
     channels = {name: channel.pixels for name, channel in file.channels().items()}
     np.testing.assert_array_equal(channels["Y"], grey.radiance)
     np.testing.assert_array_equal(channels["Y.u"], grey.u_radiance)
     np.testing.assert_array_equal(channels["Y.mask"], grey.mask)
     assert file.header()["unit"] == "W sr-1 m-2"
+    assert file.header()["not_in_u"] == "no stray light; no offset"
 
 
 def test_tiff_carries_value_uncertainty_mask_and_unit(grey, tmp_path):

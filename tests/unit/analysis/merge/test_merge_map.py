@@ -340,6 +340,22 @@ def test_a_map_says_what_stray_light_it_may_hold(rig):
     assert float(words[0.02][0].split("add ")[1].split()[0]) == pytest.approx(0.02 * found.radiance.mean(), rel=0.05)
 
 
+def test_a_map_says_what_an_offset_of_short_exposures_may_do(rig):
+    """3 µs of 50 µs, under a scale from 1 ms: 5.7 % of the brightest pixels; long exposures need no word."""
+    base = rig.calibration()
+    conditions = base.scale.conditions.model_copy(update={"inverse_exposure_per_s": 1000.0})
+    stated = base.uncertainties.model_copy(update={"exposure_u_s": 3e-6, "glare_u": 0.0})
+    known = replace(base, uncertainties=stated, scale=base.scale.model_copy(update={"conditions": conditions}))
+    said = {}
+    for shortest in (50e-6, 1e-3):
+        frames = rig.frames(scene(rig), np.random.default_rng(1), (shortest, 1e-3))
+        said[shortest] = merge(frames, rig.description, rig.lens, known).not_in_u
+    assert said[1e-3] == ()
+    assert said[50e-6] == (
+        "the exposure of 50 µs may be off: 5.7 % (k = 1) of the brightest pixels, which u does not hold",
+    )
+
+
 def test_more_than_thirty_two_frames(rig):
     """Forty repeats average down by √40."""
     frames = rig.frames(scene(rig), np.random.default_rng(1), (1e-3,) * 40)

@@ -10,9 +10,9 @@ import pytest
 
 from radiometer.analysis.patch.reading import read_patch
 from radiometer.analysis.signal.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.signal.situation import unknown_mismatch_u_rel
+from radiometer.analysis.signal.situation import spectral_correction, spectral_u_rel, unknown_mismatch_u_rel
 from radiometer.analysis.signal.spectra import spectrum
-from radiometer.data import BlackLevel, Patch, StatedUncertainties
+from radiometer.data import BlackLevel, Patch, SpectralResponse, StatedUncertainties
 from radiometer.errors import InputError
 
 ONLY_EFFICACY = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0)).model_copy(
@@ -84,3 +84,22 @@ def test_a_band_needs_a_width():
     """The message says what is missing."""
     with pytest.raises(InputError, match="after the comma"):
         spectrum("band:525")
+
+
+@pytest.mark.parametrize(("name", "band"), [("white_led", (380.0, 780.0)), ("line:550", (550.0, 550.0))])
+def test_a_reading_states_the_band_that_its_radiance_counts(rig, name, band):
+    """That of the spectrum that the scale holds for, in JSON too."""
+    found = reading(rig, "radiance", (name, name))
+    assert found.band_nm == band
+    assert found.to_mapping()["band_nm"] == list(band)
+
+
+@pytest.mark.parametrize(("source", "u_rel"), [("line:600", 0.03), ("line:500.1", None)])
+def test_a_known_response_costs_no_more_than_an_unknown_one(rig, source, u_rel):
+    """Its own u far from the calibration's spectrum; beside it, where every plausible camera agrees, less."""
+    response = SpectralResponse(wavelength_nm=(300.0, 1100.0), relative=(300.0, 1100.0), u_rel=0.03, source="a test")
+    base = replace(rig.calibration(spectrum=source), spectral_response=response)
+    of_500 = replace(base, scale=base.scale.model_copy(update={"spectrum": "line:500"}))
+    expected = unknown_mismatch_u_rel(source, "line:500") if u_rel is None else u_rel
+    assert spectral_u_rel(of_500, ONLY_EFFICACY.model_copy(update={"efficacy_u_rel": 0.0})) == pytest.approx(expected)
+    assert spectral_correction(of_500)[1][0].endswith("applied, by the a test")
