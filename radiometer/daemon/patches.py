@@ -98,9 +98,8 @@ class PatchWatch:
         """Return what is wrong in words."""
         assert self.latest is not None
         limit = self.limits.high if self.breached == "high" else self.limits.low
-        quantity = self.latest.radiance
         side = "above its high" if self.breached == "high" else "below its low"
-        return f"patch {name} reads {quantity.value:.5g} ± {2 * quantity.u:.2g} {quantity.unit}, {side} limit {limit:g}"
+        return f"patch {name} reads {self.latest}, {side} limit {limit:g}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,8 @@ def rounded(value: float, expanded: float) -> tuple[str, str]:
         power = math.floor(math.log10(max(abs(value), expanded)))
         scaled = [f"{v / 10.0**power:.{max(0, decimals + power)}f}e{power:+03d}" for v in (value, expanded)]
         return scaled[0], scaled[1]
-    return f"{value:.{max(0, decimals)}f}", f"{expanded:.{max(0, decimals)}f}"
+    shown = max(0, decimals)
+    return f"{round(value, decimals):.{shown}f}", f"{round(expanded, decimals):.{shown}f}"
 
 
 def unit_text(unit: str) -> str:

@@ -88,6 +88,10 @@ class Browser:
             self.requested.append(message["params"]["request"]["url"])
         if message.get("method") == "Runtime.exceptionThrown":
             self.errors.append(str(message["params"]["exceptionDetails"]))
+        if message.get("method") == "Log.entryAdded" and message["params"]["entry"]["level"] == "error":
+            self.errors.append(str(message["params"]["entry"]))
+        if message.get("method") == "Runtime.consoleAPICalled" and message["params"]["type"] in ("error", "assert"):
+            self.errors.append(str(message["params"]["args"]))
 
 
 @asynccontextmanager
@@ -113,7 +117,7 @@ async def headless(profile: Path, window: tuple[int, int] = (1240, 900)) -> Asyn
             address = next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
             async with http.ws_connect(address, max_msg_size=0) as socket:
                 driver = Browser(socket)
-                for domain in ("Page", "Runtime", "Network"):
+                for domain in ("Page", "Runtime", "Network", "Log"):
                     await driver.command(f"{domain}.enable")
                 yield driver
     finally:

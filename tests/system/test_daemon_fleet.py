@@ -126,11 +126,13 @@ def _readings_per_instrument(subscriber: Subscriber) -> dict[str, int]:
 
 
 async def test_the_last_reading_is_retained_and_the_will_says_offline(broker: int, tmp_path: Path) -> None:
-    """Who subscribes later gets the last reading at once; a killed daemon is reported offline by the broker."""
+    """Who subscribes later gets the last reading at once; a limit's alarm and a daemon's end reach the broker."""
     daemon = DaemonProcess(tmp_path, "--every", "0.2", "--mqtt", f"127.0.0.1:{broker}").start()
     daemon.wait_for_reading()
     early = Subscriber(broker)
     await _until(lambda: early.last("/reading"))
+    daemon.ask('SENS:PATC:LIM "main",NONE,0.001;*OPC?')
+    await _until(lambda: "above its high limit 0.001" in early.last("/status").get("22500001", ""))
     daemon.kill()
     await _until(lambda: early.last("/state") == {"22500001": "offline"}, 30)
     early.close()

@@ -119,13 +119,15 @@ def _transfer(axes: Axes, result: Characterisation) -> None:
     axes.plot(grid, model(line.slope), color=MODEL, lw=1.6, label="fit")
     axes.fill_between(grid, model(line.slope - 2 * K.u), model(line.slope + 2 * K.u), color=MODEL, alpha=0.25, lw=0)
     axes.plot(grid, np.sqrt(line.slope * grid), ":", color=MODEL, lw=1.2, label="shot noise alone")
-    said = f"K = {with_u(K.value, 2 * K.u)} DN/e⁻"
-    mark(axes, said, (0.98, 0.36), (0, 0), MODEL, xycoords="axes fraction", ha="right")
+    gain = f"K = {with_u(K.value, 2 * K.u)} DN/e⁻"
     if "sigma_d" in result.figures:
         read = result.figures["sigma_d"]
         axes.axhline(read.value * K.value, color=MARK, lw=1.2, ls="--")
-        said = f"read noise {with_u(read.value, 2 * read.u)} e⁻"
-        mark(axes, said, (0.98, read.value * K.value), (0, 4), MARK, xycoords=("axes fraction", "data"), ha="right")
+        said, at = f"read noise {with_u(read.value, 2 * read.u)} e⁻", (0.98, read.value * K.value)
+        mark(axes, said, at, (0, 4), MARK, xycoords=("axes fraction", "data"), ha="right")
+        mark(axes, gain, at, (0, -13), MODEL, xycoords=("axes fraction", "data"), ha="right")
+    else:
+        mark(axes, gain, (0.98, 0.36), (0, 0), MODEL, xycoords="axes fraction", ha="right")
     axes.set_xscale("log")
     axes.set_yscale("log")
     dress(axes, "signal above dark in DN", "noise of a pixel in DN", "Photon transfer")

@@ -206,6 +206,7 @@ function showPatches() {
     title.textContent = `${entry.breached ? "▲ " : ""}${name === "main" ? "patch" : name}`;
     value.textContent = reading ? quantity(reading.radiance.value, (reading.radiance.u || 0) * reading.coverage_factor, units.size > 1 ? reading.radiance.unit : "").trim() : "no reading yet";
     value.title = reading ? `${unitText(reading.radiance.unit)}, k = ${+reading.coverage_factor.toPrecision(3)}` : "";
+    panels.get(name)?.now(state.end === null && reading ? value.textContent : "", entry.breached);
     button.textContent = low === null && high === null ? "limits" : [low === null ? "" : `≥ ${+low.toPrecision(4)}`, high === null ? "" : `≤ ${+high.toPrecision(4)}`].filter(Boolean).join(" · ");
     return row;
   });

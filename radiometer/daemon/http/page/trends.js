@@ -38,7 +38,8 @@ export class TrendPanel {
     this.title = document.createElement("b"); this.readout = document.createElement("span"); this.readout.className = "quiet";
     this.title.textContent = name === "main" ? "patch" : name;
     this.unit = document.createElement("span"); this.unit.className = "unit"; this.title.append(this.unit);
-    this.caption.append(this.title, this.readout);
+    this.newest = document.createElement("span"); this.newest.className = "newest";
+    this.caption.append(this.title, this.newest, this.readout);
     this.frame = document.createElement("div");
     this.frame.className = "plot";
     this.empty = document.createElement("p");
@@ -117,6 +118,11 @@ export class TrendPanel {
     const event = near.find((e) => e.kind === "remark") || near.find((e) => e.kind === "alarm") || near[0];
     const more = near.length > 1 ? ` (and ${near.length - 1} more)` : "";  // what people wrote comes first, the newest of it
     this.readout.textContent = event ? `${timeText(event.at, 7201)}   ${event.kind}: ${event.message}${more}` : this.hover(this, shown);
+  }
+  /** Say the newest reading, where the list of patches may not have room for all. */
+  now(text, breached) {
+    this.newest.textContent = text;
+    this.root.classList.toggle("bad", Boolean(breached));
   }
   show(columns, window, limits, events) {
     Object.assign(this, { columns, window, limits: limits || {}, events: events || [] });
