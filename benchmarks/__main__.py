@@ -1,7 +1,7 @@
 """Runs every benchmark, or those named: `python -m benchmarks [NAME…] [--soak] [--list]`.
 
 A benchmark is a module of this package with `main()`, which prints its figures and writes its own section of
-docs/benchmarks.md. Names that end in `_soak` run only with --soak.
+docs/benchmarks.md. Names that end in `_soak` run only with --soak. Options that follow a single name are its own.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ def run() -> None:
     parser.add_argument("names", nargs="*", help="benchmarks to run; all by default")
     parser.add_argument("--soak", action="store_true", help="run the soaks instead")
     parser.add_argument("--list", action="store_true", help="list them")
-    wanted = parser.parse_args()
+    own = sys.argv[2:] if len(sys.argv) > 2 and not sys.argv[1].startswith("-") and sys.argv[2].startswith("-") else []
+    own = [] if set(own) <= {"--soak", "--list"} else own
+    wanted = parser.parse_args(sys.argv[1:2] if own else None)
     there = names(soak=wanted.soak)
     unknown = sorted(set(wanted.names) - set(there))
     if unknown:
@@ -33,7 +35,7 @@ def run() -> None:
     for name in wanted.names or there:
         print(name if wanted.list else f"== {name}", flush=True)
         if not wanted.list:
-            sys.argv = [name]
+            sys.argv = [name, *own]
             importlib.import_module(f"benchmarks.{name}").main()
 
 
