@@ -30,14 +30,18 @@ measure: $(VENV)/.ready-run  ## Read the radiance of a screen patch on the simul
 	$(BIN)/radiometer measure --budget
 
 # Two workers, each with its own core; tests that share fixtures, or that run in real time, stay in one of them.
-test: $(VENV)/.ready-test  ## Run the whole test suite
-	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST) -n 2 --dist loadgroup
+RUN_TESTS = OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST) -n 2 --dist loadgroup
+NO_OTHERS = not bench and not soak and not hardware
+FAST_TESTS = -m "not slow and not long and $(NO_OTHERS)" tests/unit tests/style
+
+test: $(VENV)/.ready-test  ## Run the tests, all but the round trips, soaks and studies of `make test-slow`
+	$(RUN_TESTS) -m "not long and $(NO_OTHERS)"
 
 test-fast: $(VENV)/.ready-test  ## Run what needs no process, no browser and no real time (about a minute)
-	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST) -n 2 --dist loadgroup -m "not slow and not bench and not soak and not hardware" tests/unit tests/style
+	$(RUN_TESTS) $(FAST_TESTS)
 
-test-slow: $(VENV)/.ready-test  ## Run the rest: devices on the wire, processes, browsers, round trips
-	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST) -n 2 --dist loadgroup -m "slow and not bench and not soak and not hardware"
+test-slow: $(VENV)/.ready-test  ## Run the round trips, soaks, studies of coverage and documents followed word by word
+	$(RUN_TESTS) -m "long and $(NO_OTHERS)"
 
 check: $(VENV)/.ready-test  ## Format, lint, types, layers
 	$(BIN)/ruff format --check .
@@ -62,16 +66,16 @@ mutants: $(VENV)/.ready-test  ## Make plausible mistakes one at a time and count
 	$(BIN)/python -m tests.mutants $(AREA)
 
 coverage: $(VENV)/.ready-test  ## Run the whole suite and show which branches it never takes, least covered modules first
-	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST) -n 2 --dist loadgroup --cov --cov-report=
+	$(RUN_TESTS) --cov --cov-report=
 	$(BIN)/python -m coverage report --sort=cover --skip-covered
 
 # Two loops that do nothing but take the processor, as a busy machine does; another order each time.
 RUNS  ?= 10
-TESTS ?= -m "not slow and not bench and not soak and not hardware" tests/unit tests/style
+TESTS ?= $(FAST_TESTS)
 shake: $(VENV)/.ready-test  ## Run the fast tests in ten orders under two busy loops (RUNS=n, TESTS="tests/protocol")
 	@for k in 1 2; do (while :; do :; done) & busy="$$busy $$!"; done; trap "kill $$busy" EXIT; failed=0; \
 	for run in $$(seq 1 $(RUNS)); do echo "run $$run of $(RUNS)"; \
-	  OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST) -n 2 --dist loadgroup -q --randomly-seed=$$run $(TESTS) \
+	  $(RUN_TESTS) -q --randomly-seed=$$run $(TESTS) \
 	    || failed=$$((failed + 1)); \
 	done; echo "$$failed of $(RUNS) runs failed"; [ $$failed = 0 ]
 

@@ -42,6 +42,9 @@ def shared_data() -> Path:
 REAL_TIME = ("tests/contract", "tests/protocol")
 # Folders whose tests need no process, no browser and no real time: the fast tier, less what is marked slow.
 FAST = ("tests/unit", "tests/style")
+# Whole round trips through simulated worlds: beside what is marked so (soaks, studies of coverage, documents followed
+# word by word) the slow tier.
+LONG = ("tests/roundtrip",)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -50,5 +53,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         file = item.path.relative_to(PROJECT_ROOT).as_posix()
         group = "real-time" if file.startswith(REAL_TIME) else file
         item.add_marker(pytest.mark.xdist_group(group))
-        if not file.startswith(FAST):
+        if file.startswith(LONG):
+            item.add_marker(pytest.mark.long)
+        if not file.startswith(FAST) or item.get_closest_marker("long"):
             item.add_marker(pytest.mark.slow)

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _AHEAD = 3
 # Captures per task: handing a task out and taking its result back costs as much as a small capture itself.
 _LARGEST_TASK = 8
+# How long a scheduler may take to answer, in s.
+SCHEDULER_PATIENCE_S = 10.0
 _Task = tuple[Path, JobSettings, frozenset[str]]
 Progress = Callable[[int, int, list[Row]], None]
 
@@ -129,7 +131,7 @@ def _client(scheduler: str | None, workers: int) -> Iterator[Client]:
         ) from error
     if scheduler is not None:
         try:
-            client = Client(scheduler, timeout="10s")
+            client = Client(scheduler, timeout=SCHEDULER_PATIENCE_S)
         except (OSError, TimeoutError, ValueError) as error:
             raise DeviceNotFound(
                 f"no Dask scheduler answers at {scheduler}: start one, or leave out --scheduler"

@@ -42,7 +42,7 @@ COPIED = (
 )
 SECONDS = 180  # for the tests of one mutant; a mutant that hangs is noticed as well
 QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")  # of plugins imported beforehand
-FAST = "not slow and not bench and not soak and not hardware"
+FAST = "not slow and not long and not bench and not soak and not hardware"
 COMPILED = "@compiled"  # marks the functions that numba compiles
 OTHERS = (
     "aiohttp.web",

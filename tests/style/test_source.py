@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import gc
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -18,8 +19,9 @@ LONGEST_MODULE = 500
 LIBRARY = [path for path in SOURCES if "cli" not in path.parts]
 
 
+@cache
 def parsed(path: Path) -> ast.Module:
-    """Return the syntax tree of a file; a collection in between would run other tests' finalisers within the parser.
+    """Return a file's syntax tree, made once; a collection meanwhile would run other tests' finalisers in the parser.
 
     CPython 3.11 counts its recursion then and gives up (SystemError: recursion depth mismatch).
     """

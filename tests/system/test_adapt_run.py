@@ -25,7 +25,7 @@ def environment(project_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(project_root))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("environment")
 @pytest.mark.parametrize("devices", [[], ["--box", "sim"]])
 def test_killed_run_taken_up_has_the_same_events(tmp_path: Path, devices: list[str]) -> None:

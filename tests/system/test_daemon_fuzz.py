@@ -18,6 +18,7 @@ _MESSY = st.text(st.sampled_from(string.printable + "\x00\xff#"), max_size=60)
 _EXAMPLES = st.sampled_from([command.example for command in TABLE.commands])
 
 
+@pytest.mark.long
 @pytest.mark.timeout(170)
 def test_three_thousand_hostile_messages() -> None:
     """Half SCPI, half HTTP; the benchmark sends 600,000."""

@@ -87,6 +87,7 @@ def test_hangup_reloads_the_calibration(tmp_path: Path) -> None:
         _until(lambda: daemon.get("/status")["alarms"] == [])
 
 
+@pytest.mark.long
 @pytest.mark.timeout(120)
 def test_kills_leave_no_hole_and_lose_nothing_that_was_seen() -> None:
     """Four kills here; the benchmark does fifty."""
@@ -95,6 +96,7 @@ def test_kills_leave_no_hole_and_lose_nothing_that_was_seen() -> None:
     assert result.seen > 0
 
 
+@pytest.mark.long
 @pytest.mark.timeout(120)
 def test_many_clients_are_served_while_it_measures() -> None:
     """200 clients at 20 queries/s for 4 s: every reply comes and is right. The benchmark takes a minute, and times."""
@@ -104,6 +106,7 @@ def test_many_clients_are_served_while_it_measures() -> None:
     assert result.loaded_per_s > 0
 
 
+@pytest.mark.long
 @pytest.mark.timeout(180)
 def test_a_short_soak_leaks_no_descriptor() -> None:
     """Clients come and go for 20 s; descriptors stay, and memory grows by less than a leak would show."""

@@ -14,7 +14,7 @@ from radiometer.daemon.journal import Journal
 from radiometer.data import Patch, Quantity, Reading
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.timeout(170)
 def test_losses_cost_no_reading_and_make_no_value_false(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten simulated minutes with all four losses: journal, streams and every answer agree with the scene."""

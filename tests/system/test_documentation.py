@@ -38,6 +38,7 @@ def follow_module(project_root: Path) -> ModuleType:
     return module
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", FOLLOWED)
 def test_a_page_followed_word_by_word_prints_what_it_says(page, follow_module, tmp_path, project_root, monkeypatch):
     """Its files are written, its commands run in a fresh folder, and every line that it shows comes, but for noise."""
@@ -59,6 +60,7 @@ def test_a_page_followed_word_by_word_prints_what_it_says(page, follow_module, t
     assert follow_module.follow(file, folder, installing=False) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NOTEBOOKS)
 def test_a_notebook_runs_as_it_stands_and_says_what_is_stored_in_it(name, project_root, tmp_path, monkeypatch):
     """Every cell runs in a kernel of its own; each cell gives outputs of the kinds that the site shows."""

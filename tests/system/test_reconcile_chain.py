@@ -15,7 +15,7 @@ from radiometer.devices import CameraPreset
 from simulators.camera_model import CameraModel
 from simulators.effects.registry import make_effect
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
 
 HIDDEN_SHARE = 0.01
 PEAK, PATCH_U_REL = 1.5, 0.005

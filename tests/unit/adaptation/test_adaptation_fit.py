@@ -44,6 +44,7 @@ def test_noiseless_curve_is_recovered():
     assert found == pytest.approx(expected, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_seven_parameters_are_chosen_where_there_is_an_s3():
     """AICc takes the full model with S3 present, five parameters without, one branch for cones alone."""
     rng = np.random.default_rng(0)
@@ -75,6 +76,7 @@ def test_profile_interval_shrinks_with_the_noise():
     assert (narrow.high - narrow.low) / (wide.high - wide.low) == pytest.approx(0.5, abs=0.05)
 
 
+@pytest.mark.slow
 def test_bootstrap_and_profile_agree():
     """Both intervals of the break have about the same width."""
     found = fit_adaptation(series(0.08), FitRequest(bootstrap_draws=150), np.random.default_rng(3))
@@ -160,6 +162,7 @@ def test_wrong_csv_is_named(tmp_path, text):
         ThresholdSeries.read(file)
 
 
+@pytest.mark.slow
 def test_command_writes_json_page_and_csv(tmp_path, capsys):
     """`adapt fit` prints one JSON object and writes what it is asked for."""
     data = series(0.08)

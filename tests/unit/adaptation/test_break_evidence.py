@@ -37,6 +37,7 @@ def test_weights_count():
     assert convex_sum_of_squares(np.arange(40.0), level, weights) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_rods_alone_have_no_break(seed):
     """S2 that gives way to S3 is no rod–cone break; the verdict says what could have been seen."""

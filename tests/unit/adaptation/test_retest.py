@@ -21,6 +21,7 @@ def test_limits_are_mean_and_196_standard_deviations() -> None:
     assert (found.mean.low, found.mean.high) == pytest.approx((0.5 - 2.0543, 0.5 + 2.0543), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_intervals_of_the_limits_are_one_sided_tolerance_factors() -> None:
     """Bounds of μ + 1.96 σ with 95 % confidence, from ten differences.
 
@@ -51,6 +52,7 @@ def _series(break_min: float, slope: float, seed: int) -> ThresholdSeries:
     return ThresholdSeries(times, np.where(times > break_min, rods, cones) + noise)
 
 
+@pytest.mark.slow
 def test_shift_between_visits_is_found_in_its_quantity_alone() -> None:
     """Second visits with the break 1 min later: mean difference 1 min, S2 as before; rod intercepts follow."""
     request = FitRequest(bootstrap_draws=0, intercept=InterceptRule(-2.3, 6.5))
@@ -74,6 +76,7 @@ def test_shift_between_visits_is_found_in_its_quantity_alone() -> None:
     assert compare_visits(fits[:2])[0].agreement is None  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_pair_without_a_break_is_left_out_and_named() -> None:
     """The second pair's second visit has one branch: its number is told, its plateau is not compared."""
     times = np.arange(0.3, 20, 0.15)

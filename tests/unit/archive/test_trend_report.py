@@ -50,6 +50,7 @@ def test_a_drift_that_is_not_claimed_says_so_and_from_when_on_it_would_be():
     assert ">drifts<" not in page
 
 
+@pytest.mark.slow
 def test_of_several_the_clearest_comes_first():
     """Two of three drift; the fastest is named and its section stands first."""
     trends = [_history("still", 0.0, seed=3), _history("slow", -0.003, seed=4), _history("fast", -0.02, seed=5)]

@@ -120,6 +120,7 @@ def test_a_folder_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest
     assert not is_ours(folder)
 
 
+@pytest.mark.slow
 def test_light_that_the_box_ends_is_told(capsys: pytest.CaptureFixture[Any]) -> None:
     """The bleach's energy budget lasts 200 s at its limit: 230 s end with exit code 1 and the time it lasted."""
     words = ["light", "set", "bleach", "--level", "60000", "--for", "230s", "--box", "sim"]

@@ -53,6 +53,7 @@ def _table(path: Path, break_min: float, seed: int, head: str = "") -> str:
     return str(path)
 
 
+@pytest.mark.slow
 def test_retest_gives_limits_of_agreement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Three subjects whose break is 1, 1.5 and 2 min later: mean 1.5, limits 1.5 ± 0.98, to what the fits leave."""
     files = [_table(tmp_path / f"{n}{k}.csv", 8.0 + k * (1 + 0.5 * n), 2 * n + k) for n in range(3) for k in (0, 1)]
@@ -65,6 +66,7 @@ def test_retest_gives_limits_of_agreement(tmp_path: Path, capsys: pytest.Capture
     assert "two for each subject" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_fit_tells_false_alarms_lapses_and_looks_away(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From the counts in the table's head, in terminal, JSON and page."""
     head = "# false_alarms: 2/100\n# lapses: 1/20\n# seen_at_blind_spot: 6/30\n"

@@ -71,6 +71,7 @@ def test_a_bracket_without_a_bench_holds_nothing_of_the_simulated_one(real, tmp_
     assert real[0].told == LensDescription()
 
 
+@pytest.mark.slow
 def test_a_bracket_of_the_simulated_camera_keeps_its_bench(tmp_path):
     """`--camera sim` is the simulated bench: its lens is known and written."""
     assert run(["bracket", str(tmp_path / "set"), "--from", "1ms", "--to", "2ms", "--camera", "sim"]) == 0

@@ -36,6 +36,7 @@ def test_bash_completes_an_option_of_the_command(words):
     assert completed(bash(words), "radiometer", "merge", "--ph") == set()
 
 
+@pytest.mark.slow
 def test_bash_completes_a_command_below_a_command(words):
     """`radiometer light c` gives `calibrate`; its options follow it."""
     script = bash(words)

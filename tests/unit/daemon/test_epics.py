@@ -89,6 +89,7 @@ async def test_map_is_an_nt_nd_array(served, station, eventually):
     assert float(picture[reading.patch.slices].mean()) == pytest.approx(reading.radiance.value, rel=1e-4)
     assert {a.name: a.value for a in found.attribute}["unit"] == "W sr-1 m-2"
     await asyncio.to_thread(watching.close)
+    await asyncio.to_thread(client.disconnect)  # else p4p keeps the channel for 20 s more
     await eventually(lambda: not server._watched)
 
 

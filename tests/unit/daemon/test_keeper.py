@@ -120,6 +120,7 @@ async def test_late_answers_do_not_make_the_alarm_flap() -> None:
     await keeper.close()
 
 
+@pytest.mark.slow
 async def test_time_in_which_the_daemon_itself_stood_still_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     """A loop that slept 30 s where 0.2 s were meant calls nobody late for that."""
     device, alarms = SlowDevice(), Alarms(lambda *_: None)

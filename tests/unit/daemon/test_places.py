@@ -141,6 +141,7 @@ async def test_a_noisy_connection_does_not_take_the_others_rate(station: Station
     await server.close()
 
 
+@pytest.mark.slow
 async def test_noisy_new_connections_wait_and_others_get_their_turn(station: Station) -> None:
     """A client that opens a connection per request is slowed down, not given an allowance each time."""
     server = HttpServer(station, limits=Limits(http_requests_per_s=20.0))
@@ -179,6 +180,7 @@ async def test_idle_scpi_sessions_make_room(
     await server.close()
 
 
+@pytest.mark.slow
 async def test_an_idle_session_is_warned_then_ended(station: Station, opened: Any, eventually: Eventually) -> None:
     """At nine tenths of the time an error is queued, at the end the connection closes; who speaks stays."""
     server = ScpiServer(station, limits=Limits(idle_s=1.0))

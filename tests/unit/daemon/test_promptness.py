@@ -42,6 +42,7 @@ def test_a_system_that_does_not_allow_it_is_no_failure(monkeypatch: pytest.Monke
     assert not be_prompt()
 
 
+@pytest.mark.slow
 def test_the_daemon_starts_without_what_it_does_not_need() -> None:
     """scipy.stats takes longer to load than all the daemon's own modules; nothing of the daemon asks for it."""
     words = "import radiometer.daemon.service, radiometer.daemon.bench_instrument, radiometer.daemon.bench_light"

@@ -316,6 +316,7 @@ async def test_connections_are_limited(station: Station, eventually: Eventually)
     await server.close()
 
 
+@pytest.mark.slow
 async def test_a_rate_above_the_limit_is_delayed_not_refused(station: Station) -> None:
     """At 50 messages/s allowed, 100 take about a second beyond the burst, and all are answered."""
     server = ScpiServer(station, limits=Limits(messages_per_s=50.0))

@@ -29,7 +29,7 @@ def bench(seed: int, **faults: float) -> tuple[LightBoxTwin, VirtualLine, Serial
     return twin, line, SerialLightBox(BoxLink(line, _sequence=0), ExposureLedger(OPTICS, line.now), keep_alive=False)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ten_thousand_commands_on_a_line_with_one_percent_wrong_bytes():
     """No wrong level is ever set, and none is reported as done that was not."""
     twin, line, box = bench(11, corrupt=0.01)
@@ -135,7 +135,7 @@ def test_button_events_lost_on_the_line_are_fetched():
     assert all(late.time_s > early.time_s for early, late in pairwise(events))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_press_times_over_forty_minutes_with_a_fast_clock():
     """Button times err by less than 2 ms, and by less than their stated k = 2, at 200 ppm over 40 minutes."""
     rng = np.random.default_rng(18)

@@ -1,7 +1,7 @@
 """Dark-adaptation curve of published form and parameters.
 
 Source: J. Kelly, R package `Dark`, function P7c and the parameters of its examples (`TestData`): threshold =
-θ1 + θ2·exp(−t/θ3) + θ4·(t − θ5)·H(t, θ5) + θ6·(t − θ7)·H(t, θ7), H the step (there a steep logistic).
+θ1 + θ2·exp(−t/θ3) + θ4·(t − θ5)·H(t, θ5) + θ6·(t − θ7)·H(t, θ7), H the step (there a logistic of 10 per min).
 """
 
 from __future__ import annotations

@@ -67,6 +67,7 @@ def test_the_example_of_a_public_name_runs_as_it_stands(name, desk, monkeypatch)
     assert runner.run(example, out=told.append).failed == 0, "".join(told)
 
 
+@pytest.mark.slow
 def test_the_python_page_runs_as_it_stands(desk, monkeypatch, project_root):
     """The blocks of docs/python.md run in order where its files are; nothing in it is a sketch."""
     monkeypatch.chdir(desk)
@@ -80,6 +81,7 @@ def test_the_python_page_runs_as_it_stands(desk, monkeypatch, project_root):
     assert namespace["found"].verdict == "effects_found"
 
 
+@pytest.mark.slow
 def test_every_object_shows_itself_in_one_line_and_in_a_picture(desk, monkeypatch):
     """Reading, bracket, response, map, sensor and result: a short line, HTML with a picture, a plot on given axes."""
     monkeypatch.chdir(desk)

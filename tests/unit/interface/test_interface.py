@@ -138,6 +138,7 @@ def test_netcdf_keeps_units_uncertainties_and_flags(stack, tmp_path):
         assert back.attrs["exposures_s"].tolist() == pytest.approx(list(radiance.map.exposures_s))
 
 
+@pytest.mark.slow
 def test_response_and_calibration_exclude_each_other(stack):
     """A calibration holds a response of its own."""
     response = rm.recover_response(_gradient())

@@ -88,6 +88,7 @@ def test_light_bench_opens_both_devices(engine):
     assert events[1]["radiometer-radiance"] == pytest.approx(4 * events[0]["radiometer-radiance"], rel=0.03)
 
 
+@pytest.mark.slow
 def test_scan_over_a_motor_and_count_read_the_meters_patch(engine):
     """The still scene reads the same at each place of a motor; the patch is the source's, not the bench's."""
     with rm.open("sim") as meter:

@@ -45,6 +45,7 @@ def test_without_a_spectrum_there_is_no_luminance():
     assert photometer.lastLum is None
 
 
+@pytest.mark.slow
 def test_photometer_of_a_camera_reads_what_the_bench_shows():
     """The bench's middle patch has 1.5·0.5^2.2 W/sr/m²; the lens is known to 1 %, of which three sigmas are allowed."""
     efficacy = luminous_efficacy_lm_per_w(spectrum("white_led"), "photopic")

@@ -114,6 +114,7 @@ def test_label_that_lies_is_named_with_its_ratio() -> None:
     assert math.log(effect.parameters["ratio"].value) == pytest.approx(-math.log(1.9), abs=0.03)
 
 
+@pytest.mark.slow
 def test_light_that_fell_on_one_photograph_is_no_wrong_label() -> None:
     """A corner glows in the shortest exposures but one; the rest of the picture is in order, and so is the label."""
     frames = _photographs(EXACT, EXACT)

@@ -19,7 +19,7 @@ from simulators.effects.veiling_glare import VeilingGlare
 PLAN = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 6) for _ in range(2)] + [{"t": 1e-2, "shutter": "closed"}]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_answer_stands_where_advice_fails(make_capture: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """An error in the limits and in the next capture is told among the assumptions; the name is found nevertheless."""
 

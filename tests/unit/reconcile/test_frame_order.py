@@ -82,7 +82,7 @@ def test_every_fifth_frame_dim_does_not_agree(make_capture: Callable[..., Any]) 
     assert rest.parameters["depth_rel"].value == pytest.approx(0.06, abs=0.005)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rest_is_one_entry_with_its_size(make_capture: Callable[..., Any]) -> None:
     """A scatter of captures by an unknown cause is one entry; its root mean square is that of what was added."""
     plan = [*EXPOSURES, *EXPOSURES, *EXPOSURES, *EXPOSURES, *DARKS]

@@ -15,7 +15,7 @@ from radiometer.data import CaptureSetWriter
 from radiometer.reconcile import ReconcileResult, Verdict, reconcile
 from simulators.camera_model import CameraModel
 
-pytestmark = pytest.mark.slow  # each runs a whole search
+pytestmark = pytest.mark.long  # each runs a whole search
 
 
 def _write(captured: Any, folder: Path) -> Path:

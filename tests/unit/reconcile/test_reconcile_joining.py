@@ -24,7 +24,7 @@ from simulators.effects.gamma_enabled import GammaEnabled
 from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.veiling_glare import VeilingGlare
 
-pytestmark = pytest.mark.slow  # each runs a whole search
+pytestmark = pytest.mark.long  # each runs a whole search
 
 
 def _fitted(captured: Any, *effects: CatalogueEffect) -> FitState:

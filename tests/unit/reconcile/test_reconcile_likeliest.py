@@ -29,6 +29,7 @@ def _state(captured: Any) -> FitState:
     return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
 
 
+@pytest.mark.slow
 def test_search_for_a_flicker_begins_near_it(make_capture: Callable[..., Any]) -> None:
     """A sine of 9 % at 480 Hz, up to three periods in an exposure, is met within a hundredth of its frequency."""
     rng = np.random.default_rng(11)
@@ -45,6 +46,7 @@ def test_search_for_a_flicker_begins_near_it(make_capture: Callable[..., Any]) -
         assert first.modulation == pytest.approx(0.09, rel=0.4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("step", "possible"), [(2, {2.0}), (4, {2.0**power for power in range(1, 9)})])
 def test_codes_that_occur_rule_out_a_coarser_step(
     make_capture: Callable[..., Any], step: int, possible: set[float]
@@ -57,6 +59,7 @@ def test_codes_that_occur_rule_out_a_coarser_step(
     assert {effect.step_codes for effect in left if effect.kept_codes == 1.0} == possible
 
 
+@pytest.mark.slow
 def test_charge_that_neighbours_exchange_stays_in_the_means_of_lines(make_capture: Callable[..., Any]) -> None:
     """Means of lines of mixed noise scatter as predicted, over what the mixed pixels' own variance would give."""
     state = _state(make_capture(6))

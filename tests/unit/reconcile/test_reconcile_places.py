@@ -91,6 +91,7 @@ def test_stronger_half_is_a_step_in_the_picture(make_capture: Callable[..., Any]
     assert (first.block, first.where, axis_of(first.where, first.block)) == ("mean", "half_x", "image_x")
 
 
+@pytest.mark.slow
 def test_swinging_lamp_is_placed_along_time(make_capture: Callable[..., Any]) -> None:
     """A lamp that swings by 1 % three times in the session is placed along time."""
     clock = iter(range(10_000))

@@ -75,6 +75,7 @@ def test_mean_and_variance_agree_with_numpy(make_capture: Callable[..., Any]) ->
     assert seen.variance[0, 7] == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_compiled_sums_agree_with_numpy() -> None:
     """Means, clipped shares, neighbour products, row sums and histogram of two tiles, one pixel of them a defect."""
     rng = np.random.default_rng(8)
@@ -112,6 +113,7 @@ def test_compiled_sums_agree_with_numpy() -> None:
     np.testing.assert_array_equal(histogram, np.bincount(dn[0:8, 18:27].ravel(), minlength=4096))
 
 
+@pytest.mark.slow
 def test_coarse_cells_are_block_means_and_maxima() -> None:
     """Cells of 3 × 3 pixels; the rest at the border is left out."""
     dn = np.arange(70, dtype=np.uint16).reshape(7, 10)
@@ -291,6 +293,7 @@ def test_repeatability_is_found(make_capture: Callable[..., Any]) -> None:
     assert _state(make_capture(seed=6)).tau == pytest.approx(1e-3, rel=0.3)
 
 
+@pytest.mark.slow
 def test_null_tests_are_calibrated(make_capture: Callable[..., Any]) -> None:
     """Under the null the share of p < 0.05 over four seeds is 0.05 (about 50 independent tests in each)."""
     p = [test.p_value for seed in range(4) for test in localise(_state(make_capture(seed=seed)))]

@@ -71,6 +71,7 @@ def test_black_is_seen_or_becomes_a_limit(calibrated: tuple[str, ScreenCalibrati
         assert curve.radiance_at(0).value == pytest.approx(0.1 / 340, rel=0.05)
 
 
+@pytest.mark.slow
 def test_flicker_is_found_where_it_is(calibrated: tuple[str, ScreenCalibration]) -> None:
     """The dimmed backlight is found to flicker, the steady ones are not; readings are averaged accordingly."""
     name, calibration = calibrated
@@ -78,6 +79,7 @@ def test_flicker_is_found_where_it_is(calibrated: tuple[str, ScreenCalibration])
     assert (calibration.checks["repeats"] > 1) is (name == "pwm_lcd")
 
 
+@pytest.mark.slow
 def test_plain_gamma_errs_where_black_shines(calibrated: tuple[str, ScreenCalibration]) -> None:
     """How badly a plain gamma would have erred is stated: over 10 % on the LCDs, under 1 % on the OLED."""
     name, calibration = calibrated

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -51,9 +52,15 @@ def _capture(
     return simulate_capture(model, plan, lit, path, frames_per_setting=frames, believed_camera=BELIEVED, seed=5)
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _capture(tmp_path_factory.mktemp("made") / "set", _plan()).path
+
+
 @pytest.fixture
-def capture(tmp_path: Path) -> CaptureSet:
-    return _capture(tmp_path / "set", _plan())
+def capture(made: Path, tmp_path: Path) -> CaptureSet:
+    """Return a copy of one capture: tests write into it."""
+    return CaptureSet.read(shutil.copytree(made, tmp_path / "set"))
 
 
 def test_camera_file_is_read_as_a_camera_preset(capture: CaptureSet) -> None:
@@ -222,9 +229,8 @@ def test_region_outside_the_frame_is_refused(capture: CaptureSet) -> None:
         characterise(subject_of_capture(capture, Patch(150, 0, 40, 40)))
 
 
-def test_descriptor_export_gives_the_same_figures_when_read_back(tmp_path: Path) -> None:
+def test_descriptor_export_gives_the_same_figures_when_read_back(capture: CaptureSet, tmp_path: Path) -> None:
     """A capture, exported and characterised again from the descriptor, has the same K, R and read noise."""
-    capture = _capture(tmp_path / "set", _plan())
     subject = subject_of_capture(capture)
     result = characterise(subject)
     remarks = export_descriptor(subject, result, tmp_path / "emva.txt")
@@ -284,6 +290,7 @@ def test_wrong_descriptors_are_refused_by_line(tmp_path: Path, text: str, messag
         EmvaDescriptor.read(tmp_path / "d.txt")
 
 
+@pytest.mark.slow
 def test_the_report_opens_with_gain_noise_and_capacity(capture: CaptureSet) -> None:
     """The sentence holds K, σ_d and the saturation with U (k = 2); a picture, the meaning, then the tables."""
     result = characterise(subject_of_capture(capture))
@@ -321,6 +328,7 @@ def test_without_a_gain_the_report_says_so_and_what_to_take(capture: CaptureSet)
     assert "radiometer bracket --repeat 2 --darks 2" in page
 
 
+@pytest.mark.slow
 def test_no_name_of_a_camera_is_markup(capture: CaptureSet) -> None:
     """A camera that calls itself a script, and a note with one, are shown as they are written."""
     result = characterise(subject_of_capture(capture))

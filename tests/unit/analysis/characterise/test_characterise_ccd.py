@@ -7,22 +7,7 @@ from pathlib import Path
 import pytest
 
 from radiometer.analysis.characterise import Characterisation, EmvaDescriptor, characterise, read_subject
-
-# Figures of the package 1.0.2 on this descriptor, as the data's provenance note gives them.
-PACKAGE = {
-    "K": 0.28035,
-    "eta": 45.22,
-    "R": 0.126778,
-    "sigma_d": 10.913,
-    "mu_e_sat": 13_999.0,
-    "mu_p_sat": 30_957.0,
-    "SNR_max": 118.3,
-    "DR_dB": 61.74,
-    "LE_min": -0.605,
-    "LE_max": 0.455,
-    "mu_I_mean": 29.2,
-    "PRNU_1288": 0.430,
-}
+from tests.unit.golden.emva import REF001, REF001_LOOSE
 
 
 @pytest.fixture(scope="module")
@@ -35,14 +20,14 @@ def ccd(folder: Path) -> Characterisation:
     return characterise(read_subject(folder))
 
 
-@pytest.mark.parametrize("name", sorted(PACKAGE))
+@pytest.mark.parametrize("name", sorted(REF001))
 def test_figure_agrees_with_the_package(ccd: Characterisation, name: str) -> None:
     """K within 1 %, the rest within 2 %: the fit here is weighted by the noise, the package's is not."""
     allowed = 0.01 if name == "K" else 0.02
-    assert ccd.figures[name].value == pytest.approx(PACKAGE[name], rel=allowed)
+    assert ccd.figures[name].value == pytest.approx(REF001[name], rel=allowed)
 
 
-@pytest.mark.parametrize(("name", "value"), [("DSNU_1288", 0.240), ("mu_I_var", 81.0)])
+@pytest.mark.parametrize(("name", "value"), list(REF001_LOOSE.items()))
 def test_figure_of_few_frames_agrees_within_its_uncertainty(ccd: Characterisation, name: str, value: float) -> None:
     """What four frames or short exposures hardly determine differs by less than one standard uncertainty."""
     assert abs(ccd.figures[name].value - value) < ccd.figures[name].u

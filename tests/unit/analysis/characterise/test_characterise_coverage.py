@@ -136,7 +136,7 @@ def _coverage(model: CameraModel, truth: dict[str, float], seeds: Sequence[int])
     return {name: count / len(seeds) for name, count in hits.items()}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_intervals_of_every_figure_hold_the_truth() -> None:
     """In 50 runs the k = 2 interval of each of 29 figures holds the truth in at least 89 % (95 − 6 %)."""
     model = CameraModel.ideal(CAMERA, LensDescription(f_number=4.0))
@@ -146,7 +146,7 @@ def test_intervals_of_every_figure_hold_the_truth() -> None:
     assert {name: share for name, share in coverage.items() if share < 0.89} == {}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_intervals_hold_fixed_patterns() -> None:
     """With a PRNU of 0.6 % and a DSNU of 2 e-, the intervals hold these (and K) in at least 89 % of 50 runs."""
     model = CameraModel.ideal(CAMERA, LensDescription(f_number=4.0))
@@ -156,7 +156,7 @@ def test_intervals_hold_fixed_patterns() -> None:
     assert {name: share for name, share in coverage.items() if share < 0.89} == {}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("bits", "gain_e_per_dn", "black_dn"), [(8, 95.2, 4.0), (10, 23.8, 16.0)])
 def test_few_bits_do_not_bend_the_gain(bits: int, gain_e_per_dn: float, black_dn: float) -> None:
     """Where rounding hides the dark noise, K stays within 2u in 19 of 20 runs or all, and sigma_d is a range."""

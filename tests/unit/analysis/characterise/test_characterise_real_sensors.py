@@ -194,6 +194,7 @@ def test_a_table_of_statistics_is_characterised(tmp_path):
     figures = characterise(read_subject(tmp_path / "t.csv")).figures
     assert figures["K"].value == pytest.approx(0.25, rel=0.01)
     assert figures["mu_I_mean"].value == pytest.approx(10.0 / 0.25, rel=0.01)
+    assert figures["mu_I_var"].value == pytest.approx(2.5 / 0.25**2, rel=0.01)
     assert figures["sigma_d"].value == pytest.approx(math.sqrt(9 - 1 / 12) / 0.25, rel=0.01)
     assert "DSNU_1288" not in figures
 

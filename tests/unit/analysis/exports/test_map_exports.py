@@ -192,6 +192,7 @@ def test_the_command_merges_a_capture_set(capture, tmp_path, capsys):
     assert (tmp_path / "a.hdr").exists()
 
 
+@pytest.mark.slow
 def test_a_curve_s_black_level_is_that_of_the_frames(capture, rig, tmp_path):
     """A curve of raw numbers with 64 DN of black gives what the straight line gives, where only frames state black."""
     folder, _ = capture

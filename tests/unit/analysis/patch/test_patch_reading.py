@@ -44,6 +44,7 @@ def read(rig, frames, calibration, patch=None, **options):
     )
 
 
+@pytest.mark.slow
 def test_twenty_patches_over_five_decades_are_read_right(rig):
     """Mean error under 0.5 %, 95 ± 4 % of the k = 2 intervals hold the truth, and nothing is NaN.
 

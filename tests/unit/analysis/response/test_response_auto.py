@@ -40,7 +40,7 @@ def _mean_square_in_u(make_stack, inner_error, bit_depth, responses):
     return np.mean(squares)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("bit_depth", [8, 12])
 def test_errors_are_what_the_uncertainty_says(make_stack, inner_error, bit_depth):
     """Over ten responses with bends at all levels the mean squared error in units of u is near 1: 0.4 to 2.5.
@@ -51,7 +51,7 @@ def test_errors_are_what_the_uncertainty_says(make_stack, inner_error, bit_depth
     assert 0.4 < _mean_square_in_u(make_stack, inner_error, bit_depth, films) < 2.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("bit_depth", [8, 12])
 def test_errors_of_smooth_responses_stay_within_the_uncertainty(make_stack, inner_error, bit_depth):
     """Where a response is smoother than u must allow for, errors are smaller than u, not larger."""

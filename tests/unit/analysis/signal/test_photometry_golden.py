@@ -27,11 +27,11 @@ def test_the_observers_are_the_published_tables(nm):
     line = spectrum(f"line:{nm}")
     wavelength, photopic = photometry.luminous_efficiency("photopic")
     _, scotopic = photometry.luminous_efficiency("scotopic")
-    assert np.interp(nm, wavelength, photopic) == pytest.approx(v, rel=2e-3, abs=1e-7)
-    assert np.interp(nm, wavelength, scotopic) == pytest.approx(v_dark, rel=5e-3, abs=2e-8)
-    assert photometry.luminous_efficacy_lm_per_w(line) == pytest.approx(683.0 * v, rel=2e-3, abs=1e-4)
+    assert np.interp(nm, wavelength, photopic) == pytest.approx(v, rel=1e-6)
+    assert np.interp(nm, wavelength, scotopic) == pytest.approx(v_dark, rel=1e-6)
+    assert photometry.luminous_efficacy_lm_per_w(line) == pytest.approx(cie.KM_LM_PER_W * v, rel=1e-6)
     found = photometry.luminous_efficacy_lm_per_w(line, "scotopic")
-    assert found == pytest.approx(1700.0 * v_dark, rel=5e-3, abs=1e-4)
+    assert found == pytest.approx(cie.KM_SCOTOPIC_LM_PER_W * v_dark, rel=1e-6)
 
 
 @given(st.sampled_from(NAMES), st.sampled_from(["photopic", "scotopic"]), positive)

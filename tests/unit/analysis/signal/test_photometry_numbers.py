@@ -13,37 +13,31 @@ from radiometer.analysis.calibration.absolute import MeterSettings
 from radiometer.analysis.signal import photometry
 from radiometer.analysis.signal.spectra import Spectrum, spectrum, table
 from radiometer.errors import InputError
+from tests.unit.golden import thesis
 
-K_TABLE = [
-    (250.0, 16, 1 / 8, 16.6016),
-    (250.0, 5.6, 1 / 60, 18.0697),
-    (250.0, 1.7, 1 / 640, 18.3824),
-    (350.0, 16, 1 / 13, 14.3029),
-    (350.0, 5.6, 1 / 100, 15.1786),
-    (350.0, 1.7, 1 / 1000, 16.4706),
-]
 EXACT_K = [16.6016, 16.6016, 18.6346, 14.6417, 14.6417, 16.4347]
-REFERENCE = MeterSettings(1 / 125, 16.0, 136.0)
+REFERENCE = MeterSettings(1 / 125, 16.0, thesis.MEASURED_ISO)
 
 
-@pytest.mark.parametrize(("luminance", "f_number", "exposure_s", "expected"), K_TABLE)
+@pytest.mark.parametrize(("luminance", "f_number", "exposure_s", "expected"), thesis.METER_CONSTANTS)
 def test_meter_constants_of_the_thesis(luminance, f_number, exposure_s, expected):
     """Printed settings taken at face value give the table's six constants."""
-    constant = absolute.meter_constant(luminance, MeterSettings(exposure_s, f_number, 136.0))
+    constant = absolute.meter_constant(luminance, MeterSettings(exposure_s, f_number, thesis.MEASURED_ISO))
     assert round(constant, 4) == expected
 
 
 def test_the_mean_meter_constant_of_the_thesis():
     """The six average to 16.5."""
-    constants = [absolute.meter_constant(level, MeterSettings(t, n, 136.0)) for level, n, t, _ in K_TABLE]
-    assert round(float(np.mean(constants)), 1) == 16.5
+    rows = [(level, MeterSettings(t, n, thesis.MEASURED_ISO)) for level, n, t, _ in thesis.METER_CONSTANTS]
+    constants = [absolute.meter_constant(level, setting) for level, setting in rows]
+    assert round(float(np.mean(constants)), 1) == thesis.MEAN_METER_CONSTANT
 
 
-@pytest.mark.parametrize(("row", "expected"), list(zip(K_TABLE, EXACT_K, strict=True)))
+@pytest.mark.parametrize(("row", "expected"), list(zip(thesis.METER_CONSTANTS, EXACT_K, strict=True)))
 def test_exact_stops_take_the_rounding_out_of_the_constants(row, expected):
     """f/16 and f/5.6 then agree to all digits; f/1.7 stays higher by one sixth of a stop."""
     luminance, f_number, exposure_s, _ = row
-    constant = absolute.meter_constant(luminance, MeterSettings(exposure_s, f_number, 136.0).exact())
+    constant = absolute.meter_constant(luminance, MeterSettings(exposure_s, f_number, thesis.MEASURED_ISO).exact())
     assert round(constant, 4) == expected
 
 
@@ -55,22 +49,24 @@ def test_the_meter_is_known_to_a_sixth_of_a_stop():
 
 def test_luminance_of_the_thesis():
     """K = 16.5, f/16, 1/125 s, ISO 136."""
-    assert round(absolute.metered_luminance_cd_m2(16.5, REFERENCE), 4) == 3882.3529
+    found = absolute.metered_luminance_cd_m2(thesis.MEAN_METER_CONSTANT, REFERENCE)
+    assert round(found, 4) == thesis.REFERENCE_LUMINANCE
 
 
 def test_spectral_radiance_of_the_thesis():
     """Equation (2.10): 53.2234, per µm."""
-    value = photometry.radiance_thesis_w_sr_m2_um(absolute.metered_luminance_cd_m2(16.5, REFERENCE))
+    luminance = absolute.metered_luminance_cd_m2(thesis.MEAN_METER_CONSTANT, REFERENCE)
+    value = photometry.radiance_thesis_w_sr_m2_um(luminance)
     # The printed figure is the result cut, not rounded, after the fourth decimal.
-    assert math.floor(value * 1e4) / 1e4 == 53.2234
+    assert math.floor(value * 1e4) / 1e4 == thesis.REFERENCE_SPECTRAL_RADIANCE
 
 
 def test_reference_exposure_of_the_thesis():
     """ln H = −6.6406; the thesis's 1.30624e-3 J/m² is the exponential of that rounded logarithm."""
-    exposure = absolute.reference_exposure_j_m2(53.2234, REFERENCE)
-    assert round(math.log(exposure), 4) == -6.6406
-    assert f"{math.exp(round(math.log(exposure), 4)):.5e}" == "1.30624e-03"
-    assert exposure == pytest.approx(1.30624e-3, rel=1e-4)
+    exposure = absolute.reference_exposure_j_m2(thesis.REFERENCE_SPECTRAL_RADIANCE, REFERENCE)
+    assert round(math.log(exposure), 4) == thesis.REFERENCE_LOG_EXPOSURE
+    assert f"{math.exp(round(math.log(exposure), 4)):.5e}" == f"{thesis.REFERENCE_EXPOSURE_J_M2:.5e}"
+    assert exposure == pytest.approx(thesis.REFERENCE_EXPOSURE_J_M2, rel=1e-4)
 
 
 def test_the_pixel_of_the_thesis():

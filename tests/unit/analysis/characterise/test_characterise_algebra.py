@@ -1,0 +1,253 @@
+"""EMVA 1288 figures from statistics worked out by hand: each factor, each term of u, each limit of a range."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import linregress
+
+from radiometer.analysis.characterise.dark_figures import typical_dark_current, typical_rates
+from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
+from radiometer.analysis.characterise.line_fit import fit_line
+from radiometer.analysis.characterise.linearity import linearity
+from radiometer.analysis.characterise.nonuniformity import dsnu, prnu
+from radiometer.analysis.characterise.photon_flux import PhotonFlux, photon_flux
+from radiometer.analysis.characterise.photon_transfer import photon_transfer
+from radiometer.analysis.characterise.saturation import find_saturation
+from radiometer.analysis.characterise.sensitivity import responsivity, sensitivity_figures
+from radiometer.analysis.characterise.spatial_split import NoiseLeft, split_spatial_variance
+from radiometer.analysis.characterise.steps import make_steps
+from radiometer.data import (
+    CameraDescription,
+    FrameSettings,
+    LensDescription,
+    PatchDescription,
+    Quantity,
+    SourceDescription,
+)
+
+BLACK_DN = 100.0
+SIGNALS = np.linspace(200.0, 6000.0, 16)
+
+
+def group(mean, variance, exposure_s=1.0, *, dark=False, level=1.0, photons=None, pixels=90_000, **more):
+    """Return the statistics of a pair of frames, without pictures."""
+    settings = FrameSettings(exposure_s, source_level=level, shutter="closed" if dark else "open")
+    return GroupStatistics(settings, 2, pixels, mean, variance, 0.0, 0.0, photons, **more)
+
+
+def steps_of(signals, variances, dark_variance=40.0, pixels=90_000):
+    """Return steps of given signals and variances whose light is twice the signal, in photons."""
+    bright = [group(BLACK_DN + s, v, photons=2.0 * s, pixels=pixels) for s, v in zip(signals, variances, strict=True)]
+    return make_steps(bright, [group(BLACK_DN, dark_variance, dark=True, pixels=pixels)])
+
+
+def test_the_photon_transfer_ends_at_seventy_percent_of_saturation():
+    """Steps above, whose variance has begun to fall, change nothing."""
+    variances = np.where(SIGNALS <= 4200.0, 40.0 + 0.5 * SIGNALS, 20.0 + 0.25 * SIGNALS)
+    found = photon_transfer(steps_of(SIGNALS, variances), 6000.0)
+    assert found.K.value == pytest.approx(0.5, rel=1e-9)
+    assert max(s.signal_dn for s in found.used) == SIGNALS[SIGNALS <= 4200.0].max()
+
+
+def test_the_stated_uncertainty_of_the_gain_is_its_scatter():
+    """Over 400 draws of variances with the chance that so few pixels leave, K scatters by its mean u within 15 %."""
+    rng, pixels = np.random.default_rng(4), 200
+    values, stated = [], []
+    for _ in range(400):
+        chance = rng.chisquare(pixels - 1, SIGNALS.size + 1) / (pixels - 1)
+        found = photon_transfer(
+            steps_of(SIGNALS, (40.0 + 0.5 * SIGNALS) * chance[1:], 40.0 * chance[0], pixels), 10_000.0
+        )
+        values.append(found.K.value)
+        stated.append(found.line.u_slope / max(found.line.birge_ratio, 1.0))
+    assert np.std(values) == pytest.approx(np.mean(stated), rel=0.15)
+
+
+def test_where_rounding_hides_the_dark_noise_the_line_is_free():
+    """Of 0.3 DN² in the light only 0.08 show in the dark: the slope stays 0.01; steps below 0.5 DN² do not count."""
+    signals = np.linspace(10.0, 3000.0, 14)
+    found = photon_transfer(steps_of(signals, 0.3 + 0.01 * signals, 0.08), 5000.0)
+    assert found.rounded
+    assert found.K.value == pytest.approx(0.01, rel=1e-6)
+    assert len(found.used) == 13
+
+
+def test_scatter_beyond_what_is_stated_widens_a_line():
+    """u of slope and intercept are those of the residuals, as an ordinary regression has them."""
+    x, y = np.arange(6.0), np.array([0.0, 1.2, 1.9, 3.1, 3.8, 5.1])
+    line, usual = fit_line(x, y, np.full(6, 1e-4)), linregress(x, y)
+    assert (line.u_slope, line.u_intercept) == pytest.approx((usual.stderr, usual.intercept_stderr))
+
+
+def test_light_is_exposure_times_level_or_the_photons():
+    """Half the level at twice the exposure is the same light; photons go before both."""
+    dark = [group(BLACK_DN, 40.0, t, dark=True) for t in (1.0, 2.0)]
+    bright = [group(500.0, 240.0, 2.0, level=0.25), group(500.0, 240.0, 1.0, level=1.0)]
+    assert [s.light for s in make_steps(bright, dark)] == [0.5, 1.0]
+    assert make_steps([group(500.0, 240.0, 2.0, level=0.25, photons=7e3)], dark)[0].light == 7e3
+
+
+def test_darkness_at_another_exposure_is_as_uncertain_as_its_line():
+    """From 1, 2 and 3 s to 12 s: u is that of the mean and of ten times the slope."""
+    dark = [group(BLACK_DN + 5.0 * t, 40.0, t, dark=True) for t in (1.0, 2.0, 3.0)]
+    (step,) = make_steps([group(900.0, 240.0, 12.0)], dark)
+    u_mean = math.sqrt(40.0 / (2 * 90_000))
+    assert step.dark_mean_dn == pytest.approx(BLACK_DN + 60.0)
+    assert step.u_dark_mean_dn == pytest.approx(u_mean * math.sqrt(1 / 3 + 10.0**2 / 2))
+
+
+def frames(count, offsets, noise, shape=(60, 70), seed=3):
+    """Return frames of even light with offsets of their own and pixel noise."""
+    rng = np.random.default_rng(seed)
+    return [np.rint(1000.0 + offsets[n] + rng.normal(0.0, noise, shape)).astype(np.uint16) for n in range(count)]
+
+
+def test_light_that_differs_from_frame_to_frame_is_no_noise():
+    """σ_y² is 36 + 1/12 DN² whatever the frames' means do; and no pattern is left in the average of eight."""
+    (steady,) = statistics_of_group(frames(8, [0.0] * 8, 6.0), FrameSettings(1.0), (None,), 4095)
+    (unsteady,) = statistics_of_group(
+        frames(8, [0, 30, -20, 10, 5, -40, 25, 0], 6.0), FrameSettings(1.0), (None,), 4095
+    )
+    for one in (steady, unsteady):
+        assert one.variance_dn2 == pytest.approx(36.0 + 1 / 12, abs=4 * one.u_variance_dn2)
+        assert one.spatial_variance_dn2 == pytest.approx(0.0, abs=4 * one.u_spatial_variance_dn2)
+        assert one.u_spatial_variance_dn2 < 0.3
+    assert steady.degrees_of_freedom == 7 * (60 * 70 - 1)
+    assert steady.u_variance_dn2 == pytest.approx(steady.variance_dn2 * math.sqrt(2.0 / (7 * 4199)))
+
+
+def test_full_scale_is_clipped_and_zero_is_the_floor():
+    """Shares of pixels at 4095 and at 0, of all frames."""
+    one, two = np.full((10, 10), 500, np.uint16), np.full((10, 10), 500, np.uint16)
+    one[0, :3], two[0, 0], two[5] = 4095, 4095, 0
+    (found,) = statistics_of_group([one, two], FrameSettings(1.0), (None,), 4095)
+    assert (found.clipped_share, found.floor_share) == (4 / 200, 10 / 200)
+
+
+def test_what_pixels_leave_in_few_rows_is_no_row_pattern():
+    """Pictures of 4 × 50 independent pixels: over 600 of them rows and columns come out as zero, pixels as one."""
+    rng = np.random.default_rng(6)
+    none = NoiseLeft(0.0, 0.0, 0.0)
+    found = [split_spatial_variance(rng.standard_normal((4, 50)), none) for _ in range(600)]
+    assert np.mean([f.row_dn2 for f in found]) == pytest.approx(0.0, abs=0.004)
+    assert np.mean([f.column_dn2 for f in found]) == pytest.approx(0.0, abs=0.01)
+    assert np.mean([f.pixel_dn2 for f in found]) == pytest.approx(1.0, abs=0.02)
+
+
+def test_patterns_of_darkness_and_light():
+    """DSNU √9/K = 6 e⁻; PRNU √(25 − 9)/400 = 1 %; both with the u of K and of their variances."""
+    dark = replace(group(BLACK_DN, 0.0, dark=True), spatial_variance_dn2=9.0)
+    bright = replace(group(BLACK_DN + 400.0, 0.0), spatial_variance_dn2=25.0)
+    K = Quantity(0.5, 0.05, "DN/e-")
+    found = dsnu(dark, K)
+    assert found.value == pytest.approx(6.0)
+    assert found.u == pytest.approx(0.6, rel=1e-3)
+    assert prnu(bright, dark).value == pytest.approx(1.0)
+
+
+def test_figures_that_follow_from_gain_darkness_and_saturation():
+    """K 0.5, σ_y² 4 + 1/12, 5000 DN, η 50 %: threshold, capacity, SNR and dynamic range by the standard's formulae."""
+    exact = {"K": 0.5, "var": 4.0 + 1 / 12, "sat": 5000.0, "eta": 50.0}
+    K, var, sat, eta = (Quantity(v, 1e-9, "") for v in exact.values())
+    figures = {name: q.value for name, q in sensitivity_figures(K, var, sat, eta).items()}
+    threshold = math.sqrt(4.0 + 1 / 12) / 0.5 + 0.5
+    assert figures["sigma_d"] == pytest.approx(4.0)
+    assert (figures["mu_e_min"], figures["mu_p_min"]) == pytest.approx((threshold, 2 * threshold))
+    assert (figures["mu_e_sat"], figures["mu_p_sat"]) == pytest.approx((10_000.0, 20_000.0))
+    assert (figures["SNR_max"], figures["SNR_max_dB"]) == pytest.approx((100.0, 40.0))
+    assert figures["DR"] == pytest.approx(10_000.0 / threshold)
+    assert figures["DR_dB"] == pytest.approx(20 * math.log10(10_000.0 / threshold))
+
+
+def test_the_responsivity_is_known_no_better_than_the_photons():
+    """Half a DN per photon; 3 % of the photons go into it."""
+    steps = steps_of(SIGNALS, 40.0 + 0.5 * SIGNALS)
+    found = responsivity(steps, find_saturation(steps), 0.03)
+    assert found.value == pytest.approx(0.5, rel=1e-9)
+    assert found.u_rel == pytest.approx(0.03, rel=1e-3)
+
+
+def test_saturation_is_where_the_variance_is_largest():
+    """The twelfth of 16 steps: its signal and light; u holds the rectangle to its neighbours; beyond is the plateau."""
+    variances = np.where(np.arange(16) <= 11, 40.0 + 0.5 * SIGNALS, 5.0)
+    steps = steps_of(SIGNALS, variances)
+    found = find_saturation(steps)
+    assert (found.signal_dn, found.light) == pytest.approx((SIGNALS[11], 2.0 * SIGNALS[11]))
+    spacing = float(SIGNALS[1] - SIGNALS[0])
+    assert found.u_light_rel == pytest.approx(spacing / math.sqrt(3) / SIGNALS[11], rel=1e-6)
+    assert found.linear_signal_dn == pytest.approx(SIGNALS[11])
+    assert found.u_linear_signal_dn == pytest.approx(spacing / math.sqrt(3), rel=0.01)
+    assert found.reached
+    assert found.plateau_dn is not None
+    assert found.plateau_dn.value == pytest.approx(BLACK_DN + SIGNALS[15])
+    rising = find_saturation(steps_of(SIGNALS, 40.0 + 0.5 * SIGNALS))
+    assert not rising.reached
+    assert rising.plateau_dn is None
+
+
+def test_linearity_errors_are_relative_and_have_a_sign():
+    """A dim step 5 % too low is the negative error; the line minimises the squares of the relative deviations."""
+    signals = SIGNALS[1:].copy()
+    light = 2.0 * signals
+    signals[0] *= 0.95
+    bright = [group(BLACK_DN + s, 100.0, photons=p) for s, p in zip(signals, light, strict=True)]
+    found = linearity(make_steps(bright, [group(BLACK_DN, 40.0, dark=True)]), 6500.0)
+    design = np.column_stack([light, np.ones_like(light)]) / signals[:, None]
+    a, b = np.linalg.lstsq(design, np.ones_like(light), rcond=None)[0]
+    expected = 100.0 * (signals - a * light - b) / (a * light + b)
+    assert found is not None
+    assert (found.LE_min.value, found.LE_max.value) == pytest.approx((expected.min(), expected.max()))
+    assert found.LE_min.value == pytest.approx(expected[0])
+    assert found.LE_min.value < -1.0
+
+
+def test_photons_of_a_surface():
+    """Proportional to exposure and level, none in the dark; u of radiance, lens and lamp in squares; fewer off axis."""
+    flux = PhotonFlux(1000.0, 0.0)
+    assert flux.photons(FrameSettings(2.0, source_level=0.25)) == 500.0
+    assert flux.photons(FrameSettings(2.0, shutter="closed")) == 0.0
+    camera = CameraDescription(bit_depth=12, pixel_pitch_um=10.0)
+    lens = LensDescription(
+        focal_length_mm=1.0, f_number=4.0, vignetting="cos4", principal_point_px=(0.0, 0.0), transmittance_u_rel=0.02
+    )
+    source = SourceDescription(wavelength_nm=555.0, reproducibility_u_rel=0.01)
+
+    def of(x):
+        patch = PatchDescription(name="p", x=x, y=0, width=1, height=1, radiance_W_per_sr_m2=0.5, u_rel=0.03)
+        found = photon_flux(patch, "default", camera, lens, source, None, (101, 101))
+        assert found is not None
+        return found
+
+    middle, corner = of(0), of(100)
+    energy = 6.62607015e-34 * 299_792_458.0 / 555e-9
+    assert middle.per_s == pytest.approx(0.5 * math.pi / (4 * 4.0**2) * 1e-10 / energy, rel=1e-3)
+    assert corner.per_s / middle.per_s == pytest.approx(0.25, rel=0.02)  # 45°
+    assert middle.u_rel == pytest.approx(math.sqrt(0.03**2 + 0.02**2 + 0.01**2))
+
+
+def dark_plateau(temperatures_c, rate=2.0):
+    """Return dark groups at 1, 2, 4 … s whose thermometer read what is given."""
+    return [
+        replace(
+            group(BLACK_DN + rate * 2.0**n, 40.0, 2.0**n, dark=True),
+            settings=FrameSettings(2.0**n, temperature_c=t, shutter="closed"),
+        )
+        for n, t in enumerate(temperatures_c)
+    ]
+
+
+def test_the_dark_current_in_electrons_bears_the_doubt_of_the_gain():
+    """2 DN/s at 0.5 DN/e⁻ are 4 e⁻/s, to 10 % where K is known to 10 %."""
+    found = typical_dark_current(dark_plateau([20.0] * 4), 20.0, Quantity(0.5, 0.05, "DN/e-"))["mu_I_typical"]
+    assert found.value == pytest.approx(4.0)
+    assert found.u == pytest.approx(0.4, rel=1e-3)
+
+
+def test_a_thermometer_s_step_is_a_rectangle():
+    """Readings half a kelvin apart: 0.5/√12 K."""
+    ((_, u_temperature, _),) = typical_rates(dark_plateau([20.0, 20.5, 20.0, 20.5]))
+    assert u_temperature == pytest.approx(0.5 / math.sqrt(12.0))

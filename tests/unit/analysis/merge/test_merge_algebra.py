@@ -1,0 +1,181 @@
+"""A merge's terms by hand: which dark frames count, what rounding, curve and black level add to u, and the marks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiometer.analysis.merge.bracket import merge
+from radiometer.analysis.merge.frames import frame_terms
+from radiometer.analysis.signal.situation import situation_of
+from radiometer.data import (
+    BlackLevel,
+    Bracket,
+    Calibration,
+    CameraDescription,
+    FlatField,
+    FoundEffects,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    PixelMask,
+    ResponseCurve,
+    Scale,
+    SensorNoise,
+)
+
+BLACK, GAIN_E, READ_E = 100.0, 2.5, 5.0
+CAMERA = CameraDescription(bit_depth=12)
+LENS = LensDescription()
+NOISE = SensorNoise(conversion_gain_e_per_dn=GAIN_E, read_noise_e=READ_E, full_well_e=20_000.0)
+CALIBRATION = Calibration(
+    camera=CAMERA,
+    lens=LENS,
+    scale=Scale(value=1.0, u_rel=0.0, method="relative"),
+    response=None,
+    noise=NOISE,
+    black_level=BlackLevel(dn=BLACK, u_dn=0.0),
+)
+
+
+def frame(dn, exposure_s=1.0, gain_db=0.0, shape=(4, 4), **more):
+    """Return an even frame, or one of the numbers given."""
+    numbers = np.asarray(dn) if np.ndim(dn) else np.full(shape, dn)
+    return Frame(numbers.astype(np.uint16), 12, FrameSettings(exposure_s, gain_db, **more))
+
+
+def terms_with(darks):
+    situation = situation_of(CALIBRATION, CAMERA, LENS)
+    return frame_terms(FrameSettings(1.0), situation, darks, through_lens=False)
+
+
+@pytest.mark.parametrize("other", [{"gain_db": 6.0}, {"exposure_s": 2.0}, {"exposure_s": 1.02}])
+def test_dark_frames_of_another_setting_are_not_taken_off_pixel_by_pixel(other):
+    """Those of the same gain and exposure (to 1 %) are; of any other the level at most."""
+    same = terms_with([frame(130, shutter="closed"), frame(140, exposure_s=1.005, shutter="closed")])
+    assert same.dark.tolist() == pytest.approx([35.0] * 16)
+    assert terms_with([frame(500, shutter="closed", **other)]).dark.size == 1
+
+
+def test_the_noise_of_the_dark_mean_is_in_u():
+    """The mean of n dark frames brings a further (σ_d²/K'² + 1/12)/n."""
+    own = READ_E**2 / GAIN_E**2 + 1 / 12
+    for count in (1, 4):
+        found = terms_with([frame(120, shutter="closed")] * count)
+        assert found.variance == pytest.approx(own * (1.0 + 1.0 / count))
+
+
+def test_what_differs_by_a_seventh_is_marked_and_by_a_hundredth_is_not():
+    """One of four frames brighter by 15 %, 13 standard deviations, is a contradiction; by 1 % it is none."""
+    shown = [
+        merge([*([frame(3100)] * 3), frame(100 + round(3000 * more))], CAMERA, LENS, CALIBRATION).mask[0, 0]
+        for more in (1.15, 1.01)
+    ]
+    assert shown == [PixelMask.INCONSISTENT, 0]
+
+
+def test_the_black_level_s_error_counts_as_it_shifts_the_value():
+    """u of 2 DN that two frames share is the shift that a black level 2 DN higher brings, whatever the weights."""
+    frames = [frame(400, 1.0), frame(1300, 4.0), frame(2500, 8.0)]
+
+    def of(dn, u):
+        level = BlackLevel(dn=dn, u_dn=u, dark_u_rel=0.0)
+        return merge(frames, CAMERA, LENS, replace(CALIBRATION, black_level=level))
+
+    known, doubted, shifted = of(BLACK, 0.0), of(BLACK, 2.0), of(BLACK + 2.0, 0.0)
+    added = float(doubted.u_radiance[0, 0]) ** 2 - float(known.u_radiance[0, 0]) ** 2
+    shift = float(known.radiance[0, 0] - shifted.radiance[0, 0])
+    assert np.sqrt(added) == pytest.approx(shift, rel=0.03)
+
+
+def test_noise_reaches_to_two_of_its_standard_deviations():
+    """Signals of 4 and 5 DN are 1.7 and 2.04 u: the first is marked BELOW_NOISE, the second not."""
+    found = merge([frame([[104, 105, 106]])], CAMERA, LENS, CALIBRATION)
+    ratios = found.radiance[0] / found.u_radiance[0]
+    assert ratios == pytest.approx([s / np.sqrt(READ_E**2 / 6.25 + 1 / 12 + s / 2.5) for s in (4, 5, 6)], rel=1e-3)
+    assert [bool(m & PixelMask.BELOW_NOISE) for m in found.mask[0]] == [bool(r < 2.0) for r in ratios]
+    assert found.mask[0, 0]
+    assert not found.mask[0, 2]
+
+
+def test_u_is_in_the_unit_of_the_map_where_sensitivity_differs():
+    """Under a flat field u over value is the same in the middle and in the corner of an even frame."""
+    flat = FlatField(principal_point_px=(0.0, 0.0), radius_px=30.0, coefficients=(-0.3, 0.0, 0.0), shape=(24, 24))
+    found = merge([frame(1100, shape=(24, 24))], CAMERA, LENS, replace(CALIBRATION, flat_field=flat))
+    relative = found.u_radiance / found.radiance
+    assert found.radiance[23, 23] / found.radiance[0, 0] > 1.2
+    assert relative.max() == pytest.approx(relative.min(), rel=1e-5)
+
+
+def test_found_errors_of_the_camera_are_corrected_in_maps_too():
+    """0.1 s more than stated at 1 s, and 20 DN more black: 1000 DN over black are 980 in 1.1 s."""
+    found = FoundEffects(exposure_offset_s=0.1, black_offset_dn=20.0)
+    plain = merge([frame(1100)], CAMERA, LENS, CALIBRATION).radiance[0, 0]
+    corrected = merge([frame(1100)], CAMERA, LENS, replace(CALIBRATION, found=found)).radiance[0, 0]
+    assert corrected / plain == pytest.approx(0.98 / 1.1, rel=1e-5)
+
+
+def test_the_doubts_of_gain_and_stop_are_common_to_the_map():
+    """1 % of a gain that the calibration did not have, 4 % (2 · 2 %) of another f-number: in every pixel alike."""
+    base = replace(CALIBRATION, scale=CALIBRATION.scale.model_copy(update={"f_number": 4.0}))
+    plain, amplified, stopped = (
+        merge([frame(1100, 1.0, gain_db, f_number=number)], CAMERA, LENS, base).u_rel_common
+        for gain_db, number in ((0.0, 4.0), (6.0, 4.0), (0.0, 8.0))
+    )
+    assert np.sqrt(amplified**2 - plain**2) == pytest.approx(0.01, rel=1e-3)
+    assert np.sqrt(stopped**2 - plain**2) == pytest.approx(0.04, rel=0.02)
+
+
+FULL = 255
+
+
+def behind_a_curve(u=1e-6, valid=(2, 254), read_e=0.01):
+    """Return camera and calibration of 8 bits, M = 255·(x/255)^(1/2.2), with hardly any noise but rounding."""
+    dn = np.arange(FULL + 1.0)
+    with np.errstate(divide="ignore"):
+        curve = ResponseCurve(np.log(FULL * (dn / FULL) ** 2.2), np.full(FULL + 1, u), absolute=True, valid_dn=valid)
+    camera = CameraDescription(bit_depth=8, black_level_dn=0.0)
+    noise = SensorNoise(conversion_gain_e_per_dn=1e7, read_noise_e=read_e, full_well_e=1e12)
+    scale = Scale(value=1.0, u_rel=0.0, method="relative")
+    return camera, Calibration(camera, LENS, scale, curve, noise, BlackLevel(dn=0.0, u_dn=0.0))
+
+
+@pytest.mark.parametrize("gain_db", [0.0, 12.0])
+def test_rounding_behind_a_curve_is_the_scatter_that_u_states(gain_db):
+    """Over 10 000 pixels between two and three thousandths of each other the errors are as large as u says."""
+    camera, calibration = behind_a_curve()
+    gain = 10.0 ** (gain_db / 20.0)
+    truth = np.linspace(20.0, 60.0, 10_000).reshape(100, 100) / gain
+    numbers = np.rint(FULL * (truth * gain / FULL) ** (1 / 2.2)).astype(np.uint8)
+    found = merge([Frame(numbers, 8, FrameSettings(1.0, gain_db))], camera, LENS, calibration)
+    unit = np.median(found.radiance / truth)
+    pull = (found.radiance / unit - truth) / (found.u_radiance / unit)
+    assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_curve_s_own_uncertainty_is_in_every_pixel():
+    """3 % of the curve, beside rounding of some per mille."""
+    for u, expected in ((1e-6, 0.0), (0.03, 0.03)):
+        camera, calibration = behind_a_curve(u)
+        found = merge([Frame(np.full((4, 4), 200, np.uint8), 8, FrameSettings(1.0))], camera, LENS, calibration)
+        assert found.u_radiance[0, 0] / found.radiance[0, 0] == pytest.approx(expected, abs=4e-3)
+
+
+def test_white_and_black_behind_a_curve_are_told_apart():
+    """255 in every frame is SATURATED, with the least that it can be; 0 is BELOW_NOISE."""
+    camera, calibration = behind_a_curve()
+    numbers = np.array([[255, 0, 128]], np.uint8)
+    frames = [Frame(numbers, 8, FrameSettings(t)) for t in (1.0, 1.0)]
+    for source in (frames, Bracket.from_frames(frames)):
+        assert merge(source, camera, LENS, calibration).mask[0].tolist() == [
+            PixelMask.SATURATED, PixelMask.BELOW_NOISE, 0,
+        ]  # fmt: skip
+
+
+def test_a_frame_that_clips_near_its_end_raises_the_value():
+    """Beside a frame just below clipping at 1 s, one that clips at 1.05 s says "at least so much", never less."""
+    lone = merge([frame(3900)], CAMERA, LENS, CALIBRATION).radiance[0, 0]
+    heard = merge([frame(3900), frame(4095, 1.05)], CAMERA, LENS, CALIBRATION).radiance[0, 0]
+    assert lone < heard < lone * 1.02
