@@ -222,6 +222,11 @@ def _notes(
             f"{np.exp(samples.frame_log_time[worst]):.4g} s, which is "
             f"{np.exp(samples.frame_log_time[worst] + errors[worst]):.4g} s"
         )
+    if samples.edge_scatter:
+        notes.append(
+            f"equally bright pixels vary {np.sqrt(samples.edge_scatter):.2g} times as much at edges as on even ground "
+            "(movement by parts of a pixel, resampling): the half of the pixels next to edges was left out"
+        )
     if _at_whole_stops(samples):
         notes.append(
             "all exposures are whole stops apart: a wave of one stop's period in ln H cannot be seen in these data and "

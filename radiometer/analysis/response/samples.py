@@ -19,6 +19,12 @@ _CLIPPED_PART = 0.002
 _LEAST_ABOVE_BLACK_DN = 4.0
 _GROUPS = 384
 _QUADRANTS = 4
+# Pixels are compared with those at this distance: the next of their own colour on a mosaic.
+_NEIGHBOUR_PX = 2
+# Equally bright pixels at edges that vary more than those on even ground by this factor (a ratio of variances, median
+# over groups and frames) do not see one thing in all frames. Noise alone makes it 1.0 to 1.1.
+_EDGES_DIFFER = 1.5
+_FEWEST_PIXELS_FOR_VARIANCE = 20
 # A pixel that falls by more than this part of full scale under a longer exposure did not look at one thing.
 _TOLERATED_FALL = 0.1
 
@@ -40,6 +46,8 @@ class ResponseSamples:
         frame_bracket: Index of every frame's bracket, shape (frames,).
         pixel_count: Pixels of all brackets.
         channel: Colour channel.
+        edge_scatter: Variance of equally bright pixels at edges over that on even ground where those at edges were left
+            out for it; 0 where all pixels count.
         without_quadrant: The same rows four times, each without the pixels of one quadrant of the picture; empty for
             samples that were themselves cut from others.
         quadrants: The rows of each quadrant's own pixels, likewise.
@@ -57,6 +65,7 @@ class ResponseSamples:
     frame_bracket: NDArray[np.intp]
     pixel_count: int
     channel: str = "mono"
+    edge_scatter: float = 0.0
     without_quadrant: tuple[ResponseSamples, ...] = ()
     quadrants: tuple[ResponseSamples, ...] = ()
 
@@ -90,6 +99,10 @@ def gather_samples(brackets: Bracket | Sequence[Bracket]) -> ResponseSamples:
     therefore gathered by that sum into narrow groups, without knowing the response, and each group's mean per
     frame takes the place of its pixels: all pixels count, noise is averaged before any logarithm is taken, and
     the groups spread evenly over both the values and the picture.
+
+    A pixel at an edge sees another thing in another frame as soon as camera or scene moved by part of a pixel, and a
+    mean over an edge of which part is white. Where equally bright pixels vary more at edges than on even ground, those
+    of the steeper half of each group are left out.
 
     Args:
         brackets: One bracket or several of one bit depth and channel, each with two different exposures or more.
@@ -137,10 +150,57 @@ def _check(brackets: Sequence[Bracket]) -> None:
 def _gather_one(bracket: Bracket, limits: ValueLimits, index: int, first_frame: int) -> tuple[ResponseSamples, ...]:
     """Return the samples of all pixels, then those without each quadrant's, then each quadrant's own."""
     label, group_total = _label_groups(bracket)
-    sums = _sums_by_quadrant(bracket, label, _quadrants(bracket.shape), group_total, limits)
-    whole = sums.sum(axis=1)
-    own = [sums[:, q] for q in range(_QUADRANTS)]
-    return tuple(_rows(bracket, part, limits, index, first_frame) for part in (whole, *(whole - o for o in own), *own))
+    place = _QUADRANTS * _at_edges(bracket, label) + _quadrants(bracket.shape)
+    sums = _sums_by_part(bracket, label, place, group_total, limits)
+    even, edges = sums[:, :_QUADRANTS], sums[:, _QUADRANTS:]
+    scatter = _edge_scatter(even.sum(axis=1), edges.sum(axis=1))
+    parts = even if scatter > _EDGES_DIFFER else even + edges
+    whole = parts.sum(axis=1)
+    own = [parts[:, q] for q in range(_QUADRANTS)]
+    rows = [_rows(bracket, part, limits, index, first_frame) for part in (whole, *(whole - o for o in own), *own)]
+    if scatter > _EDGES_DIFFER:
+        rows[0] = replace(rows[0], edge_scatter=scatter, pixel_count=int(whole[0, 0].sum()))
+    return tuple(rows)
+
+
+def _edge_scatter(even: NDArray[np.float64], edges: NDArray[np.float64]) -> float:
+    """Return the variance of a group's pixels at edges over that of its others, median over groups and frames.
+
+    Args:
+        even: Pixels, Σ dn, Σ dn² and clipped pixels of those on even ground, shape (4, frames, groups).
+        edges: The same of those at edges.
+    """
+    variances, known = [], np.ones(even.shape[1:], dtype=np.bool_)
+    for part in (even, edges):
+        count = np.maximum(part[0], 1.0)
+        variances.append(part[2] / count - (part[1] / count) ** 2)
+        known &= (part[0] >= _FEWEST_PIXELS_FOR_VARIANCE) & (part[3] == 0)
+        known &= part[1] / count > _LEAST_ABOVE_BLACK_DN
+    if not np.any(known):
+        return 1.0
+    rounding = 1.0 / 12.0
+    return float(np.median(np.maximum(variances[1][known], rounding) / np.maximum(variances[0][known], rounding)))
+
+
+def _at_edges(bracket: Bracket, label: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return 1 for the half of each group's pixels whose surroundings are the least even, flattened; else 0."""
+    total = np.zeros(bracket.shape, dtype=np.int64)
+    for frame in bracket:
+        total += frame.dn
+    steep = np.zeros(bracket.shape, dtype=np.int64)
+    for axis in (0, 1):
+        ahead, behind = [slice(None)] * 2, [slice(None)] * 2
+        ahead[axis], behind[axis] = slice(_NEIGHBOUR_PX, None), slice(None, -_NEIGHBOUR_PX)
+        step = np.abs(total[tuple(ahead)] - total[tuple(behind)])
+        for side in (tuple(ahead), tuple(behind)):
+            steep[side] = np.maximum(steep[side], step)
+    # One key sorts by group, then by steepness.
+    order = np.argsort(label * (int(steep.max()) + 1) + steep.ravel(), kind="stable")
+    size = np.bincount(label)
+    rank = np.arange(label.size) - (np.cumsum(size) - size)[label[order]]
+    edges = np.empty(label.size, dtype=np.intp)
+    edges[order] = rank >= (size[label[order]] + 1) // 2
+    return edges
 
 
 def _rows(
@@ -183,17 +243,18 @@ def _quadrants(shape: tuple[int, int]) -> NDArray[np.intp]:
     return np.asarray((2 * low[:, None] + right[None, :]).ravel(), dtype=np.intp)
 
 
-def _sums_by_quadrant(
+def _sums_by_part(
     bracket: Bracket,
     label: NDArray[np.intp],
-    quadrant: NDArray[np.intp],
+    part: NDArray[np.intp],
     groups: int,
     limits: ValueLimits,
 ) -> NDArray[np.float64]:
-    """Return pixels, Σ dn, Σ dn² and clipped pixels, shape (4, quadrants, frames, groups)."""
-    place = quadrant * (groups + 1) + label  # the last group is that of contradictory pixels
-    cells = _QUADRANTS * (groups + 1)
-    found = np.empty((4, _QUADRANTS, len(bracket), groups))
+    """Return pixels, Σ dn, Σ dn² and clipped pixels, shape (4, parts, frames, groups)."""
+    count = 2 * _QUADRANTS
+    place = part * (groups + 1) + label  # the last group is that of contradictory pixels
+    cells = count * (groups + 1)
+    found = np.empty((4, count, len(bracket), groups))
     pixels = np.bincount(place, minlength=cells)
     for index, frame in enumerate(bracket):
         dn = frame.dn.ravel()
@@ -208,7 +269,7 @@ def _sums_by_quadrant(
                 np.bincount(place[clipped], minlength=cells),
             )
         ):
-            found[row, :, index] = total.reshape(_QUADRANTS, groups + 1)[:, :groups]
+            found[row, :, index] = total.reshape(count, groups + 1)[:, :groups]
     return found
 
 
@@ -258,6 +319,7 @@ def _joined(parts: Sequence[ResponseSamples]) -> ResponseSamples:
         frame_bracket=np.concatenate([p.frame_bracket for p in parts]),
         pixel_count=sum(p.pixel_count for p in parts),
         channel=first.channel,
+        edge_scatter=max(p.edge_scatter for p in parts),
     )
 
 
@@ -284,4 +346,5 @@ def _select(samples: ResponseSamples, keep: NDArray[np.bool_]) -> ResponseSample
         frame_bracket=samples.frame_bracket,
         pixel_count=samples.pixel_count,
         channel=samples.channel,
+        edge_scatter=samples.edge_scatter,
     )
