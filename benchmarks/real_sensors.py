@@ -50,7 +50,7 @@ def judged(effect: Documented, result: ReconcileResult) -> str:
     """Return whether a documented effect was named, only pointed at, or missed."""
     if any(found.name in effect.names for found in result.effects):
         return "right"
-    places = [place.where for place in result.localisation]
+    places = [place.covariate for place in result.localisation]
     if any(where in effect.covariates for where in places[:_LEADING]):
         return "right covariate"
     shown = [*places, *(found.where for found in result.effects)]
@@ -81,7 +81,7 @@ def of_reconcile(known: RealSet, folder: Path) -> Iterator[Row]:
 
 
 def _first(result: ReconcileResult) -> str:
-    return ", ".join(dict.fromkeys(place.where for place in result.localisation[:_LEADING])) or "nothing"
+    return ", ".join(dict.fromkeys(place.covariate for place in result.localisation[:_LEADING])) or "nothing"
 
 
 def _shown(name: str, parameters: object) -> str:
