@@ -39,7 +39,7 @@ def shortened(name: str, minutes: float) -> AdaptationProtocol:
 
 # Fewer looks at the line and fewer comparisons of the clocks kept, so that simulated time passes faster.
 CLOCK_SAMPLES = 32
-light_box.LISTEN_S = 0.2  # type: ignore[misc]
+light_box.LISTEN_S = 0.2
 
 
 def visit(protocol: AdaptationProtocol, eye: Eye, seed: int, habits: Habits | None = None) -> Visit:

@@ -58,7 +58,7 @@ def write_archive(root: Path, count: int, per_month: float, seed: int) -> None:
 
 def timed(root: Path, table: Path, **more: object) -> float:
     begun = time.perf_counter()
-    summary = run_batch(find_captures(str(root))[0], MEASURE, table, **more)  # type: ignore[arg-type]
+    summary = run_batch(find_captures(str(root))[0], MEASURE, table, **more)
     assert not summary.failures, summary.failures[:1]
     return time.perf_counter() - begun
 
@@ -124,17 +124,17 @@ def on_a_cluster(folder: Path) -> str:
     )
 
 
-def kill_in_the_middle(root: Path, table: Path, cluster: object) -> object:
+def kill_in_the_middle(root: Path, table: Path, cluster: Any) -> Any:
     import pandas as pd
 
-    victim = next(iter(cluster.workers.values())).process.pid  # type: ignore[attr-defined]
+    victim = next(iter(cluster.workers.values())).process.pid
     middle = threading.Event()
     killer = threading.Thread(target=lambda: (middle.wait(600), os.kill(victim, signal.SIGKILL)))
     killer.start()
     timed(
         root,
         table,
-        scheduler=cluster.scheduler_address,  # type: ignore[attr-defined]
+        scheduler=cluster.scheduler_address,
         progress=lambda done, *_: middle.set() if done >= 250 else None,
     )
     killer.join()

@@ -77,7 +77,7 @@ def simulated(seed: int) -> Simulated:
     plan += [(7.5001, "open", 8, 25.0), (7.5001, "closed", 8, 25.0)]
     found: list[GroupStatistics] = []
     for t, shutter, count, temperature in plan:
-        settings = FrameSettings(float(t), 0.0, 4.0, 64.0, temperature, shutter=shutter)  # type: ignore[arg-type]
+        settings = FrameSettings(float(t), 0.0, 4.0, 64.0, temperature, shutter=shutter)
         frames = [sensor.expose(settings) for _ in range(count)]
         photons = PHOTONS_PER_S * t if shutter == "open" else 0.0
         found += statistics_of_group(frames, settings, (None,), 4095, photons)

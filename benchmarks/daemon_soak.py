@@ -8,6 +8,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,14 +59,14 @@ def run(seconds: float, *, warm_up_s: float, sample_s: float = 1.0) -> SoakResul
 class _User(threading.Thread):
     """Does one thing again and again until told to stop."""
 
-    def __init__(self, daemon: DaemonProcess, work: object) -> None:
+    def __init__(self, daemon: DaemonProcess, work: Callable[[DaemonProcess], object]) -> None:
         super().__init__(daemon=True)
         self._daemon, self._work, self._stop_it, self.errors = daemon, work, threading.Event(), 0
 
     def run(self) -> None:
         while not self._stop_it.wait(0.2):
             try:
-                self._work(self._daemon)  # type: ignore[operator]
+                self._work(self._daemon)
             except (OSError, ValueError) as error:
                 self.errors += 1
                 print(f"{getattr(self._work, '__name__', '')}: {error!r}", file=sys.stderr, flush=True)

@@ -105,7 +105,7 @@ def of_multispectral(folder: Path) -> Iterator[Row]:
         for entry in capture.header.frames
         if entry.model_extra and "masked_rows_dn" in entry.model_extra
     ]
-    steps = sorted({capture.header.camera.code_step_dn for capture in found})
+    steps = sorted({capture.header.camera.code_step_dn or 1 for capture in found})
     named = any("masked" in line for line in doubts)
     title, maker = "RedEdge and Sequoia, 16 raw frames", "the maker's tags in every file"
     span = f"masked rows {min(masked):.0f} to {max(masked):.0f} DN against the tag 4800"

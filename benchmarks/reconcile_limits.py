@@ -40,7 +40,7 @@ def answer_at(name: str, size: float, seed: int, plan: str) -> ReconcileResult:
     """Return the answer to a set in which an entry is hidden at a size, in the unit of its limit."""
     mine, _, factor = PARAMETERS[name][0]
     unit = make_session(name, camera_seed=seed, plan=plan, scale=1.0).truth[name][mine]
-    return _asked(make_session(name, camera_seed=seed, plan=plan, scale=size / abs(float(unit) * factor)))  # type: ignore[arg-type]
+    return _asked(make_session(name, camera_seed=seed, plan=plan, scale=size / abs(float(unit) * factor)))
 
 
 def _asked(session: Session, *, with_limits: bool = False) -> ReconcileResult:

@@ -17,8 +17,9 @@ import numpy as np
 
 from benchmarks._sections import write_section
 from radiometer.reconcile.advice.capture_pool import CapturePool
-from radiometer.reconcile.engine import Reconciled, examine
+from radiometer.reconcile.engine import examine
 from radiometer.reconcile.measure.reduce import frame_reader
+from radiometer.reconcile.search.outcome import Reconciled
 from tests.roundtrip.generator.plan import Setting, bracket
 from tests.roundtrip.generator.session import make_session
 

@@ -9,7 +9,7 @@ with camera:
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator
 from functools import lru_cache
 from types import ModuleType, TracebackType
 from typing import NamedTuple, Self
@@ -229,7 +229,7 @@ class AravisCamera:
             if not triggered:  # a free-running stream would hold frames exposed before the next call
                 frames.stop()
 
-    def stream(self) -> Iterator[Frame]:
+    def stream(self) -> Generator[Frame, None, None]:
         """Yield frames as they come until the iterator is closed. Raises DeviceTimeout or DeviceLost."""
         frames = self._open_frames
         try:

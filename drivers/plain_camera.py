@@ -7,7 +7,7 @@ each); what the `Camera` protocol asks beyond that stands here once.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Protocol, Self, TypeVar
@@ -220,7 +220,7 @@ class PlainCamera:
         finally:
             self._link.stop()
 
-    def stream(self) -> Iterator[Frame]:
+    def stream(self) -> Generator[Frame, None, None]:
         """Yield frames as they come until the iterator is closed. Raises DeviceTimeout or DeviceLost."""
         self._require_open()
         self._noted(self._link.start)

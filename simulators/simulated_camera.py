@@ -13,7 +13,7 @@ Time is simulated: nothing sleeps, and frames carry the time of their start on `
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import replace
 from types import TracebackType
 from typing import Final, Self
@@ -167,7 +167,7 @@ class SimulatedCamera:
         self._require_open()
         return [self._expose() for _ in range(count)]
 
-    def stream(self) -> Iterator[Frame]:
+    def stream(self) -> Generator[Frame, None, None]:
         """Yield frames until the iterator is closed or the camera is."""
         self._require_open()
         while self._open:

@@ -51,7 +51,8 @@ class _Patch:
     def color(self, value: Any) -> None:
         rgb = np.broadcast_to(np.asarray(value, dtype=np.float64), 3)
         drive = rgb / 255.0 if self._bytes else (rgb + 1.0) / 2.0
-        self._window.rgb = tuple(float(v) for v in np.clip(drive, 0.0, 1.0))
+        red, green, blue = (float(v) for v in np.clip(drive, 0.0, 1.0))
+        self._window.rgb = (red, green, blue)
 
     def setColor(self, value: Any) -> None:  # noqa: N802 (PsychoPy's name)
         self.color = value

@@ -38,7 +38,7 @@ def check_frame_rate(camera: Camera) -> Finding:
         if time.monotonic() - start > _RATE_LIMIT_S:
             break
     elapsed_s = time.monotonic() - start
-    stream.close()  # type: ignore[attr-defined]  # every stream is a generator
+    stream.close()
     after = camera.counts
     lost = after.incomplete - before.incomplete
     missed = after.extra.get("missed_frames", 0) - before.extra.get("missed_frames", 0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Final, Self
@@ -74,7 +74,7 @@ class WatchedCamera:
         with self._expected_within(GRACE_S + 2 * count * self._camera.settings.exposure_s):
             return self._camera.capture(count)
 
-    def stream(self) -> Iterator[Frame]:
+    def stream(self) -> Generator[Frame, None, None]:
         """Yield frames as they come."""
         return self._camera.stream()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
@@ -151,7 +151,7 @@ class Camera(Protocol):
         """Return `count` complete frames exposed under the settings in force. Raises DeviceTimeout, DeviceLost."""
         ...
 
-    def stream(self) -> Iterator[Frame]:
+    def stream(self) -> Generator[Frame, None, None]:
         """Yield frames as they come until the iterator is closed."""
         ...
 

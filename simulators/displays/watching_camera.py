@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -72,7 +72,7 @@ class WatchingCamera(SimulatedCamera):
         """Return `count` frames of what is on the display while each is exposed."""
         return [self._frame() for _ in range(count)]
 
-    def stream(self) -> Iterator[Frame]:
+    def stream(self) -> Generator[Frame, None, None]:
         """Yield frames until the iterator is closed."""
         while True:
             yield self._frame()
