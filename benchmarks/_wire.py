@@ -15,7 +15,11 @@ from drivers.gige_ping import answers
 
 ROOT = Path(__file__).resolve().parents[1]
 LOOPBACK = "127.0.0.1"
-PORT_LOCK = Path(tempfile.gettempdir()) / "radiometer-gige-port.lock"  # the same as in tests/contract/conftest.py
+# One camera at a time per network: another network namespace has a port of its own.
+NETWORK = Path("/proc/self/ns/net")
+PORT_LOCK = (
+    Path(tempfile.gettempdir()) / f"radiometer-gige-port-{NETWORK.stat().st_ino if NETWORK.exists() else 0}.lock"
+)
 
 
 def radiometer(*words: str) -> list[str]:

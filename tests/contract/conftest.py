@@ -6,7 +6,6 @@ import fcntl
 import shutil
 import socket
 import subprocess
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks._wire import PORT_LOCK
 from drivers.aravis_camera import load_library, open_camera
 from drivers.gige_ping import answers
 from drivers.pi_link import PiLink
@@ -63,7 +63,7 @@ def aravis_installed() -> None:
 @pytest.fixture
 def gige_port() -> Iterator[None]:
     """Hold the one GigE Vision control port of the loopback interface against other test runs."""
-    with (Path(tempfile.gettempdir()) / "radiometer-gige-port.lock").open("w") as lock:
+    with PORT_LOCK.open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         end = time.monotonic() + 60
         while not port_is_free():
