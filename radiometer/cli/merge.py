@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json as json_module
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +13,7 @@ import typer
 from radiometer.cli.arguments import F_NUMBER_HELP, ISO_HELP, parse_bounds, parse_iso_speeds, with_f_number
 from radiometer.cli.console import console, progress_bar
 from radiometer.cli.iso_record import with_iso_in_map
+from radiometer.cli.photograph_alignment import ALIGN_CHOICES
 from radiometer.errors import CaptureError, UsageError
 
 if TYPE_CHECKING:
@@ -41,6 +42,12 @@ def command(
     linear: Annotated[
         bool, typer.Option("--linear", help="Photographs are linear above black (raw files always are).")
     ] = False,
+    align: Annotated[
+        str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")
+    ] = "auto",
+    keep_ghosts: Annotated[
+        bool, typer.Option("--keep-ghosts", help="Average what moved instead of taking it from frames that agree.")
+    ] = False,
     luminance: Annotated[bool, typer.Option("--luminance", help="Write cd·m⁻² instead of W·sr⁻¹·m⁻².")] = False,
     spectrum: Annotated[str | None, typer.Option(help="Spectrum for the luminance; the calibration's.")] = None,
     scale: Annotated[str | None, typer.Option(help="LOW,HIGH of the false colours; the picture's.")] = None,
@@ -61,19 +68,24 @@ def command(
         raise UsageError("--calibration holds a response curve of its own; leave --response out")
     if linear and response:
         raise UsageError("--linear photographs need no response curve; leave --response out")
+    if align not in ALIGN_CHOICES:
+        raise UsageError(f"--align {align}: choose one of {', '.join(ALIGN_CHOICES)}")
     writers = [(file, writer_for(file)) for file in out]
     bounds = parse_bounds(scale, "--scale") if scale else None
     known = _calibration(calibration)
     speeds = parse_iso_speeds(measured_iso, known)
-    options = _Options(known, response or [], channel, speeds, f_number, linear, out[0])
-    maps, kept = _maps(path, pattern, options)
+    options = _Options(
+        known, response or [], channel, speeds, f_number, linear, out[0], align, without_ghosts=not keep_ghosts
+    )
+    maps, beside = _maps(path, pattern, options)
     if luminance:
         chosen = spectrum_of(spectrum or (known.spectrum if known else "equal_energy"))
         maps = {name: in_luminance(found, chosen) for name, found in maps.items()}
     picture = Picture(maps, bounds)
     for file, write in writers:
         write(file, picture)
-    report = {**_report(picture, out), "responses": [str(file) for file in kept]}
+    report = {**_report(picture, out), "responses": [str(file) for file in beside.responses]}
+    report["alignment"] = beside.alignment
     print(json_module.dumps(report, ensure_ascii=False)) if json else _show(report)
 
 
@@ -95,6 +107,8 @@ class _Options:
         f_number: Of frames that state none.
         linear: Whether photographs are linear.
         beside: File that a recovered response is kept beside.
+        align: Whether photographs are aligned: "auto", "on" or "off".
+        without_ghosts: Whether what moved is taken from the frames that agree.
     """
 
     calibration: Calibration | None
@@ -104,10 +118,25 @@ class _Options:
     f_number: float | None
     linear: bool
     beside: Path
+    align: str = "auto"
+    without_ghosts: bool = True
 
 
-def _maps(path: Path, pattern: str | None, options: _Options) -> tuple[dict[str, RadianceMap], list[Path]]:
-    """Return the maps by channel, and the files that a response recovered on the way is kept in."""
+@dataclass(frozen=True, slots=True)
+class _Beside:
+    """What else came of a merge.
+
+    Attributes:
+        responses: Files that a recovered response is kept in.
+        alignment: How the photographs lie to each other, in a sentence; None where that was not asked.
+    """
+
+    responses: tuple[Path, ...] = ()
+    alignment: str | None = None
+
+
+def _maps(path: Path, pattern: str | None, options: _Options) -> tuple[dict[str, RadianceMap], _Beside]:
+    """Return the maps by channel, and what else came of it."""
     from radiometer.cli.photograph_response import curves_of
     from radiometer.data.capture_set import HEADER_NAME
     from radiometer.importing import is_foreign
@@ -119,7 +148,7 @@ def _maps(path: Path, pattern: str | None, options: _Options) -> tuple[dict[str,
         if not foreign:
             options.speeds.refuse_unstated(str(path), set())
         curves = curves_of(options.responses, 8)
-        return {"mono": _merge_capture(path, options.calibration, curves, pattern, options.f_number)}, []
+        return {"mono": _merge_capture(path, options.calibration, curves, pattern, options.f_number)}, _Beside()
     return _merge_photographs(path, options)
 
 
@@ -164,9 +193,10 @@ def _frames(capture: CaptureSet, pattern: str | None, step: Any) -> Iterator[Fra
         step()
 
 
-def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, RadianceMap], list[Path]]:
+def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, RadianceMap], _Beside]:
     from radiometer.bench.sources import open_brackets
     from radiometer.cli.console import note
+    from radiometer.cli.photograph_alignment import in_one_place
     from radiometer.cli.photograph_response import curves_of, recovered_curves, with_found_times
 
     curves, calibration = curves_of(options.responses, 8), options.calibration
@@ -179,21 +209,31 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
             report=lambda done, total: bar.update(task, completed=done, total=total),
             speeds=options.speeds,
         )
+    placed = in_one_place(brackets, options.align)
+    brackets = placed.brackets
     files: list[Path] = []
     if options.responses and brackets[0].bit_depth != 8:
         curves = curves_of(options.responses, brackets[0].bit_depth)
     raw = all("raw" in frame.extra for bracket in brackets for frame in bracket)
     if not (calibration or curves or raw or options.linear):
-        curves, files = recovered_curves(brackets, options.beside, note)
+        curves, files = recovered_curves(placed.common, options.beside, note)
         brackets = [with_found_times(b, curves[str(b.frames[0].extra.get("channel", "mono"))]) for b in brackets]
-    several = (with_f_number(bracket, options.f_number) for bracket in brackets)
-    return dict(_merged(bracket, calibration, curves) for bracket in several), files
+    several = [with_f_number(bracket, options.f_number) for bracket in brackets]
+    maps: dict[str, RadianceMap] = {}
+    for bracket in several:
+        maps |= _merged(bracket, calibration, curves, placed.absent, without_ghosts=options.without_ghosts)
+    return maps, _Beside(tuple(files), placed.sentence)
 
 
 def _merged(
-    bracket: Bracket, calibration: Calibration | None, curves: dict[str, ResponseCurve]
-) -> tuple[str, RadianceMap]:
-    """Return the channel of a bracket and its map."""
+    bracket: Bracket,
+    calibration: Calibration | None,
+    curves: dict[str, ResponseCurve],
+    absent: Sequence[Any],
+    *,
+    without_ghosts: bool,
+) -> dict[str, RadianceMap]:
+    """Return the map of a bracket by its channel."""
     from radiometer.analysis.merge.bracket import merge
     from radiometer.cli.photograph_response import relative_calibration
     from radiometer.data import CameraDescription, LensDescription
@@ -202,7 +242,8 @@ def _merged(
     camera = calibration.camera if calibration else CameraDescription(bit_depth=bracket.bit_depth)
     curve = _of_channel(curves, name)
     known = calibration or relative_calibration(bracket, curve, camera, LensDescription())
-    return name, with_iso_in_map(merge(bracket, camera, LensDescription(), known), bracket)
+    found = merge(bracket, camera, LensDescription(), known, absent=absent, without_ghosts=without_ghosts)
+    return {name: with_iso_in_map(found, bracket)}
 
 
 def _relative(
@@ -273,6 +314,8 @@ def _show(report: dict[str, Any]) -> None:
     for name, count in report["pixels"].items():
         if count:
             out.print(f"{name.replace('_', ' '):<13}{count} pixels ({100 * count / total:.2g} %)")
+    if report["alignment"]:
+        out.print(f"frames     {report['alignment']}")
     for assumption in report["assumptions"]:
         out.print(f"assumed    {assumption}")
     for file in report["responses"]:

@@ -20,6 +20,7 @@ class PixelMask(IntFlag):
     EXTRAPOLATED = 4  # uses digital numbers that the response curve had no data for
     DEFECTIVE = 8  # interpolated from its neighbours
     INCONSISTENT = 16  # frames disagree beyond their noise (flicker, motion)
+    MOVED = 32  # something moved: the value is that of the frames that agree
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.merge.defects import repair_defects
 from radiometer.analysis.merge.finish import finish
 from radiometer.analysis.merge.frames import FrameTerms, frame_terms
+from radiometer.analysis.merge.ghosts import find_strays
 from radiometer.analysis.merge.sums import FRAMES_PER_PLANE, MergeSample, MergeSums
 from radiometer.analysis.merge.tables import merge_tables
 from radiometer.analysis.patch.outside import frame_u_rel
@@ -27,11 +29,14 @@ from radiometer.data import (
     FoundEffects,
     Frame,
     LensDescription,
+    PixelMask,
     Provenance,
     RadianceMap,
 )
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.errors import MeasurementError
+
+Images = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]
 
 MOST_FRAMES = 64
 _BLOCK_PIXELS = 1 << 15  # a block's sums stay in a core's second-level cache
@@ -44,6 +49,9 @@ def merge(
     camera: CameraDescription,
     lens: LensDescription,
     calibration: Calibration | None = None,
+    *,
+    absent: Sequence[NDArray[np.bool_]] = (),
+    without_ghosts: bool = False,
 ) -> RadianceMap:
     """Return radiance in W·sr⁻¹·m⁻² (relative without a calibration) and its standard uncertainty for every pixel.
 
@@ -55,6 +63,8 @@ def merge(
         camera: The camera in use.
         lens: The lens in use.
         calibration: The camera's calibration; None gives relative values.
+        absent: Of a Bracket: where each light frame shows nothing, shape (height, width) each.
+        without_ghosts: Of a Bracket: leave out of every pixel the frames that contradict the others there.
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
@@ -62,7 +72,7 @@ def merge(
     """
     merging = StreamingMerge(camera, lens, calibration)
     if isinstance(frames, Bracket):
-        return merging.merge_bracket(frames)
+        return merging.merge_bracket(frames, absent, without_ghosts=without_ghosts)
     for frame in frames:
         merging.add(frame)
     return merging.result()
@@ -117,9 +127,14 @@ class StreamingMerge:
         Raises:
             MeasurementError: If there was no light frame.
         """
+        batch, self._pending = self._pending, []
+        return self._map(self._merged(batch))
+
+    def _merged(self, batch: list[MergeSample]) -> Images:
+        """Return radiance, uncertainty and mask, flat, from the sums so far and a last batch."""
         shape, tables = self._known_shape(), merge_tables(self._terms, self._situation.model)
-        sums, batch = self._known_sums(), self._pending
-        self._sums, self._pending, self._finished = None, [], True
+        sums = self._known_sums()
+        self._sums, self._finished = None, True
         reference = self._terms[0].exposure
 
         def work(start: int, stop: int) -> None:
@@ -131,10 +146,17 @@ class StreamingMerge:
                 finish(part.first, part.second, part.squares, part.patterns(), part.mask, *tables.arguments, *image)
 
         _on_all_cores(shape, work)
-        return self._map(sums.first, sums.second, sums.mask)
+        return sums.first, sums.second, sums.mask
 
-    def merge_bracket(self, bracket: Bracket) -> RadianceMap:
+    def merge_bracket(
+        self, bracket: Bracket, absent: Sequence[NDArray[np.bool_]] = (), *, without_ghosts: bool = False
+    ) -> RadianceMap:
         """Return the radiance map of a bracket in memory, every pixel's sums made and used up at once.
+
+        Args:
+            bracket: The frames.
+            absent: Where each light frame shows nothing, shape (height, width) each; empty where all show everything.
+            without_ghosts: Leave out of every pixel the frames that contradict the others there.
 
         Raises:
             MeasurementError: If frames do not belong together.
@@ -145,7 +167,66 @@ class StreamingMerge:
             frame = self._corrected(taken)
             self._refuse_misfit(frame)
             self._pending.append(self._sample(frame))
-        return self.result()
+        batch, self._pending = self._pending, []
+        images = self._merged(batch)
+        if without_ghosts or any(one.any() for one in absent):
+            self._leave_out(batch, images, absent, without_ghosts=without_ghosts)
+        return self._map(images)
+
+    def _leave_out(
+        self,
+        batch: list[MergeSample],
+        images: Images,
+        absent: Sequence[NDArray[np.bool_]],
+        *,
+        without_ghosts: bool,
+    ) -> None:
+        """Merge pixels anew, in place, without the frames that show nothing there or contradict the others."""
+        mask, shape = images[2], self._known_shape()
+        if absent:
+            bits = np.zeros(mask.size, np.uint64)
+            for k, one in enumerate(absent):
+                bits |= one.ravel().astype(np.uint64) << np.uint64(k)
+            pixels = np.flatnonzero(bits)
+            self._merge_parts(batch, pixels, bits[pixels], images)
+        if not without_ghosts:
+            return
+        tables = merge_tables(self._terms, self._situation.model)
+        doubtful = (mask & PixelMask.INCONSISTENT > 0).reshape(shape)
+        strays = find_strays(batch, tables, doubtful, absent)
+        self._merge_parts(batch, strays.pixels, strays.left_out, images)
+        mask[strays.pixels] |= np.uint8(PixelMask.MOVED)
+        mask[strays.pixels[strays.alone]] |= np.uint8(PixelMask.INCONSISTENT)
+
+    def _merge_parts(
+        self, batch: list[MergeSample], pixels: NDArray[np.intp], left_out: NDArray[np.uint64], images: Images
+    ) -> None:
+        """Merge some pixels anew without the frames whose bits are set for each."""
+        order = np.argsort(left_out, kind="stable")
+        pixels, left_out = pixels[order], left_out[order]
+        starts = np.flatnonzero(np.diff(left_out, prepend=np.uint64(0), append=np.uint64(0)) != 0)
+        for start, stop in itertools.pairwise(starts):
+            bits, these = int(left_out[start]), pixels[start:stop]
+            kept = [one for one in batch if not bits >> one.index & 1]
+            if kept:
+                self._merge_anew(kept, these, images)
+            else:  # no frame shows anything here
+                images[1][these] = images[0][these]
+                images[2][these] = np.uint8(PixelMask.SATURATED | PixelMask.DEFECTIVE)
+
+    def _merge_anew(self, kept: list[MergeSample], pixels: NDArray[np.intp], images: Images) -> None:
+        """Merge some pixels of some frames, and put the result in its place."""
+        samples = [one.only(pixels, index) for index, one in enumerate(kept)]
+        sums = MergeSums.zeros(pixels.size)
+        sums.make_room(len(samples))
+        terms = [one.terms for one in samples]
+        sums.add(samples, 0, terms[0].exposure)
+        tables = merge_tables(terms, self._situation.model)
+        place = self._factor_at(pixels)
+        place = place * np.float32(self._terms[0].exposure / terms[0].exposure)
+        image = place, sums.first, sums.second
+        finish(sums.first, sums.second, sums.squares, sums.patterns(), sums.mask, *tables.arguments, *image)
+        images[0][pixels], images[1][pixels], images[2][pixels] = sums.first, sums.second, sums.mask
 
     def _corrected(self, frame: Frame) -> Frame:
         """Return the frame with the settings that it was really taken with, as far as they were found."""
@@ -207,18 +288,31 @@ class StreamingMerge:
         return self._sums
 
     def _factor(self, start: int, size: int) -> NDArray[np.float32]:
-        """Return radiance per rate of a block of whole rows; one number where it is the same everywhere."""
-        shape, calibration = self._known_shape(), self._calibration
-        scale = self._situation.scale / self._terms[0].exposure
-        if calibration is None:  # DN per s at the f-number of the first frame
-            scale *= lens_factor_sr(self._situation.lens, self._terms[0].settings.f_number)
-        flat = flat_field_for(calibration, shape)
-        if calibration is None or (flat is None and falloff_known(self._camera, self._situation.lens) == "unknown"):
-            return np.full(1, scale, np.float32)
-        rows = np.arange(start // shape[1], (start + size) // shape[1])[:, None]
-        columns = np.arange(shape[1])[None, :]
+        """Return radiance per rate of a run of pixels; one number where it is the same everywhere."""
+        return np.full(1, self._on_axis(), np.float32) if self._even() else self._factor_at(start + np.arange(size))
+
+    def _factor_at(self, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
+        if self._even():
+            return np.full(1, self._on_axis(), np.float32)
+        shape = self._known_shape()
+        rows, columns = np.divmod(pixels, shape[1])
+        flat = flat_field_for(self._calibration, shape)
         place = relative_sensitivity(self._camera, self._situation.lens, flat, shape, columns, rows)
-        return np.asarray((scale / place).ravel(), dtype=np.float32)
+        return np.asarray(self._on_axis() / place, dtype=np.float32)
+
+    def _even(self) -> bool:
+        """Tell whether the sensitivity is taken as the same everywhere."""
+        if self._calibration is None:
+            return True
+        flat = flat_field_for(self._calibration, self._known_shape())
+        return flat is None and falloff_known(self._camera, self._situation.lens) == "unknown"
+
+    def _on_axis(self) -> float:
+        """Return radiance per rate on the optical axis."""
+        scale = self._situation.scale / self._terms[0].exposure
+        if self._calibration is None:  # DN per s at the f-number of the first frame
+            scale *= lens_factor_sr(self._situation.lens, self._terms[0].settings.f_number)
+        return scale
 
     def _frames_u_rel(self, numbers: set[float | None]) -> float:
         settings = [terms.settings for terms in self._terms]
@@ -261,11 +355,9 @@ class StreamingMerge:
             "which u does not hold",
         )
 
-    def _map(
-        self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32], mask: NDArray[np.uint8]
-    ) -> RadianceMap:
+    def _map(self, flat: Images) -> RadianceMap:
         shape, calibration = self._known_shape(), self._calibration
-        images = radiance.reshape(shape), u_radiance.reshape(shape), mask.reshape(shape)
+        images = flat[0].reshape(shape), flat[1].reshape(shape), flat[2].reshape(shape)
         self._doubt_falloff(*images[:2])
         repair_defects(*images, calibration.defects if calibration else ())
         numbers = {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -46,6 +46,21 @@ class MergeSample:
     def bit(self) -> int:
         """Return the frame's bit in its plane."""
         return 1 << (self.index % FRAMES_PER_PLANE)
+
+    def signal_at(self, pixels: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return the signal x of some pixels, clipped or not."""
+        dn = self.dn[pixels]
+        if self.table is None:
+            offset, inverse, _, _ = self.constants(1.0)
+            return np.asarray((dn.astype(np.float64) - offset) * inverse)
+        dark = self.terms.dark if self.terms.dark.size == 1 else self.terms.dark[pixels]
+        return np.asarray(self.table[dn].astype(np.float64) - dark)
+
+    def only(self, pixels: NDArray[np.intp], index: int) -> MergeSample:
+        """Return some pixels as a frame of its own at another place among the frames."""
+        dark = self.terms.dark
+        terms = self.terms if dark.size == 1 else replace(self.terms, dark=np.ascontiguousarray(dark[pixels]))
+        return replace(self, dn=np.ascontiguousarray(self.dn[pixels]), terms=terms, index=index)
 
     def is_like(self, other: MergeSample) -> bool:
         """Tell whether both frames are linear and can go into the sums in one pass."""

@@ -46,6 +46,20 @@ class MergeTables:
             self.valid,
         )
 
+    def variance(self, expected: Array) -> tuple[Array, Array]:
+        """Return the variance of every frame's signal x, and the relative uncertainty of the curve there.
+
+        Args:
+            expected: Expected x, shape (frames, pixels).
+        """
+        frames, gains = self.frames, self.gains[:, None]
+        variance = frames[:, 1:2] + self.kappa * expected
+        if self.quantisation is None or self.curve is None:
+            return variance, np.zeros_like(expected)
+        place = np.sqrt(np.clip(expected * gains / self.top, 0.0, 1.0)) * (_ROOT_TABLE_SIZE - 1)
+        entries = np.arange(_ROOT_TABLE_SIZE)
+        return variance + np.interp(place, entries, self.quantisation) / gains**2, np.interp(place, entries, self.curve)
+
 
 def merge_tables(terms: Sequence[FrameTerms], model: SignalModel) -> MergeTables:
     """Return the tables for a set of light frames.

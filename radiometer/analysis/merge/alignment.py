@@ -1,0 +1,337 @@
+"""Photographs from the hand brought into one place: translation and rotation, to a fraction of a pixel.
+
+Neighbours of a bracket show the same scene at two exposures. Their cumulative histograms say which value of the one
+stands for which of the other, whatever the response and almost whatever the movement; the brighter one is brought to
+the values of the darker one by them, and both are cut off where the brighter one clips. The movement between the two
+is then the one of highest correlation, sought from coarse to fine.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data import Bracket, Frame
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+# Larger pictures are reduced to this for the estimate, which is then good to some hundredths of a reduced pixel.
+_ENOUGH_PIXELS: Final = 800_000
+_COARSEST_PX: Final = 48
+_ITERATIONS: Final = (60, 1e-6)
+_BLUR_PX: Final = 5
+# Corners that move less count as still: a resampling would change more than it mends.
+LEAST_MOVE_PX: Final = 0.25
+# A movement must lessen the mean square difference of neighbours to this share, or it is noise.
+_LEAST_GAIN: Final = 0.97
+# A movement that is known worse than this is not told.
+_WORST_U_PX: Final = 0.2
+# So many blurred pixels differ alike.
+_ALIKE_PX: Final = 16.0
+# The picture is looked at in so many by so many parts.
+_PARTS: Final = 6
+# Of a neighbour's pixels that must be well exposed in both.
+_LEAST_SHARE: Final = 0.02
+_STILL: Final = np.eye(2, 3)
+_NEIGHBOURS: Final = np.ones((3, 3), np.uint8)
+# Cubic interpolation looks at pixels so far away.
+_SUPPORT_PX: Final = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Movement:
+    """Where a frame lies beside the reference frame.
+
+    Attributes:
+        to_frame: Matrix, shape (2, 3), that takes a pixel (x, y, 1) of the reference to its place in the frame.
+        known: Whether the frames had enough in common to tell.
+    """
+
+    to_frame: Array
+    known: bool = True
+
+    @property
+    def rotation_deg(self) -> float:
+        """Return the rotation in degrees."""
+        return math.degrees(math.atan2(self.to_frame[1, 0], self.to_frame[0, 0]))
+
+    def largest_px(self, shape: tuple[int, int]) -> float:
+        """Return by how many pixels the corner that moves most is displaced.
+
+        Args:
+            shape: (height, width) in pixels.
+        """
+        corners = _corners(shape)
+        moved = corners @ self.to_frame[:, :2].T + self.to_frame[:, 2]
+        return float(np.linalg.norm(moved - corners, axis=1).max())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """How the frames of a bracket lie to each other.
+
+    Attributes:
+        movements: One per frame, in the bracket's order.
+        reference: Index of the frame that stays.
+        shape: (height, width) in pixels.
+    """
+
+    movements: tuple[Movement, ...]
+    reference: int
+    shape: tuple[int, int]
+
+    @property
+    def largest_px(self) -> float:
+        """Return the largest displacement of a corner in pixels."""
+        return max(one.largest_px(self.shape) for one in self.movements)
+
+    def trimmed(self, bracket: Bracket) -> Bracket:
+        """Return the part of an aligned bracket that all its frames show."""
+        height, width = self.shape
+        rim = min(math.ceil(self.largest_px) + 1, min(height, width) // 4)
+        cut = slice(rim, height - rim), slice(rim, width - rim)
+        frames = tuple(replace(one, dn=np.ascontiguousarray(one.dn[cut])) for one in bracket)  # type: ignore[arg-type]
+        return replace(bracket, frames=frames, dark_frames=())
+
+    @property
+    def needed(self) -> bool:
+        """Tell whether any frame moved by more than a resampling would cost."""
+        return self.largest_px >= LEAST_MOVE_PX
+
+    def sentence(self, names: Sequence[str], *, moved: bool = False) -> str:
+        """Return what was found in a sentence.
+
+        Args:
+            names: Of the frames, in their order.
+            moved: Whether the frames are moved even where they hardly need it.
+        """
+        lost = [name for name, one in zip(names, self.movements, strict=True) if not one.known]
+        doubt = f"; not to be told of {', '.join(lost)}, too little in common" if lost else ""
+        if not (self.needed or moved):
+            return f"aligned already: corners moved by {self.largest_px:.2f} pixels at most{doubt}"
+        turned = max(abs(one.rotation_deg) for one in self.movements)
+        most = max(range(len(names)), key=lambda k: self.movements[k].largest_px(self.shape))
+        return (
+            f"aligned to {names[self.reference]}: moved by up to {self.largest_px:.2g} pixels ({names[most]}) and "
+            f"{turned:.2f}°{doubt}"
+        )
+
+
+def find_alignment(bracket: Bracket) -> Alignment:
+    """Return how the frames of a bracket lie to each other.
+
+    Args:
+        bracket: Frames of one scene from the shortest exposure to the longest; of colour photographs one channel.
+    """
+    reference = _reference(bracket)
+    frames = [_reduced(frame.dn) for frame in bracket]
+    scale = bracket.shape[1] / frames[0].shape[1]
+    found: dict[int, Movement] = {reference: Movement(_STILL)}
+    for step in (1, -1):
+        for k in range(reference + step, len(bracket) if step > 0 else -1, step):
+            before = found[k - step]
+            pair = _pair_movement(frames[k - step], frames[k], bracket.frames[k].full_scale_dn)
+            own = _STILL if pair is None else _full_size(pair, scale)
+            found[k] = Movement(_after(own, before.to_frame), pair is not None)
+    return Alignment(tuple(found[k] for k in range(len(bracket))), reference, bracket.shape)
+
+
+def aligned(bracket: Bracket, alignment: Alignment) -> tuple[Bracket, list[NDArray[np.bool_]]]:
+    """Return the bracket with every frame brought to the reference's place, and where a frame then shows nothing.
+
+    Values between pixels are read off cubic splines through them; where one of these clips and another does not, the
+    value is unknown. Beyond a frame's edge stands its last row or column.
+
+    Args:
+        bracket: The frames, of any channel.
+        alignment: As found.
+    """
+    frames, absent = [], []
+    for frame, movement in zip(bracket, alignment.movements, strict=True):
+        if np.array_equal(movement.to_frame, _STILL):
+            frames.append(frame)
+            absent.append(np.zeros(frame.shape, bool))
+            continue
+        dn, missing = _moved(frame, movement.to_frame)
+        frames.append(replace(frame, dn=dn))
+        absent.append(missing)
+    return replace(bracket, frames=tuple(frames)), absent
+
+
+def _moved(frame: Frame, to_frame: Array) -> tuple[Any, NDArray[np.bool_]]:
+    size, flags = (frame.shape[1], frame.shape[0]), cv2.WARP_INVERSE_MAP
+    top = frame.full_scale_dn
+    values = frame.dn.astype(np.float32)
+    smooth = cv2.warpAffine(values, to_frame, size, flags=flags | cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    dn = np.clip(np.rint(smooth), 0, top).astype(frame.dn.dtype)
+    # A number stands for "clipped" only where all that it is read from clips.
+    for end in (0, top):
+        clipped = (frame.dn == end).astype(np.float32)
+        share = cv2.warpAffine(clipped, to_frame, size, flags=flags | cv2.INTER_LINEAR)
+        dn[share > 0.999] = end
+    near = cv2.dilate((frame.dn == top).astype(np.uint8), np.ones((2 * _SUPPORT_PX + 1,) * 2, np.uint8))
+    near = cv2.warpAffine(near, to_frame, size, flags=flags | cv2.INTER_NEAREST)
+    outside = cv2.warpAffine(
+        np.ones(frame.shape, np.float32), to_frame, size, flags=flags | cv2.INTER_LINEAR, borderValue=0.0
+    )
+    return dn, (outside < 0.999) | ((near > 0) & (dn != top))
+
+
+def _reference(bracket: Bracket) -> int:
+    """Return the frame that shows most of the scene between black and clipping."""
+    shares = []
+    for frame in bracket:
+        inside = (frame.dn > 0.05 * frame.full_scale_dn) & (frame.dn < 0.95 * frame.full_scale_dn)
+        shares.append(float(inside.mean()))
+    return int(np.argmax(shares))
+
+
+def _reduced(dn: Any) -> Image:
+    height, width = dn.shape
+    factor = math.sqrt(_ENOUGH_PIXELS / (height * width))
+    if factor >= 1.0:
+        return np.asarray(dn, np.float32)
+    size = max(1, round(width * factor)), max(1, round(height * factor))
+    return np.asarray(cv2.resize(dn.astype(np.float32), size, interpolation=cv2.INTER_AREA))
+
+
+def _full_size(movement: Array, scale: float) -> Array:
+    """Return a movement of reduced pictures for the full ones: the middle of a pixel is at (x + 1/2)·scale − 1/2."""
+    half = np.full(2, 0.5 * (scale - 1.0))
+    turn = movement[:, :2]
+    return np.column_stack([turn, scale * movement[:, 2] + half - turn @ half])
+
+
+def _after(second: Array, first: Array) -> Array:
+    """Return the movement that is `first`, then `second`."""
+    return np.column_stack([second[:, :2] @ first[:, :2], second[:, :2] @ first[:, 2] + second[:, 2]])
+
+
+def _corners(shape: tuple[int, int]) -> Array:
+    bottom, right = shape[0] - 1.0, shape[1] - 1.0
+    return np.array([(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)])
+
+
+def _pair_movement(here: Image, there: Image, full_scale_dn: int) -> Array | None:
+    """Return the movement that takes pixels of the one picture to the other; None where it cannot be told."""
+    still, other = _alike(here, there, full_scale_dn)
+    if still is None or other is None:
+        return None
+    inside = _inside(here) & _inside(there)
+    found = _STILL.astype(np.float32)
+    levels = max(0, math.floor(math.log2(min(still.shape) / _COARSEST_PX)))
+    pyramid = [(still, other, inside)]
+    for _ in range(levels):
+        a, b, mask = pyramid[-1]
+        pyramid.append((cv2.pyrDown(a), cv2.pyrDown(b), np.ascontiguousarray(cv2.erode(mask, _NEIGHBOURS)[::2, ::2])))
+    found[:, 2] = _shift(*pyramid[-1][:2])
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, *_ITERATIONS)
+    for level, (a, b, mask) in reversed(list(enumerate(pyramid))):
+        try:
+            _, found = cv2.findTransformECC(a, b, found, cv2.MOTION_EUCLIDEAN, criteria, mask, _BLUR_PX)
+        except cv2.error:
+            return None
+        if level:
+            found = _full_size(found.astype(np.float64), 2.0).astype(np.float32)
+    movement = np.asarray(found, np.float64)
+    after = _difference(still, other, inside, movement)
+    size, flags = (still.shape[1], still.shape[0]), cv2.WARP_INVERSE_MAP | cv2.INTER_LINEAR
+    moved = cv2.warpAffine(other, movement, size, flags=flags)
+    if _corner_u_px(still, moved, inside, after) > _WORST_U_PX:
+        return None
+    if after > _LEAST_GAIN * _difference(still, other, inside, _STILL):
+        return _STILL
+    return movement
+
+
+def _inside(picture: Image) -> NDArray[np.uint8]:
+    """Return 1 where a picture shows something: a black rim is what another program left when it turned it."""
+    black = (picture <= 0.0).astype(np.uint8)
+    count, label = cv2.connectedComponents(black)
+    rim = np.zeros(count, bool)
+    for edge in (label[0], label[-1], label[:, 0], label[:, -1]):
+        rim[edge] = True
+    rim[0] = False  # what is not black
+    near = cv2.dilate(rim[label].astype(np.uint8), np.ones((2 * _BLUR_PX + 1,) * 2, np.uint8))
+    return np.asarray(1 - near, np.uint8)
+
+
+def _corner_u_px(a: Image, b: Image, inside: NDArray[np.uint8], difference: float) -> float:
+    """Return the standard uncertainty in pixels of where a corner lies, from the mean square difference that stays.
+
+    The difference is linear in small shifts and turns: the slopes of the picture are its derivatives, and what they
+    hold in both pictures is no noise. What the two do not share is taken to be alike within the blur, so that so many
+    pixels count as one. The part of the picture that tells most is left out: one lamp in the dark says nothing of the
+    far corners.
+
+    Args:
+        a: The one picture.
+        b: The other, brought to its place.
+        inside: 1 where they show something.
+        difference: Mean square difference.
+    """
+    pairs = zip(*(np.array_split(_derivatives(one) * inside, _PARTS, axis=1) for one in (a, b)), strict=True)
+    parts = [
+        np.einsum("iyx,jyx->ij", one, two)
+        for rows in pairs
+        for one, two in zip(*(np.array_split(row, _PARTS, axis=2) for row in rows), strict=True)
+    ]
+    best = max(parts, key=lambda part: part[0, 0] + part[1, 1])
+    information = (np.sum(parts, axis=0) - best) / (max(difference, 1e-12) * _ALIKE_PX)
+    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
+    if values[0] <= 1e-12 * values[-1]:
+        return math.inf
+    u2 = np.sum(vectors**2 / values, axis=1)
+    return math.sqrt(u2[0] + u2[1] + u2[2])
+
+
+def _derivatives(picture: Image) -> Array:
+    """Return by what shifts in x and y, and a turn that moves the corners by a pixel, change a picture."""
+    height, width = picture.shape
+    down, right = np.gradient(cv2.GaussianBlur(picture, (_BLUR_PX, _BLUR_PX), 0).astype(np.float64))
+    y, x = np.ogrid[:height, :width]
+    turned = (x - 0.5 * width) * down - (y - 0.5 * height) * right
+    return np.stack([right, down, turned / (0.5 * math.hypot(height, width))])
+
+
+def _alike(here: Image, there: Image, full_scale_dn: int) -> tuple[Image | None, Image | None]:
+    """Return both pictures in the values of the darker one, cut off where the brighter one clips."""
+    swapped = float(here.mean()) > float(there.mean())
+    dark, bright = (there, here) if swapped else (here, there)
+    top = 0.97 * full_scale_dn
+    share = float((bright < top).mean())
+    levels = np.quantile(dark, np.linspace(0.0, 1.0, 1025))
+    ends = np.quantile(bright, np.linspace(0.0, 1.0, 1025))
+    end = float(np.quantile(dark, share))
+    if share < _LEAST_SHARE or end - levels[0] < 3.0 / 255.0 * full_scale_dn:
+        return None, None
+    ends, first = np.unique(ends, return_index=True)
+    # A level that many pixels share is matched by the middle of its ranks.
+    last = np.append(first[1:], levels.size) - 1
+    matched = np.minimum(np.interp(bright, ends, 0.5 * (levels[first] + levels[last])), end).astype(np.float32)
+    cut = np.minimum(dark, end)
+    return (matched, cut) if swapped else (cut, matched)
+
+
+def _shift(a: Image, b: Image) -> Array:
+    """Return the translation that takes pixels of one small picture to another, by phase correlation."""
+    window = cv2.createHanningWindow((a.shape[1], a.shape[0]), cv2.CV_32F)
+    (x, y), response = cv2.phaseCorrelate(a, b, window)
+    far = max(abs(x) / a.shape[1], abs(y) / a.shape[0]) > 0.25
+    return np.array([0.0, 0.0]) if far or response < 0.05 else np.array([x, y])
+
+
+def _difference(a: Image, b: Image, inside: NDArray[np.uint8], movement: Array) -> float:
+    """Return the mean square difference of two pictures, a movement apart, where both show something."""
+    size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP | cv2.INTER_LINEAR
+    smooth = [cv2.GaussianBlur(one, (_BLUR_PX, _BLUR_PX), 0) for one in (a, b)]
+    moved = cv2.warpAffine(smooth[1], movement, size, flags=flags)
+    shown = (cv2.warpAffine(inside.astype(np.float32), movement, size, flags=flags) > 0.999) & (inside > 0)
+    return float(np.mean((moved - smooth[0])[shown] ** 2)) if shown.any() else math.inf

@@ -1,0 +1,55 @@
+"""Photographs of one scene brought into one place before they are merged or read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from radiometer.data import Bracket
+
+ALIGN_CHOICES: Final = ("auto", "on", "off")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """Photographs in one place.
+
+    Attributes:
+        brackets: By channel, as given or moved.
+        common: The part of them that all frames show.
+        absent: Where each frame shows nothing, shape (height, width) each; empty where nothing was moved.
+        sentence: How they lay, for people; None where nobody asked.
+    """
+
+    brackets: list[Bracket]
+    common: list[Bracket]
+    absent: list[Any]
+    sentence: str | None
+
+
+def in_one_place(brackets: Sequence[Bracket], align: str) -> Placed:
+    """Return photographs in the place of that which shows most of the scene.
+
+    Args:
+        brackets: One per channel, of the same photographs; the movement is sought in green or the only one.
+        align: "auto" moves them where they need it, "on" always, "off" never looks.
+    """
+    import numpy as np
+
+    from radiometer.analysis.merge.alignment import aligned, find_alignment
+    from radiometer.analysis.response.labels import frame_name
+
+    if align == "off" or len(brackets[0]) < 2:
+        return Placed(list(brackets), list(brackets), [], None)
+    seen = next((one for one in brackets if one.frames[0].extra.get("channel") == "green"), brackets[0])
+    alignment = find_alignment(seen)
+    sentence = alignment.sentence([frame_name(seen, k) for k in range(len(seen))], moved=align == "on")
+    if not (alignment.needed or align == "on"):
+        return Placed(list(brackets), list(brackets), [], sentence)
+    moved = [aligned(one, alignment) for one in brackets]
+    # A frame that shows nothing in one channel is not trusted in the others: their edges are the same.
+    absent = [np.any(masks, axis=0) for masks in zip(*(masks for _, masks in moved), strict=True)]
+    whole = [one for one, _ in moved]
+    return Placed(whole, [alignment.trimmed(one) for one in whole], absent, sentence)

@@ -1,0 +1,136 @@
+"""Photographs from the hand: how they lie to each other, and what becomes of their values."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from radiometer.analysis.merge.alignment import Alignment, Movement, aligned, find_alignment
+from radiometer.data import Bracket, Frame, FrameSettings
+
+HEIGHT, WIDTH = 220, 300
+STOPS = 2.0 ** np.arange(5)
+
+
+@pytest.fixture(scope="module")
+def waves():
+    """Return amplitude, wave numbers and phases of a scene that is known between pixels too."""
+    rng = np.random.default_rng(4)
+    length = rng.uniform(8.0, 60.0, 60)
+    angle, phase = rng.uniform(0.0, 2.0 * math.pi, (2, 60))
+    return 0.28, 2.0 * math.pi / length * np.cos(angle), 2.0 * math.pi / length * np.sin(angle), phase
+
+
+def _radiance(waves, x, y):
+    amplitude, kx, ky, phase = waves
+    return np.exp(sum(amplitude * np.sin(a * x + b * y + c) for a, b, c in zip(kx, ky, phase, strict=True)))
+
+
+def _place(shift, degrees):
+    """Return the matrix from the scene to a photograph turned about its middle and shifted."""
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    turn, middle = np.array([[c, -s], [s, c]]), np.array([WIDTH / 2, HEIGHT / 2])
+    return np.column_stack([turn, middle + shift - turn @ middle])
+
+
+def _photograph(waves, place, seconds, rng=None):
+    """Return what a camera with a tone curve makes of the scene from its place: x_scene = Rᵀ(x − d)."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float)
+    dx, dy = x - place[0, 2], y - place[1, 2]
+    (a, b), (c, d) = place[:, :2]
+    light = _radiance(waves, a * dx + c * dy, b * dx + d * dy) * seconds * 25.0
+    electrons = light if rng is None else rng.poisson(light)
+    dn = 255.0 * (electrons / 1500.0) ** 0.45 + (0.0 if rng is None else rng.normal(0.0, 0.5, light.shape))
+    return Frame(np.clip(np.rint(dn), 0, 255).astype(np.uint8), 8, FrameSettings(float(seconds)))
+
+
+def _corner_gap(found, wanted):
+    corners = np.array([(0, 0), (WIDTH - 1, 0), (0, HEIGHT - 1), (WIDTH - 1, HEIGHT - 1)], float)
+    gap = corners @ (found[:, :2] - wanted[:, :2]).T + found[:, 2] - wanted[:, 2]
+    return float(np.linalg.norm(gap, axis=1).max())
+
+
+def _relative(place, reference):
+    """Return the matrix from the reference photograph's pixels to another's."""
+    turn = reference[:, :2].T
+    return np.column_stack([place[:, :2] @ turn, place[:, 2] - place[:, :2] @ turn @ reference[:, 2]])
+
+
+def test_shifts_and_turns_are_found_to_a_tenth_of_a_pixel(waves):
+    """Five noisy photographs, up to seven pixels and 0.7° apart, behind a tone curve that nobody states."""
+    rng = np.random.default_rng(8)
+    shifts = rng.uniform(-5.0, 5.0, (5, 2))
+    places = [_place(shift, turn) for shift, turn in zip(shifts, rng.uniform(-0.7, 0.7, 5), strict=True)]
+    bracket = Bracket.from_frames(_photograph(waves, *one, rng) for one in zip(places, STOPS, strict=True))
+    found = find_alignment(bracket)
+    assert found.needed
+    assert all(one.known for one in found.movements)
+    gaps = [
+        _corner_gap(one.to_frame, _relative(place, places[found.reference]))
+        for one, place in zip(found.movements, places, strict=True)
+    ]
+    assert max(gaps) < 0.1
+    assert "aligned to" in found.sentence([f"p{k}" for k in range(5)])
+
+
+def test_still_photographs_are_left_alone(waves):
+    """Noise and exposure alone are no movement."""
+    rng = np.random.default_rng(9)
+    found = find_alignment(Bracket.from_frames(_photograph(waves, _place(0.0, 0.0), s, rng) for s in STOPS))
+    assert not found.needed
+    assert found.largest_px < 0.1
+    assert found.sentence(["p"] * 5).startswith("aligned already")
+
+
+def test_moved_values_are_those_of_the_scene(waves):
+    """Brought back, a photograph shows what one from the reference's place shows, and says where it shows nothing."""
+    place = _place(np.array([3.3, -2.6]), 0.4)
+    still, moved = _photograph(waves, _place(0.0, 0.0), 8.0), _photograph(waves, place, 8.0)
+    shape = (HEIGHT, WIDTH)
+    back, absent = aligned(Bracket.from_frames([moved]), Alignment((Movement(place),), 0, shape))
+    shown = back.frames[0].dn.astype(int)
+    seen = ~absent[0]
+    gap = np.abs(shown - still.dn)[seen]
+    assert gap.max() <= 5
+    assert gap.mean() < 0.6
+    assert np.mean(seen) > 0.8
+    # The photograph moved by 2.6 pixels upwards: the reference's first rows lie above its own first row.
+    assert absent[0][0].mean() > 0.9
+    assert absent[0][110, 4:296].mean() < 0.2
+    clipped = still.dn == 255
+    assert clipped.any()
+    # What is only partly read off clipped pixels is unknown, not clipped.
+    assert np.mean(shown[seen & ~clipped] == 255) < 0.002
+
+
+def test_one_lamp_says_nothing_of_the_corners(waves):
+    """A photograph that shows one lamp and else nothing stays where it is, and that is said."""
+    rng = np.random.default_rng(1)
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    lamp = 40.0 * np.exp(-((x - 60.0) ** 2 + (y - 50.0) ** 2) / 30.0)
+    dark = Frame(np.rint(12.0 + lamp + rng.normal(0.0, 1.0, lamp.shape)).astype(np.uint8), 8, FrameSettings(0.1))
+    brighter = Frame(
+        np.rint(12.0 + 3.0 * np.roll(lamp, 3, axis=1) + rng.normal(0.0, 1.0, lamp.shape)).astype(np.uint8),
+        8,
+        FrameSettings(0.3),
+    )
+    found = find_alignment(Bracket.from_frames([dark, brighter]))
+    assert [one.known for one in found.movements].count(False) == 1
+    assert found.largest_px == 0.0
+    assert "not to be told of" in found.sentence(["a", "b"])
+
+
+def test_a_black_rim_is_no_scene(waves):
+    """Rims that another program left where it moved the photographs do not pull them back."""
+    places = [_place(np.array([dx, 0.0]), 0.0) for dx in (0.0, 1.5, 0.0)]
+    frames = [_photograph(waves, *one) for one in zip(places, (4.0, 8.0, 16.0), strict=True)]
+    rimmed = []
+    for frame, width in zip(frames, (3, 12, 6), strict=True):
+        dn = frame.dn.copy()
+        dn[:, :width] = dn[:, -width:] = 0
+        rimmed.append(Frame(dn, 8, frame.settings))
+    found = find_alignment(Bracket.from_frames(rimmed))
+    away = [one.to_frame[0, 2] for one in found.movements]
+    assert np.diff(away) == pytest.approx([1.5, -1.5], abs=0.1)

@@ -1,0 +1,90 @@
+"""Photographs from the hand, on the command line: aligned, what moved left out, and said."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from radiometer.cli.main import run
+
+TIMES = (1.0, 2.0, 4.0, 8.0)
+SHIFTS = ((0.0, 0.0), (3.0, -2.0), (0.0, 0.0), (-4.0, 1.0))
+
+
+def _light(x, y):
+    """Return a scene of smooth blobs at any place."""
+    rng = np.random.default_rng(12)
+    total = np.full(np.broadcast_shapes(x.shape, y.shape), 0.05)
+    for cx, cy, size, height in rng.uniform((0, 0, 3, 0.1), (160, 120, 12, 1.5), (90, 4)):
+        total = total + height * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2.0 * size**2))
+    return total
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder of four linear photographs of 16 bits, shifted, with a bright ball that rolls through."""
+    path = tmp_path_factory.mktemp("hand")
+    rng = np.random.default_rng(13)
+    y, x = np.mgrid[:120, :160].astype(float)
+    for k, (seconds, (dx, dy)) in enumerate(zip(TIMES, SHIFTS, strict=True)):
+        light = _light(x - dx, y - dy)
+        if k != 2:
+            light[(x - 30 - 30 * k) ** 2 + (y - 60) ** 2 < 36] = 4.0
+        electrons = rng.poisson(light * seconds * 900.0)
+        cv2.imwrite(str(path / f"p{k}.png"), np.clip(electrons * 2.0, 0, 65535).astype(np.uint16))
+    (path / "exposures.txt").write_text("".join(f"p{k}.png {s}\n" for k, s in enumerate(TIMES)))
+    return path
+
+
+def _merged(folder, target, *words):
+    assert run(["merge", str(folder), "--linear", "-o", str(target), *words]) == 0
+
+
+def test_shifted_photographs_give_the_scene(folder, tmp_path, capsys):
+    """Through alignment and without what moved the map is the scene from the reference's place, within its noise."""
+    _merged(folder, tmp_path / "map.tiff", "--json")
+    said = json.loads(capsys.readouterr().out)
+    assert said["alignment"].startswith("aligned to p")
+    assert said["pixels"]["moved"] > 100
+    dx, dy = SHIFTS[int(said["alignment"].split("aligned to p")[1][0])]
+    value, u = (tifffile.imread(tmp_path / "map.tiff", key=key).astype(float) for key in (0, 1))
+    mask = tifffile.imread(tmp_path / "map.tiff", key=2)
+    y, x = np.mgrid[:120, :160].astype(float)
+    ratio = value / _light(x - dx, y - dy)
+    ratio /= np.median(ratio)
+    moved = mask & 32 > 0
+    assert np.median(np.abs(ratio - 1.0)[moved]) < 0.03
+    good = mask == 0
+    assert good.mean() > 0.9
+    z = (ratio - 1.0) * value / u
+    assert np.sqrt(np.mean(z[good] ** 2)) < 1.6
+
+
+def test_alignment_off_leaves_them_where_they_are(folder, tmp_path, capsys):
+    """Without alignment nothing is said of it, and the frames tell that they agree less with each other."""
+    _merged(folder, tmp_path / "on.tiff", "--json")
+    on = json.loads(capsys.readouterr().out)
+    _merged(folder, tmp_path / "off.tiff", "--align", "off", "--keep-ghosts", "--json")
+    off = json.loads(capsys.readouterr().out)
+    assert off["alignment"] is None
+    assert off["pixels"]["moved"] == 0
+    assert off["median_u_rel"] > 2.0 * on["median_u_rel"]
+
+
+def test_the_line_for_people_says_it(folder, tmp_path, capsys):
+    """The summary holds how far the frames lay apart, and the share of what moved."""
+    _merged(folder, tmp_path / "map.tiff")
+    out = capsys.readouterr().out
+    assert "frames     aligned to p" in out
+    assert "pixels (" in out
+    assert "moved" in out
+
+
+def test_an_unknown_choice_is_misuse(folder, tmp_path, capsys):
+    """--align takes one of three words."""
+    assert run(["merge", str(folder), "--align", "maybe", "-o", str(tmp_path / "a.exr")]) == 2
+    assert "auto, on, off" in capsys.readouterr().err
