@@ -89,7 +89,11 @@ class PhotographFolder:
 
     def _photographs(self, most_pixels: int | None) -> Iterator[tuple[str, Photograph]]:
         first: tuple[str, Photograph] | None = None
-        for name, photograph in _in_turn(lambda name: read_photograph(self.path / name, most_pixels), self.settings):
+        # Of a lattice little stays: two whole pictures in memory would be most of what a response takes.
+        ahead = 2 if most_pixels is None else 1
+        for name, photograph in _in_turn(
+            lambda name: read_photograph(self.path / name, most_pixels), self.settings, ahead
+        ):
             if first is None:
                 first = (name, photograph)
             _refuse_mixture(self.path, first, (name, photograph))
@@ -120,10 +124,10 @@ class PhotographFolder:
         return Frame(photograph.plane(channel), photograph.bit_depth, settings, extra=extra)
 
 
-def _in_turn(read: Callable[[str], Photograph], names: Iterable[str]) -> Iterator[tuple[str, Photograph]]:
-    """Yield every photograph in order while the next one is decoded: two at most are in memory."""
+def _in_turn(read: Callable[[str], Photograph], names: Iterable[str], ahead: int) -> Iterator[tuple[str, Photograph]]:
+    """Yield every photograph in order while the next ones are decoded, so many at a time."""
     waiting: deque[tuple[str, Future[Photograph]]] = deque()
-    with ThreadPoolExecutor(max_workers=2) as pool:
+    with ThreadPoolExecutor(max_workers=ahead) as pool:
         try:
             for name in names:
                 waiting.append((name, pool.submit(read, name)))
