@@ -8,7 +8,7 @@ from pathlib import Path
 
 from drivers.photograph_folder import image_files, read_photographs
 from drivers.photograph_times import find_list
-from radiometer.data import Bracket, CaptureSet, Frame
+from radiometer.data import Bracket, CaptureSet, FlatField, Frame
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.errors import CaptureError
@@ -57,6 +57,25 @@ def open_brackets(
     if not image_files(path) and find_list(path) is None:
         raise CaptureError(f"{path} holds neither {HEADER_NAME} nor photographs; give a capture set or photographs")
     return read_photographs(path, channel, report=report, speeds=speeds, most_pixels=most_pixels)
+
+
+def lensfun_falloff(path: Path, bracket: Bracket, lens: str | None = None) -> tuple[FlatField, str]:
+    """Return the fall-off of the lens of a folder of photographs by lensfun's database, and from what it was taken.
+
+    Args:
+        path: The folder.
+        bracket: The photographs in it.
+        lens: Name of the lens in place of the EXIF record's.
+
+    Raises:
+        CaptureError: If the EXIF record does not say what it takes.
+        InputError: If the database does not know camera or lens.
+        MissingLibrary: If lensfunpy is not installed.
+    """
+    from drivers.lens_profile import lensfun_flat_field, read_lens_record
+
+    record = read_lens_record(path / str(bracket.frames[0].extra["file"]), lens)
+    return lensfun_flat_field(record, bracket.shape)
 
 
 def _capture_brackets(capture: CaptureSet, report: Callable[[int, int], None] | None) -> list[Bracket]:

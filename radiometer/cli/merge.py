@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as json_module
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,7 +18,7 @@ from radiometer.errors import CaptureError, UsageError
 
 if TYPE_CHECKING:
     from radiometer.analysis.exports.maps import Picture
-    from radiometer.data import Bracket, Calibration, CaptureSet, Frame, RadianceMap, ResponseCurve
+    from radiometer.data import Bracket, Calibration, CaptureSet, FlatField, Frame, RadianceMap, ResponseCurve
     from radiometer.data.iso_speeds import IsoSpeeds
 
 
@@ -48,6 +48,11 @@ def command(
     keep_ghosts: Annotated[
         bool, typer.Option("--keep-ghosts", help="Average what moved instead of taking it from frames that agree.")
     ] = False,
+    vignetting: Annotated[
+        str | None,
+        typer.Option(metavar="lensfun|FILE", help="Fall-off of photographs: lensfun's, or a calibration's flat field."),
+    ] = None,
+    lens: Annotated[str | None, typer.Option(help="Name of the lens for --vignetting lensfun; EXIF's.")] = None,
     luminance: Annotated[bool, typer.Option("--luminance", help="Write cd·m⁻² instead of W·sr⁻¹·m⁻².")] = False,
     spectrum: Annotated[str | None, typer.Option(help="Spectrum for the luminance; the calibration's.")] = None,
     scale: Annotated[str | None, typer.Option(help="LOW,HIGH of the false colours; the picture's.")] = None,
@@ -70,12 +75,24 @@ def command(
         raise UsageError("--linear photographs need no response curve; leave --response out")
     if align not in ALIGN_CHOICES:
         raise UsageError(f"--align {align}: choose one of {', '.join(ALIGN_CHOICES)}")
+    if lens and vignetting != "lensfun":
+        raise UsageError("--lens names the lens for --vignetting lensfun")
     writers = [(file, writer_for(file)) for file in out]
     bounds = parse_bounds(scale, "--scale") if scale else None
     known = _calibration(calibration)
     speeds = parse_iso_speeds(measured_iso, known)
     options = _Options(
-        known, response or [], channel, speeds, f_number, linear, out[0], align, without_ghosts=not keep_ghosts
+        known,
+        response or [],
+        channel,
+        speeds,
+        f_number,
+        linear,
+        out[0],
+        align,
+        without_ghosts=not keep_ghosts,
+        vignetting=vignetting,
+        lens=lens,
     )
     maps, beside = _maps(path, pattern, options)
     if luminance:
@@ -85,7 +102,7 @@ def command(
     for file, write in writers:
         write(file, picture)
     report = {**_report(picture, out), "responses": [str(file) for file in beside.responses]}
-    report["alignment"] = beside.alignment
+    report["alignment"], report["falloff"] = beside.alignment, beside.falloff
     print(json_module.dumps(report, ensure_ascii=False)) if json else _show(report)
 
 
@@ -109,6 +126,8 @@ class _Options:
         beside: File that a recovered response is kept beside.
         align: Whether photographs are aligned: "auto", "on" or "off".
         without_ghosts: Whether what moved is taken from the frames that agree.
+        vignetting: "lensfun", or the file of a calibration with a flat field; None takes nothing out.
+        lens: Name of the lens for lensfun.
     """
 
     calibration: Calibration | None
@@ -120,6 +139,8 @@ class _Options:
     beside: Path
     align: str = "auto"
     without_ghosts: bool = True
+    vignetting: str | None = None
+    lens: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,10 +150,12 @@ class _Beside:
     Attributes:
         responses: Files that a recovered response is kept in.
         alignment: How the photographs lie to each other, in a sentence; None where that was not asked.
+        falloff: What fall-off was taken out, in a sentence; None where none was.
     """
 
     responses: tuple[Path, ...] = ()
     alignment: str | None = None
+    falloff: str | None = None
 
 
 def _maps(path: Path, pattern: str | None, options: _Options) -> tuple[dict[str, RadianceMap], _Beside]:
@@ -145,6 +168,8 @@ def _maps(path: Path, pattern: str | None, options: _Options) -> tuple[dict[str,
     if not (foreign or path.is_dir()):
         raise CaptureError(f"{path} does not exist or is no folder; give a capture set or a folder of photographs")
     if foreign or (path / HEADER_NAME).exists():
+        if options.vignetting:
+            raise UsageError("--vignetting belongs to photographs; a capture set takes its calibration's flat field")
         if not foreign:
             options.speeds.refuse_unstated(str(path), set())
         curves = curves_of(options.responses, 8)
@@ -219,10 +244,33 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
         curves, files = recovered_curves(placed.common, options.beside, note)
         brackets = [with_found_times(b, curves[str(b.frames[0].extra.get("channel", "mono"))]) for b in brackets]
     several = [with_f_number(bracket, options.f_number) for bracket in brackets]
+    flat, falloff = _falloff(path, several[0], options)
     maps: dict[str, RadianceMap] = {}
     for bracket in several:
-        maps |= _merged(bracket, calibration, curves, placed.absent, without_ghosts=options.without_ghosts)
-    return maps, _Beside(tuple(files), placed.sentence)
+        maps |= _merged(bracket, calibration, curves, placed.absent, flat, without_ghosts=options.without_ghosts)
+    return maps, _Beside(tuple(files), placed.sentence, falloff)
+
+
+def _falloff(path: Path, bracket: Bracket, options: _Options) -> tuple[FlatField | None, str | None]:
+    """Return the fall-off that is to be taken out of photographs, and what to say of it."""
+    from radiometer.bench.sources import lensfun_falloff
+    from radiometer.data import Calibration
+
+    if options.vignetting is None:
+        return None, None
+    if options.calibration is not None and options.calibration.flat_field is not None:
+        raise UsageError("--vignetting: the calibration has a flat field of its own; leave one of them out")
+    if options.vignetting == "lensfun":
+        return lensfun_falloff(path, bracket, options.lens)
+    flat = Calibration.read(Path(options.vignetting)).flat_field
+    if flat is None:
+        raise UsageError(f"--vignetting {options.vignetting}: that calibration has no flat field (calibrate --flat)")
+    if flat.shape != bracket.shape:
+        raise UsageError(
+            f"--vignetting {options.vignetting}: made from frames of {flat.shape[1]} × {flat.shape[0]} pixels, the "
+            f"photographs have {bracket.shape[1]} × {bracket.shape[0]}"
+        )
+    return flat, f"fall-off by the flat field of {Path(options.vignetting).name}"
 
 
 def _merged(
@@ -230,6 +278,7 @@ def _merged(
     calibration: Calibration | None,
     curves: dict[str, ResponseCurve],
     absent: Sequence[Any],
+    flat: FlatField | None,
     *,
     without_ghosts: bool,
 ) -> dict[str, RadianceMap]:
@@ -242,6 +291,7 @@ def _merged(
     camera = calibration.camera if calibration else CameraDescription(bit_depth=bracket.bit_depth)
     curve = _of_channel(curves, name)
     known = calibration or relative_calibration(bracket, curve, camera, LensDescription())
+    known = replace(known, flat_field=flat) if flat else known
     found = merge(bracket, camera, LensDescription(), known, absent=absent, without_ghosts=without_ghosts)
     return {name: with_iso_in_map(found, bracket)}
 
@@ -316,6 +366,8 @@ def _show(report: dict[str, Any]) -> None:
             out.print(f"{name.replace('_', ' '):<13}{count} pixels ({100 * count / total:.2g} %)")
     if report["alignment"]:
         out.print(f"frames     {report['alignment']}")
+    if report["falloff"]:
+        out.print(f"lens       {report['falloff']}")
     for assumption in report["assumptions"]:
         out.print(f"assumed    {assumption}")
     for file in report["responses"]:

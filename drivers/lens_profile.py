@@ -1,0 +1,165 @@
+"""The fall-off of a photographic lens from lensfun's database, by what a photograph's EXIF record says of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from radiometer.data import FlatField
+from radiometer.errors import CaptureError, InputError, MissingLibrary
+
+# Exif 2.32, sections 4.6.4 and 4.6.5.
+_EXIF_IFD, _MAKE, _MODEL = 0x8769, 271, 272
+_F_NUMBER, _DISTANCE, _FOCAL_LENGTH, _LENS_MAKE, _LENS_MODEL = 33437, 37382, 37386, 42035, 42036
+# The database's word for a far subject.
+_FAR_M: Final = 1000.0
+# Copies of a lens, real apertures, and the light that contributors measured by differ; a rectangle of some ±5 %.
+LENSFUN_U_REL: Final = 0.03
+_LEAST_SENSITIVITY: Final = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class LensRecord:
+    """What a photograph says of camera and lens.
+
+    Attributes:
+        maker: Of the camera.
+        camera: Its model.
+        lens: Name of the lens; empty where not stated.
+        focal_length_mm: Focal length in mm.
+        f_number: f-number.
+        distance_m: Distance of the subject in m; None where not stated.
+    """
+
+    maker: str
+    camera: str
+    lens: str
+    focal_length_mm: float
+    f_number: float
+    distance_m: float | None = None
+
+
+def read_lens_record(path: Path, lens: str | None = None) -> LensRecord:
+    """Return what a photograph's EXIF record says of camera and lens.
+
+    Args:
+        path: The photograph.
+        lens: Name of the lens in place of the record's.
+
+    Raises:
+        CaptureError: If camera, lens, focal length or f-number are not stated.
+    """
+    try:
+        with Image.open(path) as image:
+            exif = image.getexif()
+            tags: dict[int, Any] = {**exif, **exif.get_ifd(_EXIF_IFD)}
+    except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
+        raise CaptureError(f"{path}: has no readable EXIF record, which lensfun's fall-off needs: {error}") from error
+    words = {tag: str(tags.get(tag, "")).strip("\0 ") for tag in (_MAKE, _MODEL, _LENS_MODEL)}
+    numbers = {tag: _number(tags.get(tag)) for tag in (_FOCAL_LENGTH, _F_NUMBER, _DISTANCE)}
+    missing = [
+        what
+        for what, known in (
+            ("the camera's model", words[_MODEL]),
+            ("the lens (name it with --lens)", lens or words[_LENS_MODEL]),
+            ("the focal length", numbers[_FOCAL_LENGTH]),
+            ("the f-number", numbers[_F_NUMBER]),
+        )
+        if not known
+    ]
+    if missing:
+        raise CaptureError(f"{path}: its EXIF record does not state {', '.join(missing)}; lensfun's fall-off needs it")
+    return LensRecord(
+        words[_MAKE],
+        words[_MODEL],
+        lens or words[_LENS_MODEL],
+        numbers[_FOCAL_LENGTH] or 0.0,
+        numbers[_F_NUMBER] or 0.0,
+        numbers[_DISTANCE],
+    )
+
+
+def lensfun_flat_field(record: LensRecord, shape: tuple[int, int]) -> tuple[FlatField, str]:
+    """Return the fall-off of a lens as a flat field, and in a sentence what it was taken from.
+
+    Args:
+        record: Camera, lens and settings.
+        shape: (height, width) of the frames: the whole picture of the camera, at any scale.
+
+    Raises:
+        InputError: If the database knows no such camera or lens, or no fall-off of it.
+        MissingLibrary: If lensfunpy is not installed.
+
+    Source: lensfun's model "pa", relative illumination 1 + k₁r² + k₂r⁴ + k₃r⁶, r = 1 in the corner of the sensor
+    that it was measured with.
+    """
+    base = _database()
+    cameras = base.find_cameras(record.maker or None, record.camera, False)
+    if not cameras:
+        raise InputError(
+            f"lensfun's database has no camera {record.maker} {record.camera}; use a flat field of your own"
+        )
+    lenses = base.find_lenses(cameras[0], None, record.lens, False)
+    if not lenses:
+        raise InputError(
+            f"lensfun's database has no lens {record.lens!r} for the {record.camera}; name it with --lens as the "
+            "database does, or use a flat field of your own"
+        )
+    # A lens may be there several times, measured on sensors of several sizes.
+    same = [one for one in lenses if _plain(one.model) == _plain(record.lens)] or lenses[:1]
+    settings = record.focal_length_mm, record.f_number, record.distance_m or _FAR_M
+    known = [(one, found) for one in same if (found := one.interpolate_vignetting(*settings)) is not None]
+    lens, found = known[0] if known else (same[0], None)
+    if found is None:
+        raise InputError(
+            f"lensfun's database knows no fall-off of the {lens.model} at {record.focal_length_mm:g} mm, "
+            f"f/{record.f_number:g}; use a flat field of your own"
+        )
+    height, width = shape
+    flat = FlatField(
+        principal_point_px=((width - 1) / 2.0, (height - 1) / 2.0),
+        radius_px=0.5 * math.hypot(height, width) * cameras[0].crop_factor / lens.crop_factor,
+        coefficients=(float(found.terms[0]), float(found.terms[1]), float(found.terms[2])),
+        u_rel=LENSFUN_U_REL,
+        shape=shape,
+        f_number=record.f_number,
+    )
+    corner = float(flat.at(np.zeros(1), np.zeros(1))[0])
+    if not _LEAST_SENSITIVITY < corner < 1.5:
+        raise InputError(f"lensfun's fall-off of the {lens.model} is {corner:.2g} in the corners, which no lens has")
+    far = f"{record.distance_m:g} m" if record.distance_m else "a far subject (the distance is not stated)"
+    return flat, (
+        f"fall-off by lensfun: {lens.model} at {record.focal_length_mm:g} mm, f/{record.f_number:g}, {far}: "
+        f"{100 * corner:.0f} % in the corners, known to {100 * LENSFUN_U_REL:g} %, of the whole picture of the camera"
+    )
+
+
+@cache
+def _database() -> Any:
+    try:
+        import lensfunpy
+    except ImportError as error:
+        raise MissingLibrary(
+            "the fall-off of lenses by lensfun needs lensfunpy; install it with `pip install 'radiometer[lens]'`, or "
+            "give a calibration with a flat field"
+        ) from error
+    return lensfunpy.Database()
+
+
+def _plain(name: str) -> str:
+    """Return a lens's name without what makers and databases write in different ways."""
+    return "".join(name.lower().split())
+
+
+def _number(value: object) -> float | None:
+    try:
+        number = float(value)  # type: ignore[arg-type]  # EXIF rationals convert; anything else is refused here
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) and number > 0 else None
