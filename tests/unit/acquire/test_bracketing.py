@@ -181,3 +181,21 @@ def test_no_time_is_misuse():
     """A time limit of nothing is refused before the camera moves."""
     with pytest.raises(UsageError, match="leaves no time"):
         plan_for_scene(camera_before(CHART), BracketRequest(region=Patch(0, 0, 4, 4), time_limit_s=0.0))
+
+
+@pytest.mark.parametrize("target", [1e-3, 1e-6])
+def test_repeats_stay_within_the_time(target):
+    """However sure the mean is to be, whole passes end within the limit, and it is said where more were wanted."""
+    camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": 0.3})
+    plan = plan_for_scene(camera, BracketRequest(target_u_rel=target, time_limit_s=0.4))
+    assert plan.total_s <= 0.4
+    assert plan.cut_short is (target == 1e-6)
+
+
+def test_pixels_between_two_trials_have_their_brightness():
+    """Light over six decades, three steps to a decade: none clips in one trial and is lost in the next."""
+    camera = camera_before({"kind": "step_chart", "steps": {"count": 18, "lowest": 1e-4, "highest": 100.0}})
+    rates = meter(camera).rates_dn_per_s
+    for patch in camera.scene.patches(100, 40):
+        found = rates[patch.patch.slices]
+        assert found.mean() == pytest.approx(expected_rate(camera, patch.radiance()), rel=0.3)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from radiometer.acquire.exposure_plan import (
     MINIMUM_SNR,
+    ExposurePlan,
     ExposureWindow,
     exposure_ladder,
     plan_exposures,
@@ -128,9 +129,29 @@ def test_repeats_count_gain_and_pixels():
     assert repeats_for(plan, rates, CAMERA, 12.0, 1e-5) == expected
 
 
+def test_exposures_that_clip_tell_nothing_of_a_mean():
+    """A second exposure a thousand times as long, where the pixels clip, leaves the repeats as they were."""
+    rates = np.full(10, 1e4)
+    short, both = ExposurePlan((0.1,)), ExposurePlan((0.1, 100.0))
+    assert repeats_for(short, rates, CAMERA, 0.0, 1e-4) > 1
+    assert repeats_for(both, rates, CAMERA, 0.0, 1e-4) == repeats_for(short, rates, CAMERA, 0.0, 1e-4)
+
+
+def test_what_only_the_longest_exposure_clips_is_not_too_bright():
+    """Seven decades of light: each pixel has its exposure, whatever the longest does to it."""
+    plan = plan_exposures(np.geomspace(30.0, 3e7, 50), WINDOW, 0.0, LIMITS_S)
+    assert (plan.too_bright, plan.too_dark) == (0, 0)
+
+
 def test_a_ladder_has_the_ends_and_the_steps_asked_for():
     """One stop apart from 1 ms to 8 ms."""
     assert exposure_ladder(0.001, 0.008, 1.0, LIMITS_S).exposures_s == pytest.approx((0.001, 0.002, 0.004, 0.008))
+
+
+def test_a_ladder_s_last_step_is_the_smaller_one():
+    """From 1 to 10 ms in whole stops: 1, 2, 4, 8 and then 10, with none left out below the end."""
+    plan = exposure_ladder(1e-3, 10e-3, 1.0, LIMITS_S)
+    assert plan.exposures_s == pytest.approx((1e-3, 2e-3, 4e-3, 8e-3, 10e-3))
 
 
 def test_a_ladder_outside_the_limits_is_refused_with_limits_and_unit():

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from radiometer.analysis.calibration import absolute
 from radiometer.analysis.calibration.absolute import MeterSettings, scale_from_meter, scale_from_radiance
 from radiometer.analysis.signal import photometry
+from radiometer.analysis.signal.display_types import LINES, primary_spectrum
 from radiometer.analysis.signal.spectra import Spectrum, spectrum
 from radiometer.errors import InputError
 from tests.unit.golden import cie
@@ -173,3 +174,37 @@ def test_irradiance_and_radiance_are_inverse(radiance, angle, exposure_s, diamet
     exposure = absolute.reference_exposure_j_m2(radiance, setting)
     assert exposure == pytest.approx(radiance * math.pi / 4 * (diameter / focal) ** 2 * exposure_s)
     assert absolute.reference_exposure_j_m2(radiance, setting, 0.5) == pytest.approx(radiance * 0.5 * exposure_s)
+
+
+@pytest.mark.parametrize(("ours", "of_the_calibration"), [("line:600", "line:500"), ("line:500", "line:600")])
+def test_light_that_the_camera_cannot_see_has_no_correction(ours, of_the_calibration):
+    """Neither a source nor a calibration at 500 nm, where the response is zero, gives a factor."""
+    wavelength, response = np.array([550.0, 560.0, 700.0]), np.array([0.0, 1.0, 1.0])
+    with pytest.raises(InputError, match="response is zero"):
+        photometry.spectral_mismatch_factor(spectrum(ours), spectrum(of_the_calibration), wavelength, response)
+
+
+@pytest.mark.parametrize(("first", "last", "taken"), [(380, 780, True), (3800, 7800, False), (0.38, 0.78, False)])
+def test_a_table_s_wavelengths_are_nanometres(tmp_path, first, last, taken):
+    """Ångström and micrometres are refused, since every integral would be wrong."""
+    path = tmp_path / "s.csv"
+    path.write_text(f"{first},1\n{(first + last) / 2},2\n{last},1\n")
+    if taken:
+        assert spectrum(str(path)).band_nm == (380.0, 780.0)
+    else:
+        with pytest.raises(InputError, match="must be in nm"):
+            spectrum(str(path))
+
+
+@pytest.mark.parametrize("colour", ["red", "green", "blue"])
+@pytest.mark.parametrize("kind", sorted(LINES))
+def test_a_primary_s_lines_have_their_shares_and_widths(kind, colour):
+    """Mean wavelength and spread of the whole are those of Gaussian lines of the stated peaks, widths and shares."""
+    wavelength, power = primary_spectrum(kind, colour)
+    peaks, widths, shares = (np.array(part) for part in zip(*LINES[kind][colour], strict=True))
+    shares = shares / shares.sum()
+    mean = shares @ peaks
+    variance = shares @ ((widths / math.sqrt(8 * math.log(2))) ** 2 + (peaks - mean) ** 2)
+    power = power / power.sum()
+    assert power @ wavelength == pytest.approx(mean, abs=1.5)
+    assert math.sqrt(power @ (wavelength - mean) ** 2) == pytest.approx(math.sqrt(variance), rel=0.05)

@@ -1,0 +1,101 @@
+"""Measuring a light box's levels: darkness off, drift out, and each doubt in the point's or the channel's u."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from radiometer.acquire.light_levels import LevelSurvey, Measured, SpectralCorrection, assemble, plan_levels
+from radiometer.data import Contribution, Patch, Quantity, Reading
+from radiometer.devices.light_box import ChannelCapabilities, CurrentRange, DriveLevel
+from radiometer.errors import MeasurementError
+
+CHANNEL = ChannelCapabilities("spot", 460.0, 4096, 1000.0, {CurrentRange.LOW: 65535, CurrentRange.HIGH: 30000})
+LEVEL = DriveLevel(20_000)
+
+
+def reading(value, noise=0.0, shared=0.0, black=0.0, exposure_s=0.1):
+    """Return a reading with a noise, a scale's and a dark level's relative contribution."""
+    lines = (
+        Contribution("noise", noise),
+        Contribution("scale", shared, correlated=True),
+        Contribution("dark and black level", black),
+    )
+    return Reading(Quantity(value, 0.0, ""), Patch(0, 0, 1, 1), "1", exposures_s=(exposure_s,), budget=lines)
+
+
+def measured(first, last, dark, change=0.0):
+    survey = LevelSurvey(None, None, None, np.random.default_rng(1))
+    survey._dark = dark
+    return survey._measured(LEVEL, (first, last), change, 40.0, 3.0)
+
+
+def test_the_room_s_light_is_taken_off_and_the_start_is_of_what_is_left():
+    """12 and 10 W·sr⁻¹·m⁻² beside 2 in the dark: 8 settled, 10/8 at the start."""
+    found = measured(reading(12.0), reading(10.0), reading(2.0))
+    assert (found.radiance, found.start_rel) == pytest.approx((8.0, 1.25))
+    assert (found.settle_s, found.order) == (40.0, 3.0)
+
+
+def test_noise_of_light_and_dark_and_what_has_not_settled_add_in_squares():
+    """1 % of 10 and 5 % of 2 over 8; a change of 0.3 % stands for 2/√3 times as much; the scale is shared."""
+    found = measured(reading(10.0), reading(10.0, noise=0.01, shared=0.02), reading(2.0, noise=0.05))
+    assert found.own_u_rel == pytest.approx(math.hypot(0.1, 0.1) / 8.0)
+    assert found.shared_u_rel == pytest.approx(0.02)
+    drifting = measured(reading(10.0), reading(10.0), reading(2.0), change=0.003)
+    assert drifting.own_u_rel == pytest.approx(0.003 * 2 / math.sqrt(3))
+
+
+@pytest.mark.parametrize(("exposure_s", "expected"), [(0.1, 0.0), (0.2, math.hypot(0.1, 0.02) / 8.0)])
+def test_the_black_level_s_error_drops_out_of_equal_exposures(exposure_s, expected):
+    """With the same longest exposure both readings have it alike; with another it counts in both."""
+    found = measured(reading(10.0), reading(10.0, black=0.01), reading(2.0, black=0.01, exposure_s=exposure_s))
+    assert found.own_u_rel == pytest.approx(expected)
+
+
+def test_what_does_not_stand_out_of_the_noise_is_no_point():
+    """Three standard uncertainties above the dark are not enough; four are."""
+    lost = measured(reading(2.3), reading(2.3), reading(2.0, noise=0.05))
+    kept = measured(reading(2.4), reading(2.4), reading(2.0, noise=0.05))
+    assert math.isinf(lost.own_u_rel)
+    assert kept.own_u_rel == pytest.approx(0.25)
+
+
+def point(level, radiance, order, own=0.001, shared=0.01, settle_s=20.0):
+    return Measured(DriveLevel(level), radiance, own, shared, 1.0, settle_s, order)
+
+
+def test_the_lamp_s_drift_is_taken_out_by_the_reference():
+    """Light that falls by 10 % over the run: a point midway loses the mean, one at the end is raised by its share."""
+    references = [point(7500, r, o) for r, o in ((1.05, -0.5), (1.0, 1.5), (0.95, 3.5))]
+    points = [point(15_000, 2.0, 1.5), point(30_000, 3.8, 3.5, shared=0.03, settle_s=60.0)]
+    found = assemble(CHANNEL, points, references, SpectralCorrection(1.2, 0.04))
+    assert [p.radiance_W_per_sr_m2 for p in found.points] == pytest.approx([2.0 * 1.2, 4.0 * 1.2])
+    assert found.common_u_rel == pytest.approx(math.hypot(0.03, 0.04))
+    assert found.settle_s == 60.0
+    assert found.drift_u_rel == pytest.approx(0.0)
+    uneven = [point(7500, r, o) for r, o in ((1.02, -0.5), (0.98, 1.5), (1.0, 3.5))]
+    steps = np.diff([1.02, 0.98, 1.0])
+    wandering = assemble(CHANNEL, points, uneven, SpectralCorrection())
+    assert wandering.drift_u_rel == pytest.approx(np.std(steps) / math.sqrt(2))
+
+
+def test_a_channel_of_one_level_is_refused():
+    """Nothing can be interpolated from it."""
+    lost = Measured(LEVEL, 0.1, math.inf, 0.0, 1.0, 0.0, 1.0)
+    with pytest.raises(MeasurementError, match="1 of 2 levels stand out of the noise"):
+        assemble(CHANNEL, [point(15_000, 2.0, 0.0), lost], [point(7500, 1.0, 0.0)], SpectralCorrection())
+
+
+def test_levels_are_spread_evenly_in_the_logarithm_up_to_the_limit():
+    """Each step once, the limit among them, neighbours within a quarter of a decade, in both currents."""
+    levels = plan_levels(CHANNEL, 4.0)
+    for current, top in ((CurrentRange.LOW, 65_535), (CurrentRange.HIGH, 30_000)):
+        own = sorted(one.level for one in levels if one.current_range is current)
+        assert own[-1] == pytest.approx(top, abs=8)
+        assert max(own) <= top
+        assert max(b / a for a, b in itertools.pairwise(own)) < 10 ** (1 / 4) * 1.05
+        assert len(set(own)) == len(own)
