@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -13,7 +14,7 @@ from drivers.light_box_link import BoxLink
 from radiometer.devices import CurrentRange, DriveLevel
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
-from radiometer.errors import SettingOutOfRange, UnsafeStimulus, UsageError
+from radiometer.errors import DeviceError, SettingOutOfRange, UnsafeStimulus, UsageError
 from simulators.light_box import LightBoxTwin, TwinSettings
 from simulators.virtual_line import VirtualLine
 
@@ -259,3 +260,24 @@ def test_thermal_limits_of_lights_together_add_up():
     account.shine("a", six_percent, 1.0)
     with pytest.raises(UnsafeStimulus, match="thermal"):
         account.refuse_unsafe("b", six_percent, 1.0)
+
+
+@pytest.mark.parametrize(("seconds", "milliseconds"), [(1.001, 1001), (0.0025, 2), (0.0035, 4), (16.32, 16320)])
+def test_durations_are_rounded_to_whole_milliseconds(seconds, milliseconds):
+    """What binary numbers hold a little below is not cut by a millisecond."""
+    _, _, box = bench()
+    assert box._milliseconds("duration", seconds, 600.0) == milliseconds
+    with pytest.raises(SettingOutOfRange):
+        box._milliseconds("duration", 600.001, 600.0)
+
+
+def test_a_box_that_shines_otherwise_than_asked_is_darkened(monkeypatch):
+    """Another level read back is no level: every channel goes dark and it is said."""
+    twin, _, box = bench()
+    exact = box.read_channel
+    monkeypatch.setattr(
+        SerialLightBox, "read_channel", lambda self, channel: replace(exact(channel), drive=DriveLevel(99, LOW))
+    )
+    with pytest.raises(DeviceError, match="every channel was darkened"):
+        box.set_level("field", DriveLevel(100, LOW))
+    assert twin.duty("field") == 0.0

@@ -179,3 +179,13 @@ def test_a_frame_that_clips_near_its_end_raises_the_value():
     lone = merge([frame(3900)], CAMERA, LENS, CALIBRATION).radiance[0, 0]
     heard = merge([frame(3900), frame(4095, 1.05)], CAMERA, LENS, CALIBRATION).radiance[0, 0]
     assert lone < heard < lone * 1.02
+
+
+@pytest.mark.parametrize(("short", "beyond"), [(150, True), (142, False)])
+def test_a_level_above_the_curve_s_data_is_extrapolated(short, beyond):
+    """The long frame lies at the last number with data; a short one that says more puts the level beyond."""
+    camera, calibration = behind_a_curve(valid=(2, 200), u=0.05)
+    numbers = ((short, 0.5), (200, 1.0))
+    frames = [Frame(np.full((2, 2), number, np.uint8), 8, FrameSettings(t)) for number, t in numbers]
+    mask = merge(frames, camera, LENS, calibration).mask[0, 0]
+    assert bool(mask & PixelMask.EXTRAPOLATED) is beyond

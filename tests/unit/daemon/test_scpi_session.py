@@ -1,0 +1,161 @@
+"""What one SCPI session sees of the instrument: whose reading, which bits, in which order; without a socket."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Coroutine
+from dataclasses import replace
+
+import pytest
+
+from radiometer.daemon.limits import is_allowed, parse_networks
+from radiometer.daemon.scpi.errors import ScpiError
+from radiometer.daemon.scpi.session import Session
+from radiometer.daemon.scpi.table import command_table
+from radiometer.data import Flag
+
+TABLE = command_table()
+CALIBRATION, BOX_LOST, FLAGGED = 1 << 8, 1 << 10, 1 << 11
+
+
+@pytest.fixture
+def session(station):
+    return Session(station, TABLE)
+
+
+async def ask(session, message):
+    """Return the reply to a message, waiting where it has to."""
+    reply = session.execute(message)
+    return await reply if isinstance(reply, Coroutine) else reply
+
+
+async def errors(session):
+    return [entry.partition(",")[0] for entry in (await ask(session, "SYST:ERR:ALL?")).split('",')]
+
+
+async def test_continuous_measurement_is_switched_off_and_keeps_its_period_when_on(session, station):
+    """OFF stops; ON while it runs is no new start with another period."""
+    await ask(session, "TRIG:TIM 0.5;:INIT:CONT ON")
+    assert (float(await ask(session, "TRIG:TIM?")), await ask(session, "INIT:CONT?")) == (0.5, "1")
+    await ask(session, "INIT:CONT OFF")
+    assert (station.acquisition.every_s, await ask(session, "INIT:CONT?")) == (None, "0")
+
+
+async def test_a_reading_of_the_patch_before_is_not_fetched(session):
+    """After another patch was chosen there is none (−230) until it is measured."""
+    assert float((await ask(session, "MEAS:RAD? 5,6,7,8")).split(",")[0]) == 6.0
+    await ask(session, "CONF:RAD 9,6,7,8")
+    assert await ask(session, "FETC?") is None
+    assert await errors(session) == ["-230"]
+    assert float((await ask(session, "READ?")).split(",")[0]) == 10.0
+
+
+@pytest.mark.parametrize(
+    ("flags", "bits"),
+    [
+        ((), 0),
+        ((Flag.SATURATED,), FLAGGED),
+        ((Flag.UNCALIBRATED,), CALIBRATION),
+        ((Flag.STALE_CALIBRATION, Flag.FLICKER), CALIBRATION | FLAGGED),
+    ],
+)
+async def test_flags_of_the_latest_reading_are_bits(session, station, instrument, monkeypatch, flags, bits):
+    """What a reading is warned of is questionable: the calibration by one bit, all else by another."""
+    exact = instrument.measure
+
+    def flagged(settings):
+        measurement = exact(settings)
+        return replace(measurement, reading=replace(measurement.reading, flags=flags))
+
+    monkeypatch.setattr(instrument, "measure", flagged)
+    await station.measure()
+    found = int(await ask(session, "STAT:QUES:COND?"))
+    assert found & (CALIBRATION | FLAGGED) == bits
+    assert found & BOX_LOST == 0
+
+
+async def test_a_lost_light_box_is_questionable(session, station, box, eventually):
+    """Its bit is up while it is gone, and down when it is back."""
+    box.unplugged = True
+    await eventually(lambda: station.alarms.active)
+    assert int(await ask(session, "STAT:QUES:COND?")) & BOX_LOST
+    box.unplugged = False
+    await eventually(lambda: not station.alarms.active)
+    assert int(await ask(session, "STAT:QUES:COND?")) & BOX_LOST == 0
+
+
+@pytest.mark.parametrize(("number", "bit"), [(-102, 1 << 5), (-222, 1 << 4), (-340, 1 << 3), (-350, 1 << 3)])
+def test_each_kind_of_error_has_its_event_bit(number, bit):
+    """SCPI-99, 21.8.9: command, execution and device-dependent errors; only the first ends a message."""
+    error = ScpiError(number)
+    assert error.event_bit == bit
+    assert error.is_command_error is (bit == 1 << 5)
+
+
+async def test_clearing_takes_errors_and_events_and_leaves_what_is_enabled(session):
+    """*CLS: the queue is empty, *ESR? is 0, *ESE stays."""
+    await ask(session, "*ESE 32;NO:SUCH")
+    await ask(session, "*CLS")
+    assert await ask(session, "SYST:ERR:COUN?;*ESR?;*ESE?") == "0;0;32"
+    assert await errors(session) == ["0"]
+
+
+async def test_pictures_come_in_the_order_of_bytes_that_was_chosen(session):
+    """NORMal is the big end first, as IEEE 488.2 has it, and the state at start; SWAPped the small one."""
+    await ask(session, "READ?")
+    for chosen, form in (("", ">"), ("FORM:BORD SWAP;:", "<"), ("FORM:BORD NORM;:", ">")):
+        block = (await ask(session, f"{chosen}TRAC:DATA? IMAG")).encode("latin-1")
+        assert block[:6] == b"#46144"
+        assert struct.unpack(f"{form}3072H", block[6:]) == tuple(range(3072))
+
+
+async def test_history_runs_forward(session):
+    """The newest comes last, and no more than asked for."""
+    for x in (3, 5, 7):
+        await ask(session, f"SENS:PATC {x},2,4,4;:READ?")
+    block = (await ask(session, "TRAC:DATA? HIST,2")).encode("latin-1")
+    values = struct.unpack(">6d", block[4:])
+    assert (values[0], values[3]) == (2.0, 3.0)
+    assert (values[1], values[4]) == (6.0, 8.0)
+
+
+async def test_channels_count_from_one(session, box):
+    """LED1 and LED2 are there, LED0 and LED3 are not."""
+    await ask(session, "SOUR:LED2:LEV 0.5")
+    for number in (0, 3):
+        await ask(session, f"SOUR:LED{number}:LEV 0.25")
+    assert await errors(session) == ["-114", "-114"]
+    assert box.levels == {"white": 0.0, "red": 0.5}
+
+
+async def test_any_light_is_light(session):
+    """One lit channel of two is 1; none is 0."""
+    assert await ask(session, "OUTP:ALL?") == "0"
+    assert await ask(session, "SOUR:LED2:LEV 0.5;:OUTP:ALL?") == "1"
+    assert await ask(session, "OUTP:ALL OFF;ALL?") == "0"
+
+
+async def test_limits_of_a_patch_are_those_that_were_set(session):
+    """Low, high and hysteresis in their order; NONE is no bound; the hysteresis is 1 % unless told otherwise."""
+    await ask(session, 'SENS:PATC:LIM "main",2,10,5 PCT')
+    assert [float(v) for v in (await ask(session, 'SENS:PATC:LIM? "main"')).split(",")] == [2.0, 10.0, 0.05]
+    await ask(session, 'SENS:PATC:LIM "main",NONE,10')
+    assert (await ask(session, 'SENS:PATC:LIM? "main"')).split(",")[0] == "NONE"
+    assert float((await ask(session, 'SENS:PATC:LIM? "main"')).split(",")[2]) == 0.01
+
+
+@pytest.mark.parametrize(
+    ("peer", "taken"),
+    [
+        ("10.0.0.7", True),
+        ("::ffff:10.0.0.7", True),
+        ("::ffff:10.0.1.7", False),
+        ("::ffff:127.0.0.1", True),
+        ("::1", True),
+        ("fe80::1%eth0", False),
+        ("nonsense", False),
+    ],
+)
+def test_an_ipv4_client_of_an_ipv6_socket_is_itself(peer, taken):
+    """Written as ::ffff:a.b.c.d it is judged by a.b.c.d."""
+    assert is_allowed(peer, parse_networks(["10.0.0.0/24"])) is taken
