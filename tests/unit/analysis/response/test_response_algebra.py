@@ -14,9 +14,9 @@ from radiometer.analysis.response.basis import ValueBasis, hat_weight
 from radiometer.analysis.response.curves import finished_curve, rising, u_with_extrapolation
 from radiometer.analysis.response.estimate import inner_range, median_uncertainty, spread_rms
 from radiometer.analysis.response.limits import ValueLimits
-from radiometer.analysis.response.noise import LogNoise
+from radiometer.analysis.response.noise import LogNoise, fit_log_noise
 from radiometer.analysis.response.noise_shift import mean_exposure_dn
-from radiometer.analysis.response.normal import eliminate_groups, solve_penalised
+from radiometer.analysis.response.normal import _restricted_deviance, eliminate_groups, solve_penalised
 from radiometer.data import ResponseCurve
 from radiometer.errors import MeasurementError
 from tests.unit.golden.nist_linear import LONGLEY, NORRIS
@@ -126,6 +126,32 @@ def test_the_chosen_smoothing_follows_the_noise():
     empty = eliminate_groups(sp.csr_array(np.zeros((4, 30))), np.zeros(4), np.ones(4), np.zeros(4, np.intp))
     with pytest.raises(MeasurementError):
         solve_penalised(empty, np.zeros((30, 30)), gauge, 0.0)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_beyond_a_straight_line_more_smoothing_tells_nothing(order):
+    """The restricted likelihood has a limit: what the penalty leaves free is all that is left, and it stays."""
+    rng = np.random.default_rng(7)
+    place, group = np.repeat(np.arange(20), 4), np.sort(rng.integers(0, 9, 80))
+    target = 0.1 * place + rng.normal(size=9)[group] + 0.3 * rng.normal(size=80)
+    normal = eliminate_groups(sp.csr_array(np.eye(20)[place]), target, np.ones(80), group)
+    bent = np.diff(np.eye(20), order, axis=0)
+    gauge = np.eye(20)[10]
+    fixed = normal.matrix + np.outer(gauge, gauge) * float(np.trace(normal.matrix))
+    at = [_restricted_deviance(normal, bent.T @ bent, fixed, weight, order) for weight in (1e5, 1e7)]
+    assert at[1] == pytest.approx(at[0], abs=0.01)
+
+
+@pytest.mark.parametrize("leverage", [0.0, 0.5, 0.8])
+def test_noise_is_that_before_the_fit_took_up_its_part(leverage):
+    """Residuals of a fit that took up a part h of the noise are √(1 − h) of it; what comes out is the noise itself."""
+    rng = np.random.default_rng(11)
+    g, pixels = rng.uniform(-4.0, 0.0, 6000), np.full(6000, 10.0)
+    slope = np.full(6000, 1e-4)
+    truth = 1e-2 * np.exp(-g) / pixels
+    residual = np.sqrt((1.0 - leverage) * truth) * rng.standard_normal(6000)
+    found = fit_log_noise(residual, np.full(6000, leverage), g, slope, pixels).variance(g, slope, pixels)
+    assert np.median(found / truth) == pytest.approx(1.0, abs=0.06)
 
 
 @quick
