@@ -8,8 +8,6 @@ there are predicted from the other photographs. What does not predict them bette
 
 from __future__ import annotations
 
-import base64
-import io
 import math
 import time
 from collections.abc import Sequence
@@ -22,7 +20,7 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.labels import frame_name
-from radiometer.analysis.response.left_out import prediction_error_dn
+from radiometer.analysis.response.left_out import others_gap, prediction_error_dn
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, settle
 from radiometer.analysis.response.threads import on_one_blas_thread
@@ -36,6 +34,7 @@ from radiometer.analysis.response.wrong_labels import (
 from radiometer.data import Bracket, Frame
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import CaptureError, InputError, MeasurementError
+from radiometer.other_data.photograph_report import FrameFinding, report_html
 from radiometer.reconcile.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.units import exact_exposure_s
 
@@ -54,13 +53,17 @@ class PhotographsReconciled:
         result: The verdict and what was found.
         exposures_s: Exposure of each photograph in s, as it agrees with the others.
         u_rel: Relative standard uncertainty of those that were not taken from their label; 0 for the others.
-        predicted: Per photograph: mean predicted minus found DN (rows are brightness) of the left-out prediction.
+        findings: What the others say of each photograph.
+        sentence: How well left-out parts are predicted, in a sentence.
+        origin: Where they came from.
     """
 
     result: ReconcileResult
     exposures_s: dict[str, float]
     u_rel: dict[str, float]
-    predicted: dict[str, tuple[Array, Array]]
+    findings: tuple[FrameFinding, ...]
+    sentence: str
+    origin: str
 
     def write_model(self, path: Path, *, provisional: bool = False) -> str:
         """Write the exposures that agree with each other, in the form that photograph folders take."""
@@ -72,43 +75,14 @@ class PhotographsReconciled:
         return str(path)
 
     def write_report(self, path: Path) -> str:
-        """Write sentence, exposures and the plot of each photograph against its prediction as HTML."""
-        rows = "".join(
-            f"<tr><td>{name}</td><td>{seconds:.6g}</td><td>{_plus_minus(self.u_rel[name])}</td></tr>"
-            for name, seconds in self.exposures_s.items()
-        )
-        said = "".join(f"<p>{text}</p>" for text in self.result.extra.get("remarks", []))
-        write_text_atomic(
-            path,
-            "<!doctype html><html lang='en'><meta charset='utf-8'><title>photographs</title>"
-            f"<h1>{self.result.verdict}</h1>{said}<table><tr><th>file</th><th>exposure in s</th><th>±</th></tr>{rows}"
-            f"</table><img alt='prediction from the other photographs' src='data:image/png;base64,{self._plot()}'>"
-            "</html>\n",
-        )
+        """Write the outcome, the plot of each photograph against the others, and the exposures as HTML."""
+        title = Path(self.origin).name or "photographs"
+        write_text_atomic(path, report_html(self.result, self.findings, self.sentence, title))
         return str(path)
-
-    def _plot(self) -> str:
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(8.0, 4.5), layout="constrained")
-        axes = figure.add_subplot()
-        for name, (dn, error) in self.predicted.items():
-            axes.plot(dn, error, ".", markersize=3, label=name)
-        axes.axhline(0.0, color="black", linewidth=0.5)
-        axes.set_xlabel("digital number of the photograph")
-        axes.set_ylabel("predicted from the others − found, DN")
-        axes.legend(fontsize="x-small", ncols=2)
-        written = io.BytesIO()
-        figure.savefig(written, format="png", dpi=110)
-        return base64.b64encode(written.getvalue()).decode("ascii")
 
     def write_plan(self, path: Path) -> bool:
         """Write nothing: photographs are taken by hand; the result names the exposure to take again."""
         return False
-
-
-def _plus_minus(u_rel: float) -> str:
-    return f"{100.0 * u_rel:.2g} %" if u_rel else "as printed"
 
 
 @on_one_blas_thread
@@ -143,7 +117,9 @@ def reconcile_photographs(frames: Sequence[Frame]) -> PhotographsReconciled:
         replace(result, seconds=time.monotonic() - begun),
         {name: float(s * math.exp(d)) for name, s, d in zip(names, seconds, shift, strict=True)},
         u_rel,
-        _predicted(judged, names),
+        _findings(judged, bracket, names),
+        _error_sentence(judged),
+        bracket.origin,
     )
 
 
@@ -264,6 +240,16 @@ def _limit(judged: _Judged) -> float:
     return max(5.0 / math.sqrt(max(best, 1e-12)), SMALLEST_LABEL_ERROR)
 
 
+def _error_sentence(judged: _Judged) -> str:
+    before, _, after = judged.errors
+    if not judged.labels and not judged.rounded:
+        return f"Left-out parts of the picture are predicted by the other photographs to {after:.2g} DN on average."
+    return (
+        f"Left-out parts of the picture are then predicted by the other photographs to {after:.2g} DN on average, "
+        f"{before:.2g} DN as printed."
+    )
+
+
 def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     before, _, after = judged.errors
     if not judged.labels and not judged.rounded:
@@ -280,7 +266,52 @@ def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     )
 
 
-def _predicted(judged: _Judged, names: Sequence[str]) -> dict[str, tuple[Array, Array]]:
-    rows = judged.fitted.samples
-    error = prediction_error_dn(rows, judged.fitted.log_exposure, judged.fitted.fit.log_time_errors)
-    return {name: (rows.dn[rows.frame == k], error[rows.frame == k]) for k, name in enumerate(names)}
+def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[FrameFinding, ...]:
+    """Return what the others say of each photograph."""
+    rows, g = judged.fitted.samples, judged.fitted.log_exposure
+    final = prediction_error_dn(rows, g, judged.fitted.fit.log_time_errors)
+    printed = np.log(bracket.effective_exposures_s) - rows.frame_log_time
+    before = prediction_error_dn(rows, g, printed)
+    times = judged.log_time - np.log(bracket.effective_exposures_s)
+    ratios = _ratios(judged)
+    wrong = {one.frame: one for one in judged.labels}
+    found = []
+    for k, (name, frame) in enumerate(zip(names, bracket, strict=True)):
+        stated, here = frame.settings.exposure_s, rows.frame == k
+        log_ratio, u = ratios[k]
+        ratio, u_ratio = math.exp(log_ratio), math.exp(log_ratio) * u
+        if k in wrong:
+            ratio, u_ratio = wrong[k].ratio, wrong[k].u_ratio
+        taken = stated * math.exp(float(times[k]))
+        found.append(
+            FrameFinding(name, stated, taken, ratio, u_ratio, k in wrong, rows.dn[here], final[here], before[here])
+        )
+    return tuple(found)
+
+
+def _ratios(judged: _Judged) -> list[tuple[float, float]]:
+    """Return ln of the exposure that the others say over the one that stands for the label, and its uncertainty.
+
+    The uncertainty is how much the quadrants of the picture differ, each weighted by what it holds.
+    """
+    parts = judged.samples.quadrants or (judged.samples,)
+    frames = judged.log_time.size
+    values, weights = np.zeros((len(parts), frames)), np.zeros((len(parts), frames))
+    for q, part in enumerate(parts):
+        gap, weight = others_gap(part, judged.fitted.log_exposure, judged.log_time - judged.samples.frame_log_time)
+        known = np.isfinite(gap)
+        weights[q] = np.bincount(part.frame[known], weight[known], frames)
+        sums = np.bincount(part.frame[known], weight[known] * gap[known], frames)
+        values[q] = sums / np.maximum(weights[q], 1e-300)
+    found = []
+    for k in range(frames):
+        used = weights[:, k] > 0
+        total = float(weights[used, k].sum())
+        if not used.any():
+            found.append((0.0, math.inf))
+            continue
+        mean = float(np.average(values[used, k], weights=weights[used, k]))
+        count = int(used.sum())
+        spread = float(np.sum((weights[used, k] * (values[used, k] - mean)) ** 2)) / total**2
+        found.append((mean, math.sqrt(spread * count / (count - 1)) if count > 1 else math.inf))
+    return found

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from radiometer.analysis.response.left_out import others_gap
+from radiometer.analysis.response.samples import gather_samples
 from radiometer.cli.main import run
-from radiometer.data import Frame, FrameSettings
+from radiometer.data import Bracket, Frame, FrameSettings
 from radiometer.errors import InputError
 from radiometer.importing import open_capture
 from radiometer.other_data.light_meter import read_meter_table, reconcile_meter_table
@@ -131,6 +134,51 @@ def test_one_of_four_labels_may_lie() -> None:
     (effect,) = done.result.effects
     assert effect.name == "exposure_label_error"
     assert effect.parameters["ratio"].value == pytest.approx(0.8, abs=0.03)
+
+
+def test_report_of_photographs_tells_the_story(tmp_path: Path) -> None:
+    """One sentence with the factor and its U, both plots, what to do, and the others' exposures beside their labels."""
+    real = [EXACT[6], EXACT[5], EXACT[4], EXACT[4] * 1.6, EXACT[3] * 2.0]
+    done = reconcile_photographs(_photographs([*real[:3], EXACT[3], real[4]], real))
+    page = Path(done.write_report(tmp_path / "report.html")).read_text(encoding="utf-8")
+    found = re.search(r"<p class='outcome'>(.+?) had ([\d.]+)\u00a0±\u00a0([\d.]+) of its printed exposure", page)
+    assert found is not None
+    (wrong,) = [one for one in done.findings if one.wrong]
+    assert found[1] == wrong.name
+    assert float(found[2]) == pytest.approx(0.8, abs=0.03)
+    assert float(found[3]) == pytest.approx(2.0 * wrong.u_ratio, rel=0.06)
+    assert page.count("<picture>") == 2
+    assert "class='do'" in page
+    assert "<script" not in page
+    for one in done.findings:
+        assert one.ratio == pytest.approx(0.8 if one.wrong else 1.0, abs=max(0.02, 4.0 * one.u_ratio))
+        assert 0.0 < one.u_ratio < 0.05
+    assert wrong.taken_s == pytest.approx(EXACT[4] * 1.6, rel=0.03)
+    before, after = (np.nanmean(np.abs(e)) for e in (wrong.error_as_printed_dn, wrong.error_dn))
+    assert before > 5.0 * after
+
+
+def test_what_the_others_say_is_the_exposure() -> None:
+    """By the definition: two frames through g = ln M, one twice as bright as its label allows beside the other."""
+    bracket = Bracket.from_frames(_linear_pair())
+    rows = gather_samples(bracket)
+    g = np.log(np.maximum(np.arange(256), 0.5))
+    gap, weight = others_gap(rows, g, np.zeros(2))
+    for frame, expected in ((0, -math.log(2.0)), (1, math.log(2.0))):
+        here = (rows.frame == frame) & np.isfinite(gap)
+        assert np.average(gap[here], weights=weight[here]) == pytest.approx(expected, abs=0.02)
+    corrected, _ = others_gap(rows, g, np.array([0.0, math.log(2.0)]))
+    here = (rows.frame == 0) & np.isfinite(corrected)
+    assert np.average(corrected[here], weights=weight[here]) == pytest.approx(0.0, abs=0.02)
+
+
+def _linear_pair() -> list[Frame]:
+    """Return two linear frames of one scene, labelled 1 s and 2 s, the second of four times the light."""
+    light = np.tile(np.linspace(12.0, 55.0, 120), (80, 1))
+    return [
+        Frame(np.rint(light * factor).astype(np.uint8), 8, FrameSettings(seconds))
+        for factor, seconds in ((1.0, 1.0), (4.0, 2.0))
+    ]
 
 
 def test_emva_descriptor_becomes_a_capture_set(shared_data: Path) -> None:
