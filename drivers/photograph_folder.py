@@ -62,6 +62,8 @@ class PhotographFolder:
         channel: str = "luminance",
         report: Callable[[int, int], None] | None = None,
         most_pixels: int | None = None,
+        *,
+        interpolated: bool = False,
     ) -> list[Bracket]:
         """Return one bracket of the wanted channel, or three (red, green, blue) for "each".
 
@@ -72,6 +74,7 @@ class PhotographFolder:
             channel: "luminance", "red", "green", "blue" or "each".
             report: Called with (files read, files in all) as the work goes on.
             most_pixels: Take every n-th pixel where files hold more than this; None for all.
+            interpolated: Of camera raw files: fill in the colours that every pixel lacks.
 
         Raises:
             CaptureError: If a file is unreadable, or sizes, bit depths or colour differ.
@@ -80,19 +83,19 @@ class PhotographFolder:
         if channel not in CHANNEL_CHOICES:
             raise UsageError(f"there is no channel {channel!r}; choose one of {', '.join(CHANNEL_CHOICES)}")
         frames: dict[str, list[Frame]] = {}
-        for done, (name, photograph) in enumerate(self._photographs(most_pixels), start=1):
+        for done, (name, photograph) in enumerate(self._photographs(most_pixels, interpolated), start=1):
             if report is not None:
                 report(done, len(self.settings))
             for wanted in _wanted(photograph, channel):
                 frames.setdefault(wanted, []).append(self._frame(name, photograph, wanted))
         return [Bracket.from_frames(several, origin=str(self.path)) for several in frames.values()]
 
-    def _photographs(self, most_pixels: int | None) -> Iterator[tuple[str, Photograph]]:
+    def _photographs(self, most_pixels: int | None, interpolated: bool) -> Iterator[tuple[str, Photograph]]:
         first: tuple[str, Photograph] | None = None
         # Of a lattice little stays: two whole pictures in memory would be most of what a response takes.
         ahead = 2 if most_pixels is None else 1
         for name, photograph in _in_turn(
-            lambda name: read_photograph(self.path / name, most_pixels), self.settings, ahead
+            lambda name: read_photograph(self.path / name, most_pixels, interpolated=interpolated), self.settings, ahead
         ):
             if first is None:
                 first = (name, photograph)
@@ -107,7 +110,7 @@ class PhotographFolder:
             exposure_s=known.exposure_s,
             gain_db=gain_db + known.gain_db,
             f_number=known.f_number,
-            black_level_dn=photograph.black_level_dn,
+            black_level_dn=photograph.black_level_dn(channel),
             iso=known.iso,
         )
         extra: dict[str, float | int | str] = {
@@ -149,6 +152,7 @@ def read_photographs(
     report: Callable[[int, int], None] | None = None,
     speeds: IsoSpeeds | None = None,
     most_pixels: int | None = None,
+    interpolated: bool = False,
 ) -> list[Bracket]:
     """Return the brackets of a folder of photographs.
 
@@ -158,12 +162,13 @@ def read_photographs(
         report: Called with (files read, files in all) as the work goes on.
         speeds: What is known of the camera's ISO speeds beyond what it states.
         most_pixels: Take every n-th pixel where files hold more than this; None for all.
+        interpolated: Of camera raw files: fill in the colours that every pixel lacks.
 
     Raises:
         CaptureError: If the folder or a file in it cannot be used; the message names it.
         UsageError: If there is no such channel, or a speed was measured that no photograph states.
     """
-    return PhotographFolder.open(path, speeds).brackets(channel, report, most_pixels)
+    return PhotographFolder.open(path, speeds).brackets(channel, report, most_pixels, interpolated=interpolated)
 
 
 def image_files(path: Path) -> list[str]:
@@ -219,6 +224,10 @@ def _refuse_changing_aperture(folder: Path, settings: dict[str, PhotographSettin
 
 def _refuse_mixture(folder: Path, first: tuple[str, Photograph], other: tuple[str, Photograph]) -> None:
     (name, a), (second, b) = first, other
+    if a.is_raw != b.is_raw:
+        raise CaptureError(
+            f"{folder}: {name} and {second} are not both camera raw files or both developed pictures; use one kind"
+        )
     if a.shape != b.shape:
         raise CaptureError(
             f"{folder}: {second} is {b.shape[1]} × {b.shape[0]} pixels, {name} {a.shape[1]} × {a.shape[0]}; "

@@ -18,6 +18,7 @@ from radiometer.errors import CaptureError
 
 CHANNELS: Final = ("red", "green", "blue")
 IMAGE_SUFFIXES: Final = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
+_LUMA: Final = (0.299, 0.587, 0.114)  # ITU-R BT.601
 _JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
 
 
@@ -28,14 +29,14 @@ class Photograph:
     Attributes:
         values: Shape (height, width) where grey, else (height, width, 3) in the order red, green, blue.
         bit_depth: Bits per value.
-        black_level_dn: Value of black where the file states it.
+        black_levels_dn: Value of black by channel, in their order, where the file states it.
         is_raw: Whether the values are the sensor's own, linear.
         full_shape: (height, width) of the file where only a lattice of its pixels was taken.
     """
 
     values: DigitalNumbers
     bit_depth: int
-    black_level_dn: float | None = None
+    black_levels_dn: tuple[float, float, float] | None = None
     is_raw: bool = False
     full_shape: tuple[int, int] | None = None
 
@@ -48,6 +49,14 @@ class Photograph:
     def shape(self) -> tuple[int, int]:
         """Return (height, width) in pixels of the file."""
         return self.full_shape or (int(self.values.shape[0]), int(self.values.shape[1]))
+
+    def black_level_dn(self, channel: str) -> float | None:
+        """Return the value of black of one channel, that of luminance weighted as it is; None where not stated."""
+        if self.black_levels_dn is None:
+            return None
+        if channel in CHANNELS:
+            return self.black_levels_dn[CHANNELS.index(channel)]
+        return float(np.dot(_LUMA, self.black_levels_dn))
 
     def plane(self, channel: str) -> DigitalNumbers:
         """Return the values of one channel: "red", "green", "blue", "luminance", or "mono" where grey."""
@@ -68,12 +77,13 @@ def _plane(values: Any) -> DigitalNumbers:
     return plane
 
 
-def read_photograph(path: Path, most_pixels: int | None = None) -> Photograph:
+def read_photograph(path: Path, most_pixels: int | None = None, *, interpolated: bool = False) -> Photograph:
     """Return the stored values of a photograph.
 
     Args:
         path: JPEG, PNG, TIFF or camera raw file.
         most_pixels: Take every n-th pixel of every n-th row where the file holds more than this; None for all.
+        interpolated: Of a camera raw file: fill in the colours that every pixel lacks.
 
     Raises:
         CaptureError: If the file is missing, truncated, or of another form.
@@ -81,7 +91,7 @@ def read_photograph(path: Path, most_pixels: int | None = None) -> Photograph:
     """
     suffix = path.suffix.lower()
     if suffix in RAW_SUFFIXES:
-        return _read_raw(path, most_pixels)
+        return _read_raw(path, most_pixels, interpolated=interpolated)
     if suffix in _JPEG_SUFFIXES:
         values, shape = _decode_jpeg(path, most_pixels)
     else:
@@ -143,9 +153,9 @@ def _decode_lossless(path: Path) -> Any:
     return cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2RGB) if image.ndim == 3 and image.shape[2] >= 3 else image
 
 
-def _read_raw(path: Path, most_pixels: int | None = None) -> Photograph:
-    """Return the three colours of a mosaic at half size, straight from the sensor: linear, black level not removed."""
-    raw = read_raw_colours(path)
+def _read_raw(path: Path, most_pixels: int | None = None, *, interpolated: bool = False) -> Photograph:
+    """Return the three colours of a mosaic straight from the sensor: linear, black level not removed."""
+    raw = read_raw_colours(path, interpolated=interpolated)
     shape = (int(raw.values.shape[0]), int(raw.values.shape[1]))
     values = _on_lattice(raw.values, _step(shape, most_pixels))
-    return Photograph(values, raw.bit_depth, raw.black_level_dn, is_raw=True, full_shape=shape)
+    return Photograph(values, raw.bit_depth, raw.black_levels_dn, is_raw=True, full_shape=shape)

@@ -159,7 +159,7 @@ class TetheredLink:
             bit_depth=photograph.bit_depth,
             exposure_s=settings.exposure_s,
             gain_db=settings.gain_db,
-            black_level_dn=photograph.black_level_dn or 0.0,
+            black_level_dn=photograph.black_level_dn("green") or 0.0,
             timestamp_s=time.monotonic(),
             f_number=self._f_number(),
             file=file,
@@ -206,7 +206,7 @@ class TetheredLink:
 
     def _limits_of(self, photograph: Photograph) -> CameraCapabilities:
         times, speeds = self._shutter.entries.values(), self._iso.entries.values() or (1.0,)
-        black_dn = photograph.black_level_dn or 0.0
+        black_dn = photograph.black_level_dn("green") or 0.0
         height, width = photograph.plane("green").shape
         return CameraCapabilities(
             exposure_s=(min(times), max(times)),

@@ -22,6 +22,7 @@ def open_brackets(
     report: Callable[[int, int], None] | None = None,
     speeds: IsoSpeeds | None = None,
     most_pixels: int | None = None,
+    interpolated: bool = False,
 ) -> list[Bracket]:
     """Return the brackets in a capture set, a folder of photographs, or files of a laboratory (FITS, raw TIFF, EMVA).
 
@@ -35,6 +36,7 @@ def open_brackets(
         report: Called with (files read, files in all) as the work goes on.
         speeds: Photographs: what is known of the camera's ISO speeds beyond what it states.
         most_pixels: Photographs: take every n-th pixel where files hold more than this; None for all.
+        interpolated: Camera raw files: fill in the colours that every pixel lacks, for pictures.
 
     Raises:
         CaptureError: If the folder is missing, empty, unfinished or inconsistent.
@@ -56,7 +58,9 @@ def open_brackets(
         raise CaptureError(f"{path} is empty; give a capture set or a folder of photographs")
     if not image_files(path) and find_list(path) is None:
         raise CaptureError(f"{path} holds neither {HEADER_NAME} nor photographs; give a capture set or photographs")
-    return read_photographs(path, channel, report=report, speeds=speeds, most_pixels=most_pixels)
+    return read_photographs(
+        path, channel, report=report, speeds=speeds, most_pixels=most_pixels, interpolated=interpolated
+    )
 
 
 def lensfun_falloff(path: Path, bracket: Bracket, lens: str | None = None) -> tuple[FlatField, str]:

@@ -42,6 +42,9 @@ def command(
     linear: Annotated[
         bool, typer.Option("--linear", help="Photographs are linear above black (raw files always are).")
     ] = False,
+    demosaic: Annotated[
+        bool, typer.Option("--demosaic", help="Camera raw files at full size, missing colours filled in: for pictures.")
+    ] = False,
     align: Annotated[
         str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")
     ] = "auto",
@@ -93,6 +96,7 @@ def command(
         without_ghosts=not keep_ghosts,
         vignetting=vignetting,
         lens=lens,
+        demosaic=demosaic,
     )
     maps, beside = _maps(path, pattern, options)
     if luminance:
@@ -128,6 +132,7 @@ class _Options:
         without_ghosts: Whether what moved is taken from the frames that agree.
         vignetting: "lensfun", or the file of a calibration with a flat field; None takes nothing out.
         lens: Name of the lens for lensfun.
+        demosaic: Whether raw files are filled in to full size.
     """
 
     calibration: Calibration | None
@@ -141,6 +146,7 @@ class _Options:
     without_ghosts: bool = True
     vignetting: str | None = None
     lens: str | None = None
+    demosaic: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,6 +239,7 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
             options.channel or ("each" if by_colour else "luminance"),
             report=lambda done, total: bar.update(task, completed=done, total=total),
             speeds=options.speeds,
+            interpolated=options.demosaic,
         )
     placed = in_one_place(brackets, options.align)
     brackets = placed.brackets

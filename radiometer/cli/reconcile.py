@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from radiometer.data import Frame
     from radiometer.reconcile import FoundEffect, ReconcileResult
 
+# Of larger photographs a lattice of pixels tells as much of their exposures.
+_ENOUGH_PIXELS = 1_000_000
 _VERDICTS = {
     "agrees": "Nothing is missing: simulation and measurement agree.",
     "effects_found": "Found what was missing; with it simulation and measurement agree.",
@@ -118,7 +120,7 @@ def _photographs(path: Path) -> Sequence[Frame] | None:
         return None
     from radiometer.bench.sources import open_brackets
 
-    bracket = open_brackets(path)[0]
+    bracket = open_brackets(path, most_pixels=_ENOUGH_PIXELS)[0]
     return (*bracket.frames, *bracket.dark_frames)
 
 

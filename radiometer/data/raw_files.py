@@ -15,19 +15,24 @@ RAW_SUFFIXES: Final = frozenset({".cr2", ".cr3", ".nef", ".arw", ".dng", ".orf",
 _LETTERS: Final = "RGB"
 
 
+# Side of the cell that holds all three colours, by the size of the pattern that repeats: Bayer's and X-Trans.
+_CELLS: Final = {(2, 2): 2, (6, 6): 3}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RawColours:
-    """The three colours of a mosaic, each at half size.
+    """The three colours of a mosaic.
 
     Attributes:
-        values: Shape (height, width, 3), red, green and blue; of the two green pixels of a cell the first.
+        values: Shape (height, width, 3), red, green and blue: of the pixels of one colour in a cell the first (at half
+            size for Bayer's mosaic, a third for X-Trans), or of every pixel where interpolated.
         bit_depth: Bits per value, 9 to 16; numbers at the file's white level are full scale.
-        black_level_dn: Mean black level that the file states.
+        black_levels_dn: Black level of red, green and blue.
     """
 
     values: NDArray[np.uint16]
     bit_depth: int
-    black_level_dn: float
+    black_levels_dn: tuple[float, float, float]
 
     @property
     def green(self) -> NDArray[np.uint16]:
@@ -35,11 +40,16 @@ class RawColours:
         return np.ascontiguousarray(self.values[..., _LETTERS.index("G")])
 
 
-def read_raw_colours(path: Path) -> RawColours:
+def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
     """Return the sensor's numbers of a camera raw file.
 
+    Args:
+        path: The file.
+        interpolated: Fill in the two colours that every pixel lacks (for pictures; black is then 0); a pixel next to a
+            clipped one counts as clipped.
+
     Raises:
-        CaptureError: If it is missing, damaged, or its mosaic is not the 2 × 2 Bayer pattern.
+        CaptureError: If it is missing, damaged, or its mosaic is neither Bayer's nor X-Trans.
         MissingLibrary: If rawpy is not installed.
     """
     try:
@@ -50,21 +60,65 @@ def read_raw_colours(path: Path) -> RawColours:
         ) from error
     try:
         with rawpy.imread(str(path)) as raw:
+            if raw.raw_type != rawpy.RawType.Flat or raw.raw_pattern is None:
+                raise CaptureError(f"{path}: is not a mosaic of colours, or was developed; develop it to linear TIFF")
             mosaic, pattern = raw.raw_image_visible.copy(), raw.raw_pattern
             white, black = int(raw.white_level), raw.black_level_per_channel
             names = raw.color_desc.decode("ascii", "replace")
+            developed = _developed(raw, rawpy) if interpolated else None
     except (rawpy.LibRawError, OSError) as error:
         raise CaptureError(f"{path}: not a readable camera raw file: {error}") from error
-    if pattern is None or pattern.shape != (2, 2):
-        raise CaptureError(f"{path}: its colour mosaic is not the 2 × 2 Bayer pattern; develop it to linear TIFF")
-    planes = [_bayer_plane(mosaic, pattern, names, letter) for letter in _LETTERS]
+    if pattern.shape not in _CELLS:
+        raise CaptureError(f"{path}: its colour mosaic is neither Bayer's nor X-Trans; develop it to linear TIFF")
     bit_depth = max(9, min(16, int(np.ceil(np.log2(white + 1)))))
+    levels = [float(np.mean([black[k] for k in set(pattern.ravel().tolist()) if names[k] == c])) for c in _LETTERS]
+    letters = np.array(list(names))[pattern]
+    if developed is not None:
+        values = developed
+        values[_near_clipped(mosaic, white)] = (1 << bit_depth) - 1
+        return RawColours(values, bit_depth, (0.0, 0.0, 0.0))
+    planes = [_plane(mosaic, letters, letter) for letter in _LETTERS]
+    if _CELLS[pattern.shape] == 2:  # the green that is read has a black level of its own
+        row, column = np.argwhere(letters == "G")[0]
+        levels[1] = float(black[pattern[row, column]])
     values = np.minimum(np.stack(planes, axis=2), (1 << bit_depth) - 1).astype(np.uint16)
     values[values >= white] = (1 << bit_depth) - 1
-    return RawColours(values, bit_depth, float(np.mean(black)))
+    return RawColours(values, bit_depth, (levels[0], levels[1], levels[2]))
 
 
-def _bayer_plane(mosaic: Any, pattern: Any, names: str, letter: str) -> Any:
-    row, column = next((r, c) for r in (0, 1) for c in (0, 1) if names[pattern[r, c]] == letter)
-    height, width = (size // 2 * 2 for size in mosaic.shape)
-    return mosaic[row:height:2, column:width:2]
+def _plane(mosaic: NDArray[np.uint16], letters: NDArray[np.str_], letter: str) -> NDArray[np.uint16]:
+    """Return the first pixel of a colour in every cell."""
+    period, side = letters.shape[0], _CELLS[(letters.shape[0], letters.shape[1])]
+    height, width = (size // side for size in mosaic.shape)
+    plane = np.empty((height, width), mosaic.dtype)
+    cells = period // side
+    for i in range(cells):
+        for j in range(cells):
+            cell = letters[i * side : (i + 1) * side, j * side : (j + 1) * side]
+            row, column = np.argwhere(cell == letter)[0]
+            part = plane[i::cells, j::cells]
+            found = mosaic[i * side + row :: period, j * side + column :: period]
+            part[:] = found[: part.shape[0], : part.shape[1]]
+    return plane
+
+
+def _developed(raw: Any, rawpy: Any) -> NDArray[np.uint16]:
+    """Return red, green and blue of every pixel above black, in the sensor's own numbers."""
+    values: NDArray[np.uint16] = raw.postprocess(
+        # Means of neighbours: in proportion to light, which algorithms that follow edges are not.
+        demosaic_algorithm=rawpy.DemosaicAlgorithm.LINEAR,
+        output_color=rawpy.ColorSpace.raw,
+        gamma=(1, 1),
+        user_wb=[1.0, 1.0, 1.0, 1.0],
+        no_auto_bright=True,
+        no_auto_scale=True,
+        output_bps=16,
+        user_flip=0,
+    )
+    return values.copy()
+
+
+def _near_clipped(mosaic: NDArray[np.uint16], white: int) -> NDArray[np.bool_]:
+    from scipy.ndimage import maximum_filter
+
+    return np.asarray(maximum_filter(mosaic, size=3) >= white)

@@ -94,3 +94,21 @@ def test_linear_photographs_take_no_response(tmp_path, capsys):
     words = ["merge", str(tmp_path), "--linear", "--response", "c.csv", "-o", str(tmp_path / "a.exr")]
     assert run(words) == 2
     assert "leave --response out" in capsys.readouterr().err
+
+
+def test_raw_files_are_filled_in_for_pictures(tmp_path, capsys):
+    """--demosaic gives the map at full size, in proportion to the light of each colour."""
+    pytest.importorskip("rawpy")
+    rng = np.random.default_rng(4)
+    tint = np.tile([[0.5, 1.0], [1.0, 0.7]], (30, 40))
+    folder = tmp_path / "raw"
+    folder.mkdir()
+    for seconds in TIMES:
+        _dng(folder / f"t{seconds:g}.dng", _mosaic(rng, 0.8 * tint, seconds))
+    (folder / "exposures.txt").write_text("".join(f"t{s:g}.dng {s}\n" for s in TIMES))
+    assert run(["merge", str(folder), "--demosaic", "-o", str(tmp_path / "map.tiff")]) == 0
+    capsys.readouterr()
+    value = tifffile.imread(tmp_path / "map.tiff", key=0).astype(float)
+    assert value.shape == (60, 80, 3)
+    means = value[5:-5, 5:-5].mean(axis=(0, 1))
+    assert means / means[1] == pytest.approx([0.5, 1.0, 0.7], rel=5e-3)
