@@ -56,6 +56,9 @@ def command(
     bench: Annotated[Path | None, typer.Option(help="Bench file; the simulated bench by default.")] = None,
     photographs: Annotated[Path | None, typer.Option(help="Folder of photographs to read instead of a camera.")] = None,
     channel: Annotated[str, typer.Option(help="Of colour photographs: luminance, red, green or blue.")] = "luminance",
+    align: Annotated[
+        str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")
+    ] = "auto",
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
     f_number: Annotated[float | None, typer.Option(help=F_NUMBER_HELP)] = None,
     spectrum: Annotated[str | None, typer.Option(help="Spectrum assumed for the luminance.")] = None,
@@ -85,16 +88,19 @@ def command(
     if photographs is not None or measured_iso:
         if photographs is None or camera or bench:
             raise UsageError("--photographs takes the place of --camera and --bench; --measured-iso belongs to it")
-        reading, situation = _photographed(
-            photographs, wanted, calibration, channel, measured_iso, spectrum, f_number, relative=uncalibrated
+        reading, situation, alignment = _photographed(
+            photographs, wanted, calibration, channel, measured_iso, spectrum, f_number, align, relative=uncalibrated
         )
         drawn = _distribution(situation, reading) if monte_carlo else None
         said = reading.provenance
         if json:
             iso = said.parameters.get("iso", []) if said else []
-            further = {"iso": iso, "assumptions": list(said.assumptions) if said else []}
+            assumptions = list(said.assumptions) if said else []
+            further = {"iso": iso, "assumptions": assumptions, "alignment": alignment}
             print(_as_json(reading, drawn, further), flush=True)
         else:
+            if alignment:
+                note(f"frames: {alignment}")
             for assumption in said.assumptions if said else ():
                 note(f"assumed: {assumption}")
             _show(reading, budget=budget)
@@ -130,13 +136,15 @@ def _photographed(
     measured_iso: list[str] | None,
     spectrum: str | None,
     f_number: float | None,
+    align: str,
     *,
     relative: bool,
-) -> tuple[Reading, PatchSituation]:
-    """Return the reading of a patch in a folder of photographs, and what it was made from."""
+) -> tuple[Reading, PatchSituation, str | None]:
+    """Return the reading of a patch in a folder of photographs, what it was made from, and how the frames lay."""
     from radiometer.analysis.patch.reading import patch_situation, read_patch
     from radiometer.bench.sources import open_brackets
     from radiometer.cli.iso_record import with_iso_in_reading
+    from radiometer.cli.photograph_alignment import in_one_place
     from radiometer.data import Calibration, CameraDescription, LensDescription
 
     if patch is None or channel == "each":
@@ -145,11 +153,13 @@ def _photographed(
         raise UsageError("--photographs needs --calibration (or --uncalibrated for relative values)")
     known = Calibration.read(calibration) if calibration else None
     bracket = open_brackets(path, channel, speeds=parse_iso_speeds(measured_iso, known))[0]
-    bracket = with_f_number(bracket, f_number)
+    placed = in_one_place([with_f_number(bracket, f_number)], align)
+    bracket = placed.without_absent()
     camera = known.camera if known else CameraDescription(bit_depth=bracket.bit_depth)
     lens = LensDescription()
     reading = read_patch(bracket, patch, known, camera, lens, spectrum=spectrum)
-    return with_iso_in_reading(reading, bracket), patch_situation(bracket, patch, known, camera, lens)
+    situation = patch_situation(bracket, patch, known, camera, lens)
+    return with_iso_in_reading(reading, bracket), situation, placed.sentence
 
 
 def _cover(instrument: Instrument) -> Callable[[bool], None]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
+
+from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
     from radiometer.data import Bracket
@@ -28,6 +30,18 @@ class Placed:
     absent: list[Any]
     sentence: str | None
 
+    def without_absent(self) -> Bracket:
+        """Return the first bracket with what a frame does not show at full scale, as if it clipped there."""
+        bracket = self.brackets[0]
+        if not self.absent:
+            return bracket
+        frames = []
+        for frame, absent in zip(bracket, self.absent, strict=True):
+            dn = frame.dn.copy()
+            dn[absent] = frame.full_scale_dn
+            frames.append(replace(frame, dn=dn))
+        return replace(bracket, frames=tuple(frames))
+
 
 def in_one_place(brackets: Sequence[Bracket], align: str) -> Placed:
     """Return photographs in the place of that which shows most of the scene.
@@ -35,12 +49,17 @@ def in_one_place(brackets: Sequence[Bracket], align: str) -> Placed:
     Args:
         brackets: One per channel, of the same photographs; the movement is sought in green or the only one.
         align: "auto" moves them where they need it, "on" always, "off" never looks.
+
+    Raises:
+        UsageError: If it is none of these.
     """
     import numpy as np
 
     from radiometer.analysis.merge.alignment import aligned, find_alignment
     from radiometer.analysis.response.labels import frame_name
 
+    if align not in ALIGN_CHOICES:
+        raise UsageError(f"--align {align}: choose one of {', '.join(ALIGN_CHOICES)}")
     if align == "off" or len(brackets[0]) < 2:
         return Placed(list(brackets), list(brackets), [], None)
     seen = next((one for one in brackets if one.frames[0].extra.get("channel") == "green"), brackets[0])

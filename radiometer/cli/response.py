@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -32,6 +33,11 @@ _RATIO_HELP = (
     "fixes the exponent in place of the stated times; may be repeated."
 )
 _CHANNEL_HELP = "Channel of colour photographs: luminance, red, green, blue, or each (one curve per colour)."
+
+_LN_2 = math.log(2.0)
+# Less than this is no curve but a point, and one that is not known to a factor of e says nothing.
+_FEWEST_STOPS = 0.1
+_LARGEST_U_LOG = 1.0
 
 Report = Callable[[int, int], None]
 # Every n-th pixel of larger photographs is taken: the noise of so many is far below what frames and places differ by.
@@ -144,14 +150,29 @@ def _recover(
             report(done, len(names))
             try:
                 if name in RATIO_METHODS and known_ratios:
-                    yield RATIO_METHODS[name](brackets, known_ratios=known_ratios)
+                    yield _telling(RATIO_METHODS[name](brackets, known_ratios=known_ratios), brackets[0])
                 else:
-                    yield METHODS[name](brackets)
+                    yield _telling(METHODS[name](brackets), brackets[0])
             except MeasurementError as error:
                 if len(names) == 1 or name == DEFAULT_METHOD:
                     raise
                 note(f"{name} gives no curve: {error}")
         report(len(names), len(names))
+
+
+def _telling(estimate: ResponseEstimate, bracket: Bracket) -> ResponseEstimate:
+    """Refuse a curve that says nothing: no range, or one that is not known to a factor of e."""
+    curve = estimate.curve
+    low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
+    stops = float(curve.log_exposure[high] - curve.log_exposure[low]) / _LN_2
+    u = median_uncertainty(curve)
+    if stops >= _FEWEST_STOPS and not u > _LARGEST_U_LOG:
+        return estimate
+    raise MeasurementError(
+        f"{bracket.origin or 'the frames'}: no response can be told from these frames: between {low} and {high} DN "
+        f"they give {stops:.3g} stops of exposure, ln H known to {u:.2g} (k = 1); look whether the pictures differ as "
+        "their exposure times say, or take more of them, a stop apart"
+    )
 
 
 @contextmanager
@@ -216,7 +237,7 @@ def _print_summary(estimates: Sequence[ResponseEstimate], files: Sequence[Path],
 def _summary(estimate: ResponseEstimate) -> list[str]:
     curve = estimate.curve
     low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
-    stops = float(curve.log_exposure[high] - curve.log_exposure[low]) / 0.6931471805599453
+    stops = float(curve.log_exposure[high] - curve.log_exposure[low]) / _LN_2
     lines = [
         f"method           {estimate.method}, channel {curve.channel}, {curve.bit_depth} bits",
         f"data             {estimate.pixel_count:,} pixels in {estimate.group_count} groups, "

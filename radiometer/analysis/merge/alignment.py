@@ -37,6 +37,11 @@ _WORST_U_PX: Final = 0.2
 _ALIKE_PX: Final = 16.0
 # The picture is looked at in so many by so many parts.
 _PARTS: Final = 6
+# Part of the squared differences that count, and their mean over the variance of a normal distribution.
+_KEPT: Final = 0.9
+_KEPT_VARIANCE: Final = 0.6230
+# What differs by more than this has moved.
+_MOVED_SIGMA: Final = 6.0
 # Of a neighbour's pixels that must be well exposed in both.
 _LEAST_SHARE: Final = 0.02
 _STILL: Final = np.eye(2, 3)
@@ -225,30 +230,48 @@ def _pair_movement(here: Image, there: Image, full_scale_dn: int) -> Array | Non
     if still is None or other is None:
         return None
     inside = _inside(here) & _inside(there)
-    found = _STILL.astype(np.float32)
     levels = max(0, math.floor(math.log2(min(still.shape) / _COARSEST_PX)))
     pyramid = [(still, other, inside)]
     for _ in range(levels):
         a, b, mask = pyramid[-1]
         pyramid.append((cv2.pyrDown(a), cv2.pyrDown(b), np.ascontiguousarray(cv2.erode(mask, _NEIGHBOURS)[::2, ::2])))
-    found[:, 2] = _shift(*pyramid[-1][:2])
-    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, *_ITERATIONS)
-    for level, (a, b, mask) in reversed(list(enumerate(pyramid))):
-        try:
-            _, found = cv2.findTransformECC(a, b, found, cv2.MOTION_EUCLIDEAN, criteria, mask, _BLUR_PX)
-        except cv2.error:
-            return None
-        if level:
-            found = _full_size(found.astype(np.float64), 2.0).astype(np.float32)
-    movement = np.asarray(found, np.float64)
-    after = _difference(still, other, inside, movement)
-    size, flags = (still.shape[1], still.shape[0]), cv2.WARP_INVERSE_MAP | cv2.INTER_LINEAR
-    moved = cv2.warpAffine(other, movement, size, flags=flags)
-    if _corner_u_px(still, moved, inside, after) > _WORST_U_PX:
+    shifted = np.column_stack([np.eye(2), _shift(*pyramid[-1][:2])])
+    starts = [start.astype(np.float32) for start in (_STILL, shifted)]
+    _, found = max((_climbed(*pyramid[-1], start) for start in starts), key=lambda one: one[0])
+    for a, b, mask in reversed(pyramid[:-1]):
+        found = _full_size(found.astype(np.float64), 2.0).astype(np.float32)
+        found = _climbed(a, b, mask, found)[1]
+    # What moved through the scene pulls at the first estimate: it is left out of a second, and of the judgement.
+    steady = inside & _steady(still, other, inside, np.asarray(found, np.float64))
+    reached, found = _climbed(still, other, steady, found)
+    if reached <= 0.0:
         return None
-    if after > _LEAST_GAIN * _difference(still, other, inside, _STILL):
-        return _STILL
-    return movement
+    return _believed(still, other, steady, np.asarray(found, np.float64))
+
+
+def _climbed(a: Image, b: Image, inside: NDArray[np.uint8], start: Any) -> tuple[float, Any]:
+    """Return the highest correlation of two pictures near a movement, and the movement there; −1 where it has none.
+
+    Source: Evangelidis and Psarakis 2008, IEEE Trans. PAMI 30, 1858, as OpenCV has it.
+    """
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, *_ITERATIONS)
+    try:
+        reached, found = cv2.findTransformECC(a, b, start.copy(), cv2.MOTION_EUCLIDEAN, criteria, inside, _BLUR_PX)
+    except cv2.error:
+        return -1.0, start
+    return float(reached), found
+
+
+def _believed(a: Image, b: Image, steady: NDArray[np.uint8], movement: Array) -> Array | None:
+    """Return a movement, or none at all where it mends nothing; None where it is too uncertain."""
+    size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP
+    moved = cv2.warpAffine(b, movement, size, flags=flags | cv2.INTER_LINEAR)
+    shown = cv2.warpAffine(steady, movement, size, flags=flags | cv2.INTER_NEAREST) & steady
+    smooth = [cv2.GaussianBlur(one, (_BLUR_PX, _BLUR_PX), 0) for one in (a, moved, b)]
+    after, before = (float(np.mean((one - smooth[0])[shown > 0] ** 2)) for one in smooth[1:])
+    if _corner_u_px(a, moved, shown, after) > _WORST_U_PX:
+        return None
+    return movement if after <= _LEAST_GAIN * before else _STILL
 
 
 def _inside(picture: Image) -> NDArray[np.uint8]:
@@ -328,10 +351,19 @@ def _shift(a: Image, b: Image) -> Array:
     return np.array([0.0, 0.0]) if far or response < 0.05 else np.array([x, y])
 
 
-def _difference(a: Image, b: Image, inside: NDArray[np.uint8], movement: Array) -> float:
-    """Return the mean square difference of two pictures, a movement apart, where both show something."""
+def _steady(a: Image, b: Image, inside: NDArray[np.uint8], movement: Array) -> NDArray[np.uint8]:
+    """Return 1 where the second picture, at its own place, shows what the first shows within the noise.
+
+    The noise is that of the smaller nine tenths of the differences, counted as a normal distribution's.
+    """
     size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP | cv2.INTER_LINEAR
     smooth = [cv2.GaussianBlur(one, (_BLUR_PX, _BLUR_PX), 0) for one in (a, b)]
-    moved = cv2.warpAffine(smooth[1], movement, size, flags=flags)
+    gap = cv2.warpAffine(smooth[1], movement, size, flags=flags) - smooth[0]
     shown = (cv2.warpAffine(inside.astype(np.float32), movement, size, flags=flags) > 0.999) & (inside > 0)
-    return float(np.mean((moved - smooth[0])[shown] ** 2)) if shown.any() else math.inf
+    square = gap[shown].astype(np.float64) ** 2
+    kept = np.sort(square)[: max(1, int(_KEPT * square.size))]
+    limit = _MOVED_SIGMA * math.sqrt(float(kept.mean()) / _KEPT_VARIANCE) if kept.size else math.inf
+    other = ((np.abs(gap) > limit) & shown).astype(np.uint8)
+    near = cv2.dilate(other, np.ones((2 * _BLUR_PX + 1,) * 2, np.uint8))
+    there = cv2.warpAffine(near, movement, size, flags=cv2.INTER_NEAREST)
+    return np.asarray(there == 0, np.uint8)

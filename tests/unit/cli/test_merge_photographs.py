@@ -49,7 +49,9 @@ def test_shifted_photographs_give_the_scene(folder, tmp_path, capsys):
     _merged(folder, tmp_path / "map.tiff", "--json")
     said = json.loads(capsys.readouterr().out)
     assert said["alignment"].startswith("aligned to p")
+    assert "not to be told" not in said["alignment"]
     assert said["pixels"]["moved"] > 100
+    assert said["median_u_rel"] < 0.025
     dx, dy = SHIFTS[int(said["alignment"].split("aligned to p")[1][0])]
     value, u = (tifffile.imread(tmp_path / "map.tiff", key=key).astype(float) for key in (0, 1))
     mask = tifffile.imread(tmp_path / "map.tiff", key=2)
@@ -88,3 +90,41 @@ def test_an_unknown_choice_is_misuse(folder, tmp_path, capsys):
     """--align takes one of three words."""
     assert run(["merge", str(folder), "--align", "maybe", "-o", str(tmp_path / "a.exr")]) == 2
     assert "auto, on, off" in capsys.readouterr().err
+
+
+def test_a_patch_of_photographs_from_the_hand_is_read_where_it_is(folder, tmp_path, capsys):
+    """A patch on a steep flank reads the same as the scene there, relative to another patch; unaligned it does not."""
+
+    def read(patch, *words):
+        arguments = ["--photographs", str(folder), "--uncalibrated", "--patch", patch, "--json", *words]
+        assert run(["measure", *arguments]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    _merged(folder, tmp_path / "map.tiff", "--json")
+    said = json.loads(capsys.readouterr().out)["alignment"]
+    dx, dy = SHIFTS[int(said.split("aligned to p")[1][0])]
+    y, x = np.mgrid[:120, :160].astype(float)
+    light = _light(x - dx, y - dy)
+    steep = np.hypot(*np.gradient(light)) / light
+    steep[:20] = steep[48:] = steep[:, :20] = steep[:, -20:] = 0.0  # clear of edges and of the ball
+    row, column = np.unravel_index(np.argmax(steep), steep.shape)
+    one, other = f"{column - 1},{row - 1},3,3", "60,20,3,3"
+    expected = light[row - 1 : row + 2, column - 1 : column + 2].mean() / light[20:23, 60:63].mean()
+    found = read(one)
+    assert found["alignment"] == said
+    assert found["radiance"]["value"] / read(other)["radiance"]["value"] == pytest.approx(expected, rel=0.05)
+    assert read(one, "--align", "off")["alignment"] is None
+
+
+def test_frames_that_do_not_differ_give_no_response(tmp_path, capsys):
+    """Four equal pictures labelled 0.5 to 4 s end in one line and exit code 1, not in a curve of hundreds of stops."""
+    rng = np.random.default_rng(0)
+    scene = rng.uniform(10.0, 240.0, (40, 60))
+    for k in range(4):
+        dn = np.rint(scene + rng.normal(0.0, 1.0, scene.shape) + 0.3 * k).clip(0, 255)
+        cv2.imwrite(str(tmp_path / f"p{k}.png"), dn.astype(np.uint8))
+    (tmp_path / "exposures.txt").write_text("".join(f"p{k}.png {0.5 * 2.0**k}\n" for k in range(4)))
+    assert run(["response", str(tmp_path), "--method", "debevec1997"]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "exposure" in error
