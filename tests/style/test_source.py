@@ -134,19 +134,43 @@ def calls(node, names):
     return isinstance(node, ast.Call) and (getattr(node.func, "id", None) or getattr(node.func, "attr", "")) in names
 
 
-@pytest.mark.parametrize("path", TESTS, ids=name_of)
-def test_every_test_can_fail(path):
-    """Each test asserts something more than that a value is there."""
-    tree = parsed(path)
+def toothless(tree):
+    """Return the names of a file's tests that cannot fail, but by an error of their own."""
     judging = helpers_that_judge(tree)
-    toothless = [
+    return [
         node.name
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         and node.name.startswith("test_")
         and node.name not in judging
     ]
-    assert toothless == []
+
+
+@pytest.mark.parametrize("path", TESTS, ids=name_of)
+def test_every_test_can_fail(path):
+    """Each test asserts something more than that a value is there."""
+    assert toothless(parsed(path)) == []
+
+
+@pytest.mark.parametrize(
+    ("body", "refused"),
+    [
+        ("run()", True),
+        ("assert found is not None", True),
+        ("assert found is not None and other is not None", True),
+        ("shown(found)", True),  # a helper of the file that only says that it is not None
+        ("assert found is not None; assert found.x == 1", False),
+        ("assert found is not None and found.x == 1", False),
+        ("with pytest.raises(ValueError): run()", False),
+        ("agree(found)", False),
+        ("await eventually(lambda: found)", False),
+    ],
+)
+def test_the_judge_of_tests_bites(body, refused):
+    """No assertion, or only that something is not None, is refused; helpers are looked into."""
+    helpers = "def shown(x):\n    assert x is not None\ndef agree(x):\n    assert x == 2\n"
+    tree = ast.parse(f"{helpers}async def test_it():\n    {body}\n")
+    assert toothless(tree) == (["test_it"] if refused else [])
 
 
 def test_nothing_names_a_package_registry():

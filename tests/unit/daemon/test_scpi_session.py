@@ -48,6 +48,8 @@ async def test_a_reading_of_the_patch_before_is_not_fetched(session):
     assert await ask(session, "FETC?") is None
     assert await errors(session) == ["-230"]
     assert float((await ask(session, "READ?")).split(",")[0]) == 10.0
+    await ask(session, "CONF:RAD 5,6,7,8;:CONF:RAD 9,6,7,8")  # there and back again
+    assert await ask(session, "FETC?") is None
 
 
 @pytest.mark.parametrize(
