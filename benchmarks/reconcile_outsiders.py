@@ -38,7 +38,9 @@ GENERATORS: dict[int, tuple[ModuleType, dict[str, Hidden]]] = {
 }
 
 
-def session_of(generator: int, kind: str, seed: int, name: str | None = None, plan: str | None = None) -> Session:
+def session_of(
+    generator: int, kind: str, seed: int, name: str | None = None, plan: str | None = None, again: int = 0
+) -> Session:
     """Return a session; what is hidden goes through the list with the seed, so that each comes as often.
 
     Args:
@@ -47,12 +49,13 @@ def session_of(generator: int, kind: str, seed: int, name: str | None = None, pl
         seed: Of everything drawn.
         name: What is hidden, in place of the list.
         plan: Name of the plan; drawn among those that can show it by default.
+        again: Number of a further session of the same rig; 0 for the first.
     """
     module, hidden = GENERATORS[generator]
     names = sorted(n for n, entry in hidden.items() if entry.kind == kind)
     if kind == "null":
-        return module.make(seed, None, plan or module.PLANS[seed % len(module.PLANS)])
-    return module.make(seed, hidden[name or names[seed % len(names)]], plan)
+        return module.make(seed, None, plan or module.PLANS[seed % len(module.PLANS)], again=again)
+    return module.make(seed, hidden[name or names[seed % len(names)]], plan, again=again)
 
 
 def run(generator: int, kind: str, seed: int, name: str | None = None) -> dict[str, Any]:

@@ -37,6 +37,7 @@ class VirtualSensor:
         self.frames_exposed = 0
         self._previous_e: Signal | None = None
         self._last_light_s: float | None = None
+        self._last_frame_s: float | None = None
         self._rendered: tuple[Scene, str, SceneImage] | None = None
 
     def expose(
@@ -63,7 +64,8 @@ class VirtualSensor:
             code=None if image.code is None else _binned(np.asarray(image.code), binning),
             peak_radiance=image.peak_radiance,
             previous_e=self._fitting_previous(geometry),
-            since_light_s=self._since_light(settings),
+            since_light_s=self._since(self._last_light_s, settings),
+            since_frame_s=self._since(self._last_frame_s, settings),
             frame_index=frame_index,
             device_seed=self.device_seed,
             output_bit_depth=output_bit_depth,
@@ -71,14 +73,14 @@ class VirtualSensor:
         exposed = self.model.sample(_binned(image.radiance, binning), context, (self.seed, self.frames_exposed))
         self._previous_e = exposed.electrons
         self.frames_exposed += 1
+        self._last_frame_s = settings.timestamp_s
         if not settings.is_dark and settings.source_level > 0:
             self._last_light_s = settings.timestamp_s
         return exposed.dn
 
-    def _since_light(self, settings: FrameSettings) -> float | None:
-        if self._last_light_s is None or settings.timestamp_s is None:
-            return None
-        return settings.timestamp_s - self._last_light_s
+    @staticmethod
+    def _since(last_s: float | None, settings: FrameSettings) -> float | None:
+        return None if last_s is None or settings.timestamp_s is None else settings.timestamp_s - last_s
 
     def _image(self, pattern: str) -> SceneImage:
         if self._rendered is None or self._rendered[0] is not self.scene or self._rendered[1] != pattern:

@@ -211,7 +211,9 @@ def take(rig: Rig, at: Stack, light: np.ndarray, secret: Nothing, dice: np.rando
     return secret.codes(codes, at).astype(np.uint16)
 
 
-def make(seed: int, hidden: Hidden | None = None, plan: str | None = None, size: float = 1.0) -> Session:
+def make(
+    seed: int, hidden: Hidden | None = None, plan: str | None = None, size: float = 1.0, again: int = 0
+) -> Session:
     """Return the session of a seed.
 
     Args:
@@ -219,6 +221,7 @@ def make(seed: int, hidden: Hidden | None = None, plan: str | None = None, size:
         hidden: What is hidden; its `install` returns the object and what it drew. None for nothing.
         plan: One of `PLANS`; drawn among those that show the hidden thing by default.
         size: Factor on its usual size.
+        again: Number of a further session of the rig, the hidden thing in it, in another order; 0 for the first.
     """
     dice = np.random.default_rng([3, seed, 33])
     rig = draw_rig(dice)
@@ -229,6 +232,9 @@ def make(seed: int, hidden: Hidden | None = None, plan: str | None = None, size:
     peak = 0.8 * top_e / (rig.photons_per_radiance_second * rig.catches * rig.longest_s)
     pictures, patches = sphere_of(rig, peak) if plan == "flats" else scene_of(rig, dice, peak)
     secret, drawn = hidden.install(rig, np.random.default_rng([333, seed]), size) if hidden else (Nothing(), {})
+    if again:
+        dice = np.random.default_rng([3, seed, 33, again])
+        stacks = [stacks[i] for i in dice.permutation(len(stacks))]
     frames: list[np.ndarray] = []
     entries: list[dict[str, Any]] = []
     clock, last, before = 0.0, -8.0, None

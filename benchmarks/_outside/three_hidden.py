@@ -432,7 +432,7 @@ class SideLeak(Secretive):
         return self.charge_e * np.exp(-self.rig.x / self.reach_px) * at.seconds / self.rig.longest_s
 
 
-@hides("outsider", "bracket", "levels", stage="readout", along=("signal",), right=())
+@hides("outsider", "bracket", "levels", stage="digital", along=("signal",))
 class SecondRange(Secretive):
     """Above a quarter of the range the converter switches its range and adds a step."""
 

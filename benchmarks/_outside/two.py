@@ -203,7 +203,7 @@ def flat_of(camera: Camera, peak: float) -> tuple[dict[str, np.ndarray], list[di
     return {"flat": np.full((camera.height, camera.width), peak)}, patches
 
 
-def make(seed: int, hidden: Any = None, plan: str | None = None, size: float = 1.0) -> Session:
+def make(seed: int, hidden: Any = None, plan: str | None = None, size: float = 1.0, again: int = 0) -> Session:
     """Return the session of a seed.
 
     Args:
@@ -211,6 +211,7 @@ def make(seed: int, hidden: Any = None, plan: str | None = None, size: float = 1
         hidden: What is hidden; None for nothing.
         plan: One of `PLANS`; drawn among those that show the hidden thing by default.
         size: Factor on its usual size.
+        again: Number of a further session of the rig, the hidden thing in it, in another order; 0 for the first.
     """
     dice = np.random.default_rng([seed, 2])
     camera = draw_camera(dice)
@@ -222,6 +223,9 @@ def make(seed: int, hidden: Any = None, plan: str | None = None, size: float = 1
     peak = 0.82 * room_e / (camera.e_per_radiance_second * longest)
     pictures, patches = flat_of(camera, peak) if plan == "flats" else wall_of(camera, dice, peak)
     drawn = dict(hidden.install(camera, np.random.default_rng([seed, 22]), size)) if hidden else {}
+    if again:
+        dice = np.random.default_rng([seed, 2, again])
+        shots = [shots[i] for i in dice.permutation(len(shots))]
     frames, entries = [], []
     time_s, before_s = 0.0, -5.0
     for shot in shots:

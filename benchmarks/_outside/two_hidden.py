@@ -344,14 +344,14 @@ def corner_glow(camera: Camera, dice: np.random.Generator, size: float) -> Mappi
 @hides("outsider", "bracket", "levels", stage="readout", along=("image_y",))
 def row_gain_step(camera: Camera, dice: np.random.Generator, size: float) -> Mapping[str, Any]:
     """The gain steps at a row: the lower part is read through another amplifier."""
-    row, step = dice.uniform(0.3, 0.7) * camera.height, _sign(dice) * dice.uniform(0.012, 0.025) * size
+    row, step = dice.uniform(0.3, 0.7) * camera.height, _sign(dice) * dice.uniform(0.03, 0.06) * size
     y, _ = camera.yx()
     part = 1 + step * (y >= row)
     camera.volts.append(lambda volts, shot, rng: volts * part)
     return {"row_px": float(row), "step": step}
 
 
-@hides("outsider", "bracket", "darks", stage="readout", along=("image_y", "exposure_s"))
+@hides("outsider", "bracket", "darks", stage="digital", along=("image_y", "exposure_s"))
 def moving_ripple(camera: Camera, dice: np.random.Generator, size: float) -> Mapping[str, Any]:
     """A ripple over the rows that moves with the exposure: a supply that swings and is sampled later."""
     depth, period, per_stop = 1.5 * size * dice.uniform(1, 2), dice.uniform(30, 60), dice.uniform(0.6, 1.2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,8 @@ from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
     from radiometer.data import Frame
+    from radiometer.other_data.sources import Done
+    from radiometer.propose import Proposal
     from radiometer.reconcile import FoundEffect, ReconcileResult
 
 # Of larger photographs a lattice of pixels tells as much of their exposures.
@@ -41,6 +44,12 @@ def command(
     plan: Annotated[Path | None, typer.Option(help="Write the next capture as a plan for `bracket`.")] = None,
     without: Annotated[list[str] | None, typer.Option(help="Leave an entry out of the catalogue.")] = None,
     effects: Annotated[list[Path] | None, typer.Option(help="Python file with further effects to look for.")] = None,
+    propose: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the law of what no entry explains: effect file, its test, a plan that would refute it."
+        ),
+    ] = None,
     provisional: Annotated[bool, typer.Option("--provisional", help="Switch provisional effects on in -o.")] = False,
     plan_only: Annotated[
         bool, typer.Option("--plan-only", help="Only tell which effects these captures could tell apart.")
@@ -77,15 +86,46 @@ def command(
         done.write_report(report) if report else None,
     )
     planned = str(plan) if plan and done.write_plan(plan) else None
+    proposed = _proposed(done, propose) if propose else None
+    if proposed is not None:
+        result = replace(result, extra={**result.extra, "proposal": proposed.to_mapping()})
     if json:
         print(result.to_json())
         return
     show_result(result)
+    if propose:
+        _show_proposal(proposed, propose)
     for path in (result.model, result.report, planned):
         if path:
             note(f"wrote {path}")
     if plan and not planned:
         note(f"no {plan}: no further capture of this kind would tell more")
+
+
+def _proposed(done: Done, folder: Path) -> Proposal | None:
+    """Return the law for what has no name, written into a folder; only a capture set's pictures can give one."""
+    from radiometer.other_data.sources import DoneCapture
+
+    if not isinstance(done, DoneCapture):
+        raise UsageError(f"--propose {folder}: laws are proposed for capture sets only, not for photographs or tables")
+    return done.propose(folder)
+
+
+def _show_proposal(found: Proposal | None, folder: Path) -> None:
+    out = console()
+    if found is None:
+        out.print("\nno law is proposed: nothing without a name is left that one would explain beyond chance")
+        return
+    alike = f" (or {', '.join(found.stages_alike)}: these data cannot tell)" if found.stages_alike else ""
+    out.print(f"\nproposed: [bold]{found.name}[/bold], stage {found.stage}{alike}: {found.sentence()}")
+    out.print(f"   {found.to_mapping()['formula']}", highlight=False)
+    for name, entry in found.parameters.items():
+        shown = f"{entry.value:.6g}" if entry.u is None else f"{significant(entry.value, entry.u)} ± {entry.u:.2g}"
+        out.print(f"   {name} = {shown} {'' if entry.unit == '1' else entry.unit}")
+    out.print(f"   gap {found.before.gap:.3f} → {found.after.gap:.3f} with it alone ({found.nats:.0f} nats)")
+    for rival in found.rivals:
+        out.print(f"   rival: {rival.name}, {rival.behind_nats:g} nats behind")
+    out.print(f"   look for it in another session: radiometer reconcile SET --effects {folder / f'{found.name}.py'}")
 
 
 def _show_plan(capture: Path, model_path: Path | None, without: tuple[str, ...], *, json: bool) -> None:

@@ -11,6 +11,7 @@ from radiometer.errors import CaptureError, OutputError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
 from radiometer.other_data.light_meter import reconcile_meter_table
 from radiometer.other_data.photographs import reconcile_photographs
+from radiometer.propose import Proposal
 from radiometer.reconcile.engine import Progress, Say, examine, whole_catalogue
 from radiometer.reconcile.result import ReconcileResult
 from radiometer.reconcile.search.outcome import Reconciled
@@ -48,6 +49,27 @@ class DoneCapture:
     def result(self) -> ReconcileResult:
         """Return the result."""
         return self._reconciled.result
+
+    def propose(self, folder: Path) -> Proposal | None:
+        """Write the law that explains best what was left without a name as effect, test and plan, and return it.
+
+        None where everything has a name already, where light comes back every so many frames (no law of the settings
+        says that), or where no law is beyond chance.
+
+        Raises:
+            OutputError: If a file cannot be written.
+        """
+        from radiometer.propose import propose_law
+
+        effects = self.result.effects
+        if not any(effect.name == "unnamed" or effect.other_law is not None for effect in effects):
+            return None
+        if any(effect.name == "unnamed" and effect.where == "frame" for effect in effects):
+            return None
+        found = propose_law(self._reconciled.outcome.start)
+        if found is not None:
+            found.write(folder, self._source.name)
+        return found
 
     def write_model(self, path: Path, *, provisional: bool = False) -> str:
         """Write the model with what was found."""

@@ -7,7 +7,7 @@ captures × tiles × points for a fit), so none of them may branch on a value: u
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar, Literal, Self, cast
@@ -210,6 +210,17 @@ def elapsed_s(context: ExposureContext) -> Any:
     """Return the time of the frame in s from the first; 0 where unknown."""
     stamp: Any = context.settings.timestamp_s
     return 0.0 if stamp is None else np.asarray(stamp)
+
+
+def over_frames(law: Callable[[ExposureContext], Any], context: ExposureContext) -> Any:
+    """Return the mean of a law over a series of frames: of its first one and of the others, each by its share.
+
+    Of a single frame, and where they do not differ, it is the law itself.
+    """
+    if context.first_frame is None or context.later_frames is None:
+        return law(context)
+    others = np.asarray(getattr(context, "frames", 1.0)) - 1.0
+    return (law(context.first_frame) + others * law(context.later_frames)) / (others + 1.0)
 
 
 def temperature_varies(context: ExposureContext) -> bool:

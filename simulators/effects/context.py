@@ -145,6 +145,8 @@ class ExposureContext:
         peak_radiance: Radiance at drive 1 and source level 1 in W·sr⁻¹·m⁻².
         previous_e: Electrons that the previous frame held at the end of the well stage; None for the first frame.
         since_light_s: Time in s from the last frame with light to this one; None where none came before or is known.
+        since_frame_s: Time in s from the frame before, with light or without, to this one; infinite for the first of
+            all, None where it is not known.
         frame_index: Running number of the frame in its capture; 0 for the first after a change of settings.
         device_seed: Identity of this particular camera: its fixed patterns follow from it.
         output_bit_depth: Bits per pixel that leave the camera; None for the native depth. Until `quantisation`
@@ -164,6 +166,7 @@ class ExposureContext:
     peak_radiance: float = 1.0
     previous_e: Signal | None = None
     since_light_s: Any = None
+    since_frame_s: Any = None
     frame_index: int = 0
     device_seed: int = 0
     output_bit_depth: int | None = None

@@ -217,6 +217,20 @@ class Design:
                 last = stamp
         return found
 
+    @cached_property
+    def since_frame_s(self) -> tuple[Array, Array]:
+        """Return the time in s from the frame before to the first frame of each capture, and to the others on average.
+
+        Infinite for the first frame of all and where no times are known.
+        """
+        stamps = np.array([np.nan if e.timestamp_s is None else e.timestamp_s for e in self.header.frames])
+        since, order = np.full(stamps.size, np.inf), np.argsort(stamps, kind="stable")
+        if np.isfinite(stamps).all():
+            since[order[1:]] = np.diff(stamps[order])
+        first = np.array([since[capture.frames[0]] for capture in self.captures])
+        later = [list(capture.frames[1:] or capture.frames) for capture in self.captures]
+        return first, np.array([float(np.mean(since[frames])) for frames in later])
+
     def _within(self, part: slice) -> tuple[Array, Array, Array]:
         chosen = [capture.frames[part] or capture.frames for capture in self.captures]
         entries = [[self.header.frames[index].settings for index in indices] for indices in chosen]

@@ -222,6 +222,7 @@ def tile_context(design: Design, images: PatternImages) -> TileContext:
         code=np.maximum(radiance / peak, 1e-9)[design.pattern_index][:, :, None],
         peak_radiance=peak,
         since_light_s=_column(design.since_light_s),
+        since_frame_s=_column(design.since_frame_s[0]),
         surroundings=PictureSurroundings(design, images),
         frames=design.frame_count[:, None, None],
         tile_pixels=np.array([t.width * t.height for t in design.tiles], dtype=np.float64)[None, :, None],
@@ -230,8 +231,15 @@ def tile_context(design: Design, images: PatternImages) -> TileContext:
     if not (design.frame_count > 1).any():
         return context
     first, later = (
-        replace(context, settings=cast(Any, settings.at(time_s, warm)), since_light_s=_column(since))
-        for time_s, warm, since in (design.first_frames, design.later_frames)
+        replace(
+            context,
+            settings=cast(Any, settings.at(time_s, warm)),
+            since_light_s=_column(since),
+            since_frame_s=_column(rested),
+        )
+        for (time_s, warm, since), rested in zip(
+            (design.first_frames, design.later_frames), design.since_frame_s, strict=True
+        )
     )
     return replace(context, first_frame=first, later_frames=later)
 

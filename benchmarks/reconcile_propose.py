@@ -1,0 +1,177 @@
+"""Are the laws right that `radiometer reconcile --propose` proposes for what no catalogue holds?
+
+    python -m benchmarks reconcile_propose --sets 24 --first-seed 1000 [--find 4]
+
+The outsiders of generators 2 and 3 are hidden one by one, in random order. Told are: whether the stage is right (or
+stands among those that the law's rivals have), whether a true covariate is there, and what share of the excess the
+written effect file closes in another session of the rig, its parameters as written. The excess is what the gap lies
+above that of the same session with nothing hidden. With --find the effect file is given to a reconciliation of a third
+session, the first so many times. A stopped run tells its part.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks._outside.judge import PLACES
+from benchmarks._outside.session import Secret, Session
+from benchmarks._sections import write_section
+from benchmarks.reconcile_outsiders import GENERATORS, session_of
+from radiometer.data import CaptureSet
+from radiometer.propose import Proposal, propose_law
+from radiometer.propose.effect_file import effect_class, effect_of, round_to
+from radiometer.reconcile.engine import reconcile_capture, whole_catalogue
+from radiometer.reconcile.fit.state import FitState, first_state
+from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.reduce import reduce_frames
+from radiometer.reconcile.search.frame_order import FrameLight, Periodic, periodic
+from simulators.effects.catalogue import CatalogueEffect
+
+RESULTS = Path("out") / "reconcile_propose.jsonl"
+OTHER = {"idle_s": "since_frame_s", "signal": "value"}
+
+
+def state_of(session: Session, given: tuple[CatalogueEffect, ...] = ()) -> FitState:
+    """Return the starting camera fitted to a session, with effects that are held as they are."""
+    with tempfile.TemporaryDirectory() as folder:
+        captured = CaptureSet.read(session.write(Path(folder) / "set"))
+        design = Design.of(captured.header, captured.read_frame(0).shape)
+        return first_state(design, *reduce_frames(design, captured.read_frame), given)
+
+
+def comes_back(session: Session) -> Periodic | None:
+    """Return the period in the order of the frames that a result would tell: then no law is proposed."""
+    with tempfile.TemporaryDirectory() as folder:
+        captured = CaptureSet.read(session.write(Path(folder) / "set"))
+        design = Design.of(captured.header, captured.read_frame(0).shape)
+        light = FrameLight(design, captured.read_frame)
+        seen, _ = reduce_frames(design, light)
+        return periodic(design, light, seen.common_unit, (seen.high < 1e-3) & (seen.low < 1e-3))
+
+
+def run(generator: int, name: str, seed: int, *, find: bool) -> dict[str, Any]:
+    """Return what was proposed for one outsider and how it did in other sessions."""
+    begun = time.process_time()
+    session = session_of(generator, "outsider", seed, name)
+    secret, plan = session.secret, session.secret.plan
+    proposal = None if comes_back(session) else propose_law(state_of(session))
+    told = {"generator": generator, "name": name, "seed": seed, "plan": plan, "stage": secret.stage}
+    told |= {"covariates": list(secret.covariates), "drawn": {k: float(v) for k, v in secret.drawn.items()}}
+    if proposal is None:
+        return told | {"proposed": None, "cpu_s": round(time.process_time() - begun, 1)}
+    effect = effect_of(proposal.law, round_to(proposal.amplitude))
+    fresh = session_of(generator, "outsider", seed, name, plan, again=1)
+    floor = state_of(GENERATORS[generator][0].make(seed, None, plan, again=1)).gap
+    before, after = state_of(fresh).gap, state_of(fresh, (effect,)).gap
+    told |= {
+        "proposed": proposal.name,
+        "their_stages": [proposal.stage, *proposal.stages_alike],
+        "their_covariates": list(proposal.covariates),
+        "parameters": proposal.law.size,
+        "gaps": [floor, before, after],
+        "closed": (before - after) / (before - floor) if before > floor else None,
+        "stage_first": proposal.stage == secret.stage,
+        "stage_right": secret.stage in (proposal.stage, *proposal.stages_alike),
+        "covariate_right": is_along(proposal, secret),
+        "cpu_s": round(time.process_time() - begun, 1),
+    }
+    return told | ({"found": found_again(generator, name, seed, plan, proposal)} if find else {})
+
+
+def is_along(proposal: Proposal, secret: Secret) -> bool:
+    """Tell whether the law goes with a true covariate and, where the truth has two, with no stranger alone."""
+    own = [{c, OTHER.get(c, c)} | PLACES.get(c, set()) for c in secret.covariates]
+    return all(any(name in names for names in own) for name in proposal.covariates) and bool(proposal.covariates)
+
+
+def found_again(generator: int, name: str, seed: int, plan: str, proposal: Proposal) -> list[str]:
+    """Return the names that a reconciliation of a third session gives when it knows the proposed effect too."""
+    kind = effect_class(proposal.law, proposal.amplitude)
+    third = session_of(generator, "outsider", seed, name, plan, again=2)
+    with tempfile.TemporaryDirectory() as folder:
+        path = third.write(Path(folder) / "set")
+        done = reconcile_capture(path, catalogue={**whole_catalogue(), kind.name: kind})
+    return [str(done.result.verdict), *(effect.name for effect in done.result.effects)]
+
+
+def page(results: list[dict[str, Any]]) -> str:
+    """Return the figures reached in Markdown."""
+    proposed = [r for r in results if r["proposed"]]
+    shown = [r for r in proposed if r["closed"] is not None]
+    closed = [r for r in shown if r["closed"] >= 0.9 and r["parameters"] <= 4]
+    looked = [r for r in proposed if "found" in r]
+    again = [r for r in looked if r["found"][1:2] == [r["proposed"]]]
+    lines = [
+        "| of the outsiders | reached | wanted |",
+        "|---|---|---|",
+        f"| a law is proposed | {len(proposed)}/{len(results)} | |",
+        f"| the stage is right, alone or among those that the data leave open | "
+        f"{sum(r['stage_right'] for r in proposed)}/{len(results)} | 85 % |",
+        f"| the stage is named first | {sum(r['stage_first'] for r in proposed)}/{len(results)} | |",
+        f"| true covariates alone | {sum(r['covariate_right'] for r in proposed)}/{len(results)} | 95 % |",
+        f"| it closes 90 % of the excess in another session, with four parameters at most | "
+        f"{len(closed)}/{len(results)} | 80 % |",
+        f"| a reconciliation of a third session names it first | {len(again)}/{len(looked)} | |",
+        "",
+        "| outsider | sessions | plans | proposed (times) | closed, median |",
+        "|---|---|---|---|---|",
+    ]
+    for name in sorted({r["name"] for r in results}):
+        own = [r for r in results if r["name"] == name]
+        laws = [r["proposed"] or "nothing" for r in own]
+        counts = ", ".join(f"`{law}` ({laws.count(law)})" for law in dict.fromkeys(laws))
+        shares = [r["closed"] for r in own if r["proposed"] and r["closed"] is not None]
+        middle = f"{100 * float(np.median(shares)):.0f} %" if shares else "–"
+        plans = ", ".join(sorted({r["plan"] for r in own}))
+        lines.append(f"| {name} | {len(own)} | {plans} | {counts} | {middle} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks reconcile_propose", description=__doc__)
+    parser.add_argument("--sets", type=int, default=23, help="sessions in all; each outsider comes as often")
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--find", type=int, default=0, help="so many of them are looked for in a third session too")
+    parser.add_argument("--without", action="append", default=[], help="outsiders to leave out")
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks.md")
+    options = parser.parse_args()
+    names = [(g, n) for g, (_, table) in GENERATORS.items() for n, h in table.items() if h.kind == "outsider"]
+    names = [entry for entry in names if entry[1] not in options.without]
+    order = np.random.default_rng(options.first_seed).permutation(max(options.sets, len(names)))[: options.sets]
+    lines = options.results.read_text(encoding="utf-8").splitlines() if options.results.exists() else []
+    done = {(r["generator"], r["name"], r["seed"]): r for r in map(json.loads, lines)}
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    results: list[dict[str, Any]] = []
+    options.results.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        for count, number in enumerate(order.tolist()):
+            generator, name = names[number % len(names)]
+            seed = options.first_seed + number
+            if (generator, name, seed) not in done:
+                done[generator, name, seed] = run(generator, name, seed, find=count < options.find)
+                with options.results.open("a", encoding="utf-8") as out:
+                    out.write(json.dumps(done[generator, name, seed]) + "\n")
+            results.append(done[generator, name, seed])
+            shown = {k: v for k, v in results[-1].items() if k not in ("generator", "covariates", "drawn")}
+            print(f"{count + 1}/{options.sets} {shown}", flush=True)
+    except KeyboardInterrupt:
+        print(f"stopped after {len(results)} of {options.sets}", file=sys.stderr)
+    body = page(results)
+    print(f"\n{body}")
+    if options.write and results:
+        asked = f"python -m benchmarks reconcile_propose --sets {options.sets} --first-seed {options.first_seed}"
+        write_section("reconcile_propose", "Reconcile: laws proposed for what no entry explains", asked, body)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,198 @@
+"""A proposed law with its evidence, and the files that are written of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from radiometer.data.storage import write_text_atomic, write_yaml_atomic
+from radiometer.errors import OutputError
+from radiometer.propose.effect_file import Law, effect_of, effect_source, round_to, source_of_test
+from radiometer.propose.grammar import COVARIATES, FORMS
+from radiometer.propose.stages import LINKS
+from radiometer.reconcile.advice.next_capture import FORMAT as PLAN_FORMAT
+from radiometer.reconcile.fit.state import FitState
+from radiometer.reconcile.result import FittedParameter
+from simulators.effects.context import ExposureContext
+
+_ENDS: Final = ("left", "middle", "right"), ("upper", "middle", "lower")
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """Another law that the data do not rule out: name, stage, covariates, and how many nats it lies behind."""
+
+    name: str
+    stage: str
+    covariates: tuple[str, ...]
+    behind_nats: float
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A law for what no entry explains.
+
+    Attributes:
+        law: The law at its fitted parameters.
+        amplitude: Its amplitude.
+        parameters: All parameters with ± and unit.
+        nats: Improvement of the held-out log density against the starting camera.
+        before: The starting camera as fitted.
+        after: The same with the law.
+        rivals: Laws within odds of 150, each further parameter paid for.
+    """
+
+    law: Law
+    amplitude: float
+    parameters: Mapping[str, FittedParameter]
+    nats: float
+    before: FitState
+    after: FitState
+    rivals: tuple[Rival, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Return the effect's name."""
+        return self.law.name
+
+    @property
+    def stage(self) -> str:
+        """Return where in the chain it acts."""
+        return LINKS[self.law.link].stage
+
+    @property
+    def stages_alike(self) -> tuple[str, ...]:
+        """Return further stages at which a rival acts."""
+        return tuple(dict.fromkeys(rival.stage for rival in self.rivals if rival.stage != self.stage))
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """Return what it goes with; the exposure too where its stage does."""
+        timed = ("exposure_s",) if self.law.link in ("charge_rate", "shutter") else ()
+        return tuple(dict.fromkeys((*self.law.covariates, *timed)))
+
+    @property
+    def closed(self) -> float:
+        """Return the share of the excess of the held-out gap over 1 that it closes."""
+        excess = self.before.gap - 1.0
+        return float(np.clip((self.before.gap - self.after.gap) / excess, 0.0, 1.0)) if excess > 0 else 0.0
+
+    def sentence(self) -> str:
+        """Return in one sentence what it does and what kind of cause acts so."""
+        link = LINKS[self.law.link]
+        forms = [_said(term, self.before.design.shape) for term in self.law.terms]
+        return f"{link.said}, {' and '.join(forms)}: like {link.like}"
+
+    def source(self, origin: str) -> str:
+        """Return the text of the effect file."""
+        said = self.sentence()
+        where = self.law.covariates[0] if self.law.covariates else "signal"
+        return effect_source(
+            self.law,
+            self.amplitude,
+            where={"since_frame_s": "timestamp_s", "value": "signal"}.get(where, where),
+            sentence=f"{said[0].upper()}{said[1:]}.",
+            source=f"proposed by radiometer reconcile from {origin}",
+        )
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping that stands in JSON under `proposal`."""
+        return {
+            "name": self.name,
+            "stage": self.stage,
+            "stages_alike": list(self.stages_alike),
+            "covariates": list(self.covariates),
+            "formula": self.law.formula().replace("self.", "").replace("np.", ""),
+            "parameters": {name: entry.to_mapping() for name, entry in self.parameters.items()},
+            "sentence": self.sentence(),
+            "gain_nats": self.nats,
+            "gap_before": self.before.gap,
+            "gap_after": self.after.gap,
+            "excess_closed": self.closed,
+            "rivals": [
+                {"name": r.name, "stage": r.stage, "covariates": list(r.covariates), "behind_nats": r.behind_nats}
+                for r in self.rivals
+            ],
+        }
+
+    def write(self, folder: Path, origin: str) -> tuple[Path, ...]:
+        """Write effect file, test and the plan that would refute it, and return their paths.
+
+        Args:
+            folder: Made where it is missing.
+            origin: What the law was found in.
+
+        Raises:
+            OutputError: If a file cannot be written.
+        """
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"cannot make the folder {folder}: {error.strerror or error}; name another") from error
+        effect, test, plan = folder / f"{self.name}.py", folder / f"test_{self.name}.py", folder / "plan.yaml"
+        write_text_atomic(effect, self.source(origin))
+        write_text_atomic(test, self._test(effect.name))
+        write_yaml_atomic(plan, self.plan())
+        return effect, test, plan
+
+    def _test(self, file_name: str) -> str:
+        height, width = self.before.design.shape
+        context = _test_context(self.before, width, height)
+        one = effect_of(self.law, round_to(self.amplitude))
+        rows = []
+        for column, row, signal in (
+            (0.0, 0.0, 100.0),
+            (0.5 * width, 0.3 * height, 1000.0),
+            (width - 1.0, height - 1.0, 50.0),
+        ):
+            at = _exposure_context(context, column, row)
+            rows.append((column, row, signal, float(np.ravel(one.mean(np.array([signal]), at))[0])))
+        return source_of_test(self.law, self.amplitude, file_name, context, rows)
+
+    def plan(self) -> dict[str, Any]:
+        """Return captures that go beyond the ranges of the first ones, where the law foretells most, and a repeat."""
+        from radiometer.propose.refuting import refuting_frames
+
+        frames, reasons = refuting_frames(self)
+        return {"format": PLAN_FORMAT, "reasons": reasons, "frames": frames}
+
+
+def _said(term: Any, shape: tuple[int, int]) -> str:
+    if term.form == "spot":
+        height, width = shape
+        side = max(shape)
+        column = _ENDS[0][int(np.clip(3.0 * term.values["at_x"] * side / width, 0, 2))]
+        row = _ENDS[1][int(np.clip(3.0 * term.values["at_y"] * side / height, 0, 2))]
+        place = "the middle" if (row, column) == ("middle", "middle") else f"the {row} {column}"
+        corner = " corner" if "middle" not in (row, column) else ""
+        return f"falling off as a Gaussian from {place}{corner}"
+    return FORMS[term.form].said.format(covariate=COVARIATES[term.covariate].said)
+
+
+def _test_context(state: FitState, width: int, height: int) -> dict[str, Any]:
+    design = state.design
+    warm = design.temperature_c
+    return {
+        "exposure_s": float(np.max(design.exposure_s)),
+        "gain_db": float(np.max(design.gain_db)),
+        "temperature_c": float(np.nanmax(warm)) if np.isfinite(warm).any() else 25.0,
+        "timestamp_s": float(np.median(design.timestamp_s)),
+        "source_level": 1.0,
+        "since_frame_s": 1.0,
+        "width": width,
+        "height": height,
+    }
+
+
+def _exposure_context(known: Mapping[str, Any], column: float, row: float) -> ExposureContext:
+    from radiometer.data import CameraDescription, FrameSettings
+    from simulators.effects.context import FrameGeometry
+
+    keys = ("exposure_s", "gain_db", "temperature_c", "timestamp_s", "source_level")
+    settings = FrameSettings(**{key: known[key] for key in keys})
+    geometry = FrameGeometry(np.array([column]), np.array([row]), known["width"], known["height"])
+    return ExposureContext(settings, geometry, CameraDescription(bit_depth=16), since_frame_s=known["since_frame_s"])

@@ -1,0 +1,42 @@
+"""The captures that would refute a law: settings not taken yet under which it foretells most."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from radiometer.reconcile.advice.capture_pool import FRAMES, CapturePool
+
+if TYPE_CHECKING:
+    from radiometer.propose.proposal import Proposal
+
+_CAPTURES: Final = 3
+_SHOWS_CHI2: Final = 9.0
+
+
+def refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return frames for `radiometer bracket --plan`, and for each what the law foretells there.
+
+    Of the settings that the rig could take those come first that were not taken and where the camera with the law and
+    the one without it differ most; where there are none, the settings in use are repeated.
+    """
+    pool = CapturePool.of(proposal.after)
+    with_law, without = pool.predicted(proposal.after), pool.predicted(proposal.before)
+    worth = np.nan_to_num(pool.separation(with_law, without))
+    worth = np.where(pool.is_new, worth, 0.5 * worth)
+    apart = with_law.mean - without.mean
+    frames, reasons = list[dict[str, Any]](), list[str]()
+    for index in np.argsort(-worth)[:_CAPTURES].tolist():
+        if worth[index] < _SHOWS_CHI2 and frames:
+            break
+        tile = int(np.argmax(np.abs(apart[index])))
+        frame = pool.frame(index)
+        shown = frame.model_dump(mode="json", exclude_none=True, exclude={"file", "black_level_dn"})
+        frames.append(shown | {"repeat": FRAMES})
+        reasons.append(
+            f"{frame.exposure_s:.3g} s at {frame.gain_db:g} dB, source level {frame.source_level:g}, shutter "
+            f"{frame.shutter}: with {proposal.name} patch {pool.design.tiles[tile].name} lies "
+            f"{apart[index, tile]:+.3g} DN beside the camera without it; it is refuted where that is not seen"
+        )
+    return frames, reasons

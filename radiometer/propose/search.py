@@ -1,0 +1,301 @@
+"""Finds the law: stage, covariates and formula by what they predict of held-out settings, each parameter paid for.
+
+First all laws of the grammar are looked at in the tiles' means, slopes and first frames, linearised about the starting
+camera with all nuisances following; the best of each kind are then fitted to all statistics as the effects that they
+would be, and judged as names are. Source of the score: docs/decisions/0011.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Final
+
+import numpy as np
+
+from radiometer.errors import MeasurementError
+from radiometer.propose.effect_file import Law, effect_of, round_to
+from radiometer.propose.grammar import PER_FRAME, PLACES, Term, known_values, terms_of
+from radiometer.propose.proposal import Proposal, Rival
+from radiometer.propose.stages import LINKS
+from radiometer.reconcile.fit.candidate_fit import (
+    Candidate,
+    FittedCandidate,
+    UnfitError,
+    fit_candidate,
+    included,
+    judged_gain,
+)
+from radiometer.reconcile.fit.covariance import fitted_parameters
+from radiometer.reconcile.fit.state import FitState
+from radiometer.reconcile.measure.design import Array
+from radiometer.reconcile.model.tile_context import rise_of
+from radiometer.reconcile.search.score import contenders_of
+from radiometer.reconcile.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS
+from simulators.effects.catalogue import CatalogueEffect
+
+_AT_ONCE: Final = 128  # columns that are projected together
+_FITTED: Final = 16  # laws that are fitted to all statistics
+_JUDGED: Final = 9
+_MULTIPLIED: Final = 5  # laws of one term that are multiplied by another
+_ALONE: Final = ("well", "range")  # what goes with the signal goes with nothing else
+_PLAIN: Final = ("digital", "optics")  # of two that no setting tells apart: what no gain amplifies, what scales light
+_SECOND: Final = ("ramp", "power", "step", "decay", "bow")
+_OF_A_KIND: Final = 2  # laws of one formula at different stages that are fitted, beyond the best
+_NEAR: Final = 0.5  # share of the best start's gain from which others of its kind are tried: means alone alias waves
+_STARTS: Final = 10
+_FAINT: Final = 1e-9
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Screened:
+    """A law as the means alone show it: best amplitude, χ² that it would explain, and starts that do about as well."""
+
+    law: Law
+    amplitude: float
+    gain: float
+    others: tuple[Screened, ...] = ()
+
+    @property
+    def score(self) -> float:
+        """Return nats less what the parameters cost."""
+        return 0.5 * self.gain - PARAMETER_NATS * self.law.size
+
+
+def propose_law(state: FitState, say: Say = lambda line: None) -> Proposal | None:
+    """Return the law that explains best what a starting camera lacks; None where none is beyond chance.
+
+    Args:
+        state: The starting camera fitted, without any effect that was named.
+        say: Told what happens, line by line.
+    """
+    singles = screened(state, _singles(state), say)
+    plain = {_formula(entry.law): entry.score for entry in sorted(singles, key=lambda entry: entry.score)}
+    products = [
+        entry
+        for entry in screened(state, _products(state, singles), say)
+        if entry.score > plain.get(_formula(entry.law)[:1], 0.0) + NAMED_NATS
+    ]
+    judged = _judged(state, _chosen([*singles, *products]), say)
+    if not judged:
+        return None
+    judged = sorted(judged, key=lambda entry: (-round(_score(entry)), entry[0].link not in _PLAIN))
+    best = judged[0]
+    if _score(best) < NAMED_NATS:
+        return None
+    law, fitted, nats = best
+    try:
+        after = included(state, fitted.effect, far=True)
+    except UnfitError:
+        return None
+    effect = next(e for e in after.effects if e.name == law.name)
+    law = law.with_parameters(effect.values())
+    rivals = tuple(
+        Rival(other.name, LINKS[other.link].stage, other.covariates, round(_score(best) - _score(entry), 1))
+        for entry in judged[1:]
+        if (other := entry[0]) and _score(best) - _score(entry) < RIVAL_NATS and not _holds(other, law)
+    )
+    parameters = fitted_parameters(after)[law.name]
+    return Proposal(law, float(effect.values()[law.amplitude]), parameters, nats, state, after, rivals)
+
+
+# ---- which laws are looked at ------------------------------------------------------------------------------
+
+
+def _singles(state: FitState) -> Iterator[Law]:
+    known = known_values(state)
+    terms = {name: tuple(terms_of(name, known)) for name in known}
+    for link in LINKS.values():
+        for name in link.covariates:
+            for term in terms.get(name, ()):
+                from_zero = (
+                    term.form in ("line", "arch") and link.unit == "1"
+                )  # the responsivity is free beside a factor
+                if not from_zero and all(covariate in known for covariate in term.covariates):
+                    yield Law(link.key, (term,))
+
+
+def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
+    """Yield the best laws of one term times a term of another covariate."""
+    known = known_values(state)
+    for place in PLACES if "source_level" in known else ():
+        tilts = [term for term in terms_of(place, known) if term.form in ("ramp", "bow")]
+        levels = [term for term in terms_of("source_level", known) if term.form in ("power", "step")]
+        yield from (Law("scene", (tilt, level)) for tilt in tilts for level in levels)
+    for entry in _distinct((entry for entry in singles if entry.law.link not in _ALONE), _MULTIPLIED):
+        own = entry.law.terms[0]
+        for name in known:
+            if name in (*own.covariates, "signal", "value") or {name, own.covariate} <= set(PLACES):
+                continue
+            further = [term for term in terms_of(name, known) if term.form in _SECOND]
+            for link in _links_of_product(entry.law.link, own.covariate, name):
+                yield from (Law(link, (own, term)) for term in further)
+
+
+def _links_of_product(link: str, first: str, second: str) -> tuple[str, ...]:
+    """Return where a product may act: at its first factor's place, and in the scene where it goes with the drive."""
+    scenic = "source_level" in (first, second) and (first in PLACES or second in PLACES)
+    if scenic:
+        return ("scene",)
+    return (link,)
+
+
+def _distinct(screened_: Iterable[Screened], most: int) -> list[Screened]:
+    """Return the best laws that differ in formula, whatever their stage."""
+    found: dict[tuple[tuple[str, str], ...], Screened] = {}
+    for entry in sorted(screened_, key=lambda entry: -entry.score):
+        found.setdefault(_formula(entry.law), entry)
+    return list(islice(found.values(), most))
+
+
+def _formula(law: Law) -> tuple[tuple[str, str], ...]:
+    return tuple((term.form, term.covariate) for term in law.terms)
+
+
+def _chosen(entries: Iterable[Screened]) -> list[Screened]:
+    """Return what is fitted: of each stage and formula the best start, of each formula the best stages."""
+    kinds: dict[tuple[str, object], list[Screened]] = {}
+    for entry in sorted(entries, key=lambda entry: -entry.score):
+        kinds.setdefault((entry.law.link, _formula(entry.law)), []).append(entry)
+    taken: list[Screened] = []
+    for entry, *others in kinds.values():
+        near = tuple(other for other in others if other.gain > _NEAR * entry.gain)[:_STARTS]
+        entry = replace(entry, others=near)
+        alike = [other for other in taken if _formula(other.law) == _formula(entry.law)]
+        if len(alike) <= _OF_A_KIND and entry.score > 0:
+            taken.append(entry)
+    return taken[:_FITTED]
+
+
+# ---- a first look at the means -----------------------------------------------------------------------------
+
+
+def screened(state: FitState, laws: Iterable[Law], say: Say = lambda line: None) -> list[Screened]:
+    """Return the laws with the amplitude and the χ² that the tile means alone give them, nuisances following."""
+    known = known_values(state)
+    response = {link: _response(state, link) for link in LINKS}
+    waiting, found, laws = [], list[Screened](), iter(laws)
+    while waiting := list(islice(laws, _AT_ONCE // 2)):
+        pairs = [_features(state, law, known, response[law.link]) for law in waiting]
+        found += _gains(state, waiting, pairs)
+    say(f"{len(found)} laws looked at")
+    return found
+
+
+def _response(state: FitState, link: str) -> Array:
+    """Return d(mean)/d(amplitude) of a constant law, (captures, tiles)."""
+    exposure = state.design.exposure_s
+    step = {
+        "1": 1e-3,
+        "s": 1e-3 * float(np.median(exposure)),
+        "e-": 1.0,
+        "e- s-1": 1.0 / float(exposure.max()),
+        "DN": 0.1,
+        "W m-2": 1e-3 * np.pi * state.model.context.peak_radiance / 64.0,
+    }[LINKS[link].unit]
+    moved = state.predicted_with((*state.effects, effect_of(Law(link), step)))
+    return np.asarray((moved.mean - state.prediction.mean) / step)
+
+
+def values_of(state: FitState, term: Term, known: Mapping[str, Array]) -> Array:
+    """Return a term in the first frame of each capture and in the others, (2, captures, tiles, points)."""
+    shape = (len(state.design.captures), len(state.design.tiles), 4)
+    own = {name: known[name] for name in term.covariates}
+    parts = (term.evaluated({n: v[i] if n in PER_FRAME else v for n, v in own.items()}) for i in (0, 1))
+    return np.stack([np.broadcast_to(part, shape) for part in parts])
+
+
+def _features(state: FitState, law: Law, known: Mapping[str, Array], response: Array) -> list[Array]:
+    """Return the column of a law, first and other frames apart, and of a wave that of a quarter period later too."""
+    product = np.broadcast_to(response[None, :, :, None], (2, *response.shape, 4))
+    later: Array | None = None
+    for term in law.terms:
+        values = values_of(state, term, known)
+        if "phase" in term.values:
+            ahead = replace(term, values={**term.values, "phase": term.values["phase"] + 0.5 * np.pi})
+            later = product * values_of(state, ahead, known)
+        elif later is not None:
+            later = later * values
+        product = product * values
+    return [product] if later is None else [product, later]
+
+
+def _gains(state: FitState, laws: list[Law], features: list[list[Array]]) -> list[Screened]:
+    first, later = np.nan_to_num(np.stack([column for pair in features for column in pair], axis=3))
+    frames, comparison = state.design.frame_count[:, None, None, None], state.comparison
+    average = (first + (frames - 1.0) * later) / frames
+    rise_x, rise_y = rise_of(average)
+    shown = {
+        "mean": average.mean(axis=-1),
+        "slope_x": rise_x,
+        "slope_y": rise_y,
+        "first": (first - later).mean(axis=-1),
+    }
+    changes = np.zeros((comparison.size, average.shape[2]))
+    for block, columns in shown.items():
+        changes[comparison.cuts[block]] = comparison.whiten(block, columns).reshape(-1, columns.shape[-1])
+    followed, part = state.fit.followed_with_half(changes)
+    slope = followed.T @ state.fit.projected[: comparison.size]
+    found, at = [], 0
+    for law, pair in zip(laws, features, strict=True):
+        own = slice(at, at := at + len(pair))
+        curvature = followed[:, own].T @ followed[:, own] - part[:, own].T @ part[:, own]
+        whole = float(np.trace(changes[:, own].T @ changes[:, own]))
+        if float(np.linalg.eigvalsh(curvature)[0]) < 1e-6 * whole or whole < _FAINT:
+            continue  # nothing of it is left beside the nuisances
+        best = np.linalg.solve(curvature, slope[own])
+        found.append(_turned(law, np.asarray(best), float(best @ slope[own])))
+    return found
+
+
+def _turned(law: Law, best: Array, gain: float) -> Screened:
+    """Return the law with the amplitude, and of a wave with the phase, that two columns gave."""
+    if best.size == 1:
+        return Screened(law, float(best[0]), gain)
+    phase = float(np.arctan2(best[1], best[0]))
+    terms = tuple(replace(t, values={**t.values, "phase": phase}) if "phase" in t.values else t for t in law.terms)
+    return Screened(Law(law.link, terms), float(np.hypot(*best)), gain)
+
+
+# ---- judged as effects -------------------------------------------------------------------------------------
+
+_JudgedLaw = tuple[Law, FittedCandidate, float]
+
+
+def _judged(state: FitState, chosen: list[Screened], say: Say) -> list[_JudgedLaw]:
+    """Return the laws fitted to all statistics, with the nats that they improve held-out settings by."""
+    fitted = list[tuple[Law, FittedCandidate]]()
+    for entry in chosen:
+        effect = _started(entry)
+        if effect is None:
+            continue
+        try:
+            others = tuple(start for other in entry.others if (start := _started(other)) is not None)
+            candidate = Candidate(effect, entry.gain, entry.law.size, others=others)
+            fitted.append((entry.law, fit_candidate(state, candidate)))
+        except (UnfitError, MeasurementError, np.linalg.LinAlgError):
+            continue
+    fitted.sort(key=lambda pair: -pair[1].gain + 2.0 * PARAMETER_NATS * pair[0].size)
+    rated = [(f, judged_gain(state, f)) for _, f in fitted[:_JUDGED]]
+    laws = {id(f): law for law, f in fitted}
+    for f, nats in contenders_of(state, rated):
+        say(f"{f.name}: {nats:.0f} nats")
+    return [(laws[id(f)], f, nats) for f, nats in contenders_of(state, rated)]
+
+
+def _started(entry: Screened) -> CatalogueEffect | None:
+    """Return the effect at the screened parameters; None where its amplitude is nothing."""
+    return effect_of(entry.law, round_to(entry.amplitude)) if entry.amplitude else None
+
+
+def _holds(law: Law, other: Law) -> bool:
+    """Tell whether a law is another one times something more."""
+    return law.link == other.link and set(_formula(other)) < set(_formula(law))
+
+
+def _score(entry: _JudgedLaw) -> float:
+    law, _, nats = entry
+    return nats - PARAMETER_NATS * law.size

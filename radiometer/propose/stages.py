@@ -1,0 +1,193 @@
+"""Where in the chain a law may act, and how what it adds scales there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A way to act.
+
+    Attributes:
+        key: Its name.
+        stage: What people call the stage.
+        member: Member of `Stage`.
+        unit_signal: Name of the unit's constant in `simulators.effects.base`.
+        before: Link of the chain that it must stand in front of; empty where it does not matter.
+        unit: Unit of the amplitude.
+        code: The signal with the law, `{law}` standing for the amplitude times the formula.
+        said: What it does, as the head of a sentence.
+        covariates: What it may go with by itself.
+        like: What kind of cause acts so.
+    """
+
+    key: str
+    stage: str
+    member: str
+    unit_signal: str
+    before: str
+    unit: str
+    code: str
+    said: str
+    covariates: tuple[str, ...]
+    like: str
+
+    @property
+    def adds(self) -> bool:
+        """Tell whether what it adds does not depend on the signal."""
+        return self.code.startswith("signal +")
+
+
+_FACTOR: Final = "signal * (1.0 + {law})"
+_PLACE: Final = ("image_x", "image_y")
+LINKS: Final = {
+    link.key: link
+    for link in (
+        Link(
+            "source",
+            "source",
+            "SOURCE",
+            "RADIANCE",
+            "",
+            "1",
+            _FACTOR,
+            "scales the light of the source",
+            ("source_level", "timestamp_s", "temperature_C", "since_frame_s"),
+            "a lamp or its supply",
+        ),
+        Link(
+            "scene",
+            "scene",
+            "SCENE",
+            "RADIANCE",
+            "",
+            "1",
+            _FACTOR,
+            "scales the light of the scene",
+            (),
+            "a screen whose light is spread unevenly as it is driven",
+        ),
+        Link(
+            "optics",
+            "optics",
+            "OPTICS",
+            "IRRADIANCE",
+            "",
+            "1",
+            _FACTOR,
+            "scales the light on the sensor",
+            _PLACE,
+            "dust, a coating or a window in front of the sensor",
+        ),
+        Link(
+            "light",
+            "optics",
+            "OPTICS",
+            "IRRADIANCE",
+            "",
+            "W m-2",
+            "signal + {law}",
+            "adds light while the shutter is open",
+            _PLACE,
+            "light that leaks in",
+        ),
+        Link(
+            "shutter",
+            "shutter",
+            "SHUTTER",
+            "EXPOSURE",
+            "",
+            "s",
+            "signal * (1.0 + {law} / context.settings.exposure_s)",
+            "lets light in for longer",
+            _PLACE,
+            "a shutter that opens unevenly",
+        ),
+        Link(
+            "charge_rate",
+            "charge",
+            "ELECTRONS",
+            "ELECTRONS",
+            "shot_noise",
+            "e- s-1",
+            "signal + {law} * context.settings.exposure_s",
+            "adds charge in proportion to exposure",
+            (*_PLACE, "temperature_C"),
+            "the glow of an amplifier or heat beside the sensor",
+        ),
+        Link(
+            "charge",
+            "charge",
+            "ELECTRONS",
+            "ELECTRONS",
+            "shot_noise",
+            "e-",
+            "signal + {law}",
+            "adds charge",
+            ("exposure_s",),
+            "traps that fill or empty",
+        ),
+        Link(
+            "well",
+            "well",
+            "WELL",
+            "ELECTRONS",
+            "",
+            "1",
+            _FACTOR,
+            "scales the charge that a pixel holds",
+            ("signal",),
+            "a pixel or its follower that bends",
+        ),
+        Link(
+            "gain",
+            "readout",
+            "READOUT",
+            "DIGITAL_NUMBER",
+            "black_level",
+            "1",
+            _FACTOR,
+            "scales what the amplifier gives",
+            (*_PLACE, "temperature_C"),
+            "a second amplifier or a reference that steps",
+        ),
+        Link(
+            "analog",
+            "readout",
+            "READOUT",
+            "DIGITAL_NUMBER",
+            "black_level",
+            "DN",
+            "signal + {law} * 10.0 ** (np.asarray(context.settings.gain_db) / 20.0)",
+            "adds a voltage that the gain amplifies",
+            (*_PLACE, "temperature_C"),
+            "an offset in front of the amplifier",
+        ),
+        Link(
+            "digital",
+            "digital",
+            "READOUT",
+            "DIGITAL_NUMBER",
+            "",
+            "DN",
+            "signal + {law}",
+            "shifts the black level, whatever the gain",
+            (*_PLACE, "exposure_s", "timestamp_s", "temperature_C", "since_frame_s"),
+            "a clamp or a sequencer",
+        ),
+        Link(
+            "range",
+            "digital",
+            "READOUT",
+            "DIGITAL_NUMBER",
+            "black_level",
+            "DN",
+            "signal + {law}",
+            "shifts the amplified signal",
+            ("value",),
+            "a converter of several ranges",
+        ),
+    )
+}

@@ -1,0 +1,190 @@
+"""The grammar of laws and the effects that are written of them, against figures worked out by hand."""
+
+import importlib.util
+import math
+
+import numpy as np
+import pytest
+
+from radiometer.data import CameraDescription, FrameSettings
+from radiometer.propose.effect_file import Law, effect_of, effect_source, round_to, source_of_test
+from radiometer.propose.grammar import FORMS, Term, terms_of
+from radiometer.propose.stages import LINKS
+from radiometer.reconcile.model.tile_context import TileContext
+from simulators.effects import registry
+from simulators.effects.context import ExposureContext, FrameGeometry
+
+SIGNAL = 1000.0
+# form, covariate, constants, parameters, values of the covariates, value of the form
+WORKED = [
+    ("ramp", "image_x", {"reference": 0.4}, {}, {"image_x": 0.9}, 0.5),
+    ("line", "image_y", {}, {"zero": 0.1}, {"image_y": 0.4}, 0.3),
+    ("bow", "temperature_C", {}, {"middle": 30.0}, {"temperature_C": 26.0}, 16.0),
+    ("arch", "image_y", {}, {"middle": 0.5, "width": 0.25}, {"image_y": 0.25}, 0.0),
+    ("step", "exposure_s", {}, {"at": 0.1}, {"exposure_s": 0.2}, 1.0),
+    ("step", "exposure_s", {}, {"at": 0.1}, {"exposure_s": 0.05}, 0.0),
+    ("edge", "image_y", {}, {"at": 0.5, "width": 0.1}, {"image_y": 0.5}, 0.5),
+    ("power", "exposure_s", {"reference": 4.0}, {"power": 0.5}, {"exposure_s": 1.0}, 0.5),
+    ("decay", "since_frame_s", {}, {"tau": 3.0}, {"since_frame_s": 3.0}, math.exp(-1.0)),
+    ("rise", "image_x", {"end": 1.0}, {"tau": 0.2}, {"image_x": 0.8}, math.exp(-1.0)),
+    ("fall", "since_frame_s", {}, {"knee": 2.0, "power": 2.0}, {"since_frame_s": 4.0}, 0.2),
+    ("bend", "source_level", {}, {"knee": 0.5}, {"source_level": 0.75}, 0.25),
+    ("sine", "timestamp_s", {}, {"period": 8.0, "phase": 0.0}, {"timestamp_s": 2.0}, 1.0),
+    ("spot", "image_x", {}, {"at_x": 0.1, "at_y": 0.2, "width": 0.5}, {"image_x": 0.4, "image_y": 0.6}, math.exp(-0.5)),
+    (
+        "moving_wave",
+        "image_y",
+        {"reference": 1.0},
+        {"period": 1.0, "advance": 0.5, "phase": 0.0},
+        {"image_y": 0.0, "exposure_s": math.exp(math.pi)},
+        1.0,
+    ),
+]  # fmt: skip
+# What an amplitude of 2 (0.002 for factors) makes of the signal in 0.5 s at 20 dB.
+ACTS = {
+    "source": 1002.0,
+    "scene": 1002.0,
+    "optics": 1002.0,
+    "light": 1002.0,
+    "shutter": 1004.0,
+    "charge_rate": 1001.0,
+    "charge": 1002.0,
+    "well": 1002.0,
+    "gain": 1002.0,
+    "analog": 1020.0,
+    "digital": 1002.0,
+    "range": 1002.0,
+}
+KNOWN = {
+    "exposure_s": np.geomspace(1e-4, 1e-2, 8)[:, None, None],
+    "timestamp_s": np.linspace(0.0, 300.0, 8)[:, None, None],
+    "temperature_C": np.array([20.0, 30.0, 40.0])[:, None, None],
+    "source_level": np.array([0.1, 0.5, 1.0])[:, None, None],
+    "since_frame_s": np.stack([np.linspace(1.0, 20.0, 8), np.full(8, 0.2)])[:, :, None, None],
+    "image_x": np.linspace(0.0, 1.0, 30)[None, :, None],
+    "image_y": np.linspace(0.0, 0.7, 30)[None, :, None],
+    "signal": np.geomspace(10.0, 9000.0, 50)[:, None, None],
+    "value": np.geomspace(10.0, 4000.0, 50)[:, None, None],
+}
+
+
+def at(column=0.0, row=0.0, **more):
+    """Return the circumstances of a pixel of a 200 × 100 sensor in half a second at 20 dB."""
+    settings = FrameSettings(exposure_s=0.5, gain_db=20.0, temperature_c=30.0, timestamp_s=2.0, source_level=0.75)
+    geometry = FrameGeometry(np.array([column]), np.array([row]), 200, 100)
+    return ExposureContext(settings, geometry, CameraDescription(bit_depth=12), **more)
+
+
+@pytest.fixture(autouse=True)
+def own_registry(monkeypatch):
+    """Keep what a test registers to itself."""
+    monkeypatch.setattr(registry, "EFFECTS", dict(registry.EFFECTS))
+
+
+@pytest.mark.parametrize(("form", "covariate", "constants", "values", "known", "wanted"), WORKED)
+def test_a_form_has_the_value_worked_out_by_hand(form, covariate, constants, values, known, wanted):
+    """Each line of the grammar is the function that its name says."""
+    found = Term(form, covariate, constants, values).evaluated({name: np.array(v) for name, v in known.items()})
+    assert float(found) == pytest.approx(wanted, abs=1e-12)
+
+
+def test_every_form_was_worked_out():
+    """No form of the grammar is without a figure."""
+    assert {row[0] for row in WORKED} == set(FORMS)
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_a_link_scales_what_it_adds_as_its_stage_does(link):
+    """A factor goes with the signal, a rate with the exposure, a voltage with the gain, a shift with nothing."""
+    amplitude = 0.002 if LINKS[link].unit in ("1", "s") else 2.0
+    found = effect_of(Law(link), amplitude).mean(np.array([SIGNAL]), at())
+    assert found[0] == pytest.approx(ACTS[link])
+
+
+def test_a_spot_lies_where_it_was_put():
+    """Columns and rows count in shares of the longer side."""
+    spot = Law("charge_rate", (Term("spot", "image_x", {}, {"at_x": 0.5, "at_y": 0.25, "width": 0.1}),))
+    effect = effect_of(spot, 8.0)
+    assert effect.mean(np.array([0.0]), at(100.0, 50.0))[0] == pytest.approx(4.0)
+    assert effect.mean(np.array([0.0]), at(120.0, 50.0))[0] == pytest.approx(4.0 * math.exp(-0.5))
+
+
+def test_each_constant_carries_its_unit():
+    """A time constant of seconds, a middle in kelvin's degrees, a power without unit, an amplitude of its stage."""
+    law = Law("charge", (Term("power", "exposure_s", {"reference": 1.0}, {"power": 0.5}),
+                         Term("decay", "since_frame_s", {}, {"tau": 3.0})))  # fmt: skip
+    units = {entry.name: entry.unit for entry in type(effect_of(law, 1.0)).parameters()}
+    assert units == {"amplitude_e": "e-", "power_exposure": "1", "tau_rest_s": "s"}
+
+
+def test_the_first_frame_counts_by_its_share():
+    """Of four frames one waited long: the mean holds a quarter of what that does."""
+    law = Law("digital", (Term("decay", "since_frame_s", {}, {"tau": 1.0}),))
+    effect = effect_of(law, 4.0)
+    first, later = at(since_frame_s=math.inf), at(since_frame_s=1.0)
+    series = TileContext(
+        first.settings, first.geometry, first.camera, first_frame=first, later_frames=later, frames=4.0
+    )
+    lift = 4.0 * math.exp(-1.0)
+    assert effect.mean(np.array([10.0]), first)[0] == pytest.approx(10.0)
+    assert effect.mean(np.array([10.0]), later)[0] == pytest.approx(10.0 + lift)
+    assert effect.mean(np.array([10.0]), series)[0] == pytest.approx(10.0 + 0.75 * lift)
+    assert effect.drifts
+    assert float(effect.common_variance(np.array([10.0]), series)) == pytest.approx(lift**2 / 4.0)
+
+
+def laws():
+    """Yield a law of each stage and form that the grammar allows, and a product."""
+    for link in LINKS.values():
+        for name in link.covariates:
+            firsts = {}
+            for term in terms_of(name, KNOWN):
+                firsts.setdefault(term.form, term)
+            yield from (Law(link.key, (term,)) for term in firsts.values())
+    tilt = next(term for term in terms_of("image_x", KNOWN) if term.form == "ramp")
+    yield Law("scene", (tilt, next(term for term in terms_of("source_level", KNOWN) if term.form == "power")))
+
+
+def test_every_law_makes_a_readable_file():
+    """No line is longer than 120 signs, and the file defines the effect under its name."""
+    sentence = (
+        "Adds charge in proportion to exposure, falling off as a Gaussian from the lower left corner: like a glow."
+    )
+    for law in laws():
+        text = effect_source(law, 0.5, where="image_x", sentence=sentence)
+        assert max(map(len, text.splitlines())) <= 120, law.name
+        assert f'name = "{law.name}"' in text
+        assert effect_of(law, 0.5).name == law.name
+
+
+def test_the_written_test_passes_and_dies_with_the_law(tmp_path):
+    """The test beside an effect file holds for it, and fails once a term of the formula has another sign."""
+    law = Law("optics", (Term("sine", "image_x", {}, {"period": 0.3, "phase": 0.7}),))
+    keys = {"exposure_s": 0.5, "gain_db": 20.0, "temperature_c": 30.0, "timestamp_s": 2.0, "source_level": 0.75}
+    keys |= {"since_frame_s": 1.0, "width": 200, "height": 100}
+    after = float(effect_of(law, round_to(0.02)).mean(np.array([SIGNAL]), at(30.0, 4.0))[0])
+    text = source_of_test(law, 0.02, f"{law.name}.py", keys, [(30.0, 4.0, SIGNAL, after)])
+    good, bad = tmp_path / "good", tmp_path / "bad"
+    for folder, source in ((good, effect_source(law, 0.02, where="image_x")), (bad, wrong(law))):
+        folder.mkdir()
+        (folder / f"{law.name}.py").write_text(source)
+        (folder / f"test_{law.name}.py").write_text(text)
+    run(good / f"test_{law.name}.py")
+    registry.EFFECTS.pop(law.name)
+    with pytest.raises(AssertionError):
+        run(bad / f"test_{law.name}.py")
+
+
+def wrong(law):
+    """Return the effect file of a law with its phase turned about."""
+    return effect_source(law, 0.02, where="image_x").replace("+ self.phase_x", "- self.phase_x")
+
+
+def run(path):
+    """Run the tests of a file."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for row in module.VALUES:
+        module.test_the_law_gives_what_was_found(*row)
+        module.test_without_its_amplitude_it_does_nothing(*row)

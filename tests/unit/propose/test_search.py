@@ -1,0 +1,132 @@
+"""Laws are found in sessions of the outside generators: stage, covariates, size, and what is written of them."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+
+from benchmarks._outside import two
+from benchmarks._outside.two_hidden import HIDDEN
+from radiometer.data import CaptureSet
+from radiometer.other_data.sources import DoneCapture
+from radiometer.propose import propose_law
+from radiometer.propose.effect_file import effect_of
+from radiometer.reconcile.fit.state import first_state
+from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.reduce import reduce_frames
+from radiometer.reconcile.result import FoundEffect
+
+
+def state_of(folder: Path, seed, name, plan, given=(), **more):
+    """Return the starting camera fitted to a session that hides something."""
+    session = two.make(seed, HIDDEN.get(name), plan, **more)
+    captured = CaptureSet.read(session.write(folder))
+    design = Design.of(captured.header, captured.read_frame(0).shape)
+    return first_state(design, *reduce_frames(design, captured.read_frame), given), session
+
+
+@pytest.fixture(scope="module")
+def glow(tmp_path_factory):
+    """Return the law proposed for an amplifier's glow in darks, and the secret."""
+    state, session = state_of(tmp_path_factory.mktemp("glow") / "set", 11, "corner_glow", "darks")
+    return propose_law(state), session
+
+
+def test_a_glow_is_found_as_charge_that_grows_with_the_exposure(glow):
+    """Stage, place and width are those that were hidden, within four of their u; it closes all but nothing."""
+    proposal, session = glow
+    side, drawn = session.frames[0].shape[1], session.secret.drawn
+    assert (proposal.stage, proposal.stages_alike) == ("charge", ())
+    assert proposal.covariates == ("image_x", "image_y", "exposure_s")
+    width = proposal.parameters["width_x"]
+    assert abs(width.value - drawn["width_px"] / side) < 4.0 * width.u
+    assert proposal.parameters["at_x"].value == pytest.approx(drawn["x_px"] / side, abs=0.02)
+    assert proposal.closed > 0.95
+    assert proposal.law.size == 4
+
+
+def test_it_is_said_in_one_sentence(glow):
+    """What acts, how it scales, along what, and what kind of cause acts so."""
+    drawn, (height, width) = glow[1].secret.drawn, glow[1].frames[0].shape
+    row = "upper" if drawn["y_px"] < height / 2 else "lower"
+    column = "left" if drawn["x_px"] < width / 2 else "right"
+    assert glow[0].sentence() == (
+        f"adds charge in proportion to exposure, falling off as a Gaussian from the {row} {column} corner: like the "
+        "glow of an amplifier or heat beside the sensor"
+    )
+
+
+def test_the_law_holds_in_another_session(glow, tmp_path):
+    """The effect as it is written closes nine tenths of what another session lacks, nothing fitted."""
+    effect = effect_of(glow[0].law, glow[0].amplitude)
+    before, _ = state_of(tmp_path / "before", 11, "corner_glow", "darks", again=1)
+    after, _ = state_of(tmp_path / "after", 11, "corner_glow", "darks", (effect,), again=1)
+    assert after.gap - 1.0 < 0.1 * (before.gap - 1.0)
+
+
+def test_files_are_written_only_for_what_has_no_name(glow, tmp_path):
+    """An unnamed rest gives effect, test and plan; where all has a name, or frames come back in turns, none."""
+    start = glow[0].before
+    unnamed = SimpleNamespace(effects=(FoundEffect("unnamed", {}, "image_x", 2.0, 1.0),))
+    periodic = SimpleNamespace(effects=(FoundEffect("unnamed", {}, "frame", 2.0, 1.0),))
+    named = SimpleNamespace(effects=(FoundEffect("dark_current", {}, "exposure_s", 2.0, 1.0),))
+
+    def done(result):
+        return DoneCapture(SimpleNamespace(result=result, outcome=SimpleNamespace(start=start)), Path("first"), None)
+
+    assert done(named).propose(tmp_path / "none") is None
+    assert done(periodic).propose(tmp_path / "none") is None
+    assert not (tmp_path / "none").exists()
+    found = done(unnamed).propose(tmp_path / "laws")
+    assert found.name == "charge_rate_spot"
+    assert sorted(p.name for p in (tmp_path / "laws").iterdir()) == [
+        "charge_rate_spot.py",
+        "plan.yaml",
+        "test_charge_rate_spot.py",
+    ]
+    plan = yaml.safe_load((tmp_path / "laws" / "plan.yaml").read_text())
+    assert plan["format"] == "radiometer-plan/1"
+    assert len(plan["frames"]) == len(plan["reasons"]) > 0
+    assert all(frame["shutter"] == "closed" or frame["exposure_s"] > 0 for frame in plan["frames"])
+    assert "refuted" in plan["reasons"][0]
+
+
+def test_two_amplifiers_are_told_from_shading_by_their_noise(tmp_path):
+    """A step of the gain at a row scales charge and its noise: the stage is the readout, not the optics."""
+    state, session = state_of(tmp_path / "set", 2, "row_gain_step", "bracket")
+    proposal = propose_law(state)
+    assert (proposal.stage, proposal.stages_alike) == ("readout", ())
+    assert proposal.covariates == ("image_y",)
+    width = session.frames[0].shape[1]
+    assert proposal.parameters["at_y"].value * width == pytest.approx(
+        session.secret.drawn["row_px"], abs=5.0
+    )  # within a patch
+
+
+def test_what_a_rest_does_to_the_black_level_is_seen(tmp_path):
+    """The time since the last frame is a covariate, though no header says so."""
+    state, session = state_of(tmp_path / "set", 12, "idle_black", "darks")
+    proposal = propose_law(state)
+    assert proposal.stage == "digital"
+    assert proposal.covariates == ("since_frame_s",)
+    tau = proposal.parameters["tau_rest_s"]
+    assert abs(tau.value - session.secret.drawn["tau_s"]) < 4.0 * tau.u
+
+
+def test_nothing_is_proposed_where_nothing_is_hidden(tmp_path):
+    """Of two thousand laws one always fits best; beyond chance is none."""
+    state, _ = state_of(tmp_path / "set", 13, None, "bracket")
+    assert propose_law(state) is None
+
+
+def test_the_time_since_the_last_frame_is_told_of_first_and_other_frames(glow):
+    """The first frame of a capture waited since the last of the one before; of all frames the first is infinite."""
+    design = glow[0].before.design
+    first, later = design.since_frame_s
+    stamps = [entry.timestamp_s for entry in design.header.frames]
+    assert np.isinf(first[0])
+    one = design.captures[1].frames
+    assert first[1] == pytest.approx(stamps[one[0]] - stamps[one[0] - 1])
+    assert later[1] == pytest.approx((stamps[one[-1]] - stamps[one[0]]) / (len(one) - 1))
