@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from benchmarks._photograph_labels import Labels
 from benchmarks._photograph_sets import HIGHEST_DN, LOWEST_DN, Array, RealStack, real_stacks, stacks_folder
 from benchmarks._response_peers import peers
 from benchmarks._sections import write_section
@@ -24,7 +25,7 @@ from radiometer.data import Bracket, ResponseCurve
 
 OURS = "radiometer auto"
 # Frames are left out one by one up to this many, then evenly chosen ones.
-_LEFT_OUT = 4
+_LEFT_OUT = 3
 _PIXELS = 40_000
 Recover = Callable[[Bracket], Array]
 
@@ -53,10 +54,10 @@ def rms_of_truth(stack: RealStack, g: Array) -> tuple[float, Array]:
 
 
 def z_of_truth(stack: RealStack, curve: ResponseCurve) -> float:
-    """Return the rms difference from the raw values over the rms of the stated uncertainty."""
+    """Return the rms difference from the raw values over the rms of the uncertainties of both."""
     rms, _ = rms_of_truth(stack, curve.log_exposure)
     u = np.interp(stack.truth_dn, np.arange(curve.u_log_exposure.size), curve.u_log_exposure)
-    return rms / float(np.sqrt(np.mean(u[np.isfinite(u)] ** 2)))
+    return rms / float(np.sqrt(np.mean(u[np.isfinite(u)] ** 2) + stack.u_truth**2))
 
 
 def left_out_dn(stack: RealStack, recover: Recover) -> float:
@@ -142,6 +143,25 @@ def table(tallies: dict[str, Tally], what: str, cameras: list[str], scale: float
     return head + "\n" + "\n".join(rows)
 
 
+def told(tallies: dict[str, Tally], cameras: list[str], with_truth: list[str], labels: Labels) -> list[str]:
+    """Return the tables of what was measured, each with its sentence."""
+    return [
+        "One stack (four to eighteen frames of one channel) per fit; the same frames for every program.",
+        "**rms of ln H about the raw values of the same shots** (neutral patches of a chart, whose own unevenness and "
+        "rounding are some 2 to 4 %; for the linear Flea3 the straight line), digital numbers 13 to 242:",
+        table(tallies, "truth", with_truth, 100.0, "%") if with_truth else "No set with raw values was asked for.",
+        "**Left-out frames**: mean size of the error in DN with which a frame left out of the fit is predicted "
+        "(hat-weighted mean exposure of the other frames, the same for all programs):",
+        table(tallies, "left_out", cameras, 1.0, "DN"),
+        "**Are the stated uncertainties true?** rms difference over both uncertainties: from the raw values (theirs is "
+        "what a smooth curve leaves of the patches, and for the Flea3 what cutting 12 bits to 8 does), and between the "
+        "curves of odd and of even frames (six frames or more):",
+        table({OURS: tallies[OURS]}, "z", with_truth, 1.0, "z from raw") if with_truth else "",
+        table({OURS: tallies[OURS]}, "jackknife", cameras, 1.0, "z of odd against even frames"),
+        labels.told(),
+    ]
+
+
 def main() -> None:
     folder = stacks_folder()
     if folder is None:
@@ -151,25 +171,14 @@ def main() -> None:
     tallies: dict[str, Tally] = {}
     cameras: list[str] = []
     with_truth: list[str] = []
-    runs = list(programs())
+    runs, labels = list(programs()), Labels()
     for stack in real_stacks(folder, tuple(sys.argv[1:])):
         measure(stack, tallies, runs)
+        labels.look_at(stack)
         cameras += [stack.camera] if stack.camera not in cameras else []
         with_truth += [stack.camera] if stack.has_truth and stack.camera not in with_truth else []
         print(stack.camera, stack.name, f"{tallies[OURS].left_out[stack.camera][-1]:.2f} DN", flush=True)
-    parts = [
-        "One stack (four to eighteen frames of one channel) per fit; the same frames for every program.",
-        "**rms of ln H about the raw values of the same shots** (neutral patches of a chart, whose own unevenness and "
-        "rounding are some 2 to 4 %; for the linear Flea3 the straight line), digital numbers 13 to 242:",
-        table(tallies, "truth", with_truth, 100.0, "%") if with_truth else "No set with raw values was asked for.",
-        "**Left-out frames**: mean size of the error in DN with which a frame left out of the fit is predicted "
-        "(hat-weighted mean exposure of the other frames, the same for all programs):",
-        table(tallies, "left_out", cameras, 1.0, "DN"),
-        "**Are the stated uncertainties true?** rms difference over stated u: from the raw values, and between the "
-        "curves of odd and of even frames (six frames or more):",
-        table({OURS: tallies[OURS]}, "z", with_truth, 1.0, "z from raw") if with_truth else "",
-        table({OURS: tallies[OURS]}, "jackknife", cameras, 1.0, "z of odd against even frames"),
-    ]
+    parts = told(tallies, cameras, with_truth, labels)
     print("\n\n".join(parts))
     write_section(
         "photographs", "Real photographs", "OMP_NUM_THREADS=1 python -m benchmarks photographs", "\n\n".join(parts)

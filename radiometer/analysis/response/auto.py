@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ from radiometer.analysis.response.estimate import Agreement, ResponseEstimate, i
 from radiometer.analysis.response.fit import ResponseFit
 from radiometer.analysis.response.jackknife import jackknife_u
 from radiometer.analysis.response.noise_shift import ASSUMPTION
+from radiometer.analysis.response.predicting import MANY_AS_ONE, judge_by_prediction, without_frames
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, refit, settle
 from radiometer.analysis.response.threads import on_one_blas_thread
@@ -22,15 +23,10 @@ from radiometer.analysis.response.unseen import unseen_factor
 from radiometer.analysis.response.wrong_labels import WrongLabel, find_wrong_labels
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
-from radiometer.errors import MeasurementError
 
 Array = NDArray[np.float64]
 
 METHOD = "auto"
-# From so many neighbouring groups that count as one, what the curve cannot follow is more than noise.
-_MANY_AS_ONE = 3.0
-# Frames are left out one by one up to this many, then every so many together.
-_FRAME_FOLDS = 8
 # Times are freed only where the error of predicting left-out quadrants falls to this part.
 _LEAST_GAIN_OF_TIMES = 0.9
 
@@ -68,9 +64,11 @@ def solve_auto(samples: ResponseSamples) -> ResponseEstimate:
     """Recover the response from gathered samples; see `recover_response_auto`."""
     start = curve_debevec1997(samples).log_exposure
     wrong = find_wrong_labels(samples, start)
-    result = _with_times(samples, settle(samples, start, tuple(label.frame for label in wrong)))
+    settled = _with_times(samples, settle(samples, start, tuple(label.frame for label in wrong)))
+    judged = judge_by_prediction(samples, start, settled, wrong)
+    result = judged.best
     parts = _Parts.of(samples, result)
-    shared = _u_shared(samples, result)
+    shared = np.hypot(_u_shared(samples, result), judged.u_model)
     curve = _curve(samples, result, np.sqrt(parts.u_log_exposure(result) ** 2 + shared**2))
     fit, times = result.fit, samples.frame_log_time
     ratios, u_ratios = _exposure_ratios(fit, times, parts)
@@ -125,7 +123,7 @@ class _Parts:
         quadrants = (refit(part, result) for part in samples.without_quadrant)
         return cls(
             tuple(part for part in quadrants if part is not None),
-            tuple(part for part in _without_frames(samples, result) if part is not None),
+            tuple(part for _, part in without_frames(samples, result)),
         )
 
     def u_log_exposure(self, result: FittedResponse) -> Array:
@@ -142,21 +140,6 @@ class _Parts:
         return Agreement(
             *(spread_rms([part.relative[inner] for part in parts]) for parts in (self.quadrants, self.frames))
         )
-
-
-def _without_frames(samples: ResponseSamples, result: FittedResponse) -> Iterator[FittedResponse | None]:
-    """Yield the fit without every n-th frame, for each n-th; no freed frame is left out alone."""
-    count = samples.frame_log_time.size
-    folds = min(count, _FRAME_FOLDS)
-    for fold in range(folds if count > 2 else 0):
-        keep = samples.frame % folds != fold
-        if np.unique(samples.frame[keep]).size < 2:
-            continue
-        try:
-            part = samples.kept(keep)
-        except MeasurementError:
-            continue
-        yield refit(part, result)
 
 
 def _u_shared(samples: ResponseSamples, result: FittedResponse) -> Array:
@@ -212,6 +195,7 @@ def _notes(
     notes = [
         f"the exposure labelled {np.exp(samples.frame_log_time[label.frame]):.4g} s is "
         f"{label.ratio:.3f} ± {label.u_ratio:.3f} of that; it was taken as found, not as labelled"
+        + _rivals(label, samples)
         for label in wrong
     ]
     if fit.time_spread:
@@ -232,9 +216,14 @@ def _notes(
             "all exposures are whole stops apart: a wave of one stop's period in ln H cannot be seen in these data and "
             "is kept as small as the curve's smoothness allows; one frame a third of a stop off would show it"
         )
-    if result.choices.inflation > _MANY_AS_ONE:
+    if result.choices.inflation > MANY_AS_ONE:
         notes.append(_note_on_disagreement(result, parts))
     return tuple(notes)
+
+
+def _rivals(label: WrongLabel, samples: ResponseSamples) -> str:
+    others = ", ".join(f"{np.exp(samples.frame_log_time[frame]):.4g} s to {ratio:.3f}" for frame, ratio in label.rivals)
+    return f"; changing instead {others} predicts nearly as well, and u holds the difference" if others else ""
 
 
 def _note_on_disagreement(result: FittedResponse, parts: _Parts) -> str:

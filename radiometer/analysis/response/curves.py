@@ -65,7 +65,10 @@ def finished_curve(
 
 
 def rising(log_exposure: Array, u: Array, valid_dn: tuple[int, int]) -> Array:
-    """Return the nearest non-falling curve; outside the supported range it goes on with the slope at its edge.
+    """Return the nearest non-falling curve, continued outside the supported range without ever becoming steeper.
+
+    Towards black it goes on as a straight line, towards white as a power of the digital number: ln H over ln M is
+    straight, so that a linear camera stays linear.
 
     Args:
         log_exposure: g at every digital number.
@@ -81,7 +84,7 @@ def rising(log_exposure: Array, u: Array, valid_dn: tuple[int, int]) -> Array:
     curve[low : high + 1] = core
     span = max(4, (high - low) // 64)
     curve[:low] = core[0] + _slope(core[: span + 1]) * np.arange(-low, 0)
-    curve[high + 1 :] = core[-1] + _slope(core[-span - 1 :]) * np.arange(1, curve.size - high)
+    curve[high + 1 :] = core[-1] + _slope(core[-span - 1 :]) * high * np.log(np.arange(high + 1, curve.size) / high)
     return curve
 
 

@@ -12,10 +12,14 @@ from radiometer.errors import CaptureError
 _TOLERATED_DROP = 0.004
 _COMPARED_PIXELS = 60_000
 _LEAST_COMMON_PIXELS = 50
+# Pixels between these parts of full scale show any change of the exposure; this part of the picture must be such.
+_MIDDLE, _LEAST_MIDDLE_PART = (0.1, 0.9), 0.02
+# Labels that differ by less are within what shutters scatter.
+_LEAST_LABEL_RATIO = 1.25
 
 
 def refuse_lying_labels(bracket: Bracket) -> None:
-    """Refuse a bracket in which a longer exposure gave a darker picture.
+    """Refuse a bracket in which a longer exposure gave a darker picture, or the same.
 
     Args:
         bracket: Frames sorted by their stated exposure.
@@ -23,6 +27,7 @@ def refuse_lying_labels(bracket: Bracket) -> None:
     Raises:
         CaptureError: If brightness does not rise with the stated exposure; names the frames whose label is wrong.
     """
+    _refuse_equal_frames(bracket)
     rise = _pairwise_rise(bracket)
     honest = _longest_rise(rise)
     liars = [index for index in range(len(bracket)) if index not in honest]
@@ -39,6 +44,27 @@ def refuse_lying_labels(bracket: Bracket) -> None:
         f"{where}: brightness does not rise with the stated exposure: {named}; "
         "correct that exposure time or leave the frame out"
     )
+
+
+def _refuse_equal_frames(bracket: Bracket) -> None:
+    """Refuse neighbouring frames that are alike in their middle tones though their labels are not."""
+    full_scale = bracket.frames[0].full_scale_dn
+    times = bracket.effective_exposures_s
+    step = max(1, int(np.sqrt(np.prod(bracket.shape) / _COMPARED_PIXELS)))
+    pixels = [frame.dn[::step, ::step].ravel().astype(np.float32) / full_scale for frame in bracket]
+    alike = []
+    for i in np.flatnonzero(times[1:] >= _LEAST_LABEL_RATIO * times[:-1]):
+        middle = (pixels[i] > _MIDDLE[0]) & (pixels[i] < _MIDDLE[1])
+        enough = middle.sum() >= max(_LEAST_MIDDLE_PART * middle.size, _LEAST_COMMON_PIXELS)
+        if enough and abs(float(np.mean(pixels[i + 1][middle] - pixels[i][middle]))) < _TOLERATED_DROP:
+            alike.append(
+                f"{frame_name(bracket, i)} ({times[i]:.4g} s) and {frame_name(bracket, i + 1)} ({times[i + 1]:.4g} s)"
+            )
+    if alike:
+        raise CaptureError(
+            f"{bracket.origin or 'bracket'}: equally bright though their stated exposures differ: "
+            f"{'; '.join(alike[:3])}; correct the exposure times or leave one of each out"
+        )
 
 
 def frame_name(bracket: Bracket, index: int) -> str:

@@ -22,8 +22,10 @@ LEAST_GAIN: Final = 0.9
 _LEAST_GAIN_OF_FRAME: Final = 0.8
 # ln of real over stated exposure from which a label is wrong (a ninth of a stop); below, shutters scatter.
 SMALLEST_LABEL_ERROR: Final = 0.08
-# It must stand out of its own uncertainty by this factor.
-_SIGMA: Final = 3.0
+# It must stand out of its own uncertainty by this factor (95 %): what convinces is the prediction.
+_SIGMA: Final = 2.0
+# Frames that the best does not beat by that same margin, in left-out quadrants, are its rivals.
+_AS_WELL: Final = 1.0 / _LEAST_GAIN_OF_FRAME
 # λ of the search, smooth enough that a curve cannot follow a wrong label; the best are fitted with one of their own.
 _SEARCH_SMOOTHING: Final = 1e3
 _TRIED: Final = 3
@@ -42,12 +44,14 @@ class WrongLabel:
         ratio: Real over stated exposure.
         u_ratio: Its standard uncertainty, from leaving out quadrants and from the fit.
         gain: Prediction error of left-out quadrants with the exposure freed, over that before.
+        rivals: Other frames, with their ratios, whose freed exposure predicts nearly as well: it may be one of them.
     """
 
     frame: int
     ratio: float
     u_ratio: float
     gain: float
+    rivals: tuple[tuple[int, float], ...] = ()
 
 
 def find_wrong_labels(samples: ResponseSamples, start: Array) -> tuple[WrongLabel, ...]:
@@ -69,11 +73,13 @@ def find_wrong_labels(samples: ResponseSamples, start: Array) -> tuple[WrongLabe
     now = settle(thin, start)
     while len(found) < most:
         freed = tuple(label.frame for label in found)
-        options = [_freed(thin, start, (*freed, k), now) for k in _candidates(thin, start, freed)]
-        best = min((one for one in options if one is not None), key=lambda one: one[0].gain, default=None)
-        if best is None or not _convincing(thin, best[0], best[1], now):
+        tried = [_freed(thin, start, (*freed, k), now) for k in _candidates(thin, start, freed)]
+        options = sorted((one for one in tried if one is not None), key=lambda one: one[0].gain)
+        if not options or not _convincing(thin, *options[0], now):
             break
-        found.append(best[0])
+        best = options[0]
+        rivals = [label for label, _ in options[1:] if label.gain <= _AS_WELL * best[0].gain]
+        found.append(replace(best[0], rivals=tuple((label.frame, label.ratio) for label in rivals)))
         now = best[1]
     return _together(thin, start, found)
 

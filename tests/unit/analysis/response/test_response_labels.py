@@ -36,3 +36,26 @@ def test_reciprocal_times_are_recognised(make_stack):
     frames = [replace(f, settings=replace(f.settings, exposure_s=1 / f.settings.exposure_s)) for f in bracket]
     with pytest.raises(CaptureError, match="1/t instead of t"):
         refuse_lying_labels(Bracket.from_frames(frames))
+
+
+def test_equal_frames_with_different_labels_are_refused_by_name(make_stack):
+    """Four copies of one frame said to be 0.5 to 4 s long are refused with the names of those alike."""
+    frame = make_stack("gamma", bit_depth=8).frames[4]
+    frames = [
+        replace(frame, settings=replace(frame.settings, exposure_s=0.5 * 2.0**k), extra={"file": f"{k}.jpg"})
+        for k in range(4)
+    ]
+    with pytest.raises(CaptureError, match=r"0\.jpg \(0\.5 s\) and 1\.jpg \(1 s\).*2\.jpg \(2 s\) and 3\.jpg \(4 s\)"):
+        refuse_lying_labels(Bracket.from_frames(frames))
+
+
+def test_equal_black_frames_are_no_lie(make_stack):
+    """Two frames without light are alike whatever their labels say."""
+    bracket = make_stack("gamma", bit_depth=8)
+    dark = [
+        replace(
+            bracket.frames[0], dn=bracket.frames[0].dn * 0, settings=replace(bracket.frames[0].settings, exposure_s=s)
+        )
+        for s in (1e-6, 2e-6)
+    ]
+    refuse_lying_labels(Bracket.from_frames([*dark, *bracket.frames]))

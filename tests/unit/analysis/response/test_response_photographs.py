@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from radiometer.analysis.response.auto import solve_auto
+from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import ResponseEstimate
+from radiometer.analysis.response.predicting import Judged, judge_by_prediction
 from radiometer.analysis.response.samples import gather_samples
+from radiometer.analysis.response.settle import Choices, fit_with
+from radiometer.analysis.response.wrong_labels import WrongLabel, find_wrong_labels
 from radiometer.data import Bracket, Frame, FrameSettings
 
 Array = NDArray[np.float64]
@@ -74,3 +79,61 @@ def test_a_still_stack_keeps_all_its_pixels() -> None:
     moved = gather_samples(photographs(TIMES, (0, 1, -1, 2, 0, -2, 1)))
     assert moved.edge_scatter > 1.5
     assert moved.pixel_count < 0.6 * still.pixel_count
+
+
+def test_a_linear_camera_stays_linear_beyond_its_brightest_value() -> None:
+    """Where no pixel is brighter than a third of full scale, ln H goes on as ln M does."""
+    rng = np.random.default_rng(5)
+    light = np.exp(scene() - 1.5)
+    frames = []
+    for seconds in TIMES:
+        values = 12.0 * light * seconds + 0.4 * rng.standard_normal(light.shape)
+        frames.append(Frame(np.round(np.maximum(values, 0.0)).astype(np.uint8), 8, FrameSettings(seconds)))
+    estimate = solve_auto(gather_samples(Bracket.from_frames(frames)))
+    assert (estimate.curve.valid_dn or (0, 255))[1] < 90
+    g = estimate.curve.log_exposure
+    assert g[242] - g[40] == pytest.approx(np.log(242 / 40), abs=0.25)
+
+
+def relabelled(bracket: Bracket, index: int, factor: float) -> Bracket:
+    frames = list(bracket)
+    settings = replace(frames[index].settings, exposure_s=factor * frames[index].settings.exposure_s)
+    frames[index] = replace(frames[index], settings=settings)
+    return Bracket.from_frames(frames)
+
+
+@pytest.mark.parametrize(("index", "stops"), [(1, 1 / 3), (4, -1 / 3)])
+def test_a_label_wrong_by_a_third_of_a_stop_is_found_in_moved_photographs(index: int, stops: float) -> None:
+    """The frame is named with its real exposure within 2 u, and no other; with right labels none is."""
+    bracket = photographs(TIMES, (0, 1, -1, 2, 0, -2, 1))
+    found = _wrong(relabelled(bracket, index, 2.0**stops))
+    assert [one.frame for one in found] == [index]
+    assert found[0].ratio == pytest.approx(2.0**-stops, abs=2.0 * found[0].u_ratio)
+    assert _wrong(bracket) == ()
+
+
+def _wrong(bracket: Bracket) -> tuple[WrongLabel, ...]:
+    samples = gather_samples(bracket)
+    return find_wrong_labels(samples, curve_debevec1997(samples).log_exposure)
+
+
+def test_what_predicts_as_well_is_in_the_uncertainty(moved: ResponseEstimate) -> None:
+    """A rival fit widens u by its rms distance from the best; without rivals nothing is added."""
+    samples = gather_samples(photographs(TIMES, (0,) * 7))
+    start = curve_debevec1997(samples).log_exposure
+    best = fit_with(samples, start, Choices(smoothing=1e3))
+    rival = fit_with(samples, start, Choices(smoothing=1e9))
+    assert np.all(Judged(best).u_model == 0.0)
+    apart = np.abs(rival.relative - best.relative)
+    assert Judged(best, (rival,)).u_model == pytest.approx(apart)
+    assert Judged(best, (rival, best)).u_model == pytest.approx(apart / np.sqrt(2.0))
+
+
+def test_smoothness_that_hides_the_curve_is_not_taken() -> None:
+    """From a λ so large that the shoulder is lost, prediction of what was left out goes to a smaller one."""
+    samples = gather_samples(photographs(TIMES, (0,) * 7))
+    start = curve_debevec1997(samples).log_exposure
+    stiff = fit_with(samples, start, Choices(smoothing=1e8, inflation=50.0))
+    judged = judge_by_prediction(samples, start, stiff)
+    assert judged.best.choices.smoothing == pytest.approx(1e6)
+    assert stiff not in judged.rivals
