@@ -53,7 +53,7 @@ def _refuse_equal_frames(bracket: Bracket) -> None:
     step = max(1, int(np.sqrt(np.prod(bracket.shape) / _COMPARED_PIXELS)))
     pixels = [frame.dn[::step, ::step].ravel().astype(np.float32) / full_scale for frame in bracket]
     alike = []
-    for i in np.flatnonzero(times[1:] >= _LEAST_LABEL_RATIO * times[:-1]):
+    for i in np.flatnonzero(times[1:] >= _LEAST_LABEL_RATIO * times[:-1]).tolist():
         middle = (pixels[i] > _MIDDLE[0]) & (pixels[i] < _MIDDLE[1])
         enough = middle.sum() >= max(_LEAST_MIDDLE_PART * middle.size, _LEAST_COMMON_PIXELS)
         if enough and abs(float(np.mean(pixels[i + 1][middle] - pixels[i][middle]))) < _TOLERATED_DROP:
