@@ -40,7 +40,7 @@ EXPOSURES_S = 20e-6 * 2.0 ** np.arange(FRAMES)
 CALIBRATION = Calibration(
     camera=CAMERA,
     lens=LENS,
-    scale=Scale(value=1.0, u_rel=0.0, method="known_radiance"),
+    scale=Scale(value=1.0, u_rel=0.0, method="known_radiance", f_number=4.0),
     response=None,
     noise=SensorNoise.of(CAMERA),
     black_level=BlackLevel(dn=BLACK_DN, u_dn=0.0, dark_u_rel=0.0),

@@ -370,7 +370,7 @@ def _show(report: dict[str, Any]) -> None:
     total = report["width"] * report["height"]
     for name, count in report["pixels"].items():
         if count:
-            out.print(f"{name.replace('_', ' '):<13}{count} pixels ({100 * count / total:.2g} %)")
+            out.print(f"{name.replace('_', ' '):<13}{count} pixels ({100 * count / total:.3g} %)")
     if report["alignment"]:
         out.print(f"frames     {report['alignment']}")
     if report["falloff"]:

@@ -120,7 +120,7 @@ class Alignment:
         lost = [name for name, one in zip(names, self.movements, strict=True) if not one.known]
         doubt = f"; not to be told of {', '.join(lost)}, too little in common" if lost else ""
         if not (self.needed or moved):
-            return f"aligned already: corners moved by {self.largest_px:.2f} pixels at most{doubt}"
+            return f"aligned already: moving no frame by {LEAST_MOVE_PX:g} pixels or more mends anything{doubt}"
         turned = max(abs(one.rotation_deg) for one in self.movements)
         most = max(range(len(names)), key=lambda k: self.movements[k].largest_px(self.shape))
         return (
