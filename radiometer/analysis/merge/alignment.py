@@ -226,10 +226,10 @@ def _corners(shape: tuple[int, int]) -> Array:
 
 def _pair_movement(here: Image, there: Image, full_scale_dn: int) -> Array | None:
     """Return the movement that takes pixels of the one picture to the other; None where it cannot be told."""
-    still, other = _alike(here, there, full_scale_dn)
+    inside = _inside(here) & _inside(there)
+    still, other = _alike(here, there, inside, full_scale_dn)
     if still is None or other is None:
         return None
-    inside = _inside(here) & _inside(there)
     levels = max(0, math.floor(math.log2(min(still.shape) / _COARSEST_PX)))
     pyramid = [(still, other, inside)]
     for _ in range(levels):
@@ -324,15 +324,19 @@ def _derivatives(picture: Image) -> Array:
     return np.stack([right, down, turned / (0.5 * math.hypot(height, width))])
 
 
-def _alike(here: Image, there: Image, full_scale_dn: int) -> tuple[Image | None, Image | None]:
+def _alike(
+    here: Image, there: Image, inside: NDArray[np.uint8], full_scale_dn: int
+) -> tuple[Image | None, Image | None]:
     """Return both pictures in the values of the darker one, cut off where the brighter one clips."""
+    if not inside.any():
+        return None, None
     swapped = float(here.mean()) > float(there.mean())
     dark, bright = (there, here) if swapped else (here, there)
     top = 0.97 * full_scale_dn
-    share = float((bright < top).mean())
-    levels = np.quantile(dark, np.linspace(0.0, 1.0, 1025))
-    ends = np.quantile(bright, np.linspace(0.0, 1.0, 1025))
-    end = float(np.quantile(dark, share))
+    seen = [one[inside > 0] for one in (dark, bright)]
+    share = float((seen[1] < top).mean())
+    levels, ends = (np.quantile(one, np.linspace(0.0, 1.0, 1025)) for one in seen)
+    end = float(np.quantile(seen[0], share))
     if share < _LEAST_SHARE or end - levels[0] < 3.0 / 255.0 * full_scale_dn:
         return None, None
     ends, first = np.unique(ends, return_index=True)

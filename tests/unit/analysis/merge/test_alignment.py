@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from radiometer.analysis.merge.alignment import Alignment, Movement, aligned, find_alignment
+from radiometer.analysis.merge.alignment import Alignment, Movement, _after, aligned, find_alignment
 from radiometer.data import Bracket, Frame, FrameSettings
 
 HEIGHT, WIDTH = 220, 300
@@ -109,10 +109,10 @@ def test_one_lamp_says_nothing_of_the_corners(waves):
     """A photograph that shows one lamp and else nothing stays where it is, and that is said."""
     rng = np.random.default_rng(1)
     y, x = np.mgrid[:HEIGHT, :WIDTH]
-    lamp = 40.0 * np.exp(-((x - 60.0) ** 2 + (y - 50.0) ** 2) / 30.0)
+    lamp = 120.0 * np.exp(-((x - 60.0) ** 2 + (y - 50.0) ** 2) / 60.0)
     dark = Frame(np.rint(12.0 + lamp + rng.normal(0.0, 1.0, lamp.shape)).astype(np.uint8), 8, FrameSettings(0.1))
     brighter = Frame(
-        np.rint(12.0 + 3.0 * np.roll(lamp, 3, axis=1) + rng.normal(0.0, 1.0, lamp.shape)).astype(np.uint8),
+        np.rint(12.0 + 1.7 * np.roll(lamp, 3, axis=1) + rng.normal(0.0, 1.0, lamp.shape)).astype(np.uint8),
         8,
         FrameSettings(0.3),
     )
@@ -123,14 +123,25 @@ def test_one_lamp_says_nothing_of_the_corners(waves):
 
 
 def test_a_black_rim_is_no_scene(waves):
-    """Rims that another program left where it moved the photographs do not pull them back."""
-    places = [_place(np.array([dx, 0.0]), 0.0) for dx in (0.0, 1.5, 0.0)]
-    frames = [_photograph(waves, *one) for one in zip(places, (4.0, 8.0, 16.0), strict=True)]
-    rimmed = []
-    for frame, width in zip(frames, (3, 12, 6), strict=True):
-        dn = frame.dn.copy()
+    """Rims that another program left where it moved foggy, dim scans do not pull them back."""
+    rng = np.random.default_rng(2)
+    frames = []
+    for shift, seconds, width in ((0.0, 1.0, 3), (1.5, 2.0, 14), (0.0, 4.0, 6)):
+        seen = _photograph(waves, _place(np.array([shift, 0.0]), 0.0), seconds, rng)
+        dn = np.rint(40.0 + 0.2 * seen.dn).astype(np.uint8)
         dn[:, :width] = dn[:, -width:] = 0
-        rimmed.append(Frame(dn, 8, frame.settings))
-    found = find_alignment(Bracket.from_frames(rimmed))
-    away = [one.to_frame[0, 2] for one in found.movements]
-    assert np.diff(away) == pytest.approx([1.5, -1.5], abs=0.1)
+        frames.append(Frame(dn, 8, seen.settings))
+    found = find_alignment(Bracket.from_frames(frames))
+    middle = np.array([WIDTH / 2, HEIGHT / 2, 1.0])
+    away = [one.to_frame[0] @ middle - middle[0] for one in found.movements]
+    assert np.diff(away) == pytest.approx([1.5, -1.5], abs=0.15)
+
+
+def test_one_movement_after_another(waves):
+    """A pixel goes through both, the second taken where the first has put it."""
+    first, second = _place(np.array([20.0, -7.0]), 3.0), _place(np.array([-4.0, 11.0]), -8.0)
+    point = np.array([31.0, 87.0])
+    there = first[:, :2] @ point + first[:, 2]
+    there = second[:, :2] @ there + second[:, 2]
+    both = _after(second, first)
+    assert both[:, :2] @ point + both[:, 2] == pytest.approx(there)
