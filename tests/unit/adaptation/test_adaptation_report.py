@@ -50,6 +50,7 @@ def test_the_break_is_said_with_its_interval(broken):
     assert abs(slope + TRUE_S2) < 1.5 * half_slope
 
 
+@pytest.mark.slow
 def test_what_is_not_claimed_says_so():
     """One branch: no break in the sentence's words, and the time from which on one would have been seen."""
     found = _fit(rods=False)
@@ -61,6 +62,7 @@ def test_what_is_not_claimed_says_so():
     assert "grey is the best curve with a break" in page
 
 
+@pytest.mark.slow
 def test_the_rod_intercept_stands_only_where_its_protocol_has_it(broken):
     """Without the protocol's rule no word of it; with it its time with ± and its limit."""
     assert "intercept" not in report_html(broken, "eye").casefold()
@@ -73,6 +75,7 @@ def test_the_rod_intercept_stands_only_where_its_protocol_has_it(broken):
     assert "not reached within 25.0 min" in missed
 
 
+@pytest.mark.slow
 def test_flags_and_assumptions_stand_before_the_tables(broken):
     """What was taken of the file's form, and that the stimulus has no uncertainty."""
     page = report_html(broken, "eye")
@@ -81,6 +84,7 @@ def test_flags_and_assumptions_stand_before_the_tables(broken):
     assert "No uncertainty of the stimulus" not in report_html(_fit(stimulus_u_log10=0.05), "eye")
 
 
+@pytest.mark.slow
 def test_no_name_of_a_subject_is_markup():
     """A hostile file name and a hostile subject are shown as they are written."""
     page = report_html(_fit(facts={"subject": HOSTILE}), HOSTILE)

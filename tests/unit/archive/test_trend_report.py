@@ -61,6 +61,7 @@ def test_of_several_the_clearest_comes_first():
     assert "Not all patches change alike (slow, still apart from fast)" in page
 
 
+@pytest.mark.slow
 def test_patches_that_change_alike_point_at_what_they_share():
     """Two patches of one drift: the instrument is named before the sources."""
     one = _history("a", -0.01, seed=6)

@@ -135,6 +135,7 @@ def test_the_real_ccd_night(shared_data):
     assert "expos1-" in imported_of(capture).doubts[0]
 
 
+@pytest.mark.slow
 def test_real_multispectral_frames(shared_data):
     """RedEdge: 12 bits in 16, masked rows 4899 to 5562 off the tag of 4800, corners between 0.54 and 0.86."""
     folder = shared_data / "sensors" / "micasense_raw"

@@ -127,6 +127,7 @@ def test_light_that_fell_on_one_photograph_is_no_wrong_label() -> None:
     assert done.result.verdict is Verdict.AGREES
 
 
+@pytest.mark.slow
 def test_one_of_four_labels_may_lie() -> None:
     """Of four photographs the last was exposed 1.6 times as long, not twice: only its label is called wrong."""
     real = [EXACT[6], EXACT[5], EXACT[4], EXACT[4] * 1.6]

@@ -104,6 +104,7 @@ class _Impossible(Scaling):
             return np.sqrt(-abs(self.size) * np.ones_like(context.settings.exposure_s))
 
 
+@pytest.mark.slow
 def test_effect_that_cannot_be_is_refused_by_name(make_capture: Callable[..., Any]) -> None:
     """Where an effect leads to what no camera does, the search is told which it was, and goes on without it."""
     state = _state(make_capture(6))

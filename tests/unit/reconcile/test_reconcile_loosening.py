@@ -45,6 +45,7 @@ def test_droop_beyond_some_drive_takes_one_term_more(
         assert departing(localise(form.state), form.state.effects) == []
 
 
+@pytest.mark.slow
 def test_leaks_that_double_slowly_bring_their_own_doubling(make_capture: Callable[..., Any]) -> None:
     """A pattern of leaks that doubles every 10 K instead of 7 is found to do so within three of its uncertainties."""
     each = np.random.default_rng(5).gamma(4.0, 0.25, (64, 96)) - 1.0  # none leaks less than nothing

@@ -119,6 +119,7 @@ def test_table_that_was_found_has_a_limit(make_capture: Callable[..., Any]) -> N
     assert 0.1 * law < found.amplitude < 10 * law
 
 
+@pytest.mark.slow
 def test_darks_stand_for_a_black_level_that_is_not_stated(make_capture: Callable[..., Any]) -> None:
     """Of well lit frames the light that wanders is told as well from darks as from a stated black level."""
     captured = make_capture(4)

@@ -71,6 +71,7 @@ def test_setting_repeats_whatever_the_rounding_of_its_temperature() -> None:
     assert ids.tolist() == [0, 1, 0, 1, 0, 1, 2, 3]
 
 
+@pytest.mark.slow
 def test_one_cause_is_one_place(make_capture: Callable[..., Any]) -> None:
     """A black level 0.5 DN too high differs along a dozen covariates; the list names it once, and no echo."""
     state = _state(make_capture(seed=3, extra_dn=lambda setting: 0.5))
@@ -82,6 +83,7 @@ def test_one_cause_is_one_place(make_capture: Callable[..., Any]) -> None:
     assert [test.log_p < limit for test in listed] == [True, False, False, False]
 
 
+@pytest.mark.slow
 def test_stronger_half_is_a_step_in_the_picture(make_capture: Callable[..., Any]) -> None:
     """A right half that is 2 % stronger is placed along the width of the picture, as a step of halves."""
     state = _state(

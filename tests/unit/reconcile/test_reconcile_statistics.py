@@ -277,6 +277,7 @@ def test_frames_of_another_size_are_refused(make_capture: Callable[..., Any]) ->
         reduce_frames(design, frame_reader([captured.frames[0], smaller]))
 
 
+@pytest.mark.slow
 def test_residuals_of_an_ideal_camera_are_white(make_capture: Callable[..., Any]) -> None:
     """Every block's χ² per entry is 1 within five of its own standard deviations √(2/n), the fitted ones allowed."""
     state = _state(make_capture(seed=5))
@@ -288,6 +289,7 @@ def test_residuals_of_an_ideal_camera_are_white(make_capture: Callable[..., Any]
         assert reduced == pytest.approx(1.0, abs=5 * np.sqrt(2 / count) + state.layout.size / 1400), name
 
 
+@pytest.mark.slow
 def test_repeatability_is_found(make_capture: Callable[..., Any]) -> None:
     """τ comes out at the 0.1 % that the lamp has, within the 99 % interval of 50 captures."""
     assert _state(make_capture(seed=6)).tau == pytest.approx(1e-3, rel=0.3)
@@ -300,6 +302,7 @@ def test_null_tests_are_calibrated(make_capture: Callable[..., Any]) -> None:
     assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 200))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "block", "where"),
     [
@@ -345,6 +348,7 @@ def test_masked_pixels_leave_row_and_column_ratios_at_one(make_capture: Callable
     assert np.mean(ratios) == pytest.approx(1.0, abs=4.0 * sigma)
 
 
+@pytest.mark.slow
 def test_row_pattern_is_known_no_better_than_so_few_rows_allow(make_capture: Callable[..., Any]) -> None:
     """64 rows tell a standard deviation to 1/√128 at best: the reported one is no smaller, the truth within 3 of it."""
     sigma_e = 0.6
@@ -357,6 +361,7 @@ def test_row_pattern_is_known_no_better_than_so_few_rows_allow(make_capture: Cal
     assert entry.value == pytest.approx(sigma_e, abs=3.0 * entry.u)
 
 
+@pytest.mark.slow
 def test_parameter_on_its_bound_hides_nothing(make_capture: Callable[..., Any]) -> None:
     """A drift with temperature cannot stand for a constant offset, however far its reference: the tests say so."""
     state = _state(make_capture(extra_dn=lambda setting: 4.0))
@@ -365,6 +370,7 @@ def test_parameter_on_its_bound_hides_nothing(make_capture: Callable[..., Any]) 
     assert ("mean", "temperature_C") in {(test.block, test.where) for test in significant(localise(found))}
 
 
+@pytest.mark.slow
 def test_source_of_unknown_reproducibility_may_wander(make_capture: Callable[..., Any]) -> None:
     """Light that differs by 0.3 % from frame to frame at all exposures: taken up where nothing is stated, else seen."""
     rng = np.random.default_rng(21)
@@ -380,6 +386,7 @@ def test_source_of_unknown_reproducibility_may_wander(make_capture: Callable[...
     assert np.sqrt(unstated.comparison.wander2) == pytest.approx(0.003, rel=4.0 / np.sqrt(2.0 * freedom))
 
 
+@pytest.mark.slow
 def test_blur_that_moves_nothing_stands_still(make_capture: Callable[..., Any]) -> None:
     """A blur of a tenth of a pixel reaches no neighbour: the fit leaves it where it is and still finds the offset."""
     state = _state(make_capture(extra_dn=lambda setting: 0.9))
@@ -390,6 +397,7 @@ def test_blur_that_moves_nothing_stands_still(make_capture: Callable[..., Any]) 
     assert found.effects[0] == PsfBlur(0.1)
 
 
+@pytest.mark.slow
 def test_no_number_of_captures_shows_a_blur_that_borders_feign(make_capture: Callable[..., Any]) -> None:
     """What makes borders unsharp by 0.05 % is the same in all pictures: five times that is the least that shows."""
     limit = limits(_state(make_capture()), {"psf_blur": PsfBlur})["psf_blur"].amplitude

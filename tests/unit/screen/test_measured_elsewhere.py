@@ -156,6 +156,7 @@ def coverage(readings: ScreenReadings, step: int, below: float) -> list[bool]:
     return held
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("panel", ["L200ME_(8g)", "DELL_3007WFP_(16g)", "HP_LP2065_(2g)", "EA234WMi_(4g+)"])
 @pytest.mark.parametrize("step", [4, 8, 16])
 def test_left_out_levels_near_black_are_met_within_their_uncertainty(panel: str, step: int, shared_data: Path) -> None:

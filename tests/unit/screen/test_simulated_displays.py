@@ -87,6 +87,7 @@ def test_plain_gamma_errs_where_black_shines(calibrated: tuple[str, ScreenCalibr
     assert error < 0.01 if name == "oled" else error > 0.1
 
 
+@pytest.mark.slow
 def test_primaries_add_up_to_white() -> None:
     """With all channels measured the sum of the primaries is white within 0.5 %."""
     options = Options("lcd", parse_levels("quick"), ("grey", "red", "green", "blue"))

@@ -55,6 +55,7 @@ def test_linearity_follows_the_bend(tmp_path):
     assert figure.value == max(abs(one.value) for one in figure.details)
 
 
+@pytest.mark.slow
 def test_short_exposures_carry_the_offset_of_the_clock(tmp_path):
     """What real times may differ by from the stated ones is no non-linearity: it widens u as 1/t."""
     stations.bent(tmp_path, 4)

@@ -8,10 +8,9 @@ import pytest
 from radiometer.analysis.response.auto import recover_response_auto
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("response", ["gamma", "linear", "sigmoid"])
-@pytest.mark.parametrize(
-    ("bit_depth", "limit"), [(8, 0.0022), (12, 0.002), pytest.param(16, 0.002, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("bit_depth", "limit"), [(8, 0.0022), (12, 0.002), (16, 0.002)])
 def test_response_comes_back(make_stack, inner_error, response, bit_depth, limit):
     """The scatter of ln H over 5–95 % stays under half of 0.0044, the best peer's at 8 bits."""
     curve = recover_response_auto(make_stack(response, bit_depth=bit_depth)).curve
@@ -81,6 +80,7 @@ def test_wrong_time_is_found_and_taken_out(make_stack, inner_error):
     assert np.std(inner_error(estimate.curve, "gamma")) < 0.01
 
 
+@pytest.mark.slow
 def test_black_level_is_respected(make_stack):
     """With a black level of 64 DN nothing at or below it counts as supported."""
     from dataclasses import replace
