@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.signal.spectra import spectrum
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription
 from radiometer.devices import AcquisitionCounts, CameraCapabilities, CameraIdentity, CameraSettings
 
@@ -31,6 +32,7 @@ class World:
         patch: (x, y, width, height) of it.
         responsivity: Relative responsivity of the camera.
         temperature_c: Of the sensor.
+        thermometer: Whether the camera tells that temperature.
         temperature_slope: Relative change of the responsivity per K from 40 °C.
         exposure_offset_s: Real exposure times beyond the stated ones.
         gain_error: Relative error of any gain but 0 dB.
@@ -38,11 +40,14 @@ class World:
         dark_factor: Real dark current over the data sheet's.
         glare: Part of the picture's mean that the lens spreads evenly.
         falloff: Power of cos α of the fall-off; 0 for none.
+        falloff_mm: Focal length that the fall-off follows.
         bend: Relative loss of signal at full scale.
         prnu: Relative spread of the pixels' responsivity.
         transmittance: Of lens and filter.
         stop_error: Relative error of the f-number.
         magnification: Of the focus.
+        light: Name of the light's spectrum.
+        response: Relative response of the camera per watt at `GRID_NM`; None for a camera that sees all light alike.
         ripple: (modulation, frequency in Hz, "sine" or "pwm").
     """
 
@@ -51,6 +56,7 @@ class World:
     patch: tuple[int, int, int, int] = (38, 22, 20, 20)
     responsivity: float = 1.0
     temperature_c: float = 40.0
+    thermometer: bool = True
     temperature_slope: float = 0.0
     exposure_offset_s: float = 0.0
     gain_error: float = 0.0
@@ -58,12 +64,32 @@ class World:
     dark_factor: float = 1.0
     glare: float = 0.0
     falloff: float = 4.0
+    falloff_mm: float = 16.0
     bend: float = 0.0
     prnu: float = 0.003
     transmittance: float = 0.9
     stop_error: float = 0.0
     magnification: float = 0.0
+    light: str = "white_led"
+    response: NDArray[np.float64] | None = None
     ripple: tuple[float, float, str] | None = None
+
+    @property
+    def seen(self) -> float:
+        """Return the camera's response to the light over that to a white LED, per W·sr⁻¹·m⁻² from 380 to 780 nm."""
+        if self.response is None:
+            return 1.0
+        of_light, of_white = (_mean_response(name, self.response) for name in (self.light, "white_led"))
+        return of_light / of_white
+
+
+GRID_NM = np.arange(380.0, 781.0)
+
+
+def _mean_response(name: str, response: NDArray[np.float64]) -> float:
+    known = spectrum(name)
+    power = np.interp(GRID_NM, known.wavelength_nm, known.power, left=0.0, right=0.0)
+    return float(power @ response / power.sum())
 
 
 @dataclass
@@ -105,12 +131,12 @@ class WorldCamera:
         scene[y : y + down, x : x + across] = w.radiance
         rows, columns = np.mgrid[:height, :width]
         r2_mm2 = ((columns - (width - 1) / 2) ** 2 + (rows - (height - 1) / 2) ** 2) * (SPACING_UM * 1e-3) ** 2
-        scene = scene * (1.0 + r2_mm2 / 16.0**2) ** (-w.falloff / 2.0)
+        scene = scene * (1.0 + r2_mm2 / w.falloff_mm**2) ** (-w.falloff / 2.0)
         scene = (1.0 - w.glare) * scene + w.glare * scene.mean()
         stop = (self.lens.f_number or 4.0) * (1.0 + w.stop_error)
         lens = math.pi * w.transmittance / (4.0 * stop**2 * (1.0 + w.magnification) ** 2)
         warm = 1.0 + w.temperature_slope * (w.temperature_c - 40.0)
-        per_s = lens * PITCH_M**2 / PHOTON_J * QUANTUM_EFFICIENCY * w.responsivity * warm
+        per_s = lens * PITCH_M**2 / PHOTON_J * QUANTUM_EFFICIENCY * w.responsivity * warm * w.seen
         return scene * per_s * (1.0 + w.prnu * self.pattern)
 
     def open(self) -> None: ...
@@ -142,9 +168,8 @@ class WorldCamera:
         gain = 10.0 ** (set_to.gain_db / 20.0) * (1.0 + w.gain_error * (set_to.gain_db > 0.0))
         dn = electrons * gain / GAIN_E_PER_DN + BLACK_DN + w.black_offset_dn
         self.clock_s += set_to.exposure_s + _READOUT_S * (1.0 + 0.2 * self.rng.random())
-        stated = FrameSettings(
-            set_to.exposure_s, set_to.gain_db, self.lens.f_number, BLACK_DN, w.temperature_c, self.clock_s
-        )
+        told_c = w.temperature_c if w.thermometer else None
+        stated = FrameSettings(set_to.exposure_s, set_to.gain_db, self.lens.f_number, BLACK_DN, told_c, self.clock_s)
         return Frame(np.clip(np.rint(dn), 0, FULL_SCALE).astype(np.uint16), 12, stated)
 
     def _ripple(self, exposure_s: float) -> float:

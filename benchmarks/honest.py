@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._honest_world import DESCRIPTION, SIZE, World, WorldCamera
+from benchmarks._honest_world import DESCRIPTION, FULL_SCALE, GAIN_E_PER_DN, GRID_NM, SIZE, World, WorldCamera
 from benchmarks._sections import write_section
 from radiometer.analysis.calibration.calibrate import (
     KnownSource,
@@ -25,9 +25,20 @@ from radiometer.analysis.calibration.calibrate import (
     unscaled_calibration,
 )
 from radiometer.bench.instrument import Instrument
-from radiometer.data import Bracket, Calibration, FoundEffects, LensDescription, Patch, Reading, SourceDescription
+from radiometer.data import (
+    Bracket,
+    Calibration,
+    FlatField,
+    FoundEffects,
+    LensDescription,
+    Patch,
+    Reading,
+    SourceDescription,
+    SpectralResponse,
+)
+from radiometer.devices import CameraPreset
 
-SEEDS = 100
+SEEDS, FIRST_SEED = 100, 5000
 SOURCE_U_REL = 0.004
 LENS = LensDescription(focal_length_mm=16.0, f_number=4.0, transmittance=0.9, transmittance_u_rel=0.01)
 CORNER = (84, 54, 10, 8)
@@ -48,7 +59,10 @@ class Condition:
         source: What is known of the light.
         frames: Use so many frames only; None for what the program takes.
         fixed: What is true at calibration and reading alike.
+        spectrum: What the bench states of the light's spectrum; None where nobody does.
+        response: What is known of the camera's spectral response.
         found: What reconcile found of the camera, and its uncertainties in place of the defaults.
+        flat: What it found of the fall-off.
     """
 
     name: str
@@ -60,7 +74,10 @@ class Condition:
     source: SourceDescription | None = None
     frames: int | None = None
     fixed: Draw = lambda rng: {}
-    found: tuple[dict[str, float], dict[str, float]] = ({}, {})
+    spectrum: str | None = "white_led"
+    response: SpectralResponse | None = None
+    found: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
+    flat: FlatField | None = None
 
 
 def stated(**changes: Any) -> LensDescription:
@@ -68,7 +85,37 @@ def stated(**changes: Any) -> LensDescription:
 
 
 def handled(word: str) -> LensDescription:
-    return LENS.model_copy(update={"since_calibration": (word,)}) if "since_calibration" in LENS.model_fields else LENS
+    return LENS.model_copy(update={"since_calibration": (word,)})
+
+
+LIGHTS = {
+    "incandescent light": "cie_a", "another LED (RGB)": "led_rgb1", "fluorescent light": "cie_fl11",
+    "red of an OLED": "band:620,25", "green of an OLED": "band:525,35", "blue of an OLED": "band:455,20",
+}  # fmt: skip
+# 75 µm per pixel; its u in the corner: 4 tan²α, 20 %, by 2 %.
+OF_12_MM = FlatField(principal_point_px=(47.5, 31.5), radius_px=57.7, focal_length_px=160.0, shape=SIZE, u_rel=4e-3)
+# cos⁸ for 16 mm is in this picture cos⁴ for 16 mm/√2, to 1 %.
+AT_F4 = FlatField(
+    principal_point_px=(47.5, 31.5), radius_px=57.7, focal_length_px=150.8, shape=SIZE, u_rel=5e-3, f_number=4.0
+)
+FAMILY = CameraPreset.shipped("BFS-U3-19S4M").spectral_response
+
+
+def silicon(rng: np.random.Generator) -> dict[str, Any]:
+    """Return the response of some monochrome sensor: quantum efficiency with a peak somewhere, falling to both sides.
+
+    A half is reached 120 to 220 nm below the peak and 150 to 300 nm above it.
+    """
+    peak, below, above = rng.uniform(490, 610), rng.uniform(120, 220), rng.uniform(150, 300)
+    width = np.where(peak > GRID_NM, below, above)
+    return {"response": GRID_NM * np.exp(-np.log(2.0) * ((GRID_NM - peak) / width) ** 2)}
+
+
+def of_the_family(rng: np.random.Generator) -> dict[str, Any]:
+    """Return the response of the shipped camera file behind a lens that tilts it: ±7 % (k = 1) from 400 to 560 nm."""
+    assert FAMILY is not None
+    known = np.interp(GRID_NM, FAMILY.wavelength_nm, FAMILY.relative)
+    return {"response": known * (GRID_NM / 560.0) ** rng.normal(0.0, 0.2)}
 
 
 # fmt: off
@@ -89,6 +136,9 @@ CONDITIONS = [
     Condition("drift of the responsivity, σ 1 %, a year after",
               lambda rng: {"responsivity": 1 + rng.normal(0, 0.01)}, days=365.0),
     Condition("15 K warmer, 0.1 %/K", lambda rng: {"temperature_c": 55.0, "temperature_slope": 1e-3}),
+    Condition("σ 3 K warmer or cooler, 0.1 %/K, no thermometer",
+              lambda rng: {"temperature_c": 40.0 + rng.normal(0, 3.0), "temperature_slope": 1e-3,
+                           "thermometer": False}),
     Condition("exposure 5 µs off, bright patch",
               lambda rng: {"radiance": 500.0}, fixed=lambda rng: {"exposure_offset_s": 5e-6}),
     Condition("100 Hz ripple of 30 %, short exposures", lambda rng: {"radiance": 20.0, "ripple": (0.3, 100.0, "sine")}),
@@ -128,6 +178,29 @@ CONDITIONS = [
     Condition("0.1 %/K found to 0.01 %/K, 15 K warmer",
               lambda rng: {"temperature_c": 55.0, "temperature_slope": 1e-3 + rng.normal(0, 1e-4)},
               found=({"temperature_slope_per_k": 1e-3}, {"temperature_u_rel_per_k": 1e-4})),
+    Condition("1 DN of black level found to 0.02 DN, dim patch", lambda rng: {"radiance": 2e-4},
+              fixed=lambda rng: {"black_offset_dn": 1.0 + rng.normal(0, 0.02)}, found=({"black_offset_dn": 1.0}, {})),
+    Condition("gain step of 3 % found to 0.1 %, 12 dB", lambda rng: {"gain_error": 0.03 + rng.normal(0, 1e-3)},
+              gain_db=12.0,
+              found=({"gains_db": (0.0, 12.0), "gain_errors_rel": (0.0, 0.03)}, {"gain_step_u_rel": 1e-3})),
+    Condition("bend of 3 % of full scale found to 0.1 %, other level",
+              lambda rng: {"radiance": 1e-3}, fixed=lambda rng: {"bend": 0.03 + rng.normal(0, 1e-3)},
+              found=({"well_a2": 0.03, "well_e": FULL_SCALE * GAIN_E_PER_DN}, {"bend_u_rel": 1e-3})),
+    Condition("fall-off of 12 mm found to 2 %, patch in a corner", lambda rng: {"patch": CORNER},
+              fixed=lambda rng: {"falloff_mm": 12.0 * (1 + rng.normal(0, 0.02))}, flat=OF_12_MM),
+    Condition("flat field of f/4 at f/8, where half of the fall-off is gone, patch in a corner",
+              lambda rng: {"patch": CORNER, "falloff": 4.0}, fixed=lambda rng: {"falloff": 8.0},
+              lens=stated(f_number=8.0), flat=AT_F4),
+    *(Condition(f"{word}, its spectrum stated, response of the camera unknown", lambda rng, name=name: {"light": name},
+                fixed=silicon, spectrum=name)
+      for word, name in LIGHTS.items()),
+    *(Condition(f"{word}, its spectrum stated, response of the camera's family", lambda rng, name=name: {"light": name},
+                fixed=of_the_family, spectrum=name, response=FAMILY)
+      for word, name in LIGHTS.items()),
+    Condition("incandescent light, nobody states a spectrum",
+              lambda rng: {"light": "cie_a"}, fixed=silicon, spectrum=None),
+    Condition("blue of an OLED, nobody states a spectrum",
+              lambda rng: {"light": "band:455,20"}, fixed=silicon, spectrum=None),
 ]
 # fmt: on
 
@@ -155,10 +228,13 @@ def calibration(condition: Condition, fixed: dict[str, Any], rng: np.random.Gene
     """Return a calibration on an even source whose stated radiance is off by a draw of its uncertainty."""
     u = condition.source_u_rel
     bench, _ = instrument(replace(World(), **fixed), LENS, rng, pattern)
-    base = unscaled_calibration(DESCRIPTION, LENS, None, "white_led")
+    base = replace(unscaled_calibration(DESCRIPTION, LENS, None, "white_led"), spectral_response=condition.response)
+    base = replace(base, flat_field=condition.flat)
     if condition.found[0]:
         known = base.uncertainties.model_copy(update=condition.found[1])
         base = replace(base, found=FoundEffects(**condition.found[0]), uncertainties=known)
+        if "black_offset_dn" in condition.found[0]:
+            base = replace(base, black_level=base.black_level.model_copy(update={"u_dn": 0.02}))
     source = KnownSource(1.0 + rng.normal(0.0, u), u)
     return scaled_calibration(base, scale_by_source(base, bench.take_bracket(), bench.patch, source), ())
 
@@ -170,9 +246,10 @@ def reading(condition: Condition, seed: int) -> tuple[Reading, float]:
     known = calibration(condition, fixed, rng, pattern)
     world = replace(World(), **{**fixed, **condition.world(rng)})
     made = dt.datetime.fromisoformat(known.created) - dt.timedelta(days=condition.days)
-    known = replace(known, created=made.isoformat())
+    known = replace(known, created=made.isoformat(), spectrum=condition.spectrum or known.spectrum)
     more: dict[str, Any] = {"calibration": known, "gain_db": condition.gain_db}
-    if condition.source is not None and "source" in Instrument.__dataclass_fields__:
+    more["spectrum_stated"] = condition.spectrum is not None
+    if condition.source is not None:
         more["source"] = condition.source
     bench, _ = instrument(world, condition.lens, rng, pattern, **more)
     taken = bench.take_bracket()
@@ -184,7 +261,7 @@ def reading(condition: Condition, seed: int) -> tuple[Reading, float]:
 def outcome(condition: Condition, seeds: int = SEEDS) -> Outcome:
     """Return what became of a condition over many seeds."""
     rows, seen = [], dict[str, int]()
-    for seed in range(seeds):
+    for seed in range(FIRST_SEED, FIRST_SEED + seeds):
         found, truth = reading(condition, seed)
         value, expanded = found.radiance.value, found.coverage_factor * found.radiance.u
         for flag in found.flags:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from radiometer.archive.cycles import hidden_cycles, slow_cycles, tells_apart, with_period
 from radiometer.errors import InputError
 
 MONTH_S: Final = 365.25 / 12 * 86400.0
@@ -20,6 +21,7 @@ CLAIM_CHANCE: Final = 0.0027
 # From this part of a year on a season can be told from a drift, and is fitted beside it.
 _YEAR_S: Final = 365.25 * 86400.0
 _SEASON_YEARS: Final = 0.9
+_WITH_SEASON: Final = 4  # columns of the design: level, months, sine and cosine of the year
 # Correlation times that are tried, as parts of the span; and the correlation of neighbours that counts as whole.
 _TIMES_OF_SPAN: Final = np.geomspace(1e-3, 1.0, 25)
 _MOST_CORRELATED: Final = 0.995
@@ -49,6 +51,7 @@ class Trend:
         degrees_of_freedom: Behind that uncertainty: of the readings' effective number.
         correlation: Of a reading with the next one, beyond line and season.
         season_rel: Amplitude of the yearly cycle; None where the span is too short to tell it from a drift.
+        cycles: Period in s and relative amplitude of other cycles that the readings show.
         changes_s: Times from which on another calibration, or other settings, were in use; in s since 1970.
         flags: How many readings bear each flag.
     """
@@ -68,6 +71,7 @@ class Trend:
     degrees_of_freedom: float = math.inf
     correlation: float = 0.0
     season_rel: float | None = None
+    cycles: tuple[tuple[float, float], ...] = ()
     changes_s: tuple[float, ...] = ()
     flags: Mapping[str, int] = field(default_factory=dict)
 
@@ -95,6 +99,7 @@ class Trend:
             "degrees_of_freedom": self.degrees_of_freedom if math.isfinite(self.degrees_of_freedom) else None,
             "correlation": self.correlation,
             "season_rel": self.season_rel,
+            "cycles": [{"period_days": period / 86400.0, "amplitude_rel": size} for period, size in self.cycles],
             "excess_scatter_rel": self.excess_rel,
         }
 
@@ -107,7 +112,8 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
     u_rel² brought to the scatter about the line: smaller where the readings agree better than stated, larger by an
     excess term where they agree worse. Outliers beyond 4 sigmas leave the fit, one at a time. What is left then goes
     through generalised least squares: neighbours may be correlated (exp(−Δt/τ), averaged over τ by its restricted
-    likelihood), and a yearly cycle is fitted beside the line where the span tells them apart.
+    likelihood), a yearly cycle is fitted beside the line where the span tells them apart, and cycles of other periods
+    where the readings show them.
 
     Args:
         time_s: Times in s, shape (n,), any order.
@@ -137,7 +143,11 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
             break
         outlier[worst] = True
     kept = ~outlier
-    fit = _generalised(design[kept], relative[kept], sigma[kept], time_s[kept])
+    season_s = (_YEAR_S,) if design.shape[1] == _WITH_SEASON else ()
+    periods_s = hidden_cycles(design[kept], relative[kept], sigma[kept], time_s[kept], season_s)
+    for period in periods_s:
+        design = np.column_stack([design, with_period(design, relative, sigma, time_s, period)])
+    fit = _over_slow_cycles(design[kept], relative[kept], sigma[kept], time_s[kept], (*season_s, *periods_s))
     line, covariance = fit.solution, fit.covariance
     straight = design[:, :2]
     u_line = np.sqrt(np.einsum("in,nm,im->i", straight, covariance[:2, :2], straight))
@@ -152,8 +162,15 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
         u_drift_per_month=float(math.sqrt(covariance[1, 1]) / line[0]),
         degrees_of_freedom=fit.degrees_of_freedom,
         correlation=fit.correlation,
-        season_rel=float(np.hypot(line[2], line[3]) / line[0]) if line.size == 4 else None,
+        season_rel=float(np.hypot(line[2], line[3]) / line[0]) if season_s else None,
+        cycles=_amplitudes(periods_s, line),
     )  # fmt: skip
+
+
+def _amplitudes(periods_s: tuple[float, ...], line: Array) -> tuple[tuple[float, float], ...]:
+    """Return period in s and relative amplitude of every cycle; their columns stand last."""
+    own = line[line.size - 3 * len(periods_s) :].reshape(-1, 3)[:, :2] / line[0]
+    return tuple((period, float(np.hypot(*pair))) for period, pair in zip(periods_s, own, strict=True))
 
 
 def _design(months: Array, time_s: Array) -> Array:
@@ -161,7 +178,8 @@ def _design(months: Array, time_s: Array) -> Array:
     columns = [np.ones_like(months), months]
     if time_s[-1] - time_s[0] >= _SEASON_YEARS * _YEAR_S and time_s.size >= 2 * _MINIMUM_READINGS:
         phase = 2.0 * np.pi * (time_s - time_s[0]) / _YEAR_S
-        columns += [np.sin(phase), np.cos(phase)]
+        yearly = [*columns, np.sin(phase), np.cos(phase)]
+        columns = yearly if tells_apart(np.stack(yearly, axis=1)) else columns
     return np.stack(columns, axis=1)
 
 
@@ -173,6 +191,22 @@ class _Fit:
     covariance: Array
     degrees_of_freedom: float
     correlation: float
+
+
+def _over_slow_cycles(design: Array, relative: Array, sigma: Array, time_s: Array, fitted_s: tuple[float, ...]) -> _Fit:
+    """Return the solution averaged over models with and without a slow cycle more, its columns left out."""
+    columns = design.shape[1]
+    models = slow_cycles(design, relative, sigma, time_s, fitted_s)
+    fits = [(_generalised(one, relative, sigma, time_s), weight) for one, weight in models]
+    whole = sum(weight for _, weight in fits)
+    centre = sum(weight / whole * fit.solution[:columns] for fit, weight in fits)
+    covariance = sum(
+        weight / whole * (fit.covariance[:columns, :columns] + np.outer(off, off))
+        for fit, weight, off in ((fit, weight, fit.solution[:columns] - centre) for fit, weight in fits)
+    )
+    freedom = sum(weight / whole * fit.degrees_of_freedom for fit, weight in fits)
+    correlation = sum(weight / whole * fit.correlation for fit, weight in fits)
+    return _Fit(np.asarray(centre), np.asarray(covariance), float(freedom), float(correlation))
 
 
 def _generalised(design: Array, relative: Array, sigma: Array, time_s: Array) -> _Fit:

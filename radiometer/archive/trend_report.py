@@ -168,6 +168,9 @@ def _section(trend: Trend, *, drawn: bool) -> str:
         f"A yearly cycle of ±{100 * trend.season_rel:.2g} % is fitted beside the drift."
         if trend.season_rel is not None
         else "The span is too short to tell a yearly cycle from a drift.",
+        " ".join(
+            f"A cycle of {period / 86400:.3g} days, ±{100 * size:.2g} %, is fitted." for period, size in trend.cycles
+        ),
         f"Left out as outliers: {', '.join(_day(t) for t in outliers[:12])}{' …' if outliers.size > 12 else ''}."
         if outliers.size
         else "",

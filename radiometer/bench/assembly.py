@@ -10,7 +10,7 @@ from pathlib import Path
 from radiometer.bench.cameras import open_camera
 from radiometer.bench.config import BenchConfig, SimulatedCameraConfig, read_bench
 from radiometer.bench.instrument import Instrument, central_patch
-from radiometer.data import Calibration, Patch, PatchDescription
+from radiometer.data import Calibration, Patch, PatchDescription, SourceDescription
 from radiometer.data.config_files import shipped_config
 from radiometer.devices import Camera
 from radiometer.errors import ConfigurationError, UsageError
@@ -70,8 +70,19 @@ def open_instrument(
             calibration=_calibration(chosen, spectrum or config.spectrum) if chosen else None,
             time_limit_s=config.time_limit_s,
             f_number=_set_by_hand(config, f_number),
-            source=config.source if "source" in config.model_fields_set else None,
+            source=stated_source(config),
+            spectrum_stated=states_spectrum(config, spectrum),
         )
+
+
+def stated_source(config: BenchConfig) -> SourceDescription | None:
+    """Return what a bench file says of the light; None where it says nothing."""
+    return config.source if "source" in config.model_fields_set else None
+
+
+def states_spectrum(config: BenchConfig, spectrum: str | None) -> bool:
+    """Tell whether bench file or user state the light's spectrum; that of a simulated bench is as it is assumed."""
+    return bool(spectrum or config.spectrum) or isinstance(config.camera, SimulatedCameraConfig)
 
 
 def _set_by_hand(config: BenchConfig, f_number: float | None) -> float | None:

@@ -18,7 +18,7 @@ from radiometer.acquire.bracketing import (
     take_dark_frames,
     take_plan,
 )
-from radiometer.acquire.exposure_plan import steadied
+from radiometer.acquire.exposure_plan import STEADY_SHORT_FRAMES, ExposurePlan, steadied
 from radiometer.analysis.patch.contributions import PatchSituation
 from radiometer.analysis.patch.reading import patch_situation, read_patch
 from radiometer.data import Bracket, Calibration, Frame, LensDescription, Patch, Reading, SourceDescription
@@ -28,6 +28,10 @@ from radiometer.errors import UsageError
 # A surround of which more than this clips is looked at in a shorter frame, each by this factor.
 _SURROUND_CLIPS = 0.002
 _SURROUND_STEP = 16.0
+# A patch of which as much clips is bright; frames that flicker so are taken again, each time shorter by the factor.
+_CLIPS = 0.5
+_UNCLIPPED_STEP = 4.0
+_MOST_TRIES = 12
 # Dark frames at each exposure, taken where the dark level's uncertainty is more than this part of the light.
 _DARK_FRAMES = 2
 _DARK_MATTERS_REL = 0.003
@@ -49,6 +53,7 @@ class Instrument:
         time_limit_s: Bound on the sum of the exposure times of one reading in s.
         f_number: f-number that the lens is set to where the camera's description does not hold.
         source: What is known of the light.
+        spectrum_stated: Whether the light's spectrum is known to be the one that the calibration names for it.
         cover: Called with True to have the lens covered for dark frames, and False after them; None for none by hand.
         clock: Steady clock in s.
     """
@@ -59,6 +64,7 @@ class Instrument:
     time_limit_s: float = DEFAULT_TIME_LIMIT_S
     f_number: float | None = None
     source: SourceDescription | None = None
+    spectrum_stated: bool = True
     cover: Callable[[bool], None] | None = None
     clock: Callable[[], float] = time.monotonic
 
@@ -93,9 +99,31 @@ class Instrument:
         plan = plan_for_scene(self.camera, request)
         plan = steadied(plan, self.source.flicker_hz if self.source else None, self.time_limit_s)
         frames: list[Frame] = list(take_plan(self.camera, plan, request, progress=progress, clock=self.clock))
+        frames = self._unclipped(frames, request, progress)
         darks = self._of_dark(frames)
         frames += [*self._of_surround(frames), *darks]
         return Bracket.from_frames(frames, origin=self.camera.identity.device_id)
+
+    def _unclipped(self, frames: list[Frame], request: BracketRequest, progress: Progress | None) -> list[Frame]:
+        """Return the frames, or shorter ones where the light was another than metered: all clip, or some as short.
+
+        To leave out only those that clip would be to leave out the bright part of a flicker.
+        """
+        lowest = self.camera.capabilities.exposure_s[0]
+        for _ in range(_MOST_TRIES):
+            shortest = min(frame.settings.exposure_s for frame in frames)
+            if not self._clips_unforeseen(frames) or shortest <= lowest * (1 + 1e-9):
+                break
+            times = (max(shortest / _UNCLIPPED_STEP, lowest),) * STEADY_SHORT_FRAMES
+            frames = list(take_plan(self.camera, ExposurePlan(times), request, progress=progress, clock=self.clock))
+        return frames
+
+    def _clips_unforeseen(self, frames: list[Frame]) -> bool:
+        """Tell whether the patch clips in all frames, or in one exposed no longer than one in which it does not."""
+        parts = [(float(np.mean(f.dn[self.patch.slices] >= 0.98 * f.full_scale_dn)), f.settings) for f in frames]
+        clear = [settings.exposure_s for part, settings in parts if part < _CLIPS]
+        clipped = [settings.exposure_s for part, settings in parts if part >= _CLIPS]
+        return bool(clipped) and min(clipped) <= max(clear, default=math.inf) * (1 + 1e-9)
 
     def _of_dark(self, frames: list[Frame]) -> list[Frame]:
         """Return dark frames: with a cap where asked for, by the camera's own shutter where the dark level matters."""
@@ -134,8 +162,9 @@ class Instrument:
         """Return the radiance of the patch in frames already taken. Raises CalibrationError if it does not fit."""
         camera = self.camera.description
         return read_patch(
-            bracket, self.patch, self.calibration, camera, self.lens, source=self.source, sequence=sequence
-        )
+            bracket, self.patch, self.calibration, camera, self.lens,
+            source=self.source, spectrum_stated=self.spectrum_stated, sequence=sequence,
+        )  # fmt: skip
 
     def situation(self, bracket: Bracket) -> PatchSituation:
         """Return what a reading of frames is made from. Raises CalibrationError if the calibration does not fit."""

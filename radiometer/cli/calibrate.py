@@ -135,7 +135,8 @@ def command(
     base = make.unscaled_calibration(description, lens, curve, spectrum, black, validity_days)
     base = replace(base, uncertainties=_uncertainties(stated, preset))
     if model is not None:
-        base = with_found_effects(base, model, stated=base.uncertainties.model_fields_set)
+        shape = seen.bracket.frames[0].shape if seen is not None else None
+        base = with_found_effects(base, model, base.uncertainties.model_fields_set, shape)
     if spectrum_unstated and "efficacy_u_rel" not in base.uncertainties.model_fields_set:
         unknown = base.uncertainties.model_copy(update={"efficacy_u_rel": UNKNOWN_EFFICACY_U_REL})
         base = replace(base, uncertainties=unknown)

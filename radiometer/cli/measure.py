@@ -35,7 +35,7 @@ _FLAG_MEANING = {
     "short_exposure": "the offset of so short an exposure rules the uncertainty: close the iris, expose longer",
     "dark_assumed": "dark current and black level rule the uncertainty: take dark frames (--darks)",
     "falloff_assumed": "no flat field: the natural fall-off of the lens was assumed; calibrate with --flat",
-    "spectrum_assumed": "the assumed spectrum rules the uncertainty: state it",
+    "spectrum_assumed": "nobody stated the light's spectrum, or it rules the uncertainty: state it (--spectrum)",
     "small_patch": "the patch is so small that pixels' differences rule the uncertainty: read a larger one",
     "temperature": "the distance from the calibration's temperature rules the uncertainty",
     "gain": "the gain is another than at calibration, and rules the uncertainty",
@@ -157,7 +157,9 @@ def _photographed(
     bracket = placed.without_absent()
     camera = known.camera if known else CameraDescription(bit_depth=bracket.bit_depth)
     lens = LensDescription()
-    reading = read_patch(bracket, patch, known, camera, lens, spectrum=spectrum)
+    if known is not None and spectrum is not None:
+        known = replace(known, spectrum=spectrum)
+    reading = read_patch(bracket, patch, known, camera, lens, spectrum_stated=spectrum is not None)
     situation = patch_situation(bracket, patch, known, camera, lens)
     return with_iso_in_reading(reading, bracket), situation, placed.sentence
 

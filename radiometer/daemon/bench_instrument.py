@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from radiometer.analysis.signal.spectra import spectrum
-from radiometer.bench.assembly import calibration_path
+from radiometer.bench.assembly import calibration_path, stated_source, states_spectrum
 from radiometer.bench.cameras import open_camera
 from radiometer.bench.config import BenchConfig, read_bench
 from radiometer.bench.instrument import Instrument, central_patch
@@ -168,7 +168,14 @@ class BenchInstrument:
             spectrum(line)  # refuses a wavelength that has no meaning before any frame is taken
             calibration = replace(calibration, spectrum=line)
         patch = settings.patch or central_patch(camera)
-        return Instrument(camera, patch, calibration=calibration, time_limit_s=self._config.time_limit_s)
+        return Instrument(
+            camera,
+            patch,
+            calibration=calibration,
+            time_limit_s=self._config.time_limit_s,
+            source=stated_source(self._config),
+            spectrum_stated=settings.wavelength_nm is not None or states_spectrum(self._config, self._spectrum),
+        )
 
     def _fixed(self, camera: Camera, exposure_s: float) -> Bracket:
         camera.configure(replace(camera.settings, exposure_s=exposure_s))

@@ -147,19 +147,48 @@ class FoundEffects(FileSection):
 
     Attributes:
         exposure_offset_s: Real exposure times beyond the stated ones in s.
+        exposure_further_s: As much more above the gain `exposure_above_db`.
+        exposure_above_db: That gain in dB.
         black_offset_dn: Real black level beyond the stated one in DN.
+        black_slope_dn: What the gain amplifies of it, b·(m + c·m²) with m = gain over that of `black_from_db` − 1.
+        black_from_db: Gain in dB from which on.
+        black_bend: c.
         gain_error_rel: Relative error of gains in dB: a stated G is really G·(1 + error).
-        temperature_slope_per_k: Relative change of the responsivity per K.
+        gains_db: Gains in dB at which a table holds a further error.
+        gain_errors_rel: Relative error of the gain factor at each; straight between them.
+        temperature_slope_per_k: Relative change of the responsivity per K, from 25 °C.
+        temperature_bend_per_k2: The same per K².
+        well_a2: S electrons are seen as S·(1 − a₂·z − a₃·z²), z = S over `well_e`.
+        well_a3: a₃.
+        well_e: Electrons at z = 1.
         glare: Part of the picture's mean that the lens spreads over it.
         names: Effects that these stand for.
     """
 
     exposure_offset_s: float = 0.0
+    exposure_further_s: float = 0.0
+    exposure_above_db: float = 0.0
     black_offset_dn: float = 0.0
+    black_slope_dn: float = 0.0
+    black_from_db: float = 0.0
+    black_bend: float = 0.0
     gain_error_rel: float = 0.0
+    gains_db: tuple[float, ...] = ()
+    gain_errors_rel: tuple[Annotated[float, Field(gt=-1)], ...] = ()
     temperature_slope_per_k: float = 0.0
+    temperature_bend_per_k2: float = 0.0
+    well_a2: float = Field(0.0, gt=-0.5, lt=0.5)
+    well_a3: float = Field(0.0, gt=-0.5, lt=0.5)
+    well_e: float = Field(1.0, gt=0)
     glare: float = Field(0.0, gt=-0.5, lt=0.5)
     names: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        rising = all(a < b for a, b in pairwise(self.gains_db))
+        if len(self.gains_db) != len(self.gain_errors_rel) or not rising:
+            raise ValueError("gains_db and gain_errors_rel need one error per gain, gains rising")
+        return self
 
 
 class StatedUncertainties(FileSection):

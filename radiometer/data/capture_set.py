@@ -20,7 +20,7 @@ from radiometer.data.capture_header import (
     PatchDescription,
     SourceDescription,
 )
-from radiometer.data.frame import DigitalNumbers, Frame, FrameSettings
+from radiometer.data.frame import MASKED_PIXELS, DigitalNumbers, Frame, FrameSettings
 from radiometer.data.guards import refuse_large_picture
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.storage import read_yaml
@@ -209,7 +209,9 @@ class CaptureSet:
         bit_depth = self.header.camera.bit_depth
         if bit_depth > 8 and dn.dtype == np.uint8:
             dn = dn.astype(np.uint16)
-        frame = Frame(dn, bit_depth, entry.settings, frame_id=index)
+        masked = (entry.model_extra or {}).get(MASKED_PIXELS)
+        extra = {} if masked is None else {MASKED_PIXELS: masked}
+        frame = Frame(dn, bit_depth, entry.settings, frame_id=index, extra=extra)
         highest = int(dn.max(initial=0))
         if highest > self.header.camera.full_scale_dn:
             raise CaptureError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from radiometer.units import gain_factor
 
 DigitalNumbers = NDArray[np.uint8] | NDArray[np.uint16]
 Shutter = Literal["open", "closed"]
+MASKED_PIXELS: Final = "masked_rows_dn"  # key in a frame's `extra`, and in the entries of capture sets
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +87,12 @@ class Frame:
     frame_id: int | None = None
     extra: dict[str, float | int | str] = field(default_factory=dict)
     file: CameraFile | None = None
+
+    @property
+    def masked_dn(self) -> float | None:
+        """Return what the sensor's masked pixels read in this frame, in DN; None where nobody states it."""
+        told = self.extra.get(MASKED_PIXELS)
+        return float(told) if isinstance(told, int | float) else None
 
     def __post_init__(self) -> None:
         if self.dn.ndim != 2 or self.dn.dtype not in (np.uint8, np.uint16):

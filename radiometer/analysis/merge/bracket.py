@@ -19,7 +19,7 @@ from radiometer.analysis.merge.ghosts import find_strays
 from radiometer.analysis.merge.sums import FRAMES_PER_PLANE, MergeSample, MergeSums
 from radiometer.analysis.merge.tables import merge_tables
 from radiometer.analysis.patch.outside import frame_u_rel
-from radiometer.analysis.signal.found_effects import corrected_settings
+from radiometer.analysis.signal.found_effects import corrected_settings, temperature_factor
 from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
 from radiometer.analysis.signal.situation import common_u_rel, flat_field_for, situation_of
 from radiometer.data import (
@@ -311,8 +311,15 @@ class StreamingMerge:
         """Return radiance per rate on the optical axis."""
         scale = self._situation.scale / self._terms[0].exposure
         if self._calibration is None:  # DN per s at the f-number of the first frame
-            scale *= lens_factor_sr(self._situation.lens, self._terms[0].settings.f_number)
-        return scale
+            return scale * lens_factor_sr(self._situation.lens, self._terms[0].settings.f_number)
+        there_c = self._calibration.scale.conditions.temperature_c
+        return scale * temperature_factor(self._calibration.found, self._temperature_c(), there_c)
+
+    def _temperature_c(self) -> float | None:
+        """Return the mean temperature of the frames in °C; None where one does not state its own."""
+        known = [terms.settings.temperature_c for terms in self._terms]
+        stated = [one for one in known if one is not None]
+        return sum(stated) / len(stated) if len(stated) == len(known) else None
 
     def _frames_u_rel(self, numbers: set[float | None]) -> float:
         settings = [terms.settings for terms in self._terms]
@@ -355,13 +362,24 @@ class StreamingMerge:
             "which u does not hold",
         )
 
+    def _bend(self) -> tuple[str, ...]:
+        """Return how far the response bends as it was found, which a map keeps."""
+        found = self._calibration.found if self._calibration else FoundEffects()
+        full = self._situation.model.full_scale_dn * self._situation.model.electrons_per_unit / found.well_e
+        share = abs(found.well_a2 * full + found.well_a3 * full**2)
+        if share < _TOLD_REL:
+            return ()
+        return (
+            f"the response bends by {100 * share:.2g} % at full scale, as found: the map keeps it, u does not hold it",
+        )
+
     def _map(self, flat: Images) -> RadianceMap:
         shape, calibration = self._known_shape(), self._calibration
         images = flat[0].reshape(shape), flat[1].reshape(shape), flat[2].reshape(shape)
         self._doubt_falloff(*images[:2])
         repair_defects(*images, calibration.defects if calibration else ())
         numbers = {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
-        not_in_u = (*self._stray_light(images[0]), *self._exposure_offset())
+        not_in_u = (*self._stray_light(images[0]), *self._exposure_offset(), *self._bend())
         return RadianceMap(
             *images,
             unit=RADIANCE_UNIT if calibration is not None and calibration.absolute else RELATIVE_UNIT,

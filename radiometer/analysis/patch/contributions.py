@@ -24,6 +24,8 @@ from radiometer.analysis.uncertainty.budget import Term
 from radiometer.data import Calibration, Flag, LensDescription, ScaleConditions, StatedUncertainties
 
 _FEWEST_PIXELS_FOR_SCATTER = 16
+# Where a dark level is from that nobody assumed.
+_MEASURED = ("dark frames", "masked pixels")
 # Readings of signals as near as this share the error of the response curve.
 _SAME_LEVEL = 0.1
 
@@ -159,7 +161,7 @@ def _dark(situation: PatchSituation) -> list[Term]:
     common = float(abs(c @ [d.u_common for d in situation.dark]))
     source = ", ".join(sorted({d.source for d in situation.dark}))
     u = situation.scale * math.hypot(own, common)
-    return [Term("dark and black level", u, note=source, flag=None if source == "dark frames" else Flag.DARK_ASSUMED)]
+    return [Term("dark and black level", u, note=source, flag=None if source in _MEASURED else Flag.DARK_ASSUMED)]
 
 
 def scale_u_rel(situation: PatchSituation) -> float:

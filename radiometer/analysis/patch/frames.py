@@ -36,6 +36,7 @@ class PatchFrame:
         clipped: Pixels at or above clipping, same shape.
         whole: Mean signal x of the whole picture, dark level not yet taken off.
         whole_clipped: Part of the whole picture that clips; the mean is too low then.
+        masked_dn: What the sensor's masked pixels read, in DN; None where nobody states it.
     """
 
     settings: FrameSettings
@@ -46,6 +47,7 @@ class PatchFrame:
     clipped: NDArray[np.bool_]
     whole: float
     whole_clipped: float
+    masked_dn: float | None = None
 
 
 def split_frames(frames: Iterable[Frame]) -> tuple[Iterable[Frame], list[Frame]]:
@@ -120,7 +122,7 @@ def _crop(frame: Frame, patch: Patch, model: SignalModel) -> PatchFrame:
     step = max(1, math.isqrt(frame.dn.size // _PIXELS_OF_THE_WHOLE))
     few_of_all = frame.dn[::step, ::step]
     whole, whole_clipped = float(expected[few_of_all].mean()), float(np.mean(few_of_all >= end))
-    return PatchFrame(frame.settings, dn, signal, usable, unclipped, clipped, whole, whole_clipped)
+    return PatchFrame(frame.settings, dn, signal, usable, unclipped, clipped, whole, whole_clipped, frame.masked_dn)
 
 
 def _brightest_part(dn: DigitalNumbers) -> float:

@@ -16,8 +16,9 @@ from radiometer.analysis.patch.flags import reading_flags
 from radiometer.analysis.patch.frames import PatchFrame, crop_frames
 from radiometer.analysis.patch.outside import Falloff, Surround, conditions_of
 from radiometer.analysis.signal.dark import dark_levels
-from radiometer.analysis.signal.found_effects import corrected_frames, temperature_factor, without_glare
+from radiometer.analysis.signal.found_effects import corrected_frames, straightened, temperature_factor, without_glare
 from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.model import SignalModel
 from radiometer.analysis.signal.photometry import holds_visible_light, luminous_efficacy_lm_per_w
 from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of
 from radiometer.analysis.signal.spectra import spectrum as spectrum_of
@@ -25,6 +26,8 @@ from radiometer.analysis.uncertainty.budget import combined_u, coverage_factor, 
 from radiometer.data import (
     Calibration,
     CameraDescription,
+    Flag,
+    FoundEffects,
     Frame,
     LensDescription,
     Patch,
@@ -47,6 +50,7 @@ def read_patch(
     *,
     spectrum: str | None = None,
     source: SourceDescription | None = None,
+    spectrum_stated: bool = True,
     now: dt.datetime | None = None,
     sequence: int = 0,
 ) -> Reading:
@@ -60,6 +64,8 @@ def read_patch(
         lens: The lens in use.
         spectrum: Name of the source's spectrum, or path of a CSV, for the luminance; None takes the calibration's.
         source: What is known of the light; that of a screen counts as polarised where nothing else is said.
+        spectrum_stated: Whether somebody says that the light's spectrum is the calibration's `spectrum`; where nobody
+            does, the reading is flagged so.
         now: Time that the calibration's age is counted to, with time zone; None for the present.
         sequence: Running number of the reading.
 
@@ -71,6 +77,8 @@ def read_patch(
     settled = situation_of(calibration, camera, lens)
     situation = _patch_situation(frames, patch, calibration, camera, settled, source, now)
     reading = _reading(situation, settled, patch, camera, sequence)
+    if calibration is not None and calibration.absolute and not spectrum_stated:
+        reading = replace(reading, flags=tuple(sorted({*reading.flags, Flag.SPECTRUM_ASSUMED})))
     return _with_luminance(reading, calibration, spectrum)
 
 
@@ -113,10 +121,13 @@ def _patch_situation(
     if calibration is not None:
         frames = corrected_frames(frames, calibration.found, settled.black.dn)
     light, dark_frames, shape = crop_frames(frames, patch, settled.model)
+    if calibration is not None and settled.model.linear:
+        light = [_straightened(one, calibration.found, settled.model) for one in light]
     chosen = [one for one in light if one.usable] or [one for one in light if one.unclipped] or [light[0]]
     good = ~np.any([one.clipped for one in chosen], axis=0) if chosen[0].usable else np.ones(chosen[0].dn.shape, bool)
     good = _without_defects(good, calibration, patch)
-    dark = dark_levels([one.settings for one in chosen], dark_frames, settled.model, settled.black)
+    masked = [one.masked_dn for one in chosen]
+    dark = dark_levels([one.settings for one in chosen], dark_frames, settled.model, settled.black, masked_dn=masked)
     place = _sensitivity(calibration, camera, settled.lens, shape, patch)
     factors = float(place.mean()) * _lens_factors(light, calibration, settled.lens)
     surround = _surround(light, factors, settled)
@@ -147,6 +158,13 @@ def _patch_situation(
         now or dt.datetime.now(dt.UTC),
         stray,
     )
+
+
+def _straightened(frame: PatchFrame, found: FoundEffects, model: SignalModel) -> PatchFrame:
+    """Return the frame's patch without the bend of the response that was found."""
+    signal = straightened(frame.signal, found, model.electrons_per_unit)
+    whole = float(straightened(frame.whole, found, model.electrons_per_unit))
+    return replace(frame, signal=signal, whole=whole)
 
 
 def _corrected_scale(

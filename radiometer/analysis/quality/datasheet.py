@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-import base64
-import html
-import io
+import math
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from radiometer.analysis.quality.indices import Figure
 from radiometer.analysis.quality.session import Datasheet, Index
 from radiometer.analysis.uncertainty.budget import coverage_factor
 from radiometer.data.storage import write_text_atomic
+from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
+from radiometer.reporting.pictures import MODEL, dress, label, picture
 
-_STYLE: Final = """
-:root{color-scheme:light}
-body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#1a1a1a;background:#fff}
-h1{font-size:1.2rem;font-weight:500;color:#555;margin:0}h2{margin:2rem 0 .3rem;font-size:1.2rem}
-.said{font-size:1.5rem;font-weight:650;line-height:1.3;margin:.2rem 0 .6rem}
-img{max-width:100%;height:auto;display:block}.small{color:#595959;font-size:.9rem}
-.index{border-top:1px solid #ddd;padding:.7rem 0;break-inside:avoid}
-.value{font-size:1.25rem;font-weight:600;font-variant-numeric:tabular-nums}.symbol{color:#1f618d;margin-right:.6rem}
-table{border-collapse:collapse;font-variant-numeric:tabular-nums;font-size:.9rem}
-td,th{padding:.1rem .8rem .1rem 0;text-align:right}td:first-child,th:first-child{text-align:left}
-.wide{overflow-x:auto}summary{cursor:pointer;padding:.4rem 0}
-"""
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Canvas
+
+_LOWEST_PERCENT: Final = 1e-3  # what is less stands at the left edge of the picture
 
 
 def write_datasheet(path: Path, sheet: Datasheet) -> None:
@@ -46,19 +38,17 @@ def datasheet_html(sheet: Datasheet) -> str:
     who = " ".join(word for word in (camera.vendor, camera.model, camera.serial) if word) if camera else "camera"
     measured = [one for one in sheet.indices if one.figure is not None]
     missing = [one for one in sheet.indices if one.figure is None]
-    parts = [
-        "<!doctype html><html lang='en'><head><meta charset='utf-8'>"
-        "<meta name='viewport' content='width=device-width,initial-scale=1'>"
-        f"<title>Datasheet {html.escape(who)}</title><style>{_STYLE}</style></head><body>",
-        f"<h1>{html.escape(', '.join(word for word in (who, sheet.lens, sheet.created[:10]) if word))}</h1>",
-        f"<p class='said'>{html.escape(_sentence(measured, len(sheet.indices)))}</p>",
-        _picture(measured),
-        *[_measured(one) for one in measured],
-        _missing(missing),
-        "<h2>What was assumed</h2>",
-        "".join(f"<p class='small'>{html.escape(one)}.</p>" for one in sheet.assumptions),
-    ]
-    return "\n".join(part for part in parts if part) + "\n</body></html>\n"
+    return page(
+        ", ".join(word for word in (who, sheet.lens, sheet.created[:10]) if word),
+        _sentence(measured, len(sheet.indices)),
+        [
+            _picture(measured),
+            *(_measured(one) for one in measured),
+            section("Not measured", listed([_asked(one) for one in missing])),
+            section("What was assumed", listed([f"{one}." for one in sheet.assumptions])),
+        ],
+        kind="Datasheet",
+    )
 
 
 def shown(figure: Figure) -> tuple[str, str]:
@@ -66,12 +56,10 @@ def shown(figure: Figure) -> tuple[str, str]:
     scale, unit = (1.0, "px") if figure.unit == "px" else (100.0, "%")
     expanded = scale * coverage_factor(figure.degrees_of_freedom) * figure.u
     decimals = _decimals(expanded)
-    return f"{scale * figure.value:.{decimals}f} {unit}", f"{expanded:.2g} {unit}"
+    return f"{scale * figure.value:.{decimals}f} {unit}", f"{expanded:.{decimals}f} {unit}"
 
 
 def _decimals(expanded: float) -> int:
-    import math
-
     return min(max(1 - math.floor(math.log10(expanded)), 0), 6) if expanded > 0.0 else 3
 
 
@@ -91,18 +79,20 @@ def _sentence(measured: list[Index], total: int) -> str:
 def _measured(one: Index) -> str:
     assert one.figure is not None
     value, expanded = shown(one.figure)
-    rows = "".join(
-        f"<tr><td>{html.escape(each.label)}</td><td>{_detail(each.value)}</td><td>± {_detail(each.expanded)}</td></tr>"
-        for each in one.figure.details
-    )
-    details = f"<details><summary>details</summary><div class='wide'><table>{rows}</table></div></details>"
+    procedure = one.procedure
+    name = "" if procedure.symbol == procedure.title else f" ({procedure.symbol})"
     remarks = "; ".join(one.figure.remarks)
-    steps = f"Captures: {', '.join(one.steps)}. " if one.steps else ""
-    return (
-        f"<section class='index'><div class='value'><span class='symbol'>{html.escape(one.procedure.symbol)}</span>"
-        f"{value} <span class='small'>± {expanded}</span></div><div>{html.escape(one.procedure.title)}</div>"
-        f"<div class='small'>{html.escape(one.procedure.definition)} ({html.escape(one.procedure.source)}). "
-        f"{html.escape(steps)}{html.escape(remarks)}</div>{details if rows else ''}</section>"
+    steps = f"Captures: {', '.join(one.steps)}." if one.steps else ""
+    rows = [(each.label, _detail(each.value), f"± {_detail(each.expanded)}") for each in one.figure.details]
+    return "\n".join(
+        part
+        for part in (
+            heading(f"{procedure.title[:1].upper()}{procedure.title[1:]}{name}"),
+            paragraph(f"{value} ± {expanded} (95.45 %)", "what"),
+            paragraph(" ".join(f"{procedure.definition} ({procedure.source}). {steps} {remarks}".split()), "small"),
+            folded("Step by step", table((), rows)) if rows else "",
+        )
+        if part
     )
 
 
@@ -110,22 +100,11 @@ def _detail(value: float) -> str:
     return f"{value:.3g}" if abs(value) >= 1.0 else f"{100 * value:.3g} %"
 
 
-def _missing(missing: list[Index]) -> str:
-    if not missing:
-        return ""
-    rows = "".join(
-        f"<li><b>{html.escape(one.procedure.symbol)}</b> {html.escape(one.procedure.title)}: {html.escape(one.reason)}"
-        f"{_asked(one)}</li>"
-        for one in missing
-    )
-    return f"<h2>Not measured</h2><ul>{rows}</ul>"
-
-
 def _asked(one: Index) -> str:
-    if not one.procedure.steps:
-        return ""
+    """Return what is missing of an index, and what to capture for it."""
+    name = f"{one.procedure.title} ({one.procedure.symbol}): {one.reason}"
     steps = "; ".join(f"{step.name}: {step.ask}" for step in one.procedure.steps)
-    return f"<div class='small'>{html.escape(steps)}</div>"
+    return f"{name}. To capture: {steps}" if steps else name
 
 
 def _picture(measured: list[Index]) -> str:
@@ -133,28 +112,24 @@ def _picture(measured: list[Index]) -> str:
     shares = [(one.procedure, one.figure) for one in measured if one.figure and one.figure.unit == "1"]
     if not shares:
         return ""
-    import matplotlib
 
-    matplotlib.use("Agg")
-    from matplotlib.figure import Figure as Canvas
+    def draw(canvas: Canvas, narrow: bool) -> None:
+        axes = canvas.add_subplot()
+        for place, (procedure, figure) in enumerate(reversed(shares)):
+            expanded = 100 * coverage_factor(figure.degrees_of_freedom) * figure.u
+            ends = [max(100 * figure.value + sign * expanded, _LOWEST_PERCENT) for sign in (-1.0, 1.0)]
+            axes.plot(ends, [place, place], lw=6, color=MODEL, alpha=0.4, solid_capstyle="butt")
+            axes.plot(max(100 * figure.value, _LOWEST_PERCENT), place, "o", ms=6, color=MODEL)
+            said = label(f"{procedure.symbol}: {shown(figure)[0]}")
+            axes.annotate(said, (ends[1], place), (6, 0), textcoords="offset points", va="center", fontsize=9)
+        axes.set_xscale("log")
+        low, high = axes.get_xlim()
+        axes.set_xlim(low, high * (high / low) ** (0.6 if narrow else 0.25))
+        axes.set_ylim(-0.7, len(shares) - 0.3)
+        dress(axes, "deviation of the reading in %", "")
+        axes.set_yticks([])
 
-    canvas = Canvas(figsize=(8, 0.45 * len(shares) + 1.0), layout="constrained")
-    axes = canvas.add_subplot()
-    for place, (procedure, figure) in enumerate(reversed(shares)):
-        expanded = 100 * coverage_factor(figure.degrees_of_freedom) * figure.u
-        low, high = max(100 * figure.value - expanded, 1e-3), max(100 * figure.value + expanded, 1.1e-3)
-        axes.plot([low, high], [place, place], lw=6, color="#9dc3dd", solid_capstyle="butt")
-        axes.plot(max(100 * figure.value, 1e-3), place, "o", ms=6, color="#1f4e79")
-        axes.text(high * 1.15, place, f"{procedure.symbol}: {shown(figure)[0]}", va="center", fontsize=9)
-    axes.set_xscale("log")
-    low, high = axes.get_xlim()
-    axes.set_xlim(low, high * 8)
-    axes.set_ylim(-0.7, len(shares) - 0.3)
-    axes.set_yticks([])
-    axes.set_xlabel("deviation of the reading in % (bar: 95.45 %; left of the axis 0.001 %)")
-    axes.spines[["top", "right", "left"]].set_visible(False)
-    buffer = io.BytesIO()
-    canvas.savefig(buffer, format="png", dpi=110)
+    height = 0.42 * len(shares) + 1.0
     said = "; ".join(f"{p.symbol} {shown(f)[0]} ± {shown(f)[1]}" for p, f in shares)
-    encoded = base64.b64encode(buffer.getvalue()).decode()
-    return f"<figure><img alt='{html.escape(said)}' src='data:image/png;base64,{encoded}'></figure>"
+    caption = f"How far a reading goes wrong under each influence, with its interval of 95.45 %: {said}."
+    return picture(draw, caption, (9.0, height), (4.0, height))

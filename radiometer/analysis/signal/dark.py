@@ -1,7 +1,8 @@
-"""The signal without light in each frame: from dark frames where there are any, else from black level and model."""
+"""The signal without light in each frame: from dark frames or masked pixels, else from black level and model."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,10 +11,14 @@ import numpy as np
 from radiometer.analysis.signal.model import SignalModel
 from radiometer.data import BlackLevel, Frame, FrameSettings
 from radiometer.data.reading import Patch
+from radiometer.units import gain_factor
 
 _SAME_EXPOSURE_REL = 0.01
 # Dark current of machine-vision sensors near 40 °C where a data sheet says nothing: 0 to some 20 e⁻/s.
 UNKNOWN_DARK_E_PER_S = 10.0
+# Masked pixels against those beside: half a digital number (a rectangle), and a tenth of the modelled dark signal.
+_MASKED_U_DN = 0.29
+_MASKED_U_REL = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +29,7 @@ class DarkLevel:
         signal: Expected dark signal.
         u_independent: Standard uncertainty that this frame's dark level has for itself.
         u_common: Standard uncertainty shared with all other frames.
-        source: "dark frames" or "black level".
+        source: "dark frames", "masked pixels" or "black level".
     """
 
     signal: float
@@ -39,11 +44,13 @@ def dark_levels(
     model: SignalModel,
     black: BlackLevel,
     patch: Patch | None = None,
+    masked_dn: Sequence[float | None] = (),
 ) -> list[DarkLevel]:
     """Return the dark level of every light frame.
 
-    A dark frame of the same exposure and gain is used as it is. Dark frames of other exposures correct the black
-    level, with the modelled dark current taken off theirs. Without any, black level and model stand alone.
+    A dark frame of the same exposure and gain is used as it is; so are masked pixels of the frame itself. Dark
+    frames of other exposures correct the black level, with the modelled dark current taken off theirs. Without any,
+    black level and model stand alone.
 
     Args:
         settings: Of the light frames.
@@ -51,15 +58,24 @@ def dark_levels(
         model: Signal model of the camera.
         black: Black level of the calibration, with its uncertainty.
         patch: Part of the picture to take the mean over; None for all of it.
+        masked_dn: What masked pixels read in every light frame in DN, where known.
     """
-    return [_level(one, dark_frames, model, black, patch) for one in settings]
+    masked = masked_dn or (None,) * len(settings)
+    return [_level(one, dark_frames, model, black, patch, dn) for one, dn in zip(settings, masked, strict=True)]
 
 
 def _level(
-    settings: FrameSettings, dark_frames: Sequence[Frame], model: SignalModel, black: BlackLevel, patch: Patch | None
+    settings: FrameSettings,
+    dark_frames: Sequence[Frame],
+    model: SignalModel,
+    black: BlackLevel,
+    patch: Patch | None,
+    masked_dn: float | None,
 ) -> DarkLevel:
     if matching := _matching(settings, dark_frames):
         return _from_frames(settings, matching, model, patch)
+    if masked_dn is not None:
+        return _from_masked(settings, masked_dn, model)
     if same_gain := [frame for frame in dark_frames if frame.settings.gain_db == settings.gain_db]:
         return _from_other_exposures(settings, same_gain, model, black, patch)
     return _from_model(settings, model, black)
@@ -83,6 +99,14 @@ def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalMode
         count += region.size
     sigma = float(np.sqrt(model.variance(0.0, settings) / count))
     return DarkLevel(float(np.mean(means)), sigma, 0.0, "dark frames")
+
+
+def _from_masked(settings: FrameSettings, masked_dn: float, model: SignalModel) -> DarkLevel:
+    """Return the dark signal that masked pixels show; they are not the pixels that see light, and differ a little."""
+    signal = float(model.at_dn(model.table(settings), masked_dn))
+    step = float(model.at_dn(model.slope, model.black_dn)) / gain_factor(settings.gain_db)
+    u = math.hypot(_MASKED_U_DN * step, _MASKED_U_REL * model.modelled_dark(settings))
+    return DarkLevel(signal, 0.0, u, "masked pixels")
 
 
 def _from_other_exposures(

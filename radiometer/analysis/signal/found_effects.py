@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from radiometer.data import Bracket, FoundEffects, Frame, FrameSettings
+from radiometer.units import gain_factor
+
+_ROUNDS = 12  # each leaves a part a₂ of the error, some per cent
 
 
 def corrected_settings(settings: FrameSettings, found: FoundEffects, black_dn: float) -> FrameSettings:
@@ -17,12 +24,42 @@ def corrected_settings(settings: FrameSettings, found: FoundEffects, black_dn: f
         black_dn: Black level in DN of a frame that does not state its own.
     """
     black = black_dn if settings.black_level_dn is None else settings.black_level_dn
+    further_s = found.exposure_further_s if settings.gain_db > found.exposure_above_db else 0.0
     return replace(
         settings,
-        exposure_s=max(settings.exposure_s + found.exposure_offset_s, 1e-9),
-        gain_db=settings.gain_db * (1.0 + found.gain_error_rel),
-        black_level_dn=black + found.black_offset_dn,
+        exposure_s=max(settings.exposure_s + found.exposure_offset_s + further_s, 1e-9),
+        gain_db=_real_gain_db(settings.gain_db, found),
+        black_level_dn=black + found.black_offset_dn + _amplified_dn(settings.gain_db, found),
     )
+
+
+def _real_gain_db(gain_db: float, found: FoundEffects) -> float:
+    table = float(np.interp(gain_db, found.gains_db, found.gain_errors_rel)) if found.gains_db else 0.0
+    return gain_db * (1.0 + found.gain_error_rel) + 20.0 * math.log10(1.0 + table)
+
+
+def _amplified_dn(gain_db: float, found: FoundEffects) -> float:
+    """Return what the gain adds to the black level in DN."""
+    more = max(gain_factor(gain_db - found.black_from_db), 1.0) - 1.0
+    return found.black_slope_dn * (more + found.black_bend * more**2)
+
+
+def straightened(signal: ArrayLike, found: FoundEffects, electrons_per_unit: float) -> NDArray[np.float64]:
+    """Return a linear sensor's signal without the bend that was found, of any shape.
+
+    Args:
+        signal: x above black at 0 dB, as it came through the bend.
+        found: What was found of the camera.
+        electrons_per_unit: Electrons per unit of x.
+    """
+    seen = np.asarray(signal, dtype=np.float64)
+    straight = seen
+    if found.well_a2 == 0.0 and found.well_a3 == 0.0:
+        return straight
+    for _ in range(_ROUNDS):
+        z = np.clip(straight * electrons_per_unit / found.well_e, 0.0, 1.2)
+        straight = seen / (1.0 - found.well_a2 * z - found.well_a3 * z**2)
+    return straight
 
 
 def corrected_frames(frames: Iterable[Frame], found: FoundEffects, black_dn: float) -> Iterable[Frame]:
@@ -55,8 +92,11 @@ def temperature_factor(found: FoundEffects, here_c: float | None, there_c: float
     """
     if here_c is None or there_c is None:
         return 1.0
-    slope = found.temperature_slope_per_k
-    return (1.0 + slope * (there_c - 25.0)) / (1.0 + slope * (here_c - 25.0))
+    here, there = (
+        1.0 + found.temperature_slope_per_k * warmer + found.temperature_bend_per_k2 * warmer**2
+        for warmer in (here_c - 25.0, there_c - 25.0)
+    )
+    return there / here
 
 
 def without_glare(glare: float, surround_at_calibration: float) -> tuple[float, float]:

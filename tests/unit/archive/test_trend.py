@@ -108,6 +108,39 @@ def test_a_season_is_no_drift():
         assert trend.season_rel == pytest.approx(0.01, rel=0.15)
 
 
+@pytest.mark.parametrize(("weeks", "period_weeks"), [(52, 26.0), (104, 26.0), (104, 40.0), (104, 7.3)])
+def test_a_cycle_of_another_period_is_no_drift(weeks, period_weeks):
+    """1 % at any phase beside noise of 0.3 %: hardly ever claimed; over two years period and amplitude are found."""
+    claims, week_s = 0, 7 * 86400.0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        turns = np.arange(weeks) / period_weeks + rng.random()
+        value = 5.0 * (1 + 0.01 * np.sin(2 * np.pi * turns) + rng.normal(0, 0.003, weeks))
+        trend = fit_trend(np.arange(weeks) * week_s, value, np.full(weeks, 0.015))
+        claims += trend.drifts
+        if weeks == 104:
+            period_s, amplitude = trend.cycles[0]
+            assert period_s == pytest.approx(period_weeks * week_s, rel=0.05)
+            assert amplitude == pytest.approx(0.01, rel=0.25)
+    assert claims <= 1
+
+
+def test_readings_of_two_days_years_apart_show_no_cycle():
+    """They tell a change, and nothing of a season or a cycle between."""
+    rng = np.random.default_rng(2)
+    time_s = np.concatenate([np.arange(30) * 60.0, 5e8 + np.arange(30) * 60.0])
+    trend = fit_trend(time_s, 5.0 + 0.01 * rng.standard_normal(60), np.full(60, 0.01))
+    assert trend.cycles == ()
+    assert trend.season_rel is None
+    assert trend.degrees_of_freedom > 0
+
+
+def test_steady_readings_show_no_cycle():
+    """A hundred archives of noise alone: one cycle by chance at most."""
+    shown = [fit_trend(*history(np.random.default_rng(seed), 0.0, readings=40)).cycles for seed in range(100)]
+    assert sum(map(bool, shown)) <= 1
+
+
 def test_a_drift_under_season_and_correlation_is_found():
     """0.2 % per month beside both: claimed, and right within 3 u."""
     time_s, value, u = correlated(5, sigma=0.001)

@@ -18,7 +18,16 @@ from radiometer.analysis.calibration.calibrate import (
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.patch.reading import read_patch
 from radiometer.cli.calibrate_model import with_found_effects
-from radiometer.data import Calibration, CameraDescription, FoundEffects, Frame, FrameSettings, LensDescription, Patch
+from radiometer.data import (
+    Calibration,
+    CameraDescription,
+    FoundEffects,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    Patch,
+    ResponseCurve,
+)
 from radiometer.errors import InputError
 from simulators.camera_model import CameraModel
 from simulators.effects.registry import make_effect
@@ -40,10 +49,13 @@ def model_file(tmp_path, name, parameters, u, found_by="radiometer reconcile"):
     return tmp_path / "reconciled.yaml"
 
 
-def frames(radiance, exposure_s=1e-3, *, gain_db=0.0, offset_s=0.0, black=0.0, warm=1.0, real_gain=None, t_c=25.0):
+def frames(radiance, exposure_s=1e-3, *, gain_db=0.0, offset_s=0.0, black=0.0, warm=1.0, real_gain=None, t_c=25.0,
+           gained_black=0.0, gained_s=0.0, bend=(0.0, 0.0)):  # fmt: skip
     """Return five noiseless frames of a scene, with what is not stated of them."""
     gain = 10.0 ** ((gain_db if real_gain is None else real_gain) / 20.0)
-    dn = radiance * DN_PER_S * (exposure_s + offset_s) * warm * gain + 64.0 + black
+    electrons = radiance * DN_PER_S * (exposure_s + offset_s + gained_s) * warm * 5.95
+    z = electrons / 24500.0
+    dn = electrons * (1.0 - bend[0] * z - bend[1] * z**2) / 5.95 * gain + 64.0 + black + gained_black
     stated = FrameSettings(exposure_s, gain_db, 4.0, 64.0, t_c)
     return [Frame(np.rint(dn).astype(np.uint16), 12, stated)] * 5
 
@@ -101,11 +113,49 @@ def test_what_readings_cannot_be_corrected_for_is_refused(tmp_path):
         with_found_effects(BASE, path, stated=())
 
 
-def test_a_law_that_is_a_table_is_refused(tmp_path):
-    """A gain error per step is more than one figure: the message says what to do instead of correcting by nothing."""
-    table = {"gains_db": (0.0, 12.0), "errors_rel": (0.0, 0.02)}
-    path = model_file(tmp_path, "gain_step_error", table, {"error_rel": 1e-3})
-    with pytest.raises(InputError, match=r"gain_step_error: is a table \(gains_db, errors_rel\)"):
+def test_a_table_of_gains_is_carried_with_its_largest_uncertainty(tmp_path):
+    """2 % at 12 dB, straight to 0 dB; the law's parameter is at rest and asks for nothing."""
+    table = {"gains_db": (0.0, 6.0, 12.0), "errors_rel": (0.0, 0.01, 0.02)}
+    path = model_file(tmp_path, "gain_step_error", table, {"errors_rel[1]": 1e-3, "errors_rel[2]": 2e-3})
+    made = with_found_effects(BASE, path, stated=())
+    assert (made.found.gains_db, made.found.gain_errors_rel) == (table["gains_db"], table["errors_rel"])
+    assert made.uncertainties.gain_step_u_rel == pytest.approx(2e-3)
+
+
+def test_a_bend_is_carried_with_the_well_that_it_is_stated_of(tmp_path):
+    """z is the electrons over the model's full well; u per full scale follows: 4095 DN of 5.95 e⁻ over 24,500 e⁻."""
+    path = model_file(tmp_path, "response_nonlinearity", {"a2": 0.03, "a3": -0.01}, {"a2": 3e-3, "a3": 4e-3})
+    made = with_found_effects(BASE, path, stated=())
+    assert (made.found.well_a2, made.found.well_a3, made.found.well_e) == (0.03, -0.01, 24500.0)
+    assert made.uncertainties.bend_u_rel == pytest.approx(5e-3 * 4095 * 5.95 / 24500.0)
+
+
+def test_a_bend_beside_a_response_curve_is_refused(tmp_path):
+    """Both would straighten the same bend."""
+    path = model_file(tmp_path, "response_nonlinearity", {"a2": 0.03}, {"a2": 3e-3})
+    curve = ResponseCurve(np.log(np.maximum(np.arange(4096.0) - 64.0, 0.1)), np.full(4096, 1e-3))
+    with pytest.raises(InputError, match="give one of them"):
+        with_found_effects(replace(BASE, response=curve), path, stated=())
+
+
+@pytest.mark.parametrize("parameters", [{"strength": 0.1, "k4": 0.03}, {"strength": -0.02}])
+def test_a_fall_off_becomes_a_flat_field(tmp_path, parameters):
+    """At the middle, half-way and in the corner it is the law of the forward model; in the corner u as well."""
+    path = model_file(tmp_path, "natural_vignetting", parameters, {"strength": 0.01, "k4": 0.02})
+    flat = with_found_effects(BASE, path, stated=(), shape=(60, 80)).flat_field
+    rho = np.array([0.0, 0.5, 1.0])
+    s, k4 = parameters["strength"], parameters.get("k4", 0.0)
+    expected = (1.0 + s * rho**2) ** -2.0 * (1.0 - k4 * rho**4)
+    assert flat.at(39.5 + 40.0 * rho, 29.5 + 30.0 * rho) == pytest.approx(expected, abs=1e-4)
+    assert flat.u_rel == pytest.approx(math.hypot(0.02 / (1.0 + s), 0.02 * bool(k4)))
+    with pytest.raises(InputError, match="picture's size"):
+        with_found_effects(BASE, path, stated=())
+
+
+def test_what_differs_over_the_picture_is_refused(tmp_path):
+    """One figure for all places would be wrong at each."""
+    path = model_file(tmp_path, "veiling_glare", {"share": 0.01, "bowl": 0.2}, {"share": 5e-4, "bowl": 0.01})
+    with pytest.raises(InputError, match=r"its 'bowl' \(0\.2\)"):
         with_found_effects(BASE, path, stated=())
 
 
@@ -123,11 +173,29 @@ def test_an_effect_without_its_uncertainty_is_refused(tmp_path):
         (FoundEffects(black_offset_dn=10.0), {"black": 10.0}),
         (FoundEffects(gain_error_rel=0.02), {"gain_db": 12.0, "real_gain": 12.24}),
         (FoundEffects(temperature_slope_per_k=2e-3), {"t_c": 45.0, "warm": 1.04}),
+        (FoundEffects(temperature_slope_per_k=1e-3, temperature_bend_per_k2=1e-4), {"t_c": 45.0, "warm": 1.06}),
+        (
+            FoundEffects(gains_db=(0.0, 12.0), gain_errors_rel=(0.0, 0.03)),
+            {"gain_db": 12.0, "real_gain": 12.0 + 20.0 * math.log10(1.03)},
+        ),
+        (
+            FoundEffects(gains_db=(0.0, 12.0), gain_errors_rel=(0.0, 0.03)),
+            {"gain_db": 6.0, "real_gain": 6.0 + 20.0 * math.log10(1.015)},
+        ),
+        (
+            FoundEffects(black_slope_dn=4.0, black_from_db=6.0, black_bend=0.5),
+            {"gain_db": 18.0, "gained_black": 4.0 * (10**0.6 - 1.0 + 0.5 * (10**0.6 - 1.0) ** 2)},
+        ),
+        (
+            FoundEffects(exposure_further_s=2e-5, exposure_above_db=3.0),
+            {"gain_db": 12.0, "gained_s": 2e-5},
+        ),
+        (FoundEffects(well_a2=0.04, well_a3=0.02, well_e=24500.0), {"bend": (0.04, 0.02)}),
     ],
 )
 def test_readings_are_corrected_for_what_was_found(found, world):
     """A radiance of 0.5 in a fifth of the calibration's exposure comes out within 0.3 %, and wrong by 1 % without."""
-    fixed = {key: value for key, value in world.items() if key in ("offset_s", "black")}
+    fixed = {key: value for key, value in world.items() if key in ("offset_s", "black", "bend")}
     known, seen = frames(even(), 2e-3, **fixed), frames(even(0.5), 4e-4, **world)
     right, _ = read(replace(BASE, found=found), known, seen)
     wrong, _ = read(BASE, known, seen)
@@ -159,3 +227,19 @@ def test_a_map_is_corrected_for_exposure_and_black_too():
     _, known = read(base, frames(even(), 2e-3, **world), frames(even(0.5), 4e-4, **world))
     found = merge(frames(even(0.5), 4e-4, **world), CAMERA, LENS, known)
     assert found.radiance.mean() == pytest.approx(0.5, rel=3e-3)
+
+
+def test_a_map_is_corrected_for_the_sensor_s_warmth_too():
+    """20 K warmer at 0.2 %/K, as a reading; u is that of the coefficient as it was found."""
+    base = replace(BASE, found=FoundEffects(temperature_slope_per_k=2e-3))
+    _, known = read(base, frames(even(), 2e-3), frames(even(0.5), 4e-4))
+    found = merge(frames(even(0.5), 4e-4, t_c=45.0, warm=1.04), CAMERA, LENS, known)
+    assert found.radiance.mean() == pytest.approx(0.5, rel=3e-3)
+
+
+def test_a_map_says_that_it_keeps_a_bend():
+    """At full scale z is 0.995: 4 % of it and 2 % of its square."""
+    base = replace(BASE, found=FoundEffects(well_a2=0.04, well_a3=0.02, well_e=24500.0))
+    _, known = read(base, frames(even(), 2e-3), frames(even(0.5), 4e-4))
+    found = merge(frames(even(0.5), 4e-4), CAMERA, LENS, known)
+    assert any("bends by 6 % at full scale" in said for said in found.not_in_u)

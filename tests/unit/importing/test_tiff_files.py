@@ -31,6 +31,11 @@ def test_masked_rows_off_the_black_level_tag_are_named(write_raw_tiff):
     assert "+200 DN at 0 dB, +400 DN at 6.02 dB: black_level_offset and black_level_gain_slope" in said
 
 
+def test_masked_rows_come_with_the_frame(write_raw_tiff):
+    """Readings take the dark level from them."""
+    assert open_capture(write_raw_tiff("a.tif", PICTURE, dark=5100)).read_frame(0).masked_dn == 5100.0
+
+
 def test_masked_rows_at_the_tag_raise_no_doubt(write_raw_tiff):
     """Masked rows that read what the tag says are no finding."""
     said = imported_of(open_capture(write_raw_tiff("a.tif", PICTURE, dark=4800))).doubts

@@ -340,3 +340,20 @@ def test_light_that_clips_one_of_two_equal_exposures_flickers(rig):
     rng, full = np.random.default_rng(1), rig.radiance_of_full_scale(1e-3)
     frames = [rig.frame(np.full((12, 12), part * full), 1e-3, rng) for part in (0.4, 0.4, 0.4, 0.4, 0.4, 2.0)]
     assert read(rig, calibrated(rig), frames=frames).flags == (Flag.FLICKER,)
+
+
+def test_masked_pixels_are_dark_frames_of_their_own_exposure(rig):
+    """6 DN more than the stated black level are in the masked pixels too: a dim patch reads right, surely."""
+    dim = np.full((12, 12), 0.02 * rig.radiance_of_full_scale(1e-3))
+    plain = rig.frames(dim, np.random.default_rng(1), (1e-3,) * 5)
+    dark = [replace(one, dn=one.dn + np.uint16(6)) for one in plain]
+    masked = [replace(one, extra={"masked_rows_dn": 70.0}) for one in dark]
+    calibration = replace(rig.calibration(), black_level=BlackLevel(dn=64.0, u_dn=5.0))
+    where = (Patch(1, 1, 10, 10), calibration, rig.description, rig.lens)
+    right, off = read_patch(masked, *where), read_patch(dark, *where)
+    assert right.radiance.value == pytest.approx(float(dim[0, 0]), rel=5e-3)
+    assert off.radiance.value / right.radiance.value == pytest.approx(1.0 + 6.0 / 81.0, rel=0.01)
+    told = next(line for line in right.budget if line.name == "dark and black level")
+    assert (told.note, told.u_rel) == ("masked pixels", pytest.approx(0.29 / 81.0, rel=0.02))
+    assert "dark_assumed" in off.flags
+    assert "dark_assumed" not in right.flags

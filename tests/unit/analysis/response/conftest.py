@@ -46,6 +46,13 @@ _KINKS = PchipInterpolator(
     [0.0, 0.23, 0.33, 0.37, 0.52, 0.58, 0.60, 0.72, 0.74, 0.89, 1.0],
 )
 
+
+def _toe(exposure: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A film's: dark below, steep about a quarter of full exposure, flat above."""
+    steep = (exposure / 0.27) ** 1.9
+    return steep / (1.0 + steep) * (1.0 + 0.27**1.9)
+
+
 RESPONSES: dict[str, Response] = {
     **{f"tone{seed}": _tone_curve(seed) for seed in range(8)},
     **{f"film{seed}": _film_curve(seed) for seed in range(10)},
@@ -53,6 +60,7 @@ RESPONSES: dict[str, Response] = {
     "linear": lambda exposure: exposure,
     "sigmoid": _sigmoid,
     "kinked": _KINKS,
+    "toe": _toe,
 }
 
 

@@ -67,6 +67,19 @@ def test_mitsunaga_recovers_ratios_where_no_polynomial_of_the_values_fits(make_s
     assert np.all(np.abs(error) < 4.0 * estimate.u_exposure_ratios[unknown])
 
 
+def test_mitsunaga_follows_a_film_with_a_long_toe(make_stack, true_log_exposure):
+    """A polynomial may make all frames agree by being flat: this one spans the exposures, and its u holds the error."""
+    estimate = recover_response_mitsunaga1999(make_stack("toe", bit_depth=8))
+    inner = slice(13, 243)
+    error = estimate.curve.log_exposure[inner] - true_log_exposure("toe", 8)[inner]
+    error -= error.mean()
+    assert np.ptp(estimate.curve.log_exposure[inner]) > 1.5
+    assert np.std(error) < 0.02
+    assert np.std(error) < 2.0 * np.median(estimate.curve.u_log_exposure[inner])
+    assert estimate.stability is not None
+    assert estimate.stability.rms_log < 0.01
+
+
 def test_mitsunaga_says_how_the_exponent_is_fixed(make_stack):
     """Without a known ratio the product of the stated times fixes γ, and the result says so."""
     estimate = recover_response_mitsunaga1999(make_stack("gamma", bit_depth=8))

@@ -1,0 +1,167 @@
+"""Cycles of unknown period in a history: a half of one that is taken for a drift would be claimed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Cycles that are looked for, from one in the span to one in some readings (or so many), this many steps per one.
+MOST_CYCLES: Final = 3
+_READINGS_PER_CYCLE: Final = 2.5
+_FINER: Final = 8
+# Cycles in the span that are told from a drift badly.
+_SLOW_PER_SPAN: Final = (0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
+_APART: Final = 0.6  # cycles per span that two cycles are told from each other by
+_TRIFLE: Final = 1e-3
+_LEAST_APART: Final = 1e-4  # smallest over largest singular value of columns of norm 1
+_MOST_ODDS: Final = 3.0  # for cycles that were not clear enough to be taken as found
+_MOST_PER_SPAN: Final = 120
+_STEPS: Final = 4
+# Correlation times of neighbours that compete with a cycle, as parts of the span.
+_TIMES_OF_SPAN: Final = (0.003, 0.01, 0.03, 0.1, 0.3)
+_MOST_CORRELATED: Final = 0.995
+# What a cycle must gain in log-likelihood beyond its two amplitudes' ln n and the number of periods that were tried.
+_EVIDENCE: Final = 3.0
+# Values in a table of trial cycles at once.
+_MOST_VALUES: Final = 4_000_000
+
+Array = NDArray[np.float64]
+
+
+def hidden_cycles(
+    design: Array, relative: Array, sigma: Array, time_s: Array, season_s: Sequence[float]
+) -> tuple[float, ...]:
+    """Return the periods in s of cycles that the readings show beyond line and season, the clearest first.
+
+    A cycle is taken where it explains more than neighbours' correlation does, by the Bayesian information criterion,
+    with the number of periods that were tried as its odds.
+
+    Args:
+        design: Columns of what is fitted without cycles, shape (n, columns).
+        relative: Values, shape (n,).
+        sigma: Standard deviations of their own noise, up to a factor, same shape.
+        time_s: Times in s, ascending, same shape.
+        season_s: Periods in s of cycles that the design holds already.
+
+    Source: Schwarz 1978, Annals of Statistics 6, 461; generalised Lomb–Scargle, Zechmeister and Kürster 2009.
+    """
+    span, count = float(time_s[-1] - time_s[0]), relative.size
+    per_span = np.arange(1.0, min(count / _READINGS_PER_CYCLE, _MOST_PER_SPAN) + 1e-9, 1.0 / _STEPS)
+    per_span = per_span[: max(_MOST_VALUES // (2 * count), 8)]
+    found: list[float] = []
+    for _ in range(MOST_CYCLES):
+        per_span = _away(per_span, span, (*season_s, *found))
+        if count < 2 * (design.shape[1] + 4) or per_span.size == 0:
+            break
+        without, gains = _likelihoods(design, relative / sigma, sigma, time_s, span / per_span)
+        best = int(gains.argmax())
+        if gains[best] - without <= _EVIDENCE + math.log(count) + math.log(float(per_span[-1])):
+            break
+        if not tells_apart(np.column_stack([design, cycle_columns(time_s, span / float(per_span[best]))])):
+            break
+        near = per_span[best] + np.linspace(-1.0, 1.0, 2 * _FINER + 1) / _STEPS
+        _, gains = _likelihoods(design, relative / sigma, sigma, time_s, span / near)
+        found.append(span / float(near[int(gains.argmax())]))
+        design = np.column_stack([design, with_period(design, relative, sigma, time_s, found[-1])])
+        if not tells_apart(design):
+            found.pop()
+            break
+    return tuple(found)
+
+
+def tells_apart(design: Array) -> bool:
+    """Tell whether the readings tell columns apart: not where they all lie at few times of a cycle."""
+    sizes = np.linalg.svd(design / np.maximum(np.linalg.norm(design, axis=0), 1e-300), compute_uv=False)
+    return bool(sizes[-1] > _LEAST_APART * sizes[0])
+
+
+def slow_cycles(
+    design: Array, relative: Array, sigma: Array, time_s: Array, fitted_s: Sequence[float]
+) -> list[tuple[Array, float]]:
+    """Return designs without and with one slow cycle more, and how likely each is by the readings.
+
+    Some one to four cycles in the span are told from a drift badly, and shown late: all of them count as far as the
+    readings allow them.
+
+    Args:
+        design: Columns of what is fitted, shape (n, columns).
+        relative: Values, shape (n,).
+        sigma: Standard deviations of their own noise, up to a factor, same shape.
+        time_s: Times in s, ascending, same shape.
+        fitted_s: Periods in s of the cycles that the design holds: those nearby are theirs.
+
+    Source: Hoeting et al. 1999, Statistical Science 14, 382.
+    """
+    count = relative.size
+    span = float(time_s[-1] - time_s[0])
+    periods_s = span / _away(np.array(_SLOW_PER_SPAN), span, fitted_s)
+    if periods_s.size == 0 or count < 2 * (design.shape[1] + 4):
+        return [(design, 1.0)]
+    without, gains = _likelihoods(design, relative / sigma, sigma, time_s, periods_s)
+    odds = np.exp(np.clip(gains - without - math.log(count) - math.log(periods_s.size), -700.0, 700.0))
+    odds *= min(1.0, _MOST_ODDS / max(float(odds.sum()), 1e-300))
+    whole = 1.0 + float(odds.sum())
+    models = [(design, 1.0 / whole)]
+    for period, one in zip(periods_s, odds / whole, strict=True):
+        more = np.column_stack([design, cycle_columns(time_s, float(period))])
+        if one > _TRIFLE and tells_apart(more):
+            models.append((more, float(one)))
+    return models
+
+
+def _away(per_span: Array, span: float, fitted_s: Sequence[float]) -> Array:
+    """Return the numbers of cycles in the span that are none of the fitted cycles'."""
+    taken = np.array([span / period for period in fitted_s])
+    return per_span[np.all(np.abs(per_span[:, None] - taken) >= _APART, axis=1)]
+
+
+def with_period(design: Array, relative: Array, sigma: Array, time_s: Array, period_s: float) -> Array:
+    """Return the columns of a cycle whose period is not quite known: sine, cosine, and the slope by the period.
+
+    Args:
+        design: Columns of what is fitted without it, shape (n, columns).
+        relative: Values, shape (n,).
+        sigma: Standard deviations of their own noise, up to a factor, same shape.
+        time_s: Times in s, same shape.
+        period_s: Its period in s.
+    """
+    columns = cycle_columns(time_s, period_s)
+    both = np.column_stack([design, columns]) / sigma[:, None]
+    size = np.linalg.lstsq(both, relative / sigma, rcond=None)[0][-2:]
+    turned = columns[:, 1] * size[0] - columns[:, 0] * size[1]
+    middle = (time_s - time_s.mean()) / (time_s[-1] - time_s[0])
+    return np.column_stack([columns, middle * turned / max(float(np.hypot(*size)), 1e-300)])
+
+
+def cycle_columns(time_s: Array, period_s: float) -> Array:
+    """Return sine and cosine of a period at the times, shape (n, 2)."""
+    phase = 2.0 * np.pi * (time_s - time_s[0]) / period_s
+    return np.stack([np.sin(phase), np.cos(phase)], axis=1)
+
+
+def _likelihoods(design: Array, told: Array, sigma: Array, time_s: Array, periods_s: Array) -> tuple[float, Array]:
+    """Return the log-likelihood without a cycle and with each, every one at its likeliest correlation time."""
+    gaps, freedom = np.diff(time_s), told.size - design.shape[1] - 2
+    trials = np.concatenate([cycle_columns(time_s, period) for period in periods_s], axis=1) / sigma[:, None]
+    rows = np.column_stack([design / sigma[:, None], told, trials])
+    without, gains = -math.inf, np.full(periods_s.size, -math.inf)
+    for tau in (0.0, *(part * float(time_s[-1] - time_s[0]) for part in _TIMES_OF_SPAN)):
+        phi = np.zeros_like(gaps) if tau == 0.0 else np.minimum(np.exp(-gaps / tau), _MOST_CORRELATED)
+        root = np.sqrt(1.0 - phi**2)
+        white = np.concatenate([rows[:1], (rows[1:] - phi[:, None] * rows[:-1]) / root[:, None]])
+        base, _ = np.linalg.qr(white[:, : design.shape[1]])
+        rest = white[:, design.shape[1] :]
+        rest = rest - base @ (base.T @ rest)
+        left, sine, cosine = rest[:, 0], rest[:, 1::2], rest[:, 2::2]
+        ss, cc, sc = (np.einsum("ij,ij->j", a, b) for a, b in ((sine, sine), (cosine, cosine), (sine, cosine)))
+        s, c, whole = left @ sine, left @ cosine, float(left @ left)
+        determinant = np.maximum(ss * cc - sc**2, 1e-9 * ss * cc + 1e-300)
+        explained = np.clip((cc * s**2 - 2.0 * sc * s * c + ss * c**2) / determinant, 0.0, whole * (1 - 1e-12))
+        jacobian = -float(np.log(root).sum())
+        without = max(without, jacobian - 0.5 * freedom * math.log(max(whole, 1e-300)))
+        gains = np.maximum(gains, jacobian - 0.5 * freedom * np.log(np.maximum(whole - explained, 1e-300)))
+    return without, gains
