@@ -217,7 +217,11 @@ def _show_effect(number: int, effect: FoundEffect) -> None:
     for name, entry in effect.parameters.items():
         shown = f"{entry.value:.6g}" if entry.u is None else f"{significant(entry.value, entry.u)} ± {entry.u:.2g}"
         out.print(f"   {name} = {shown} {'' if entry.unit == '1' else entry.unit}")
-    if effect.other_law is not None:
+    if effect.curve is not None:
+        low, high = min(effect.curve.factor), max(effect.curve.factor)
+        where = " and ".join(effect.curve.along)
+        out.print(f"   by another law than the catalogue's: {low:.3g} to {high:.3g} times it along {where}")
+    elif effect.other_law is not None:
         left = ", ".join(f"{name} {entry.value:.2g}" for name, entry in effect.other_law.items())
         out.print(f"   by another law than the catalogue's{f'; it leaves {left}' if left else ''}")
     if effect.elsewhere:

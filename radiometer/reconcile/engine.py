@@ -27,6 +27,7 @@ from radiometer.reconcile.result import (
     CovariateGap,
     FittedParameter,
     FoundEffect,
+    LawCurve,
     Limit,
     Place,
     ReconcileResult,
@@ -39,6 +40,7 @@ from radiometer.reconcile.search.search import search
 from radiometer.reconcile.verdict import by_other_laws, doubts_of, faint, faint_names, rest_of, size_of_rest, verdict_of
 from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.free_law import FreeLaw
 from simulators.effects.registry import all_effects
 from simulators.ideal_chain import beside_ideal
 
@@ -215,6 +217,9 @@ def examine(
     total = len(header.frames)
     light = FrameLight(design, read)
     seen, images = reduce_frames(design, light, (lambda done: progress(done, total)) if progress else None)
+    again = periodic(design, light, seen.common_unit, (seen.high < _CLEAR) & (seen.low < _CLEAR))
+    if again is not None:  # a source known to differ by so much from frame to frame: no flicker is asked for beside it
+        design = replace(design, header=_wandering(header, again.rms))
     start = first_state(design, seen, images, given)
     if not start.comparison.usable["mean"].any():
         raise CaptureError(
@@ -222,8 +227,13 @@ def examine(
         )
     entries = whole_catalogue() if catalogue is None else catalogue
     outcome = search(start, entries, say)
-    again = periodic(design, light, seen.common_unit, (seen.high < _CLEAR) & (seen.low < _CLEAR))
     return Reconciled(_result(outcome, entries, again, total, begun, with_limits=with_limits), outcome)
+
+
+def _wandering(header: CaptureHeader, rms: float) -> CaptureHeader:
+    """Return the header of a source that is no more reproducible than it was seen to be."""
+    known = max(header.source.reproducibility_u_rel or 0.0, rms)
+    return header.model_copy(update={"source": header.source.model_copy(update={"reproducibility_u_rel": known})})
 
 
 def _result(
@@ -324,7 +334,7 @@ def _found(
             shown = replace(step, rivals=rivals)
             effect = _effect(shown, own, parameters[step.name], advice, provisional=provisional)
             other = size_of_rest(state, own.block) if own in others else None
-            found.append(replace(effect, other_law=other))
+            found.append(replace(effect, other_law=other, curve=LawCurve.of(own, parameters[step.name])))
     return (*found, rest) if rest is not None and rest not in found else tuple(found)
 
 
@@ -336,9 +346,10 @@ def _effect(
     *,
     provisional: bool,
 ) -> FoundEffect:
+    curved = effect.law_names() if isinstance(effect, FreeLaw) else ()
     return FoundEffect(
         step.name,
-        parameters,
+        {name: entry for name, entry in parameters.items() if name not in curved},
         step.where,
         step.gap_before,
         step.gap_after,

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from radiometer.data.reading import finite_or_null
 from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.free_law import FreeLaw
 
 GAP_UNIT: Final = "reduced chi-square on held-out frames"
 
@@ -52,6 +53,35 @@ class FittedParameter:
 
 
 @dataclass(frozen=True, slots=True)
+class LawCurve:
+    """By how much an effect does more or less than by its own equation, where the data follow another.
+
+    Attributes:
+        along: Knots along each covariate, in its unit; of two the second runs faster in `factor`.
+        factor: Factor on the effect's own change at the knots, 1 for its own equation.
+        u: Its standard uncertainty; None where it was not fitted.
+    """
+
+    along: Mapping[str, tuple[float, ...]]
+    factor: tuple[float, ...]
+    u: tuple[float | None, ...]
+
+    @classmethod
+    def of(cls, effect: CatalogueEffect, parameters: Mapping[str, FittedParameter]) -> LawCurve | None:
+        """Return the curve of an effect from its fitted parameters; None where it follows its own equation."""
+        if not isinstance(effect, FreeLaw):
+            return None
+        fitted = [parameters[name] for name in effect.law_names()]
+        along = {axis: effect.knots(axis) for axis in effect.axes}
+        return cls(along, tuple(entry.value for entry in fitted), tuple(entry.u for entry in fitted))
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping that stands in JSON."""
+        along = {axis: list(knots) for axis, knots in self.along.items()}
+        return {"along": along, "factor": list(self.factor), "u": list(self.u)}
+
+
+@dataclass(frozen=True, slots=True)
 class FoundEffect:
     """One effect (or unnamed disagreement) that was found.
 
@@ -68,6 +98,7 @@ class FoundEffect:
         provisional: Whether structure stays, so that the name may still change.
         closest: For an unnamed one, the closest entry and the share that it explains.
         other_law: For a named one that the data follow by another equation than the catalogue's: how large the rest is.
+        curve: That other law as a factor on the catalogue's, where it was fitted.
         elsewhere: For an unnamed one, where else structure stays: covariate and statistic.
     """
 
@@ -84,6 +115,7 @@ class FoundEffect:
     closest: tuple[str, float] | None = None
     elsewhere: tuple[tuple[str, str], ...] = ()
     other_law: Mapping[str, FittedParameter] | None = None
+    curve: LawCurve | None = None
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the documented JSON form."""
@@ -103,10 +135,11 @@ class FoundEffect:
         } | ({"closest": closest, "elsewhere": self._elsewhere()} if self.name == "unnamed" else self._law())
 
     def _law(self) -> dict[str, Any]:
-        if self.other_law is None:
+        if self.other_law is None and self.curve is None:
             return {"law": "the catalogue's"}
-        left = {name: entry.to_mapping() for name, entry in self.other_law.items()}
-        return {"law": "other than the catalogue's", "left_by_the_law": left}
+        left = {name: entry.to_mapping() for name, entry in (self.other_law or {}).items()}
+        curve = self.curve.to_mapping() if self.curve else None
+        return {"law": "other than the catalogue's", "left_by_the_law": left, "curve": curve}
 
     def _elsewhere(self) -> list[dict[str, str]]:
         return [{"where": where, "statistic": block} for where, block in self.elsewhere]

@@ -108,6 +108,12 @@ OWN_LAW_NATS: Final = _row(
 SMOOTH_SHARE: Final = _row(
     "SMOOTH_SHARE", 0.8, "1", "a name that explains less than a curve without meaning along the covariate"
 )
+LAW_SHARE: Final = _row(
+    "LAW_SHARE",
+    0.5,
+    "1",
+    "a name whose law must be bent beyond recognition: the least share that its own equation brings",
+)
 
 # ---- the search -----------------------------------------------------------------------------------------------------
 KEPT_NATS: Final = _row("KEPT_NATS", 4.0, "nats", "names that bring nothing any more beside a later one")
@@ -121,6 +127,9 @@ HUGE_NATS: Final = _row(
     "judging near candidates by linearised nuisances that are far off: they are fitted in full",
 )
 NEAR_SHARE: Final = _row("NEAR_SHARE", 0.05, "1", "the same: share of the best within which candidates are near")
+FAR_GAP: Final = _row(
+    "FAR_GAP", 100.0, "χ²", "the same: reduced χ² from which every candidate that may be it is fitted in full"
+)
 MOST_STEPS: Final = int(_row("MOST_STEPS", 7, "1", "a search without an end"))
 
 # ---- doubts ---------------------------------------------------------------------------------------------------------

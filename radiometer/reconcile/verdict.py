@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.reconcile.fit.comparison import FAMILY, TILE_BLOCKS, Comparison
-from radiometer.reconcile.fit.covariance import fitted_parameters, is_misfit
+from radiometer.reconcile.fit.covariance import fitted_parameters, is_misfit, scatter_of
 from radiometer.reconcile.fit.covariates import covariates
 from radiometer.reconcile.fit.state import FitState, refit, with_effects
 from radiometer.reconcile.measure.design import Array
@@ -28,8 +28,10 @@ from radiometer.reconcile.thresholds import (
     SMOOTH_SHARE,
 )
 from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.free_law import FreeLaw
 
 _REFITS: Final = 8
+_LIGHT: Final = ("mean", "slope")  # what changes the light of tiles moves both
 _LIT_DN: Final = 1.0  # light below which a share of it says nothing
 
 
@@ -90,7 +92,8 @@ def faint_names(outcome: Search) -> list[str]:
     most = max((step.gain_nats for step in named), default=0.0)
     if not _leaves_structure(outcome):
         return []
-    return [step.name for step in named if step.gain_nats < min(FAINT_NATS, most)]
+    needed = min(FAINT_NATS * scatter_of(outcome.state), most)
+    return [step.name for step in named if step.gain_nats < needed]
 
 
 def faint(outcome: Search) -> list[str]:
@@ -114,10 +117,16 @@ def by_other_laws(outcome: Search) -> tuple[CatalogueEffect, ...]:
     for effect in outcome.state.effects:
         beside = [s for s in outcome.steps if s.name == "unnamed" and _place_of(s) == own_place(effect)]
         nats, more = gains.get(effect.name, 0.0), sum(step.gain_nats for step in beside)
-        stays = beside or effect.name in departed
+        stays = beside or effect.name in departed or isinstance(effect, FreeLaw)
         if stays and effect.name not in weak and nats >= SMOOTH_SHARE * (nats + more):
             found.append(effect)
     return tuple(found)
+
+
+def _places_of_law(effect: CatalogueEffect) -> set[tuple[str, str]]:
+    """Return where the rest of an effect's law lies: of a free one along all its covariates, in all that it moves."""
+    axes = effect.axes if isinstance(effect, FreeLaw) else ()
+    return {own_place(effect)} | {(axis, block) for axis in axes for block in (effect.block, *effect.also, *_LIGHT)}
 
 
 def _place_of(step: Step) -> tuple[str, str]:
@@ -132,7 +141,7 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
         again: What comes back in the order of the frames.
     """
     state = outcome.state
-    told = {own_place(effect) for effect in by_other_laws(outcome)}
+    told = {place for effect in by_other_laws(outcome) for place in _places_of_law(effect)}
     steps = [step for step in outcome.steps if step.name == "unnamed" and _place_of(step) not in told]
     places = [_place_of(step) for step in steps]
     places += [(axis_of(test.where, test.block), test.family) for test in outcome.left]

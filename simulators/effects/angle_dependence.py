@@ -27,6 +27,7 @@ class AngleDependence(Scaling):
     unit_out = IRRADIANCE
     where = "f_number"
     block = "slope"
+    law_along = ("field_radius", "f_number")
     log_prior_odds = -2.0
     prior_reason = "bends like the fall-off of any lens"
     trials = (

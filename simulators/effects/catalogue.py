@@ -41,6 +41,7 @@ class CatalogueEffect(Effect):
         is_stepwise: Whether it does not grow from nothing with its first parameter; its limit is a form that shows.
         saturates: `sharply` or `softly` for what limits the signal: the higher the limit the milder. Below a sharp one
             nothing bends.
+        law_along: Covariates along which the data may follow another law than its equation; by default `where`.
         neutral_at_one: Parameters that do nothing at 1, as others do at 0.
         looks_back: Whether it acts by what the frame before held (`context.previous_e`).
     """
@@ -63,6 +64,7 @@ class CatalogueEffect(Effect):
     acts_by_square: ClassVar[bool] = False
     is_stepwise: ClassVar[bool] = False
     saturates: ClassVar[Literal["", "softly", "sharply"]] = ""
+    law_along: ClassVar[tuple[str, ...]] = ()
     neutral_at_one: ClassVar[tuple[str, ...]] = ()
     looks_back: ClassVar[bool] = False
 

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Self, cast
+from dataclasses import dataclass, replace
+from typing import Any, Final, Self, cast
 
 import numpy as np
 
-from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
+from simulators.effects.base import DIGITAL_NUMBER, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
+
+_NODES: Final = np.linspace(-4.5, 4.5, 37)  # sigmas; even steps, for the curve has a corner
+_WEIGHTS: Final = np.exp(-0.5 * _NODES**2) / np.sum(np.exp(-0.5 * _NODES**2))
+_LEAST_DN2: Final = 1e-6
 
 
 @dataclass(frozen=True)
 class GammaEnabled(CatalogueEffect):
     """Bends digital numbers: y' = D·(y/D)^(1/γ), D full scale; black level included.
 
+    Where the black level p is added after the curve, y' = p + (D − p)·((y − p)/(D − p))^(1/γ), and below p the same
+    curve turned about p.
     With a toe c a straight line leads from there to zero, as in Rec. 709: y' = y·c^(1/γ − 1) for y/D below c.
 
     Source: GenICam SFNC, Gamma; must be 1 for radiometry.
@@ -37,6 +43,9 @@ class GammaEnabled(CatalogueEffect):
         {"gamma": 1.5},
         {"gamma": 2.2},
         {"gamma": 0.45},
+        {"gamma": 1.1, "above_black": 1.0},
+        {"gamma": 1.4, "above_black": 1.0},
+        {"gamma": 0.9, "above_black": 1.0},
     )
     fitted = ("gamma",)
     settles = "the same digital number reached at two gains"
@@ -44,17 +53,41 @@ class GammaEnabled(CatalogueEffect):
 
     toe: float = parameter(0.0, "1", 0.0, 0.9, source="Rec. 709: 0.018, sRGB: 0.0031; 0 for none")
 
+    above_black: float = parameter(0.0, "1", 0.0, 1.0, source="1 where the black level is added after the curve")
+
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the bent value."""
-        full = self._full_scale(context)
-        share = np.maximum(signal / full, 0.0)
+        black, room = self._range(context)
+        share = np.abs(signal - black) / room if self.above_black else np.maximum(signal / room, 0.0)
         bent = np.where(share > self.toe, share ** (1.0 / self.gamma), share * self._lift())
-        return cast(Signal, (full * bent).astype(signal.dtype))
+        turned = np.where(signal < black, -bent, bent) if self.above_black else bent
+        return cast(Signal, (black + room * turned).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
         """Return d(mean)/d(signal)."""
-        share = np.maximum(signal / self._full_scale(context), 1e-6)
+        black, room = self._range(context)
+        share = np.maximum(np.abs(signal - black) / room, 1e-6)
         return np.where(share > self.toe, share ** (1.0 / self.gamma - 1.0) / self.gamma, self._lift())
+
+    def moments(self, before: Moments, context: ExposureContext) -> Moments:
+        """Return the moments; about the beginning of the curve those of normal noise that is bent, no tangent's.
+
+        The slope is that of Stein's lemma, E[z·g(S + σz)]/σ, by quadrature.
+        """
+        if not self.above_black:
+            return super().moments(before, context)
+        sigma = np.sqrt(np.maximum(before.variance + before.spatial_variance, _LEAST_DN2))
+        bent = [self.mean(np.asarray(before.mean + z * sigma), context) for z in _NODES.tolist()]
+        mean = sum(w * value for w, value in zip(_WEIGHTS, bent, strict=True))
+        square = sum(w * (value - mean) ** 2 for w, value in zip(_WEIGHTS, bent, strict=True))
+        slope = sum(w * z * value for w, z, value in zip(_WEIGHTS, _NODES, bent, strict=True)) / sigma
+        after = before.passed(cast(Signal, mean), cast(Signal, slope))
+        more = np.maximum(square - np.square(slope * sigma), 0.0) / sigma**2  # what no straight line does to the noise
+        return replace(
+            after,
+            variance=after.variance + more * before.variance,
+            spatial_variance=after.spatial_variance + more * before.spatial_variance,
+        )
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return curves with a toe at a few levels."""
@@ -64,9 +97,13 @@ class GammaEnabled(CatalogueEffect):
         """Return the parameters to fit: the toe only where there is one."""
         return ("gamma", "toe") if self.toe else ("gamma",)
 
+    def _range(self, context: ExposureContext) -> tuple[Any, Any]:
+        """Return where the curve begins, and how far it reaches from there."""
+        full = float((1 << context.camera.bit_depth) - 1)
+        known: Any = context.settings.black_level_dn
+        black = self.above_black * np.asarray(0.0 if known is None else known) if self.above_black else 0.0
+        return black, full - black
+
     def _lift(self) -> float:
         """Return the steepness of the toe."""
         return float(self.toe ** (1.0 / self.gamma - 1.0)) if self.toe else 1.0
-
-    def _full_scale(self, context: ExposureContext) -> float:
-        return float((1 << context.camera.bit_depth) - 1)

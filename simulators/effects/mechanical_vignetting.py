@@ -33,6 +33,7 @@ class MechanicalVignetting(Scaling):
     unit_out = IRRADIANCE
     where = "f_number"
     block = "slope"
+    law_along = ("field_radius", "f_number")
     trials = (
         {"strength": 0.05, "exponent": 2.0},
         {"strength": 0.05, "exponent": 4.0},

@@ -13,6 +13,7 @@ from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.flicker import flicker_sample, flicker_variance
 
 _FREQUENCIES_HZ: Final = np.geomspace(60.0, 4000.0, 36)
+_DUTIES: Final = (0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9)
 _COMB: Final = np.geomspace(0.94, 1.06, 9)  # from halfway to one neighbour to halfway to the other
 
 
@@ -50,6 +51,10 @@ class PwmFlicker(CatalogueEffect):
         Over many periods the light that an exposure leaves hangs on the frequency to a small part of a period.
         """
         return tuple(self.with_parameters(frequency_hz=float(self.frequency_hz * factor)) for factor in _COMB)
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return waves of other duties."""
+        return tuple(self.with_parameters(duty=duty) for duty in _DUTIES if duty != self.duty)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the light averaged over the phase: unchanged."""

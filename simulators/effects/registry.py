@@ -49,6 +49,7 @@ from simulators.effects.exposure_quantisation import ExposureQuantisation
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.first_frame_offset import FirstFrameOffset
 from simulators.effects.fnumber_tstop_error import FnumberTstopError
+from simulators.effects.free_law import kind_for
 from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.gain_step_error import GainStepError
 from simulators.effects.gamma_enabled import GammaEnabled
@@ -79,6 +80,7 @@ from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from simulators.effects.rolling_shutter_banding import RollingShutterBanding
 from simulators.effects.row_pattern import RowPattern
 from simulators.effects.row_temporal_noise import RowTemporalNoise
+from simulators.effects.series_settling import SeriesSettling
 from simulators.effects.shot_noise import ShotNoise
 from simulators.effects.shutter import Shutter
 from simulators.effects.shutter_dead_time import ShutterDeadTime
@@ -147,6 +149,7 @@ EFFECTS: Final[dict[str, type[Effect]]] = {
     "rolling_shutter_banding": RollingShutterBanding,
     "row_pattern": RowPattern,
     "row_temporal_noise": RowTemporalNoise,
+    "series_settling": SeriesSettling,
     "shot_noise": ShotNoise,
     "shutter": Shutter,
     "shutter_dead_time": ShutterDeadTime,
@@ -300,6 +303,7 @@ def make_effect(name: str, parameters: Mapping[str, Any] | None = None, where: s
     if kind is None:
         raise ConfigurationError(f"{where}: there is no effect {name!r}; known are {', '.join(sorted(EFFECTS))}")
     given = {k: tuple(v) if isinstance(v, list) else v for k, v in (parameters or {}).items()}
+    kind = kind_for(kind, tuple(given)) if issubclass(kind, CatalogueEffect) else kind
     allowed = [known.name for known in kind.parameters()]
     for key in given:
         if key not in allowed:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Final, Self, cast
 
 import numpy as np
 
@@ -13,10 +13,14 @@ from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.surroundings import surroundings_of
 from simulators.effects.tile_moments import TileMoments
 
+_WIDTHS: Final = (0.02, 0.04, 0.08, 0.16, 0.32)  # as fractions of the longer side
+
 
 @dataclass(frozen=True)
 class StrayLightKernel(CatalogueEffect):
     """Spreads a share of the light over a wide Gaussian: E' = (1 − v)·E + v·(E ∗ G_σ).
+
+    With wings of any other form it is a sum of Gaussians of five widths, E' = E + Σ vₖ·(E ∗ Gₖ − E).
 
     Source: the far tail of a point-spread function; σ a tenth of the picture and more.
     """
@@ -42,16 +46,39 @@ class StrayLightKernel(CatalogueEffect):
     edge_share: float = parameter(
         0.05, "1", 0.0, 0.4, source="part of the kernel in the last line before an edge, over the patch's own mean"
     )
+    wings: tuple[float, ...] = parameter((), "1", 0.0, 0.5, source="shares of the widths 0.02, 0.04 … 0.32")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return irradiance with the scattered light."""
-        wide = surroundings_of(context).spread(signal, self.radius)
-        return cast(Signal, (signal * (1.0 - self.share) + self.share * wide).astype(signal.dtype))
+        around, spread = surroundings_of(context), signal * (1.0 - self._lost)
+        for share, radius in self._kernels():
+            spread = spread + share * around.spread(signal, radius)
+        return cast(Signal, spread.astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
         """Return 1 − v."""
-        return 1.0 - self.share
+        return 1.0 - self._lost
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return wings of any form, which start as the Gaussian nearest to this one."""
+        if self.wings:
+            return ()
+        nearest = int(np.argmin(np.abs(np.log(np.array(_WIDTHS) / self.radius))))
+        start = tuple(0.6 * self.share if k == nearest else 0.1 * self.share for k in range(len(_WIDTHS)))
+        return (self.with_parameters(share=0.0, wings=tuple(max(value, 0.0) for value in start)),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: those of the wings where there are any."""
+        return (*(f"wings[{k}]" for k in range(len(self.wings))), "edge_share") if self.wings else self.fitted
+
+    def _kernels(self) -> tuple[tuple[float, float], ...]:
+        """Return share and width of each kernel."""
+        return tuple(zip(self.wings, _WIDTHS, strict=True)) if self.wings else ((self.share, self.radius),)
+
+    @property
+    def _lost(self) -> float:
+        return sum(share for share, _ in self._kernels())
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with what the kernel carries across an edge, which hangs on where the patch ends."""
-        return replace(after, edge_share=before.edge_share + np.full((1, 1, 1), self.share * self.edge_share))
+        return replace(after, edge_share=before.edge_share + np.full((1, 1, 1), self._lost * self.edge_share))

@@ -12,15 +12,18 @@ span the range of an entry.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
 import numpy as np
 
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconcile.advice.next_capture import tells_apart
+from radiometer.reconcile.fit.candidate_fit import Candidate, fit_candidate
+from radiometer.reconcile.fit.comparison import Comparison
 from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Array
+from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.search.screening import directions_of
 from radiometer.reconcile.thresholds import PARAMETER_NATS, RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
@@ -30,6 +33,7 @@ _ASKED_CHI2: Final = 400.0  # the size at which a plan is asked about an entry: 
 _LARGEST_FACTOR: Final = 1000.0  # times the size of its start, beyond which the entry would be absurd
 _ABSORBED: Final = 1e-6  # share of what an entry changes that the nuisances must leave
 _REACH: Final = 2.0  # scales by which a parameter may leave its start: beyond, its derivative there is another effect
+_WORTH_A_FIT: Final = 0.5  # share of another's χ² that an entry must follow at its start to be fitted in its place
 _DIRECTION: Final = 1e-6  # share of a column that the others of its entry must leave
 
 
@@ -166,8 +170,60 @@ def inseparable(
     if not directions.forms[chosen.name]:
         return ()
     (target,) = directions.forms[chosen.name]
-    found = (directions.followed_by(target, name) for name in kinds)
+    found = (directions.followed_by(target, name) or _fitted_like(directions, target, name) for name in kinds)
     return tuple(effect for effect in found if effect is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class Noiseless(Comparison):
+    """A comparison whose measured statistics are those that a model expects.
+
+    Attributes:
+        offset: Residual of the real data under that model.
+    """
+
+    offset: Array = field(default_factory=lambda: np.zeros(0))
+
+    def residual(self, prediction: Prediction) -> Array:
+        """Return expected minus predicted, whitened."""
+        return super().residual(prediction) - self.offset
+
+
+def noiseless(state: FitState, effect: CatalogueEffect) -> FitState:
+    """Return a state with the data replaced by what its model with a further effect expects."""
+    known = {entry.name: getattr(state.comparison, entry.name) for entry in fields(state.comparison)}
+    offset = state.comparison.residual(state.predicted_with((*state.effects, effect)))
+    return replace(state, comparison=Noiseless(**known | {"offset": offset}))
+
+
+def left_by_fit(exact: FitState, truth: CatalogueEffect, start: Candidate) -> tuple[float, CatalogueEffect]:
+    """Return the χ² that an entry leaves of noiseless data when it is fitted to them, and the entry as fitted.
+
+    Args:
+        exact: The state with the noiseless data of another entry.
+        truth: That other entry; parameters beyond its number are paid for.
+        start: Where the fit begins.
+    """
+    whole = float(np.sum(exact.fit.projected[: exact.comparison.size] ** 2))
+    fitted = fit_candidate(exact, start)
+    left = max(whole - fitted.gain - 2.0 * fitted.overrated, 0.0)
+    return left + _paid(truth, fitted.effect), fitted.effect
+
+
+def _fitted_like(directions: Directions, target: _Form, name: str) -> CatalogueEffect | None:
+    """Return an entry that fits the noiseless data of a large effect, where derivatives at its start reach not so far.
+
+    Only what follows it for the most part at its start is fitted.
+    """
+    whole = directions.shown(target)
+    rated = sorted(((*directions.left(target, form), form) for form in directions.forms[name]), key=lambda r: r[0])
+    near = [_times(form.effect, amount) for left, amount, form in rated if left < (1.0 - _WORTH_A_FIT) * whole]
+    if not near:
+        return None
+    start = Candidate(near[0], whole, max(len(near[0].free()), 1), others=tuple(near[1:2]))
+    exact = noiseless(directions.state, target.effect)
+    left, effect = left_by_fit(exact, target.effect, start)
+    return effect if left < 2.0 * RIVAL_NATS else None
 
 
 def _spread(starts: Sequence[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
@@ -211,29 +267,43 @@ class Separability:
         return {"inseparable": [entry.to_mapping() for entry in self.together], "blind": list(self.blind)}
 
 
-def separability(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> Separability:
+def separability(
+    state: FitState, catalogue: Mapping[str, type[CatalogueEffect]], *, every: bool = False
+) -> Separability:
     """Return which entries these captures can tell apart, each at a size of twenty sigma.
 
     Args:
         state: The starting camera, nuisances fitted; the data's disagreements have no part in it.
         catalogue: All entries.
+        every: List a set once for each of its names, without captures, instead of once in all.
     """
+    directions, seen = _asked(state, catalogue)
+    blind = tuple(sorted(set(catalogue) - set(seen)))
+    return Separability(tuple(_together(state, directions, seen, every=every)), blind)
+
+
+def asked_sizes(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> dict[str, CatalogueEffect]:
+    """Return the entries that show, by name, at the size of twenty sigma at which a plan is asked about them."""
+    directions, seen = _asked(state, catalogue)
+    amount = {name: np.sqrt(_ASKED_CHI2 / directions.shown(form)) for name, form in seen.items()}
+    return {name: _times(form.effect, float(amount[name])) for name, form in seen.items()}
+
+
+def _asked(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> tuple[Directions, dict[str, _Form]]:
     context = state.model.context
     directions = Directions.of(state, {n: _spread(kind.starts(context)) for n, kind in catalogue.items()})
     first = {name: forms[0] for name, forms in directions.forms.items() if forms}
-    seen = {name: form for name, form in first.items() if directions.is_seen(form)}
-    blind = tuple(sorted(set(catalogue) - set(seen)))
-    return Separability(tuple(_together(state, directions, seen)), blind)
+    return directions, {name: form for name, form in first.items() if directions.is_seen(form)}
 
 
-def _together(state: FitState, directions: Directions, seen: Mapping[str, _Form]) -> Iterator[Together]:
+def _together(state: FitState, directions: Directions, seen: Mapping[str, _Form], *, every: bool) -> Iterator[Together]:
     told = set[frozenset[str]]()
     for name, target in seen.items():
         times = _ASKED_CHI2 / directions.shown(target)
         followed = (directions.followed_by(target, other, times) for other in seen if other != name)
         others = [effect for effect in followed if effect is not None]
         names = frozenset({name, *(effect.name for effect in others)})
-        if others and names not in told:
+        if others and (every or names not in told):
             told.add(names)
-            capture = tells_apart(state, target.effect, others)
+            capture = None if every else tells_apart(state, target.effect, others)
             yield Together(name, tuple(effect.name for effect in others), capture)

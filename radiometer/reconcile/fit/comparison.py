@@ -342,9 +342,12 @@ def _deviations(
     found = {name: row.sigma(scatter) for name, row in STATISTICS.items()}
     more = [unsteady_phases(scatter.design, scatter.seen, scatter.base), floors]
     if variance_response is not None:
-        light_u_rel = max(repeatability.tau, _LIGHT_U_REL)
+        shaken2 = (
+            repeatability.flicker2 / scatter.design.frame_count
+        )  # of the light that the few frames happened to have
+        light_u_rel = np.sqrt(max(repeatability.tau, _LIGHT_U_REL) ** 2 + shaken2)
         follow = (name for name, row in STATISTICS.items() if row.follows_light)
-        more.insert(1, dict.fromkeys(follow, light_u_rel * variance_response))
+        more.insert(1, dict.fromkeys(follow, light_u_rel[:, None] * variance_response))
     for further in more:
         found |= {name: np.hypot(found[name], values) for name, values in further.items()}
     return found

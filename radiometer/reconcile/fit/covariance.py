@@ -35,6 +35,16 @@ def is_misfit(state: FitState) -> bool:
     return state.gap > max(CLOSED_GAP, 1.0 + SCATTER_SIGMAS * float(np.sqrt(2.0 / count)))
 
 
+def scatter_of(state: FitState) -> float:
+    """Return by how much χ² counts too high where structure is left: the gap of held-out settings, 1 where none is.
+
+    What entries scatter by for no known reason they do for any model; nats are worth that much less.
+
+    Source: Wedderburn (1974), Biometrika 61 439, the dispersion of a quasi-likelihood.
+    """
+    return state.gap if is_misfit(state) else 1.0
+
+
 def effect_covariance(state: FitState) -> Array:
     """Return the covariance of the free effect parameters in units of their scales, what statistics share included.
 

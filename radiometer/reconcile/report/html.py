@@ -128,6 +128,7 @@ def _effect(effect: FoundEffect, reconciled: Reconciled) -> str:
             paragraph(_evidence(effect)),
             _effect_picture(effect, entry, reconciled),
             _parameters(effect),
+            _law(effect),
             _rivals(effect),
             _advice(effect, entry),
         )
@@ -169,6 +170,24 @@ def _parameters(effect: FoundEffect) -> str:
         shown = "not fitted" if entry.u is None else f"± {expanded}"
         rows.append((_plain(name, entry.unit), value, shown, unit_text(entry.unit)))
     return table(("parameter", "value", "U (k = 2)", "unit"), rows, words=(3,))
+
+
+def _law(effect: FoundEffect) -> str:
+    """Return the curve of another law than the catalogue's; of a table a row for each knot of the first covariate."""
+    if effect.curve is None:
+        return ""
+    (first, knots), *second = effect.curve.along.items()
+    columns = second[0][1] if second else (None,)
+    shown = [_with_band(value, u) for value, u in zip(effect.curve.factor, effect.curve.u, strict=True)]
+    width = len(columns)
+    rows = [(f"{at:.3g}", *shown[n * width : (n + 1) * width]) for n, at in enumerate(knots)]
+    heads = ("factor",) if not second else tuple(f"{axis_label(second[0][0])[0]} {at:.3g}" for at in columns)
+    said = "It follows another law than the catalogue's: so many times what that says, ± U (k = 2)."
+    return paragraph(said) + table((axis_label(first)[0], *heads), rows)
+
+
+def _with_band(value: float, u: float | None) -> str:
+    return f"{value:.3g}" if u is None else with_u(value, 2.0 * u, "")
 
 
 def _rivals(effect: FoundEffect) -> str:

@@ -35,11 +35,13 @@ class Periodic:
     Attributes:
         period: Frames from one to the next.
         depth: Largest against smallest mean light of the frames of one phase, relative.
+        rms: Standard deviation of the light over the phases, relative.
         p_value: Chance of that much among all periods without it.
     """
 
     period: int
     depth: float
+    rms: float
     p_value: float
 
 
@@ -89,7 +91,7 @@ def periodic(design: Design, light: FrameLight, unit: Array, clear: NDArray[np.b
     best = min((entry for entry in found if entry is not None), key=lambda entry: entry.p_value, default=None)
     if best is None or best.p_value * len(_PERIODS) > PERIOD_SIGNIFICANCE:
         return None
-    return Periodic(best.period, best.depth, min(best.p_value * len(_PERIODS), 1.0))
+    return Periodic(best.period, best.depth, best.rms, min(best.p_value * len(_PERIODS), 1.0))
 
 
 def _rated(frames: list[tuple[int, ...]], apart: list[Array], weight: list[float], period: int) -> Periodic | None:
@@ -113,7 +115,7 @@ def _rated(frames: list[tuple[int, ...]], apart: list[Array], weight: list[float
     level = right[kept].T @ (along / size[kept])
     rest = max(float(seen @ seen - along @ along), 1e-300)
     f_ratio = float(along @ along) / rank / (rest / freedom)
-    return Periodic(period, float(np.ptp(level)), float(fdtrc(rank, freedom, f_ratio)))
+    return Periodic(period, float(np.ptp(level)), float(np.std(level)), float(fdtrc(rank, freedom, f_ratio)))
 
 
 def _beside(known: Array, values: Array) -> Array:

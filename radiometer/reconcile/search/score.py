@@ -11,6 +11,7 @@ from radiometer.reconcile.chances import chi2_beyond
 from radiometer.reconcile.fit.candidate_fit import FittedCandidate, included
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.thresholds import (
+    FAR_GAP,
     FEW_TRIES,
     FLEXIBLE_NATS,
     HUGE_NATS,
@@ -46,11 +47,13 @@ def contenders_of(
 ) -> list[tuple[FittedCandidate, float]]:
     """Return the candidates, those of a very large and nearly equal gain judged anew after a full fit of each.
 
-    Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges. With fewer
+    Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges; where entries
+    are off by ten of their uncertainties and more, of all candidates. With fewer
     than `fewest` left all are returned as they came.
     """
     best = max((nats for _, nats in judged), default=0.0)
-    near = [entry for entry in judged if entry[1] > best - NEAR_SHARE * best]
+    share = NEAR_SHARE if state.gap < FAR_GAP else 1.0
+    near = [entry for entry in judged if entry[1] > best - share * best]
     if best < HUGE_NATS or len(near) < max(fewest, 2):
         return judged
     base = state.evidence

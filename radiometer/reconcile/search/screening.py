@@ -132,10 +132,11 @@ def _rigid_batch(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Can
 
 
 def _scaled(effect: CatalogueEffect, amplitude: float) -> tuple[CatalogueEffect, ...]:
-    """Return the effect with its first parameter times the amplitude, and times its root, within bounds."""
+    """Return the effect with its first parameter's distance from nothing times the amplitude, and times its root."""
     if not effect.free() or "[" in effect.free()[0] or amplitude <= 0:
         return ()
-    sized = (effect.resized(factor) for factor in sorted({amplitude, amplitude**0.5}))
+    about = effect.neutral(effect.free()[0])
+    sized = (effect.resized(factor, about) for factor in sorted({amplitude, amplitude**0.5}))
     return tuple({getattr(one, one.free()[0]): one for one in sized}.values())
 
 

@@ -17,7 +17,9 @@ from radiometer.reconcile.fit.candidate_fit import (
     included,
     judged_gain,
 )
+from radiometer.reconcile.fit.covariance import is_misfit, scatter_of
 from radiometer.reconcile.fit.state import FitState, refit, reweighted, with_terms
+from radiometer.reconcile.search.free_laws import by_a_free_law, worth
 from radiometer.reconcile.search.localise import Disagreement, departing, localise, significant, smooth_term
 from radiometer.reconcile.search.moves import Loosened, better, loosened, pruned, simpler
 from radiometer.reconcile.search.outcome import Search, Step
@@ -49,6 +51,7 @@ _FITTED: Final = 7  # candidates that are fitted in each step
 _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _SMOOTHS_TRIED: Final = 4
 _NEAR_FORM: Final = 0.5
+_AFTER_A_LAW: Final = 3  # further steps beside a law that was freed
 
 
 @dataclass(slots=True)
@@ -58,6 +61,7 @@ class _Run:
     steps: list[Step] = field(default_factory=list)
     refused: set[str] = field(default_factory=set)
     pool: StartPool = field(default_factory=StartPool)
+    first: list[CatalogueEffect] = field(default_factory=list)  # what fitted best before anything was named
 
 
 def search(
@@ -70,10 +74,23 @@ def search(
         catalogue: Entries to try, by name.
         say: Told what happens, line by line.
     """
-    run = _Run(catalogue, say)
-    state, first = start, localise(start)
-    tests = first
-    for _ in range(MOST_STEPS):
+    run, first = _Run(catalogue, say), localise(start)
+    state, tests = _stepped(start, first, run, MOST_STEPS)
+    if (mended := _mended(start, state, tests, run)) is not None:
+        state, tests, steps = mended, localise(mended), list(run.steps)
+        further, later = _stepped(state, tests, run, _AFTER_A_LAW)
+        if worth(further) > worth(state):
+            state, tests = further, later
+        else:
+            run.steps = steps
+    return Search(state, start, tuple(run.steps), significant(tests), tests, first)
+
+
+def _stepped(
+    state: FitState, tests: tuple[Disagreement, ...], run: _Run, most: int
+) -> tuple[FitState, tuple[Disagreement, ...]]:
+    """Return the model after up to so many steps, and its tests."""
+    for _ in range(most):
         try:
             following = _one_step(state, tests, run)
         except UnfitError as unfit:
@@ -84,9 +101,30 @@ def search(
         state, dropped = pruned(following, run.say)
         for name in dropped:
             _forget(run, name)
+        if dropped:  # rivals were judged beside what is gone; what the plan cannot tell apart is asked again
+            run.steps = [replace(step, rivals=()) for step in run.steps]
         state = _joined(state, run)
         tests = localise(state)
-    return Search(state, start, tuple(run.steps), significant(tests), tests, first)
+    return state, tests
+
+
+def _mended(start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
+    """Return the model with a free law for one name, where structure stays and it does better than what was found."""
+    unnamed = any(step.name == "unnamed" for step in run.steps)
+    if not (unnamed or significant(tests) or is_misfit(state) or departing(tests, state.effects)):
+        return None
+    found = by_a_free_law(start, state, run.first)
+    if found is None:
+        return None
+    run.say(f"{found.name} by a law of its own: gap {state.gap:.3f} → {found.state.gap:.3f}")
+    old = {step.name: step for step in run.steps}
+    mended, dropped = pruned(found.state, run.say)
+    run.steps = []
+    for effect in sorted(mended.effects, key=lambda effect: effect.name == found.name):
+        step = Step(effect.name, effect.where, found.nats, start.gap, mended.gap, found.rivals)
+        run.steps.append(step if effect.name == found.name else old[effect.name])
+    run.refused |= set(dropped)
+    return mended
 
 
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
@@ -99,6 +137,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     if not standing and not promising and not departed:
         return None
     fitted = sorted((fit_candidate(state, c) for c in promising[:_FITTED]), key=lambda f: -penalised_chi2(f))
+    run.first = run.first or [candidate.effect for candidate in fitted]
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
     shown = [entry for entry in judged if is_shown(*entry, limit, later=bool(state.effects))]
     looser = loosened(state) if standing else loosened(state, departed) if departed else None
@@ -220,7 +259,8 @@ def _named(
     """
     fitted, nats = chosen
     following = included(state, fitted.effect, far=nats > HUGE_NATS)
-    if following.evidence - state.evidence < KEPT_NATS:
+    brought = following.evidence - state.evidence
+    if brought < KEPT_NATS or brought < NAMED_NATS * scatter_of(following):
         run.refused.add(fitted.name)
         return None
     linear = next(entry for entry in judged if entry[0] is fitted)
@@ -272,18 +312,24 @@ def _unnamed(
     tried = {old.name for old in state.terms} | run.refused
     fresh = [t for t in standing if smooth_term(state, t).name not in tried]
     rated = ((test, _smooth_gain(state, test)) for test in fresh[:_SMOOTHS_TRIED])
-    found = next(((test, nats) for test, nats in rated if nats > PARAMETER_NATS), None)
+    worthy = ((test, nats) for test, nats in rated if nats > PARAMETER_NATS * scatter_of(state))
+    tried_out = ((test, nats, _with_curve(state, test)) for test, nats in worthy)
+    found = next((entry for entry in tried_out if entry[2].evidence > state.evidence), None)
     if found is None:
         return None
-    (test, nats), term = found, smooth_term(state, found[0])
-    old = tuple(t for t in state.terms if t.is_smooth)
-    following = refit(reweighted(refit(with_terms(state, (*old, term)))))
+    test, nats, following = found
     fitting = [entry for entry in judged if entry[0].effect.block == test.family]
     best = max(fitting, key=lambda entry: entry[1], default=None)
     closest = (best[0].name, float(np.clip(best[1] / max(nats, 1e-9), 0.0, 1.0))) if best else None
     run.steps.append(Step("unnamed", test.where, nats, state.gap, following.gap, closest=closest, block=test.family))
-    run.say(f"unnamed {term.name}: {nats:.1f} nats, gap {state.gap:.3f} → {following.gap:.3f}")
+    run.say(f"unnamed {smooth_term(state, test).name}: {nats:.1f} nats, gap {state.gap:.3f} → {following.gap:.3f}")
     return following
+
+
+def _with_curve(state: FitState, test: Disagreement) -> FitState:
+    """Return the model with a smooth term that takes up a disagreement, all fitted anew."""
+    old = tuple(term for term in state.terms if term.is_smooth)
+    return refit(reweighted(refit(with_terms(state, (*old, smooth_term(state, test))))))
 
 
 def _forget(run: _Run, name: str) -> None:

@@ -109,12 +109,13 @@ def make_session(
     for h in hidden:
         truth[h.name] = h.hide(world, camera_rng, factor * (camera_rng.uniform(1, 2) if scale is None else scale))
     seed = [camera_seed + 1_000_003, 2] if session_seed is None else [session_seed, 2]
-    settings = _settings(plan or next((h.plan for h in hidden if h.plan != "rich"), "rich"), seed)
+    settings = settings_of(plan or next((h.plan for h in hidden if h.plan != "rich"), "rich"), seed)
     settings = [replace(s, frames=frames) for s in settings]
-    return _session(world, hidden, truth, settings, seed, known_patches)
+    return session_in(world, hidden, truth, settings, seed, known_patches)
 
 
-def _settings(plan: str | Callable[[np.random.Generator], list[Setting]], seed: list[int]) -> list[Setting]:
+def settings_of(plan: str | Callable[[np.random.Generator], list[Setting]], seed: list[int]) -> list[Setting]:
+    """Return the settings of a plan, by its name or by its maker."""
     rng = np.random.default_rng([*seed, 3])
     if callable(plan):
         return plan(rng)
@@ -130,7 +131,7 @@ def _settings(plan: str | Callable[[np.random.Generator], list[Setting]], seed: 
     return named[plan]()
 
 
-def _session(
+def session_in(
     world: World,
     hidden: tuple[Hidden, ...],
     truth: dict[str, Truth],
@@ -138,6 +139,7 @@ def _session(
     seed: list[int],
     known_patches: bool,
 ) -> Session:
+    """Return the session of a world that is made already."""
     rng = np.random.default_rng([*seed, 4])
     rig = world.rig
     patterns = tuple(dict.fromkeys(s.pattern for s in settings))

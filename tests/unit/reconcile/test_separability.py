@@ -13,8 +13,9 @@ import pytest
 
 from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter
-from radiometer.reconcile.advice.separability import separability
+from radiometer.reconcile.advice.separability import left_by_fit, noiseless, separability
 from radiometer.reconcile.engine import whole_catalogue
+from radiometer.reconcile.fit.candidate_fit import Candidate
 from radiometer.reconcile.fit.state import FitState, first_state, refit, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
@@ -84,6 +85,21 @@ def test_names_that_stand_together_fit_each_other_without_noise(
     own, foreign = (refit(with_effects(exact, [effect])).cost for effect in (truth, other))
     assert (foreign - own < 10.0) is alike
     assert alike or foreign - own > 100.0
+
+
+@pytest.mark.parametrize(
+    ("other", "alike"), [(VeilingGlare(0.1), True), (AmbientLightLeak(0.1), True), (ExposureTimeOffset(8e-6), False)]
+)
+def test_large_effect_is_held_against_fits_to_its_noiseless_data(
+    plain: FitState, other: CatalogueEffect, alike: bool
+) -> None:
+    """A veil of 30 % is fitted by itself and by light from the room to less than 10 of χ², not by a longer exposure."""
+    truth = VeilingGlare(0.3)
+    exact = noiseless(plain, truth)
+    assert exact.comparison.residual(plain.predicted_with((truth,))) == pytest.approx(0.0)
+    left, fitted = left_by_fit(exact, truth, Candidate(other, 0.0, 1))
+    assert (left < 10.0) is alike
+    assert fitted.name == other.name
 
 
 @pytest.mark.slow

@@ -12,9 +12,12 @@ import pytest
 from radiometer.data import CameraDescription, FrameSettings
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.first_frame_offset import FirstFrameOffset
+from simulators.effects.gamma_enabled import GammaEnabled
 from simulators.effects.lamp_step import LampStep
 from simulators.effects.readout_dark_charge import ReadoutDarkCharge
-from simulators.effects.tile_moments import TileMoments
+from simulators.effects.series_settling import SeriesSettling
+from simulators.effects.stray_light_kernel import StrayLightKernel
+from simulators.effects.tile_moments import Moments, TileMoments
 
 
 def _context(**settings: Any) -> ExposureContext:
@@ -64,3 +67,46 @@ def test_rows_may_be_read_from_below() -> None:
     """Where the last row is read first, the first one gathers most."""
     effect = ReadoutDarkCharge(charge_e=8.0, from_below=1.0)
     assert np.ravel(effect.offset(_context())) == pytest.approx([8.0, 6.0, 4.0, 2.0, 0.0])
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 5])
+def test_a_source_settles_within_each_series(frames: int) -> None:
+    """Mean, first frame and scatter of a series are those of its frames, worked out one by one."""
+    effect = SeriesSettling(excess_rel=0.02, ratio=0.5)
+    one = [float(effect.mean(np.full((1, 1), 100.0), replace(_context(), frame_index=k))[0, 0]) for k in range(frames)]
+    assert one == pytest.approx([100.0 * (1 + 0.02 * 0.5**k) for k in range(frames)])
+    series = cast(Any, SimpleNamespace(frames=np.full((1, 1, 1), float(frames)), first_frame=None, later_frames=None))
+    after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
+    assert isinstance(after, TileMoments)
+    counted = one[1:] if frames > 2 else one  # of three and more the first has a statistic of its own
+    assert float(after.mean[0, 0, 0]) == pytest.approx(np.mean(one))
+    first = one[0] - float(np.mean(one[1:])) if frames > 1 else 0.0
+    assert float(np.ravel(after.first_excess)[0]) == pytest.approx(first, abs=1e-12)
+    scatter = float(np.var(counted, ddof=1)) if len(counted) > 1 else 0.0
+    assert float(np.ravel(after.common_variance)[0]) == pytest.approx(scatter, abs=1e-12)
+
+
+def test_a_gamma_above_black_bends_noise_too() -> None:
+    """Means and variances of normal noise about a curve that begins at the black level, against a million draws."""
+    effect = GammaEnabled(1.25, above_black=1.0)
+    context = _context(black_level_dn=100.0)
+    noise = 3.0 * np.random.default_rng(7).standard_normal(1_000_000)
+    for dn in (100.0, 110.0, 2000.0):
+        drawn = effect.mean(dn + noise, context)
+        told = effect.moments(Moments(np.array([dn]), np.array([9.0]), np.zeros(1), np.zeros(1)), context)
+        assert float(told.mean[0]) == pytest.approx(np.mean(drawn), abs=0.06)
+        assert float(told.variance[0]) == pytest.approx(np.var(drawn), rel=0.06)
+    assert effect.mean(np.array([4095.0, 100.0, 99.0]), context) == pytest.approx([4095.0, 100.0, 94.748], abs=1e-3)
+    nothing = GammaEnabled(1.0, above_black=1.0)
+    assert nothing.mean(np.array([90.0, 100.0, 3000.0]), context) == pytest.approx([90.0, 100.0, 3000.0])
+
+
+def test_wings_of_one_width_are_the_kernel() -> None:
+    """A sum of Gaussians in which one has all is that Gaussian; what it scatters is taken from the light itself."""
+    picture = np.zeros((20, 40))
+    picture[8:12, 10:20] = 1000.0
+    context = replace(_context(), geometry=FrameGeometry.of_image(40, 20))
+    wings = StrayLightKernel(share=0.0, wings=(0.0, 0.0, 0.03, 0.0, 0.0))
+    assert wings.mean(picture, context) == pytest.approx(StrayLightKernel(0.03, 0.08).mean(picture, context))
+    assert wings.slope(picture, context) == pytest.approx(0.97)
+    assert wings.free() == (*(f"wings[{k}]" for k in range(5)), "edge_share")

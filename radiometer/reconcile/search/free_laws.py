@@ -1,0 +1,186 @@
+"""One name by a law of its own in place of several that only mend a wrong equation.
+
+Where structure stays in the end, the names that were found may be one cause by another law than the catalogue's. Each
+entry's change is then tried times a free curve along its own covariates (`simulators/effects/free_law.py`), alone from
+the start on or in the place of a name, by the score of all models; it stays where nothing is left beside it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from radiometer.errors import ConfigurationError, MeasurementError
+from radiometer.reconcile.chances import Mask
+from radiometer.reconcile.fit.candidate_fit import UnfitError, included
+from radiometer.reconcile.fit.covariance import is_misfit
+from radiometer.reconcile.fit.state import FitState, refit, with_effects, with_terms
+from radiometer.reconcile.search.screening import directions_of
+from radiometer.reconcile.thresholds import LAW_SHARE, PARAMETER_NATS
+from simulators.chain import place_for
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.free_law import FreeLaw, axis_scale, axis_values, freed, unscaled
+from simulators.effects.tile_moments import TileMoments
+
+_KNOTS: Final = (5, 9)
+_OF_TWO: Final = 6  # of the first of two covariates
+_LEVELS: Final = 6  # of a covariate, each of which is a knot
+_FITTED: Final = 3  # forms that are fitted in full, the most promising first
+_FEW: Final = 6  # iterations that tell how the others do alone
+
+
+def free_forms(state: FitState, effect: CatalogueEffect) -> tuple[FreeLaw, ...]:
+    """Return an effect with a free law: along each of its covariates, and along two together.
+
+    Args:
+        state: The model, which tells what signals there are in front of the effect.
+        effect: The effect by its own law.
+    """
+    if isinstance(effect, FreeLaw) or not effect.free() or any("[" in name for name in effect.free()):
+        return ()
+    along = effect.law_along or (effect.where,)
+    knots = {axis: [_knots(state, effect, axis, count) for count in _KNOTS] for axis in along}
+    single = [{axis: at} for axis, several in knots.items() for at in dict.fromkeys(several) if at]
+    both = [
+        {first: _knots(state, effect, first, _OF_TWO), second: knots[second][0]}
+        for first, second in itertools.combinations(along, 2)
+        if knots[first][0] and knots[second][0]
+    ]
+    return tuple(_freed(effect, at) for at in (*single, *both))
+
+
+def _freed(effect: CatalogueEffect, at: Mapping[str, tuple[float, ...]]) -> FreeLaw:
+    size = int(np.prod([len(values) for values in at.values()]))
+    own = effect.values() | {"law": (1.0,) * size} | {f"at_{axis}": values for axis, values in at.items()}
+    return freed(type(effect), tuple(at))(**own)
+
+
+def _knots(state: FitState, effect: CatalogueEffect, axis: str, count: int) -> tuple[float, ...]:
+    """Return where so many knots lie along a covariate; each of few levels is one, none where it does not vary."""
+    before = state.trace.between[place_for(effect, state.trace.links)]
+    values = axis_values(effect, axis, before.mean, state.model.context)
+    if values is None:
+        return ()
+    mask = state.comparison.usable["mean"][:, :, None] & _acts(state, effect, before)
+    spread = np.broadcast_to(axis_scale(axis, values), np.broadcast_shapes(np.shape(values), mask.shape))
+    held = spread[np.broadcast_to(mask, spread.shape)]
+    levels = np.unique(np.round(held[np.isfinite(held)], 6))
+    if levels.size < 2:
+        return ()
+    if levels.size > _LEVELS:
+        share = np.linspace(0.0, 1.0, count)
+        levels = 0.5 * (np.quantile(levels, share) + levels[0] + share * (levels[-1] - levels[0]))
+    return tuple(unscaled(axis, levels).tolist())
+
+
+def _acts(state: FitState, effect: CatalogueEffect, before: TileMoments) -> Mask:
+    """Tell where an effect does anything at all: elsewhere no law of it can be seen."""
+    after = effect.moments(before, state.model.context)
+    names = ("mean", *before.squared, *before.linear)
+    moved = [np.not_equal(getattr(after, name), getattr(before, name)) for name in names]
+    return np.asarray(np.broadcast_to(np.any(np.broadcast_arrays(*moved), axis=0), before.mean.shape))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mended:
+    """A model in which one name took a free law.
+
+    Attributes:
+        state: The fitted model.
+        name: The name.
+        nats: By how much the held-out log density lies above that of the start.
+        rivals: Other entries that leave nothing by a law of theirs either.
+    """
+
+    state: FitState
+    name: str
+    nats: float
+    rivals: tuple[CatalogueEffect, ...] = ()
+
+    @property
+    def form(self) -> CatalogueEffect:
+        """Return the effect with its free law."""
+        return next(effect for effect in self.state.effects if effect.name == self.name)
+
+
+def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEffect]) -> Mended | None:
+    """Return the model with one name by a free law that does better than all that was found; None for none.
+
+
+    Args:
+        start: The model without any name.
+        state: What was found; structure stays in it.
+        alone: Entries as they fit the start, each alone.
+    """
+    most, found = worth(state), list[Mended]()
+    for promises in (_of_one(start, alone), _in_place(start, state)):
+        found += [mended for mended in _tried(start, promises) if worth(mended.state) > most]
+        if any(not is_misfit(mended.state) for mended in found):
+            break
+    if not found:
+        return None
+    best = max(found, key=lambda mended: worth(mended.state))
+    closing = [mended for mended in found if not is_misfit(mended.state)]
+    return replace(best, rivals=tuple({m.name: m.form for m in closing if m.name != best.name}.values()))
+
+
+def worth(state: FitState) -> float:
+    """Return the score of a model: its held-out log density, each parameter and each column of a curve paid for."""
+    columns = sum(term.size for term in state.terms if term.is_smooth)
+    return state.evidence - PARAMETER_NATS * (state.parameters.size + columns)
+
+
+_Promise = tuple[float, FitState, FreeLaw]
+
+
+def _tried(start: FitState, promises: Iterator[_Promise]) -> Iterator[Mended]:
+    """Yield the models of the most promising forms, one for each name."""
+    tried = set[str]()
+    for _, base, form in sorted(promises, key=lambda entry: -entry[0]):
+        if form.name not in tried and len(tried) < _FITTED:
+            tried.add(form.name)
+            mended = _fitted(start, base, form)
+            if mended is not None:
+                yield mended
+
+
+def _of_one(start: FitState, alone: Sequence[CatalogueEffect]) -> Iterator[_Promise]:
+    """Yield what free forms promise alone, the model that each is put into, and the form."""
+    for effect in alone:
+        for form in free_forms(start, effect):
+            yield _promise(start, form), start, form
+
+
+def _in_place(start: FitState, state: FitState) -> Iterator[_Promise]:
+    """Yield the same of forms in the place of a name, the other names standing beside it."""
+    for effect in state.effects if len(state.effects) > 1 else ():
+        beside = with_terms(with_effects(state, [other for other in state.effects if other is not effect]), ())
+        base = refit(beside, iterations=_FEW)
+        for form in free_forms(base, effect):
+            yield base.evidence - start.evidence + _promise(base, form), base, form
+
+
+def _promise(base: FitState, form: FreeLaw) -> float:
+    """Return the nats that a form would bring if it acted linearly, its parameters paid for."""
+    try:
+        followed = base.fit.followed(directions_of(base, (*base.effects, form), len(base.effects)))
+    except (MeasurementError, ConfigurationError):  # what no camera does
+        return -np.inf
+    return base.fit.score(slice(0, base.comparison.size), followed)[0] / 2.0 - PARAMETER_NATS * len(form.free())
+
+
+def _fitted(start: FitState, base: FitState, form: FreeLaw) -> Mended | None:
+    """Return the model with a form, fitted in full; None where the plain law is far from what it comes to."""
+    try:
+        state = included(base, form, far=True)
+        plain = included(base, form.own, far=True)
+    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):
+        return None
+    brought, whole = plain.evidence - base.evidence, state.evidence - base.evidence
+    if brought < LAW_SHARE * whole:
+        return None
+    return Mended(state, form.name, state.evidence - start.evidence)

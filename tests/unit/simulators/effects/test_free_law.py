@@ -1,0 +1,97 @@
+"""Effects by another law than their own: a factor along a covariate on what they do, against values by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.data import CameraDescription, FrameSettings
+from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.effects.excess_read_noise import ExcessReadNoise
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.free_law import FreeLaw, axis_values, freed
+from simulators.effects.gamma_enabled import GammaEnabled
+from simulators.effects.mechanical_vignetting import MechanicalVignetting
+from simulators.effects.registry import EffectEntry, make_effect
+from simulators.effects.response_nonlinearity import ResponseNonlinearity
+from simulators.effects.tile_moments import Moments, TileMoments
+
+
+def _context(**settings: Any) -> ExposureContext:
+    own = FrameSettings(**({"exposure_s": 0.01, "gain_db": 0.0, "black_level_dn": 100.0} | settings))
+    camera = CameraDescription(bit_depth=12, full_well_e=10_000.0)
+    return ExposureContext(own, FrameGeometry.of_image(8, 6), camera)
+
+
+def _free(plain: Any, law: tuple[float, ...], **knots: tuple[float, ...]) -> FreeLaw:
+    kind = freed(type(plain), tuple(knots))
+    return kind(**plain.values(), law=law, **{f"at_{axis}": at for axis, at in knots.items()})
+
+
+def test_a_law_of_ones_is_the_effects_own() -> None:
+    """Mean and every variance are those of the plain effect; the name is its name."""
+    plain = ResponseNonlinearity(0.02)
+    free = _free(plain, (1.0, 1.0, 1.0), signal=(10.0, 1000.0, 10_000.0))
+    before = TileMoments.exactly(np.array([[[50.0, 900.0, 4000.0, 9000.0]]]))
+    before = replace(before, variance=before.mean + 4.0, first_excess=0.01 * before.mean)
+    own, other = plain.moments(before, _context()), free.moments(before, _context())
+    for name in ("mean", "variance", "first_excess"):
+        assert getattr(other, name) == pytest.approx(getattr(own, name), rel=1e-5)
+    assert free.name == "response_nonlinearity"
+
+
+def test_the_factor_goes_through_its_knots() -> None:
+    """Half of the lost exposure at 1 ms, twice at 10 ms; beyond the knots as at the last; between them between."""
+    free = _free(ExposureTimeOffset(1e-4), (0.5, 2.0), exposure_s=(1e-3, 1e-2))
+    lost = {}
+    for exposure_s in (1e-4, 1e-3, 10**-2.5, 1e-2, 1.0):
+        signal = np.full((2, 2), 1000.0)
+        lost[exposure_s] = (free.mean(signal, _context(exposure_s=exposure_s))[0, 0] / 1000.0 - 1.0) * exposure_s
+    assert list(lost.values()) == pytest.approx([0.5e-4, 0.5e-4, 1.25e-4, 2e-4, 2e-4], rel=1e-9)
+
+
+def test_a_table_holds_two_covariates() -> None:
+    """Along radius and stop each knot has its own factor; halfway between two stops it is their mean (in octaves)."""
+    plain = MechanicalVignetting(0.2, 2.0)
+    free = _free(plain, (1.0, 3.0, 1.0, 3.0), field_radius=(0.0, 1.0), f_number=(2.0, 8.0))
+    signal = np.full((6, 8), 100.0)
+    for stop, factor in ((2.0, 1.0), (4.0, 2.0), (8.0, 3.0)):
+        context = _context(f_number=stop)
+        change = plain.mean(signal, context) - signal
+        assert free.mean(signal, context) - signal == pytest.approx(factor * change)
+
+
+def test_noise_is_carried_by_the_laws_own_slope() -> None:
+    """Where the law goes with the signal its derivative has the curve's part too: held against small steps."""
+    free = _free(ResponseNonlinearity(0.1), (0.0, 1.0, 3.0), signal=(10.0, 1000.0, 10_000.0))
+    signal = np.array([300.0, 2000.0, 7000.0])
+    before = Moments(signal, np.ones(3), np.zeros(3), np.zeros(3))
+    rise = (free.mean(signal + 0.5, _context()) - free.mean(signal - 0.5, _context())) / 1.0
+    assert free.moments(before, _context()).variance == pytest.approx(rise**2, rel=1e-3)
+
+
+def test_what_acts_by_its_square_scatters_by_the_root() -> None:
+    """A factor of 4 on an added noise is four times its variance, in the moments and in pictures."""
+    plain = ExcessReadNoise(3.0)
+    free = _free(plain, (4.0, 4.0), gain_db=(0.0, 12.0))
+    signal = np.full((200, 200), 500.0)
+    drawn = free.sample(signal, _context(), np.random.default_rng(6))
+    assert np.var(drawn) == pytest.approx(36.0, rel=0.02)
+    assert np.max(free.moments(Moments.exactly(signal), _context()).variance) == pytest.approx(36.0)
+
+
+def test_a_signal_counts_from_black() -> None:
+    """Digital numbers along which a law is free begin at the black level, a thousandth of the range added."""
+    values = axis_values(GammaEnabled(1.2), "signal", np.array([100.0, 1100.0]), _context())
+    assert values == pytest.approx([4.095, 1004.095])
+
+
+def test_model_files_hold_the_law() -> None:
+    """What is written is read again: the same kind, law and knots."""
+    free = _free(ExposureTimeOffset(1e-4), (0.5, 2.0), exposure_s=(1e-3, 1e-2))
+    again = EffectEntry.from_mapping(EffectEntry(free).to_mapping(), "here").effect
+    assert again == free
+    assert make_effect("exposure_time_offset", {"offset_s": 1e-4}) == ExposureTimeOffset(1e-4)
