@@ -55,7 +55,7 @@ def test_one_name_by_its_own_law_replaces_nothing_at_all(late: FitState) -> None
     found = by_a_free_law(late, late, [ExposureTimeOffset(8e-6), GammaEnabled(1.001)])
     assert found is not None
     assert found.name == "exposure_time_offset"
-    assert worth(found.state) > worth(late) + 100.0
+    assert worth(found.state) > worth(late) + 60.0
     (form,) = found.state.effects
     context = late.model.context
     factor = np.ravel(form.weight(np.ones(1), context))[np.argsort(late.design.exposure_s)]
