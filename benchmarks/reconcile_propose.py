@@ -120,7 +120,7 @@ def page(results: list[dict[str, Any]]) -> str:
         f"| true covariates alone | {sum(r['covariate_right'] for r in proposed)}/{len(results)} | 95 % |",
         f"| it closes 90 % of the excess in another session, with four parameters at most | "
         f"{len(closed)}/{len(results)} | 80 % |",
-        f"| a reconciliation of a third session names it first | {len(again)}/{len(looked)} | |",
+        *([f"| a reconciliation of a third session names it first | {len(again)}/{len(looked)} | |"] if looked else []),
         "",
         "| outsider | sessions | plans | proposed (times) | closed, median |",
         "|---|---|---|---|---|",

@@ -23,6 +23,7 @@ _AMPLITUDES: Final = {
     "W m-2": "amplitude_w_m2",
 }
 _WIDTH: Final = 118
+_NEAR_NOTHING: Final = 0.05
 _WIDEST: Final = 1e3  # times a fitted value: the range of an amplitude
 _BESIDE: Final = 3.0  # ranges of a covariate by which a place or a time may lie outside it
 
@@ -135,7 +136,8 @@ def effect_source(
         '    block = "mean"',
         '    also = ("slope", "first")',
         "    trials = (",
-        *(line for sign in (1.0, -1.0) for line in _trial(law, sign * amplitude)),
+        *_trial(law, amplitude),
+        *_trial(law, -amplitude, _NEAR_NOTHING),
         "    )",
         *_names("fitted", fitted),
         '    settles = "another session that goes beyond the ranges of the first"',
@@ -170,8 +172,11 @@ def _names(key: str, names: Sequence[str]) -> list[str]:
     return [f"    {key} = (", *(f'        "{name}",' for name in names), "    )"]
 
 
-def _trial(law: Law, amplitude: float) -> list[str]:
-    values = {law.amplitude: round_to(amplitude)} | {name: round_to(value) for name, value in law.parameters.items()}
+def _trial(law: Law, amplitude: float, nearest: float = 0.0) -> list[str]:
+    """Return the lines of a start; a spot's place is not nearer to 0 than a figure: fits step by trials."""
+    places = {name for name in law.parameters if name in ("at_x", "at_y")}
+    own = {n: nearest if n in places and abs(v) < nearest else v for n, v in law.parameters.items()}
+    values = {law.amplitude: round_to(amplitude)} | {name: round_to(value) for name, value in own.items()}
     return ["        {", *(f'            "{name}": {value!r},' for name, value in values.items()), "        },"]
 
 

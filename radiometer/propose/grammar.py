@@ -317,8 +317,8 @@ def _sine(values: Array, known: Mapping[str, Array]) -> _Made:
 def _spot(values: Array, known: Mapping[str, Array]) -> _Made:
     x, y = known["image_x"], known["image_y"]
     for width in (0.08, 0.15, 0.28):
-        for at_x in np.linspace(0.0, x.max(), 6):
-            for at_y in np.linspace(0.0, y.max(), 5):
+        for at_x in x.max() * np.linspace(0.03, 1.0, 6):
+            for at_y in y.max() * np.linspace(0.03, 1.0, 5):
                 yield {}, {"at_x": float(at_x), "at_y": float(at_y), "width": width}
 
 
