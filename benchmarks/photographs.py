@@ -22,6 +22,7 @@ from benchmarks._response_peers import peers
 from benchmarks._sections import write_section
 from radiometer.analysis.response.methods import METHODS
 from radiometer.data import Bracket, ResponseCurve
+from radiometer.errors import RadiometerError
 
 OURS = "radiometer auto"
 # Frames are left out one by one up to this many, then evenly chosen ones.
@@ -100,10 +101,14 @@ def odd_even_z(stack: RealStack) -> float:
     """Return the rms difference of the curves of odd and of even frames over what both state; NaN for few frames."""
     if len(stack.bracket) < 6:
         return float("nan")
-    halves = [
-        METHODS["auto"]([Bracket.from_frames(stack.bracket.frames[k::2], origin=stack.bracket.origin)]).curve
-        for k in (0, 1)
-    ]
+    try:
+        halves = [
+            METHODS["auto"]([Bracket.from_frames(stack.bracket.frames[k::2], origin=stack.bracket.origin)]).curve
+            for k in (0, 1)
+        ]
+    except RadiometerError as error:
+        print(f"no curve of half the frames of {stack.camera} {stack.name}: {error}")
+        return float("nan")
     ranges = [half.valid_dn or (0, 255) for half in halves]
     inside = slice(max(r[0] for r in ranges), min(r[1] for r in ranges) + 1)
     gap = halves[0].log_exposure[inside] - halves[1].log_exposure[inside]
