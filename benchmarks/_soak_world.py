@@ -11,6 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from radiometer.daemon.journal import Journal
+from radiometer.daemon.timestamps import iso_time, now_us
+from radiometer.data import Patch, Quantity, Reading
+
 SERIAL = "22500001"
 # Radiance in W sr-1 m-2 of each patch: peak 1.5 W sr-1 m-2 of a screen of gamma 2.2, driven at 0.8, 0.6 and 0.4.
 PATCHES: Mapping[str, tuple[dict[str, int], float]] = {
@@ -125,14 +129,30 @@ class Verdict:
     alarms: Mapping[str, int]
 
 
-def judge(journal: Path, witness: Witness) -> Verdict:
-    """Hold a journal against what clients saw, and against the scene."""
+def fill_journal(path: Path) -> int:
+    """Write two days of both streams and as many events as an answer holds; return the last sequence number."""
+    now = now_us()
+    times = [iso_time(now - k * 60_000_000) for k in range(2 * 1440, 0, -1)]
+    with Journal(path) as journal:
+        for name, patch in (("", "bright"), ("dim", "dim")):
+            (place, value) = PATCHES[patch]
+            quantity = Quantity(value, value / 200, "W sr-1 m-2")
+            journal.append([Reading(quantity, Patch(**place), SERIAL, time=at, name=name) for at in times])
+        for _ in range(200):
+            journal.note("remark", "written before the soak began")
+    return 2 * len(times)
+
+
+def judge(journal: Path, witness: Witness, after: int = 0) -> Verdict:
+    """Hold what a journal got after a sequence number against what clients saw, and against the scene."""
     connection = sqlite3.connect(journal)
     assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
     stored: dict[int, tuple[float, int]] = {}
     main, false_rows = set[int](), 0
     by_place = {place["x"]: name for name, (place, _) in PATCHES.items()}
-    for sequence, stream, line in connection.execute("SELECT sequence, stream, json FROM readings ORDER BY sequence"):
+    for sequence, stream, line in connection.execute(
+        "SELECT sequence, stream, json FROM readings WHERE sequence > ? ORDER BY sequence", (after,)
+    ):
         reading = json.loads(line)
         radiance, name = reading["radiance"], by_place.get(reading["patch"]["x"], "")
         stored[sequence] = (float(radiance["value"]), int(reading["patch"]["x"]))

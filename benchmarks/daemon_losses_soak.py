@@ -17,7 +17,7 @@ from benchmarks import daemon_loss
 from benchmarks._daemon import ROOT, DaemonProcess, machine_note
 from benchmarks._sections import write_section
 from benchmarks._soak_losses import Broker, Fault, FullDisk, Losses, small_disk
-from benchmarks._soak_world import PATCHES, SERIAL, Verdict, Witness, judge, write_benches
+from benchmarks._soak_world import PATCHES, SERIAL, Verdict, Witness, fill_journal, judge, write_benches
 from benchmarks._wire import only_camera
 from benchmarks.daemon_soak import sample, slope
 from simulators.light_box import LightBoxTwin
@@ -52,6 +52,7 @@ def run(seconds: float, *, every_s: float = EVERY_S, warm_up_s: float, seed: int
         folder = Path(held.enter_context(tempfile.TemporaryDirectory()))
         held.enter_context(only_camera())
         disk, own_disk = held.enter_context(small_disk(folder))
+        before = fill_journal(disk / "journal.sqlite")
         twin, daemon, faults, broker = held.enter_context(_world(folder, disk, own_disk=own_disk))
         losses = [Losses(fault, every_s, seed + number) for number, fault in enumerate(faults)]
         listener = clients.MqttListener(broker.port, witness)
@@ -71,7 +72,7 @@ def run(seconds: float, *, every_s: float = EVERY_S, warm_up_s: float, seed: int
         listener.close()
         errors = [line for line in daemon.lines if "unexpected error" in line or "Traceback" in line]
         exit_code = daemon.stop(deadline_s=60.0)
-        verdict = judge(daemon.journal, witness)
+        verdict = judge(daemon.journal, witness, after=before)
     rate, u_rate = slope(times_s, megabytes)
     tenth = max(1, len(megabytes) // 10)
     tenths = [sum(megabytes[i : i + tenth]) / tenth for i in range(0, 10 * tenth, tenth)]
@@ -185,7 +186,8 @@ def main() -> None:
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else SECONDS
     result = run(seconds, every_s=min(EVERY_S, seconds / 4), warm_up_s=min(600.0, seconds / 4))
     body = note + (
-        "The camera on the wire is killed and started, the box's pseudo-terminal closed and opened, the broker killed"
+        "The journal holds two days before, so that answers are as long at first as at last. The camera on the wire is"
+        " killed and started, the box's pseudo-terminal closed and opened, the broker killed"
         " and started, the disk of the journal filled and freed, each at its own random moments and gone for up to"
         " 25 s; meanwhile SCPI, HTTP, event-stream and MQTT clients of three patches hold every answer against the"
         " radiance of their own patch, and the light shown against what the box does.\n\n" + table(result)
