@@ -21,7 +21,7 @@ from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconcile.advice.next_capture import tells_apart
 from radiometer.reconcile.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconcile.fit.comparison import Comparison
-from radiometer.reconcile.fit.state import FitState, with_effects
+from radiometer.reconcile.fit.state import FitState, refit, with_effects
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.search.screening import directions_of
@@ -204,10 +204,9 @@ def left_by_fit(exact: FitState, truth: CatalogueEffect, start: Candidate) -> tu
         truth: That other entry; parameters beyond its number are paid for.
         start: Where the fit begins.
     """
-    whole = float(np.sum(exact.fit.projected[: exact.comparison.size] ** 2))
-    fitted = fit_candidate(exact, start)
-    left = max(whole - fitted.gain - 2.0 * fitted.overrated, 0.0)
-    return left + _paid(truth, fitted.effect), fitted.effect
+    fitted = fit_candidate(exact, start).effect
+    own, foreign = (refit(with_effects(exact, (*exact.effects, effect))) for effect in (truth, fitted))
+    return max(foreign.cost - own.cost, 0.0) + _paid(truth, fitted), fitted
 
 
 def _fitted_like(directions: Directions, target: _Form, name: str) -> CatalogueEffect | None:

@@ -111,7 +111,8 @@ def _stepped(
 def _mended(start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     """Return the model with a free law for one name, where structure stays and it does better than what was found."""
     unnamed = any(step.name == "unnamed" for step in run.steps)
-    if not (unnamed or significant(tests) or is_misfit(state) or departing(tests, state.effects)):
+    stays = unnamed or significant(tests) or is_misfit(state) or departing(tests, state.effects)
+    if not (stays and is_misfit(start)):  # the law of what hardly shows can be any
         return None
     found = by_a_free_law(start, state, run.first)
     if found is None:
