@@ -165,8 +165,9 @@ def judge(journal: Path, witness: Witness, after: int = 0) -> Verdict:
     )
     connection.close()
     first, last = (min(witness.main), max(witness.main)) if witness.main else (0, -1)
+    seen = {n: entry for n, entry in witness.seen.items() if n > after}
     return Verdict(
-        len(stored), len(witness.seen), sum(stored.get(n) != entry for n, entry in witness.seen.items()),
+        len(stored), len(seen), sum(stored.get(n) != entry for n, entry in seen.items()),
         max(stored) - min(stored) + 1 - len(stored), len({n for n in main if first <= n <= last} - witness.main),
         false_rows, dict(alarms),
     )  # fmt: skip
