@@ -222,7 +222,8 @@ def _fitted_like(directions: Directions, target: _Form, name: str) -> CatalogueE
     start = Candidate(near[0], whole, max(len(near[0].free()), 1), others=tuple(near[1:2]))
     exact = noiseless(directions.state, target.effect)
     left, effect = left_by_fit(exact, target.effect, start)
-    return effect if left < 2.0 * RIVAL_NATS else None
+    alike = left < 2.0 * RIVAL_NATS and not effect.unlike_itself(directions.state.model.context)
+    return effect if alike else None
 
 
 def _spread(starts: Sequence[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
