@@ -13,7 +13,7 @@ import pytest
 
 from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter
-from radiometer.reconcile.advice.separability import inseparable, left_by_fit, noiseless, separability
+from radiometer.reconcile.advice.separability import left_by_fit, noiseless, separability
 from radiometer.reconcile.engine import whole_catalogue
 from radiometer.reconcile.fit.candidate_fit import Candidate
 from radiometer.reconcile.fit.state import FitState, first_state, refit, with_effects
@@ -60,15 +60,6 @@ def test_bracket_of_one_chart_cannot_tell_stray_light_apart(plain: FitState) -> 
 def test_short_exposures_do_not_tell_one_flicker_from_another(plain: FitState) -> None:
     """Mains and dimming shake frames alike where no exposure holds a period."""
     assert any(names >= {"mains_ripple", "pwm_flicker"} for names in _sets(plain))
-
-
-def test_entry_that_turns_into_another_is_no_rival_of_it(plain: FitState) -> None:
-    """Light that settles within the shortest exposure fits a longer exposure, and is none but that."""
-    longer = ExposureTimeOffset(3e-5)
-    catalogue = {
-        name: kind for name, kind in whole_catalogue().items() if name == "source_not_proportional_to_exposure"
-    }
-    assert inseparable(with_effects(plain, [longer]), longer, catalogue) == ()
 
 
 @pytest.mark.slow
