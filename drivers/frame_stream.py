@@ -115,7 +115,8 @@ class FrameStream:
         payload = call(self._camera.get_payload)
         if self._camera.is_gv_device():
             self._camera.gv_set_stream_options(self._socket_kind(payload))
-        self._stream = call(self._camera.create_stream, None, None)
+        # Without the user data of the callback that there is not: PyGObject keeps 48 bytes of each None given for them.
+        self._stream = call(self._camera.create_stream, None)
         if self._stream is None:
             raise DeviceError(f"{self._name}: no stream channel could be opened; another program may hold it")
         if hasattr(self._stream.props, "socket_buffer"):  # GigE Vision: room for a whole frame in the kernel

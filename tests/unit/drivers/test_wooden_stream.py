@@ -87,7 +87,7 @@ class WoodenCamera:
     def is_gv_device(self) -> bool:
         return False
 
-    def create_stream(self, _callback: None, _data: None) -> WoodenStream:
+    def create_stream(self, _callback: None) -> WoodenStream:
         return self.stream
 
     def start_acquisition(self) -> None:
