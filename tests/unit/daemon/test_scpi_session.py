@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import struct
 from collections.abc import Coroutine
 from dataclasses import replace
@@ -161,3 +162,38 @@ async def test_limits_of_a_patch_are_those_that_were_set(session):
 def test_an_ipv4_client_of_an_ipv6_socket_is_itself(peer, taken):
     """Written as ::ffff:a.b.c.d it is judged by a.b.c.d."""
     assert is_allowed(peer, parse_networks(["10.0.0.0/24"])) is taken
+
+
+@pytest.mark.parametrize(("up", "bit"), [((), 0), (("camera",), 0), (("camera", "journal"), 1 << 12)])
+async def test_a_blocked_journal_is_one_alarm_among_others(session, station, up, bit):
+    """Its bit is up with its own alarm and with no other; bits of devices that are there are down."""
+    for name in up:
+        station.alarms.put_up(name, "something is wrong")
+    assert int(await ask(session, "STAT:QUES:COND?")) & (0b111 << 9 | 1 << 12) == bit
+
+
+async def test_what_is_aborted_does_not_go_on(session):
+    """ABORt ends the measurement itself, not only the waiting for it."""
+    task = session.start()
+    await ask(session, "ABOR")
+    assert session.pending is None
+    with pytest.raises(asyncio.CancelledError):
+        await task
+
+
+@pytest.mark.parametrize("place", ["60,0,5,5", "0,44,5,5", "0,0,0,5"])
+async def test_a_patch_beyond_the_picture_is_refused_when_it_is_chosen(session, instrument, place):
+    """64 by 48 pixels: a patch over the edge, or of no size, is −222 at once and nothing is measured with it."""
+    await ask(session, f"CONF:RAD {place}")
+    assert await errors(session) == ["-222"]
+    assert session.own_patch is None
+    assert not instrument.measured
+
+
+async def test_full_light_is_one(session, box):
+    """MAX is a level of 1, MIN and DEF darkness; 1.01 is refused by what the command takes."""
+    await ask(session, "SOUR:LED1:LEV MAX;:SOUR:LED2:LEV 0.5")
+    assert box.levels == {"white": 1.0, "red": 0.5}
+    await ask(session, "SOUR:LED1:LEV DEF;:SOUR:LED2:LEV MIN;:SOUR:LED1:LEV 1.01")
+    assert box.levels == {"white": 0.0, "red": 0.0}
+    assert "outside 0 to 1 pct" in await ask(session, "SYST:ERR?")

@@ -50,6 +50,7 @@ def test_the_allow_list_lets_in_whom_it_names(station: Station, peer: str, allow
     assert is_allowed(peer, ()) is (peer in ("127.0.0.1", "::1", "::ffff:127.0.0.1"))
     server = ScpiServer(station, allow=networks)
     assert bool(server.refusal((peer, 5025))) is not allowed
+    assert bool(ScpiServer(station).refusal((peer, 5025))) is not is_allowed(peer, ())
 
 
 async def test_without_the_token_nothing_but_the_public_is_served(station: Station) -> None:

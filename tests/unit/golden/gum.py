@@ -1,11 +1,22 @@
 """Worked examples of the Guide.
 
-Source: JCGM 100:2008, H.1 (end-gauge), H.3 (thermometer), table G.2; JCGM 101:2008, 9.2 (additive model).
+Source: JCGM 100:2008, H.1 (end-gauge), H.2 (impedance), H.3 (thermometer), table G.2; JCGM 101:2008, 9.2 (additive
+model). Of H.2 the impedance V/I alone: resistance and reactance are functions of three inputs that nothing here has.
 """
 
 # H.1: standard uncertainty in nm and degrees of freedom of each contribution; what the Guide concludes.
 END_GAUGE = ((25.0, 18.0), (9.7, 25.6), (2.9, 50.0), (16.6, 2.0))
 END_GAUGE_U_NM, END_GAUGE_FREEDOM, END_GAUGE_K99, END_GAUGE_U99_NM = 32.0, 16.0, 2.92, 93.0
+# H.1.3.2: the comparator's parts in nm with their degrees of freedom, which make the second contribution above.
+COMPARATOR = ((5.8, 24.0), (3.9, 5.0), (6.7, 8.0))
+# H.1.3.4 and H.1.4: length in nm, expansion in 1/K, temperatures in K, which make the third and the fourth.
+GAUGE_NM, EXPANSION_PER_K = 50.000623e6, 11.5e-6
+U_EXPANSION_PER_K, DEVIATION_K, U_DIFFERENCE_K = 1e-6 / 3**0.5, 0.1, 0.05 / 3**0.5
+
+# H.2: five simultaneous observations, V in V and I in mA; mean impedance in Ω with its standard uncertainty.
+VOLTAGE, CURRENT_MA = (5.007, 4.994, 5.005, 4.990, 4.999), (19.663, 19.639, 19.640, 19.685, 19.678)
+VOLTAGE_U, CURRENT_U_MA, CORRELATION = 0.0032, 0.0095, -0.36
+IMPEDANCE, IMPEDANCE_U = 254.260, 0.236
 
 # H.3: readings t in °C less 20 °C, and corrections b in °C; intercept, slope, their uncertainties, scatter.
 THERMOMETER = (

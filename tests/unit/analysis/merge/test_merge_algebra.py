@@ -9,6 +9,7 @@ import pytest
 
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.merge.frames import frame_terms
+from radiometer.analysis.merge.moments import mixture
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
     BlackLevel,
@@ -128,6 +129,30 @@ def test_the_doubts_of_gain_and_stop_are_common_to_the_map():
     assert np.sqrt(stopped**2 - plain**2) == pytest.approx(0.04, rel=0.02)
 
 
+@pytest.mark.parametrize(("short_dn", "rate"), [(20, 20.0), (23, 20.245)])
+def test_two_frames_are_weighed_as_least_squares_would(short_dn, rate):
+    """Of 1 and 8 s, x and 160 DN over black: Σt·x/v over Σt²/v, and u² = 1/Σt²/v with v = (σ² + e)/K² + 1/12."""
+    found = merge([frame(100 + short_dn, 1.0), frame(260, 8.0)], CAMERA, LENS, CALIBRATION)
+    t, x = np.array([1.0, 8.0]), np.array([short_dn, 160.0])
+    v = (READ_E**2 + rate * t * GAIN_E) / GAIN_E**2 + 1 / 12
+    information = float((t**2 / v).sum())
+    assert found.radiance[0, 0] == pytest.approx(float((t * x / v).sum()) / information, rel=1e-3)
+    assert found.u_radiance[0, 0] == pytest.approx(information**-0.5, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("variances", "expected"),
+    [
+        ((4.0, 0.0, 1.0), (4.2, 0.2, 0.8)),  # independent: weights 1 to 4, 1/(1/4 + 1)
+        ((4.0, 0.5, 1.0), (4.125, 0.125, 0.9375)),  # (1/8)²·4 + (7/8)²·1 + 2·(1/8)·(7/8)·0.5
+        ((1.0, 1.0, 1.0), (5.0, 1.0, 1.0)),  # the same estimate twice
+    ],
+)
+def test_the_best_mixture_of_two_estimates(variances, expected):
+    """Of 5 and 4 with variances and covariance as given: the value, the share of the first, the least variance."""
+    assert mixture(5.0, 4.0, *variances) == pytest.approx(expected)
+
+
 FULL = 255
 
 
@@ -161,6 +186,18 @@ def test_the_curve_s_own_uncertainty_is_in_every_pixel():
         camera, calibration = behind_a_curve(u)
         found = merge([Frame(np.full((4, 4), 200, np.uint8), 8, FrameSettings(1.0))], camera, LENS, calibration)
         assert found.u_radiance[0, 0] / found.radiance[0, 0] == pytest.approx(expected, abs=4e-3)
+
+
+def test_two_frames_behind_a_curve_are_weighed_by_its_slope():
+    """30 at 1 s and 77 at 8 s, rounding alone: u² = 12/Σt²/s², s = 2.2·(M/255)^1.2 units per number."""
+    camera, calibration = behind_a_curve()
+    t, dn = np.array([1.0, 8.0]), np.array([30.0, 77.0])
+    frames = [Frame(np.full((2, 2), m, np.uint8), 8, FrameSettings(s)) for s, m in zip(t, dn, strict=True)]
+    found = merge(frames, camera, LENS, calibration)
+    slope = 2.2 * (dn / FULL) ** 1.2
+    expected = float((12.0 * t**2 / slope**2).sum()) ** -0.5
+    assert found.radiance[0, 0] == pytest.approx(FULL * (30 / FULL) ** 2.2, rel=0.02)
+    assert found.u_radiance[0, 0] == pytest.approx(expected, rel=5e-3)
 
 
 def test_white_and_black_behind_a_curve_are_told_apart():

@@ -19,6 +19,7 @@ from radiometer.data import (
     CameraDescription,
     Flag,
     FlatField,
+    FoundEffects,
     Frame,
     LensDescription,
     Patch,
@@ -141,6 +142,21 @@ def test_a_bright_surround_counts_by_its_difference(rig):
 def test_an_even_field_under_an_even_calibration_has_no_stray_light(rig):
     """What both share drops out: the noise of the mean is all that is left."""
     assert line(read(rig, calibrated(rig, uncertainties=only(glare_u=0.01))), "stray light") < 2e-5
+
+
+@pytest.mark.parametrize("dark_e_per_s", [0.0, 4e5])
+def test_glare_that_was_found_is_taken_off(rig, dark_e_per_s):
+    """A patch seen through 5 % of glare of surroundings three times as bright is read as it is, dark signal or not."""
+    scene = np.full((40, 40), 0.6 * rig.radiance_of_full_scale(1e-3))
+    scene[15:25, 15:25] /= 3.0
+    seen = 0.95 * scene + 0.05 * scene.mean() + dark_e_per_s / float(rig.electrons_per_s(1.0))
+    frames = rig.frames(seen, np.random.default_rng(3), STEADY)
+    camera = rig.description.model_copy(update={"dark_current_e_per_s": dark_e_per_s})
+    noise = SensorNoise.of(camera)
+    base = calibrated(rig, ScaleConditions(inverse_exposure_per_s=1e3, temperature_c=25.0, surround=1.0))
+    calibration = replace(base, camera=camera, noise=noise, found=FoundEffects(glare=0.05))
+    found = read(rig, calibration, frames=frames, camera=camera, patch=Patch(16, 16, 8, 8))
+    assert found.radiance.value == pytest.approx(scene[20, 20], rel=2e-3)
 
 
 def test_a_surround_that_clips_everywhere_is_flagged(rig):

@@ -35,6 +35,13 @@ def test_the_observers_are_the_published_tables(nm):
     assert found == pytest.approx(cie.KM_SCOTOPIC_LM_PER_W * v_dark, rel=1e-6)
 
 
+@pytest.mark.parametrize("observer", ["photopic", "scotopic"])
+def test_every_observer_has_the_candela_s_efficacy_at_540_thz(observer):
+    """The SI's definition: 683 lm/W at 540 THz (555.016 nm in air), by day and by night; so K′_m is 683/V′ there."""
+    found = photometry.luminous_efficacy_lm_per_w(spectrum("line:555.016"), observer)
+    assert found == pytest.approx(683.0, abs=0.02)
+
+
 @given(st.sampled_from(NAMES), st.sampled_from(["photopic", "scotopic"]), positive)
 def test_units_there_and_back(name, observer, radiance):
     """W·sr⁻¹·m⁻² to cd·m⁻² and back; by a sum over wavelengths too."""

@@ -39,6 +39,36 @@ def test_the_end_gauge():
     assert factor * combined_u(terms) == pytest.approx(gum.END_GAUGE_U99_NM, abs=1.0)
 
 
+def test_the_end_gauge_s_smaller_contributions():
+    """H.1: the comparator's 9.7 nm with 25.6 degrees of freedom; expansion 2.9 nm and temperature 16.6 nm."""
+    parts = [Term(str(n), u, degrees_of_freedom=freedom) for n, (u, freedom) in enumerate(gum.COMPARATOR)]
+    (_, (comparator, freedom), (expansion, _), (temperature, _)) = gum.END_GAUGE
+    assert round(combined_u(parts), 1) == comparator
+    rounded_first = (comparator / combined_u(parts)) ** 4  # as the Guide does
+    assert round(effective_degrees_of_freedom(parts) * rounded_first, 1) == freedom
+    assert pytest.approx(expansion, abs=0.05) == gum.GAUGE_NM * gum.U_EXPANSION_PER_K * gum.DEVIATION_K
+    assert pytest.approx(temperature, abs=0.05) == gum.GAUGE_NM * gum.EXPANSION_PER_K * gum.U_DIFFERENCE_K
+
+
+def test_the_impedance_of_correlated_voltage_and_current():
+    """H.2: V/I of means that five simultaneous observations correlate by −0.36 is 254.260 Ω with u = 0.236 Ω."""
+    values = np.array([gum.VOLTAGE, gum.CURRENT_MA])
+    covariance = np.cov(values) / values.shape[1]
+    (v, i), (u_v, u_i) = values.mean(axis=1), np.sqrt(np.diag(covariance))
+    assert (round(u_v, 4), round(u_i, 4)) == (gum.VOLTAGE_U, gum.CURRENT_U_MA)
+    assert round(covariance[0, 1] / (u_v * u_i), 2) == gum.CORRELATION
+    shared = math.sqrt(-covariance[0, 1] / (v * i))  # what raises the one and lowers the other
+    readings = [
+        Reading(Quantity(x, u, "1"), Patch(0, 0, 1, 1), "1", budget=(Contribution("both", part, correlated=True),))
+        for x, u, part in ((v, u_v, shared), (i / 1e3, u_i / 1e3, -shared))
+    ]
+    found = ratio(*readings)
+    assert round(found.value, 2) == round(gum.IMPEDANCE, 2)
+    assert found.u == pytest.approx(gum.IMPEDANCE_U, abs=0.0005)
+    each = values[0] / values[1] * 1e3  # H.2.4: the mean of the five ratios has the same
+    assert found.u == pytest.approx(each.std(ddof=1) / math.sqrt(5), rel=2e-3)
+
+
 @pytest.mark.parametrize("row", gum.STUDENT, ids=[f"{row[0]} degrees" for row in gum.STUDENT])
 def test_student_s_factors(row):
     """Table G.2 to its digits, for three probabilities."""
