@@ -28,13 +28,14 @@ def test_a_drift_of_a_fifth_of_a_percent_per_month_is_found():
     assert trend.u_drift_per_month < 0.0002
 
 
-def test_the_stated_uncertainty_of_the_drift_is_honest():
-    """Over 200 archives the errors scatter by the stated sigma; the scatter is known to 1/√400 = 5 %."""
+@pytest.mark.parametrize(("archives", "within"), [(60, 0.25), pytest.param(200, 0.2, marks=pytest.mark.slow)])
+def test_the_stated_uncertainty_of_the_drift_is_honest(archives, within):
+    """Over n archives the errors scatter by the stated sigma; the scatter is known to 1/√(2n): 9 % or 5 %."""
     pulls = []
-    for seed in range(200):
+    for seed in range(archives):
         trend = fit_trend(*history(np.random.default_rng(seed), 0.001, readings=60))
         pulls.append((trend.drift_per_month - 0.001 / (1 + 0.001 * 6)) / trend.u_drift_per_month)
-    assert np.std(pulls) == pytest.approx(1.0, abs=0.2)
+    assert np.std(pulls) == pytest.approx(1.0, abs=within)
 
 
 @pytest.mark.slow
@@ -98,7 +99,7 @@ def test_correlated_errors_are_no_drift():
 
 def test_a_season_is_no_drift():
     """A yearly cycle of 1 % over one and a half years, at any phase: not claimed, and its amplitude found."""
-    for seed in range(40):
+    for seed in range(12):
         rng = np.random.default_rng(seed)
         time_s = np.arange(78) * 7 * 86400.0
         cycle = 0.01 * np.sin(2 * np.pi * (time_s / (365.25 * 86400.0) + rng.random()))
@@ -112,7 +113,7 @@ def test_a_season_is_no_drift():
 def test_a_cycle_of_another_period_is_no_drift(weeks, period_weeks):
     """1 % at any phase beside noise of 0.3 %: hardly ever claimed; over two years period and amplitude are found."""
     claims, week_s = 0, 7 * 86400.0
-    for seed in range(30):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         turns = np.arange(weeks) / period_weeks + rng.random()
         value = 5.0 * (1 + 0.01 * np.sin(2 * np.pi * turns) + rng.normal(0, 0.003, weeks))
@@ -135,9 +136,10 @@ def test_readings_of_two_days_years_apart_show_no_cycle():
     assert trend.degrees_of_freedom > 0
 
 
-def test_steady_readings_show_no_cycle():
-    """A hundred archives of noise alone: one cycle by chance at most."""
-    shown = [fit_trend(*history(np.random.default_rng(seed), 0.0, readings=40)).cycles for seed in range(100)]
+@pytest.mark.parametrize("archives", [25, pytest.param(100, marks=pytest.mark.slow)])
+def test_steady_readings_show_no_cycle(archives):
+    """Many archives of noise alone: one cycle by chance at most."""
+    shown = [fit_trend(*history(np.random.default_rng(seed), 0.0, readings=40)).cycles for seed in range(archives)]
     assert sum(map(bool, shown)) <= 1
 
 

@@ -14,8 +14,14 @@ from radiometer.screen.plan import parse_levels
 from simulators.clock import SimulatedClock
 from simulators.displays import DISPLAYS, SimulatedDisplay
 
+# A display that flickers is read again and again, which takes five seconds.
+FLICKERS = "pwm_lcd"
 
-@pytest.fixture(scope="module", params=SIMULATED_DISPLAYS)
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=[pytest.mark.slow] * (name == FLICKERS)) for name in SIMULATED_DISPLAYS],
+)
 def calibrated(request: pytest.FixtureRequest) -> tuple[str, ScreenCalibration]:
     """Return a simulated display's name and its calibration by the simulated camera."""
     name = request.param
@@ -75,8 +81,8 @@ def test_black_is_seen_or_becomes_a_limit(calibrated: tuple[str, ScreenCalibrati
 def test_flicker_is_found_where_it_is(calibrated: tuple[str, ScreenCalibration]) -> None:
     """The dimmed backlight is found to flicker, the steady ones are not; readings are averaged accordingly."""
     name, calibration = calibrated
-    assert calibration.checks["flicker"]["found"] is (name == "pwm_lcd")
-    assert (calibration.checks["repeats"] > 1) is (name == "pwm_lcd")
+    assert calibration.checks["flicker"]["found"] is (name == FLICKERS)
+    assert (calibration.checks["repeats"] > 1) is (name == FLICKERS)
 
 
 @pytest.mark.slow

@@ -102,7 +102,7 @@ def relabelled(bracket: Bracket, index: int, factor: float) -> Bracket:
     return Bracket.from_frames(frames)
 
 
-@pytest.mark.parametrize(("index", "stops"), [(1, 1 / 3), (4, -1 / 3)])
+@pytest.mark.parametrize(("index", "stops"), [(1, 1 / 3), pytest.param(4, -1 / 3, marks=pytest.mark.slow)])
 def test_a_label_wrong_by_a_third_of_a_stop_is_found_in_moved_photographs(index: int, stops: float) -> None:
     """The frame is named with its real exposure within 2 u, and no other; with right labels none is."""
     bracket = photographs(TIMES, (0, 1, -1, 2, 0, -2, 1))
