@@ -2,14 +2,16 @@
 
 python -m benchmarks honest
 
-Every condition: 100 calibrations on an even source and as many readings through `Instrument`, the program's own
-metering and exposures, each with seeds of its own. Held: |value − truth| ≤ U. Missed without a flag is what misleads.
+Every condition: calibrations on an even source and as many readings through `Instrument`, the program's own metering
+and exposures, each with draws that no other condition has. Held: |value − truth| ≤ U. Missed without a flag is what
+misleads.
 """
 
 from __future__ import annotations
 
 import datetime as dt
 import sys
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -38,7 +40,8 @@ from radiometer.data import (
 )
 from radiometer.devices import CameraPreset
 
-SEEDS, FIRST_SEED = 100, 5000
+# So many tell 95.45 % to 1 %: chance alone makes less than 93 % of it once in a hundred times.
+SEEDS, SEED = 400, 20261123
 SOURCE_U_REL = 0.004
 LENS = LensDescription(focal_length_mm=16.0, f_number=4.0, transmittance=0.9, transmittance_u_rel=0.01)
 CORNER = (84, 54, 10, 8)
@@ -122,7 +125,7 @@ def of_the_family(rng: np.random.Generator) -> dict[str, Any]:
 CONDITIONS = [
     Condition("the budget's own model, as bright as the reference"),
     Condition("the same, a third as bright", lambda rng: {"radiance": 1.0 / 3.0}),
-    Condition("the same, two frames only", frames=2),
+    Condition("as bright as the reference, two frames only", frames=2),
     Condition("natural fall-off not declared, patch in a corner", lambda rng: {"patch": CORNER}),
     Condition("no fall-off at all, patch in a corner",
               lambda rng: {"patch": CORNER}, fixed=lambda rng: {"falloff": 0.0}),
@@ -142,7 +145,8 @@ CONDITIONS = [
     Condition("exposure 5 µs off, bright patch",
               lambda rng: {"radiance": 500.0}, fixed=lambda rng: {"exposure_offset_s": 5e-6}),
     Condition("100 Hz ripple of 30 %, short exposures", lambda rng: {"radiance": 20.0, "ripple": (0.3, 100.0, "sine")}),
-    Condition("the same, two frames only", lambda rng: {"radiance": 20.0, "ripple": (0.3, 100.0, "sine")}, frames=2),
+    Condition("100 Hz ripple of 30 %, short exposures, two frames only",
+              lambda rng: {"radiance": 20.0, "ripple": (0.3, 100.0, "sine")}, frames=2),
     Condition("240 Hz PWM, half on, short exposures", lambda rng: {"radiance": 20.0, "ripple": (0.5, 240.0, "pwm")}),
     Condition("100 Hz ripple of 30 %, long exposures", lambda rng: {"radiance": 0.3, "ripple": (0.3, 100.0, "sine")}),
     Condition("gain 12 dB, gain step σ 1 %", lambda rng: {"gain_error": rng.normal(0, 0.01)}, gain_db=12.0),
@@ -240,8 +244,8 @@ def calibration(condition: Condition, fixed: dict[str, Any], rng: np.random.Gene
 
 
 def reading(condition: Condition, seed: int) -> tuple[Reading, float]:
-    """Return one reading of a condition, and the truth."""
-    rng = np.random.default_rng((20261122, seed))
+    """Return one reading of a condition, and the truth; no other condition has the draws of this one."""
+    rng = np.random.default_rng((SEED, zlib.crc32(condition.name.encode()), seed))
     pattern, fixed = rng.normal(0.0, 1.0, SIZE), condition.fixed(rng)
     known = calibration(condition, fixed, rng, pattern)
     world = replace(World(), **{**fixed, **condition.world(rng)})
@@ -261,7 +265,7 @@ def reading(condition: Condition, seed: int) -> tuple[Reading, float]:
 def outcome(condition: Condition, seeds: int = SEEDS) -> Outcome:
     """Return what became of a condition over many seeds."""
     rows, seen = [], dict[str, int]()
-    for seed in range(FIRST_SEED, FIRST_SEED + seeds):
+    for seed in range(seeds):
         found, truth = reading(condition, seed)
         value, expanded = found.radiance.value, found.coverage_factor * found.radiance.u
         for flag in found.flags:
@@ -290,13 +294,10 @@ def table(conditions: list[Condition], seeds: int = SEEDS) -> list[str]:
 
 def write_report(lines: list[str]) -> None:
     """Write the section of a whole run; see `table` for its lines."""
-    beyond = sum(abs(source_error(seed)) > 2.0 for seed in range(FIRST_SEED, FIRST_SEED + SEEDS))
     about = (
-        f"{SEEDS} calibrations (source known to {SOURCE_U_REL:.1%}, k = 1) and readings each, seeds {FIRST_SEED} to "
-        f"{FIRST_SEED + SEEDS - 1}, through `Instrument`; the world is simulated apart from forward model and analysis "
-        "(`_honest_world.py`). Held: |value − truth| ≤ U at 95.45 %. Conditions draw the same errors of the source: "
-        f"{beyond} of these {SEEDS} lie beyond 2 of its standard uncertainties (4.6 are expected, give or take 2.1), "
-        "and are the misses wherever the source rules the budget."
+        f"{SEEDS} calibrations (source known to {SOURCE_U_REL:.1%}, k = 1) and readings each, with draws that no other "
+        f"condition has (seed {SEED}), through `Instrument`; the world is simulated apart from forward model and "
+        "analysis (`_honest_world.py`). Held: |value − truth| ≤ U at 95.45 %; chance moves that by 1 % (k = 1)."
     )
     write_section(
         "honest",
@@ -304,14 +305,6 @@ def write_report(lines: list[str]) -> None:
         "python -m benchmarks honest",
         about + "\n\n" + "\n".join(lines),
     )
-
-
-def source_error(seed: int) -> float:
-    """Return the error of the source's stated radiance in its u, where a condition fixes nothing."""
-    rng = np.random.default_rng((20261122, seed))
-    rng.normal(0.0, 1.0, SIZE)  # the pixels' pattern
-    rng.random()  # the light's phase
-    return float(rng.normal())
 
 
 def main() -> None:

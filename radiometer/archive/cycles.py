@@ -15,6 +15,9 @@ _READINGS_PER_CYCLE: Final = 2.5
 _FINER: Final = 8
 # Cycles in the span that are told from a drift badly.
 _SLOW_PER_SPAN: Final = (0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
+_FEWEST_PER_SPAN: Final = 0.5  # below which a cycle is a drift for all that the record tells
+# Cycles in the span beyond the season's that may stand in its place.
+_NEAR_THE_SEASON: Final = (-0.5, -0.375, -0.25, -0.125, 0.125, 0.25, 0.375, 0.5)
 _APART: Final = 0.6  # cycles per span that two cycles are told from each other by
 _TRIFLE: Final = 1e-3
 _LEAST_APART: Final = 1e-4  # smallest over largest singular value of columns of norm 1
@@ -81,8 +84,8 @@ def tells_apart(design: Array) -> bool:
 
 def slow_cycles(
     design: Array, relative: Array, sigma: Array, time_s: Array, fitted_s: Sequence[float]
-) -> list[tuple[Array, float]]:
-    """Return designs without and with one slow cycle more, and how likely each is by the readings.
+) -> list[tuple[float, float]]:
+    """Return periods in s of slow cycles that may be there as well, and their odds against none, by the readings.
 
     Some one to four cycles in the span are told from a drift badly, and shown late: all of them count as far as the
     readings allow them.
@@ -100,17 +103,43 @@ def slow_cycles(
     span = float(time_s[-1] - time_s[0])
     periods_s = span / _away(np.array(_SLOW_PER_SPAN), span, fitted_s)
     if periods_s.size == 0 or count < 2 * (design.shape[1] + 4):
-        return [(design, 1.0)]
+        return []
     without, gains = _likelihoods(design, relative / sigma, sigma, time_s, periods_s)
     odds = np.exp(np.clip(gains - without - math.log(count) - math.log(periods_s.size), -700.0, 700.0))
     odds *= min(1.0, _MOST_ODDS / max(float(odds.sum()), 1e-300))
+    return _told_apart(design, time_s, periods_s, odds)
+
+
+def near_the_season(
+    others: Array, relative: Array, sigma: Array, time_s: Array, season_s: float
+) -> list[tuple[float, float]]:
+    """Return periods in s of cycles that may stand in place of a season's, and their odds against it, by the readings.
+
+    A cycle that is nearly as long is told from it badly, and what is left of it would be taken for a drift.
+
+    Args:
+        others: Columns of what is fitted besides the season, shape (n, columns).
+        relative: Values, shape (n,).
+        sigma: Standard deviations of their own noise, up to a factor, same shape.
+        time_s: Times in s, ascending, same shape.
+        season_s: Period of the season in s.
+    """
+    span = float(time_s[-1] - time_s[0])
+    per_span = span / season_s + np.array(_NEAR_THE_SEASON)
+    per_span = per_span[per_span >= _FEWEST_PER_SPAN]
+    periods_s = np.concatenate([[season_s], span / per_span])
+    _, gains = _likelihoods(others, relative / sigma, sigma, time_s, periods_s)
+    odds = np.exp(np.clip(gains[1:] - gains[0], -700.0, 700.0)) / max(per_span.size, 1)
+    return _told_apart(others, time_s, periods_s[1:], odds)
+
+
+def _told_apart(design: Array, time_s: Array, periods_s: Array, odds: Array) -> list[tuple[float, float]]:
     whole = 1.0 + float(odds.sum())
-    models = [(design, 1.0 / whole)]
-    for period, one in zip(periods_s, odds / whole, strict=True):
-        more = np.column_stack([design, cycle_columns(time_s, float(period))])
-        if one > _TRIFLE and tells_apart(more):
-            models.append((more, float(one)))
-    return models
+    return [
+        (float(period), float(one))
+        for period, one in zip(periods_s, odds, strict=True)
+        if one > _TRIFLE * whole and tells_apart(np.column_stack([design, cycle_columns(time_s, float(period))]))
+    ]
 
 
 def _away(per_span: Array, span: float, fitted_s: Sequence[float]) -> Array:

@@ -11,21 +11,35 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from radiometer.archive.cycles import hidden_cycles, slow_cycles, tells_apart, with_period
+from radiometer.archive.cycles import (
+    cycle_columns,
+    hidden_cycles,
+    near_the_season,
+    slow_cycles,
+    tells_apart,
+    with_period,
+)
 from radiometer.errors import InputError
 
 MONTH_S: Final = 365.25 / 12 * 86400.0
 # A drift is claimed where chance alone would show it in so many archives: 3 sigma of many readings. What is guessed of
 # the correlation costs a little more, and false claims stay below one in a hundred.
 CLAIM_CHANCE: Final = 0.0027
-# From this part of a year on a season can be told from a drift, and is fitted beside it.
+# A year's cycle is always fitted beside the drift. From this part of a year on readings tell its size by themselves;
+# in shorter records it is taken to be of any phase and of amplitudes up to some 5 % (2 % each of sine and cosine,
+# k = 1): a lamp of 0.3 %/K whose room is 15 K warmer in summer.
 _YEAR_S: Final = 365.25 * 86400.0
-_SEASON_YEARS: Final = 0.9
-_WITH_SEASON: Final = 4  # columns of the design: level, months, sine and cosine of the year
+_SEASON_YEARS: Final = 0.75
+_SEASON_REL: Final = 0.02
+_WITH_SEASON: Final = 4  # columns of the design: level, months, the year's sine and cosine
+# Before so much of a year a change that a straight line shows may be a season's.
+_TOLD_YEARS: Final = 1.5
 # Correlation times that are tried, as parts of the span; and the correlation of neighbours that counts as whole.
 _TIMES_OF_SPAN: Final = np.geomspace(1e-3, 1.0, 25)
 _MOST_CORRELATED: Final = 0.995
 _OUTLIER_SIGMAS: Final = 4.0
+_ROUNDS: Final = 4  # of scatter and stated sizes
+_LEAST_SCATTER: Final = 1e-3  # of the stated sigma, below which stated sizes pull no less
 _MINIMUM_READINGS: Final = 8
 
 Array = NDArray[np.float64]
@@ -50,7 +64,9 @@ class Trend:
         u_drift_per_month: Its standard uncertainty, neighbours' correlation and seasons counted.
         degrees_of_freedom: Behind that uncertainty: of the readings' effective number.
         correlation: Of a reading with the next one, beyond line and season.
-        season_rel: Amplitude of the yearly cycle; None where the span is too short to tell it from a drift.
+        season_rel: Amplitude of the yearly cycle; None where the readings do not tell it.
+        straight_per_month: Relative drift per month if there were no cycle that the readings do not show.
+        u_straight_per_month: Its standard uncertainty.
         cycles: Period in s and relative amplitude of other cycles that the readings show.
         changes_s: Times from which on another calibration, or other settings, were in use; in s since 1970.
         flags: How many readings bear each flag.
@@ -71,6 +87,8 @@ class Trend:
     degrees_of_freedom: float = math.inf
     correlation: float = 0.0
     season_rel: float | None = None
+    straight_per_month: float = 0.0
+    u_straight_per_month: float = math.inf
     cycles: tuple[tuple[float, float], ...] = ()
     changes_s: tuple[float, ...] = ()
     flags: Mapping[str, int] = field(default_factory=dict)
@@ -85,6 +103,23 @@ class Trend:
         """Tell whether the drift is claimed: beyond what chance shows in fewer than one archive in a hundred."""
         return abs(self.drift_per_month) > self.claim_sigmas * self.u_drift_per_month
 
+    @property
+    def verdict(self) -> str:
+        """Return "drift", "season_or_drift" for a change that a season may be as well, or "no_drift".
+
+        The second stands for records of less than a year and a half alone: longer ones tell the two apart.
+        """
+        if self.drifts:
+            return "drift"
+        told = self.time_s[-1] - self.time_s[0] >= _TOLD_YEARS * _YEAR_S
+        shown = abs(self.straight_per_month) > self.claim_sigmas * self.u_straight_per_month
+        return "season_or_drift" if shown and not told else "no_drift"
+
+    @property
+    def told_from_s(self) -> float:
+        """Return from when on the record tells a season from a drift, in s since 1970."""
+        return float(self.time_s[0]) + _TOLD_YEARS * _YEAR_S
+
     def to_mapping(self) -> dict[str, Any]:
         """Return the figures as plain numbers."""
         return {
@@ -96,6 +131,8 @@ class Trend:
             "months": float((self.time_s[-1] - self.time_s[0]) / MONTH_S),
             "drift_per_month": {"value": self.drift_per_month, "u": self.u_drift_per_month, "unit": "1"},
             "drifts": self.drifts,
+            "verdict": self.verdict,
+            "without_season": {"value": self.straight_per_month, "u": self.u_straight_per_month, "unit": "1"},
             "degrees_of_freedom": self.degrees_of_freedom if math.isfinite(self.degrees_of_freedom) else None,
             "correlation": self.correlation,
             "season_rel": self.season_rel,
@@ -112,8 +149,9 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
     u_rel² brought to the scatter about the line: smaller where the readings agree better than stated, larger by an
     excess term where they agree worse. Outliers beyond 4 sigmas leave the fit, one at a time. What is left then goes
     through generalised least squares: neighbours may be correlated (exp(−Δt/τ), averaged over τ by its restricted
-    likelihood), a yearly cycle is fitted beside the line where the span tells them apart, and cycles of other periods
-    where the readings show them.
+    likelihood), a yearly cycle is fitted beside the line (of a stated size where the record is too short to tell it),
+    and cycles of other periods where the readings show them. Cycles about as long as the record count as far as the
+    readings allow them.
 
     Args:
         time_s: Times in s, shape (n,), any order.
@@ -133,9 +171,12 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
     level = float(np.median(value))
     relative, sigma = value / level, u / level
     outlier = np.zeros(value.size, bool)
-    design = _design(months, time_s)
+    season = _season(months, time_s)
+    design, told = season.design, season.told
     while True:
-        solution, _, scatter = _least_squares(design[~outlier], relative[~outlier], sigma[~outlier])
+        solution, _, scatter = _least_squares(
+            design[~outlier] / sigma[~outlier, None], relative[~outlier] / sigma[~outlier], season.spread
+        )
         residual = np.abs(relative - design @ solution) / (scatter * sigma)
         residual[outlier] = 0.0
         worst = int(residual.argmax())
@@ -143,27 +184,32 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
             break
         outlier[worst] = True
     kept = ~outlier
-    season_s = (_YEAR_S,) if design.shape[1] == _WITH_SEASON else ()
-    periods_s = hidden_cycles(design[kept], relative[kept], sigma[kept], time_s[kept], season_s)
+    of_season_s = (_YEAR_S,) if told else ()
+    straight = design if told else design[:, :2]
+    periods_s = hidden_cycles(straight[kept], relative[kept], sigma[kept], time_s[kept], of_season_s)
     for period in periods_s:
-        design = np.column_stack([design, with_period(design, relative, sigma, time_s, period)])
-    fit = _over_slow_cycles(design[kept], relative[kept], sigma[kept], time_s[kept], (*season_s, *periods_s))
-    line, covariance = fit.solution, fit.covariance
-    straight = design[:, :2]
-    u_line = np.sqrt(np.einsum("in,nm,im->i", straight, covariance[:2, :2], straight))
-    typical = float(np.median(sigma))
+        more = with_period(straight, relative, sigma, time_s, period)
+        straight, design = np.column_stack([straight, more]), np.column_stack([design, more])
+    models = _models(design, straight, relative, sigma, time_s, kept, periods_s, told=told)
+    fit, line, u_line = _averaged(models, relative, sigma, time_s, kept, season.spread)
+    without = _generalised(
+        np.delete(design, slice(2, _WITH_SEASON), axis=1)[kept], relative[kept], sigma[kept], time_s[kept]
+    )
+    own, typical = fit.solution, float(np.median(sigma))
     return Trend(
         patch, quantity, unit, time_s, value, u,
-        line=level * (design @ line),
+        line=level * line,
         u_line=level * u_line,
         outlier=outlier,
         excess_rel=typical * math.sqrt(max(0.0, scatter**2 - 1.0)),
-        drift_per_month=float(line[1] / line[0]),
-        u_drift_per_month=float(math.sqrt(covariance[1, 1]) / line[0]),
+        drift_per_month=float(own[1] / own[0]),
+        u_drift_per_month=float(math.sqrt(fit.covariance[1, 1]) / own[0]),
         degrees_of_freedom=fit.degrees_of_freedom,
         correlation=fit.correlation,
-        season_rel=float(np.hypot(line[2], line[3]) / line[0]) if season_s else None,
-        cycles=_amplitudes(periods_s, line),
+        season_rel=float(np.hypot(own[2], own[3]) / own[0]) if told else None,
+        straight_per_month=float(without.solution[1] / without.solution[0]),
+        u_straight_per_month=float(math.sqrt(without.covariance[1, 1]) / without.solution[0]),
+        cycles=_amplitudes(periods_s, own),
     )  # fmt: skip
 
 
@@ -173,14 +219,23 @@ def _amplitudes(periods_s: tuple[float, ...], line: Array) -> tuple[tuple[float,
     return tuple((period, float(np.hypot(*pair))) for period, pair in zip(periods_s, own, strict=True))
 
 
-def _design(months: Array, time_s: Array) -> Array:
-    """Return the columns level, months, and the year's sine and cosine where the span tells them from a drift."""
-    columns = [np.ones_like(months), months]
-    if time_s[-1] - time_s[0] >= _SEASON_YEARS * _YEAR_S and time_s.size >= 2 * _MINIMUM_READINGS:
-        phase = 2.0 * np.pi * (time_s - time_s[0]) / _YEAR_S
-        yearly = [*columns, np.sin(phase), np.cos(phase)]
-        columns = yearly if tells_apart(np.stack(yearly, axis=1)) else columns
-    return np.stack(columns, axis=1)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Season:
+    """Level, months and the year's sine and cosine as columns, how large each may be, whether readings tell it."""
+
+    design: Array
+    spread: Array
+    told: bool
+
+
+def _season(months: Array, time_s: Array) -> _Season:
+    """Return the line with its yearly cycle, of stated size where the readings do not tell it from a drift."""
+    phase = 2.0 * np.pi * (time_s - time_s.mean()) / _YEAR_S
+    # The cosine is 0 in the middle of the record, where the level is told.
+    design = np.stack([np.ones_like(months), months, np.sin(phase), np.cos(phase) - 1.0], axis=1)
+    long = time_s[-1] - time_s[0] >= _SEASON_YEARS * _YEAR_S and time_s.size >= 2 * _MINIMUM_READINGS
+    told = bool(long and tells_apart(design))
+    return _Season(design, np.array([math.inf, math.inf, *(math.inf if told else _SEASON_REL,) * 2]), told)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,23 +248,67 @@ class _Fit:
     correlation: float
 
 
-def _over_slow_cycles(design: Array, relative: Array, sigma: Array, time_s: Array, fitted_s: tuple[float, ...]) -> _Fit:
-    """Return the solution averaged over models with and without a slow cycle more, its columns left out."""
-    columns = design.shape[1]
-    models = slow_cycles(design, relative, sigma, time_s, fitted_s)
-    fits = [(_generalised(one, relative, sigma, time_s), weight) for one, weight in models]
-    whole = sum(weight for _, weight in fits)
-    centre = sum(weight / whole * fit.solution[:columns] for fit, weight in fits)
+def _models(
+    design: Array,
+    straight: Array,
+    relative: Array,
+    sigma: Array,
+    time_s: Array,
+    kept: NDArray[np.bool_],
+    periods_s: tuple[float, ...],
+    *,
+    told: bool,
+) -> list[tuple[Array, float]]:
+    """Return designs at all times, and how likely each is: as fitted, with a slow cycle more, or one for the year's."""
+    fitted_s = (*((_YEAR_S,) if told else ()), *periods_s)
+    slow = slow_cycles(straight[kept], relative[kept], sigma[kept], time_s[kept], fitted_s)
+    models = [(design, 1.0)]
+    models += [(np.column_stack([design, cycle_columns(time_s, period)]), odds) for period, odds in slow]
+    if told:
+        others = np.delete(straight, slice(2, _WITH_SEASON), axis=1)
+        near = near_the_season(others[kept], relative[kept], sigma[kept], time_s[kept], _YEAR_S)
+        for period, odds in near:
+            columns = cycle_columns(time_s, period)
+            models.append((np.column_stack([design[:, :2], columns, design[:, _WITH_SEASON:]]), odds))
+    return models
+
+
+def _averaged(
+    models: list[tuple[Array, float]],
+    relative: Array,
+    sigma: Array,
+    time_s: Array,
+    kept: NDArray[np.bool_],
+    spread: Array,
+) -> tuple[_Fit, Array, Array]:
+    """Return the solution averaged over models, and their common curve with its standard uncertainty.
+
+    Level and drift are the models' mean, with how much they differ in the covariance; other columns are the first's.
+    """
+    fits, curves, weights = [], [], np.array([odds for _, odds in models])
+    weights /= weights.sum()
+    for design, _ in models:
+        size = np.concatenate([spread, np.full(design.shape[1] - spread.size, math.inf)])
+        fits.append(_generalised(design[kept], relative[kept], sigma[kept], time_s[kept], size))
+        curves.append(design @ fits[-1].solution)
+    centre, line = fits[0].solution.copy(), weights @ np.array(curves)
+    centre[:2] = sum(w * fit.solution[:2] for w, fit in zip(weights, fits, strict=True))
+    offs = [fit.solution[:2] - centre[:2] for fit in fits]
     covariance = sum(
-        weight / whole * (fit.covariance[:columns, :columns] + np.outer(off, off))
-        for fit, weight, off in ((fit, weight, fit.solution[:columns] - centre) for fit, weight in fits)
+        w * (fit.covariance[:2, :2] + np.outer(off, off)) for w, fit, off in zip(weights, fits, offs, strict=True)
     )
-    freedom = sum(weight / whole * fit.degrees_of_freedom for fit, weight in fits)
-    correlation = sum(weight / whole * fit.correlation for fit, weight in fits)
-    return _Fit(np.asarray(centre), np.asarray(covariance), float(freedom), float(correlation))
+    variance = sum(
+        w * (np.einsum("in,nm,im->i", design, fit.covariance, design) + (curve - line) ** 2)
+        for w, fit, curve, (design, _) in zip(weights, fits, curves, models, strict=True)
+    )
+    freedom, correlation = (
+        float(weights @ np.array(each))
+        for each in ([fit.degrees_of_freedom for fit in fits], [fit.correlation for fit in fits])
+    )
+    return _Fit(centre, np.asarray(covariance), freedom, correlation), line, np.sqrt(np.asarray(variance))
 
 
-def _generalised(design: Array, relative: Array, sigma: Array, time_s: Array) -> _Fit:
+def _generalised(design: Array, relative: Array, sigma: Array, time_s: Array, spread: Array | None = None) -> _Fit:
     """Return the solution averaged over correlation times, each by its restricted likelihood.
 
     The average carries how much the solutions differ: a correlation that is guessed too short claims too much.
@@ -218,12 +317,13 @@ def _generalised(design: Array, relative: Array, sigma: Array, time_s: Array) ->
     """
     gaps, span = np.diff(time_s), float(time_s[-1] - time_s[0])
     count, columns = design.shape
+    spread = np.full(columns, math.inf) if spread is None else spread
     fits, likelihoods = [], []
     for tau in (0.0, *(_TIMES_OF_SPAN * span)):
         phi = np.zeros_like(gaps) if tau == 0.0 else np.minimum(np.exp(-gaps / tau), _MOST_CORRELATED)
         rows, told, jacobian = _whitened(design / sigma[:, None], relative / sigma, phi)
-        solution, normal, scatter = _least_squares(rows, told, np.ones(count))
-        information = np.linalg.slogdet(rows.T @ rows)[1]
+        solution, normal, scatter = _least_squares(rows, told, spread)
+        information = -np.linalg.slogdet(normal / scatter**2)[1]
         likelihoods.append(-(count - columns) * math.log(scatter) - 0.5 * information + jacobian)
         mean = float(phi.mean()) if phi.size else 0.0
         # So many readings without correlation tell as much of a mean.
@@ -248,14 +348,23 @@ def _whitened(rows: Array, told: Array, phi: Array) -> tuple[Array, Array, float
     return apart, values, -float(np.log(root).sum())
 
 
-def _least_squares(design: Array, relative: Array, sigma: Array) -> tuple[Array, Array, float]:
-    """Return the solution, its covariance, and the scatter in units of the stated sigma."""
-    weighed = design / sigma[:, None]
-    normal: Array = np.linalg.inv(weighed.T @ weighed).astype(np.float64)
-    solution = normal @ (weighed.T @ (relative / sigma))
-    residual = relative / sigma - weighed @ solution
-    scatter = max(math.sqrt(float(residual @ residual) / max(design.shape[0] - design.shape[1], 1)), 1e-12)
-    return solution, normal * scatter**2, scatter
+def _least_squares(rows: Array, told: Array, spread: Array) -> tuple[Array, Array, float]:
+    """Return the solution, its covariance, and the scatter in units of the stated sigma.
+
+    A column of a stated size is an observation more: that it is 0 ± that size. What this weighs depends on the
+    scatter, which is found again with it.
+    """
+    known = np.isfinite(spread)
+    squared, normal_rows = rows.T @ told, rows.T @ rows
+    freedom = max(rows.shape[0] - rows.shape[1] + int(known.sum()), 1)
+    scatter = 0.0
+    for _ in range(_ROUNDS if known.any() else 1):
+        pull = np.where(known, max(scatter, _LEAST_SCATTER) / np.where(known, spread, 1.0), 0.0)
+        inverse: Array = np.linalg.inv(normal_rows + np.diag(pull**2)).astype(np.float64)
+        solution = inverse @ squared
+        residual = np.concatenate([told - rows @ solution, (pull * solution)[known]])
+        scatter = max(math.sqrt(float(residual @ residual) / freedom), 1e-12)
+    return solution, inverse * scatter**2, scatter
 
 
 def _refuse_unfit(time_s: Array, value: Array, u: Array, patch: str) -> None:

@@ -34,6 +34,8 @@ _OPENING: Final = 4  # histories in the opening picture; the others follow with 
 _GAP_OF_USUAL: Final = 10.0  # a pause so many times as long as the usual one is shown as a gap
 _GAP_OF_SPAN: Final = 0.01  # and of the whole span at least, for others would not be seen
 _BEYOND_SIGMAS: Final = 2.0
+_TAGS: Final = {"drift": "drifts", "season_or_drift": "season or drift", "no_drift": "not claimed"}
+_VERDICTS: Final = {"drift": "drifts", "season_or_drift": "a season or a drift", "no_drift": "no drift shown"}
 
 Array = NDArray[np.float64]
 
@@ -55,7 +57,7 @@ def trend_report(trends: Sequence[Trend], source: str) -> str:
             f"{100 * t.drift_per_month:+.3f} %",
             f"{200 * t.u_drift_per_month:.3f} %",
             f"{100 * _claimed_from(t):.3f} %",
-            "drifts" if t.drifts else "no drift shown",
+            _VERDICTS[t.verdict],
         )
         for t in trends
     ]
@@ -83,6 +85,9 @@ def outcome(ordered: Sequence[Trend]) -> str:
     """
     first = ordered[0]
     if not first.drifts:
+        open_ones = [trend for trend in ordered if trend.verdict == "season_or_drift"]
+        if open_ones:
+            return _undecided(open_ones, len(ordered))
         if len(ordered) == 1:
             return f"No drift of {first.patch} is shown: {_per_month(first)}."
         nearest = f"the nearest to one is {first.patch}: {_per_month(first)}"
@@ -92,6 +97,17 @@ def outcome(ordered: Sequence[Trend]) -> str:
     if len(ordered) == 1:
         return f"{first.patch} drifts: its {first.quantity} {way}, {_per_month(first)}."
     return f"{len(claimed)} of {len(ordered)} patches drift, {first.patch} most clearly: {_per_month(first)}."
+
+
+def _undecided(changed: Sequence[Trend], count: int) -> str:
+    """Return that something changes of which the record does not tell whether a season makes it."""
+    one = changed[0]
+    percent = with_u(100 * one.straight_per_month, 200 * one.u_straight_per_month, "% per month")
+    of = "" if count == 1 else f" ({len(changed)} of {count} patches)"
+    return (
+        f"{one.patch} changes{of}, {percent}, k = 2, if on a straight line; a season would change it as much, and the "
+        "record is too short to tell the two apart."
+    )
 
 
 def advice(ordered: Sequence[Trend]) -> list[str]:
@@ -108,6 +124,11 @@ def advice(ordered: Sequence[Trend]) -> list[str]:
             said.append(
                 f"{trend.patch}: in {months:.2g} months the drift is as large as the readings' own uncertainty "
                 f"({100 * stated:.2g} %, k = 1); calibrate it again before then."
+            )
+        elif trend.verdict == "season_or_drift":
+            said.append(
+                f"{trend.patch}: measure until {_day(trend.told_from_s)[:10]}, a year and a half after the first reading: "
+                "that tells a season from a drift; or keep temperature and ambient light steady, so that none is there."
             )
         else:
             said.append(
@@ -167,7 +188,7 @@ def _section(trend: Trend, *, drawn: bool) -> str:
         f"A reading is correlated with the next by {trend.correlation:.2f}." if trend.correlation > 0.05 else "",
         f"A yearly cycle of ±{100 * trend.season_rel:.2g} % is fitted beside the drift."
         if trend.season_rel is not None
-        else "The span is too short to tell a yearly cycle from a drift.",
+        else "The readings do not tell a yearly cycle from a drift: one of up to some 5 % is in its uncertainty.",
         " ".join(
             f"A cycle of {period / 86400:.3g} days, ±{100 * size:.2g} %, is fitted." for period, size in trend.cycles
         ),
@@ -184,7 +205,7 @@ def _section(trend: Trend, *, drawn: bool) -> str:
     flagged = [f"{count} of the readings are flagged {name}." for name, count in trend.flags.items()]
     return "\n".join(
         (
-            heading(trend.patch, ["drifts"] if trend.drifts else ["not claimed"]),
+            heading(trend.patch, [_TAGS[trend.verdict]]),
             paragraph(f"{_per_month(trend)}. {verdict}", "what"),
             paragraph(" ".join(fact for fact in facts if fact)),
             *(paragraph(text, "flag") for text in flagged),

@@ -169,7 +169,9 @@ class Instrument:
     def situation(self, bracket: Bracket) -> PatchSituation:
         """Return what a reading of frames is made from. Raises CalibrationError if the calibration does not fit."""
         camera = self.camera.description
-        return patch_situation(bracket, self.patch, self.calibration, camera, self.lens, self.source)
+        return patch_situation(
+            bracket, self.patch, self.calibration, camera, self.lens, self.source, spectrum_stated=self.spectrum_stated
+        )
 
     @property
     def lens(self) -> LensDescription:

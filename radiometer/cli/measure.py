@@ -160,7 +160,7 @@ def _photographed(
     if known is not None and spectrum is not None:
         known = replace(known, spectrum=spectrum)
     reading = read_patch(bracket, patch, known, camera, lens, spectrum_stated=spectrum is not None)
-    situation = patch_situation(bracket, patch, known, camera, lens)
+    situation = patch_situation(bracket, patch, known, camera, lens, spectrum_stated=spectrum is not None)
     return with_iso_in_reading(reading, bracket), situation, placed.sentence
 
 

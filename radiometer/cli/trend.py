@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as json_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -45,11 +45,17 @@ def command(
         note(f"report: {report}")
 
 
+_VERDICTS: Final = {
+    "drift": "[bold yellow]drifts[/bold yellow]",
+    "season_or_drift": "[yellow]changes, by a season or a drift: the record is too short to tell[/yellow]",
+    "no_drift": "no drift shown",
+}
+
+
 def _sentence(trend: Trend) -> str:
     drift, u = 100 * trend.drift_per_month, 100 * trend.u_drift_per_month
-    verdict = "[bold yellow]drifts[/bold yellow]" if trend.drifts else "no drift shown"
     outliers = f", {int(trend.outlier.sum())} outliers" if trend.outlier.any() else ""
     return (
-        f"{trend.patch}: {trend.quantity} {verdict}: ({drift:+.3f} ± {2 * u:.3f}) % per month (k = 2) "
+        f"{trend.patch}: {trend.quantity} {_VERDICTS[trend.verdict]}: ({drift:+.3f} ± {2 * u:.3f}) % per month (k = 2) "
         f"over {trend.time_s.size} readings{outliers}"
     )

@@ -21,7 +21,8 @@ from radiometer.analysis.merge.tables import merge_tables
 from radiometer.analysis.patch.outside import frame_u_rel
 from radiometer.analysis.signal.found_effects import corrected_settings, temperature_factor
 from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
-from radiometer.analysis.signal.situation import common_u_rel, flat_field_for, situation_of
+from radiometer.analysis.signal.situation import common_u_rel, flat_field_for, situation_of, unstated_u_rel
+from radiometer.analysis.signal.unstated_light import KINDS
 from radiometer.data import (
     Bracket,
     Calibration,
@@ -373,13 +374,22 @@ class StreamingMerge:
             f"the response bends by {100 * share:.2g} % at full scale, as found: the map keeps it, u does not hold it",
         )
 
+    def _light(self) -> tuple[str, ...]:
+        """Return how far pixels may be off whose light is of another spectrum, which a map knows of none."""
+        calibration = self._calibration
+        if calibration is None or not calibration.absolute:
+            return ()
+        off = unstated_u_rel(calibration, calibration.uncertainties)
+        said = f"light of another spectrum than {calibration.spectrum} may be off: {100 * off:.2g} % (k = 1)"
+        return (f"{said} over {', '.join(KINDS)}, which u does not hold",) if off >= _TOLD_REL else ()
+
     def _map(self, flat: Images) -> RadianceMap:
         shape, calibration = self._known_shape(), self._calibration
         images = flat[0].reshape(shape), flat[1].reshape(shape), flat[2].reshape(shape)
         self._doubt_falloff(*images[:2])
         repair_defects(*images, calibration.defects if calibration else ())
         numbers = {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
-        not_in_u = (*self._stray_light(images[0]), *self._exposure_offset(), *self._bend())
+        not_in_u = (*self._stray_light(images[0]), *self._exposure_offset(), *self._bend(), *self._light())
         return RadianceMap(
             *images,
             unit=RADIANCE_UNIT if calibration is not None and calibration.absolute else RELATIVE_UNIT,

@@ -20,6 +20,7 @@ from radiometer.analysis.signal.situation import (
     spectral_u_rel,
     transmittance_u_rel,
 )
+from radiometer.analysis.signal.unstated_light import KINDS
 from radiometer.analysis.uncertainty.budget import Term
 from radiometer.data import Calibration, Flag, LensDescription, ScaleConditions, StatedUncertainties
 
@@ -52,6 +53,7 @@ class PatchSituation:
         unsteady: Whether a frame clips that was exposed no longer than one that does not: the light changes.
         now: Time of the reading, with time zone.
         stray: Radiance that is taken off for known veiling glare.
+        spectrum_stated: Whether somebody says that the light has the calibration's `spectrum`.
     """
 
     estimate: PatchEstimate
@@ -71,6 +73,7 @@ class PatchSituation:
     unsteady: bool
     now: dt.datetime
     stray: float = 0.0
+    spectrum_stated: bool = True
 
     @property
     def value(self) -> float:
@@ -200,14 +203,17 @@ def _stated(situation: PatchSituation) -> list[Term]:
         _f_number(situation, value),
         _transmittance(situation, value),
         _magnification(situation, value),
-        Term(
-            "spectral assumption",
-            value * spectral_u_rel(calibration, stated),
-            correlated=True,
-            note=calibration.spectrum,
-            flag=Flag.SPECTRUM_ASSUMED,
-        ),
+        _spectrum(situation, value),
     ]
+
+
+def _spectrum(situation: PatchSituation, value: float) -> Term:
+    assert situation.calibration is not None
+    known, name = situation.spectrum_stated, situation.calibration.spectrum
+    u_rel = spectral_u_rel(situation.calibration, situation.stated, spectrum_stated=known)
+    by = "as stated" if situation.stated.spectral_u_rel > 0.0 else f"spread of {', '.join(KINDS)}"
+    note = name if known else f"nobody states the light's spectrum: taken for {name}, {by}"
+    return Term("spectral assumption", value * u_rel, correlated=True, note=note, flag=Flag.SPECTRUM_ASSUMED)
 
 
 def _outside(situation: PatchSituation) -> list[Term]:

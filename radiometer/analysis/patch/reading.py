@@ -20,7 +20,7 @@ from radiometer.analysis.signal.found_effects import corrected_frames, straighte
 from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
 from radiometer.analysis.signal.model import SignalModel
 from radiometer.analysis.signal.photometry import holds_visible_light, luminous_efficacy_lm_per_w
-from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of
+from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of, unstated_u_rel
 from radiometer.analysis.signal.spectra import spectrum as spectrum_of
 from radiometer.analysis.uncertainty.budget import combined_u, coverage_factor, effective_degrees_of_freedom
 from radiometer.data import (
@@ -65,7 +65,7 @@ def read_patch(
         spectrum: Name of the source's spectrum, or path of a CSV, for the luminance; None takes the calibration's.
         source: What is known of the light; that of a screen counts as polarised where nothing else is said.
         spectrum_stated: Whether somebody says that the light's spectrum is the calibration's `spectrum`; where nobody
-            does, the reading is flagged so.
+            does, the kinds of light that there are count, and the reading is flagged so.
         now: Time that the calibration's age is counted to, with time zone; None for the present.
         sequence: Running number of the reading.
 
@@ -76,10 +76,11 @@ def read_patch(
     """
     settled = situation_of(calibration, camera, lens)
     situation = _patch_situation(frames, patch, calibration, camera, settled, source, now)
+    situation = replace(situation, spectrum_stated=spectrum_stated)
     reading = _reading(situation, settled, patch, camera, sequence)
     if calibration is not None and calibration.absolute and not spectrum_stated:
         reading = replace(reading, flags=tuple(sorted({*reading.flags, Flag.SPECTRUM_ASSUMED})))
-    return _with_luminance(reading, calibration, spectrum)
+    return _with_luminance(reading, calibration, spectrum, spectrum_stated=spectrum_stated)
 
 
 def patch_situation(
@@ -90,6 +91,8 @@ def patch_situation(
     lens: LensDescription,
     source: SourceDescription | None = None,
     now: dt.datetime | None = None,
+    *,
+    spectrum_stated: bool = True,
 ) -> PatchSituation:
     """Return what a reading of a patch is made from, for a look behind its budget.
 
@@ -101,12 +104,15 @@ def patch_situation(
         lens: The lens in use.
         source: What is known of the light.
         now: Time of the reading, with time zone; None for the present.
+        spectrum_stated: As for `read_patch`.
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
         MeasurementError: If the patch lies outside the frame, or there is no light frame.
     """
-    return _patch_situation(frames, patch, calibration, camera, situation_of(calibration, camera, lens), source, now)
+    settled = situation_of(calibration, camera, lens)
+    found = _patch_situation(frames, patch, calibration, camera, settled, source, now)
+    return replace(found, spectrum_stated=spectrum_stated)
 
 
 def _patch_situation(
@@ -316,7 +322,9 @@ def _reading(
     )
 
 
-def _with_luminance(reading: Reading, calibration: Calibration | None, name: str | None) -> Reading:
+def _with_luminance(
+    reading: Reading, calibration: Calibration | None, name: str | None, *, spectrum_stated: bool
+) -> Reading:
     """Return the reading with its band and the luminance of its radiance; relative or invisible light has none."""
     if calibration is None or not calibration.absolute:
         return reading
@@ -326,17 +334,23 @@ def _with_luminance(reading: Reading, calibration: Calibration | None, name: str
         return reading
     efficacy = luminous_efficacy_lm_per_w(spectrum)
     radiance = reading.radiance
-    u = efficacy * _luminance_u(reading, calibration)
+    u = efficacy * _luminance_u(reading, calibration, spectrum_stated=spectrum_stated)
     return replace(reading, luminance=Quantity(efficacy * radiance.value, u, LUMINANCE_UNIT))
 
 
-def _luminance_u(reading: Reading, calibration: Calibration) -> float:
+def _luminance_u(reading: Reading, calibration: Calibration, *, spectrum_stated: bool) -> float:
     """Return u of the radiance, in its unit, as it counts for the luminance.
 
     The efficacy of an assumed spectrum stands between what the reference stated and what it did not: a luminance read
-    by a scale from a luminance went through it twice, there and back.
+    by a scale from a luminance went through it twice, there and back. Light of any kind is off in luminance by another
+    factor than in radiance.
     """
-    of_efficacy = calibration.uncertainties.efficacy_u_rel * reading.radiance.value
+    value, stated = reading.radiance.value, calibration.uncertainties
+    variance = reading.radiance.u**2
+    if not spectrum_stated:
+        here, there = (unstated_u_rel(calibration, stated, observer) for observer in ("photopic", None))
+        variance += (here**2 - there**2) * value**2
+    of_efficacy = stated.efficacy_u_rel * value
     if calibration.scale.quantity == "radiance":
-        return math.hypot(reading.radiance.u, of_efficacy)
-    return math.sqrt(max(reading.radiance.u**2 - of_efficacy**2, 0.0))
+        return math.sqrt(max(variance + of_efficacy**2, 0.0))
+    return math.sqrt(max(variance - of_efficacy**2, 0.0))

@@ -10,8 +10,9 @@ import numpy as np
 
 from radiometer.analysis.signal.lens import lens_in_use
 from radiometer.analysis.signal.model import SignalModel, signal_model
-from radiometer.analysis.signal.photometry import spectral_mismatch_factor
+from radiometer.analysis.signal.photometry import Observer, spectral_mismatch_factor
 from radiometer.analysis.signal.spectra import spectrum
+from radiometer.analysis.signal.unstated_light import plausible_responses, unstated_light_u_rel
 from radiometer.data import (
     BlackLevel,
     Calibration,
@@ -102,35 +103,50 @@ def spectral_correction(calibration: Calibration) -> tuple[float, tuple[str, ...
     return factor, (f"calibrated under {of_scale}; spectral mismatch factor {factor:.4g} applied{by}",)
 
 
-def spectral_u_rel(calibration: Calibration, stated: StatedUncertainties) -> float:
+def spectral_u_rel(calibration: Calibration, stated: StatedUncertainties, *, spectrum_stated: bool = True) -> float:
     """Return the relative standard uncertainty of the spectral assumption, that of a correction included.
 
     A radiance that came by way of a luminance carries that of the assumed spectrum's luminous efficacy as well. Where
     calibration and source differ in spectrum and the camera's response is unknown, the spread of plausible responses
     counts; it also bounds what a known response costs, for spectra that are nearly alike ask little of it.
+
+    Args:
+        calibration: The calibration, with the spectrum that the light is taken to have.
+        stated: What is stated of the spectrum, and of its efficacy.
+        spectrum_stated: Whether somebody says that the light has that spectrum; where nobody does, and no figure is
+            stated, what kinds of light there are counts.
     """
     of_scale = calibration.scale.spectrum or calibration.spectrum
     efficacy = stated.efficacy_u_rel if calibration.scale.quantity == "luminance" else 0.0
+    of_light = stated.spectral_u_rel if spectrum_stated else unstated_u_rel(calibration, stated)
     if of_scale == calibration.spectrum or not calibration.absolute:
-        return math.hypot(stated.spectral_u_rel, efficacy)
+        return math.hypot(of_light, efficacy)
     response, unknown = calibration.spectral_response, unknown_mismatch_u_rel(calibration.spectrum, of_scale)
     own = min(response.u_rel, unknown) if response else unknown
-    return math.hypot(stated.spectral_u_rel, efficacy, own)
+    return math.hypot(of_light, efficacy, own)
+
+
+def unstated_u_rel(calibration: Calibration, stated: StatedUncertainties, observer: Observer | None = None) -> float:
+    """Return the relative standard uncertainty of light whose spectrum nobody states: as stated, or of all its kinds.
+
+    Args:
+        calibration: The calibration, with the spectrum that the light is taken to have.
+        stated: A figure of `spectral_u_rel` above 0 stands in its place.
+        observer: For a luminance, the observer; None for a radiance.
+    """
+    if stated.spectral_u_rel > 0.0 or not calibration.absolute:
+        return stated.spectral_u_rel
+    return unstated_light_u_rel(calibration.spectrum, calibration.spectral_response, observer)
 
 
 def unknown_mismatch_u_rel(source: str, of_scale: str) -> float:
     """Return the root of the mean square of ln F over plausible responses of silicon behind a lens.
 
-    They count photons with a quantum efficiency that is flat, or falls by a half to 400 and to 700 nm from a peak at
-    500, 550 or 600 nm: what EMVA 1288 data sheets of monochrome sensors show.
-
     Args:
         source: Name of the spectrum that is read.
         of_scale: Name of the spectrum of the calibration.
     """
-    wavelength = np.arange(200.0, 1101.0, 5.0)
-    bells = (np.exp(-math.log(2.0) * ((wavelength - peak) / 150.0) ** 2) for peak in (500.0, 550.0, 600.0))
-    responses = [wavelength, *(wavelength * bell for bell in bells)]
+    wavelength, responses = plausible_responses()
     light, reference = spectrum(source), spectrum(of_scale)
     factors = [spectral_mismatch_factor(light, reference, wavelength, response) for response in responses]
     return float(np.sqrt(np.mean(np.log(factors) ** 2)))

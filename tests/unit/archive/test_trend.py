@@ -28,14 +28,17 @@ def test_a_drift_of_a_fifth_of_a_percent_per_month_is_found():
     assert trend.u_drift_per_month < 0.0002
 
 
-@pytest.mark.parametrize(("archives", "within"), [(60, 0.25), pytest.param(200, 0.2, marks=pytest.mark.slow)])
-def test_the_stated_uncertainty_of_the_drift_is_honest(archives, within):
-    """Over n archives the errors scatter by the stated sigma; the scatter is known to 1/√(2n): 9 % or 5 %."""
+@pytest.mark.parametrize("archives", [60, pytest.param(200, marks=pytest.mark.slow)])
+def test_the_stated_uncertainty_of_the_drift_is_honest(archives):
+    """Over n archives the errors scatter by no more than the stated sigma (known to 1/√(2n): 9 % or 5 %).
+
+    Cycles about as long as the year of the record cannot be excluded: u leans to the wide side, by not more than 2.
+    """
     pulls = []
     for seed in range(archives):
         trend = fit_trend(*history(np.random.default_rng(seed), 0.001, readings=60))
         pulls.append((trend.drift_per_month - 0.001 / (1 + 0.001 * 6)) / trend.u_drift_per_month)
-    assert np.std(pulls) == pytest.approx(1.0, abs=within)
+    assert 0.5 < np.std(pulls) < 1.1
 
 
 @pytest.mark.slow
@@ -107,6 +110,68 @@ def test_a_season_is_no_drift():
         trend = fit_trend(time_s, value, np.full(78, 0.005))
         assert not trend.drifts
         assert trend.season_rel == pytest.approx(0.01, rel=0.15)
+
+
+def weekly(seed, weeks, *, drift=0.0, amplitude=0.0, period_weeks=52.18, sigma=0.003):
+    """Return weekly readings with noise, a drift per month and a cycle of any phase."""
+    rng = np.random.default_rng(seed)
+    turns = np.arange(weeks) / period_weeks + rng.random()
+    value = 1.0 + amplitude * np.sin(2 * np.pi * turns) + rng.normal(0, sigma, weeks)
+    time_s = np.arange(weeks) * 7 * 86400.0
+    return time_s, 5.0 * (value + drift * time_s / MONTH_S), np.full(weeks, 0.025)
+
+
+def test_half_a_year_shows_a_change_and_no_drift():
+    """0.5 % per month, which a season of 2.5 % would show too: a verdict of its own, with the date that will tell."""
+    trend = fit_trend(*weekly(1, 26, drift=0.005))
+    assert trend.verdict == "season_or_drift"
+    assert not trend.drifts
+    assert trend.season_rel is None
+    assert trend.straight_per_month == pytest.approx(0.005 / (1 + 0.005 * 3), abs=3 * trend.u_straight_per_month)
+    assert trend.told_from_s == pytest.approx(1.5 * 365.25 * 86400.0)
+    assert trend.to_mapping()["verdict"] == "season_or_drift"
+
+
+def test_half_a_year_of_a_season_claims_no_drift():
+    """1 % and 5 % at twenty phases: no drift; where the season runs steeply its change is told."""
+    trends = [fit_trend(*weekly(seed, 26, amplitude=size)) for size in (0.01, 0.05) for seed in range(10)]
+    assert not any(trend.drifts for trend in trends)
+    assert {"season_or_drift"} < {trend.verdict for trend in trends} | {"no_drift"}
+
+
+def test_half_a_year_of_a_fast_fall_is_a_drift():
+    """3 % per month is more than a season makes: 1 % per month (k = 1) of the stated 2 % each of sine and cosine."""
+    trend = fit_trend(*weekly(2, 26, drift=-0.03))
+    assert trend.verdict == "drift"
+    assert 0.002 < trend.u_drift_per_month < 0.01
+
+
+def test_a_month_of_readings_knows_a_season_by_its_stated_size_alone():
+    """u is the stated 2 % times 2π per year beside the noise: 1.05 % per month."""
+    rng = np.random.default_rng(3)
+    time_s = np.linspace(0.0, MONTH_S, 200)
+    trend = fit_trend(time_s, 5.0 * (1 + 2e-3 * rng.standard_normal(200)), np.full(200, 0.025))
+    assert trend.u_drift_per_month == pytest.approx(0.02 * 2 * np.pi / 12, rel=0.05)
+    assert trend.verdict == "no_drift"
+
+
+def test_a_year_and_a_half_leaves_nothing_open():
+    """A season over 78 weeks is a season: neither a drift nor in doubt."""
+    verdicts = {fit_trend(*weekly(seed, 79, amplitude=0.01)).verdict for seed in range(10)}
+    assert verdicts == {"no_drift"}
+
+
+@pytest.mark.parametrize("period_weeks", [40.0, 46.0, 60.0])
+def test_a_cycle_nearly_as_long_as_a_year_is_no_drift(period_weeks):
+    """1 % at any phase over 52 weeks: the year's cycle does not take it for its own and leave the rest to a drift."""
+    trends = [fit_trend(*weekly(seed, 52, amplitude=0.01, period_weeks=period_weeks)) for seed in range(15)]
+    assert sum(trend.drifts for trend in trends) <= 1
+
+
+def test_a_year_shows_a_drift_of_a_fifth_of_a_percent():
+    """0.2 % per month beside noise of 0.3 %: found in 52 weekly readings although cycles nearby are in the model."""
+    trends = [fit_trend(*weekly(seed, 52, drift=0.002)) for seed in range(10)]
+    assert sum(trend.drifts for trend in trends) >= 9
 
 
 @pytest.mark.parametrize(("weeks", "period_weeks"), [(52, 26.0), (104, 26.0), (104, 40.0), (104, 7.3)])

@@ -17,7 +17,7 @@ from tests.unit.reporting.test_page import HOSTILE
 _START_S = 1.7e9
 
 
-def _history(patch: str, drift: float, *, seed: int = 1, months: float = 6.0, count: int = 90, scatter: float = 0.004):
+def _history(patch: str, drift: float, *, seed: int = 1, months: float = 18.0, count: int = 90, scatter: float = 0.004):
     rng = np.random.default_rng(seed)
     time_s = _START_S + np.linspace(0.0, months * MONTH_S, count)
     value = 0.8 * (1 + drift * (time_s - _START_S) / MONTH_S + scatter * rng.standard_normal(count))
@@ -33,7 +33,7 @@ def test_a_drift_is_said_with_its_size_and_uncertainty():
     assert found is not None
     assert float(found[1]) == pytest.approx(100 * trend.drift_per_month, abs=0.006)
     assert float(found[2]) == pytest.approx(200 * trend.u_drift_per_month, rel=0.05)
-    assert abs(float(found[1]) + 1.0) < 1.5 * float(found[2])
+    assert abs(float(found[1]) + 1.0 / (1 - 0.01 * 9)) < 1.5 * float(found[2])  # of the level in the middle
     assert "rises" in outcome([_history("lamp", 0.01)])
 
 
@@ -48,6 +48,21 @@ def test_a_drift_that_is_not_claimed_says_so_and_from_when_on_it_would_be():
     assert "<span class='tag'>not claimed</span>" in page
     assert "No drift is claimed" in page
     assert ">drifts<" not in page
+
+
+def test_a_change_that_a_season_may_be_is_no_drift_and_no_silence():
+    """Half a year at 0.5 % per month: the sentence says both, the advice from when on the record will tell."""
+    trend = _history("lamp", 0.005, months=6.0)
+    said = outcome([trend])
+    assert re.match(
+        r"lamp changes, \(\+?0\.[45]\d* ± [\d.]+\) % per month, k = 2, if on a straight line; a season", said
+    )
+    assert "lamp: measure until 2025-05-15" in advice([trend])[0]  # 1.5 years from 2023-11-14
+    page = trend_report([trend], "t")
+    assert "<span class='tag'>season or drift</span>" in page
+    assert ">a season or a drift<" in page
+    both = outcome([trend, _history("wall", 0.0, months=6.0)])
+    assert both.startswith("lamp changes (1 of 2 patches)")
 
 
 @pytest.mark.slow

@@ -349,11 +349,26 @@ def test_a_map_says_what_an_offset_of_short_exposures_may_do(rig):
     said = {}
     for shortest in (50e-6, 1e-3):
         frames = rig.frames(scene(rig), np.random.default_rng(1), (shortest, 1e-3))
-        said[shortest] = merge(frames, rig.description, rig.lens, known).not_in_u
+        words = merge(frames, rig.description, rig.lens, known).not_in_u
+        said[shortest] = tuple(one for one in words if "exposure" in one)
     assert said[1e-3] == ()
     assert said[50e-6] == (
         "the exposure of 50 µs may be off: 5.7 % (k = 1) of the brightest pixels, which u does not hold",
     )
+
+
+def test_a_map_says_what_light_of_another_spectrum_may_be_off_by(rig):
+    """White LED assumed, camera unknown: 20 %; the figure that somebody states in its place; relative maps: nothing."""
+    base, frames = rig.calibration(spectrum="white_led"), rig.frames(scene(rig), np.random.default_rng(1), (1e-3,))
+    stated = base.uncertainties.model_copy(update={"spectral_u_rel": 0.05})
+    relative = replace(base, scale=base.scale.model_copy(update={"method": "relative"}))
+    told = []
+    for known in (base, replace(base, uncertainties=stated), relative):
+        words = merge(frames, rig.description, rig.lens, known).not_in_u
+        told.append(
+            [one.split(": ")[1].split(" (k = 1)")[0] for one in words if "another spectrum than white_led" in one]
+        )
+    assert told == [["20 %"], ["5 %"], []]
 
 
 def test_more_than_thirty_two_frames(rig):

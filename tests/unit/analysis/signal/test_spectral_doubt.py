@@ -12,6 +12,7 @@ from radiometer.analysis.patch.reading import read_patch
 from radiometer.analysis.signal.photometry import luminous_efficacy_lm_per_w
 from radiometer.analysis.signal.situation import spectral_correction, spectral_u_rel, unknown_mismatch_u_rel
 from radiometer.analysis.signal.spectra import spectrum
+from radiometer.analysis.signal.unstated_light import KINDS, unstated_light_u_rel
 from radiometer.data import BlackLevel, Patch, SpectralResponse, StatedUncertainties
 from radiometer.errors import InputError
 
@@ -103,3 +104,66 @@ def test_a_known_response_costs_no_more_than_an_unknown_one(rig, source, u_rel):
     expected = unknown_mismatch_u_rel(source, "line:500") if u_rel is None else u_rel
     assert spectral_u_rel(of_500, ONLY_EFFICACY.model_copy(update={"efficacy_u_rel": 0.0})) == pytest.approx(expected)
     assert spectral_correction(of_500)[1][0].endswith("applied, by the a test")
+
+
+def unstated(rig, calibration, *, spectrum_stated=False):
+    scene = np.full((12, 12), 0.5 * rig.radiance_of_full_scale(1e-3))
+    frames = rig.frames(scene, np.random.default_rng(1), (1e-3,) * 5)
+    patch = Patch(0, 0, 12, 12)
+    return read_patch(frames, patch, calibration, rig.description, rig.lens, spectrum_stated=spectrum_stated)
+
+
+FLAT = SpectralResponse(wavelength_nm=(300.0, 1100.0), relative=(1.0, 1.0), u_rel=0.03)
+
+
+def spectral_line(found):
+    return next(one for one in found.budget if one.name == "spectral assumption")
+
+
+def test_light_that_nobody_states_the_spectrum_of_may_be_of_any_kind(rig):
+    """White LED assumed, camera unknown: 20 % for the radiance, 36 % for the luminance; the budget says from what."""
+    base = rig.calibration(spectrum="white_led", u_rel=0.0, uncertainties=StatedUncertainties())
+    found, known = unstated(rig, base), unstated(rig, base, spectrum_stated=True)
+    assert (
+        spectral_line(found).u_rel
+        == pytest.approx(unstated_light_u_rel("white_led", None))
+        == pytest.approx(0.199, abs=1e-3)
+    )
+    assert "spread of white LEDs, incandescent lamps, daylight" in spectral_line(found).note
+    assert "spectrum_assumed" in found.flags
+    assert found.radiance.value == known.radiance.value
+    assert found.radiance.u_rel == pytest.approx(math.hypot(known.radiance.u_rel, 0.199), rel=4e-3)
+    assert found.luminance.u_rel == pytest.approx(math.hypot(known.radiance.u_rel, 0.358), rel=4e-3)
+    assert spectral_line(known).u_rel == 0.0
+    assert "spectrum_assumed" not in known.flags
+
+
+def test_a_camera_that_counts_all_light_alike_leaves_the_radiance_alone():
+    """Of a flat response per watt every light's radiance is right, to the response's own u; its luminance is not."""
+    assert unstated_light_u_rel("white_led", FLAT) == pytest.approx(0.03)
+    efficacy = {name: luminous_efficacy_lm_per_w(spectrum(name)) for names in KINDS.values() for name in names}
+    off = [[(efficacy[one] / efficacy["white_led"] - 1.0) ** 2 for one in names] for names in KINDS.values()]
+    expected = math.hypot(math.sqrt(np.mean([np.mean(kind) for kind in off])), 0.03)
+    assert unstated_light_u_rel("white_led", FLAT, "photopic") == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_response_that_ends_before_the_light_says_nothing():
+    """A table from 300 to 400 nm under a line at 600: as if there were none."""
+    short = SpectralResponse(wavelength_nm=(300.0, 400.0), relative=(1.0, 1.0))
+    assert unstated_light_u_rel("line:600", short) == unstated_light_u_rel("line:600", None)
+
+
+def test_a_stated_figure_stands_in_place_of_all_kinds(rig):
+    """`--stated spectral_u_rel=0.05` is what the user knows better; the flag stays."""
+    stated = StatedUncertainties(spectral_u_rel=0.05)
+    found = unstated(rig, rig.calibration(spectrum="white_led", uncertainties=stated))
+    assert spectral_line(found).u_rel == pytest.approx(0.05)
+    assert spectral_line(found).note.endswith("as stated")
+    assert "spectrum_assumed" in found.flags
+
+
+def test_relative_readings_have_no_spectrum(rig):
+    """Without an absolute scale there is nothing that a spectrum could shift."""
+    base = rig.calibration(spectrum="white_led")
+    relative = replace(base, scale=base.scale.model_copy(update={"method": "relative"}))
+    assert spectral_u_rel(relative, StatedUncertainties(), spectrum_stated=False) == 0.0
