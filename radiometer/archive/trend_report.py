@@ -127,7 +127,7 @@ def advice(ordered: Sequence[Trend]) -> list[str]:
             )
         elif trend.verdict == "season_or_drift":
             said.append(
-                f"{trend.patch}: measure until {_day(trend.told_from_s)[:10]}, a year and a half after the first reading: "
+                f"{trend.patch}: measure until {_day(trend.told_from_s)[:10]}, a year and a half after the first one: "
                 "that tells a season from a drift; or keep temperature and ambient light steady, so that none is there."
             )
         else:
