@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from radiometer.acquire.bracketing import BracketRequest, plan_for_scene, take_plan
+from radiometer.acquire.bracketing import BracketRequest, plan_for_scene, take_dark_frames, take_plan
 from radiometer.acquire.exposure_plan import ExposurePlan, ExposureWindow
 from radiometer.acquire.metering import meter
 from radiometer.acquire.reach import assess_reach
@@ -99,6 +99,18 @@ def test_reach_is_judged_above_the_black_level():
     assert reach.saturated.tolist() == [[False, False, False, True]]
 
 
+def test_dark_frames_say_nothing_of_the_reach():
+    """Of a lit frame and a dark one the lit one counts; of dark ones alone there is nothing to be said."""
+    dn = np.full((4, 6), 2000, np.uint16)
+    about = camera_before(CHART).description
+    lit = Frame(dn, 12, FrameSettings(0.01, black_level_dn=64.0))
+    dark = Frame(np.full((4, 6), 64, np.uint16), 12, FrameSettings(0.01, black_level_dn=64.0, shutter="closed"))
+    reach = assess_reach([lit, dark], about)
+    assert (int(reach.cover.min()), bool(reach.below_noise.any()), bool(reach.saturated.any())) == (1, False, False)
+    with pytest.raises(ValueError, match="shutter open"):
+        assess_reach([dark], about)
+
+
 def test_five_decades_are_well_exposed_twice():
     """The bracket that follows from the scene reaches every pixel of the chart."""
     camera = camera_before(CHART)
@@ -160,6 +172,40 @@ def test_dark_frames_follow_with_the_shutter_closed():
     assert not camera.capture()[0].settings.is_dark
 
 
+def test_a_lens_covered_by_hand_makes_dark_frames():
+    """The camera knows nothing of the cap: the frames are marked as dark all the same, and the cap comes off."""
+    asked = []
+    frames = list(
+        take_plan(
+            camera_before(CHART, has_shutter=False),
+            ExposurePlan((0.01, 0.02)),
+            BracketRequest(dark_frames=1),
+            close_shutter=asked.append,
+        )
+    )
+    assert [frame.settings.is_dark for frame in frames] == [False, False, True, True]
+    assert asked == [True, False]
+
+
+def test_the_cap_comes_off_though_the_camera_is_lost():
+    """Whatever ends the dark frames, the shutter is asked to open."""
+    camera, asked = camera_before(CHART), []
+    darks = take_dark_frames(camera, [0.01, 0.02], 1, asked.append)
+    next(darks)
+    darks.close()
+    assert asked == [True, False]
+
+
+def test_progress_counts_every_frame_to_come():
+    """Three frames, and two dark ones for each of two distinct times: the whole is 7 from the first on."""
+    seen = []
+    request = BracketRequest(dark_frames=2)
+    plan = ExposurePlan((0.01, 0.01, 0.02))
+    list(take_plan(camera_before(CHART), plan, request, progress=lambda done, total, frame: seen.append((done, total))))
+    assert seen[:3] == [(1, 7), (2, 7), (3, 7)]
+    assert seen[3:] == [(1, 4), (2, 4), (3, 4), (4, 4)]
+
+
 def test_dark_frames_without_any_shutter_are_refused():
     """The message says what to do."""
     camera = camera_before(CHART, has_shutter=False)
@@ -175,6 +221,26 @@ def test_the_deadline_stops_before_a_frame_that_would_be_late():
         camera, ExposurePlan((1.0, 1.0, 1.0, 1.0)), BracketRequest(), deadline_s=10.0, clock=lambda: next(now)
     )
     assert len(list(frames)) == 2
+
+
+@pytest.mark.parametrize(("at_s", "taken"), [((0.0, 8.9), 2), ((0.0, 9.1), 1), ((0.0, 5.0), 2)])
+def test_an_exposure_must_end_before_the_deadline(at_s, taken):
+    """Of 10 s: one of 1 s is begun at 8.9 s and not at 9.1 s; the first is taken however late it is."""
+    now = iter(at_s)
+    plan, camera = ExposurePlan((1.0, 1.0)), camera_before(CHART)
+    frames = take_plan(camera, plan, BracketRequest(), deadline_s=10.0, clock=lambda: next(now))
+    assert len(list(frames)) == taken
+    alone = take_plan(camera, ExposurePlan((1.0,)), BracketRequest(), deadline_s=0.1, clock=lambda: 0.0)
+    assert len(list(alone)) == 1
+
+
+@pytest.mark.parametrize(("limit_s", "taken"), [(10.0, 3), (0.1, 2)])
+def test_the_deadline_leaves_ten_seconds_and_half_the_time(limit_s, taken):
+    """Of 10 s: 25 s; of 0.1 s: 10.15 s. The third frame of a second would begin at 10 s."""
+    now = iter((0.0, 1.0, 10.0))
+    plan = ExposurePlan((1.0, 1.0, 1.0))
+    frames = take_plan(camera_before(CHART), plan, BracketRequest(time_limit_s=limit_s), clock=lambda: next(now))
+    assert len(list(frames)) == taken
 
 
 def test_no_time_is_misuse():

@@ -1,0 +1,188 @@
+"""What the journal makes of readings: minutes, old files, budgets and jumps, by figures added up by hand."""
+
+from __future__ import annotations
+
+import asyncio
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.clock_watch import Jump
+from radiometer.daemon.journal import Journal, JournalError
+from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, TrendPoint
+from radiometer.daemon.journal_writer import JournalWriter
+from radiometer.daemon.timestamps import iso_time
+from radiometer.data import Contribution, Flag, Quantity, Reading
+from radiometer.errors import InputError
+
+Make = Callable[..., Reading]
+MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
+BASE_US = 1_790_000_000_000_000 // DAY_US * DAY_US
+# Second of the day, radiance, its u, flags: three in the first minute, one in the second, one in the fourth.
+FIVE = (
+    (0, 1.0, 0.1, ()),
+    (10, 2.0, 0.2, (Flag.SATURATED,)),
+    (59, 6.0, 0.6, ()),
+    (60, 5.0, 0.9, ()),
+    (180, 7.0, 0.7, ()),
+)
+
+
+def readings(make_reading: Make, **more: str) -> list[Reading]:
+    return [
+        make_reading(time=iso_time(BASE_US + s * 1_000_000), radiance=Quantity(v, u, "1"), flags=flags, **more)
+        for s, v, u, flags in FIVE
+    ]
+
+
+def written(path: Path, given: list[Reading]) -> JournalReader:
+    with Journal(path) as journal:
+        journal.append(given)
+    return JournalReader(path)
+
+
+def day(reader: JournalReader, stream: str, minutes: int) -> list[tuple[float, ...]]:
+    """Return value, u, lowest, highest, count and count of flagged of every so many minutes of a day."""
+    points: list[TrendPoint] = reader.trend(stream, BASE_US, BASE_US + DAY_US, 1440 // minutes)
+    return [(p.value, p.u, p.low, p.high, p.count, p.flagged) for p in points]
+
+
+def test_a_minute_holds_the_mean_of_its_readings(tmp_path: Path, make_reading: Make) -> None:
+    """(1 + 2 + 6)/3 with the mean u, the extremes, and how many are flagged; minutes weigh by their readings."""
+    reader = written(tmp_path / "j.sqlite", readings(make_reading))
+    first, second, fourth = (3.0, 0.3, 1.0, 6.0, 3, 1), (5.0, 0.9, 5.0, 5.0, 1, 0), (7.0, 0.7, 7.0, 7.0, 1, 0)
+    assert day(reader, "", 1) == [pytest.approx(row) for row in (first, second, fourth)]
+    assert day(reader, "", 2) == [pytest.approx((3.5, 0.45, 1.0, 6.0, 4, 1)), pytest.approx(fourth)]
+    fine = reader.trend("", BASE_US, BASE_US + 2 * MINUTE_US, 2)
+    shown = [(p.value, p.u, p.low, p.high, p.count, p.flagged) for p in fine]
+    assert shown == [pytest.approx(first), pytest.approx(second)]
+
+
+def test_the_bounds_of_a_trend_are_from_the_first_to_before_the_last(tmp_path: Path, make_reading: Make) -> None:
+    """A reading at the end of a span belongs to the next; the minute in which a long span ends is in it."""
+    reader = written(tmp_path / "j.sqlite", readings(make_reading))
+    assert sum(p.count for p in reader.trend("", BASE_US, BASE_US + MINUTE_US)) == 3
+    assert sum(p.count for p in reader.trend("", BASE_US - DAY_US, BASE_US + 3 * MINUTE_US)) == 4
+    assert sum(p.count for p in reader.trend("", BASE_US - DAY_US, BASE_US + 3 * MINUTE_US + 1)) == 5
+    wanted = ReadingFilter(since_us=BASE_US + 10_000_000, until_us=BASE_US + 60_000_000)
+    assert len(reader.lines(wanted)) == 2
+
+
+def test_what_clients_measure_for_themselves_is_in_no_trend(tmp_path: Path, make_reading: Make) -> None:
+    """Readings of a session are kept, listed as `own`, and drawn nowhere; those of a named patch under its name."""
+    reader = written(tmp_path / "j.sqlite", readings(make_reading, session="http-1"))
+    assert [day(reader, stream, 1) for stream in ("", "own")] == [[], []]
+    assert len(reader.lines(ReadingFilter(stream="own"))) == 5
+    named = written(tmp_path / "k.sqlite", readings(make_reading, name="lamp"))
+    assert [len(day(named, stream, 1)) for stream in ("", "patch lamp")] == [0, 3]
+
+
+def test_an_old_file_s_trend_is_that_of_a_new_one(tmp_path: Path, make_reading: Make) -> None:
+    """Brought to the present form, minutes of a file of the first hold what they would have held."""
+    path = tmp_path / "j.sqlite"
+    expected = day(written(path, readings(make_reading)), "", 1)
+    with sqlite3.connect(path) as old:
+        old.executescript(
+            "DROP INDEX readings_by_stream; DROP TABLE trend; DROP TABLE patches;"
+            "ALTER TABLE readings DROP COLUMN stream; PRAGMA user_version = 1;"
+        )
+    old.close()
+    with Journal(path):
+        pass
+    assert day(JournalReader(path), "", 1) == [pytest.approx(row) for row in expected]
+
+
+def test_a_budget_is_of_its_own_reading(tmp_path: Path, make_reading: Make) -> None:
+    """Each number gives its own lines; one that was deleted, or never was, none."""
+    own = [make_reading(time=iso_time(BASE_US), budget=(Contribution("scale", u),)) for u in (0.01, 0.02, 0.03)]
+    reader = written(tmp_path / "j.sqlite", own)
+    assert [reader.budget(n) for n in (1, 2, 3)] == [{"scale": 0.01}, {"scale": 0.02}, {"scale": 0.03}]
+    with Journal(tmp_path / "j.sqlite") as journal:
+        journal.drop_older(BASE_US + 1)
+    for gone in (0, 1, 2, 4):
+        with pytest.raises(InputError, match=f"no reading {gone}"):
+            reader.budget(gone)
+
+
+def test_what_was_handed_out_survives_a_power_cut(tmp_path: Path) -> None:
+    """SQLite waits for the disk at every commit (synchronous = FULL) and writes ahead, so that readers never wait."""
+    with Journal(tmp_path / "j.sqlite") as journal:
+        connection = journal._connection
+        assert connection is not None
+        assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
+        assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+
+
+def test_a_limit_of_bytes_is_one(tmp_path: Path, make_reading: Make) -> None:
+    """A journal of at most 200 kB stays below them, and says so when it is full."""
+    with Journal(tmp_path / "j.sqlite", max_bytes=200_000) as journal:
+        connection = journal._connection
+        assert connection is not None
+        (size,), (count,) = (
+            connection.execute(f"PRAGMA {name}").fetchone() for name in ("page_size", "max_page_count")
+        )
+        assert size * count <= 200_000 < size * (count + 1)
+
+
+def break_off(journal: Journal) -> None:
+    with journal._transaction() as connection:
+        connection.execute("UPDATE counters SET value = 7 WHERE name = 'last_sequence'")
+        connection.execute("DELETE FROM nowhere")
+
+
+async def test_a_jump_is_counted_once(tmp_path: Path) -> None:
+    """Two jumps of the clock by 10 s and −4 s are a doubt of 6 s however often is committed; each is an event."""
+    writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), lambda *_: None)
+    await writer.open()
+    writer.note_jump(Jump(BASE_US, BASE_US + 10_000_000))
+    writer.note_jump(Jump(BASE_US, BASE_US - 4_000_000))
+    for _ in range(3):
+        await writer._commit_batch()
+    assert writer._jumps_us == 0
+    await writer.close()
+    again = Journal(tmp_path / "j.sqlite")
+    again.open()
+    assert again.clock_doubt_us == 6_000_000
+    again.close()
+    kinds = [event["kind"] for event in JournalReader(tmp_path / "j.sqlite").events()]
+    assert kinds == ["clock", "clock"]
+
+
+async def test_there_is_room_for_so_many_readings_and_no_more(tmp_path: Path, make_reading: Make) -> None:
+    """Three that wait fill room for three; once they are committed there is room again, in the order they came."""
+    given: list[tuple[int, float]] = []
+
+    def on_commit(reading: Reading, origin: object, seconds: float) -> None:
+        given.append((reading.sequence, reading.radiance.value))
+
+    writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), on_commit, capacity=3)
+    await writer.open()
+    futures = []
+    for value in (5.0, 3.0, 4.0):
+        assert writer._room.is_set()
+        futures.append(writer.submit(make_reading(radiance=Quantity(value, 0.1, "1"))))
+    assert (writer._room.is_set(), writer.depth) == (False, 3)
+    await writer._commit_until_empty()
+    assert (writer._room.is_set(), writer.depth) == (True, 0)
+    assert [reading.sequence for reading in await asyncio.gather(*futures)] == [1, 2, 3]
+    assert given == [(1, 5.0), (2, 3.0), (3, 4.0)]
+    await writer.close()
+
+
+def test_after_a_failed_write_the_next_is_written(tmp_path: Path, make_reading: Make) -> None:
+    """A transaction that breaks in the middle is rolled back: what follows is numbered as if it had not been."""
+    with Journal(tmp_path / "j.sqlite") as journal:
+        with pytest.raises(JournalError, match="no such table"):
+            break_off(journal)
+        assert [reading.sequence for reading in journal.append([make_reading()])] == [1]
+
+
+def test_deletion_takes_whole_old_minutes_of_the_trend(tmp_path: Path, make_reading: Make) -> None:
+    """What lies before the minute of the bound goes, that minute and the later ones stay."""
+    reader = written(tmp_path / "j.sqlite", readings(make_reading))
+    with Journal(tmp_path / "j.sqlite") as journal:
+        assert journal.drop_older(BASE_US + 60_000_000) == 3
+    assert [row[4] for row in day(reader, "", 1)] == [1, 1]
