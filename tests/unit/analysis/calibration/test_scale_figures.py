@@ -1,0 +1,217 @@
+"""The absolute scale by figures worked out by hand: what divides, what multiplies, and how sure it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from radiometer.analysis.calibration import absolute
+from radiometer.analysis.calibration.absolute import MeterSettings
+from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source, scales_ratio
+from radiometer.analysis.signal import situation
+from radiometer.analysis.signal.lens import lens_factor_sr, lens_in_use, relative_sensitivity
+from radiometer.data import (
+    BlackLevel,
+    Calibration,
+    CameraDescription,
+    FlatField,
+    LensDescription,
+    Patch,
+    Scale,
+    SensorNoise,
+    SpectralResponse,
+    StatedUncertainties,
+)
+from radiometer.errors import CalibrationError, InputError, MeasurementError
+
+PATCH = Patch(1, 1, 10, 10)
+NOTHING = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0))
+
+
+def scale(value=2.0, u_rel=0.0, **more):
+    return Scale(value=value, u_rel=u_rel, method="known_radiance", **more)
+
+
+def test_two_scales_are_compared_by_their_ratio():
+    """2.04 to 2 with 3 and 4 % is 1.02 with 5 % of it, whichever is the surer."""
+    found = scales_ratio(scale(2.04, 0.03), scale(2.0, 0.04))
+    assert (found.value, found.u, found.unit) == (pytest.approx(1.02), pytest.approx(0.05 * 1.02), "1")
+    assert scales_ratio(scale(2.0, 0.04), scale(2.04, 0.03)).u_rel == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(("source_u_rel", "times"), [(0.0, 1.0), (1.0, 4.0)])
+def test_a_scale_knows_from_how_few_frames_it_is(rig, source_u_rel, times):
+    """Four that scatter leave 3 degrees of freedom; a source as uncertain again makes four times as many (Welch)."""
+    rng = np.random.default_rng(8)
+    light = 0.5 * rig.radiance_of_full_scale(1e-3)
+    frames = [rig.frame(np.full((12, 12), light * (1 + e)), 1e-3, rng) for e in (0.05, -0.05, 0.02, -0.02)]
+    base = rig.calibration(uncertainties=NOTHING, black_level=BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0))
+    own = scale_by_source(base, frames, PATCH, KnownSource(light, 0.0))
+    found = scale_by_source(base, frames, PATCH, KnownSource(light, source_u_rel * own.u_rel))
+    assert found.degrees_of_freedom == pytest.approx(3.0 * times, rel=0.02)
+    assert found.u_rel == pytest.approx(own.u_rel * math.sqrt(1.0 + source_u_rel**2))
+    assert found.value == pytest.approx(1.0, rel=0.01)  # the base has it right already
+
+
+def test_a_source_that_clips_makes_no_scale(rig):
+    """Twice full scale is refused with the word for it."""
+    frames = rig.frames(
+        np.full((12, 12), 2.0 * rig.radiance_of_full_scale(1e-3)), np.random.default_rng(1), (1e-3,) * 3
+    )
+    with pytest.raises(MeasurementError, match="saturated"):
+        scale_by_source(rig.calibration(), frames, PATCH, KnownSource(1.0, 0.0))
+
+
+RESPONSE = SpectralResponse(wavelength_nm=(300.0, 1000.0), relative=(300.0, 1000.0), u_rel=0.02, source="hand")
+
+
+def spectral(of_scale, used, response=RESPONSE, **more):
+    camera = CameraDescription(bit_depth=12)
+    lens = LensDescription()
+    made = scale(spectrum=of_scale, quantity=more.pop("quantity", "radiance"))
+    return Calibration(
+        camera, lens, made, None, SensorNoise.of(camera), spectrum=used, spectral_response=response, **more
+    )
+
+
+@pytest.mark.parametrize(("used", "factor"), [("line:800", 0.5), ("line:400", 1.0), ("line:200", 2.0)])
+def test_a_camera_that_sees_a_colour_better_needs_less_of_it(used, factor):
+    """Of photons: at 800 nm a watt gives twice the signal of 400 nm, where the scale was got; it is halved."""
+    response = SpectralResponse(wavelength_nm=(100.0, 1000.0), relative=(100.0, 1000.0), source="hand")
+    calibration = spectral("line:400", used, response)
+    found = situation.situation_of(calibration, calibration.camera, calibration.lens)
+    assert found.scale == pytest.approx(2.0 * factor)
+    assert any("mismatch factor" in one for one in found.assumptions) is (factor != 1.0)
+
+
+def test_what_a_spectral_correction_is_doubted_by():
+    """The response's own 2 %; unknown as much as cameras differ there; beside what is stated, in squares."""
+    stated = NOTHING.model_copy(update={"spectral_u_rel": 0.03, "efficacy_u_rel": 0.04})
+    unknown = situation.unknown_mismatch_u_rel("line:650", "line:450")
+    assert unknown > 0.1
+    shown = [
+        situation.spectral_u_rel(spectral(*names, response, **more), stated)
+        for names, response, more in (
+            (("line:450", "line:450"), RESPONSE, {}),
+            (("line:450", "line:650"), RESPONSE, {}),
+            (("line:450", "line:650"), None, {}),
+            (("line:450", "line:450"), RESPONSE, {"quantity": "luminance"}),
+        )
+    ]
+    assert shown == pytest.approx([0.03, math.hypot(0.03, 0.02), math.hypot(0.03, unknown), 0.05])
+
+
+def test_cameras_of_unknown_colour_differ_as_four_kinds_do():
+    """Photons alone, and through bells of 300 nm around 500, 550 and 600 nm: the root mean square of the logarithms."""
+    logs = []
+    for peak in (None, 500.0, 550.0, 600.0):
+        red, blue = (w * (1.0 if peak is None else 2.0 ** -(((w - peak) / 150.0) ** 2)) for w in (650.0, 450.0))
+        logs.append(math.log(blue / red))
+    expected = math.sqrt(sum(one**2 for one in logs) / 4)
+    assert situation.unknown_mismatch_u_rel("line:650", "line:450") == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(("m", "p", "near"), [(0.0, 1.0, 1.0), (1.0, 1.0, 4.0), (0.5, 2.0, 1.5625), (0.5, 0.5, 4.0)])
+def test_close_focus_costs_light_by_the_pupil_s_magnification(m, p, near):
+    """(1 + m/p)²: at life size with a symmetrical lens four times less; π·τ/4N² before it."""
+    lens = LensDescription(f_number=2.0, magnification=m, pupil_magnification=p, transmittance=0.8)
+    assert lens_factor_sr(lens, 4.0) == pytest.approx(math.pi * 0.8 / 64.0 / near)
+    assert lens_factor_sr(lens, None) == pytest.approx(math.pi * 0.8 / 16.0 / near)
+    assert lens_factor_sr(LensDescription(), None) == 1.0
+
+
+def test_what_the_lens_in_use_brings_to_the_budget(rig):
+    """f-number: twice its 2 %, none where it is the scale's. Focus: 2·u·Δ(m/p)/(1 + m/p). Filter: both, in squares."""
+    base = rig.calibration(
+        uncertainties=NOTHING.model_copy(update={"f_number_u_rel": 0.02, "magnification_u_rel": 0.1})
+    )
+    stated = base.uncertainties
+    assert situation.f_number_u_rel(base, stated, {4.0})[0] == 0.0
+    assert situation.f_number_u_rel(base, stated, {4.0, 8.0})[0] == pytest.approx(0.04)
+    assert situation.f_number_u_rel(None, stated, {8.0})[0] == 0.0
+    near = base.lens.model_copy(update={"magnification": 0.5, "pupil_magnification": 2.0})
+    assert situation.magnification_u_rel(base, near)[0] == pytest.approx(2.0 * 0.1 * 0.25 / 1.25)
+    assert situation.magnification_u_rel(base, base.lens)[0] == 0.0
+    filtered = base.lens.model_copy(update={"transmittance": 0.5, "transmittance_u_rel": 0.04})
+    clear = replace(base, lens=base.lens.model_copy(update={"transmittance": 0.9, "transmittance_u_rel": 0.03}))
+    assert situation.transmittance_u_rel(clear, filtered)[0] == pytest.approx(0.05)
+    assert situation.transmittance_u_rel(clear, clear.lens)[0] == 0.0
+    vague = base.lens.model_copy(update={"transmittance": 0.5})
+    assert situation.transmittance_u_rel(clear, vague)[0] == pytest.approx(math.hypot(0.03, 0.1 / math.sqrt(3.0)))
+
+
+def test_what_all_readings_of_a_map_share(rig):
+    """Exposure clock, straightness, scale, spectrum and flat field, in squares."""
+    stated = NOTHING.model_copy(update={"exposure_u_rel": 0.01, "linearity_u_rel": 0.02, "spectral_u_rel": 0.04})
+    flat = FlatField(
+        principal_point_px=(8.0, 8.0), radius_px=12.0, coefficients=(0.0, 0.0, 0.0), shape=(16, 16), u_rel=0.1
+    )
+    calibration = rig.calibration(u_rel=0.2, uncertainties=stated, flat_field=flat)
+    settled = situation.situation_of(calibration, calibration.camera, calibration.lens)
+    parts = (0.01, 0.02, 0.2, 0.04, 0.1)
+    assert situation.common_u_rel(settled, calibration) == pytest.approx(math.sqrt(sum(u**2 for u in parts)))
+    assert situation.common_u_rel(settled, None) == pytest.approx(math.hypot(0.01, 0.02))
+    assert situation.flat_field_for(calibration, (16, 16)) is flat
+    with pytest.raises(CalibrationError, match="16 × 16"):
+        situation.flat_field_for(calibration, (12, 16))
+
+
+def test_the_corner_is_dimmer_by_the_fourth_power():
+    """Where the ray meets the sensor at 45°, a quarter is left; round the stated centre; without a lens nothing."""
+    camera = CameraDescription(bit_depth=12, pixel_pitch_um=10.0)
+    lens = LensDescription(focal_length_mm=1.0)
+    shown = relative_sensitivity(camera, lens, None, (201, 201), [100, 200, 100], [100, 100, 0])
+    assert shown == pytest.approx([1.0, 0.25, 0.25])
+    moved = lens.model_copy(update={"principal_point_px": (0.0, 0.0)})
+    assert relative_sensitivity(camera, moved, None, (201, 201), [0, 60], [0, 80]) == pytest.approx([1.0, 0.25])
+    assert relative_sensitivity(camera, LensDescription(), None, (201, 201), [0], [0]).tolist() == [1.0]
+
+
+def test_a_transmittance_must_be_comparable(rig):
+    """Stated in use and not at calibration it is refused; handling and f-number are those of the lens in use."""
+    base = rig.calibration()
+    with pytest.raises(CalibrationError, match="the calibration states none"):
+        lens_in_use(base, base.lens.model_copy(update={"transmittance": 0.5}))
+    used = lens_in_use(base, LensDescription(f_number=8.0, since_calibration=("reseated",), magnification=0.2))
+    assert (used.f_number, used.since_calibration, used.magnification) == (8.0, ("reseated",), 0.2)
+    assert used.focal_length_mm == base.lens.focal_length_mm
+
+
+@given(st.floats(0.1, 100.0), st.floats(1e-4, 10.0), st.floats(0.001, 0.1), st.floats(0.01, 0.5), st.floats(0.0, 0.8))
+def test_radiance_and_exposure_are_each_other_s_inverse(radiance, exposure_s, diameter, focal, angle):
+    """E·t of a radiance gives that radiance back; on the axis E = L·π/4·(D/f)², at 60° a sixteenth."""
+    irradiance = absolute.sensor_irradiance_w_m2(radiance, diameter, focal, angle)
+    back = absolute.radiance_of_exposure_w_sr_m2(irradiance * exposure_s, exposure_s, diameter, focal, angle)
+    assert back == pytest.approx(radiance)
+    axis = absolute.sensor_irradiance_w_m2(radiance, diameter, focal)
+    assert axis == pytest.approx(radiance * 0.7853981633974483 * (diameter / focal) ** 2)
+    assert absolute.sensor_irradiance_w_m2(radiance, diameter, focal, math.pi / 3) == pytest.approx(axis / 16.0)
+
+
+@given(st.floats(1e-3, 10.0), st.floats(1.0, 22.0), st.floats(50.0, 3200.0), st.floats(1.0, 1e4))
+def test_a_meter_s_constant_and_luminance_are_each_other_s_inverse(exposure_s, f_number, iso, luminance):
+    """K of a luminance meters that luminance; twice the time, or speed, or half the stop squared: half of it."""
+    settings = MeterSettings(exposure_s, f_number, iso)
+    k = absolute.meter_constant(luminance, settings)
+    assert absolute.metered_luminance_cd_m2(k, settings) == pytest.approx(luminance)
+    for other in (
+        replace(settings, exposure_s=2 * exposure_s),
+        replace(settings, iso=2 * iso),
+        replace(settings, f_number=f_number / math.sqrt(2.0)),
+    ):
+        assert absolute.metered_luminance_cd_m2(k, other) == pytest.approx(luminance / 2)
+
+
+def test_a_scale_from_a_known_radiance():
+    """10 W over a reading of 4 is 2.5; 3 and 4 % are 5 %; nothing and less than nothing are refused."""
+    found = absolute.scale_from_radiance(10.0, 0.03, 4.0, 0.04, 5.6)
+    assert (found.value, found.u_rel, found.f_number) == (pytest.approx(2.5), pytest.approx(0.05), 5.6)
+    assert found.budget == {"reference source": 0.03, "reading": 0.04}
+    for wrong in ((0.0, 4.0), (10.0, -1.0), (math.inf, 4.0), (10.0, math.nan)):
+        with pytest.raises(InputError, match="above 0"):
+            absolute.scale_from_radiance(wrong[0], 0.03, wrong[1], 0.04, None)
