@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from radiometer.reconcile.fit.covariance import _jackknife
+from radiometer.reconcile.fit.held_out import Groups, leave_one_group_out
 from radiometer.reconcile.fit.linear import LinearFit, RowBlock, cholesky
 
 seeds = st.integers(0, 10**6)
@@ -109,3 +113,38 @@ def test_a_ridge_keeps_the_factor_of_a_singular_matrix():
     factor = cholesky(normal)
     assert factor @ factor.T == pytest.approx(normal, rel=1e-9)
     assert factor[0, 1] == 0.0
+
+
+@quick
+@given(seeds, st.sampled_from([(3,) * 12, (1,) * 36, (12, 12, 12), (1, 2, 5, 9, 19)]))
+def test_a_group_left_out_is_predicted_by_a_fit_to_the_others(seed, sizes):
+    """ln p = −½·eᵀS⁻¹e − ½·ln|S|, S = 1 + J_g·(J_oᵀJ_o)⁻¹·J_gᵀ, by a fit to the other rows; some rows never count."""
+    fit, jacobian, residual, _ = fit_of(seed)
+    group = np.append(np.repeat(np.arange(len(sizes)), sizes), np.zeros(4, np.intp))
+    counts = np.append(np.ones(36, bool), np.zeros(4, bool))
+    found = leave_one_group_out(fit, Groups(fit.nuisances, group, counts))
+    for number, size in enumerate(sizes):
+        mine = counts & (group == number)
+        others, own = jacobian[~mine], jacobian[mine]
+        error = residual[mine] - own @ np.linalg.lstsq(others, residual[~mine], rcond=None)[0]
+        spread = np.eye(size) + own @ np.linalg.inv(others.T @ others) @ own.T
+        chi2 = float(error @ np.linalg.solve(spread, error))
+        assert found.chi2[number] == pytest.approx(chi2, rel=1e-4, abs=1e-8)
+        expected = -0.5 * chi2 - 0.5 * np.linalg.slogdet(spread)[1]
+        assert found.log_density[number] == pytest.approx(expected, rel=1e-4, abs=1e-6)
+    assert found.count.tolist() == list(sizes)
+
+
+@quick
+@given(seeds)
+def test_the_jackknife_is_that_of_fits_without_each_group(seed):
+    """(n − 1)/n·Σ of the squared shifts of the effects when one of eight groups is left out and all is fitted anew."""
+    fit, jacobian, residual, rng = fit_of(seed, rows=160)
+    group = rng.permutation(np.repeat(np.arange(8), 20))
+    state = SimpleNamespace(fit=fit, comparison=SimpleNamespace(size=160))
+    whole = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+    shifts = [
+        (np.linalg.lstsq(jacobian[group != g], residual[group != g], rcond=None)[0] - whole)[5:] for g in range(8)
+    ]
+    expected = 7.0 / 8.0 * np.sum(np.square(shifts), axis=0)
+    assert _jackknife(state, group, 5) == pytest.approx(expected, rel=1e-5)

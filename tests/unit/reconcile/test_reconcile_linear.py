@@ -6,7 +6,19 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, rankdata
 
-from radiometer.reconcile.chances import chi2_beyond, chi2_quantile, ranks
+from radiometer.reconcile.chances import (
+    chi2_beyond,
+    chi2_quantile,
+    deviances,
+    followed_scores,
+    frames_counted,
+    log_bias,
+    log_variance,
+    normal_score,
+    ranks,
+    score_slope,
+    sine_freedom,
+)
 from radiometer.reconcile.fit.linear import LinearFit, RowBlock
 
 
@@ -40,3 +52,45 @@ def test_equal_values_share_their_mean_rank() -> None:
     """Ranks with ties are SciPy's."""
     values = np.array([3.0, 1.0, 3.0, 2.0, 1.0, 1.0])
     assert ranks(values).tolist() == rankdata(values).tolist()
+
+
+def of_chi2(function, dof):
+    """Return the mean of a function of s² over its own expectation, s² of `dof` degrees of freedom, by quadrature."""
+    chance = (np.arange(20_000) + 0.5) / 20_000
+    return float(np.mean(function(chi2.ppf(chance, dof) / dof)))
+
+
+@pytest.mark.parametrize("dof", [2.0, 7.0, 40.0])
+def test_scores_and_logarithms_of_a_variance(dof):
+    """The score has mean 0 and deviation 1, and falls by its slope per unit of ln; ln s² has its bias and variance."""
+    entry = np.array([dof])
+    assert of_chi2(lambda r: normal_score(r, entry), dof) == pytest.approx(0.0, abs=2e-3)
+    assert of_chi2(lambda r: normal_score(r, entry) ** 2, dof) == pytest.approx(1.0, abs=5e-3)
+    step = 1e-3
+    slope = of_chi2(lambda r: normal_score(r * np.exp(step), entry) - normal_score(r * np.exp(-step), entry), dof)
+    assert score_slope(entry)[0] == pytest.approx(slope / (2 * step), rel=2e-3)
+    assert log_bias(entry)[0] == pytest.approx(of_chi2(np.log, dof), abs=2e-3)
+    spread = of_chi2(lambda r: np.log(r) ** 2, dof) - of_chi2(np.log, dof) ** 2
+    assert log_variance(entry)[0] == pytest.approx(spread, rel=5e-3)
+
+
+def test_a_score_follows_its_expectation_along_a_straight_line():
+    """At the accepted expectation it is the score itself; away from it falls by slope·ln; what is masked is 0."""
+    seen, dof, mask = np.array([2.0, 2.0, 5.0]), np.full(3, 9.0), np.array([True, True, False])
+    plain = followed_scores(seen, np.full(3, 1.5), None, dof, mask)
+    assert plain == pytest.approx([normal_score(np.array([2.0 / 1.5]), dof[:1])[0]] * 2 + [0.0])
+    same = followed_scores(seen, np.full(3, 1.5), np.full(3, 1.5), dof, mask)
+    assert same == pytest.approx(plain)
+    moved = followed_scores(seen, np.full(3, 3.0), np.full(3, 1.5), dof, mask)
+    assert (plain - moved)[:2] == pytest.approx(score_slope(dof)[:2] * np.log(2.0))
+    found = deviances(np.array([2.0, 4.0, 1.0]), np.array([4.0, 2.0, 1.0]), np.full(3, 3.0), mask)
+    assert found == pytest.approx([3.0 * (0.5 + np.log(4.0)), 3.0 * (2.0 + np.log(2.0)), 0.0])
+
+
+def test_few_frames_of_a_sine():
+    """One mean is taken off more than two frames; a sine scatters less than noise does, and nothing of it nothing."""
+    assert frames_counted(np.array([1.0, 2.0, 3.0, 10.0])).tolist() == [2.0, 2.0, 2.0, 9.0]
+    frames = np.array([11.0])  # ten that count: 2/9 of noise; the whole a sine: less 1.5·(1 − 0.16)/10
+    assert sine_freedom(frames, np.zeros(1))[0] == pytest.approx(9.0)
+    assert sine_freedom(frames, np.ones(1))[0] == pytest.approx(2.0 / (2.0 / 9.0 - 1.5 * 0.84 / 10.0))
+    assert sine_freedom(np.array([2.0]), np.ones(1))[0] == pytest.approx(2.0 / (2.0 - 1.5 * 0.2 / 2.0))

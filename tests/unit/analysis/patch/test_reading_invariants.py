@@ -15,17 +15,21 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from radiometer.analysis.patch.estimate import _variances
-from radiometer.analysis.patch.frames import crop_frames
+from radiometer.analysis.patch.frames import _brightest_part, _neighbour_noise, crop_frames
 from radiometer.analysis.patch.reading import patch_situation, read_patch
+from radiometer.analysis.signal.model import signal_model
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
     BlackLevel,
     Bracket,
+    CameraDescription,
     Flag,
     Frame,
     FrameSettings,
     LensDescription,
     Patch,
+    ResponseCurve,
+    SensorNoise,
     StatedUncertainties,
 )
 from radiometer.errors import MeasurementError
@@ -255,6 +259,41 @@ def test_one_pixel_in_a_hundred_is_a_defect(rig, clipped, used):
     if used:
         found = read(rig, [replace(flat(0), dn=dn.astype(np.uint16))])
         assert found.radiance.value == pytest.approx(read(rig, [flat(1000)]).radiance.value, rel=1e-12)
+
+
+@pytest.mark.parametrize("sigma", [5.0, 40.0])
+def test_the_noise_between_neighbours_is_its_standard_deviation(sigma):
+    """Of independent pixels over a slope: the differences' median over √2 of it, whatever few spikes there are."""
+    rng = np.random.default_rng(6)
+    dn = 1000.0 + 0.2 * np.arange(100.0) + rng.normal(0.0, sigma, (100, 100))
+    dn[::25, ::25] = 4095.0
+    assert _neighbour_noise(np.rint(dn).astype(np.uint16)) == pytest.approx(sigma, rel=0.03)
+    assert _neighbour_noise(np.array([[7]], np.uint16)) == 0.0
+
+
+def test_the_brightest_part_is_not_the_noise_s_upper_end():
+    """Of an even patch its middle; of two halves the brighter one, though it is less than half of the pixels."""
+    rng = np.random.default_rng(6)
+    even = np.rint(rng.normal(1000.0, 20.0, (100, 100))).astype(np.uint16)
+    assert _brightest_part(even) == pytest.approx(1000.0, abs=2.0)
+    halves = even.copy()
+    halves[:40] += 500
+    assert _brightest_part(halves) == pytest.approx(1500.0, abs=15.0)
+
+
+@pytest.mark.parametrize(("brightest", "unclipped"), [(254, True), (255, False)])
+def test_beyond_a_curve_s_data_only_white_clips(brightest, unclipped):
+    """Numbers from 200 on have no curve: a frame at 220 is not used, but clips only where a pixel is at full scale."""
+    g = np.log(np.maximum(np.arange(256.0), 0.5))
+    curve = ResponseCurve(g, np.full(256, 0.01), valid_dn=(2, 200))
+    camera = CameraDescription(bit_depth=8, black_level_dn=0.0)
+    noise = SensorNoise(conversion_gain_e_per_dn=100.0, read_noise_e=1.0, full_well_e=1e6)
+    model = signal_model(camera, curve, noise, 0.0)
+    dn = np.full((14, 14), 220, np.uint8)
+    dn[5, 5] = brightest
+    (cropped,), _, _ = crop_frames([Frame(dn, 8, FrameSettings(0.01))], PATCH, model)
+    assert (cropped.usable, cropped.unclipped) == (False, unclipped)
+    assert cropped.whole_clipped == pytest.approx(0.0 if unclipped else 1 / 196)
 
 
 def test_the_bright_half_of_a_patch_must_not_clip(rig):

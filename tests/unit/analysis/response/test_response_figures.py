@@ -5,11 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from radiometer.analysis.response import debevec1997 as debevec
 from radiometer.analysis.response import robertson1999 as robertson
+from radiometer.analysis.response.basis import ValueBasis
+from radiometer.analysis.response.compare import compare_methods
+from radiometer.analysis.response.estimate import ResponseEstimate
 from radiometer.analysis.response.jackknife import jackknife
+from radiometer.analysis.response.labels import _longest_rise
+from radiometer.analysis.response.limits import ValueLimits, find_limits
+from radiometer.analysis.response.pixel_noise import _of_residuals
 from radiometer.analysis.response.samples import gather_samples
+from radiometer.analysis.response.unseen import unseen_factor
 from radiometer.analysis.response.weights import group_residual, slope_at, value_at
-from radiometer.data import Bracket, Frame, FrameSettings
+from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
 
 
 @pytest.fixture(scope="module")
@@ -76,3 +84,101 @@ def test_robertson_s_weight_and_step(samples):
 
     assert off(moved) < 0.8 * off(bent)
     assert robertson._log_curve(samples, line)[128] == 0.0
+
+
+def frames_of(times, black_dn=None, top=250.0):
+    radiance = np.exp(np.random.default_rng(1).uniform(-4.0, 0.0, (64, 64)))
+    return [
+        Frame(
+            np.clip(np.round(radiance * t * top), 0, 255).astype(np.uint8),
+            8,
+            FrameSettings(float(t), black_level_dn=black_dn),
+        )
+        for t in times
+    ]
+
+
+def test_ratios_of_exposures_stand_in_the_order_of_the_frames():
+    """1, 2 and 8 s are ratios of 2 and then of 4, exact as given."""
+    found = debevec.recover_response_debevec1997(Bracket.from_frames(frames_of((1.0, 2.0, 8.0))))
+    assert found.exposure_ratios == pytest.approx([2.0, 4.0])
+    assert found.u_exposure_ratios.tolist() == [0.0, 0.0]
+
+
+def test_what_no_difference_shows_counts_by_its_square(samples, monkeypatch):
+    """A doubt twice as large brings four times the variance, at every number."""
+    variance = []
+    for factor in (0.0, 1.0, 2.0):
+        monkeypatch.setattr(debevec, "unseen_factor", lambda *_, factor=factor: factor)
+        variance.append(debevec.curve_debevec1997(samples).u_log_exposure[40:200] ** 2)
+    assert variance[2] - variance[0] == pytest.approx(4.0 * (variance[1] - variance[0]), rel=1e-6, abs=1e-14)
+    assert (variance[1] > variance[0]).mean() > 0.9
+
+
+def test_bends_that_are_alike_are_trusted_and_one_alone_is_not():
+    """Twice √(mean of b⁴)/mean of b² of the third differences: 2 where all are one, 2·√n where one of n is."""
+    basis, size = ValueBasis(8, ValueLimits(0, 255)), ValueBasis(8, ValueLimits(0, 255)).size
+    nothing, k = np.zeros((size, size)), np.arange(float(size))
+    assert unseen_factor(k**3 / 6.0, nothing, basis, (0, 255)) == pytest.approx(2.0)
+    step = np.where(k >= 59, (k - 59) * (k - 58) / 2.0, 0.0)
+    counted = [unseen_factor(step, nothing, basis, valid) for valid in ((0, 255), (40, 215))]
+    assert counted[0] > counted[1] > 10.0
+    spread = np.zeros((size, size))
+    spread[60, 60] = 4.0  # in three differences too: 1, 9, 9 and 1 times the variance
+    n = (counted[0] / 2.0) ** 2
+    expected = 2.0 * np.sqrt((1 + 81 + 81 + 1) / n) / ((1 + 9 + 9 + 1) / n)
+    assert unseen_factor(np.zeros(size), spread, basis, (0, 255)) == pytest.approx(expected)
+
+
+def estimate(log_exposure, u, method="one", channel="mono", valid=(0, 255)):
+    curve = ResponseCurve(log_exposure, np.full(256, u), valid_dn=valid, channel=channel)
+    return ResponseEstimate(curve, method, 1, 1, 1, 0.0, 0.0, None, np.ones(1), np.zeros(1))
+
+
+def test_methods_are_held_against_both_their_uncertainties():
+    """Curves that differ by ±0.1 with u of 0.03 and 0.04: 0.1 rms, 2 of 0.05; a step between them is no difference."""
+    line = np.linspace(-40.0, 20.0, 256)
+    other = line + 0.1 * (-1.0) ** np.arange(256)
+    (found,) = compare_methods([estimate(line, 0.03), estimate(other + 7.0, 0.04, "two")])
+    assert (found.first, found.second) == ("one", "two")
+    assert found.rms_log == pytest.approx(0.1, rel=1e-3)
+    assert found.largest_sigma == pytest.approx(2.0, rel=0.01)
+    bump = line.copy()
+    bump[100] += 0.2
+    (found,) = compare_methods([estimate(line, 0.03), estimate(bump, 0.04, "two")])
+    assert (found.at_dn, found.largest_sigma) == (100, pytest.approx(4.0, rel=0.02))
+    colours = [estimate(line, 0.03, channel=c) for c in ("red", "green")]
+    assert compare_methods(colours) == []
+
+
+def test_the_longest_rise_lets_small_falls_pass():
+    """0.4 % of full scale may be lost to noise; what falls by more belongs to no rise."""
+
+    def rises(*levels):
+        level = np.array(levels)
+        return np.triu(level[None, :] - level[:, None], 1)
+
+    assert _longest_rise(rises(0.1, 0.2, 0.197, 0.4)) == {0, 1, 2, 3}
+    assert _longest_rise(rises(0.1, 0.3, 0.2, 0.4)) in ({0, 1, 3}, {0, 2, 3})
+    assert _longest_rise(rises(0.5, 0.1, 0.2, 0.3)) == {1, 2, 3}
+
+
+def test_a_stated_black_level_is_black():
+    """Though nothing piles up there; a fraction counts up."""
+    shown = [find_limits([Bracket.from_frames(frames_of((1.0, 2.0), black))]).black_dn for black in (None, 2.5)]
+    assert shown[0] < 3
+    assert shown[1] == 3
+
+
+def test_the_noise_of_residuals_is_what_the_mean_leaves(samples):
+    """Var(r_i) = v_i·(1 − 2·s_i) + Σs_j²·v_j for a mean of shares s, by drawing."""
+    rng = np.random.default_rng(4)
+    starts = np.flatnonzero(np.diff(samples.group, prepend=-1))
+    rows = np.flatnonzero(samples.group == 0)
+    variance = rng.uniform(0.5, 2.0, samples.dn.size)
+    weight = rng.uniform(0.5, 2.0, samples.dn.size)
+    share = weight / np.add.reduceat(weight, starts)[samples.group]
+    found = _of_residuals(samples, variance[:, None], share)[rows, 0]
+    drawn = rng.standard_normal((100_000, rows.size)) * np.sqrt(variance[rows])
+    residual = drawn - (drawn @ share[rows])[:, None]
+    assert found == pytest.approx(residual.var(axis=0), rel=0.03)
