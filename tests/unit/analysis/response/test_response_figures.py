@@ -9,6 +9,7 @@ from radiometer.analysis.response import debevec1997 as debevec
 from radiometer.analysis.response import robertson1999 as robertson
 from radiometer.analysis.response.basis import ValueBasis
 from radiometer.analysis.response.compare import compare_methods
+from radiometer.analysis.response.curves import _determined
 from radiometer.analysis.response.estimate import ResponseEstimate
 from radiometer.analysis.response.jackknife import jackknife
 from radiometer.analysis.response.labels import _longest_rise
@@ -128,6 +129,17 @@ def test_bends_that_are_alike_are_trusted_and_one_alone_is_not():
     n = (counted[0] / 2.0) ** 2
     expected = 2.0 * np.sqrt((1 + 81 + 81 + 1) / n) / ((1 + 9 + 9 + 1) / n)
     assert unseen_factor(np.zeros(size), spread, basis, (0, 255)) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("usual", "ends", "valid"),
+    [(0.001, 0.04, (10, 20)), (0.001, 0.06, (12, 18)), (0.02, 0.19, (10, 20)), (0.02, 0.21, (12, 18))],
+)
+def test_a_curve_ends_where_it_is_no_longer_determined(usual, ends, valid):
+    """Beyond 0.05 in ln H, or ten times the usual where that is more; never beyond the data."""
+    u = np.full(32, usual)
+    u[:12] = u[19:] = ends
+    assert _determined(u, (10, 20)) == valid
 
 
 def estimate(log_exposure, u, method="one", channel="mono", valid=(0, 255)):
