@@ -253,7 +253,13 @@ class StreamingMerge:
         if len(self._terms) == MOST_FRAMES:
             raise MeasurementError(f"more than {MOST_FRAMES} frames; merge fewer, or average repeats first")
         known_f_number(self._calibration, frame.settings, self._situation.lens)
-        terms = frame_terms(frame.settings, self._situation, self._dark, through_lens=self._through_lens)
+        terms = frame_terms(
+            frame.settings,
+            self._situation,
+            self._dark,
+            through_lens=self._through_lens,
+            masked_dn=frame.masked_dn,
+        )
         if self._terms and frame.settings.source_level != self._terms[0].settings.source_level:
             raise MeasurementError("the frames were taken at different source levels; merge those of one level")
         self._terms.append(terms)

@@ -52,7 +52,12 @@ class FrameTerms:
 
 
 def frame_terms(
-    settings: FrameSettings, situation: Situation, dark_frames: Sequence[Frame], *, through_lens: bool
+    settings: FrameSettings,
+    situation: Situation,
+    dark_frames: Sequence[Frame],
+    *,
+    through_lens: bool,
+    masked_dn: float | None = None,
 ) -> FrameTerms:
     """Return the constants of a light frame.
 
@@ -61,10 +66,11 @@ def frame_terms(
         situation: What the merge rests on.
         dark_frames: Frames with the shutter closed; those of the same exposure are taken off pixel by pixel.
         through_lens: Whether the exposure carries the lens factor of the frame's f-number.
+        masked_dn: What masked pixels of the frame read in DN; None where nobody states it.
     """
     model = situation.model
     gain = gain_factor(settings.gain_db)
-    level = dark_levels([settings], dark_frames, model, situation.black)[0]
+    level = dark_levels([settings], dark_frames, model, situation.black, masked_dn=(masked_dn,))[0]
     dark, extra = _dark_map(settings, dark_frames, model, level.signal)
     high = math.ceil(model.saturation_dn(settings))
     clips_at = float(model.at_dn(model.table(settings), high - 0.5)) - level.signal

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -159,6 +161,9 @@ def test_a_year_and_a_half_leaves_nothing_open():
     """A season over 78 weeks is a season: neither a drift nor in doubt."""
     verdicts = {fit_trend(*weekly(seed, 79, amplitude=0.01)).verdict for seed in range(10)}
     assert verdicts == {"no_drift"}
+    short = fit_trend(*weekly(1, 26, drift=0.005))
+    assert replace(short, time_s=1.04 * 3.0 * short.time_s).verdict == "season_or_drift"  # of 75 weeks
+    assert replace(short, time_s=1.1 * 3.0 * short.time_s).verdict == "no_drift"  # of 82
 
 
 @pytest.mark.parametrize("period_weeks", [40.0, 46.0, 60.0])

@@ -357,6 +357,23 @@ def test_a_map_says_what_an_offset_of_short_exposures_may_do(rig):
     )
 
 
+def test_masked_pixels_take_the_place_of_the_stated_black_level(rig):
+    """Frames 20 DN above the stated black level, whose masked pixels say so: the map is right, its dark u smaller."""
+    level, rng = 20.0, np.random.default_rng(1)
+    frames = [
+        replace(one, dn=(one.dn + int(level)).astype(np.uint16))
+        for one in rig.frames(0.1 * scene(rig), rng, (1e-3,) * 4)
+    ]
+    black = frames[0].settings.black_level_dn
+    assert black is not None
+    told = [replace(one, extra={"masked_rows_dn": black + level}) for one in frames]
+    blind, right = (merge(each, rig.description, rig.lens, rig.calibration()) for each in (frames, told))
+    truth = 0.1 * scene(rig)
+    assert np.median(right.radiance / truth) == pytest.approx(1.0, abs=3e-3)
+    assert np.median(blind.radiance / truth) > 1.02
+    assert np.median(right.u_radiance) < np.median(blind.u_radiance)
+
+
 def test_a_map_says_what_light_of_another_spectrum_may_be_off_by(rig):
     """White LED assumed, camera unknown: 20 %; the figure that somebody states in its place; relative maps: nothing."""
     base, frames = rig.calibration(spectrum="white_led"), rig.frames(scene(rig), np.random.default_rng(1), (1e-3,))
