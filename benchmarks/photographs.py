@@ -20,7 +20,9 @@ from benchmarks._photograph_labels import Labels
 from benchmarks._photograph_sets import HIGHEST_DN, LOWEST_DN, Array, RealStack, real_stacks, stacks_folder
 from benchmarks._response_peers import peers
 from benchmarks._sections import write_section
+from radiometer.analysis.response.limits import find_limits
 from radiometer.analysis.response.methods import METHODS
+from radiometer.analysis.response.weights import dn_at
 from radiometer.data import Bracket, ResponseCurve
 from radiometer.errors import RadiometerError
 
@@ -28,6 +30,8 @@ OURS = "radiometer auto"
 # Frames are left out one by one up to this many, then evenly chosen ones.
 _LEFT_OUT = 3
 _PIXELS = 40_000
+# Values so near to what the frames show of black and white are no exposure of a pixel; the hat's half width in DN.
+_CLEAR_OF_BLACK, _CLEAR_OF_WHITE, _HALF_HAT = 8.0, 5.0, 121.0
 Recover = Callable[[Bracket], Array]
 
 
@@ -79,21 +83,27 @@ def left_out_dn(stack: RealStack, recover: Recover) -> float:
 
 
 def predicted(rest: Bracket, dn: Array, seconds: float, g: Array) -> Array:
-    """Return predicted minus found digital number of one frame: hat-weighted mean exposure of the others through g."""
+    """Return predicted minus found digital number of one frame: hat-weighted mean exposure of the others through g.
+
+    The hat stands on what the other frames show of black (a film's fog) and white: for no program is fog an exposure,
+    nor 0 DN what a film shows without light.
+    """
     step = max(1, int(np.sqrt(dn.size / _PIXELS)))
     if not np.any(np.isfinite(g)):
         return np.full(1, np.nan)
     g = np.maximum.accumulate(np.where(np.isfinite(g), g, np.nanmin(g[np.isfinite(g)])))
+    limits = find_limits([rest])
     total = np.zeros(dn[::step, ::step].shape)
     weights = np.zeros_like(total)
     for frame in rest:
         value = frame.dn[::step, ::step]
-        hat = np.clip(np.minimum(value - 8.0, 250.0 - value) / 121.0, 0.0, 1.0)
+        clear = np.minimum(value - (limits.black_dn + _CLEAR_OF_BLACK), limits.saturated_dn - _CLEAR_OF_WHITE - value)
+        hat = np.clip(clear / _HALF_HAT, 0.0, 1.0)
         total += hat * (g[value] - np.log(frame.settings.effective_exposure_s))
         weights += hat
     here = dn[::step, ::step]
     used = (weights > 0.05) & (here >= LOWEST_DN) & (here <= HIGHEST_DN)
-    found = np.interp(total[used] / weights[used] + np.log(seconds), g, np.arange(g.size))
+    found = dn_at(g, total[used] / weights[used] + np.log(seconds))
     return np.asarray(found - here[used])
 
 

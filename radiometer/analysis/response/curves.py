@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 _UNDETERMINED_U = 0.05
 # The gauge makes u vanish at the middle: levelling takes no value for better known than this part of the median.
 _LEVEL_FLOOR = 0.3
+# Signal in DN that stands for black itself: the middle of what rounds to it.
+_AT_BLACK_DN = 0.5
 
 
 def supported_range(samples: ResponseSamples) -> tuple[int, int]:
@@ -31,6 +33,7 @@ def finished_curve(
     *,
     method: str,
     channel: str,
+    black_dn: float = 0.0,
     parameters: dict[str, Any] | None = None,
     assumptions: tuple[str, ...] = (),
 ) -> ResponseCurve:
@@ -42,10 +45,11 @@ def finished_curve(
         valid_dn: Lowest and highest digital number that data supported.
         method: Name of the method.
         channel: Colour channel.
+        black_dn: Digital number of no light.
         parameters: Settings of the method, for the provenance.
         assumptions: What was assumed, for the provenance.
     """
-    inside = rising(log_exposure, u_log_exposure, valid_dn)
+    inside = rising(log_exposure, u_log_exposure, valid_dn, black_dn)
     # Where the fit fell and had to be levelled, it is no better known than by how much.
     u = np.hypot(u_log_exposure, np.abs(inside - log_exposure))
     determined = _determined(u, valid_dn)
@@ -64,16 +68,17 @@ def finished_curve(
     )
 
 
-def rising(log_exposure: Array, u: Array, valid_dn: tuple[int, int]) -> Array:
-    """Return the nearest non-falling curve, continued outside the supported range without ever becoming steeper.
+def rising(log_exposure: Array, u: Array, valid_dn: tuple[int, int], black_dn: float = 0.0) -> Array:
+    """Return the nearest non-falling curve, continued outside the supported range by its last slopes.
 
-    Towards black it goes on as a straight line, towards white as a power of the digital number: ln H over ln M is
-    straight, so that a linear camera stays linear.
+    It goes on as a power of what the digital number is above black: ln H over ln(M − M_black) is straight, so that a
+    linear camera stays linear and H falls to nothing at black. Black itself stands half a digital number above it.
 
     Args:
         log_exposure: g at every digital number.
         u: Its uncertainty; values count by its inverse square, so that those hardly known level nobody else.
-        valid_dn: Supported range.
+        valid_dn: Supported range, above black.
+        black_dn: Digital number of no light.
     """
     low, high = valid_dn
     curve = np.array(log_exposure, dtype=np.float64)
@@ -83,8 +88,11 @@ def rising(log_exposure: Array, u: Array, valid_dn: tuple[int, int]) -> Array:
     core = isotonic_regression(curve[low : high + 1], weights=(floor / sigma) ** 2).x
     curve[low : high + 1] = core
     span = max(4, (high - low) // 64)
-    curve[:low] = core[0] + _slope(core[: span + 1]) * np.arange(-low, 0)
-    curve[high + 1 :] = core[-1] + _slope(core[-span - 1 :]) * high * np.log(np.arange(high + 1, curve.size) / high)
+    signal = np.maximum(np.arange(curve.size) - min(black_dn, low - 1.0), _AT_BLACK_DN)
+    log_signal = np.log(signal)
+    ends = log_signal[low : low + span + 1], log_signal[high - span : high + 1]
+    curve[:low] = core[0] + _slope(core[: span + 1], ends[0]) * (log_signal[:low] - log_signal[low])
+    curve[high + 1 :] = core[-1] + _slope(core[-span - 1 :], ends[1]) * (log_signal[high + 1 :] - log_signal[high])
     return curve
 
 
@@ -96,8 +104,9 @@ def _determined(u: Array, valid_dn: tuple[int, int]) -> tuple[int, int]:
     return int(known[0]), max(int(known[-1]), int(known[0]) + 1)
 
 
-def _slope(piece: Array) -> float:
-    return max(float(piece[-1] - piece[0]) / max(piece.size - 1, 1), 1e-9)
+def _slope(piece: Array, over: Array) -> float:
+    """Return the slope of the ends of a piece over those of a variable."""
+    return max(float(piece[-1] - piece[0]) / max(float(over[-1] - over[0]), 1e-9), 1e-9)
 
 
 def u_with_extrapolation(curve: ResponseCurve) -> Array:

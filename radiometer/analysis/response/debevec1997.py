@@ -132,6 +132,7 @@ def _solve(
         supported_range(samples),
         method=METHOD,
         channel=samples.channel,
+        black_dn=samples.limits.black_dn,
         assumptions=(ASSUMPTION,),
         parameters={"smoothing": solution.smoothing},
     )

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.response.basis import hat_weight
 from radiometer.analysis.response.samples import ResponseSamples
-from radiometer.analysis.response.weights import slope_at, value_at
+from radiometer.analysis.response.weights import dn_at, slope_at, value_at
 
 Array = NDArray[np.float64]
 
@@ -31,8 +31,7 @@ def prediction_error_dn(samples: ResponseSamples, log_exposure: Array, log_time_
     others = total - weight
     alone = others <= 1e-12 * total
     predicted = (summed - weight * (log_h - time)) / np.where(alone, 1.0, others) + time
-    dn = np.interp(predicted, log_exposure, np.arange(log_exposure.size))
-    return np.where(alone, np.nan, dn - samples.dn)
+    return np.where(alone, np.nan, dn_at(log_exposure, predicted) - samples.dn)
 
 
 def others_gap(samples: ResponseSamples, log_exposure: Array, log_time_errors: Array) -> tuple[Array, Array]:

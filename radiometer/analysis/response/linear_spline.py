@@ -163,6 +163,7 @@ def _solve(
         supported_range(samples),
         method=METHOD,
         channel=samples.channel,
+        black_dn=black,
         parameters={"smoothing": solution.smoothing, "black_dn": black},
         assumptions=("the sensor is linear but for a smooth deviation",),
     )

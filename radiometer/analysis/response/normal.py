@@ -140,7 +140,8 @@ def _restricted_deviance(normal: NormalEquations, penalty: Array, fixed: Array, 
     solution = la.cho_solve(factor, normal.right)
     fit = normal.square - float(solution @ normal.right)  # residual and penalty together at the optimum
     rank = penalty.shape[0] - order
-    freedom = max(normal.freedom - order, 1)
+    # What the penalty leaves free takes its dimensions; a constant, one of them, the groups have taken already.
+    freedom = max(normal.freedom - (order - 1), 1)
     log_det = 2.0 * float(np.log(np.diag(factor[0])).sum())
     return float(freedom * np.log(max(fit, 1e-300)) + log_det - rank * np.log(weight))
 

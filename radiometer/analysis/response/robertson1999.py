@@ -142,5 +142,6 @@ def _curve(samples: ResponseSamples, g: Array, u: Array) -> ResponseCurve:
         supported_range(samples),
         method=METHOD,
         channel=samples.channel,
+        black_dn=samples.limits.black_dn,
         assumptions=("noise equal for all digital numbers of one exposure time",),
     )

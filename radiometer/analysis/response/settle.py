@@ -17,7 +17,7 @@ from radiometer.analysis.response.left_out import error_dn, prediction_error_dn
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise
 from radiometer.analysis.response.noise_shift import mean_exposure_dn
 from radiometer.analysis.response.samples import ResponseSamples
-from radiometer.analysis.response.weights import group_residual, noise_of, row_variance, slope_at, value_at
+from radiometer.analysis.response.weights import dn_at, group_residual, noise_of, row_variance, slope_at, value_at
 from radiometer.errors import MeasurementError
 
 Array = NDArray[np.float64]
@@ -199,7 +199,7 @@ def _values(samples: ResponseSamples, fit: ResponseFit) -> Array:
     design = ValueBasis(samples.bit_depth, samples.limits).all_values()
     g = np.asarray(design @ fit.coefficients)
     u = np.sqrt(np.maximum(design.multiply(design @ fit.inverse[: fit.basis_size, : fit.basis_size]).sum(axis=1), 0.0))
-    return rising(g, np.asarray(u).ravel(), supported_range(samples))
+    return rising(g, np.asarray(u).ravel(), supported_range(samples), samples.limits.black_dn)
 
 
 def _above_black(samples: ResponseSamples, log_exposure: Array) -> ResponseSamples:
@@ -207,6 +207,5 @@ def _above_black(samples: ResponseSamples, log_exposure: Array) -> ResponseSampl
     weight = (hat_weight(samples.dn, samples.limits) ** 2 + 1e-6) * samples.pixels
     log_h = value_at(log_exposure, samples.dn)
     predicted_log_h = log_h - group_residual(samples, log_h, weight)[0]
-    predicted_dn = np.interp(predicted_log_h, log_exposure, np.arange(log_exposure.size))
-    keep = predicted_dn > samples.limits.black_dn + _LEAST_PREDICTED_DN
+    keep = dn_at(log_exposure, predicted_log_h) > samples.limits.black_dn + _LEAST_PREDICTED_DN
     return samples.kept(keep)

@@ -86,11 +86,24 @@ def slope_at(log_exposure: Array, dn: Array, samples: ResponseSamples) -> Array:
     step = max(float(np.median(np.diff(np.unique(samples.frame_log_time)))), _LEAST_STEP)
     here = value_at(log_exposure, dn)
     low, high = np.maximum(here - 0.5 * step, ends[0]), np.minimum(here + 0.5 * step, ends[1])
-    numbers = np.arange(log_exposure.size)
-    rise = np.interp(high, log_exposure, numbers) - np.interp(low, log_exposure, numbers)
+    rise = dn_at(log_exposure, high) - dn_at(log_exposure, low)
     return np.asarray(np.maximum((high - low) / np.maximum(rise, 1e-9), 1e-9))
 
 
 def value_at(log_exposure: Array, dn: Array) -> Array:
     """Return the values at digital numbers, whole or not, of what is given at every digital number."""
     return np.asarray(np.interp(dn, np.arange(log_exposure.size), log_exposure))
+
+
+def dn_at(log_exposure: Array, log_h: Array) -> Array:
+    """Return the digital numbers that exposures give through a curve.
+
+    Less light than the curve knows gives black, the highest number of those with the least exposure: a film shows its
+    fog there, not 0.
+
+    Args:
+        log_exposure: g at every digital number, rising.
+        log_h: ln H, any shape.
+    """
+    black = int(np.flatnonzero(log_exposure <= log_exposure[0])[-1])
+    return np.asarray(np.interp(log_h, log_exposure[black:], np.arange(black, log_exposure.size)))

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+import scipy.linalg as la
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,6 +18,7 @@ from radiometer.analysis.response.limits import ValueLimits
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise
 from radiometer.analysis.response.noise_shift import mean_exposure_dn
 from radiometer.analysis.response.normal import _restricted_deviance, eliminate_groups, solve_penalised
+from radiometer.analysis.response.weights import dn_at
 from radiometer.data import ResponseCurve
 from radiometer.errors import MeasurementError
 from tests.unit.golden.nist_linear import LONGLEY, NORRIS
@@ -142,6 +144,30 @@ def test_beyond_a_straight_line_more_smoothing_tells_nothing(order):
     assert at[1] == pytest.approx(at[0], abs=0.01)
 
 
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_restricted_likelihood_is_that_of_the_contrasts_themselves(order):
+    """−2 ln of the density of all contrasts free of group means and of what the penalty leaves free, σ² profiled out."""
+    rng = np.random.default_rng(5)
+    place, group = rng.permutation(np.repeat(np.arange(10), 3)), np.repeat(np.arange(6), 5)
+    target = np.sin(place) + rng.normal(size=6)[group] + 0.3 * rng.normal(size=30)
+    design, bent = np.eye(10)[place], np.diff(np.eye(10), order, axis=0)
+    normal = eliminate_groups(sp.csr_array(design), target, np.ones(30), group)
+    fixed = normal.matrix + np.outer(np.eye(10)[5], np.eye(10)[5]) * float(np.trace(normal.matrix))
+    free = np.hstack([np.eye(6)[group], design @ la.null_space(bent)])
+    contrasts = la.null_space(free.T)
+    assert contrasts.shape[1] == 30 - 6 - (order - 1)  # a constant is free in both
+    spread = contrasts.T @ design @ la.pinv(bent.T @ bent) @ design.T @ contrasts
+
+    def directly(weight):
+        variance = np.eye(len(spread)) + spread / weight
+        left = contrasts.T @ target
+        return len(spread) * np.log(left @ la.solve(variance, left)) + np.linalg.slogdet(variance)[1]
+
+    weights = (1e-3, 0.1, 10.0)
+    found = [_restricted_deviance(normal, bent.T @ bent, fixed, weight, order) for weight in weights]
+    assert np.diff(found) == pytest.approx(np.diff([directly(weight) for weight in weights]), rel=1e-6)
+
+
 @pytest.mark.parametrize("leverage", [0.0, 0.5, 0.8])
 def test_noise_is_that_before_the_fit_took_up_its_part(leverage):
     """Residuals of a fit that took up a part h of the noise are √(1 − h) of it; what comes out is the noise itself."""
@@ -226,11 +252,10 @@ def test_a_finished_curve_never_falls_and_owns_up_to_its_ends(seed, low, high):
     level = rising(g, u, (low, high))
     assert curve.u_log_exposure[inside] == pytest.approx(np.hypot(0.01, (level - g)[inside]))
     assert level[inside].mean() == pytest.approx(g[inside].mean())  # levelling with equal weights keeps the mean
-    slopes = np.diff(level)
-    assert slopes[: low - 1] == pytest.approx(slopes[0], abs=1e-12)
-    over_ln_dn = np.diff(level[high:]) / np.diff(np.log(np.arange(high, 256)))  # towards white: a power of M
-    assert over_ln_dn == pytest.approx(over_ln_dn[0], abs=1e-9)
-    assert slopes[high] <= (level[high] - level[high - 4]) / 4 + 1e-8  # never steeper than at the last data
+    over_ln_dn = np.diff(level) / np.diff(np.log(np.maximum(np.arange(256.0), 0.5)))  # outside: powers of M
+    assert over_ln_dn[:low] == pytest.approx(over_ln_dn[0], abs=1e-9)
+    assert over_ln_dn[high:] == pytest.approx(over_ln_dn[-1], abs=1e-9)
+    assert over_ln_dn[-1] <= (level[high] - level[high - 4]) / np.log(high / (high - 4)) + 1e-8  # the last of the data
     whole = u_with_extrapolation(curve)
     for dn, edge in ((0, low), (255, high)):
         step = curve.log_exposure[dn] - curve.log_exposure[edge]
@@ -238,11 +263,27 @@ def test_a_finished_curve_never_falls_and_owns_up_to_its_ends(seed, low, high):
     assert np.array_equal(whole[inside], curve.u_log_exposure[inside])
 
 
+def test_a_curve_falls_to_its_black_by_the_power_that_it_ends_with():
+    """H ∝ (M − 13)^0.5 goes on outside the data as itself; 13 DN and less stand half a number above black."""
+    signal = np.maximum(np.arange(256.0) - 13.0, 0.5)
+    g = 0.5 * np.log(signal)
+    damaged = np.where((np.arange(256) < 20) | (np.arange(256) > 240), 7.0, g)
+    assert rising(damaged, np.full(256, 0.01), (20, 240), 13) == pytest.approx(g, abs=1e-9)
+
+
+def test_no_light_is_predicted_as_black_not_as_zero():
+    """Fog at 13 DN: what less light than the curve knows gives is 13, elsewhere the inverse of g."""
+    g = 0.5 * np.log(np.maximum(np.arange(256.0) - 13.0, 0.5))
+    assert dn_at(g, np.array([-50.0, g[13], g[100], 50.0])) == pytest.approx([13.0, 13.0, 100.0, 255.0])
+    assert dn_at(np.arange(256.0), np.array([-5.0, 3.25])) == pytest.approx([0.0, 3.25])
+
+
 def test_a_middle_without_data_makes_the_whole_curve_less_certain():
     """The gauge point is extrapolated: the step to it counts everywhere inside."""
     g = np.linspace(0.0, 2.55, 256)
     curve = finished_curve(g, np.full(256, 0.01), (10, 100), method="m", channel="mono")
-    assert curve.u_log_exposure[50] == pytest.approx(math.hypot(0.01, math.log(1.28)), rel=1e-6)  # 0.01·100·ln(128/100)
+    step = 0.04 * math.log(128 / 100) / math.log(100 / 96)  # the power of the last four numbers goes on
+    assert curve.u_log_exposure[50] == pytest.approx(math.hypot(0.01, step), rel=1e-6)
     stray = np.full(256, 0.01)
     stray[240:] = 0.2
     assert finished_curve(g, stray, (10, 250), method="m", channel="mono").valid_dn == (10, 239)
