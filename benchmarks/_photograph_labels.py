@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from benchmarks._photograph_sets import RealStack
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
+from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import gather_samples
 from radiometer.analysis.response.wrong_labels import WrongLabel, find_wrong_labels
-from radiometer.data import Bracket
+from radiometer.data import Bracket, Frame
 from radiometer.errors import RadiometerError
 
-# A third of a stop and more, either way.
+# A third of a stop and more, either way; so many lies in every scene, each by itself.
 _PLANTED_STOPS = (1 / 3, -1 / 3, 1 / 2, -1 / 2, 2 / 3)
+_LIES = 3
 # Frames that hold fewer rows than this part of the median say too little to plant a lie in.
 _LEAST_ROWS = 0.25
 # Labels of this camera are wrong by themselves: its stacks are neither clean nor fit for planting.
@@ -23,62 +26,104 @@ _REALLY_WRONG = "CanonPowerShotG9"
 
 @dataclass
 class Labels:
-    """Counts over the stacks seen so far."""
+    """Counts over the scenes seen so far."""
 
     clean: int = 0
     accused: list[str] = field(default_factory=list)
+    scenes: int = 0
+    scenes_accused: list[str] = field(default_factory=list)
     planted: int = 0
     missed: list[str] = field(default_factory=list)
     others: list[str] = field(default_factory=list)
     really: list[str] = field(default_factory=list)
 
-    def look_at(self, stack: RealStack) -> None:
-        """Count a stack as it is and with one label made wrong; three frames cannot tell which label is."""
-        if len(stack.bracket) < 4:
+    def look_at(self, colours: Sequence[RealStack]) -> None:
+        """Count a scene as it is, each plane and all together, and with labels made wrong; four frames or more."""
+        brackets = [bracket for colour in colours for bracket in _planes(colour)]
+        if len(brackets[0]) < 4:
             return
-        name = f"{stack.camera} {stack.name}"
-        found = _found(stack.bracket)
-        if stack.camera == _REALLY_WRONG:
-            told = ", ".join(f"frame {one.frame} has {one.ratio:.3f} ± {one.u_ratio:.3f}" for one in found) or "none"
-            self.really.append(f"{stack.name}: {told}")
+        name = f"{colours[0].camera} {colours[0].scene}".strip()
+        known = [(bracket, plane) for bracket in brackets for plane in _sampled(bracket)]
+        together = find_wrong_labels([plane for _, plane in known])
+        if colours[0].camera == _REALLY_WRONG:
+            told = "; ".join(_told(one) for one in together) or "none"
+            self.really.append(f"{name}: {told}")
             return
-        self.clean += 1
-        self.accused += [name] if found else []
-        rng = np.random.default_rng(self.clean)
-        rows = np.bincount(gather_samples(stack.bracket).frame, minlength=len(stack.bracket))
-        which = int(rng.choice(np.flatnonzero(rows >= _LEAST_ROWS * np.median(rows))))
-        factor = float(2.0 ** rng.choice(_PLANTED_STOPS))
-        frames = list(stack.bracket)
-        settings = replace(frames[which].settings, exposure_s=factor * frames[which].settings.exposure_s)
-        frames[which] = replace(frames[which], settings=settings)
-        bracket = Bracket.from_frames(frames, origin=stack.bracket.origin)
-        place = [frame.dn is frames[which].dn for frame in bracket].index(True)
-        found = _found(bracket)
+        for number, (_, plane) in enumerate(known):
+            self.clean += 1
+            self.accused += [f"{name} plane {number}"] if find_wrong_labels([plane]) else []
+        self.scenes += 1
+        self.scenes_accused += [name] if together else []
+        rng = np.random.default_rng(self.scenes)
+        frames = len(brackets[0])
+        rows = np.sum([np.bincount(plane.samples.frame, minlength=frames) for _, plane in known], axis=0)
+        for _ in range(_LIES):
+            which = int(rng.choice(np.flatnonzero(rows >= _LEAST_ROWS * np.median(rows))))
+            self._plant([bracket for bracket, _ in known], which, float(rng.choice(_PLANTED_STOPS)), name)
+
+    def _plant(self, brackets: Sequence[Bracket], which: int, stops: float, name: str) -> None:
+        relabelled = [_relabelled(bracket, which, 2.0**stops) for bracket in brackets]
+        stated_s = 2.0**stops * brackets[0].frames[which].settings.exposure_s
+        place = [frame.settings.exposure_s for frame in relabelled[0]].index(stated_s)
+        found = find_wrong_labels([plane for bracket in relabelled for plane in _sampled(bracket)])
         right = [one for one in found if one.frame == place]
-        agrees = right and abs(right[0].ratio * factor - 1.0) <= max(3.0 * right[0].u_ratio * factor, 0.05)
+        off = abs(right[0].ratio * 2.0**stops - 1.0) if right else float("inf")
         self.planted += 1
-        self.missed += [] if agrees else [f"{name} (frame {place}, {np.log2(factor):+.2f} stops)"]
+        if not right or off > max(3.0 * right[0].u_ratio * 2.0**stops, 0.05):
+            self.missed.append(f"{name} frame {place}, {stops:+.2f} stops")
         self.others += [name] if len(found) > len(right) else []
 
     def told(self) -> str:
         """Return the counts in a sentence each."""
         found = self.planted - len(self.missed)
         return (
-            f"**Wrong labels** (no stack of fewer than four frames). Clean stacks: {self.clean}, of which with a label "
-            f"named wrongly: {len(self.accused)}{_names(self.accused)}. One label of each made wrong by a third of a "
-            f"stop to two thirds: {found} of {self.planted} found (missed{_names(self.missed) or ': none'}); another "
-            f"named beside or instead: {len(self.others)}{_names(self.others)}. The G9's last frame really has 0.833 "
-            f"(i1) and 0.823 (i2, where the third is some 7 % short too): {'; '.join(self.really)}."
+            f"**Wrong labels** (no stack of fewer than four frames; the colours of a scene, or the four planes of a "
+            f"mosaic, are judged together). Clean planes by themselves: {self.clean}, of which with a label named "
+            f"wrongly: {len(self.accused)}{_names(self.accused)}; clean scenes: {self.scenes}, "
+            f"{len(self.scenes_accused)}{_names(self.scenes_accused)}. {_LIES} times in every scene one label made "
+            f"wrong by a third of a stop to two thirds: {found} of {self.planted} found "
+            f"(missed{_names(self.missed) or ': none'}); another named beside or instead: {len(self.others)}"
+            f"{_names(self.others)}. The G9's last frame really has 0.833 (i1) and 0.823 (i2, where the third is some "
+            f"7 % short too): {'. '.join(self.really)}."
         )
 
 
-def _found(bracket: Bracket) -> tuple[WrongLabel, ...]:
+def _told(label: WrongLabel) -> str:
+    rivals = "".join(f", or frame {frame} {ratio:.3f}" for frame, ratio in label.rivals)
+    return f"frame {label.frame} has {label.ratio:.3f} ± {label.u_ratio:.3f}{rivals}"
+
+
+def _planes(stack: RealStack) -> list[Bracket]:
+    """Return the stack, or the four planes of a mosaic."""
+    if not stack.mosaic:
+        return [stack.bracket]
+    return [
+        Bracket.from_frames(
+            [
+                Frame(np.ascontiguousarray(f.dn[row::2, column::2]), f.bit_depth, f.settings, extra=f.extra)
+                for f in stack.bracket
+            ],
+            origin=stack.bracket.origin,
+        )
+        for row in (0, 1)
+        for column in (0, 1)
+    ]
+
+
+def _sampled(bracket: Bracket) -> list[Plane]:
     try:
         samples = gather_samples(bracket)
-        return find_wrong_labels(samples, curve_debevec1997(samples).log_exposure)
-    except RadiometerError:
-        return ()
+        return [Plane(samples, curve_debevec1997(samples).log_exposure)]
+    except RadiometerError:  # a plane that its filter leaves dark
+        return []
 
 
-def _names(several: list[str]) -> str:
+def _relabelled(bracket: Bracket, which: int, factor: float) -> Bracket:
+    frames = list(bracket)
+    settings = replace(frames[which].settings, exposure_s=factor * frames[which].settings.exposure_s)
+    frames[which] = replace(frames[which], settings=settings)
+    return Bracket.from_frames(frames, origin=bracket.origin)
+
+
+def _names(several: Sequence[str]) -> str:
     return f": {', '.join(several)}" if several else ""

@@ -39,19 +39,23 @@ class RealStack:
     Attributes:
         camera: Name of the set.
         name: Which of its stacks.
+        scene: What its other colours share with it.
         bracket: The frames.
         truth_dn: Digital numbers of which raw values tell the exposure; empty where none do.
         truth_log: ln of that exposure, free offset.
         u_truth: Standard uncertainty of it: what a smooth curve through raw and JPEG values of the patches leaves, or
             what cutting 12 bits down to 8 does.
+        mosaic: Whether the colours lie in one frame, pixel by pixel.
     """
 
     camera: str
     name: str
+    scene: str
     bracket: Bracket
     truth_dn: Array
     truth_log: Array
     u_truth: float = 0.0
+    mosaic: bool = False
 
     @property
     def has_truth(self) -> bool:
@@ -83,7 +87,7 @@ def _middlebury(folder: Path, camera: str) -> Iterator[RealStack]:
             ]
             dn, log = _neutral_truth([(jpeg[..., index], raw[..., index]) for jpeg, raw in shots])
             bracket = Bracket.from_frames(frames, origin=camera)
-            yield RealStack(camera, f"i{light} {channel}", bracket, dn, log, _scatter(dn, log))
+            yield RealStack(camera, f"i{light} {channel}", f"i{light}", bracket, dn, log, _scatter(dn, log))
 
 
 def _scatter(dn: Array, log: Array) -> float:
@@ -127,9 +131,8 @@ def _flea3(folder: Path, camera: str) -> Iterator[RealStack]:
                 for seconds, path in several
             ]
             u_truth = float(np.sqrt(np.mean((0.5 / dn) ** 2)))
-            yield RealStack(
-                camera, f"{scene} {band}", Bracket.from_frames(frames, origin=band), dn, np.log(dn), u_truth
-            )
+            name, bracket = f"{scene} {band}", Bracket.from_frames(frames, origin=band)
+            yield RealStack(camera, name, name, bracket, dn, np.log(dn), u_truth, mosaic=True)
 
 
 def _photographs(folder: Path, camera: str) -> Iterator[RealStack]:
@@ -140,7 +143,7 @@ def _photographs(folder: Path, camera: str) -> Iterator[RealStack]:
     }[camera]
     nothing = np.empty(0)
     for bracket in open_brackets(place, "each"):
-        yield RealStack(camera, str(bracket.frames[0].extra["channel"]), _thinned(bracket), nothing, nothing)
+        yield RealStack(camera, str(bracket.frames[0].extra["channel"]), "", _thinned(bracket), nothing, nothing)
 
 
 def _thinned(bracket: Bracket, most: int = 150_000) -> Bracket:

@@ -13,6 +13,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import groupby
 
 import numpy as np
 
@@ -187,12 +188,15 @@ def main() -> None:
     cameras: list[str] = []
     with_truth: list[str] = []
     runs, labels = list(programs()), Labels()
-    for stack in real_stacks(folder, tuple(sys.argv[1:])):
-        measure(stack, tallies, runs)
-        labels.look_at(stack)
-        cameras += [stack.camera] if stack.camera not in cameras else []
-        with_truth += [stack.camera] if stack.has_truth and stack.camera not in with_truth else []
-        print(stack.camera, stack.name, f"{tallies[OURS].left_out[stack.camera][-1]:.2f} DN", flush=True)
+    stacks = real_stacks(folder, tuple(sys.argv[1:]))
+    for (camera, _), scene in groupby(stacks, lambda one: (one.camera, one.scene)):
+        colours = list(scene)
+        for stack in colours:
+            measure(stack, tallies, runs)
+            print(camera, stack.name, f"{tallies[OURS].left_out[camera][-1]:.2f} DN", flush=True)
+        labels.look_at(colours)
+        cameras += [camera] if camera not in cameras else []
+        with_truth += [camera] if colours[0].has_truth and camera not in with_truth else []
     parts = told(tallies, cameras, with_truth, labels)
     print("\n\n".join(parts))
     write_section(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -60,30 +60,36 @@ def recovered_curves(
         MeasurementError: If the photographs hold no response.
         OutputError: If a file cannot be written.
     """
-    from radiometer.analysis.response.auto import recover_response_auto
-    from radiometer.analysis.response.labels import refuse_lying_labels
     from radiometer.data import ResponseCurve
 
-    curves: dict[str, ResponseCurve] = {}
-    files = []
-    for bracket in brackets:
-        channel = _channel(bracket)
-        file = beside.with_name(f"{beside.stem}-response-{channel}.yaml")
-        files.append(file)
-        thin = bracket.thinned(ENOUGH_PIXELS)
-        key = _fingerprint(thin)
-        kept = _kept(file, key)
-        if kept is None:
-            refuse_lying_labels(thin)
-            estimate = recover_response_auto(thin)
-            for text in estimate.notes:
-                say(f"{channel}: {text}")
-            parameters = {**estimate.curve.provenance.parameters, _KEY: key}
-            kept = replace(estimate.curve, provenance=replace(estimate.curve.provenance, parameters=parameters))
-            kept.write(file)
-            kept = ResponseCurve.read(file)
-        curves[channel] = kept
-    return curves, files
+    thin = {_channel(bracket): bracket.thinned(ENOUGH_PIXELS) for bracket in brackets}
+    files = {channel: beside.with_name(f"{beside.stem}-response-{channel}.yaml") for channel in thin}
+    keys = {channel: _fingerprint(bracket) for channel, bracket in thin.items()}
+    curves = {channel: _kept(file, keys[channel]) for channel, file in files.items()}
+    if None in curves.values():
+        for channel, curve in _recovered(thin, keys, say).items():
+            curve.write(files[channel])
+            curves[channel] = ResponseCurve.read(files[channel])
+    return {channel: curve for channel, curve in curves.items() if curve is not None}, list(files.values())
+
+
+def _recovered(
+    brackets: Mapping[str, Bracket], keys: Mapping[str, str], say: Callable[[str], None]
+) -> dict[str, ResponseCurve]:
+    """Return the response of every colour, their labels judged by all of them, with the photographs' fingerprint."""
+    from radiometer.analysis.response.auto import recover_colours_auto
+    from radiometer.analysis.response.labels import refuse_lying_labels
+
+    for bracket in brackets.values():
+        refuse_lying_labels(bracket)
+    curves = {}
+    for channel, estimate in zip(brackets, recover_colours_auto(list(brackets.values())), strict=True):
+        for text in estimate.notes:
+            say(f"{channel}: {text}")
+        parameters = {**estimate.curve.provenance.parameters, _KEY: keys[channel]}
+        provenance = replace(estimate.curve.provenance, parameters=parameters)
+        curves[channel] = replace(estimate.curve, provenance=provenance)
+    return curves
 
 
 def with_found_times(bracket: Bracket, curve: ResponseCurve) -> Bracket:

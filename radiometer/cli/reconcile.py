@@ -151,17 +151,18 @@ def _show_plan(capture: Path, model_path: Path | None, without: tuple[str, ...],
         out.print(f"blind to: {', '.join(found.blind)}")
 
 
-def _photographs(path: Path) -> Sequence[Frame] | None:
-    """Return the frames of a folder of photographs; None where the path is something else."""
+def _photographs(path: Path) -> Sequence[Sequence[Frame]]:
+    """Return the frames of a folder of photographs by colour, green first; none where the path is something else."""
     from radiometer.data.capture_set import HEADER_NAME
     from radiometer.importing import is_foreign
 
     if not path.is_dir() or (path / HEADER_NAME).exists() or (path / "frames").is_dir() or is_foreign(path):
-        return None
+        return ()
     from radiometer.bench.sources import open_brackets
 
-    bracket = open_brackets(path, most_pixels=_ENOUGH_PIXELS)[0]
-    return (*bracket.frames, *bracket.dark_frames)
+    brackets = open_brackets(path, "each", most_pixels=_ENOUGH_PIXELS)
+    brackets = sorted(brackets, key=lambda one: one.frames[0].extra.get("channel") != "green")
+    return [(*one.frames, *one.dark_frames) for one in brackets]
 
 
 def _refuse_unknown(names: list[str]) -> None:

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from radiometer.analysis.exports.curves import CURVE_SUFFIXES, write_curves
+from radiometer.analysis.response.auto import recover_colours_auto
 from radiometer.analysis.response.compare import compare_methods
 from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty
 from radiometer.analysis.response.labels import refuse_lying_labels
@@ -77,7 +78,16 @@ def command(
     _check_targets(output, picture)
     started = time.monotonic()
     found = _read(paths, channel, speeds)
-    estimates = [estimate for brackets in found.values() for estimate in _recover(brackets, names, ratios)]
+    joint = (
+        recover_colours_auto(list(found.values()))
+        if DEFAULT_METHOD in names and len(found) > 1
+        else [None] * len(found)
+    )
+    estimates = [
+        estimate
+        for brackets, known in zip(found.values(), joint, strict=True)
+        for estimate in _recover(brackets, names, ratios, known)
+    ]
     estimates = [with_iso_speeds(estimate, *found.values()) for estimate in estimates]
     files = _write(estimates, output) if output is not None else []
     if picture is not None:
@@ -143,13 +153,19 @@ def _read(paths: Sequence[Path], channel: str, speeds: IsoSpeeds) -> dict[str, l
 
 
 def _recover(
-    brackets: Sequence[Bracket], names: Sequence[str], known_ratios: Mapping[int, float]
+    brackets: Sequence[Bracket],
+    names: Sequence[str],
+    known_ratios: Mapping[int, float],
+    with_other_colours: ResponseEstimate | None,
 ) -> Iterator[ResponseEstimate]:
+    """Yield the estimate of every method; that of the default is given where it was made with other colours."""
     with _bar("recovering the response") as report:
         for done, name in enumerate(names):
             report(done, len(names))
             try:
-                if name in RATIO_METHODS and known_ratios:
+                if name == DEFAULT_METHOD and with_other_colours is not None:
+                    yield _telling(with_other_colours, brackets[0])
+                elif name in RATIO_METHODS and known_ratios:
                     yield _telling(RATIO_METHODS[name](brackets, known_ratios=known_ratios), brackets[0])
                 else:
                     yield _telling(METHODS[name](brackets), brackets[0])

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.labels import frame_name
 from radiometer.analysis.response.left_out import others_gap, prediction_error_dn
+from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, settle
 from radiometer.analysis.response.threads import on_one_blas_thread
@@ -86,11 +87,15 @@ class PhotographsReconciled:
 
 
 @on_one_blas_thread
-def reconcile_photographs(frames: Sequence[Frame]) -> PhotographsReconciled:
+def reconcile_photographs(
+    frames: Sequence[Frame], other_colours: Sequence[Sequence[Frame]] = ()
+) -> PhotographsReconciled:
     """Return whether printed exposures agree with the photographs, and which do not.
 
     Args:
         frames: Photographs of one scene, at least three with different exposures.
+        other_colours: The same photographs in other colours, each with a tone curve of its own: their labels are the
+            same, and all colours together tell a wrong one.
 
     Raises:
         CaptureError: If there are too few, or they hardly overlap.
@@ -103,7 +108,8 @@ def reconcile_photographs(frames: Sequence[Frame]) -> PhotographsReconciled:
     try:
         samples = gather_samples(bracket)
         start = curve_debevec1997(samples).log_exposure
-        judged = _judge(samples, start, _exact_log_times(bracket))
+        others = [plane for one in other_colours for plane in _plane(one)]
+        judged = _judge(Plane(samples, start), others, _exact_log_times(bracket))
     except (MeasurementError, InputError) as error:
         raise CaptureError(
             f"the photographs hardly overlap: no part of the scene is well exposed in two of them ({error})"
@@ -141,7 +147,24 @@ def _exact_log_times(bracket: Bracket) -> Array:
     return np.asarray(np.log(bracket.effective_exposures_s) + np.log(exact / stated))
 
 
-def _judge(samples: ResponseSamples, start: Array, exact: Array) -> _Judged:
+def _plane(frames: Sequence[Frame]) -> list[Plane]:
+    """Return the samples of another colour; none where it hardly overlaps, which that colour may."""
+    bracket = Bracket.from_frames([frame for frame in frames if not frame.settings.is_dark]).thinned(_ENOUGH_PIXELS)
+    try:
+        samples = gather_samples(bracket)
+        return [Plane(samples, curve_debevec1997(samples).log_exposure)]
+    except MeasurementError:
+        return []
+
+
+def _judge(plane: Plane, others: Sequence[Plane], exact: Array) -> _Judged:
+    samples, start = plane.samples, plane.start
+
+    def labels_of(timed: ResponseSamples) -> tuple[WrongLabel, ...]:
+        times = timed.frame_log_time
+        also = [replace(one, samples=_with_times(one.samples, times)) for one in others]
+        return find_wrong_labels([Plane(timed, start), *also])
+
     printed, stops = thinned(samples), thinned(_with_times(samples, exact))
     before = error_of_quadrants(printed, settle(printed, start))
     chosen, rounded, now = samples, False, before
@@ -149,7 +172,7 @@ def _judge(samples: ResponseSamples, start: Array, exact: Array) -> _Judged:
         after = error_of_quadrants(stops, settle(stops, start))
         if after.sum() <= LEAST_GAIN * before.sum() and np.all(after <= before):
             chosen, rounded, now = _with_times(samples, exact), True, after
-    labels = find_wrong_labels(chosen, start)
+    labels = labels_of(chosen)
     if labels and rounded:
         # A wrong label may make the exact stops look better by chance: they must still do so beside it.
         free = tuple(one.frame for one in labels)
@@ -157,9 +180,10 @@ def _judge(samples: ResponseSamples, start: Array, exact: Array) -> _Judged:
         as_stops = error_of_quadrants(stops, settle(stops, start, free))
         if as_stops.sum() > LEAST_GAIN * as_printed.sum():
             chosen, rounded, now = samples, False, before
-            labels = find_wrong_labels(chosen, start)
+            labels = labels_of(chosen)
     thin = thinned(chosen)
-    fitted = settle(thin, start, tuple(one.frame for one in labels))
+    known = tuple(one.log_ratio for one in labels) if others else ()
+    fitted = settle(thin, start, tuple(one.frame for one in labels), known=known)
     final = error_of_quadrants(thin, fitted)
     log_time = chosen.frame_log_time + fitted.fit.log_time_errors
     return _Judged(

@@ -98,7 +98,7 @@ def reconcile_source(
     *,
     model_path: Path | None = None,
     without: tuple[str, ...] = (),
-    photographs: Sequence[Frame] | None = None,
+    photographs: Sequence[Sequence[Frame]] = (),
     progress: Progress | None = None,
     say: Say = lambda line: None,
     doubt: Say = lambda line: None,
@@ -109,7 +109,7 @@ def reconcile_source(
         path: What the user names.
         model_path: Model file to start from.
         without: Entries to leave out of the catalogue.
-        photographs: Frames of a folder of photographs, read by the caller.
+        photographs: Frames of a folder of photographs by colour, the one to tell of first, read by the caller.
         progress: Called with frames done and frames in all.
         say: Told what happens.
         doubt: Told what is missing and what is doubted of files that are read where they are.
@@ -121,8 +121,8 @@ def reconcile_source(
     entries = {name: kind for name, kind in whole_catalogue().items() if name not in without}
     if path.suffix.lower() == ".csv" and statistics_of(path) is None:
         return reconcile_meter_table(path)
-    if photographs is not None:
-        return reconcile_photographs(photographs)
+    if photographs:
+        return reconcile_photographs(photographs[0], photographs[1:])
     if path.is_file() and not is_foreign(path):
         raise CaptureError(
             f"{path}: give a capture set's folder, FITS or raw TIFF files, an EMVA 1288 descriptor (.txt) or a meter "

@@ -15,6 +15,7 @@ from radiometer.analysis.response.estimate import Agreement, ResponseEstimate, i
 from radiometer.analysis.response.fit import ResponseFit
 from radiometer.analysis.response.jackknife import jackknife_u
 from radiometer.analysis.response.noise_shift import ASSUMPTION
+from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.predicting import MANY_AS_ONE, judge_by_prediction, without_frames
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, refit, settle
@@ -59,12 +60,42 @@ def recover_response_auto(brackets: Bracket | Sequence[Bracket]) -> ResponseEsti
     return solve_auto(gather_samples(brackets))
 
 
+def recover_colours_auto(colours: Sequence[Bracket | Sequence[Bracket]]) -> list[ResponseEstimate]:
+    """Recover the responses of the colours of the same photographs: a curve for each, one set of exposures.
+
+    Args:
+        colours: One bracket or several of each colour, the same photographs in the same order.
+
+    Returns:
+        An estimate for each colour, as by `recover_response_auto`; labels are found wrong by all colours together.
+
+    Raises:
+        InputError: If the brackets do not fit together or hold one exposure only.
+        MeasurementError: If everything of a colour is clipped or its exposures do not overlap.
+    """
+    samples = [gather_samples(brackets) for brackets in colours]
+    return solve_colours_auto(samples)
+
+
 @on_one_blas_thread
+def solve_colours_auto(samples: Sequence[ResponseSamples]) -> list[ResponseEstimate]:
+    """Recover the responses of several colours from gathered samples; see `recover_colours_auto`."""
+    planes = [Plane(one, curve_debevec1997(one).log_exposure) for one in samples]
+    wrong = find_wrong_labels(planes)
+    # A colour by itself finds its labels again; several hold each other to what they found together.
+    known = tuple(label.log_ratio for label in wrong) if len(planes) > 1 else ()
+    return [_estimate(plane, wrong, known) for plane in planes]
+
+
 def solve_auto(samples: ResponseSamples) -> ResponseEstimate:
     """Recover the response from gathered samples; see `recover_response_auto`."""
-    start = curve_debevec1997(samples).log_exposure
-    wrong = find_wrong_labels(samples, start)
-    settled = _with_times(samples, settle(samples, start, tuple(label.frame for label in wrong)))
+    return solve_colours_auto([samples])[0]
+
+
+def _estimate(plane: Plane, wrong: tuple[WrongLabel, ...], known: tuple[tuple[float, float], ...]) -> ResponseEstimate:
+    samples, start = plane.samples, plane.start
+    free = tuple(label.frame for label in wrong)
+    settled = _with_times(samples, settle(samples, start, free, known=known))
     judged = judge_by_prediction(samples, start, settled, wrong)
     result = judged.best
     parts = _Parts.of(samples, result)
@@ -103,7 +134,7 @@ def _with_times(samples: ResponseSamples, found: FittedResponse) -> FittedRespon
     """Return the fit with small errors of all exposure times freed where left-out quadrants are predicted better."""
     if np.unique(samples.frame_log_time).size < 4 or not samples.without_quadrant:
         return found
-    loose = settle(samples, found.log_exposure, found.choices.free, time_spread=None)
+    loose = settle(samples, found.log_exposure, found.choices.free, None, found.choices.known)
     if not loose.fit.time_spread:
         return found
     before, after = error_of_quadrants(samples, found), error_of_quadrants(samples, loose)

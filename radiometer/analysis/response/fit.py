@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 _TIME_SPREADS = (0.001, 0.003, 0.01, 0.03)
 # Twice the gain in log likelihood that calls for errors of the exposure times.
 _CALLS_FOR_TIME_ERRORS = 20.0
-# Standard deviation of ln of true over stated time of a frame whose label is not believed.
-_FREE_SPREAD = 3.0
+# ln of true over stated time of a frame whose label is not believed, and its standard deviation.
+UNKNOWN_LABEL = (0.0, 3.0)
 _SMOOTHINGS = np.logspace(-6, 9, 31)
 
 
@@ -87,6 +87,7 @@ def fit_response(
     time_spread: float | None = None,
     smoothing: float | None = None,
     free: Sequence[int] = (),
+    known: Sequence[tuple[float, float]] = (),
 ) -> ResponseFit:
     """Return the response that best explains group means of known variance.
 
@@ -99,6 +100,7 @@ def fit_response(
         time_spread: Relative standard deviation of the exposure times; 0 for exact ones, None to decide by the data.
         smoothing: λ relative to tr(N)/tr(P); None to have it chosen.
         free: Frames whose exposure is not taken from their label.
+        known: ln of true over stated exposure of each of these and its standard uncertainty, where other data say so.
 
     Raises:
         MeasurementError: If the data leave the curve undetermined.
@@ -110,6 +112,7 @@ def fit_response(
     basis = ValueBasis(samples.bit_depth, samples.limits)
     design = basis.design(dn)
     labels = np.eye(samples.frame_log_time.size)[:, list(free)]
+    expected = np.array(known or [UNKNOWN_LABEL] * len(free)).reshape(-1, 2)
     modes = np.hstack([labels, time_error_modes(samples.frame_log_time)])
 
     def problem(spread: float) -> _Problem:
@@ -118,7 +121,7 @@ def fit_response(
         normal = eliminate_groups(
             sp.csr_array(sp.hstack(columns, format="csr")), samples.log_time, 1.0 / variance, samples.group
         )
-        return _Problem.of(normal, basis, samples, patterns, len(free), spread, smoothings)
+        return _Problem.of(normal, basis, samples, patterns, expected, spread, smoothings)
 
     chosen = problem(0.0) if 0.0 in spreads else None
     if any(spreads):
@@ -138,6 +141,7 @@ class _Problem:
     """Normal equations with gauge and penalty at the λ of least restricted deviance."""
 
     normal: NormalEquations
+    right: Array
     fixed: Array
     penalty: Array
     smoothing: float
@@ -153,17 +157,20 @@ class _Problem:
         basis: ValueBasis,
         samples: ResponseSamples,
         patterns: Array,
-        free: int,
+        expected: Array,
         spread: float,
         smoothings: Array,
     ) -> _Problem:
+        free = len(expected)
         size = normal.matrix.shape[0]
         middle = np.zeros(size)
         middle[: basis.size] = basis.design(np.array([float(1 << (samples.bit_depth - 1))])).toarray()[0]
         trace = float(np.trace(normal.matrix[: basis.size, : basis.size]))
         fixed = normal.matrix + np.outer(middle, middle) * trace / float(middle @ middle)
         labels = np.arange(basis.size, basis.size + free)
-        fixed[labels, labels] += 1.0 / _FREE_SPREAD**2
+        fixed[labels, labels] += expected[:, 1] ** -2.0
+        right = normal.right.copy()
+        right[labels] += expected[:, 0] * expected[:, 1] ** -2.0
         prior = 0.0
         if spread:
             errors = np.arange(basis.size + free, size)
@@ -176,13 +183,13 @@ class _Problem:
         if smoothings.size == 1:
             scores = [0.0]
         else:
-            scores = [_deviance(normal, fixed, penalty, value, rank) + prior for value in smoothings]
+            scores = [_deviance(normal.square, right, fixed, penalty, value, rank) + prior for value in smoothings]
         at = int(np.argmin(scores))
-        return cls(normal, fixed, penalty, float(smoothings[at]), scores[at], spread, patterns, basis.size)
+        return cls(normal, right, fixed, penalty, float(smoothings[at]), scores[at], spread, patterns, basis.size)
 
     def solved(self) -> ResponseFit:
         inverse = np.linalg.inv(self.fixed + self.smoothing * self.penalty)
-        solution = inverse @ self.normal.right
+        solution = inverse @ self.right
         parameters = float(np.sum(inverse * self.normal.matrix))
         chi2 = float(self.normal.weight @ self.normal.residuals(solution) ** 2)
         return ResponseFit(
@@ -198,15 +205,15 @@ class _Problem:
         )
 
 
-def _deviance(normal: NormalEquations, fixed: Array, penalty: Array, smoothing: float, rank: int) -> float:
+def _deviance(square: float, right: Array, fixed: Array, penalty: Array, smoothing: float, rank: int) -> float:
     """Return −2 ln of the restricted likelihood up to a constant, the rows' variances being as stated."""
     try:
         factor = la.cho_factor(fixed + smoothing * penalty, lower=True)
     except la.LinAlgError:
         return float("inf")
-    explained = float(la.cho_solve(factor, normal.right) @ normal.right)
+    explained = float(la.cho_solve(factor, right) @ right)
     log_det = 2.0 * float(np.log(np.diag(factor[0])).sum())
-    return normal.square - explained + log_det - rank * float(np.log(smoothing))
+    return square - explained + log_det - rank * float(np.log(smoothing))
 
 
 def time_error_modes(log_time: Array) -> Array:

@@ -38,6 +38,7 @@ class Choices:
         smoothing: λ relative to tr(N)/tr(P); None to choose it by the restricted likelihood.
         time_spread: Relative standard deviation of the exposure times; None to choose it.
         free: Frames whose exposure is not taken from their label.
+        known: What other data say of these, as in `fit_response`.
         noise: Noise of the stack; None to take it from the residuals.
     """
 
@@ -45,6 +46,7 @@ class Choices:
     smoothing: float | None = None
     time_spread: float | None = 0.0
     free: tuple[int, ...] = ()
+    known: tuple[tuple[float, float], ...] = ()
     noise: LogNoise | None = None
 
 
@@ -119,7 +121,13 @@ def fit_with(samples: ResponseSamples, start: Array, choices: Choices) -> Fitted
     def fitted(near: Array, noise: LogNoise, time_spread: float | None) -> ResponseFit:
         variance = row_variance(samples, dn, near, noise) * choices.inflation
         return fit_response(
-            samples, dn, variance, time_spread=time_spread, smoothing=choices.smoothing, free=choices.free
+            samples,
+            dn,
+            variance,
+            time_spread=time_spread,
+            smoothing=choices.smoothing,
+            free=choices.free,
+            known=choices.known,
         )
 
     fit = fitted(start, found, choices.time_spread)
@@ -134,7 +142,11 @@ def fit_with(samples: ResponseSamples, start: Array, choices: Choices) -> Fitted
 
 
 def settle(
-    samples: ResponseSamples, start: Array, free: tuple[int, ...] = (), time_spread: float | None = 0.0
+    samples: ResponseSamples,
+    start: Array,
+    free: tuple[int, ...] = (),
+    time_spread: float | None = 0.0,
+    known: tuple[tuple[float, float], ...] = (),
 ) -> FittedResponse:
     """Return the fit whose smoothness counts tones and places, not groups of pixels, as independent.
 
@@ -143,13 +155,15 @@ def settle(
         start: A first estimate of g at every digital number, rising.
         free: Frames whose exposure is not taken from their label.
         time_spread: Relative standard deviation of the exposure times; None to choose it.
+        known: What other data say of the freed frames, as in `fit_response`.
     """
-    found = fit_with(samples, start, Choices(free=free, time_spread=time_spread))
+    choices = Choices(free=free, known=known, time_spread=time_spread)
+    found = fit_with(samples, start, choices)
     for _ in range(_ROUNDS):
         inflation = max(found.choices.inflation, _inflation(samples, found))
         if inflation <= found.choices.inflation * _SETTLED:
             break
-        found = fit_with(samples, start, Choices(inflation=inflation, free=free, time_spread=time_spread))
+        found = fit_with(samples, start, replace(choices, inflation=inflation))
     return found
 
 
@@ -159,6 +173,21 @@ def refit(part: ResponseSamples, found: FittedResponse) -> FittedResponse | None
         return fit_with(part, found.log_exposure, found.choices)
     except MeasurementError:
         return None
+
+
+def given_labels(found: FittedResponse, log_ratios: Array) -> FittedResponse:
+    """Return the fit at other values of its freed labels: the curve that is best with these.
+
+    Args:
+        found: A fit with freed labels.
+        log_ratios: ln of real over stated exposure of each of them.
+    """
+    fit = found.fit
+    rows = slice(fit.basis_size, fit.basis_size + log_ratios.size)
+    towards = fit.inverse[:, rows] @ np.linalg.inv(fit.inverse[rows, rows])
+    solution = fit.solution + towards @ (log_ratios - fit.time_modes[: log_ratios.size])
+    moved = replace(fit, coefficients=solution[: fit.basis_size], time_modes=solution[fit.basis_size :])
+    return replace(found, fit=moved, log_exposure=_values(found.samples, moved))
 
 
 def error_of_quadrants(samples: ResponseSamples, fitted: FittedResponse, frame: int | None = None) -> Array:

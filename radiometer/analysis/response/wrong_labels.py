@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -9,8 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.response.left_out import error_dn, prediction_error_dn
+from radiometer.analysis.response.planes import (
+    JointFit,
+    Plane,
+    errors_of_quadrants,
+    fit_planes,
+    settle_planes,
+    without_quadrants,
+)
 from radiometer.analysis.response.samples import ResponseSamples
-from radiometer.analysis.response.settle import Choices, FittedResponse, error_of_quadrants, fit_with, refit, settle
+from radiometer.analysis.response.settle import Choices, FittedResponse, settle
 from radiometer.errors import MeasurementError
 
 Array = NDArray[np.float64]
@@ -53,27 +63,33 @@ class WrongLabel:
     gain: float
     rivals: tuple[tuple[int, float], ...] = ()
 
+    @property
+    def log_ratio(self) -> tuple[float, float]:
+        """Return ln of real over stated exposure and its standard uncertainty."""
+        return math.log(self.ratio), self.u_ratio / self.ratio
 
-def find_wrong_labels(samples: ResponseSamples, start: Array) -> tuple[WrongLabel, ...]:
+
+def find_wrong_labels(planes: Sequence[Plane]) -> tuple[WrongLabel, ...]:
     """Return the frames whose label is wrong, in the order in which they were found.
 
-    One label after the other is freed. It stays freed where in every quadrant of the picture, left out of the fit, its
-    frame is predicted better by the others, by a factor in all, and the other frames no worse; most labels must be
-    right, or a flat curve with exposures of its own fits best.
+    One label after the other is freed, the same for all planes. It stays freed where in every quadrant of the picture,
+    left out of the fit, its frame is predicted better by the others, by a factor in all, and the other frames no worse;
+    most labels must be right, or a flat curve with exposures of its own fits best.
 
     Args:
-        samples: The rows, with their quadrants.
-        start: A first estimate of g at every digital number.
+        planes: Colours of the same photographs, in the same order of frames; those without quadrants say nothing.
     """
-    if len(samples.without_quadrant) < 3:
+    frames = planes[0].samples.frame_log_time.size
+    most = max((frames - 1) // 3, 1) if frames > 3 else 0
+    settled = [pair for one in planes for pair in _settled(one)] if most else []
+    if not settled:
         return ()
-    thin = thinned(samples)
-    most = max((samples.frame_log_time.size - 1) // 3, 1) if samples.frame_log_time.size > 3 else 0
+    thin = [plane for plane, _ in settled]
     found: list[WrongLabel] = []
-    now = settle(thin, start)
+    now = _Tried.of(thin, JointFit.of([fitted for _, fitted in settled]))
     while len(found) < most:
         freed = tuple(label.frame for label in found)
-        tried = [_freed(thin, start, (*freed, k), now) for k in _candidates(thin, start, freed)]
+        tried = [_freed(thin, (*freed, k), now) for k in _candidates(thin, freed)]
         options = sorted((one for one in tried if one is not None), key=lambda one: one[0].gain)
         if not options or not _convincing(thin, *options[0], now):
             break
@@ -81,65 +97,85 @@ def find_wrong_labels(samples: ResponseSamples, start: Array) -> tuple[WrongLabe
         rivals = [label for label, _ in options[1:] if label.gain <= _AS_WELL * best[0].gain]
         found.append(replace(best[0], rivals=tuple((label.frame, label.ratio) for label in rivals)))
         now = best[1]
-    return _together(thin, start, found)
+    return _together(found, now)
 
 
-def _candidates(samples: ResponseSamples, start: Array, freed: tuple[int, ...]) -> list[int]:
+def _settled(plane: Plane) -> list[tuple[Plane, FittedResponse]]:
+    """Return a plane's thinned samples with their fit; nothing where the plane is too dark or too small for one."""
+    if len(plane.samples.without_quadrant) < _FEWEST_QUADRANTS:
+        return []
+    thin = replace(plane, samples=thinned(plane.samples))
+    try:
+        return [(thin, settle(thin.samples, thin.start))]
+    except MeasurementError:
+        return []
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tried:
+    """A joint fit, the same without each quadrant, and how well these are predicted."""
+
+    joint: JointFit
+    parts: list[JointFit]
+    error: float
+
+    @classmethod
+    def of(cls, planes: Sequence[Plane], joint: JointFit) -> _Tried:
+        parts = without_quadrants(planes, joint)
+        return cls(joint, parts, float(np.nansum(errors_of_quadrants(planes, parts))))
+
+    def log_ratio(self, place: int) -> tuple[float, float]:
+        """Return ln of real over stated exposure of one freed label and its standard uncertainty."""
+        values = np.array([part.log_ratios[place] for part in self.parts])
+        of_places = (values.size - 1) * float(values.var()) if values.size > 1 else 0.0
+        return float(self.joint.log_ratios[place]), float(np.hypot(np.sqrt(of_places), self.joint.u_log_ratios[place]))
+
+
+def _candidates(planes: Sequence[Plane], freed: tuple[int, ...]) -> list[int]:
     """Return the frames whose freed labels leave the least error within the fit, best first."""
-    rows = np.bincount(samples.frame, minlength=samples.frame_log_time.size)
+    frames = planes[0].samples.frame_log_time.size
+    rows = np.max([np.bincount(plane.samples.frame, minlength=frames) for plane in planes], axis=0)
     errors = {}
-    for frame in range(rows.size):
+    for frame in range(frames):
         if rows[frame] < _FEWEST_ROWS or frame in freed:
             continue
         try:
-            fitted = fit_with(samples, start, Choices(smoothing=_SEARCH_SMOOTHING, free=(*freed, frame)))
+            joint = fit_planes(planes, Choices(smoothing=_SEARCH_SMOOTHING, free=(*freed, frame)))
         except MeasurementError:
             continue
-        errors[frame] = error_dn(prediction_error_dn(fitted.samples, fitted.log_exposure, fitted.fit.log_time_errors))
+        errors[frame] = sum(
+            error_dn(prediction_error_dn(one.samples, one.log_exposure, one.fit.log_time_errors)) for one in joint.fits
+        )
     return sorted(errors, key=lambda frame: errors[frame])[:_TRIED]
 
 
-def _freed(
-    samples: ResponseSamples, start: Array, free: tuple[int, ...], now: FittedResponse
-) -> tuple[WrongLabel, FittedResponse] | None:
+def _freed(planes: Sequence[Plane], free: tuple[int, ...], now: _Tried) -> tuple[WrongLabel, _Tried] | None:
     """Return the last of the freed labels as it came out, and the fit."""
     try:
-        fitted = settle(samples, start, free)
+        tried = _Tried.of(planes, settle_planes(planes, free))
     except MeasurementError:
         return None
-    gain = float(error_of_quadrants(samples, fitted).sum() / error_of_quadrants(samples, now).sum())
-    value, u = _log_ratios(samples, fitted, len(free) - 1)
-    return WrongLabel(free[-1], float(np.exp(value)), float(np.exp(value) * u), gain), fitted
+    value, u = tried.log_ratio(len(free) - 1)
+    return WrongLabel(free[-1], float(np.exp(value)), float(np.exp(value) * u), tried.error / now.error), tried
 
 
-def _convincing(samples: ResponseSamples, label: WrongLabel, fitted: FittedResponse, now: FittedResponse) -> bool:
+def _convincing(planes: Sequence[Plane], label: WrongLabel, tried: _Tried, now: _Tried) -> bool:
     """Tell whether a label is wrong: large enough, and what was left out is predicted better without it."""
     size = abs(np.log(label.ratio))
     if size < max(SMALLEST_LABEL_ERROR, _SIGMA * label.u_ratio / label.ratio) or label.gain > 1.0:
         return False
-    before, after = (error_of_quadrants(samples, one, label.frame) for one in (now, fitted))
+    before, after = (errors_of_quadrants(planes, one.parts, label.frame) for one in (now, tried))
     both = np.isfinite(before) & np.isfinite(after)
-    if int(both.sum()) < _FEWEST_QUADRANTS:
+    seen = both.any(axis=0)
+    if int(seen.sum()) < _FEWEST_QUADRANTS:
         return False
-    better = after[both].sum() <= _LEAST_GAIN_OF_FRAME * before[both].sum()
-    return bool(better and np.all(after[both] <= before[both]))
+    then, since = (np.where(both, one, 0.0).sum(axis=0)[seen] for one in (before, after))
+    return bool(since.sum() <= _LEAST_GAIN_OF_FRAME * then.sum() and np.all(since <= then))
 
 
-def _log_ratios(samples: ResponseSamples, fitted: FittedResponse, place: int) -> tuple[float, float]:
-    """Return ln of real over stated exposure of one freed label and its standard uncertainty."""
-    parts = [part for part in (refit(one, fitted) for one in samples.without_quadrant) if part is not None]
-    values = np.array([part.fit.time_modes[place] for part in parts])
-    of_places = (values.size - 1) * float(values.var()) if values.size > 1 else 0.0
-    row = fitted.fit.basis_size + place
-    return float(fitted.fit.time_modes[place]), float(np.sqrt(of_places + fitted.fit.inverse[row, row]))
-
-
-def _together(samples: ResponseSamples, start: Array, found: list[WrongLabel]) -> tuple[WrongLabel, ...]:
+def _together(found: Sequence[WrongLabel], last: _Tried) -> tuple[WrongLabel, ...]:
     """Return the labels with their ratios as they came out together: one found later moves those before."""
-    if not found:
-        return ()
-    fitted = settle(samples, start, tuple(label.frame for label in found))
-    pairs = [_log_ratios(samples, fitted, place) for place in range(len(found))]
+    pairs = [last.log_ratio(place) for place in range(len(found))]
     return tuple(
         replace(label, ratio=float(np.exp(value)), u_ratio=float(np.exp(value) * u))
         for label, (value, u) in zip(found, pairs, strict=True)

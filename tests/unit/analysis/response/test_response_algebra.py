@@ -146,7 +146,7 @@ def test_beyond_a_straight_line_more_smoothing_tells_nothing(order):
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_restricted_likelihood_is_that_of_the_contrasts_themselves(order):
-    """−2 ln of the density of all contrasts free of group means and of what the penalty leaves free, σ² profiled out."""
+    """−2 ln of the density of all contrasts free of group means and of what the penalty leaves, at the best σ²."""
     rng = np.random.default_rng(5)
     place, group = rng.permutation(np.repeat(np.arange(10), 3)), np.repeat(np.arange(6), 5)
     target = np.sin(place) + rng.normal(size=6)[group] + 0.3 * rng.normal(size=30)

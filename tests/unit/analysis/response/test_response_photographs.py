@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.response.auto import solve_auto
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import ResponseEstimate
+from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.predicting import Judged, judge_by_prediction
 from radiometer.analysis.response.samples import gather_samples
 from radiometer.analysis.response.settle import Choices, fit_with
@@ -114,7 +115,7 @@ def test_a_label_wrong_by_a_third_of_a_stop_is_found_in_moved_photographs(index:
 
 def _wrong(bracket: Bracket) -> tuple[WrongLabel, ...]:
     samples = gather_samples(bracket)
-    return find_wrong_labels(samples, curve_debevec1997(samples).log_exposure)
+    return find_wrong_labels([Plane(samples, curve_debevec1997(samples).log_exposure)])
 
 
 def test_what_predicts_as_well_is_in_the_uncertainty(moved: ResponseEstimate) -> None:

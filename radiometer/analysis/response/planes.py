@@ -1,0 +1,106 @@
+"""Several planes of the same photographs fitted together: one set of exposures, a curve for each plane."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.response.left_out import error_dn, prediction_error_dn
+from radiometer.analysis.response.samples import ResponseSamples
+from radiometer.analysis.response.settle import Choices, FittedResponse, fit_with, given_labels, refit, settle
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """One colour of the photographs.
+
+    Attributes:
+        samples: Its rows, with their quadrants.
+        start: A first estimate of g at every digital number, rising.
+    """
+
+    samples: ResponseSamples
+    start: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointFit:
+    """A curve for every plane under exposures that all of them share.
+
+    Attributes:
+        fits: The fits, each at the shared exposures of the freed labels.
+        log_ratios: ln of real over stated exposure of the freed labels.
+        u_log_ratios: Their standard uncertainties, from the fits and from how far the planes disagree.
+    """
+
+    fits: tuple[FittedResponse, ...]
+    log_ratios: Array
+    u_log_ratios: Array
+
+    @classmethod
+    def of(cls, fits: Sequence[FittedResponse]) -> JointFit:
+        """Return what fits with the same freed labels say together.
+
+        The planes share nothing but the labels: the joint maximum of the likelihood is the mean of their labels,
+        weighted by the inverse of each one's covariance, and each curve what its plane says at that mean.
+        """
+        count = len(fits[0].choices.free)
+        if not count:
+            return cls(tuple(fits), np.empty(0), np.empty(0))
+        rows = [slice(one.fit.basis_size, one.fit.basis_size + count) for one in fits]
+        values = np.array([one.fit.time_modes[:count] for one in fits])
+        known = np.array([np.linalg.inv(one.fit.inverse[row, row]) for one, row in zip(fits, rows, strict=True)])
+        covariance = np.linalg.inv(known.sum(axis=0))
+        mean = covariance @ np.einsum("pij,pj->i", known, values)
+        off = values - mean
+        # Planes that disagree beyond their uncertainty widen that of the mean (Birge ratio).
+        excess = np.einsum("pij,pi,pj->", known, off, off) / max(count * (len(fits) - 1), 1)
+        u = np.sqrt(np.diag(covariance) * max(1.0, float(excess)))
+        shared = fits if len(fits) == 1 else [given_labels(one, mean) for one in fits]
+        return cls(tuple(shared), np.asarray(mean), np.asarray(u))
+
+
+def settle_planes(planes: Sequence[Plane], free: tuple[int, ...] = ()) -> JointFit:
+    """Return the joint fit with the exposures of some frames freed; see `settle`."""
+    return JointFit.of([settle(plane.samples, plane.start, free) for plane in planes])
+
+
+def fit_planes(planes: Sequence[Plane], choices: Choices) -> JointFit:
+    """Return the joint fit under given choices."""
+    return JointFit.of([fit_with(plane.samples, plane.start, choices) for plane in planes])
+
+
+def without_quadrants(planes: Sequence[Plane], joint: JointFit) -> list[JointFit]:
+    """Return the same fit without each quadrant of the picture in turn; a plane without enough there stays as it is."""
+    parts = []
+    for quadrant in range(len(planes[0].samples.without_quadrant)):
+        several = zip(planes, joint.fits, strict=True)
+        parts.append(JointFit.of([refit(one.samples.without_quadrant[quadrant], fit) or fit for one, fit in several]))
+    return parts
+
+
+def errors_of_quadrants(
+    planes: Sequence[Plane], parts: Sequence[JointFit], frame: int | None = None
+) -> NDArray[np.float64]:
+    """Return the mean size of the prediction error in DN of every quadrant, fitted without it, shape (planes, 4).
+
+    Args:
+        planes: The planes, with their quadrants.
+        parts: The fit without each quadrant, as of `without_quadrants`.
+        frame: The frame whose rows are predicted; None for all. NaN where a quadrant has none.
+    """
+    found = np.full((len(planes), len(parts)), np.nan)
+    for quadrant, part in enumerate(parts):
+        for place, (plane, fitted) in enumerate(zip(planes, part.fits, strict=True)):
+            test = plane.samples.quadrants[quadrant]
+            errors = prediction_error_dn(test, fitted.log_exposure, fitted.fit.log_time_errors)
+            if frame is not None:
+                errors = errors[test.frame == frame]
+            if np.any(np.isfinite(errors)):
+                found[place, quadrant] = error_dn(errors)
+    return found
