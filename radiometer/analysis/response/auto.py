@@ -16,7 +16,7 @@ from radiometer.analysis.response.fit import ResponseFit
 from radiometer.analysis.response.jackknife import jackknife_u
 from radiometer.analysis.response.noise_shift import ASSUMPTION
 from radiometer.analysis.response.planes import Plane
-from radiometer.analysis.response.predicting import MANY_AS_ONE, judge_by_prediction, without_frames
+from radiometer.analysis.response.predicting import MANY_AS_ONE, Judged, judge_by_prediction, without_frames
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, refit, settle
 from radiometer.analysis.response.threads import on_one_blas_thread
@@ -99,7 +99,7 @@ def _estimate(plane: Plane, wrong: tuple[WrongLabel, ...], known: tuple[tuple[fl
     judged = judge_by_prediction(samples, start, settled, wrong)
     result = judged.best
     parts = _Parts.of(samples, result)
-    shared = np.hypot(_u_shared(samples, result), judged.u_model)
+    shared = np.hypot(_u_shared(samples, judged), judged.u_among(judged.other_labels))
     curve = _curve(samples, result, np.sqrt(parts.u_log_exposure(result) ** 2 + shared**2))
     fit, times = result.fit, samples.frame_log_time
     ratios, u_ratios = _exposure_ratios(fit, times, parts)
@@ -161,7 +161,7 @@ class _Parts:
         """Return the standard uncertainty of g − g(M_mid) from pixels, places and frames."""
         u_pixels = result.u_of(result.fit.covariance())
         u_places = jackknife_u([part.relative for part in self.quadrants])
-        u_frames = jackknife_u([part.relative for part in self.frames])
+        u_frames = result.u_of(result.fit.frame_covariance(result.samples.frame))
         return np.asarray(np.hypot(np.maximum(u_pixels, u_places), u_frames))
 
     def agreement(self, inner: slice) -> Agreement | None:
@@ -173,8 +173,13 @@ class _Parts:
         )
 
 
-def _u_shared(samples: ResponseSamples, result: FittedResponse) -> Array:
-    """Return the standard uncertainty that smoothness and the exponent of the times decide: all pixels share it."""
+def _u_shared(samples: ResponseSamples, judged: Judged) -> Array:
+    """Return the standard uncertainty that smoothness and the exponent of the times decide: all pixels share it.
+
+    What the posterior says of smoothness and what other λ would have made of the data are the same doubt twice: the
+    larger counts.
+    """
+    result = judged.best
     fit, g = result.fit, result.log_exposure
     # Wrong times leave the exponent of the curve as uncertain as the mean of so many of them.
     u_exponent = fit.time_spread / float(np.linalg.norm(samples.frame_log_time - samples.frame_log_time.mean()))
@@ -182,7 +187,10 @@ def _u_shared(samples: ResponseSamples, result: FittedResponse) -> Array:
     posterior = fit.inverse[: basis.size, : basis.size]
     factor = unseen_factor(fit.coefficients, posterior, basis, supported_range(result.samples))
     of_exponent = (g - g[g.size // 2]) * u_exponent
-    return np.asarray(np.hypot(factor * result.u_of(fit.smoothness_covariance()), of_exponent))
+    of_smoothness = np.maximum(
+        factor * result.u_of(fit.smoothness_covariance()), judged.u_among(judged.other_smoothness)
+    )
+    return np.asarray(np.hypot(of_smoothness, of_exponent))
 
 
 def _curve(samples: ResponseSamples, result: FittedResponse, u: Array) -> ResponseCurve:

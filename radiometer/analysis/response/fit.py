@@ -22,6 +22,8 @@ _TIME_SPREADS = (0.001, 0.003, 0.01, 0.03)
 _CALLS_FOR_TIME_ERRORS = 20.0
 # ln of true over stated time of a frame whose label is not believed, and its standard deviation.
 UNKNOWN_LABEL = (0.0, 3.0)
+# A part of the data that decides more of the fit than this has no residual to tell its error by.
+_MOST_LEVERAGE = 0.95
 _SMOOTHINGS = np.logspace(-6, 9, 31)
 
 
@@ -66,6 +68,32 @@ class ResponseFit:
         """Return the covariance of the solution, from the scatter of whole groups, with no noise model assumed."""
         return np.asarray(self.inverse @ self.normal.robust_meat(self.solution) @ self.inverse)
 
+    def frame_covariance(self, frame: NDArray[np.intp]) -> Array:
+        """Return the covariance of the solution that whole frames make that are each off in their own way.
+
+        Every frame's score is taken as one draw (its residuals share flare, tone or shutter), with what the fit took
+        up of it given back: of a frame with leverage H the residual is (I − H)^½ of its error.
+
+        Args:
+            frame: Frame of every row.
+
+        Source: R. M. Bell, D. F. McCaffrey 2002, Survey Methodology 28, 169–181 (the estimator named CR2).
+        """
+        normal = self.normal
+        root = np.linalg.cholesky(self.inverse)
+        starts = np.flatnonzero(np.diff(normal.group, prepend=-1))
+        own = normal.weight / np.add.reduceat(normal.weight, starts)[normal.group]
+        residual = normal.residuals(self.solution) / np.sqrt(1.0 - np.minimum(own, _MOST_LEVERAGE))
+        rows = normal.centred @ root
+        draws = []
+        for one in np.unique(frame):
+            here = frame == one
+            weighted = rows[here] * normal.weight[here, None]
+            taken_up, axes = np.linalg.eigh(weighted.T @ rows[here])
+            score = axes.T @ (weighted.T @ residual[here])
+            draws.append(root @ (axes @ (score / np.sqrt(1.0 - np.clip(taken_up, 0.0, _MOST_LEVERAGE)))))
+        return np.asarray(np.transpose(draws) @ np.array(draws))
+
     def smoothness_covariance(self) -> Array:
         """Return the part of the posterior covariance that the smoothness (and the prior of the times) decides."""
         return np.asarray(self.inverse - self.inverse @ self.normal.matrix @ self.inverse)
@@ -76,7 +104,7 @@ class ResponseFit:
         starts = np.flatnonzero(np.diff(normal.group, prepend=-1))
         own = normal.weight / np.add.reduceat(normal.weight, starts)[normal.group]
         curve = np.einsum("ij,ij->i", normal.centred @ self.inverse, normal.centred) * normal.weight
-        return np.asarray(np.clip(own + curve, 0.0, 0.95))
+        return np.asarray(np.clip(own + curve, 0.0, _MOST_LEVERAGE))
 
 
 def fit_response(

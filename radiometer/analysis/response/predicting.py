@@ -35,18 +35,17 @@ class Judged:
 
     Attributes:
         best: The fit that predicts best.
-        rivals: Fits under other assumptions that predict as well.
+        other_smoothness: Fits with another λ that predict as well.
+        other_labels: Fits with another label freed that predict as well.
     """
 
     best: FittedResponse
-    rivals: tuple[FittedResponse, ...] = ()
+    other_smoothness: tuple[FittedResponse, ...] = ()
+    other_labels: tuple[FittedResponse, ...] = ()
 
-    @property
-    def u_model(self) -> Array:
-        """Return the rms distance of g − g(M_mid) of the rivals from the best: which of them is true is not known."""
-        if not self.rivals:
-            return np.zeros(self.best.log_exposure.size)
-        apart = np.array([rival.relative - self.best.relative for rival in self.rivals])
+    def u_among(self, rivals: tuple[FittedResponse, ...]) -> Array:
+        """Return the rms distance of g − g(M_mid) of the best and its rivals from the best: any of them may be true."""
+        apart = np.array([one.relative - self.best.relative for one in (self.best, *rivals)])
         return np.asarray(np.sqrt(np.mean(apart**2, axis=0)))
 
 
@@ -61,9 +60,9 @@ def judge_by_prediction(
         found: The fit with the λ of the restricted likelihood.
         labels: Wrong labels that it has freed; frames that may be wrong in their place make rivals too.
     """
-    rivals = list(_with_other_labels(samples, start, labels))
+    rivals = tuple(_with_other_labels(samples, start, labels))
     if found.choices.inflation <= MANY_AS_ONE or not samples.without_quadrant or found.choices.smoothing is None:
-        return Judged(found, tuple(rivals))
+        return Judged(found, other_labels=rivals)
     thin = thinned(samples)
     errors: dict[float, float] = {}
     for factor in _FACTORS:
@@ -72,7 +71,7 @@ def judge_by_prediction(
         except MeasurementError:
             continue
     if 1.0 not in errors:
-        return Judged(found, tuple(rivals))
+        return Judged(found, other_labels=rivals)
     best = min(errors, key=lambda factor: errors[factor])
     best = best if errors[best] <= _LEAST_GAIN * errors[1.0] else 1.0
     fits = {
@@ -81,7 +80,7 @@ def judge_by_prediction(
         if errors[factor] <= _AS_WELL * errors[best]
     }
     chosen = fits.pop(best)
-    return Judged(chosen, (*fits.values(), *rivals))
+    return Judged(chosen, tuple(fits.values()), rivals)
 
 
 def without_frames(samples: ResponseSamples, found: FittedResponse) -> Iterator[tuple[int, FittedResponse]]:

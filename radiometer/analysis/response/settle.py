@@ -221,7 +221,9 @@ def _inflation(samples: ResponseSamples, found: FittedResponse) -> float:
         return tones
     inner = inner_range(supported_range(rows))
     between = (len(curves) - 1) * curves.var(axis=0)
-    return max(tones, places_as_one(between[inner], found.u_of(fit.covariance())[inner] ** 2))
+    places = places_as_one(between[inner], found.u_of(fit.covariance())[inner] ** 2)
+    # The quadrants themselves are taken as independent: no stack says less than so many tones would.
+    return max(tones, min(places, rows.group_count / len(curves)))
 
 
 def _values(samples: ResponseSamples, fit: ResponseFit) -> Array:

@@ -119,15 +119,15 @@ def _wrong(bracket: Bracket) -> tuple[WrongLabel, ...]:
 
 
 def test_what_predicts_as_well_is_in_the_uncertainty(moved: ResponseEstimate) -> None:
-    """A rival fit widens u by its rms distance from the best; without rivals nothing is added."""
+    """Rival fits widen u by the rms distance from the best of all, itself among them; without rivals nothing is added."""
     samples = gather_samples(photographs(TIMES, (0,) * 7))
     start = curve_debevec1997(samples).log_exposure
     best = fit_with(samples, start, Choices(smoothing=1e3))
     rival = fit_with(samples, start, Choices(smoothing=1e9))
-    assert np.all(Judged(best).u_model == 0.0)
+    assert np.all(Judged(best).u_among(()) == 0.0)
     apart = np.abs(rival.relative - best.relative)
-    assert Judged(best, (rival,)).u_model == pytest.approx(apart)
-    assert Judged(best, (rival, best)).u_model == pytest.approx(apart / np.sqrt(2.0))
+    assert Judged(best).u_among((rival,)) == pytest.approx(apart / np.sqrt(2.0))
+    assert Judged(best).u_among((rival, rival)) == pytest.approx(apart * np.sqrt(2.0 / 3.0))
 
 
 def test_smoothness_that_hides_the_curve_is_not_taken() -> None:
@@ -137,4 +137,4 @@ def test_smoothness_that_hides_the_curve_is_not_taken() -> None:
     stiff = fit_with(samples, start, Choices(smoothing=1e8, inflation=50.0))
     judged = judge_by_prediction(samples, start, stiff)
     assert judged.best.choices.smoothing == pytest.approx(1e6)
-    assert stiff not in judged.rivals
+    assert stiff not in judged.other_smoothness
