@@ -1,0 +1,163 @@
+"""Frames that are off in their own way, and colours of one set of photographs that share their exposures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from radiometer.analysis.response.auto import solve_colours_auto
+from radiometer.analysis.response.basis import ValueBasis
+from radiometer.analysis.response.debevec1997 import curve_debevec1997
+from radiometer.analysis.response.fit import ResponseFit, fit_response
+from radiometer.analysis.response.limits import ValueLimits
+from radiometer.analysis.response.planes import JointFit, Plane, errors_of_quadrants, settle_planes, without_quadrants
+from radiometer.analysis.response.samples import ResponseSamples, gather_samples
+from radiometer.analysis.response.settle import Choices, error_of_quadrants, fit_with, given_labels, settle
+from radiometer.analysis.response.wrong_labels import find_wrong_labels
+from radiometer.data import Bracket, Frame, FrameSettings
+
+Array = NDArray[np.float64]
+SIGMA = 0.01
+TIMES = tuple(0.25 * 1.7**k for k in range(6))
+
+
+def rows_of(groups: int = 40, frames: int = 6) -> ResponseSamples:
+    """Return rows of a linear camera without noise, frames half a doubling apart."""
+    log_time = 0.7 * np.arange(frames)
+    dn = np.exp(np.linspace(0.5, 5.0, groups)[:, None] + log_time[None, :] - 1.0)
+    clear = (dn > 6) & (dn < 245)
+    clear &= (clear.sum(axis=1) >= 2)[:, None]
+    group, frame = np.nonzero(clear)
+    group, count = np.unique(group, return_inverse=True)[1], group.size
+    return ResponseSamples(
+        dn=dn[clear],
+        log_time=log_time[frame],
+        group=group.astype(np.intp),
+        frame=frame,
+        pixels=np.full(count, 100.0),
+        variance=np.full(count, 1.0 / 12.0),
+        bit_depth=8,
+        limits=ValueLimits(0, 255),
+        frame_log_time=log_time,
+        frame_bracket=np.zeros(frames, dtype=np.intp),
+        pixel_count=100 * groups,
+    )
+
+
+def fit(samples: ResponseSamples, **how: object) -> ResponseFit:
+    variance = np.full(samples.dn.size, SIGMA**2)
+    return fit_response(samples, samples.dn, variance, time_spread=0.0, smoothing=1e3, **how)  # type: ignore[arg-type]
+
+
+def test_uncertainty_of_frames_is_the_scatter_that_their_errors_make() -> None:
+    """Independent frames each off by 1 %: the mean variance stated is that of the curve, unlike that of the groups.
+
+    Both are squares of the errors, so that their means are the sums over one frame off at a time.
+    """
+    samples = rows_of()
+    every = ValueBasis(8, samples.limits).all_values().toarray()
+    at = every[[20, 60, 200]] - every[128]
+    right = at @ fit(samples).coefficients
+    true, by_frames, by_groups = np.zeros(3), np.zeros(3), np.zeros(3)
+    for frame in range(samples.frame_log_time.size):
+        one = fit(replace(samples, log_time=samples.log_time + SIGMA * (samples.frame == frame)))
+        true += (at @ one.coefficients - right) ** 2
+        by_frames += np.diag(at @ one.frame_covariance(samples.frame) @ at.T)
+        by_groups += np.diag(at @ one.covariance() @ at.T)
+    assert by_frames / true == pytest.approx(np.ones(3), abs=0.12)
+    assert np.max(np.abs(np.log(by_groups / true))) > 1.0
+
+
+def test_a_label_known_from_elsewhere_is_weighed_by_its_uncertainty() -> None:
+    """What is known exactly stays; what is known as well as the data know it comes out half way."""
+    samples = rows_of()
+    log_time = samples.frame_log_time - 0.2 * (np.arange(6) == 3)
+    wrong = replace(samples, frame_log_time=log_time, log_time=log_time[samples.frame])
+    alone = fit(wrong, free=(3,))
+    assert alone.time_modes[0] == pytest.approx(0.2, abs=1e-3)
+    assert fit(wrong, free=(3,), known=((0.1, 1e-6),)).time_modes[0] == pytest.approx(0.1, abs=1e-4)
+    u = float(np.sqrt(alone.inverse[-1, -1]))
+    assert fit(wrong, free=(3,), known=((0.1, u),)).time_modes[0] == pytest.approx(0.15, abs=2e-3)
+
+
+def scene() -> Array:
+    tones = np.random.default_rng(11).permutation(np.linspace(-5.0, 1.5, 140)).reshape(10, 14)
+    return np.asarray(np.kron(tones, np.ones((12, 12))))
+
+
+def colour(gamma: float, tint: float, wrong: int | None, seed: int) -> Bracket:
+    """Return photographs of the scene through a tone curve, the label of one frame too long by a third of a stop."""
+    rng, frames = np.random.default_rng(seed), []
+    for number, seconds in enumerate(TIMES):
+        share = 1.0 - np.exp(-np.exp(scene() + tint) * seconds)
+        values = 255.0 * share**gamma + 0.7 * rng.standard_normal(share.shape)
+        label = seconds * (2.0 ** (1 / 3) if number == wrong else 1.0)
+        frames.append(Frame(np.clip(np.round(values), 0, 255).astype(np.uint8), 8, FrameSettings(label)))
+    return Bracket.from_frames(frames)
+
+
+def planes_of(wrong: int | None, colours: int = 2) -> list[Plane]:
+    samples = [gather_samples(colour(0.45 + 0.1 * k, -0.7 * k, wrong, k)) for k in range(colours)]
+    return [Plane(one, curve_debevec1997(one).log_exposure) for one in samples]
+
+
+@pytest.fixture(scope="module")
+def lying() -> list[Plane]:
+    return planes_of(3)
+
+
+def test_colours_together_tell_one_label(lying: list[Plane]) -> None:
+    """Two tone curves, one wrong label: one frame with one ratio, known better than by the colour that knows it best."""
+    (label,) = find_wrong_labels(lying)
+    assert label.frame == 3
+    assert label.ratio == pytest.approx(2.0 ** (-1 / 3), abs=3.0 * label.u_ratio + 0.002)
+    joint = settle_planes(lying, (3,))
+    alone = [settle_planes([plane], (3,)) for plane in lying]
+    u = np.array([one.u_log_ratios[0] for one in alone])
+    weighted = np.average([one.log_ratios[0] for one in alone], weights=u**-2.0)
+    assert joint.log_ratios[0] == pytest.approx(weighted, abs=1e-9)
+    least = float(np.sum(u**-2.0) ** -0.5)
+    off = np.array([one.log_ratios[0] for one in alone]) - weighted
+    assert joint.u_log_ratios[0] == pytest.approx(least * max(1.0, float(np.sqrt(np.sum((off / u) ** 2)))), rel=1e-6)
+    assert [one.fit.time_modes[0] for one in joint.fits] == pytest.approx([weighted] * 2, abs=1e-9)
+
+
+def test_colours_with_right_labels_name_none_and_a_dark_one_says_nothing(lying: list[Plane]) -> None:
+    """Right labels are left alone; a colour without quadrants neither helps nor hinders."""
+    assert find_wrong_labels(planes_of(None)) == ()
+    blind = replace(lying[0], samples=replace(lying[0].samples, without_quadrant=(), quadrants=()))
+    assert find_wrong_labels([blind]) == ()
+    assert [one.frame for one in find_wrong_labels([blind, lying[1]])] == [3]
+
+
+def test_a_curve_at_given_labels_is_the_fit_with_these_labels_held(lying: list[Plane]) -> None:
+    """Moving a freed label within the fit gives the curve of a fit that holds it there."""
+    samples = lying[0].samples
+    first = fit_with(samples, lying[0].start, Choices(smoothing=1e3, free=(3,), inflation=10.0))
+    free = fit_with(samples, first.log_exposure, first.choices)
+    held = fit_with(samples, first.log_exposure, replace(first.choices, known=((-0.1, 1e-7),)))
+    moved = given_labels(free, np.array([-0.1]))
+    assert moved.relative == pytest.approx(held.relative, abs=1e-4)
+    assert moved.fit.time_modes[0] == pytest.approx(-0.1)
+
+
+def test_quadrants_of_one_plane_are_judged_as_before(lying: list[Plane]) -> None:
+    """With one plane the joint errors are those of its quadrants, one row."""
+    plane = lying[0]
+    fitted = settle(plane.samples, plane.start)
+    parts = without_quadrants([plane], JointFit.of([fitted]))
+    assert errors_of_quadrants([plane], parts)[0] == pytest.approx(error_of_quadrants(plane.samples, fitted))
+
+
+def test_estimates_of_colours_take_the_label_found_together(lying: list[Plane]) -> None:
+    """Each colour's curve comes with the same wrong label, and with the exposure that all of them tell."""
+    estimates = solve_colours_auto([plane.samples for plane in lying])
+    (together,) = find_wrong_labels(lying)
+    for estimate in estimates:
+        (label,) = estimate.details["wrong_labels"]
+        assert (label["frame"], label["ratio"]) == (together.frame, pytest.approx(together.ratio))
+        found = np.exp(estimate.details["log_time_errors"][3])
+        assert found == pytest.approx(together.ratio, abs=together.u_ratio)
