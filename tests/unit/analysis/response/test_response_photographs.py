@@ -119,7 +119,7 @@ def _wrong(bracket: Bracket) -> tuple[WrongLabel, ...]:
 
 
 def test_what_predicts_as_well_is_in_the_uncertainty(moved: ResponseEstimate) -> None:
-    """Rival fits widen u by the rms distance from the best of all, itself among them; without rivals nothing is added."""
+    """Rival fits widen u by the rms distance of all, the best among them, from the best; without rivals it stays."""
     samples = gather_samples(photographs(TIMES, (0,) * 7))
     start = curve_debevec1997(samples).log_exposure
     best = fit_with(samples, start, Choices(smoothing=1e3))

@@ -110,7 +110,7 @@ def lying() -> list[Plane]:
 
 
 def test_colours_together_tell_one_label(lying: list[Plane]) -> None:
-    """Two tone curves, one wrong label: one frame with one ratio, known better than by the colour that knows it best."""
+    """Two tone curves, one wrong label: one frame, its ratio the mean of both by u, widened where they disagree."""
     (label,) = find_wrong_labels(lying)
     assert label.frame == 3
     assert label.ratio == pytest.approx(2.0 ** (-1 / 3), abs=3.0 * label.u_ratio + 0.002)
