@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation, intercept_verdict
 from radiometer.adaptation.method_bias import method_bias
@@ -46,6 +47,24 @@ def test_its_interval_holds_the_truth():
     wild = falling()
     wild[[10, 20, 28]] -= 1.5
     assert rod_intercept(ThresholdSeries(TIMES, wild), RULE).time_min == pytest.approx(truth, abs=0.1)
+
+
+@pytest.mark.parametrize("last", [7.0, 9.0])
+def test_its_uncertainty_is_that_of_the_line_read_backwards(last):
+    """By the covariance of level and slope and their derivatives, near the middle of the window and near its end."""
+    times = np.arange(3.5, last, 0.25)
+    levels = falling(times) + 0.05 * (-1.0) ** np.arange(times.size)  # alike in size, so that each counts in full
+    found = rod_intercept(ThresholdSeries(times, levels), RULE)
+    near = np.abs(times - found.time_min) <= 3.0
+    (slope, level), covariance = np.polyfit(times[near], levels[near], 1, cov="unscaled")
+    dof = np.count_nonzero(near) - 2
+    scatter = np.sum((levels - slope * times - level)[near] ** 2) / dof
+    back = np.array([-(-2.301 - level) / slope**2, -1.0 / slope])
+    expected = float(np.sqrt(back @ covariance @ back * scatter))
+    assert found.time_min == pytest.approx((-2.301 - level) / slope)
+    assert found.u_min == pytest.approx(expected, rel=1e-3)
+    half = 0.5 * (found.interval.high - found.interval.low)
+    assert half == pytest.approx(expected * student.ppf(0.975, dof), rel=1e-3)
 
 
 def test_what_is_not_reached_has_no_time():

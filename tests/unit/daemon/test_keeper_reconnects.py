@@ -240,3 +240,41 @@ def test_states_follow_what_happens(steps: list[str]) -> None:
         await bench.keeper.close()
 
     asyncio.run(play())
+
+
+async def test_what_is_told_of_a_loss_and_of_its_end() -> None:
+    """One alarm with the reason, however often it is tried; then that the device is back, and nothing more."""
+    told: list[tuple[str, str, str]] = []
+    bench = Bench(Device(there=False))
+    bench.alarms._on_change = lambda *what: told.append(what)
+    assert not await bench.keeper.open_once()
+    assert not await bench.keeper.open_once()
+    assert [(kind, name) for kind, name, _ in told] == [("alarm", "camera")]
+    assert "nothing there" in told[0][2]
+    bench.device.there = True
+    assert await bench.keeper.open_once()
+    assert await bench.keeper.open_once()
+    assert told[1:] == [("cleared", "camera", "camera is back")]
+    await bench.keeper.close()
+
+
+def test_an_alarm_is_told_when_it_goes_up_becomes_worse_and_goes_down() -> None:
+    """Its time stays and its message is the newest; what is not up is not taken down; the oldest stands first."""
+    told: list[tuple[str, ...]] = []
+    alarms = Alarms(lambda *what: told.append(what))
+    alarms.put_up("camera", "late")
+    alarms.put_up("journal", "full")
+    since = alarms.active[0].since
+    alarms.put_up("camera", "later")
+    alarms.put_up("camera", "lost", worse=True)
+    assert [(one.name, one.message, one.announced) for one in alarms.active] == [
+        ("camera", "lost", 2), ("journal", "full", 1),
+    ]  # fmt: skip
+    assert alarms.active[0].since == since
+    alarms.clear("camera", "camera is back")
+    alarms.clear("camera", "camera is back")
+    assert told == [
+        ("alarm", "camera", "late"), ("alarm", "journal", "full"), ("alarm", "camera", "lost"),
+        ("cleared", "camera", "camera is back"),
+    ]  # fmt: skip
+    assert [one.name for one in alarms.active] == ["journal"]
