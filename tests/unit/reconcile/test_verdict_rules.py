@@ -149,6 +149,10 @@ def test_how_far_a_variance_scatters():
     photons = 0.5**4 * 40.0 / 30.0**2
     expected = np.sqrt(own + photons / np.array([[800.0], [200.0]]))
     assert scatter().variance == pytest.approx(expected, rel=1e-3)
+    bright = np.sqrt(own + 100.0 * photons / np.array([[800.0], [200.0]]))  # 12 % of the variance is theirs
+    assert scatter(signal=np.full((2, 1), 4000.0)).variance == pytest.approx(bright, rel=1e-6)
+    white = np.sqrt(own + 1.0 / np.array([[800.0], [200.0]]))  # no more than one electron's in a variance of one
+    assert scatter(signal=np.full((2, 1), 1e6)).variance == pytest.approx(white, rel=1e-6)
     pairs = np.array([[700.0], [100.0]]) * 100.0 / 99.0
     assert scatter().neighbours("width") == pytest.approx(np.sqrt(1.0 / (0.9 * pairs)))
     assert scatter().neighbours("height") == pytest.approx(np.sqrt(1.0 / (0.95 * pairs)))
