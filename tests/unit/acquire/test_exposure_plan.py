@@ -10,7 +10,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from radiometer.acquire.exposure_plan import (
-    MINIMUM_SNR,
     ExposurePlan,
     ExposureWindow,
     exposure_ladder,
@@ -35,7 +34,8 @@ def test_the_window_begins_where_signal_over_noise_reaches_its_minimum():
     """At the lowest signal the photon-transfer law gives just the minimum signal-to-noise ratio."""
     electrons = WINDOW.lowest_dn * 2.6
     noise_e = math.sqrt(electrons + 2.4**2 + 2.6**2 / 12)
-    assert electrons / noise_e == pytest.approx(MINIMUM_SNR, rel=1e-9)
+    assert electrons / noise_e == pytest.approx(10.0, rel=1e-9)
+    assert WINDOW.highest_dn == pytest.approx(0.88 * min(4095 - 64, WINDOW.clipping_dn))
 
 
 def test_the_window_ends_below_the_earlier_of_full_well_and_converter():

@@ -10,7 +10,7 @@ import pytest
 
 from radiometer.acquire.light_levels import LevelSurvey, Measured, SpectralCorrection, assemble, plan_levels
 from radiometer.data import Contribution, Patch, Quantity, Reading
-from radiometer.devices.light_box import ChannelCapabilities, CurrentRange, DriveLevel
+from radiometer.devices.light_box import ChannelCapabilities, ChannelMode, ChannelState, CurrentRange, DriveLevel
 from radiometer.errors import MeasurementError
 
 CHANNEL = ChannelCapabilities("spot", 460.0, 4096, 1000.0, {CurrentRange.LOW: 65535, CurrentRange.HIGH: 30000})
@@ -99,3 +99,52 @@ def test_levels_are_spread_evenly_in_the_logarithm_up_to_the_limit():
         assert max(own) <= top
         assert max(b / a for a, b in itertools.pairwise(own)) < 10 ** (1 / 4) * 1.05
         assert len(set(own)) == len(own)
+
+
+class LinearBox:
+    """A box of one channel: 0.001 W·sr⁻¹·m⁻² per level in the high range, a hundredth of it in the low one."""
+
+    def __init__(self, mode=ChannelMode.STEADY):
+        self.channels, self.drive, self.mode = {"spot": CHANNEL}, DriveLevel(9000), mode
+        self.waited = 0.0
+
+    def safe(self):
+        self.drive = None
+
+    def set_level(self, channel, level):
+        self.drive = level
+
+    def read_channel(self, channel):
+        return ChannelState(channel, self.mode, self.drive or DriveLevel(0), 4096, 1.0)
+
+    def wait(self, seconds):
+        self.waited += seconds
+
+    def measure(self):
+        """Return what stands in a room that is lit by 2 W·sr⁻¹·m⁻² besides."""
+        own = 0.0 if self.drive is None else self.drive.level * 1e-3
+        part = 0.01 if self.drive is not None and self.drive.current_range is CurrentRange.LOW else 1.0
+        return reading(2.0 + own * part, noise=1e-6)
+
+
+def survey_of(box):
+    return LevelSurvey(box, box.measure, box.wait, np.random.default_rng(1), points_per_decade=1.0)
+
+
+def test_a_survey_begins_and_ends_in_the_dark():
+    """A box that was lit is darkened for the dark reading; every level has its light; afterwards none is left."""
+    box = LinearBox()
+    found = survey_of(box).survey("spot", SpectralCorrection(2.0))
+    assert box.drive is None
+    for point in found.points:
+        part = 0.01 if point.current_range == "low" else 1.0
+        assert point.radiance_W_per_sr_m2 == pytest.approx(2.0 * point.level * 1e-3 * part, rel=1e-6)
+    assert {point.current_range for point in found.points} == {"low", "high"}
+    assert found.drift_u_rel == pytest.approx(0.0, abs=1e-9)
+    assert box.waited >= 20.0 * len(found.points)
+
+
+def test_a_channel_that_the_box_ended_is_no_level():
+    """Its energy budget is used up: what was read is no light of that level, and the way out is told."""
+    with pytest.raises(MeasurementError, match="ten minutes"):
+        survey_of(LinearBox(ChannelMode.OFF)).survey("spot", SpectralCorrection())

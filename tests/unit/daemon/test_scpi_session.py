@@ -11,6 +11,7 @@ import pytest
 
 from radiometer.daemon.limits import is_allowed, parse_networks
 from radiometer.daemon.scpi.errors import ScpiError
+from radiometer.daemon.scpi.server import ScpiConnection, ScpiServer
 from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.scpi.table import command_table
 from radiometer.data import Flag
@@ -197,3 +198,20 @@ async def test_full_light_is_one(session, box):
     await ask(session, "SOUR:LED1:LEV DEF;:SOUR:LED2:LEV MIN;:SOUR:LED1:LEV 1.01")
     assert box.levels == {"white": 0.0, "red": 0.0}
     assert "outside 0 to 1 pct" in await ask(session, "SYST:ERR?")
+
+
+async def test_a_connection_that_is_lost_leaves_nothing_waiting(station):
+    """Its timers are cancelled, those that there are, its measurement is given up, and its place is free again."""
+    server = ScpiServer(station)
+    connection = ScpiConnection(server)
+    connection.session = Session(station, TABLE)
+    task = connection.session.start()
+    server.connections.add(connection)
+    server.places.enter(connection, "127.0.0.1")
+    timers = [asyncio.get_running_loop().call_later(1e6, print) for _ in range(2)]
+    connection._timer, connection._idle_timer = timers
+    connection.connection_lost(None)
+    assert [timer.cancelled() for timer in timers] == [True, True]
+    assert (len(server.connections), len(server.places), connection.session.pending) == (0, 0, None)
+    with pytest.raises(asyncio.CancelledError):
+        await task
