@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, Final, Literal
 
 import cv2
@@ -103,7 +104,16 @@ def _table(path: Path) -> NDArray[np.generic]:
     """Return a NumPy array no larger than what a picture may be; a header that states more is not followed."""
     try:
         stated = np.load(path, mmap_mode="r", allow_pickle=False)  # maps the file; reads no value
-    except (EOFError, SyntaxError, TypeError, KeyError, OverflowError, MemoryError) as error:
+    except (
+        EOFError,
+        SyntaxError,
+        TokenError,
+        TypeError,
+        LookupError,
+        OverflowError,
+        MemoryError,
+        RecursionError,
+    ) as error:
         raise ValueError(f"its header is damaged ({error})") from error
     if not isinstance(stated, np.ndarray):
         raise ValueError("it holds several arrays")

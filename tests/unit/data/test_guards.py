@@ -70,6 +70,8 @@ def test_a_scene_that_is_no_picture_is_refused_in_one_line(tmp_path: Path) -> No
     with (tmp_path / "huge.npy").open("wb") as stream:
         np.lib.format.write_array_header_1_0(stream, {"descr": "<f4", "fortran_order": False, "shape": (2**20, 2**20)})
     np.save(tmp_path / "none.npy", np.zeros((0, 3)))
+    whole = (tmp_path / "words.npy").read_bytes()
+    (tmp_path / "open.npy").write_bytes(whole.replace(b"}", b" "))  # a brace that is never closed
     (tmp_path / "text.exr").write_bytes(b"v/1\x01 but no more")
     (tmp_path / "text.png").write_bytes(b"no picture")
     for path in sorted(tmp_path.iterdir()):
