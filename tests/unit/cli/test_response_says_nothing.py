@@ -1,0 +1,60 @@
+"""`radiometer response`: a curve that says nothing is an error, never a file."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from radiometer.analysis.response.estimate import ResponseEstimate
+from radiometer.cli.main import run
+from radiometer.cli.response import _telling
+from radiometer.data import ResponseCurve
+from radiometer.errors import MeasurementError
+
+
+def photographs(folder, times_s, picture):
+    """Write one picture per exposure time, and the list of the times."""
+    folder.mkdir()
+    for index in range(len(times_s)):
+        Image.fromarray(picture(index)).save(folder / f"{index}.png")
+    (folder / "exposures.txt").write_text("".join(f"{i}.png {t}\n" for i, t in enumerate(times_s)))
+    return folder
+
+
+@pytest.mark.parametrize("method", ["auto", "mitsunaga1999"])
+def test_frames_that_all_look_alike_give_no_curve(tmp_path, capsys, method):
+    """The same ramp at four times a stop apart: refused in one line, exit code 1, and nothing is written."""
+    rng = np.random.default_rng(1)
+    ramp = np.linspace(10.0, 240.0, 96)[None, :].repeat(72, axis=0)
+
+    def alike(index):
+        return np.clip(np.rint(ramp + rng.normal(0.0, 0.5, ramp.shape)), 0, 255).astype(np.uint8)
+
+    folder = photographs(tmp_path / "alike", (0.01, 0.02, 0.04, 0.08), alike)
+    assert run(["response", str(folder), "--method", method, "-o", str(tmp_path / "curve.yaml")]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert "Traceback" not in said
+    assert not (tmp_path / "curve.yaml").exists()
+
+
+def estimate(stops, u):
+    """Return an estimate whose curve spans so many stops, ln H known to u."""
+    curve = ResponseCurve(np.linspace(0.0, stops * np.log(2.0), 256), np.full(256, u), valid_dn=(0, 255))
+    return ResponseEstimate(curve, "auto", 1, 1, 1, 0.0, 0.0, None, np.ones(1), np.zeros(1), "a gauge")
+
+
+@pytest.mark.parametrize(("stops", "u", "refused"), [(0.05, 0.01, True), (5.0, 1.2, True), (5.0, 0.9, False)])
+def test_no_range_or_no_factor_of_e_is_refused(stops, u, refused):
+    """A twentieth of a stop is no curve; neither is one known to a factor of 3; the message says both figures."""
+    bracket = SimpleNamespace(origin="photos")
+    if not refused:
+        assert _telling(estimate(stops, u), bracket).curve.log_exposure[-1] > 0.0
+        return
+    with pytest.raises(
+        MeasurementError, match=rf"photos: no response .* {stops:.3g} stops of exposure, ln H known to {u:.2g}"
+    ):
+        _telling(estimate(stops, u), bracket)
