@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,8 @@ def shared_data() -> Path:
 
 # What waits for real devices, ports or processes in real time is not run beside itself.
 REAL_TIME = ("tests/contract", "tests/protocol")
+# What takes long to make and serves all files of a folder: the compiled firmware.
+TOGETHER = ("tests/unit/firmware",)
 # Folders whose tests need no process, no browser and no real time: the fast tier, less what is marked slow.
 FAST = ("tests/unit", "tests/style")
 # Whole round trips through simulated worlds: beside what is marked so (soaks, studies of coverage, documents followed
@@ -48,23 +51,27 @@ FAST = ("tests/unit", "tests/style")
 LONG = ("tests/roundtrip",)
 
 
-def pytest_configure() -> None:
-    """Collect no garbage while thousands of tests are found: next to nothing of what is made then is ever dropped."""
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[object]:
+    """Leave what lives to the end, modules and thousands of tests, out of every later collection of garbage.
+
+    None is collected while they are found, for next to nothing of what is made then is ever dropped.
+    """
     gc.disable()
-
-
-def pytest_collection_finish() -> None:
-    """Leave what lives to the end out of every later collection: walking it took a third of the fast tier's time."""
-    gc.collect()
-    gc.freeze()
-    gc.enable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep the tests of a file in one worker, for they share fixtures, and those of real time together."""
+    """Keep the tests of a file, or of a few folders, in one worker, for they share fixtures; so those of real time."""
     for item in items:
         file = item.path.relative_to(PROJECT_ROOT).as_posix()
-        group = "real-time" if file.startswith(REAL_TIME) else file
+        together = next((folder for folder in TOGETHER if file.startswith(folder)), file)
+        group = "real-time" if file.startswith(REAL_TIME) else together
         item.add_marker(pytest.mark.xdist_group(group))
         if file.startswith(LONG):
             item.add_marker(pytest.mark.long)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from radiometer.adaptation.journal import Event, Journal
 from radiometer.adaptation.live import LiveState, running_fit
 from radiometer.adaptation.prompts import Prompter, prompts_after
 from radiometer.adaptation.protocol import read_protocol
-from radiometer.cli.adapt_live import live_lines
+from radiometer.cli.adapt_live import _Terminal, live_curve, live_lines
 from radiometer.cli.terminal_chart import TerminalChart
 from simulators.subject import SubjectCurve
 
@@ -155,3 +156,59 @@ def test_lost_fixation_is_announced_until_a_light_in_the_blind_spot_is_missed(st
     assert "fixation lost 2/2   lapses 1/1   FIXATION LOST" in "\n".join(live_lines(state, running_fit([]), 60))
     state.take(_event("trial", 430.0, of="blind_spot", seen=False, **look))
     assert not state.to_mapping()["fixation_lost"]
+
+
+@pytest.mark.parametrize(
+    ("event", "line"),
+    [
+        (_event("check", 0, what="limits"), "checked: the box's limits"),
+        (
+            _event("check", 0, what="exposure", blue_light=0.012, thermal=0.0034),
+            "checked: 1.2 % of the blue-light limit, 0.34 % of the thermal one",
+        ),
+        (
+            _event("check", 0, what="calibration", of="box", age_days=400.2, accepted_stale=True),
+            "checked: calibration of box, 400 days old, older than the protocol allows: accepted",
+        ),
+        (_event("check", 0, what="calibration", of="screen"), "checked: calibration of screen"),
+        (_event("room", 0, luminance_cd_m2=0.0021, u_cd_m2=0.0003), "dark room: (0.0021 ± 0.0006) cd/m² (k = 2)"),
+        (_event("room", 0, luminance_cd_m2=None, u_cd_m2=None), ""),
+        (_event("refused", 0), "refused: nothing was shown"),
+        (_event("bleach", 0), "bleach: look at the bright field"),
+        (_event("dark", 0), "dark: look at the red mark and press whenever the spot is seen"),
+        (_event("pause", 0, by="page"), "pause by page"),
+        (_event("resume", 0), "resume by operator"),
+        (
+            _event("fixation", 0, lost=3, of=4),
+            "FIXATION LOST (3 of the last 4 checks): look at the red mark",
+        ),
+        (_event("stage", 0, no_fixation_check="no second spot"), "fixation is not checked: no second spot"),
+        (_event("stage", 0), ""),
+        (_event("trial", 0, of="blind_spot", seen=False), "blind spot: rightly not seen"),
+        (_event("trial", 0, of="blind_spot", seen=True), "blind spot: seen"),
+        (_event("trial", 0, of="bright", seen=False), "bright spot: missed"),
+        (_event("trial", 0, of="bright", seen=True), "bright spot: seen"),
+        (_trial(130, None, catch=True, false=True), "catch: pressed"),
+        (_trial(130, None, catch=True), "catch: rightly not pressed"),
+        (_trial(180, None), "1.00 min not seen"),
+        (_trial(180, None, false=True), "1.00 min pressed too early"),
+        (_trial(180, -5.1), f"1.00 min -5.10 log scotopic cd/m² {'▪' * 2}"),
+        (_trial(180, -6.0), "1.00 min -6.00 log scotopic cd/m²"),
+    ],
+)
+def test_without_a_terminal_each_event_is_a_line(event: Event, line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is told to a pipe or a log: checks with figures, phases, trials with minutes and threshold; else nothing."""
+    with live_curve(read_protocol("classic"), []) as tell:
+        tell(event)
+    assert " ".join(capsys.readouterr().out.split()) == line
+
+
+def test_the_terminal_shows_the_running_curve() -> None:
+    """In a terminal what the journal held counts too: phase, time in the dark, and the counts of points."""
+    known = [_event("start", 0.0, subject="S1"), _event("bleach", 0.1), _event("dark", 120.0)]
+    screen = _Terminal(read_protocol("classic"))
+    for event in (*known, _trial(150, -1.0), _trial(180, -1.5), _trial(200, None)):
+        screen.take(event)
+    shown = str(screen.render())
+    assert re.search(r"^1:\d\d in the dark   look at the red mark\n", shown)
+    assert "2 thresholds   1 not seen   0 catches   0 false presses" in shown

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -150,6 +151,17 @@ def test_the_command_prints_one_object(archive, capsys):
     assert camera["camera"] == "CCD"
     assert camera["dark_law"]["one_law"] is True
     assert camera["dark_law"]["doubling_K"]["unit"] == "K"
+
+
+def test_the_command_tells_people_the_same(archive, capsys):
+    """Sessions by date, the law of the dark current, the stated gain, and each figure as changed or not."""
+    assert run(["passport", str(archive)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "CCD: " in said
+    assert re.search(r"dark current doubles per \([\d.]+ ± [\d.]+\) K \(k = 2\), \S+ DN/s at 0 °C", said)
+    assert ": one law" in said
+    assert "gain: " in said
+    assert re.search(r"K: unchanged \(", said)
 
 
 def test_an_archive_without_sessions(tmp_path):

@@ -1,0 +1,107 @@
+"""The commands over archives as a user meets them: tables, sentences, what failed, and the ways out."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from radiometer.cli.main import run
+
+HEAD = "captured,quantity,patch,value,u,unit,status\n"
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Return a table of a patch that falls by 1 % per month and one that stays, half a year of every other day."""
+    rng = np.random.default_rng(1)
+    path = tmp_path / "results.csv"
+    rows = []
+    for day in range(0, 180, 2):
+        for patch, per_month in (("lamp", -0.01), ("wall", 0.0)):
+            value = 0.8 * (1 + per_month * day / 30.436875 + 0.002 * rng.standard_normal())
+            rows.append(f"{1.7e9 + 86400.0 * day},radiance,{patch},{value:.6f},0.004,W sr-1 m-2,ok\n")
+    path.write_text(HEAD + "".join(rows), encoding="utf-8")
+    return path
+
+
+def test_trend_says_what_drifts_and_what_does_not(table, capsys):
+    """One sentence for each patch, with the drift in per cent per month and its U."""
+    assert run(["trend", str(table)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    found = re.search(r"lamp: radiance drifts: \((-[\d.]+) ± ([\d.]+)\) % per month \(k = 2\) over 90 readings", said)
+    assert found, said
+    # Relative to the level in the middle of the record, which is 3 % lower than the first.
+    assert abs(float(found[1]) + 1.0 / 0.97) < 1.5 * float(found[2])
+    assert "wall: radiance no drift shown: (" in said
+
+
+def test_trend_gives_json_and_a_report(table, tmp_path, capsys):
+    """--json holds what the sentences say; --report writes a page that opens with the outcome."""
+    page = tmp_path / "trend.html"
+    assert run(["trend", str(table), "--json", "--report", str(page)]) == 0
+    trends = json.loads(capsys.readouterr().out)["trends"]
+    assert {trend["patch"]: trend["drifts"] for trend in trends} == {"lamp": True, "wall": False}
+    (sentence,) = re.findall(r"<p class='outcome'>(.*?)</p>", page.read_text(encoding="utf-8"))
+    assert re.match(r"1 of 2 patches drift.* lamp", sentence)
+    assert run(["trend", str(table), "--report", str(page)]) == 0
+    assert f"report: {page}" in capsys.readouterr().err.replace("\n", "")
+
+
+def test_trend_of_a_quantity_that_is_not_there(table, capsys):
+    """One line with the file, the quantity and what to do."""
+    assert run(["trend", str(table), "--quantity", "luminance"]) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert "holds no dated 'luminance' rows that succeeded; run `radiometer batch` first" in said
+    assert "Traceback" not in said
+
+
+def test_batch_names_what_failed_and_what_was_left_out(make_archive, tmp_path, capsys):
+    """A damaged capture set is a row and a line; one without a header is left out by name; the rest is done."""
+    root = make_archive(3)
+    os.truncate(root / "day-0001" / "frames" / "0001.png", 40)
+    shutil.copytree(root / "day-0000" / "frames", root / "broken-off" / "frames")
+    assert run(["batch", str(root), "-o", str(tmp_path / "results.csv"), "--json"]) == 1
+    told = capsys.readouterr()
+    summary = json.loads(told.out)
+    assert (summary["done"], summary["rows_in_table"], len(summary["failures"])) == (3, 3, 1)
+    assert [path.rsplit("/", 1)[-1] for path in summary["unfinished"]] == ["broken-off"]
+    said = told.err.replace("\n", "")
+    assert re.search(r"left out: \S*broken-off holds frames but no capture.yaml", said)
+    assert re.search(r"failed: \S*day-0001: ", said)
+    assert list(pd.read_csv(tmp_path / "results.csv")["status"]) == ["ok", "failed", "ok"]
+
+
+def test_batch_measures_the_region_that_is_asked_for_once(make_archive, tmp_path, capsys):
+    """--patch reads that region; the same words again do nothing, other words do all anew."""
+    root, table = make_archive(2), tmp_path / "results.csv"
+    words = ["batch", str(root), "-o", str(table), "--patch", "0,0,8,8"]
+    assert run(words) == 0
+    assert "2 rows; 2 done, 0 as before" in " ".join(capsys.readouterr().err.split())
+    assert run(words) == 0
+    assert "2 rows; 0 done, 2 as before" in " ".join(capsys.readouterr().err.split())
+    assert run([*words[:-1], "4,4,8,8"]) == 0
+    assert "2 done, 0 as before" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--do", "guess"], "--do 'guess': there is no such job; there are "),
+        (["--patch", "1,2"], "X,Y,W,H"),
+        (["--do", "measure", "--calibration", "none.yaml"], "none.yaml"),
+    ],
+)
+def test_batch_refuses_what_it_cannot_do(make_archive, tmp_path, capsys, words, message):
+    """A job, a region or a calibration that is none: a clear line, and no table of successes."""
+    table = tmp_path / "results.csv"
+    assert run(["batch", str(make_archive(1)), "-o", str(table), *words]) != 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert message in said
+    assert "Traceback" not in said
+    assert not table.exists() or "ok" not in list(pd.read_csv(table)["status"])
