@@ -15,6 +15,8 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
+from tests.patience import within
+
 ROOT = Path(__file__).resolve().parents[1]
 _SMALL_BENCH = """\
 format: radiometer-bench/1
@@ -68,7 +70,7 @@ class DaemonProcess:
         self.process = subprocess.Popen(self._command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
         ready = threading.Event()
         threading.Thread(target=self._read, args=(self.process, ready), daemon=True).start()
-        if not ready.wait(deadline_s):
+        if not ready.wait(within(deadline_s)):
             raise RuntimeError("the daemon did not come up:\n" + "\n".join(self.lines))
         if self.process.poll() is not None:
             raise RuntimeError("the daemon ended:\n" + "\n".join(self.lines))
@@ -97,7 +99,7 @@ class DaemonProcess:
         if self.process.poll() is None:
             self.process.send_signal(number)
         try:
-            return self.process.wait(deadline_s)
+            return self.process.wait(within(deadline_s))
         except subprocess.TimeoutExpired:
             self.process.kill()
             raise
@@ -111,7 +113,7 @@ class DaemonProcess:
 
     def get(self, path: str) -> Any:
         """Return the JSON of a path."""
-        with urllib.request.urlopen(self.url + path, timeout=20) as reply:
+        with urllib.request.urlopen(self.url + path, timeout=within(20)) as reply:
             return json.load(reply)
 
     def post(self, path: str, body: dict[str, Any]) -> Any:
@@ -119,18 +121,18 @@ class DaemonProcess:
         request = urllib.request.Request(
             self.url + path, json.dumps(body).encode(), {"Content-Type": "application/json"}
         )
-        with urllib.request.urlopen(request, timeout=60) as reply:
+        with urllib.request.urlopen(request, timeout=within(60)) as reply:
             return json.load(reply)
 
     def ask(self, message: str) -> str:
         """Return the reply to one SCPI message over a connection of its own."""
-        with socket.create_connection(("127.0.0.1", self.scpi_port), timeout=20) as line:
+        with socket.create_connection(("127.0.0.1", self.scpi_port), timeout=within(20)) as line:
             line.sendall(message.encode() + b"\n")
             return line.makefile("rb").readline().decode().rstrip("\n")
 
     def wait_for_reading(self, deadline_s: float = 30.0) -> None:
         """Return once a reading can be had."""
-        give_up = time.monotonic() + deadline_s
+        give_up = time.monotonic() + within(deadline_s)
         while not self.get("/readings?limit=1"):
             if time.monotonic() > give_up:
                 raise RuntimeError("no reading:\n" + "\n".join(self.lines))

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from radiometer.cli.logging_setup import configure_logging
+from tests.patience import queue
 
 PROJECT_ROOT = Path(__file__).resolve().parents[1]
 # A shell's background job ignores Ctrl-C, and so would every program that a test starts and ends by it.
@@ -38,6 +39,16 @@ def shared_data() -> Path:
     if folder is None:
         pytest.skip("the real measurements (../shared/data) are not on this machine")
     return folder
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[object]:
+    """Give each test as many times its limit as there is work waiting for a core: the limit is for what hangs."""
+    if (waiting := queue()) > 1.0:
+        marker = item.get_closest_marker("timeout")
+        limit_s = float(marker.args[0] if marker else item.config.getini("timeout"))
+        item.add_marker(pytest.mark.timeout(waiting * limit_s), append=False)
+    return (yield)
 
 
 # What waits for real devices, ports or processes in real time is not run beside itself.

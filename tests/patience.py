@@ -16,8 +16,12 @@ def slowness() -> float:
     while time.process_time() - worked < 0.01:
         total += sum(range(500))
     waited = (time.monotonic() - begun) / 0.01
-    queue = os.getloadavg()[0] / (os.cpu_count() or 1)
-    return max(1.0, waited, queue)
+    return max(1.0, waited, queue())
+
+
+def queue() -> float:
+    """Return how many processes share a core just now, by the mean of the last minute."""
+    return os.getloadavg()[0] / (os.cpu_count() or 1)
 
 
 def within(seconds: float) -> float:

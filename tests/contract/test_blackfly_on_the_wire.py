@@ -203,7 +203,12 @@ def test_another_program_that_holds_the_camera_is_told_from_its_absence(blackfly
             "except DeviceInUse as error:\n    print('in use:', error)\n"
         )
         done = subprocess.run(
-            [sys.executable, "-c", script], cwd=project_root, capture_output=True, text=True, timeout=60, check=True
+            [sys.executable, "-c", script],
+            cwd=project_root,
+            capture_output=True,
+            text=True,
+            timeout=within(60),
+            check=True,
         )
     assert "in use: camera FLIR BFS-U3-19S4M 22500077 is in use by another program" in done.stdout
 
@@ -224,7 +229,7 @@ def test_other_genicam_programs_see_it(blackfly):
         [tool, "-a", LOOPBACK, "control", "ExposureTime=2500", "DeviceSerialNumber", "BlackLevel"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=within(60),
         check=True,
     )
     assert "ExposureTime = 2500 us" in done.stdout

@@ -93,7 +93,7 @@ def test_a_camera_killed_in_mid_bracket_leaves_nothing_behind(serve, bench, tmp_
     assert time.monotonic() - start < within(40.0)
     assert "22500078 stopped answering" in capsys.readouterr().err
     assert not capture.exists()
-    camera.wait(timeout=20)
+    camera.wait(timeout=within(20))
     serve()
     assert run(words) == 0
 
@@ -138,7 +138,7 @@ def test_every_camera_is_found_by_its_serial_number(serve, bench, project_root):
     if shutil.which("unshare") is None or shutil.which("ip") is None:
         pytest.skip("no network of one's own without unshare and ip: apt install util-linux iproute2")
     isolated = ["unshare", "--net", "--map-root-user", sys.executable, "-c", script]
-    done = subprocess.run(isolated, cwd=project_root, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(isolated, cwd=project_root, capture_output=True, text=True, timeout=within(60), check=False)
     if "unshare" in done.stderr:
         pytest.skip(f"no network of one's own on this computer: {done.stderr.strip()}")
     assert done.stdout.strip() == "FLIR-BFS-U3-19S4M-22500078 GigEVision 127.0.0.1", done.stderr

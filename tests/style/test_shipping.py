@@ -19,6 +19,7 @@ import pytest
 
 from radiometer.cli.command_tree import command_tree
 from radiometer.cli.man import manual_page
+from tests.patience import within
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -133,5 +134,5 @@ def test_the_health_check_asks_the_daemon(status, healthy):
     with http.server.HTTPServer(("127.0.0.1", 0), Answer) as server:
         threading.Thread(target=server.handle_request, daemon=True).start()
         code = words[2].replace(":8080", f":{server.server_address[1]}")
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, timeout=60)
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, timeout=within(60))
     assert (done.returncode == 0) == healthy

@@ -18,6 +18,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.patience import within
+
 _CHROMIUM_FLAGS = (
     "headless",
     "no-sandbox",
@@ -59,7 +61,7 @@ class Browser:
 
     async def wait_for(self, expression: str, deadline_s: float = 20.0) -> Any:
         """Return the value of an expression once it is true."""
-        async with asyncio.timeout(deadline_s):
+        async with asyncio.timeout(within(deadline_s)):
             while not (value := await self.evaluate(expression)):
                 await asyncio.sleep(0.1)
             return value

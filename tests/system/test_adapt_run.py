@@ -12,11 +12,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import within
+
 PROGRAM = [sys.executable, "-m", "radiometer", "adapt", "run", "quick", "--subject", "S1", "--seed", "5"]
 
 
 def _run(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*PROGRAM, *words], cwd=cwd, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run([*PROGRAM, *words], cwd=cwd, capture_output=True, text=True, timeout=within(120), check=False)
 
 
 @pytest.fixture
@@ -37,7 +39,7 @@ def test_killed_run_taken_up_has_the_same_events(tmp_path: Path, devices: list[s
     journal = tmp_path / "broken.jsonl"
     words = [*PROGRAM, "--simulate", "steady", *devices, "--slow", "60", "-o", str(journal)]
     victim = subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + 100
+    deadline = time.monotonic() + within(100)
     while (not journal.exists() or b'"kind": "trial"' not in journal.read_bytes()) and time.monotonic() < deadline:
         time.sleep(0.02)
     os.kill(victim.pid, signal.SIGKILL)
@@ -68,7 +70,7 @@ def test_other_subjects_journal_is_misuse(tmp_path: Path) -> None:
     assert _run("--simulate", "steady", "-o", "j", cwd=tmp_path).returncode == 0
     wrong = subprocess.run(
         [*PROGRAM[:-4], "--subject", "S2", "--seed", "5", "--simulate", "steady", "-o", "j"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
+        cwd=tmp_path, capture_output=True, text=True, timeout=within(120), check=False,
     )  # fmt: skip
     assert wrong.returncode == 2
     assert [line for line in wrong.stderr.splitlines() if line.startswith("error:")] == wrong.stderr.splitlines()[1:]

@@ -32,6 +32,7 @@ from radiometer.screen.calibration_run import Options, calibrate_screen
 from radiometer.screen.stimulus import Picture, Viewing
 from simulators.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
 from simulators.observer import PRIMARY_NM, Habits, Observer
+from tests.patience import within
 from tests.system.chromium import Browser, headless
 
 LEVELS = (0, 1, 2, 4, 8, 16, 32, 64, 128, 192, 255)
@@ -135,7 +136,7 @@ def test_command_runs_it_and_journals_the_prompts(oled: Path, tmp_path: Path, pr
     words = ["adapt", "run", "screen-only", "--subject", "S1", "--screen", str(oled), "--display", "oled"]
     done = subprocess.run(
         [sys.executable, "-m", "radiometer", *words, "--simulate", "steady", "--audio", "--json", "--page"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=150, check=False,
+        cwd=tmp_path, capture_output=True, text=True, timeout=within(150), check=False,
         env={**os.environ, "PYTHONPATH": str(project_root)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -18,6 +18,7 @@ import pytest
 from PIL import Image
 
 from benchmarks._daemon import DaemonProcess
+from tests.patience import within
 from tests.system.chromium import Browser, headless
 
 BRIGHT, DIM = 0.918, 0.1997  # radiance of the two patches of the small bench, W sr-1 m-2
@@ -52,7 +53,10 @@ def test_pyvisa_reads_values_settings_and_blocks(daemon: DaemonProcess) -> None:
     pytest.importorskip("pyvisa_py")
     manager = pyvisa.ResourceManager("@py")
     instrument = manager.open_resource(
-        f"TCPIP::127.0.0.1::{daemon.scpi_port}::SOCKET", read_termination="\n", write_termination="\n", timeout=10_000
+        f"TCPIP::127.0.0.1::{daemon.scpi_port}::SOCKET",
+        read_termination="\n",
+        write_termination="\n",
+        timeout=within(10_000),
     )
     assert instrument.query("*IDN?").startswith("FLIR,BFS-U3-19S4M,22500001,")
     value, u = instrument.query_ascii_values("MEAS:RAD? 100,30,20,20")
@@ -72,7 +76,7 @@ def test_pyvisa_reads_values_settings_and_blocks(daemon: DaemonProcess) -> None:
 def test_lxi_tools_talk_scpi(daemon: DaemonProcess) -> None:
     """`lxi scpi --raw` prints the reply."""
     command = [_need("lxi"), "scpi", "--raw", "--address", "127.0.0.1", "--port", str(daemon.scpi_port), "MEAS:RAD?"]
-    reply = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True).stdout
+    reply = subprocess.run(command, capture_output=True, text=True, timeout=within(30), check=True).stdout
     value, u = map(float, reply.split(","))
     assert abs(value - BRIGHT) < 4 * u
 
@@ -104,7 +108,7 @@ def test_curl_posts_a_measurement(daemon: DaemonProcess) -> None:
     """POST /measure with a patch of its own."""
     body = '{"patch": {"x": 100, "y": 30, "width": 20, "height": 20}}'
     command = [_need("curl"), "-sS", "-f", "--json", body, f"{daemon.url}/measure"]
-    reading = json.loads(subprocess.run(command, capture_output=True, check=True, timeout=30).stdout)
+    reading = json.loads(subprocess.run(command, capture_output=True, check=True, timeout=within(30)).stdout)
     assert abs(reading["radiance"]["value"] - DIM) < 4 * reading["radiance"]["u"]
 
 

@@ -70,7 +70,7 @@ class Subscriber:
 
 
 async def _until(condition: Any, deadline_s: float = 60.0) -> None:
-    async with asyncio.timeout(deadline_s):
+    async with asyncio.timeout(within(deadline_s)):
         while not condition():
             await asyncio.sleep(0.05)
 

@@ -27,7 +27,7 @@ def test_three_thousand_hostile_messages() -> None:
     assert result.memory_mb[-1] - result.memory_mb[0] < 40
 
 
-@settings(max_examples=400, deadline=1000)
+@settings(max_examples=400, deadline=None)
 @given(
     st.one_of(
         _MESSY, st.tuples(_EXAMPLES, _MESSY, st.integers(0, 40)).map(lambda t: t[0][: t[2]] + t[1] + t[0][t[2] :])
@@ -46,7 +46,7 @@ def test_the_lexer_takes_any_text(message: str) -> None:
         assert number in (0, -113)
 
 
-@settings(max_examples=300, deadline=1000)
+@settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=80), st.data())
 def test_framing_never_ends_before_the_newline(content: bytes, data: st.DataObject) -> None:
     """The end of a message is at or after the newline that was found."""

@@ -49,7 +49,7 @@ def test_wrong_options_are_refused(arguments: list[str], code: int, message: str
     """One line says what is wrong; the exit code tells misuse from failure."""
     command = [sys.executable, "-m", "radiometer", "serve", "--journal", str(tmp_path / "j.sqlite"), "--scpi-port", "0",
                "--http-port", "0", *arguments]  # fmt: skip
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=within(60))
     assert done.returncode == code
     assert message in done.stderr
     assert "Traceback" not in done.stderr
@@ -60,7 +60,7 @@ def test_a_port_that_is_taken_is_named(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = str(other.getsockname()[1])
         command = [sys.executable, "-m", "radiometer", "serve", "--journal", str(tmp_path / "j"), "--scpi-port", port]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=within(60))
     assert done.returncode == 1
     assert f"127.0.0.1:{port}" in done.stderr
 
@@ -136,7 +136,7 @@ def test_log_queries_exports_and_plots(tmp_path: Path) -> None:
 def test_log_without_a_journal_says_so(tmp_path: Path) -> None:
     """Exit code 1 and the way out."""
     command = [sys.executable, "-m", "radiometer", "log", str(tmp_path / "none.sqlite")]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=within(60))
     assert done.returncode == 1
     assert "radiometer serve" in done.stderr
 
@@ -146,7 +146,7 @@ def test_systemd_is_told(tmp_path: Path) -> None:
     path = tmp_path / "notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
         channel.bind(str(path))
-        channel.settimeout(30)
+        channel.settimeout(within(30))
         bench = write_small_bench(tmp_path)
         command = [sys.executable, "-m", "radiometer", "serve", "--journal", str(tmp_path / "j"), "--scpi-port", "0",
                    "--http-port", "0", "--bench", str(bench)]  # fmt: skip
@@ -164,7 +164,7 @@ def test_systemd_is_told(tmp_path: Path) -> None:
 
 def _log(daemon: DaemonProcess, *arguments: str) -> str:
     command = [sys.executable, "-m", "radiometer", "log", str(daemon.journal), *arguments]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=True).stdout
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=within(60), check=True).stdout
 
 
 def _until(condition: object, deadline_s: float = 30.0) -> None:

@@ -15,6 +15,7 @@ import pytest
 
 from radiometer.bench.boxes import open_light_box
 from radiometer.cli.main import run
+from tests.patience import within
 
 
 @pytest.fixture
@@ -35,7 +36,7 @@ def served(surroundings: dict[str, str], project_root: Path) -> Iterator[str]:
     assert process.stdout is not None
     yield process.stdout.readline().decode().strip()
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=20)
+    out, err = process.communicate(timeout=within(20))
     assert process.returncode == 0, err.decode()
     assert out == b""
 

@@ -19,6 +19,7 @@ from PIL import Image
 
 from radiometer.devices import DisplayPatch
 from radiometer.screen.browser_display import BrowserDisplay
+from tests.patience import within
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = (
@@ -65,7 +66,7 @@ def test_every_level_is_acknowledged_with_its_own_pixels(browser: tuple[BrowserD
 async def _screenshot(profile: Path) -> np.ndarray:
     """Return what the browser composes for its screen, by its own debugging protocol."""
     port = (profile / "DevToolsActivePort").read_text().split()[0]
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=10) as answer:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=within(10)) as answer:
         page = next(t for t in json.load(answer) if t["type"] == "page")
     async with (
         aiohttp.ClientSession() as session,

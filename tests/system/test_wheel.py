@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import within
+
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("wheel")]
 
 LARGEST_BYTES = 2_000_000
@@ -63,7 +65,9 @@ def test_the_installed_program_measures_from_any_folder(installed, tmp_path):
     env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     env |= {"PYTHONPATH": str(installed), "HOME": str(tmp_path)}
     words = [sys.executable, str(installed / "bin" / "radiometer"), "measure", "--json"]
-    done = subprocess.run(words, cwd=tmp_path, env=env, capture_output=True, text=True, check=False, timeout=300)
+    done = subprocess.run(
+        words, cwd=tmp_path, env=env, capture_output=True, text=True, check=False, timeout=within(300)
+    )
     assert done.returncode == 0, done.stderr
     reading = json.loads(done.stdout)["radiance"]
     assert reading["unit"] == "W sr-1 m-2"

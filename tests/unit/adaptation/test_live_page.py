@@ -14,6 +14,7 @@ from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.live_page import LivePage, replayed
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.errors import DeviceInUse, DeviceTimeout
+from tests.patience import within
 
 BEGIN = [
     {"sequence": 0, "kind": "start", "time_s": 0.0, "subject": "S1"},
@@ -39,7 +40,7 @@ def page() -> Iterator[LivePage]:
 async def _until(socket: aiohttp.ClientWebSocketResponse, key: str, wanted: object) -> dict[str, object]:
     """Return the first message in which a key has a value."""
     while True:
-        message = json.loads((await socket.receive(timeout=20)).data)
+        message = json.loads((await socket.receive(timeout=within(20))).data)
         if message.get(key) == wanted:
             return dict(message)
 
@@ -97,7 +98,7 @@ async def test_devices_that_do_not_answer_are_shown_so() -> None:
 def test_strangers_and_a_taken_port(page: LivePage) -> None:
     """Without the key there is no page; a second server on the port is refused with the port's number."""
     with pytest.raises(urllib.error.HTTPError) as refused:
-        urllib.request.urlopen(page.url.split("?")[0], timeout=10)
+        urllib.request.urlopen(page.url.split("?")[0], timeout=within(10))
     assert refused.value.code == 403
     refused.value.close()
     port = int(page.url.split(":")[2].split("/")[0])
@@ -107,7 +108,7 @@ def test_strangers_and_a_taken_port(page: LivePage) -> None:
 
 def test_page_holds_no_colour_but_red_and_nothing_from_elsewhere(page: LivePage) -> None:
     """Every rgb() of the page has no green and no blue, and no address stands in it."""
-    with urllib.request.urlopen(page.url, timeout=10) as answer:
+    with urllib.request.urlopen(page.url, timeout=within(10)) as answer:
         text = answer.read().decode()
     parts = text.split("rgb(")[1:]
     assert len(parts) > 5

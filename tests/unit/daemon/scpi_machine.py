@@ -20,6 +20,7 @@ from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
 from radiometer.errors import DeviceError
+from tests.patience import within
 from tests.unit.daemon.conftest import QUICK, FakeBox, FakeInstrument
 
 TABLE = command_table()
@@ -205,7 +206,7 @@ class ScpiMachine(RuleBasedStateMachine):
         self._folder.cleanup()
 
     async def _answer(self, session: Session, message: str) -> str | None:
-        async with asyncio.timeout(ANSWER_S):
+        async with asyncio.timeout(within(ANSWER_S)):
             outcome = session.execute(message)
             return await outcome if isinstance(outcome, Coroutine) else outcome
 
@@ -227,7 +228,7 @@ class ScpiMachine(RuleBasedStateMachine):
 
     async def _finish(self) -> None:
         try:
-            async with asyncio.timeout(ANSWER_S):
+            async with asyncio.timeout(within(ANSWER_S)):
                 for reply in await asyncio.gather(*self.waiting):
                     assert reply is None or isinstance(reply, str)
                 self.station.reset()

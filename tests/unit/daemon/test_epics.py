@@ -13,6 +13,7 @@ from p4p.client.thread import Context, RemoteError
 from radiometer.daemon.epics import PvaOptions, PvaServer
 from radiometer.daemon.patches import MAIN, PatchLimits
 from radiometer.errors import UsageError
+from tests.patience import within
 
 
 @pytest.fixture
@@ -27,7 +28,7 @@ async def served(station):
 
 
 async def _read(client, name):
-    return await asyncio.to_thread(client.get, f"lab:4711:{name}", timeout=20.0)
+    return await asyncio.to_thread(client.get, f"lab:4711:{name}", timeout=within(20.0))
 
 
 async def test_client_reads_the_reading(served, station, eventually):
@@ -97,7 +98,7 @@ async def test_nothing_can_be_written(served, station):
     """A put is refused."""
     _, client = served
     with pytest.raises(RemoteError):
-        await asyncio.to_thread(client.put, "lab:4711:radiance", 5.0, timeout=20.0)
+        await asyncio.to_thread(client.put, "lab:4711:radiance", 5.0, timeout=within(20.0))
 
 
 def test_prefix_without_letters_is_misuse():

@@ -23,6 +23,7 @@ from radiometer.daemon.limits import Limits
 from radiometer.daemon.station import Station
 from radiometer.data import Frame, FrameSettings, Patch, Quantity, Reading
 from radiometer.errors import UsageError
+from tests.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
 
@@ -178,7 +179,7 @@ async def test_a_loss_is_pushed_to_listeners(
     """An event named status tells of the alarm; health turns 503; metrics say 0."""
     async with session.get(f"{base}/readings/stream") as stream:
         instrument.unplugged = True
-        async with asyncio.timeout(20.0):
+        async with asyncio.timeout(within(20.0)):
             while (await stream.content.readline()) != b"event: status\n":
                 pass
         status = json.loads((await stream.content.readline())[6:])
@@ -404,7 +405,7 @@ async def test_head_is_answered_like_get_without_a_body(
     """Status and content type of GET, no body, also where GET would stream for ever."""
     await station.measure()
     (route,) = [entry for entry in ROUTES if (entry.method, entry.path) == ("GET", path)]
-    async with asyncio.timeout(20), session.head(base + path) as reply:
+    async with asyncio.timeout(within(20)), session.head(base + path) as reply:
         assert (reply.status, reply.content_type) == (200, route.reply)
         assert await reply.read() == b""
 

@@ -15,6 +15,7 @@ from radiometer.daemon.limits import Limits
 from radiometer.daemon.places import Places
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.station import Station
+from tests.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
 Stream = tuple[asyncio.StreamReader, asyncio.StreamWriter]
@@ -97,7 +98,7 @@ async def test_half_open_connections_lock_nobody_out_of_http(station: Station, o
     for _ in range(140):
         _, writer = await opened(port)
         writer.write(b"GET /status HTTP/1.1\r\nHost: local")
-    async with aiohttp.ClientSession() as session, asyncio.timeout(20):
+    async with aiohttp.ClientSession() as session, asyncio.timeout(within(20)):
         for _ in range(3):
             async with session.get(f"http://127.0.0.1:{port}/status") as reply:
                 assert reply.status == 200
@@ -112,12 +113,12 @@ async def test_a_request_head_has_a_deadline(station: Station, opened: Any) -> N
     good_reader, good = await opened(port)
     writer.write(b"GET /status HT")
     good.write(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(within(20)):
         assert (await good_reader.readline()).split()[1] == b"200"
         with contextlib.suppress(ConnectionError):
             assert await reader.read() == b""
     good.write(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(within(20)):
         await good_reader.readuntil(b"HTTP/1.1 200")
     await server.close()
 
@@ -152,7 +153,7 @@ async def test_noisy_new_connections_wait_and_others_get_their_turn(station: Sta
         async with aiohttp.ClientSession() as session, session.get(f"{base}/healthz") as reply:
             return reply.status
 
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(within(30)):
         found = [await one() for _ in range(40)]
     assert found == [200] * 40
     assert asyncio.get_running_loop().time() - begun > 0.9  # 20 at once, 20 more at 20 per second
@@ -172,7 +173,7 @@ async def test_idle_scpi_sessions_make_room(
         await opened(port)
     late_reader, late = await opened(port)
     late.write(b"*OPC?\n")
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(within(20)):
         assert await late_reader.readline() == b"1\n"
         writer.write(b"*OPC?\n")
         assert await reader.readline() == b"1\n"
@@ -193,7 +194,7 @@ async def test_an_idle_session_is_warned_then_ended(station: Station, opened: An
     status = connection.session.status
     await eventually(lambda: status.error_count)
     assert "sent nothing for" in status.next_error()
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(within(20)):
         with contextlib.suppress(ConnectionError):
             assert await reader.read() == b""
     await server.close()

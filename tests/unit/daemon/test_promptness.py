@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from radiometer.daemon.promptness import be_prompt
+from tests.patience import within
 
 
 @pytest.fixture(autouse=True)
@@ -47,5 +48,5 @@ def test_the_daemon_starts_without_what_it_does_not_need() -> None:
     """scipy.stats takes longer to load than all the daemon's own modules; nothing of the daemon asks for it."""
     words = "import radiometer.daemon.service, radiometer.daemon.bench_instrument, radiometer.daemon.bench_light"
     code = f"import sys; {words}; print(sorted({{'scipy.stats', 'pandas', 'matplotlib', 'numba'}} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=within(60))
     assert done.stdout == "[]\n"

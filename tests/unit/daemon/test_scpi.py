@@ -280,7 +280,7 @@ async def test_a_client_that_does_not_finish_its_line_is_dropped(station: Statio
     port = await server.listen_tcp("127.0.0.1", 0)
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write(b"*IDN")
-    async with asyncio.timeout(20.0):
+    async with asyncio.timeout(within(20.0)):
         with contextlib.suppress(ConnectionResetError):
             assert await reader.read() == b""
     writer.close()

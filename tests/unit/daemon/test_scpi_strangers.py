@@ -16,6 +16,7 @@ from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.scpi.strangers import is_strange
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
+from tests.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
 LIGHTING = b"SOUR:LED1:LEV 0.9\nSENS:EXP 0.002\nSENS:PATC 1,2,3,4\nINIT:CONT ON\n"
@@ -33,7 +34,7 @@ async def _throw(server: ScpiServer, *parts: bytes) -> bytes:
             writer.write(part)
             await writer.drain()
             await asyncio.sleep(0.01)
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(within(20)):
             return await reader.read()
     except ConnectionError:
         return b""
@@ -100,7 +101,7 @@ async def test_a_real_http_client_is_hung_up_on_and_logged(scpi: ScpiServer, sta
     """Python's own HTTP client gets no reply; log and figures name the case and the peer."""
 
     def post() -> None:
-        urllib.request.urlopen(f"http://127.0.0.1:{_port(scpi)}/", data=b"\n" + LIGHTING, timeout=20).close()
+        urllib.request.urlopen(f"http://127.0.0.1:{_port(scpi)}/", data=b"\n" + LIGHTING, timeout=within(20)).close()
 
     with structlog.testing.capture_logs() as log, pytest.raises((OSError, urllib.error.URLError)):
         await asyncio.to_thread(post)

@@ -35,6 +35,7 @@ from simulators.edge_devices import (
     dng_bytes,
     mosaic_of,
 )
+from tests.patience import within
 
 DN_PER_S = 20_000.0  # of the even field, above black, at gain 0 dB and in the numbers of each camera
 
@@ -444,7 +445,7 @@ def test_the_real_libgphoto2_takes_a_bracket_with_its_virtual_camera(tmp_path, p
     (folder / "DSC_0001.jpg").write_bytes(dng_bytes(mosaic_of(green, 64), 64, 4095))
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(VIRTUAL), str(tmp_path)],
-        cwd=project_root, capture_output=True, text=True, timeout=120, check=False,
+        cwd=project_root, capture_output=True, text=True, timeout=within(120), check=False,
     )  # fmt: skip
     assert done.stdout.splitlines() == [
         "['gphoto2:usb:001,001']",

@@ -16,6 +16,7 @@ from radiometer.devices import Display, DisplayPatch
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceTimeout, SettingOutOfRange
 from radiometer.screen.browser_display import BrowserDisplay
 from radiometer.screen.page_server import PageServer, page_text
+from tests.patience import within
 
 Answer = Callable[[dict], dict | None]
 
@@ -141,14 +142,14 @@ def test_strangers_get_nothing(shown: tuple[BrowserDisplay, FakePage]) -> None:
     bare = shown[0].url.split("?")[0]
     for address in (bare, bare + "socket?key=wrong"):
         with pytest.raises(urllib.error.HTTPError) as refused:
-            urllib.request.urlopen(address, timeout=5)
+            urllib.request.urlopen(address, timeout=within(5))
         assert refused.value.code == 403
         refused.value.close()
 
 
 def test_page_is_served_whole_and_uncached(shown: tuple[BrowserDisplay, FakePage]) -> None:
     """One file, nothing from elsewhere."""
-    with urllib.request.urlopen(shown[0].url, timeout=5) as answer:
+    with urllib.request.urlopen(shown[0].url, timeout=within(5)) as answer:
         text = answer.read().decode()
         assert answer.headers["Cache-Control"] == "no-store"
         assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
@@ -194,7 +195,7 @@ async def test_lights_off_of_a_screen_page_darkens_the_box() -> None:
         address = server.url.replace("/?", "/socket?")
         async with aiohttp.ClientSession() as session, session.ws_connect(address) as socket:
             await socket.send_json({"kind": "lights_off"})
-            assert json.loads((await socket.receive(timeout=20)).data) == {
+            assert json.loads((await socket.receive(timeout=within(20))).data) == {
                 "kind": "told",
                 "text": "dark: light box AAAA0001",
             }
