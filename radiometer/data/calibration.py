@@ -194,7 +194,7 @@ class Calibration:
             defects=stored.defects,
             created=stored.created.isoformat(),
             validity_days=stored.validity_days,
-            provenance=Provenance.from_mapping(stored.provenance),
+            provenance=Provenance.from_mapping(stored.provenance, where),
         )
 
 

@@ -188,7 +188,7 @@ class LightCalibration:
     def read(cls, path: Path) -> LightCalibration:
         """Return the calibration in a file. Raises InputError or CalibrationError."""
         file = validate(_File, read_yaml(path), str(path), CalibrationError)
-        provenance = Provenance.from_mapping(file.provenance)
+        provenance = Provenance.from_mapping(file.provenance, str(path))
         created = TypeAdapter(AwareDatetime).dump_python(file.created, mode="json")
         return cls(file.box_serial, file.channels, created, file.validity_days, provenance)
 

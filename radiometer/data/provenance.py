@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import radiometer
+from radiometer.errors import InputError
 
 
 def utc_now() -> str:
@@ -47,13 +48,34 @@ class Provenance:
         }
 
     @classmethod
-    def from_mapping(cls, mapping: Mapping[str, Any]) -> Provenance:
-        """Return the provenance that a file's mapping describes; unknown keys are ignored."""
+    def from_mapping(cls, mapping: object, where: str) -> Provenance:
+        """Return the provenance that a file's mapping describes; unknown keys are ignored, empty ones hold nothing.
+
+        Raises:
+            InputError: If it is no mapping, or a list or mapping in it is something else.
+        """
+        stated = _mapping(mapping, f"{where}: provenance")
         return cls(
-            method=str(mapping.get("method", "unknown")),
-            inputs=tuple(mapping.get("inputs", ())),
-            assumptions=tuple(mapping.get("assumptions", ())),
-            parameters=dict(mapping.get("parameters", {})),
-            created=str(mapping.get("created", "")),
-            software=str(mapping.get("software", "")),
+            method=str(stated.get("method") or "unknown"),
+            inputs=_texts(stated.get("inputs"), f"{where}: provenance.inputs"),
+            assumptions=_texts(stated.get("assumptions"), f"{where}: provenance.assumptions"),
+            parameters=_mapping(stated.get("parameters"), f"{where}: provenance.parameters"),
+            created=str(stated.get("created", "")),
+            software=str(stated.get("software", "")),
         )
+
+
+def _mapping(value: object, where: str) -> dict[str, Any]:
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise InputError(f"{where} is {str(value)[:40]!r}, not a mapping")
+    return dict(value)
+
+
+def _texts(value: object, where: str) -> tuple[str, ...]:
+    if value is None:
+        return ()
+    if not isinstance(value, list | tuple):
+        raise InputError(f"{where} is {str(value)[:40]!r}, not a list")
+    return tuple(str(entry) for entry in value)

@@ -111,7 +111,7 @@ class ResponseCurve:
                 absolute=bool(mapping.get("absolute", False)),
                 valid_dn=(int(valid[0]), int(valid[1])) if valid else None,
                 channel=str(mapping.get("channel", "mono")),
-                provenance=Provenance.from_mapping(mapping.get("provenance", {})),
+                provenance=Provenance.from_mapping(mapping.get("provenance"), where),
             )
         except KeyError as error:
             raise InputError(f"{where}: key {error} is missing") from error

@@ -262,16 +262,20 @@ class ScreenCalibration:
         mapping = read_yaml(path)
         if mapping.get("format") != FORMAT:
             raise CalibrationError(f"{path}: format is {mapping.get('format')!r}; expected {FORMAT!r}")
-        channels = mapping.get("channels")
+        channels, checks = mapping.get("channels"), mapping.get("checks") or {}
         if not isinstance(channels, dict) or "grey" not in channels:
             raise CalibrationError(f"{path}: holds no channel 'grey'; calibrate the screen again")
+        if not isinstance(checks, dict):
+            raise CalibrationError(
+                f"{path}: checks are {str(checks)[:40]!r}, not a mapping; calibrate the screen again"
+            )
         return cls(
             str(mapping.get("name", path.stem)),
             {n: ChannelCurve.from_mapping(n, m, str(path)) for n, m in channels.items()},
             str(mapping.get("instrument", "")),
             str(mapping.get("created", "")),
-            dict(mapping.get("checks") or {}),
-            Provenance.from_mapping(mapping.get("provenance") or {}),
+            dict(checks),
+            Provenance.from_mapping(mapping.get("provenance"), str(path)),
             _length(mapping.get("pixel_mm"), path),
         )
 
