@@ -326,10 +326,14 @@ def _checked_header(header_path: Path) -> CaptureHeader:
     header = validate(CaptureHeader, mapping, str(header_path), CaptureError)
     folder = header_path.parent.resolve()
     for entry in header.frames:
-        file = (folder / entry.file).resolve()
+        try:
+            file = (folder / entry.file).resolve()
+            is_there = file.is_file()
+        except (OSError, ValueError) as error:  # too long, or with a zero in it
+            raise CaptureError(f"{header_path}: frame {entry.file[:80]!r} is no name of a file") from error
         if not file.is_relative_to(folder):
             raise CaptureError(f"{header_path}: frame {entry.file!r} lies outside the capture set")
-        if not file.is_file():
+        if not is_there:
             raise CaptureError(f"{header_path}: frame {entry.file!r} does not exist; the capture set is incomplete")
     _refuse_patches_outside(header, header_path)
     return header

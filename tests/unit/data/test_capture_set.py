@@ -94,6 +94,8 @@ def test_a_folder_that_holds_something_is_not_overwritten(capture):
         (lambda m: m["frames"][1].update(exposure_s=-1), r"frames\.1\.exposure_s = -1"),
         (lambda m: m["frames"][1].update(file="frames/9999.png"), r"9999\.png' does not exist"),
         (lambda m: m["frames"][1].update(file="../../etc/passwd"), "outside the capture set"),
+        (lambda m: m["frames"][1].update(file="a" * 5000), "'aaa+' is no name of a file"),
+        (lambda m: m["frames"][1].update(file="a\0.png"), "is no name of a file"),
         (lambda m: m.update(format="radiometer-capture/9"), "this version reads"),
         (lambda m: m.update(frames=[]), "frames"),
     ],
