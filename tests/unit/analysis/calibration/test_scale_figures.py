@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 from radiometer.analysis.calibration import absolute
 from radiometer.analysis.calibration.absolute import MeterSettings
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source, scales_ratio
+from radiometer.analysis.calibration.flat_field import _refuse_nonsense
 from radiometer.analysis.signal import situation
 from radiometer.analysis.signal.lens import lens_factor_sr, lens_in_use, relative_sensitivity
+from radiometer.analysis.signal.spectra import spectrum_from_csv
 from radiometer.data import (
     BlackLevel,
     Calibration,
@@ -215,3 +217,51 @@ def test_a_scale_from_a_known_radiance():
     for wrong in ((0.0, 4.0), (10.0, -1.0), (math.inf, 4.0), (10.0, math.nan)):
         with pytest.raises(InputError, match="above 0"):
             absolute.scale_from_radiance(wrong[0], 0.03, wrong[1], 0.04, None)
+
+
+@pytest.mark.parametrize(("corner", "taken"), [(0.06, True), (0.04, False), (1.45, True), (1.55, False)])
+def test_a_fall_off_that_no_lens_has_is_refused(corner, taken):
+    """Less than 5 % or more than 150 % at a corner is no even source, said with the figure."""
+    flat = FlatField(
+        principal_point_px=(9.5, 9.5),
+        radius_px=9.5 * math.sqrt(2.0),
+        coefficients=(corner - 1.0, 0.0, 0.0),
+        shape=(20, 20),
+    )
+    assert float(flat.at(0.0, 0.0)) == pytest.approx(corner)
+    if taken:
+        _refuse_nonsense(flat)
+    else:
+        with pytest.raises(MeasurementError, match=f"{100 * corner:.0f} %"):
+            _refuse_nonsense(flat)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("400,1\n500,2\n", None),
+        ("nm;power\n400;1\n500;2\n", None),
+        ("# made here\n400,1\n5000,2\n", None),
+        ("400,1\n450,1\n5001,2\n", "must be in nm"),
+        ("99,1\n500,2\n", "must be in nm"),
+        ("0.4,1\n0.5,2\n", "must be in nm"),
+        ("500,1\n400,2\n", "must rise"),
+        ("400,1\n400,2\n", "must rise"),
+        ("400,-1\n500,2\n", "0 or more"),
+        ("400,0\n500,0\n", "not all 0"),
+        ("400,1\n500,nan\n", "0 or more"),
+        ("400,1\n", "at least two"),
+        ("400\n500\n", "two"),
+        ("400,one\n500,2\n", "two numbers"),
+        ("", "at least two"),
+    ],
+)
+def test_a_spectrum_in_a_file_is_in_nanometres_and_rises(tmp_path, rows, said):
+    """100 to 5000 nm, each above the one before, powers 0 or more and not all 0; else told why."""
+    path = tmp_path / "light.csv"
+    path.write_text(rows, encoding="utf-8")
+    if said is None:
+        assert spectrum_from_csv(path).power.tolist() == [1.0, 2.0]
+    else:
+        with pytest.raises(InputError, match=said):
+            spectrum_from_csv(path)
