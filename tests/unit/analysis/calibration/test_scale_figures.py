@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from radiometer.analysis.calibration import absolute
 from radiometer.analysis.calibration.absolute import MeterSettings
-from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source, scales_ratio
+from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source, scales_ratio, unscaled_calibration
 from radiometer.analysis.calibration.flat_field import _refuse_nonsense
 from radiometer.analysis.signal import situation
 from radiometer.analysis.signal.lens import lens_factor_sr, lens_in_use, relative_sensitivity
@@ -265,3 +265,14 @@ def test_a_spectrum_in_a_file_is_in_nanometres_and_rises(tmp_path, rows, said):
     else:
         with pytest.raises(InputError, match=said):
             spectrum_from_csv(path)
+
+
+@pytest.mark.parametrize(
+    ("of_camera", "stated", "used"), [(64.0, None, 64.0), (64.0, 70.0, 70.0), (64.0, 0.0, 0.0), (None, None, 0.0)]
+)
+def test_a_black_level_that_is_stated_counts_before_the_camera_s(of_camera, stated, used):
+    """Also one of 0; without either it is 0. The rest is as given, with a scale of 1 at the lens's f-number."""
+    camera = CameraDescription(bit_depth=12, black_level_dn=of_camera)
+    made = unscaled_calibration(camera, LensDescription(f_number=5.6), None, "cie_a", stated, validity_days=30.0)
+    assert (made.black_level.dn, made.scale.value, made.scale.f_number) == (used, 1.0, 5.6)
+    assert (made.spectrum, made.validity_days) == ("cie_a", 30.0)
