@@ -55,14 +55,29 @@ def test_a_plan_is_taken_as_it_stands(plan_file, tmp_path):
     assert bright / dim == pytest.approx(10 ** (6 / 20) / (4 * 0.5 * 0.25), rel=0.01)
 
 
-def test_a_frame_is_filed_under_the_f_number_that_was_staged():
-    """A lens set by hand is not known to the camera: the plan's f-number stands in the frame all the same."""
+def small_camera():
     preset = CameraPreset.shipped("BFS-U3-19S4M").camera
     model = CameraModel.ideal(preset, LensDescription(focal_length_mm=16, f_number=4.0))
     limits = replace(default_limits(), width=40, height=30)
-    camera = SimulatedCamera(model, scene_from_mapping({"kind": "uniform", "radiance_W_per_sr_m2": 0.1}), limits=limits)
+    return SimulatedCamera(model, scene_from_mapping({"kind": "uniform", "radiance_W_per_sr_m2": 0.1}), limits=limits)
+
+
+def test_every_frame_is_staged_and_set_as_planned():
+    """Each entry is staged once before its frames, which have its exposure, gain, level, shutter and number."""
+    planned, staged = CapturePlan.model_validate(PLAN), []
+    with small_camera() as camera:
+        frames = [frame.settings for frame in take_capture_plan(camera, planned, staged.append)]
+    assert [one.exposure_s for one in staged] == [0.01, 0.02, 0.04]
+    assert (planned.total, [s.exposure_s for s in frames]) == (4, pytest.approx([0.01, 0.01, 0.02, 0.04], rel=1e-3))
+    assert [s.gain_db for s in frames] == pytest.approx([6.0, 6.0, 0.0, 0.0])
+    assert [s.shutter for s in frames] == ["open", "open", "closed", "open"]
+    assert [s.source_level for s in frames] == [1.0, 1.0, 1.0, 0.5]
+
+
+def test_a_frame_is_filed_under_the_f_number_that_was_staged():
+    """A lens set by hand is not known to the camera: the plan's f-number stands in the frame all the same."""
     planned = CapturePlan.model_validate({**PLAN, "frames": [{"exposure_s": 0.01, "f_number": 8.0}]})
-    with camera:
+    with small_camera() as camera:
         (frame,) = take_capture_plan(camera, planned, stage=lambda planned: None)
     assert frame.settings.f_number == 8.0
 
