@@ -223,3 +223,19 @@ def test_breaks_lie_inside_and_in_order(nonlinear, allowed):
     """Time constants between a hundredth of the test and the break (twice the test where there is none)."""
     model = MODELS[len(nonlinear) - 1]
     assert model.allowed(TIMES, np.array(nonlinear)) is allowed
+
+
+@pytest.mark.parametrize(("tau", "allowed"), [(19.0, True), (21.0, False), (0.2, True), (0.05, False)])
+def test_a_time_constant_is_bounded_by_the_length_of_the_test(tau, allowed):
+    """From minute 10 to minute 20 it is 0.1 to 20 min, whenever the test began."""
+    assert ONE_BRANCH.allowed(np.linspace(10.0, 20.0, 40), np.array([tau])) is allowed
+
+
+def test_a_fit_keeps_what_each_threshold_is_known_to():
+    """Where no press is wild the weights are those of the stated σ: four times as uncertain counts a sixteenth."""
+    sigma = np.where(np.arange(60) % 2, 0.4, 0.1)
+    rng = np.random.default_rng(5)
+    values = ONE_BRANCH.threshold(TIMES, EYE) + sigma * rng.uniform(-1.0, 1.0, 60)
+    found = fit_model(series(values, sigma), ONE_BRANCH)
+    assert found.weights == pytest.approx((0.1 / sigma) ** 2)
+    assert found.sigma == pytest.approx(0.1 / math.sqrt(3.0), rel=0.3)  # of a threshold of the surer kind

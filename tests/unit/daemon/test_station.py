@@ -19,7 +19,7 @@ from radiometer.daemon.state import identity_mapping
 from radiometer.daemon.station import Station
 from radiometer.data import Patch
 from radiometer.devices import CameraIdentity
-from radiometer.errors import DeviceError, OutputError, SettingOutOfRange, UsageError
+from radiometer.errors import DeviceError, MeasurementError, OutputError, SettingOutOfRange, UsageError
 from tests.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
@@ -256,3 +256,32 @@ def test_a_hexadecimal_serial_number_is_told_in_decimal_too() -> None:
     blackfly = identity_mapping(CameraIdentity("FLIR", "BFS-U3-19S4M", "0138C343", "id"))
     assert (blackfly["serial"], blackfly["serial_also"]) == ("0138C343", "20497219")
     assert identity_mapping(CameraIdentity("FLIR", "BFS", "20497219", "id"))["serial_also"] == ""
+
+
+async def test_another_period_clears_no_alarm_and_its_end_does(station: Station) -> None:
+    """What is wrong with measuring is no better for being asked less often; where nothing is asked it is over."""
+    station.alarms.put_up("measurement", "every pixel is saturated")
+    station.set_every(3600.0)
+    assert [alarm.name for alarm in station.alarms.active] == ["measurement"]
+    station.set_every(None)
+    assert station.alarms.active == ()
+
+
+async def test_after_a_lost_camera_the_next_turn_waits(station: Station, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half a second from now, and no alarm besides the camera's own; a failed measurement waits for its period too."""
+    acquisition = station.acquisition
+
+    async def lost(origin: object) -> None:
+        raise DeviceError("unplugged")
+
+    async def failed(origin: object) -> None:
+        raise MeasurementError("too bright")
+
+    acquisition._every_s = 0.01
+    for attempt, alarms in ((lost, []), (failed, ["measurement"])):
+        monkeypatch.setattr(acquisition, "_measure", attempt)
+        before = time.monotonic()
+        await acquisition._measure_continuously()
+        assert before + 0.5 <= acquisition._due_at <= time.monotonic() + 0.5
+        assert [alarm.name for alarm in station.alarms.active] == alarms
+    acquisition._every_s = None
