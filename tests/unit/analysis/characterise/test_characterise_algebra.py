@@ -195,7 +195,8 @@ def test_linearity_errors_are_relative_and_have_a_sign():
     light = 2.0 * signals
     signals[0] *= 0.95
     bright = [group(BLACK_DN + s, 100.0, photons=p) for s, p in zip(signals, light, strict=True)]
-    found = linearity(make_steps(bright, [group(BLACK_DN, 40.0, dark=True)]), 6500.0)
+    steps = make_steps(bright, [group(BLACK_DN, 40.0, dark=True)])
+    found = linearity(steps, 6500.0)
     design = np.column_stack([light, np.ones_like(light)]) / signals[:, None]
     a, b = np.linalg.lstsq(design, np.ones_like(light), rcond=None)[0]
     expected = 100.0 * (signals - a * light - b) / (a * light + b)
@@ -203,6 +204,9 @@ def test_linearity_errors_are_relative_and_have_a_sign():
     assert (found.LE_min.value, found.LE_max.value) == pytest.approx((expected.min(), expected.max()))
     assert found.LE_min.value == pytest.approx(expected[0])
     assert found.LE_min.value < -1.0
+    own = 100.0 * np.array([step.u_signal_dn for step in steps]) / (a * light + b)  # in %, as the deviations are
+    assert [u for _, _, u in found.deviations] == pytest.approx(own)
+    assert found.LE_max.u == found.LE_min.u == pytest.approx(own.max() * math.sqrt(2.0 * math.log(light.size)))
 
 
 def test_photons_of_a_surface():
