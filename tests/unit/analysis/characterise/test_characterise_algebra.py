@@ -10,7 +10,9 @@ import pytest
 from scipy.stats import linregress
 
 from radiometer.analysis.characterise.dark_figures import typical_dark_current, typical_rates
+from radiometer.analysis.characterise.dark_transfer import _halves_u
 from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
+from radiometer.analysis.characterise.inconsistent import contradicting_darks
 from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.analysis.characterise.linearity import linearity
 from radiometer.analysis.characterise.nonuniformity import dsnu, prnu
@@ -255,3 +257,27 @@ def test_a_thermometer_s_step_is_a_rectangle():
     """Readings half a kelvin apart: 0.5/√12 K."""
     ((_, u_temperature, _),) = typical_rates(dark_plateau([20.0, 20.5, 20.0, 20.5]))
     assert u_temperature == pytest.approx(0.5 / math.sqrt(12.0))
+
+
+@pytest.mark.parametrize(
+    ("slope", "wrong_dn", "named"), [(50.0, 0.0, 0), (50.0, 120.0, 1), (50.0, -120.0, 1), (0.0, 120.0, 1)]
+)
+def test_a_dark_group_off_the_line_of_the_others_is_named(slope, wrong_dn, named):
+    """On a dark current of 50 DN/s none is; one that is 120 DN off it is told with what the others say there."""
+    times = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
+    means = BLACK_DN + slope * times
+    means[3] += wrong_dn
+    darks = [group(mean, 40.0, time, dark=True) for mean, time in zip(means, times, strict=True)]
+    found = contradicting_darks(darks, 3000.0)
+    assert [one.settings.exposure_s for one, _ in found] == [3.0] * named
+    for _, said in found:
+        assert f"{means[3]:.4g} DN where all others say {BLACK_DN + 3.0 * slope:.4g}" in said
+
+
+def test_a_bend_of_the_dark_transfer_is_a_range_of_slopes():
+    """Slopes of 1 below the middle and of 2 above it leave 1/√12; a straight line nothing; too few numbers nothing."""
+    x = np.arange(1.0, 11.0)
+    bent = np.where(x <= 5.5, x, 2.0 * x)
+    assert _halves_u(x, bent, np.ones(10)) == pytest.approx(1.0 / math.sqrt(12.0))
+    assert _halves_u(x, 3.0 * x + 1.0, np.ones(10)) == pytest.approx(0.0, abs=1e-12)
+    assert _halves_u(x[[0, 1, 9]], bent[[0, 1, 9]], np.ones(3)) == 0.0
