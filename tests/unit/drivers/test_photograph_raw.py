@@ -187,13 +187,14 @@ def test_measure_reads_raw_files_by_the_meters_constant_or_a_known_source(tmp_pa
             _write_mosaic(tmp_path / folder / f"t{d}.dng", np.round(dn).astype(np.uint16))
         (tmp_path / folder / "exposures.txt").write_text("".join(f"t{d}.dng 1/{d}\n" for d in times))
     green = ["--channel", "green", "--f-number", "4"]
+    light = ["--spectrum", "equal_energy"]  # stated, or what another light would do is in u too
     meter = ["--luminance-meter-k", "14", "--exposure", "1/32", "--iso", "100", "--reference-dn", "2048"]
     source = ["--patch", "10,10,20,10", "--luminance", str(metered), "--u-rel", "0.02"]
     for words, u_rel in ((meter, 0.19), (source, 0.054)):
-        assert run(["calibrate", str(tmp_path / "ref"), *green, *words, "-o", str(tmp_path / "cal.yaml")]) == 0
+        assert run(["calibrate", str(tmp_path / "ref"), *green, *light, *words, "-o", str(tmp_path / "cal.yaml")]) == 0
         capsys.readouterr()
         words = ["--calibration", str(tmp_path / "cal.yaml"), "--patch", "5,5,20,20", "--json"]
-        assert run(["measure", "--photographs", str(tmp_path / "other"), *green, *words]) == 0
+        assert run(["measure", "--photographs", str(tmp_path / "other"), *green, *light, *words]) == 0
         found = json.loads(capsys.readouterr().out)["luminance"]
         assert found["value"] == pytest.approx(3.3 * metered, rel=0.01)
         assert 2.0 * found["u"] / found["value"] == pytest.approx(u_rel, rel=0.15)
