@@ -23,7 +23,7 @@ SHARED: Final = {"spot_green": "spot_red", "field": "bleach"}
 TRIGGER: Final = ("B", 0)
 BUTTON: Final = ("D", 2)
 BYTE_CYCLES: Final = 1360  # 10 bits at 117 647 Bd, what the firmware's divider gives
-LAG_CYCLES: Final = 1_600_000  # time that is given up at once where the machine cannot keep up: 0.1 s
+LAG_S: Final = 0.1
 
 
 @dataclass(slots=True)
@@ -65,10 +65,12 @@ class AvrBox:
     Args:
         hex_file: Firmware as `make -C drivers/firmware/light_box` builds it.
         serial: Eight characters for the EEPROM.
+        lag_s: The most that box time follows real time by in one step; what the machine cannot keep up with is given up.
     """
 
-    def __init__(self, hex_file: Path, serial: str = "AVR00001") -> None:
+    def __init__(self, hex_file: Path, serial: str = "AVR00001", lag_s: float = LAG_S) -> None:
         self.avr = SimulatedAvr(hex_file, eeprom=serial.encode("ascii"))
+        self._lag_cycles = round(lag_s * self.avr.frequency_hz)
         self.pins = {name: PinRecord() for name in PINS}
         self.range_pins = {name: PinRecord() for name in RANGE_PINS}
         self.select_pins = {name: PinRecord() for name in SELECT_PINS}
@@ -126,9 +128,9 @@ class AvrBox:
         self.send(received)
         target = round(time_s * self.avr.frequency_hz) - self._given_up
         behind = target - self.avr.cycle
-        if behind > LAG_CYCLES:
-            self._given_up += behind - LAG_CYCLES
-            target = self.avr.cycle + LAG_CYCLES
+        if behind > self._lag_cycles:
+            self._given_up += behind - self._lag_cycles
+            target = self.avr.cycle + self._lag_cycles
         self._run_to(target)
         return self.take_sent()
 

@@ -48,6 +48,7 @@ def test_the_manual_page_holds_every_command_and_option():
 
 
 @pytest.mark.skipif(not shutil.which("groff"), reason="groff is not installed")
+@pytest.mark.slow
 def test_the_manual_page_is_set_without_a_warning():
     """groff finds nothing to complain of, and no line of text is taken for a request."""
     words = ["groff", "-man", "-ww", "-Tutf8", "-K", "utf8", "-z", str(ROOT / "docs" / "radiometer.1")]
@@ -117,6 +118,7 @@ def test_the_container_runs_a_command_that_exists_as_nobody_special():
 
 
 @pytest.mark.parametrize(("status", "healthy"), [(200, True), (503, False)])
+@pytest.mark.slow
 def test_the_health_check_asks_the_daemon(status, healthy):
     """It passes on 200 and fails on 503, and where nobody answers."""
 

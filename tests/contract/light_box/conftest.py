@@ -22,6 +22,8 @@ from simulators.light_box import LightBoxTwin
 from simulators.pty_line import PtyServer, WiredTwin
 from tests.patience import within
 
+# Steps of simavr's time where the machine is busy, far shorter than the driver waits for an answer.
+LAG_S = 0.005
 OPTICS = {
     "bleach": ChannelOptics(None, 0.0, 60.0, 5.0),
     "spot": ChannelOptics(453.0, 22.0, 1.5, 3.0),
@@ -92,7 +94,7 @@ def _twin_rig(link: Path) -> Rig:
 
 def _firmware_rig(link: Path, firmware: Path) -> Rig:
     try:
-        avr = AvrBox(firmware)
+        avr = AvrBox(firmware, lag_s=LAG_S)
     except MissingLibrary as missing:
         pytest.skip(str(missing))
     server = PtyServer(avr, link=link)

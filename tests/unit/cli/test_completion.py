@@ -25,11 +25,13 @@ def completed(script: str, *line: str) -> set[str]:
     return set(done.stdout.split())
 
 
+@pytest.mark.slow
 def test_bash_completes_a_command(words):
     """`radiometer re` gives the two that begin so."""
     assert completed(bash(words), "radiometer", "re") == {"response", "reconcile"}
 
 
+@pytest.mark.slow
 def test_bash_completes_an_option_of_the_command(words):
     """`radiometer measure --ph` gives its option, not another command's."""
     assert completed(bash(words), "radiometer", "measure", "--ph") == {"--photographs"}

@@ -25,6 +25,7 @@ def test_every_command_is_documented(name):
     assert importlib.import_module(COMMANDS[name].module).__doc__
 
 
+@pytest.mark.slow
 def test_the_overview_imports_nothing_heavy():
     """Help must come at once: neither NumPy nor typer may be loaded for it."""
     script = (

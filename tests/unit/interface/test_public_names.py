@@ -28,6 +28,7 @@ def test_what_is_not_listed_is_private():
         _ = rm.Bracket
 
 
+@pytest.mark.slow
 def test_importing_loads_neither_numpy_nor_any_room():
     """`import radiometer` alone costs nothing."""
     code = "import sys, radiometer; print([m for m in sys.modules if m.startswith(('numpy', 'radiometer.'))])"
