@@ -65,7 +65,7 @@ class AvrBox:
     Args:
         hex_file: Firmware as `make -C drivers/firmware/light_box` builds it.
         serial: Eight characters for the EEPROM.
-        lag_s: The most that box time follows real time by in one step; what the machine cannot keep up with is given up.
+        lag_s: Longest step of box time; what the machine cannot keep up with beyond it is given up.
     """
 
     def __init__(self, hex_file: Path, serial: str = "AVR00001", lag_s: float = LAG_S) -> None:

@@ -9,11 +9,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from radiometer.cli.logging_setup import configure_logging
 from tests.patience import queue
 
 PROJECT_ROOT = Path(__file__).resolve().parents[1]
+# Neither an example's time nor that of making one says anything of the code.
+settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("patient")
 # A shell's background job ignores Ctrl-C, and so would every program that a test starts and ends by it.
 with contextlib.suppress(ValueError):  # a worker's thread that is not its main one
     signal.signal(signal.SIGINT, signal.default_int_handler)
