@@ -143,7 +143,8 @@ def _absolute(instrument: Instrument) -> Instrument:
             "the camera has no absolute calibration, so it cannot tell a radiance; "
             "make one with `radiometer calibrate` and give it with --calibration"
         )
-    return instrument
+    # The box's light is known: the survey corrects every channel's readings for it, with an uncertainty of its own.
+    return replace(instrument, spectrum_stated=True)
 
 
 def _simulated_instrument(
