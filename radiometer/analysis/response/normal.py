@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from radiometer.errors import MeasurementError
 
 Array = NDArray[np.float64]
+# What a curve over the digital numbers itself can be off by in ln H: no row is known better.
+_LEAST_ERROR = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,6 +141,8 @@ def _restricted_deviance(normal: NormalEquations, penalty: Array, fixed: Array, 
         return float("inf")
     solution = la.cho_solve(factor, normal.right)
     fit = normal.square - float(solution @ normal.right)  # residual and penalty together at the optimum
+    # A curve through every mean (two frames: as many coefficients as rows) would have no error, and λ go to nothing.
+    fit = max(fit, 0.0) + _LEAST_ERROR**2 * float(normal.weight.sum())
     rank = penalty.shape[0] - order
     # What the penalty leaves free takes its dimensions; a constant, one of them, the groups have taken already.
     freedom = max(normal.freedom - (order - 1), 1)

@@ -27,6 +27,10 @@ _LEAST_GAIN: Final = 0.97
 _AS_WELL: Final = 1.1
 # Up to so many neighbouring groups that count as one, the restricted likelihood needs no judge.
 MANY_AS_ONE: Final = 3.0
+# Unless the rows, less one for each group, are hardly more than the coefficients: a curve through all of them (two
+# frames) leaves no noise, and λ may be too small by orders of magnitude.
+_FEW_ROWS: Final = 2.0
+_FACTORS_OF_FEW: Final = (*_FACTORS, 1e4, 1e6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,11 +65,13 @@ def judge_by_prediction(
         labels: Wrong labels that it has freed; frames that may be wrong in their place make rivals too.
     """
     rivals = tuple(_with_other_labels(samples, start, labels))
-    if found.choices.inflation <= MANY_AS_ONE or not samples.without_quadrant or found.choices.smoothing is None:
+    few = found.fit.normal.freedom < _FEW_ROWS * found.fit.basis_size
+    doubtful = few or found.choices.inflation > MANY_AS_ONE
+    if not doubtful or not samples.without_quadrant or found.choices.smoothing is None:
         return Judged(found, other_labels=rivals)
     thin = thinned(samples)
     errors: dict[float, float] = {}
-    for factor in _FACTORS:
+    for factor in _FACTORS_OF_FEW if few else _FACTORS:
         try:
             errors[factor] = _error(thin, fit_with(thin, found.log_exposure, _smoother(found, factor)))
         except MeasurementError:
