@@ -1,7 +1,13 @@
-"""How sharp the borders of patches are: the share of a step that lies in the last line before it."""
+"""How sharp the borders of patches are: the share of a step that lies in the last line before it.
+
+That share tells of blur where a border runs along its line: the blend of a line that cuts a round outline is a matter
+of shape. What outline a patch has nobody states, so the pixels along each line say it: behind a straight border all
+have the blend, along a cut outline each has one side's light or the other's. Of a side that bends, thirds are tried.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -21,11 +27,16 @@ _SEEN: Final = 2.0  # sigmas by which a line must differ from the patch to tell 
 _LARGEST_SHARE: Final = 0.45
 _FEW: Final = 0.5  # of the borders that are clear at one f-number, below which others are too blurred to tell them
 _CLEAR_STEP: Final = 5.0  # sigmas of a line's mean that a step must have to tell anything
+_CUT: Final = 0.25  # of the variance along a line that lies half here, half there, from which it is not straight
+_UNEVEN: Final = 0.04  # of the squared step: variance along the first line behind it, likewise
+_UNEVEN_SIGMAS: Final = 3.0  # by which pixel noise may make a line uneven
+_AGREED: Final = 0.5  # least share of the information of all sides that must agree: a blur is the same at all
 
 
 def edge_shares(
     sides: PatchSides,
     lines: Array,
+    uneven: Array,
     mean: Array,
     spatial: Array,
     high: Array,
@@ -38,11 +49,12 @@ def edge_shares(
     patch's level. Where most captures are too blurred to tell, those of the smallest aperture do. A sharp picture has
     the patch's own level up to that line; what a blur carries into it is taken relative to the sum of what both lines
     differ from the patch, which a symmetric blur leaves as it is. Sides that disagree with the others (a faint step
-    hidden before a strong one) are left out.
+    hidden before a strong one) are left out, and sides that do not run along their lines.
 
     Args:
         sides: Lines across the sides of the patches.
-        lines: (captures, sides, lines) their means in DN.
+        lines: (captures, parts × sides, lines) their means in DN, of the whole sides first, then of parts of them.
+        uneven: The variance along them in DN², likewise.
         mean: (captures, tiles) mean of each tile in DN.
         spatial: (captures, tiles) variance of the time mean from pixel to pixel in DN².
         high: (captures, tiles) share of samples at full scale.
@@ -53,11 +65,18 @@ def edge_shares(
     share, u = np.zeros(captures), np.full(captures, np.inf)
     if not sides.tile.size:
         return share, u
-    step = lines - mean[:, sides.tile][:, :, None]
-    clipped = (high[:, sides.tile] > 0) | ~np.isfinite(step).all(axis=2)
-    noise = spatial[:, sides.tile] / sides.rows.shape[2]
+    tile = np.tile(sides.tile, len(sides.parts))
+    pixels = np.repeat([part.stop - part.start for part in sides.parts], sides.tile.size)
+    step = lines - mean[:, tile][:, :, None]
+    clipped = (high[:, tile] > 0) | ~np.isfinite(step).all(axis=2)
+    noise = spatial[:, tile] / pixels
     at = _positions(step, clipped, noise, pattern, np.zeros(captures) if f_number is None else f_number)
-    index = np.arange(sides.tile.size)
+    straight = _Straightness(step, uneven, _pixel_noise(lines, mean, spatial, tile), clipped, pixels)
+    at = {
+        n: (line, _chosen(clear, straight.of(pattern == n, line, sides.tile.size), sides))
+        for n, (line, clear) in at.items()
+    }
+    index = np.arange(tile.size)
     for capture in range(captures):
         line, clear = at[int(pattern[capture])]
         before = step[capture, index, line]
@@ -69,6 +88,61 @@ def edge_shares(
     return share, u
 
 
+def _chosen(clear: NDArray[np.bool_], straight: NDArray[np.bool_], sides: PatchSides) -> NDArray[np.bool_]:
+    """Tell which parts of sides count: the whole side where it is straight, else those of its parts that are."""
+    good = (clear & straight).reshape(-1, sides.tile.size)
+    good[1:] &= ~good[0]
+    return np.asarray(good.ravel())
+
+
+def _pixel_noise(lines: Array, mean: Array, spatial: Array, tile: NDArray[np.intp]) -> Array:
+    """Return the variance of a pixel of the time mean in each line in DN²; brighter lines have more photon noise."""
+    darkest = np.nanmin(mean)
+    of_tile = (mean[:, tile] - darkest)[:, :, None]
+    light = np.divide(lines - darkest, of_tile, out=np.zeros_like(lines), where=of_tile > 0)
+    return np.asarray(spatial[:, tile][:, :, None] * np.where(of_tile > 0, np.maximum(light, 1.0), np.nan))
+
+
+@dataclass(frozen=True, slots=True)
+class _Straightness:
+    """What tells whether borders run along their lines.
+
+    Attributes:
+        step: (captures, sides, lines) deviation of each line from the patch in DN.
+        uneven: Variance along each in DN².
+        noise: What pixel noise adds to it.
+        clipped: (captures, sides) whether anything clips.
+        pixels: (sides,) pixels in a line.
+    """
+
+    step: Array
+    uneven: Array
+    noise: Array
+    clipped: NDArray[np.bool_]
+    pixels: NDArray[np.intp]
+
+    def of(self, shown: NDArray[np.bool_], line: NDArray[np.intp], sides: int) -> NDArray[np.bool_]:
+        """Tell it of the borders behind a line each, from all captures that are shown.
+
+        Outlines are alike: where most borders of the same part of a side are cut, those that pixel noise hides and
+        those that happen to seem straight are, too.
+        """
+        index = np.arange(line.size)
+        before, after = (self.step[shown][:, index, at] for at in (line, line + 1))
+        allowed = 1.0 + _UNEVEN_SIGMAS * np.sqrt(2.0 / np.maximum(self.pixels - 1, 1))
+        straight, told = np.ones(line.size, dtype=np.bool_), np.ones(line.size, dtype=np.bool_)
+        behind = _UNEVEN * (before + after) ** 2
+        for at, cut in ((line, _CUT * np.abs(before * after)), (line + 1, behind)):
+            noise = allowed * self.noise[shown][:, index, at]
+            known = ~self.clipped[shown] & np.isfinite(noise)
+            beyond = np.where(known, self.uneven[shown][:, index, at] - noise - cut, 0.0)
+            straight &= np.sum(beyond, axis=0) <= 0.0
+            told &= np.sum(np.where(known, noise - behind, 0.0), axis=0) < 0.0
+        bent = (told & ~straight).reshape(-1, sides).sum(axis=1)
+        mostly = np.repeat(2 * bent <= told.reshape(-1, sides).sum(axis=1), sides)
+        return straight & mostly
+
+
 def _agreed(before: Array, whole: Array, noise: Array) -> tuple[float, float]:
     """Return the mean share of the sides that agree with the median, and its standard uncertainty."""
     single, sigma = before / whole, np.sqrt(noise) / np.abs(whole)
@@ -76,8 +150,8 @@ def _agreed(before: Array, whole: Array, noise: Array) -> tuple[float, float]:
     weight = np.cumsum(1.0 / sigma[order])
     middle = float(single[order][np.searchsorted(weight, 0.5 * weight[-1])])
     kept = np.abs(single - middle) < _OUTLYING * sigma + _OUTLYING_SHARE * abs(middle)
-    information = float(np.sum(1.0 / sigma[kept] ** 2)) if kept.any() else 0.0
-    if information <= 0:
+    information = float(np.sum(1.0 / sigma[kept] ** 2))
+    if information < _AGREED * float(np.sum(1.0 / sigma**2)):
         return 0.0, np.inf
     share = float(np.sum(single[kept] / sigma[kept] ** 2)) / information
     return share, float(np.sqrt(1.0 / information + SHARPEST**2 + (_WIDE * share**2) ** 2))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from radiometer.reconcile.measure.design import Array, Design, Tile
 
+SHORTEST_PART_PX: Final = 4  # of a line, below which nothing tells whether it is even
 LINES: Final = 7  # from one line inside a patch's stated border to five lines outside it
 
 
@@ -95,11 +97,35 @@ class PatchSides:
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
 
-    def means(self, image: NDArray[np.generic]) -> Array:
-        """Return the mean of every line, (sides, lines)."""
-        if not self.tile.size:
-            return np.zeros((0, LINES))
-        return np.asarray(image[self.rows, self.columns].mean(axis=2), dtype=np.float64)
+    def pixels(self, image: NDArray[np.generic]) -> Array:
+        """Return the pixels of every line, (sides, lines, pixels), as float64."""
+        return image[self.rows, self.columns].astype(np.float64)
+
+    @property
+    def parts(self) -> tuple[slice, ...]:
+        """Return the parts of a side that are judged apart: the whole, and its thirds where these are long enough."""
+        length = self.rows.shape[2]
+        ends = [round(length * i / 3) for i in range(4)] if length >= 3 * SHORTEST_PART_PX else []
+        return (slice(0, length), *(slice(a, b) for a, b in itertools.pairwise(ends)))
+
+    def lines(self, pixels: Array) -> tuple[Array, Array]:
+        """Return the mean of every line and the variance along it, for all parts of all sides.
+
+        Args:
+            pixels: (sides, lines, pixels) mean of each pixel over the frames of a capture, in DN.
+
+        Returns:
+            Means in DN and variances in DN², (parts × sides, lines), the whole sides first.
+        """
+        cut = [pixels[:, :, part] for part in self.parts]
+        return np.concatenate([p.mean(axis=2) for p in cut]), np.concatenate([_unevenness(p) for p in cut])
+
+
+def _unevenness(pixels: Array) -> Array:
+    """Return the variance of pixels along the last axis; 0 where too few can tell it."""
+    if pixels.shape[-1] < SHORTEST_PART_PX:
+        return np.zeros(pixels.shape[:-1])
+    return np.asarray(pixels.var(axis=-1, ddof=1))
 
 
 def patch_sides(design: Design) -> PatchSides:

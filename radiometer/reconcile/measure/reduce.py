@@ -76,10 +76,17 @@ def reduce_frames(
             darkest = float(np.fmin(darkest, np.median(np.asarray(collected[number]["mean"]))))
     names = [entry.name for entry in fields(CaptureStatistics)]
     rows = [collected[number] for number in range(len(design.captures))]
-    lines = np.array([row["side_lines"] for row in rows])
+    lines, uneven = (np.array([row[name] for row in rows]) for name in ("side_lines", "side_unevenness"))
     gathered = {name: np.array([row[name] for row in rows]) for name in names if name not in ("edge", "edge_u")}
     gathered["edge"], gathered["edge_u"] = edge_shares(
-        sides, lines, gathered["mean"], gathered["spatial"], gathered["high"], design.pattern_index, design.f_number
+        sides,
+        lines,
+        uneven,
+        gathered["mean"],
+        gathered["spatial"],
+        gathered["high"],
+        design.pattern_index,
+        design.f_number,
     )
     return CaptureStatistics(**gathered), images
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from radiometer.data import Frame
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.measure.kernels import add_tiles
-from radiometer.reconcile.measure.layout import LINES, PatchSides, TileGroup
+from radiometer.reconcile.measure.layout import PatchSides, TileGroup
 from radiometer.reconcile.measure.profiles import fixed_profile, row_temporal_profile
 from radiometer.reconcile.measure.row_bands import RowBins, row_light
 from radiometer.reconcile.measure.seen import COMB_PERIODS
@@ -49,7 +49,7 @@ class CaptureSums:
         row_sums: Per group and frame, sums of deviations along each tile row.
         low: (tiles,) sum of the shares of samples at 0 DN.
         high: (tiles,) the same at full scale.
-        side_lines: (sides, lines) sum of the means of the lines across each patch's side.
+        side_pixels: (sides, lines, pixels) sum of the pixels of the lines across each patch's side.
         histogram: Counts of digital numbers over the tiles whose histogram must be smooth.
         occurring: Digital numbers that occur in any tile.
     """
@@ -65,7 +65,7 @@ class CaptureSums:
     row_sums: list[list[Array]]
     low: Array
     high: Array
-    side_lines: Array
+    side_pixels: Array
     histogram: Array
     occurring: Mask
 
@@ -85,7 +85,7 @@ class CaptureSums:
             [[] for _ in groups],
             np.zeros(tiles),
             np.zeros(tiles),
-            np.zeros((sides.tile.size, LINES)),
+            np.zeros(sides.rows.shape),
             np.zeros(0),
             np.zeros(0, dtype=np.bool_),
         )
@@ -115,7 +115,7 @@ class CaptureSums:
             self.high[index] += high
             self.row_sums[number].append(rows)
         self.frame_means.append(mean)
-        self.side_lines += self.sides.means(frame.dn)
+        self.side_pixels += self.sides.pixels(frame.dn)
 
     def _make_room(self, codes: int) -> None:
         more = codes - self.histogram.size
@@ -139,7 +139,7 @@ class CaptureSums:
             row_sums=[sums[1:] for sums in self.row_sums],
             low=self.low - first.low,
             high=self.high - first.high,
-            side_lines=self.side_lines - first.side_lines,
+            side_pixels=self.side_pixels - first.side_pixels,
         )
 
     def finish(
@@ -177,7 +177,7 @@ class CaptureSums:
         result |= row_light(bins, self.groups, self.row_sums, known, means, variance, black_dn, structured=structured)
         result |= _common_fluctuation(means, out, black_dn)
         result |= _additive_fluctuation(means, out)
-        result["side_lines"] = self.side_lines / n
+        result["side_lines"], result["side_unevenness"] = self.sides.lines(self.side_pixels / n)
         result |= _comb(self.histogram)
         return result, outlying
 

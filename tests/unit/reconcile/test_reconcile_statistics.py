@@ -128,10 +128,10 @@ def test_dark_gap_before_a_bright_neighbour_is_no_blur() -> None:
     sharp = np.array([0.0, 0.0, 0.0, 0.0, -300.0, -300.0, 900.0])
     gap = np.array([0.0, 0.0, 0.0, 0.0, -9.0, -9.0, 900.0])
     lines = 1000.0 + np.array([[sharp, gap, gap]] * 4)
-    index = np.zeros((3, LINES, 12), dtype=np.intp)
+    index = np.zeros((3, LINES, 8), dtype=np.intp)
     tiles = np.full((4, 1), 1000.0)
     share, u = edge_shares(
-        PatchSides(np.zeros(3, dtype=np.intp), index, index), lines, tiles, tiles * 0 + 1.0, tiles * 0,
+        PatchSides(np.zeros(3, dtype=np.intp), index, index), lines, lines * 0, tiles, tiles * 0 + 1.0, tiles * 0,
         np.zeros(4, dtype=np.intp),
     )  # fmt: skip
     np.testing.assert_allclose(share, 0.0, atol=1e-12)
@@ -152,10 +152,10 @@ def test_sharpest_stop_tells_where_borders_lie() -> None:
 
     radius = np.array([2.26] * 10 + [0.82] * 2 + [2.26] * 3)
     lines = 1000.0 + np.array([[seen(r)] * 3 for r in radius.tolist()])
-    index = np.zeros((3, LINES, 12), dtype=np.intp)
+    index = np.zeros((3, LINES, 8), dtype=np.intp)
     tiles = np.full((15, 1), 1000.0)
     share, u = edge_shares(
-        PatchSides(np.zeros(3, dtype=np.intp), index, index), lines, tiles, tiles * 0 + 1.0, tiles * 0,
+        PatchSides(np.zeros(3, dtype=np.intp), index, index), lines, lines * 0, tiles, tiles * 0 + 1.0, tiles * 0,
         np.array([0] * 12 + [1] * 3), np.where(radius > 2, 4.0, 11.0),
     )  # fmt: skip
     np.testing.assert_allclose(share[:12], disc_edge_share(radius[:12]), atol=0.02)
