@@ -33,7 +33,7 @@ from radiometer.reconcile.result import (
     ReconcileResult,
     Verdict,
 )
-from radiometer.reconcile.search.frame_order import FrameLight, Periodic, periodic
+from radiometer.reconcile.search.frame_order import FrameLight, Periodic, periodic, steadied
 from radiometer.reconcile.search.localise import Disagreement, axis_of, global_p_value, places
 from radiometer.reconcile.search.outcome import Reconciled, Search, Step
 from radiometer.reconcile.search.search import search
@@ -219,6 +219,7 @@ def examine(
     seen, images = reduce_frames(design, light, (lambda done: progress(done, total)) if progress else None)
     again = periodic(design, light, seen.common_unit, (seen.high < _CLEAR) & (seen.low < _CLEAR))
     if again is not None:  # a source known to differ by so much from frame to frame: no flicker is asked for beside it
+        seen = steadied(design, light, seen, again)
         design = replace(design, header=_wandering(header, again.rms))
     start = first_state(design, seen, images, given)
     if not start.comparison.usable["mean"].any():

@@ -27,6 +27,7 @@ SHOWS = {
     "hot_pixels": ("spatial",),
     "image_lag": ("first",),
     "first_frame_offset": ("first",),
+    "series_settling": ("first",),
     "brighter_fatter": ("variance",),
     "crosstalk": ("variance", "neighbour", "edge"),
     "shutter_dead_time": ("first", "mean"),

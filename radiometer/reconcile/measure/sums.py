@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -166,7 +166,6 @@ class CaptureSums:
             counting.append(good)
         out["low"], out["high"] = self.low / n, self.high / n
         row_sums = self._without_flicker(means, counting, out, black_dn) if structured and n > 1 else self.row_sums
-        out["first"] = means[0] - means[1:].mean(axis=0) if n > 1 else np.full(tiles, np.nan)
         result: dict[str, Array | float] = dict(out)
         result["outliers"] = float(outlying.sum())
         free = _free(out)  # a clipped tile has hardly any noise and would outweigh all
@@ -175,7 +174,7 @@ class CaptureSums:
         result |= row_temporal_profile(self.groups, row_sums, variance, known)
         result |= fixed_profile(self.groups, residuals, spatial, counting)
         result |= row_light(bins, self.groups, self.row_sums, known, means, variance, black_dn, structured=structured)
-        result |= _common_fluctuation(means, out, black_dn)
+        result |= light_of_frames(means, out, black_dn)
         result |= _additive_fluctuation(means, out)
         result["side_lines"], result["side_unevenness"] = self.sides.lines(self.side_pixels / n)
         result |= _comb(self.histogram)
@@ -327,7 +326,19 @@ def _stride(pixels: int, width: int) -> int:
     return step
 
 
-def _common_fluctuation(means: Array, out: dict[str, Array], black_dn: float) -> dict[str, float]:
+def light_of_frames(means: Array, out: Mapping[str, Array], black_dn: float) -> dict[str, Array | float]:
+    """Return what goes with the frames of a capture: how the first differs, and what all tiles share, by name.
+
+    Args:
+        means: (frames, tiles) means in DN.
+        out: Statistics of the tiles by name.
+        black_dn: Black level in DN; NaN where unknown.
+    """
+    apart = means[0] - means[1:].mean(axis=0) if means.shape[0] > 1 else np.full(means.shape[1], np.nan)
+    return {"first": apart, **_common_fluctuation(means, out, black_dn)}
+
+
+def _common_fluctuation(means: Array, out: Mapping[str, Array], black_dn: float) -> dict[str, float]:
     """Return the variance of the relative fluctuation that all tiles share, over what pixel noise alone gives."""
     # The first frame may differ for a reason of its own (lag, dead time) and has a statistic of its own.
     means = means[1:] if means.shape[0] > 2 else means
@@ -362,7 +373,7 @@ def _additive_fluctuation(means: Array, out: dict[str, Array]) -> dict[str, floa
     }
 
 
-def _common_amplitude(means: Array, out: dict[str, Array], black_dn: float) -> tuple[Array, float]:
+def _common_amplitude(means: Array, out: Mapping[str, Array], black_dn: float) -> tuple[Array, float]:
     """Return by what share the light of each frame differs from all, and 1/variance of that; 0 without light."""
     signal = out["mean"] - (black_dn if np.isfinite(black_dn) else float(np.min(out["mean"])))
     usable = _free(out) & (out["variance"] > 0) & (signal > 0)
@@ -373,7 +384,7 @@ def _common_amplitude(means: Array, out: dict[str, Array], black_dn: float) -> t
     return np.asarray((means - means.mean(axis=0)) @ weight / information), information
 
 
-def _free(out: dict[str, Array]) -> Mask:
+def _free(out: Mapping[str, Array]) -> Mask:
     """Tell which tiles are not clipped, be it below full scale: there noise falls away that darker tiles have."""
     order = np.argsort(out["mean"], kind="stable")
     variance = np.nan_to_num(out["variance"][order])

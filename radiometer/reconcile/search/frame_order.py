@@ -10,7 +10,7 @@ Source: analysis of variance in one way, within settings; F test with Bonferroni
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -20,6 +20,8 @@ from scipy.special import fdtrc
 from radiometer.data import Frame
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.reduce import FrameReader
+from radiometer.reconcile.measure.seen import CaptureStatistics
+from radiometer.reconcile.measure.sums import light_of_frames
 from radiometer.reconcile.thresholds import PERIOD_SIGNIFICANCE
 
 _PERIODS: Final = range(2, 13)  # frames
@@ -37,12 +39,14 @@ class Periodic:
         depth: Largest against smallest mean light of the frames of one phase, relative.
         rms: Standard deviation of the light over the phases, relative.
         p_value: Chance of that much among all periods without it.
+        levels: Light of the frames of each phase over that of the usual one.
     """
 
     period: int
     depth: float
     rms: float
     p_value: float
+    levels: tuple[float, ...] = ()
 
 
 class FrameLight:
@@ -61,6 +65,10 @@ class FrameLight:
             means = [float(frame.dn[tile.slices].mean()) for tile in self._design.tiles]
             self._light[index] = np.array(means) - self._black.get(index, 0.0)
         return frame
+
+    def of_tiles(self, frames: tuple[int, ...]) -> Array:
+        """Return the mean of each tile above black in frames, (frames, tiles), in DN."""
+        return np.stack([self._light[index] for index in frames])
 
     def of_capture(self, frames: tuple[int, ...], clear: NDArray[np.bool_]) -> Array:
         """Return the light of frames in those tiles that none of them clips, over its mean, less 1."""
@@ -91,7 +99,35 @@ def periodic(design: Design, light: FrameLight, unit: Array, clear: NDArray[np.b
     best = min((entry for entry in found if entry is not None), key=lambda entry: entry.p_value, default=None)
     if best is None or best.p_value * len(_PERIODS) > PERIOD_SIGNIFICANCE:
         return None
-    return Periodic(best.period, best.depth, best.rms, min(best.p_value * len(_PERIODS), 1.0))
+    return replace(best, p_value=min(best.p_value * len(_PERIODS), 1.0))
+
+
+def steadied(design: Design, light: FrameLight, seen: CaptureStatistics, again: Periodic) -> CaptureStatistics:
+    """Return the statistics as they would be if all frames had the usual phase's light.
+
+    What is known to go with the order of the frames would pass for flicker, for a first frame that differs, and for
+    captures that do not repeat.
+
+    Args:
+        design: Captures.
+        light: The light of each frame.
+        seen: The statistics.
+        again: What comes back.
+    """
+    found = {name: getattr(seen, name).copy() for name in ("mean", "first", "common", "common_unit")}
+    level = np.array(again.levels)
+    for number, capture in enumerate(design.captures):
+        if design.closed[number] or not design.source_level[number] > 0:
+            continue
+        black_dn = float(design.black_level_dn[number])
+        means = light.of_tiles(capture.frames)
+        even = means / level[np.array(capture.frames) % again.period][:, None]
+        there = {name: getattr(seen, name)[number] for name in ("variance", "pixels", "low", "high")}
+        there["mean"] = seen.mean[number] + (even - means).mean(axis=0)
+        black = black_dn if np.isfinite(black_dn) else 0.0
+        for name, value in {"mean": there["mean"], **light_of_frames(even + black, there, black_dn)}.items():
+            found[name][number] = value
+    return replace(seen, **found)
 
 
 def _rated(frames: list[tuple[int, ...]], apart: list[Array], weight: list[float], period: int) -> Periodic | None:
@@ -115,7 +151,8 @@ def _rated(frames: list[tuple[int, ...]], apart: list[Array], weight: list[float
     level = right[kept].T @ (along / size[kept])
     rest = max(float(seen @ seen - along @ along), 1e-300)
     f_ratio = float(along @ along) / rank / (rest / freedom)
-    return Periodic(period, float(np.ptp(level)), float(np.std(level)), float(fdtrc(rank, freedom, f_ratio)))
+    usual = tuple((1.0 + level - float(np.median(level))).tolist())
+    return Periodic(period, float(np.ptp(level)), float(np.std(level)), float(fdtrc(rank, freedom, f_ratio)), usual)
 
 
 def _beside(known: Array, values: Array) -> Array:

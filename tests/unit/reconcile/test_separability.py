@@ -13,7 +13,7 @@ import pytest
 
 from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter
-from radiometer.reconcile.advice.separability import left_by_fit, noiseless, separability
+from radiometer.reconcile.advice.separability import Directions, inseparable, left_by_fit, noiseless, separability
 from radiometer.reconcile.engine import whole_catalogue
 from radiometer.reconcile.fit.candidate_fit import Candidate
 from radiometer.reconcile.fit.state import FitState, first_state, refit, with_effects
@@ -106,6 +106,18 @@ def test_large_effect_is_held_against_fits_to_its_noiseless_data(
     left, fitted = left_by_fit(exact, truth, Candidate(other, 0.0, 1))
     assert (left < 10.0) is alike
     assert fitted.name == other.name
+
+
+@pytest.mark.parametrize("itself", [True, False])
+def test_entry_that_has_turned_into_another_is_no_rival(
+    plain: FitState, monkeypatch: pytest.MonkeyPatch, itself: bool
+) -> None:
+    """Light from the room fits a veil of 30 % only by a fit; it is a rival there unless it acts as others would."""
+    monkeypatch.setattr(AmbientLightLeak, "unlike_itself", lambda self, context: not itself)
+    monkeypatch.setattr(Directions, "followed_by", lambda self, target, name, times_chi2=1.0: None)
+    state = with_effects(plain, [VeilingGlare(0.3)])
+    rivals = inseparable(state, state.effects[0], {"ambient_light_leak": AmbientLightLeak})
+    assert [rival.name for rival in rivals] == (["ambient_light_leak"] if itself else [])
 
 
 @pytest.mark.slow
