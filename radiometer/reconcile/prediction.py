@@ -8,7 +8,7 @@ import numpy as np
 
 from radiometer.reconcile.measure.design import Array
 from simulators.effects.context import Signal
-from simulators.effects.rounding import rounding_amplitude
+from simulators.effects.rounding import excess_kurtosis, rounding_amplitude
 from simulators.effects.tile_moments import Moments
 
 
@@ -58,6 +58,11 @@ class Prediction:
     def rounding(self) -> Array:
         """Return how far rounding to whole codes may move the mean, in DN, (captures, tiles)."""
         return of_tiles(rounding_amplitude(self.unrounded), self.mean.shape)
+
+    @property
+    def kurtosis(self) -> Array:
+        """Return the excess kurtosis that rounding to whole codes gives a pixel's values, (captures, tiles)."""
+        return of_tiles(excess_kurtosis(self.unrounded), self.mean.shape)
 
 
 def of_tiles(values: Signal, shape: tuple[int, ...]) -> Array:

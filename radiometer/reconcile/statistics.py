@@ -258,10 +258,10 @@ class Scatter:
 
     @cached_property
     def kurtosis(self) -> Array:
-        """Return the excess kurtosis that photons give a pixel's noise."""
+        """Return the excess kurtosis that photons and few codes give a pixel's noise."""
         base = self.base
         photons = base.gain[:, None] ** 4 * np.maximum(base.signal, 0.0)
-        return np.asarray(np.clip(photons / np.maximum(base.variance, 1e-12) ** 2, 0, 1))
+        return np.asarray(np.clip(photons / np.maximum(base.variance, 1e-12) ** 2, 0, 1) + base.kurtosis)
 
     @cached_property
     def unevenness(self) -> Array | float:

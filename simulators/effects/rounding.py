@@ -14,6 +14,8 @@ from simulators.effects.context import Signal
 _FINE: Final = 0.6**2  # from this variance on, in DN², rounding moves a mean by less than 3e-4 DN
 _REACH_SIGMAS: Final = 9.0  # borders farther away are crossed by 1e-19 of the values
 _LEAST_SIGMA_DN: Final = 1e-3
+_CODES: Final = 6  # on either side of the nearest: ten sigmas of what counts as coarse
+_MOST_KURTOSIS: Final = 100.0
 _SPLIT_FROM: Final = 0.3**2  # below, noise and pattern share the variance in proportion: nothing there is normal
 _QUANTILES: Final = ndtri((np.arange(15) + 0.5) / 15)  # pixels of a normal pattern, all equally likely
 
@@ -52,6 +54,27 @@ def rounded(before: SomeMoments) -> SomeMoments:
     common[coarse] *= np.square(slope)
     after = replace(before, mean=mean, variance=variance, spatial_variance=fixed, common_variance=common)
     return replace(after, unrounded=before)
+
+
+def excess_kurtosis(before: Moments) -> Signal:
+    """Return the excess kurtosis of rounded values: of few codes hardly any is normal, and their variance scatters so.
+
+    0 where rounding moves nothing; no more than 100, which noise of a sixth of a code has at the middle of one.
+
+    Args:
+        before: Moments in DN in front of the rounding; the fixed pattern is left out.
+    """
+    mean, variance = np.broadcast_arrays(before.mean, np.maximum(before.variance, 0.0))
+    found, coarse = np.zeros(mean.shape), variance < _FINE
+    if not coarse.any():
+        return found
+    at, sigma = mean[coarse], np.maximum(np.sqrt(variance[coarse]), _LEAST_SIGMA_DN)
+    codes = np.rint(at)[:, None] + np.arange(-_CODES, _CODES + 1)
+    chance = ndtr((codes + 0.5 - at[:, None]) / sigma[:, None]) - ndtr((codes - 0.5 - at[:, None]) / sigma[:, None])
+    apart = codes - np.sum(chance * codes, axis=1, keepdims=True)
+    square, fourth = (np.sum(chance * apart**power, axis=1) for power in (2, 4))
+    found[coarse] = np.minimum(fourth / np.maximum(square, 1e-12) ** 2 - 3.0, _MOST_KURTOSIS)
+    return found
 
 
 def _of_coarse(mean: Signal, variance: Signal, pattern2: Signal) -> tuple[Signal, Signal, Signal, Signal]:

@@ -26,7 +26,7 @@ _FALLS: Final = 0.5  # a blur that leaves the line before the last calm falls of
 _SEEN: Final = 2.0  # sigmas by which a line must differ from the patch to tell anything
 _LARGEST_SHARE: Final = 0.45
 _FEW: Final = 0.5  # of the borders that are clear at one f-number, below which others are too blurred to tell them
-_CLEAR_STEP: Final = 5.0  # sigmas of a line's mean that a step must have to tell anything
+_CLEAR_STEP: Final = 5.0  # sigmas that a step must have to be a border at all: even fields have many lines
 _CUT: Final = 0.25  # of the variance along a line that lies half here, half there, from which it is not straight
 _UNEVEN: Final = 0.04  # of the squared step: variance along the first line behind it, likewise
 _UNEVEN_SIGMAS: Final = 3.0  # by which pixel noise may make a line uneven
@@ -82,7 +82,8 @@ def edge_shares(
         before = step[capture, index, line]
         after = step[capture, index, line + 1]
         whole = before + after
-        usable = clear & ~clipped[capture] & (noise[capture] > 0) & (whole**2 > _CLEAR_STEP**2 * noise[capture])
+        seen = whole**2 > _CLEAR_STEP**2 * 2.0 * noise[capture]  # of two lines
+        usable = clear & ~clipped[capture] & (noise[capture] > 0) & seen
         if usable.any():
             share[capture], u[capture] = _agreed(before[usable], whole[usable], noise[capture][usable])
     return share, u
@@ -213,7 +214,7 @@ def _first_step(average: Array, sigma: Array) -> tuple[NDArray[np.intp], NDArray
     calm &= ~_false_start(average, after, earlier, sigma)
     clear = (after >= 2) & calm | ((after == 1) & (size[index, 0] < _LARGEST_SHARE * size[index, 1]))
     line = np.clip(after - 1, 0, lines - 2)
-    return line.astype(np.intp), np.asarray(clear & (size[index, after] > 0))
+    return line.astype(np.intp), np.asarray(clear & (size[index, after] > _CLEAR_STEP * sigma))
 
 
 def _false_start(average: Array, after: NDArray[np.intp], earlier: NDArray[np.intp], sigma: Array) -> NDArray[np.bool_]:

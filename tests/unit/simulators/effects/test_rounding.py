@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulators.effects.base import Moments
-from simulators.effects.rounding import rounded, rounding_amplitude
+from simulators.effects.rounding import excess_kurtosis, rounded, rounding_amplitude
 
 PIXELS, FRAMES = 20_000, 100
 # Mean, noise and fixed pattern in DN: on a code, between two, at the border, hardly any noise, mostly pattern, fine.
@@ -45,3 +45,13 @@ def test_light_that_all_pixels_share_is_swallowed_by_a_code() -> None:
     """Far from the border between codes hardly any noise means that a common change does not show."""
     assert rounded(_moments(60.0, 0.06, 0.0)).common_variance[0] < 1e-12
     assert rounded(_moments(60.5, 0.06, 0.0)).common_variance[0] > 1e-6
+
+
+@pytest.mark.parametrize(("phase", "noise"), [(0.0, 0.31), (0.5, 0.31), (0.2, 0.4), (0.0, 0.7)])
+def test_excess_kurtosis_is_that_of_rounded_samples(phase: float, noise: float) -> None:
+    """Noise of 0.31 DN at the middle of a code has 6, at its border −2; from 0.6 DN on nothing is asked."""
+    codes = np.rint(17.0 + phase + noise * np.random.default_rng(3).standard_normal(1_000_000))
+    apart = codes - codes.mean()
+    wanted = 0.0 if noise > 0.6 else float(np.mean(apart**4) / np.mean(apart**2) ** 2 - 3.0)
+    found = excess_kurtosis(_moments(17.0 + phase, noise, 0.0))
+    assert np.asarray(found).ravel()[0] == pytest.approx(wanted, abs=0.1)
