@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Self, cast
+from typing import Any, Final, Self, cast
 
 import numpy as np
 
@@ -12,15 +12,20 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
+_REFERENCE_E: Final = 1000.0  # at which a power law releases the plain share
+_LEAST_E: Final = 1.0  # a power below 1 is endless at nothing
+
 
 @dataclass(frozen=True)
 class ImageLag(CatalogueEffect):
     """Adds a share of what the pixel held in the frame before: S' = S + l·S_prev, or less where traps fill up.
 
     Traps that hold no more than 1/c electrons release (1 − exp(−c·l·S_prev))/c; c = 0 is the plain share. Slow traps
-    release a further share m of the frame before that one, which a single frame takes to be like the one before.
+    release a further share m of the frame before that one, which a single frame takes to be like the one before. Traps
+    of many depths release by a power p: l·S_prev·(S_prev/1000 e-)^(p − 1).
 
-    Source: incomplete charge transfer; typical 0.01 to 0.5 %. Traps: first-order filling.
+    Source: incomplete charge transfer; typical 0.01 to 0.5 %. Traps: first-order filling; of many depths a
+    power between a half and 1 (engineering prior).
     """
 
     name = "image_lag"
@@ -40,23 +45,27 @@ class ImageLag(CatalogueEffect):
     share: float = parameter(0.0, "1", -0.2, 0.2, source="engineering prior; refined on a real rig")
     older_share: float = parameter(0.0, "1", -0.1, 0.1, source="traps empty over several frames")
     fullness_per_e: float = parameter(0.0, "e-1", 0.0, 10.0, source="1 over the electrons that the traps hold")
+    power: float = parameter(1.0, "1", 0.2, 2.0, source="traps of many depths: below 1")
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the form whose traps fill up."""
-        return (cls(share=0.002, fullness_per_e=0.05),)
+        """Return the form whose traps fill up, and the one of a power."""
+        return (cls(share=0.002, fullness_per_e=0.05), cls(share=0.002, power=0.6))
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the form whose traps fill up, and the one whose traps are slow."""
-        if self.fullness_per_e > 0 or self.older_share:
+        """Return the form whose traps fill up, the one whose traps are slow, and the one of a power."""
+        if self.fullness_per_e > 0 or self.older_share or self.power != 1.0:
             return ()
         return (
             self.with_parameters(fullness_per_e=0.05),
             self.with_parameters(older_share=0.1 * self.share),
+            self.with_parameters(power=0.7),
         )
 
     def free(self) -> tuple[str, ...]:
-        """Return the share, and the traps' fullness where they fill up, or what the older frame leaves."""
+        """Return the share, and the traps' fullness where they fill up, what the older frame leaves, or the power."""
+        if self.power != 1.0:
+            return ("share", "power")
         if self.older_share:
             return ("share", "older_share")
         return ("share", "fullness_per_e") if self.fullness_per_e > 0 else ("share",)
@@ -98,7 +107,10 @@ class ImageLag(CatalogueEffect):
     def _released(self, held: Any, context: ExposureContext) -> Any:
         """Return the electrons that a frame leaves to the next; no pixel holds more than its full well."""
         well = context.camera.full_well_e
-        lag = self.share * (held if well is None else np.minimum(held, well))
+        held = held if well is None else np.minimum(held, well)
+        lag = self.share * held
+        if self.power != 1.0:
+            return lag * (np.maximum(held, _LEAST_E) / _REFERENCE_E) ** (self.power - 1.0)
         if self.fullness_per_e <= 0:
             return lag
         filled = -np.expm1(-self.fullness_per_e * np.maximum(lag, 0.0)) / self.fullness_per_e

@@ -16,6 +16,7 @@ _REACH_SIGMAS: Final = 9.0  # borders farther away are crossed by 1e-19 of the v
 _LEAST_SIGMA_DN: Final = 1e-3
 _CODES: Final = 6  # on either side of the nearest: ten sigmas of what counts as coarse
 _MOST_KURTOSIS: Final = 100.0
+_ONE_CODE: Final = 1e-6  # variance in DN² of values of which all but one in a million show one code
 _SPLIT_FROM: Final = 0.3**2  # below, noise and pattern share the variance in proportion: nothing there is normal
 _QUANTILES: Final = ndtri((np.arange(15) + 0.5) / 15)  # pixels of a normal pattern, all equally likely
 
@@ -73,7 +74,9 @@ def excess_kurtosis(before: Moments) -> Signal:
     chance = ndtr((codes + 0.5 - at[:, None]) / sigma[:, None]) - ndtr((codes - 0.5 - at[:, None]) / sigma[:, None])
     apart = codes - np.sum(chance * codes, axis=1, keepdims=True)
     square, fourth = (np.sum(chance * apart**power, axis=1) for power in (2, 4))
-    found[coarse] = np.minimum(fourth / np.maximum(square, 1e-12) ** 2 - 3.0, _MOST_KURTOSIS)
+    told = square > _ONE_CODE  # else hardly any value differs from the others, and each that does is far off
+    found[coarse] = np.where(told, np.minimum(fourth / np.where(told, square, 1.0) ** 2 - 3.0, _MOST_KURTOSIS), 0.0)
+    found[coarse] += np.where(told, 0.0, _MOST_KURTOSIS)
     return found
 
 

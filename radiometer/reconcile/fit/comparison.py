@@ -326,7 +326,9 @@ def compare(
     )
     plain = replace(plain, wander2=_steady_wander2(plain, base))
     repeatability = replace(repeatability, flicker2=repeatability.flicker2 + plain.wander2)
-    errors = shared_errors(design, base, mask, sensitivity, repeatability)
+    follow = (name for name, row in STATISTICS.items() if row.follows_light)
+    noise_response = {} if variance_response is None else dict.fromkeys(follow, variance_response)
+    errors = shared_errors(design, base, mask, sensitivity, repeatability, noise_response)
     if repeatability.bands2.any():
         share, frequency = plain.share_of_bands, plain.band_frequency
         errors = (*errors, phases_of_wave(design, seen.bands_basis, mask["bands"], share, frequency))
@@ -342,12 +344,9 @@ def _deviations(
     found = {name: row.sigma(scatter) for name, row in STATISTICS.items()}
     more = [unsteady_phases(scatter.design, scatter.seen, scatter.base), floors]
     if variance_response is not None:
-        shaken2 = (
-            repeatability.flicker2 / scatter.design.frame_count
-        )  # of the light that the few frames happened to have
-        light_u_rel = np.sqrt(max(repeatability.tau, _LIGHT_U_REL) ** 2 + shaken2)
+        light_u_rel = max(repeatability.tau, _LIGHT_U_REL)
         follow = (name for name, row in STATISTICS.items() if row.follows_light)
-        more.insert(1, dict.fromkeys(follow, light_u_rel[:, None] * variance_response))
+        more.insert(1, dict.fromkeys(follow, light_u_rel * variance_response))
     for further in more:
         found |= {name: np.hypot(found[name], values) for name, values in further.items()}
     return found

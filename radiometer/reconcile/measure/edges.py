@@ -141,7 +141,7 @@ class _Straightness:
             told &= np.sum(np.where(known, noise - behind, 0.0), axis=0) < 0.0
         bent = (told & ~straight).reshape(-1, sides).sum(axis=1)
         mostly = np.repeat(2 * bent <= told.reshape(-1, sides).sum(axis=1), sides)
-        return straight & mostly
+        return np.asarray(straight & mostly)
 
 
 def _agreed(before: Array, whole: Array, noise: Array) -> tuple[float, float]:

@@ -98,7 +98,12 @@ class Repeatability:
 
 
 def shared_errors(
-    design: Design, base: Prediction, usable: Mapping[str, Mask], sensitivity: Array, repeatability: Repeatability
+    design: Design,
+    base: Prediction,
+    usable: Mapping[str, Mask],
+    sensitivity: Array,
+    repeatability: Repeatability,
+    noise_response: Mapping[str, Array] | None = None,
 ) -> tuple[SharedError, ...]:
     """Return the sources that the weights of means, slopes and variances hold.
 
@@ -108,16 +113,22 @@ def shared_errors(
         usable: Which entries of each statistic count.
         sensitivity: (captures, tiles) d(mean)/d(log light) in DN.
         repeatability: Capture-to-capture and frame-to-frame scatter, the source's own wander included.
+        noise_response: (captures, tiles) how far what goes with a tile's noise follows its log light, by statistic.
     """
     n = design.frame_count
     first = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)  # of what a frame's tiles share, in the first less the others' mean
     light = {name: np.where(usable[name], sensitivity, 0.0) for name in ("mean", "first", "slope_y")}
-    one = np.ones((len(design.tiles), 1))
+    one, shaken2 = np.ones((len(design.tiles), 1)), repeatability.flicker2 / n
     found = [
         SharedError("light of a capture", {"mean": Part(light["mean"], one)}, np.full(n.size, repeatability.tau**2)),
-        SharedError("light of its frames", {"mean": Part(light["mean"], one)}, repeatability.flicker2 / n),
+        SharedError("light of its frames", {"mean": Part(light["mean"], one)}, shaken2),
         SharedError("light of its first frame", {"first": Part(light["first"], one)}, repeatability.flicker2 * first),
     ]
+    if repeatability.flicker2.any():  # brighter frames have more photon noise, in all tiles alike
+        found += [
+            SharedError(f"noise of its frames: {name}", {name: Part(np.where(usable[name], by, 0.0), one)}, shaken2)
+            for name, by in (noise_response or {}).items()
+        ]
     if repeatability.row_variance.any():
         found += _row_noise(design, base, usable, repeatability.row_variance)
     if repeatability.bands2.any():

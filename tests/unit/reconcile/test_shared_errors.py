@@ -9,7 +9,14 @@ from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, FrameS
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.row_bands import RowBins, TileBands
 from radiometer.reconcile.measure.seen import CaptureStatistics
-from radiometer.reconcile.noise.shared_errors import Part, SharedError, phases_of_wave, whiteners
+from radiometer.reconcile.noise.shared_errors import (
+    Part,
+    Repeatability,
+    SharedError,
+    phases_of_wave,
+    shared_errors,
+    whiteners,
+)
 from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.statistics import STATISTICS, Given, family_of
 
@@ -50,6 +57,21 @@ def test_whitened_errors_have_unit_variance() -> None:
     (whitener,) = whiteners(errors, {"mean": sigma}, {"mean": usable})["mean"]
     covariance = errors[0].covariance("mean")[0] + errors[1].covariance("mean")[0] + np.diag([0.25, 0.04, 1.0])
     assert whitener @ covariance @ whitener.T == pytest.approx(np.eye(3), abs=1e-12)
+
+
+@pytest.mark.parametrize("flicker2", [0.0, 0.09])
+def test_noise_of_all_tiles_follows_the_light_of_the_same_few_frames(design: Design, flicker2: float) -> None:
+    """Light that differs by 0.3 from frame to frame moves ln(variance) of all tiles together: 0.09/n of it."""
+    captures, n = len(design.captures), design.frame_count
+    every, none = np.ones((captures, 3)), np.zeros(captures)
+    usable = dict.fromkeys(("mean", "first", "slope_y", "variance", "spatial"), every > 0)
+    response = every * [0.9, 0.5, 0.0]
+    repeats = Repeatability(1e-3, np.full(captures, flicker2), none, none, 0.0)
+    found = shared_errors(design, None, usable, every, repeats, {"variance": response})  # type: ignore[arg-type]
+    noise = [error for error in found if "variance" in error.parts]
+    assert len(noise) == (1 if flicker2 else 0)
+    for error in noise:
+        assert error.covariance("variance")[0][0] == pytest.approx(flicker2 / n[0] * 0.9 * response[0])
 
 
 def test_tiles_side_by_side_share_their_rows(design: Design) -> None:

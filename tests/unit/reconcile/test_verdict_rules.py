@@ -117,7 +117,7 @@ def scatter(**changes: Any) -> Scatter:
     base = {
         "gain": np.array([0.5, 0.5]), "signal": np.full((2, 1), 40.0), "variance": np.full((2, 1), 30.0),
         "neighbour_x": np.zeros((2, 1)), "neighbour_y": np.zeros((2, 1)), "row_variance": np.zeros(2),
-        "rounding": np.zeros((2, 1)),
+        "rounding": np.zeros((2, 1)), "kurtosis": np.zeros((2, 1)),
     }  # fmt: skip
     seen = {
         "variance": np.array([[25.0], [36.0]]), "pixels": np.full((2, 1), 100.0),
@@ -142,7 +142,7 @@ def test_how_far_a_mean_scatters():
 
 
 def test_how_far_a_variance_scatters():
-    """ln of a variance of ν degrees of freedom: trigamma(ν/2); photons add K⁴·N/(σ⁴·pixels·frames)."""
+    """ln of a variance of ν degrees of freedom: trigamma(ν/2); photons add K⁴·N/(σ⁴·pixels·frames), codes theirs."""
     from scipy.special import polygamma
 
     own = polygamma(1, np.array([[350.0], [50.0]]))
@@ -153,6 +153,8 @@ def test_how_far_a_variance_scatters():
     assert scatter(signal=np.full((2, 1), 4000.0)).variance == pytest.approx(bright, rel=1e-6)
     white = np.sqrt(own + 1.0 / np.array([[800.0], [200.0]]))  # no more than one electron's in a variance of one
     assert scatter(signal=np.full((2, 1), 1e6)).variance == pytest.approx(white, rel=1e-6)
+    few_codes = np.sqrt(own + (photons + 6.0) / np.array([[800.0], [200.0]]))
+    assert scatter(kurtosis=np.full((2, 1), 6.0)).variance == pytest.approx(few_codes, rel=1e-3)
     pairs = np.array([[700.0], [100.0]]) * 100.0 / 99.0
     assert scatter().neighbours("width") == pytest.approx(np.sqrt(1.0 / (0.9 * pairs)))
     assert scatter().neighbours("height") == pytest.approx(np.sqrt(1.0 / (0.95 * pairs)))
