@@ -23,7 +23,6 @@ _SLOPE_STEP: Final = 1e-3
 _TEXTURE_STEP: Final = 1e-6
 _BRIGHT_SHARE: Final = 0.05  # of the brightest tile: enough to tell the responsivity roughly
 _FREE_RESPONSIVITY: Final = 50.0  # where no radiance is known its unit is arbitrary too
-_SCALARS: Final = ("log_responsivity", "log_gain", "log_read", "black_dn", "dark_e_per_s")
 _SCALAR_STEP: Final = {"black_dn": 1e-2, "dark_e_per_s": 1e-2}
 _FREE_BLACK: Final = 2.5  # of the full scale: anywhere in the converter's range
 _SCALAR_PRIOR: Final = {"log_responsivity": _FREE_RESPONSIVITY, "dark_e_per_s": 1e3}
