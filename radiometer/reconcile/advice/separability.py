@@ -292,8 +292,8 @@ def asked_sizes(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]])
 def _asked(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> tuple[Directions, dict[str, _Form]]:
     context = state.model.context
     directions = Directions.of(state, {n: _spread(kind.starts(context)) for n, kind in catalogue.items()})
-    first = {name: forms[0] for name, forms in directions.forms.items() if forms}
-    return directions, {name: form for name, form in first.items() if directions.is_seen(form)}
+    first = {n: next((f for f in forms if directions.is_seen(f)), None) for n, forms in directions.forms.items()}
+    return directions, {name: form for name, form in first.items() if form is not None}
 
 
 def _together(state: FitState, directions: Directions, seen: Mapping[str, _Form], *, every: bool) -> Iterator[Together]:

@@ -13,7 +13,14 @@ import pytest
 
 from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter
-from radiometer.reconcile.advice.separability import Directions, inseparable, left_by_fit, noiseless, separability
+from radiometer.reconcile.advice.separability import (
+    Directions,
+    asked_sizes,
+    inseparable,
+    left_by_fit,
+    noiseless,
+    separability,
+)
 from radiometer.reconcile.engine import whole_catalogue
 from radiometer.reconcile.fit.candidate_fit import Candidate
 from radiometer.reconcile.fit.state import FitState, first_state, refit, with_effects
@@ -106,6 +113,21 @@ def test_large_effect_is_held_against_fits_to_its_noiseless_data(
     left, fitted = left_by_fit(exact, truth, Candidate(other, 0.0, 1))
     assert (left < 10.0) is alike
     assert fitted.name == other.name
+
+
+class _FromNothing(AmbientLightLeak):
+    """Light from the room whose first start is far below what any frame shows."""
+
+    @classmethod
+    def starts(cls, context: Any) -> tuple[CatalogueEffect, ...]:
+        """Return a hopeless start and a fair one."""
+        return cls(1e-13), cls(0.002)
+
+
+def test_entry_is_asked_about_from_whichever_start_shows(plain: FitState) -> None:
+    """A first start too small to be scaled up does not make a plan blind to the entry."""
+    asked = asked_sizes(plain, {"ambient_light_leak": _FromNothing})
+    assert asked["ambient_light_leak"].values()["irradiance_w_m2"] > 1e-9
 
 
 @pytest.mark.parametrize("itself", [True, False])
