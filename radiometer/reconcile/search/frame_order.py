@@ -103,10 +103,10 @@ def periodic(design: Design, light: FrameLight, unit: Array, clear: NDArray[np.b
 
 
 def steadied(design: Design, light: FrameLight, seen: CaptureStatistics, again: Periodic) -> CaptureStatistics:
-    """Return the statistics as they would be if all frames had the usual phase's light.
+    """Return the statistics as they would be if all frames of a capture had its mean light.
 
-    What is known to go with the order of the frames would pass for flicker, for a first frame that differs, and for
-    captures that do not repeat.
+    What is known to go with the order of the frames would pass for flicker and for a first frame that differs. Means
+    stay as they are: the noise of the frames is that of the light that they had.
 
     Args:
         design: Captures.
@@ -114,18 +114,16 @@ def steadied(design: Design, light: FrameLight, seen: CaptureStatistics, again: 
         seen: The statistics.
         again: What comes back.
     """
-    found = {name: getattr(seen, name).copy() for name in ("mean", "first", "common", "common_unit")}
+    found = {name: getattr(seen, name).copy() for name in ("first", "common", "common_unit")}
     level = np.array(again.levels)
     for number, capture in enumerate(design.captures):
         if design.closed[number] or not design.source_level[number] > 0:
             continue
         black_dn = float(design.black_level_dn[number])
-        means = light.of_tiles(capture.frames)
-        even = means / level[np.array(capture.frames) % again.period][:, None]
-        there = {name: getattr(seen, name)[number] for name in ("variance", "pixels", "low", "high")}
-        there["mean"] = seen.mean[number] + (even - means).mean(axis=0)
-        black = black_dn if np.isfinite(black_dn) else 0.0
-        for name, value in {"mean": there["mean"], **light_of_frames(even + black, there, black_dn)}.items():
+        own = level[np.array(capture.frames) % again.period][:, None]
+        even = light.of_tiles(capture.frames) * own.mean() / own + (black_dn if np.isfinite(black_dn) else 0.0)
+        there = {name: getattr(seen, name)[number] for name in ("mean", "variance", "pixels", "low", "high")}
+        for name, value in light_of_frames(even, there, black_dn).items():
             found[name][number] = value
     return replace(seen, **found)
 
