@@ -87,7 +87,8 @@ def _from_pfstools(rows: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]
 
 
 def _from_hdrgen(rows: list[NDArray[np.float64]], size: int) -> list[NDArray[np.float64]] | None:
-    if len(rows) not in (1, 3) or any(row.size != int(row[0]) + 2 for row in rows):
+    whole = all(np.isfinite(row).all() and row.size == int(row[0]) + 2 for row in rows)
+    if len(rows) not in (1, 3) or not whole:
         return None
     scaled = np.linspace(0.0, 1.0, size)
     found = [np.maximum.accumulate(np.polyval(row[1:], scaled)) for row in rows]

@@ -94,7 +94,9 @@ def test_a_csv_file_is_of_the_channel_in_its_name(tmp_path):
     assert list(read_curves(tmp_path / "plain.csv")) == ["mono"]
 
 
-@pytest.mark.parametrize(("name", "text"), [("a.m", "1 2\n3 4\n"), ("a.rsp", "3 1 0\n"), ("b.m", "x y z\n")])
+@pytest.mark.parametrize(
+    ("name", "text"), [("a.m", "1 2\n3 4\n"), ("a.rsp", "3 1 0\n"), ("b.m", "x y z\n"), ("inf.rsp", "inf 1 0\n")]
+)
 def test_what_is_no_curve_is_refused(tmp_path, name, text):
     """With the file named, and no traceback."""
     (tmp_path / name).write_text(text)
