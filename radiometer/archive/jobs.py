@@ -67,10 +67,11 @@ def measure(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
 
     header = capture_set.header
     calibration = Calibration.read(Path(settings.calibration)) if settings.calibration else None
+    stated = header.source.wavelength_nm is not None
     frames = list(capture_set.frames())
     rows: list[Row] = []
     for name, patch in _patches(capture_set, settings, frames[0].shape):
-        reading = read_patch(frames, patch, calibration, header.camera, header.lens)
+        reading = read_patch(frames, patch, calibration, header.camera, header.lens, spectrum_stated=stated)
         shared = {"patch": name, "flags": " ".join(map(str, reading.flags))}
         rows.append({**shared, "quantity": "radiance", **reading.radiance.to_mapping()})
         if reading.luminance:

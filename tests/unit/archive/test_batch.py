@@ -14,6 +14,7 @@ from radiometer.archive.discovery import find_captures
 from radiometer.archive.jobs import COLUMNS, JOBS
 from radiometer.archive.run import run_batch
 from radiometer.archive.settings import JobSettings
+from radiometer.data import Calibration, CaptureSet, LensDescription, Scale, SensorNoise
 from radiometer.errors import DeviceNotFound, InputError, UsageError
 
 pd = pytest.importorskip("pandas", reason="the extra `cluster` is not installed")
@@ -38,6 +39,22 @@ def test_every_capture_becomes_a_row(make_archive, tmp_path):
     assert (table["value"] > 0).all()
     assert (table["u"] > 0).all()
     assert table["flags"].tolist() == ["uncalibrated"] * 5
+
+
+def test_light_of_unknown_kind_is_flagged_in_the_table(make_archive, tmp_path):
+    """A capture that names no wavelength is read with the doubt of its kind, one that does without."""
+    scale = Scale(value=1e-3, u_rel=0.005, method="known_radiance", f_number=4.0)
+    noise = SensorNoise(conversion_gain_e_per_dn=2.6, read_noise_e=2.4)
+    root = make_archive(2)
+    camera = CaptureSet.read(root / "day-0000").header.camera
+    Calibration(camera, LensDescription(f_number=4.0), scale, None, noise).write(tmp_path / "cal.yaml")
+    settings = JobSettings("measure", calibration=str(tmp_path / "cal.yaml"))
+    header = root / "day-0001" / "capture.yaml"
+    header.write_text(header.read_text() + "source: {kind: led, wavelength_nm: 550}\n")
+    run_batch(find_captures(str(root))[0], settings, tmp_path / "results.csv")
+    table = pd.read_csv(tmp_path / "results.csv").query("quantity == 'radiance'").set_index("capture").sort_index()
+    assert ["spectrum_assumed" in flags for flags in table["flags"]] == [True, False]
+    assert table["u"].iloc[0] > 2 * table["u"].iloc[1]
 
 
 def test_a_failing_capture_does_not_stop_the_rest(make_archive, tmp_path):
