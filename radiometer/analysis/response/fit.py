@@ -80,7 +80,9 @@ class ResponseFit:
         Source: R. M. Bell, D. F. McCaffrey 2002, Survey Methodology 28, 169–181 (the estimator named CR2).
         """
         normal = self.normal
-        root = np.linalg.cholesky(self.inverse)
+        # Its smallest eigenvalues may come out below zero where penalty and data differ by many decades.
+        values, vectors = np.linalg.eigh(0.5 * (self.inverse + self.inverse.T))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
         starts = np.flatnonzero(np.diff(normal.group, prepend=-1))
         own = normal.weight / np.add.reduceat(normal.weight, starts)[normal.group]
         residual = normal.residuals(self.solution) / np.sqrt(1.0 - np.minimum(own, _MOST_LEVERAGE))

@@ -71,6 +71,17 @@ def test_uncertainty_of_frames_is_the_scatter_that_their_errors_make() -> None:
     assert np.max(np.abs(np.log(by_groups / true))) > 1.0
 
 
+def test_uncertainty_of_frames_stands_rounding_of_the_inverse() -> None:
+    """A smallest eigenvalue that rounding leaves a little below zero changes no uncertainty."""
+    samples = rows_of()
+    off = fit(replace(samples, log_time=samples.log_time + SIGMA * (samples.frame == 2)))
+    values, vectors = np.linalg.eigh(off.inverse)
+    rounded = off.inverse - 1.001 * values[0] * np.outer(vectors[:, 0], vectors[:, 0])
+    assert np.linalg.eigvalsh(rounded)[0] < 0.0
+    expected, found = (one.frame_covariance(samples.frame) for one in (off, replace(off, inverse=rounded)))
+    assert np.diag(found) == pytest.approx(np.diag(expected), rel=1e-3)
+
+
 def test_a_label_known_from_elsewhere_is_weighed_by_its_uncertainty() -> None:
     """What is known exactly stays; what is known as well as the data know it comes out half way."""
     samples = rows_of()
