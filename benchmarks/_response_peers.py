@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks._response_stacks import Array
 from radiometer.data import Bracket
+from radiometer.errors import RadiometerError
 
 Peer = Callable[[Bracket], Array]
 
@@ -67,6 +68,11 @@ def pfstools_robertson() -> Peer | None:
         return np.log(10.0) * green[:, 0]
 
     return recover
+
+
+def failures_of(name: str) -> type[Exception]:
+    """Return what counts as a failure of a program: of ours what it says itself, for a crash must end the benchmark."""
+    return RadiometerError if name.startswith("radiometer") else Exception
 
 
 def peers() -> Iterator[tuple[str, Peer]]:

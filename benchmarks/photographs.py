@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks._photograph_labels import Labels
 from benchmarks._photograph_sets import HIGHEST_DN, LOWEST_DN, Array, RealStack, real_stacks, stacks_folder
-from benchmarks._response_peers import peers
+from benchmarks._response_peers import failures_of, peers
 from benchmarks._sections import write_section
 from radiometer.analysis.response.limits import find_limits
 from radiometer.analysis.response.methods import METHODS
@@ -66,8 +66,11 @@ def z_of_truth(stack: RealStack, curve: ResponseCurve) -> float:
     return rms / float(np.sqrt(np.mean(u[np.isfinite(u)] ** 2) + stack.u_truth**2))
 
 
-def left_out_dn(stack: RealStack, recover: Recover) -> float:
-    """Return the mean size of the error in DN with which frames left out of fit and merge alike are predicted."""
+def left_out_dn(stack: RealStack, recover: Recover, failures: type[Exception]) -> float:
+    """Return the mean size of the error in DN with which frames left out of fit and merge alike are predicted.
+
+    NaN for few frames, and where the program fails.
+    """
     bracket, errors = stack.bracket, []
     count = len(bracket)
     if count < 3:
@@ -77,7 +80,8 @@ def left_out_dn(stack: RealStack, recover: Recover) -> float:
         rest = Bracket.from_frames([f for i, f in enumerate(bracket) if i != k], origin=bracket.origin)
         try:
             g = recover(rest)
-        except Exception:  # noqa: BLE001 (a failure is a figure of the table)
+        except failures as error:
+            print(f"no curve without frame {k} of {stack.camera} {stack.name}: {error}")
             return float("nan")
         errors.append(predicted(rest, bracket.frames[k].dn, bracket.frames[k].settings.effective_exposure_s, g))
     return float(np.mean(np.abs(np.concatenate(errors))))
@@ -133,12 +137,12 @@ def measure(stack: RealStack, tallies: dict[str, Tally], runs: list[tuple[str, R
         if stack.has_truth:
             try:
                 rms = rms_of_truth(stack, recover(stack.bracket))[0]
-            except Exception as error:  # noqa: BLE001 (a failure is a figure of the table)
+            except failures_of(name) as error:
                 print(f"{name} fails on {stack.camera} {stack.name}: {error}")
                 rms = float("inf")
             tally.truth.setdefault(stack.camera, []).append(rms)
         if name == OURS or not name.startswith("radiometer"):
-            tally.left_out.setdefault(stack.camera, []).append(left_out_dn(stack, recover))
+            tally.left_out.setdefault(stack.camera, []).append(left_out_dn(stack, recover, failures_of(name)))
     ours = tallies[OURS]
     if stack.has_truth:
         curve = METHODS["auto"]([stack.bracket]).curve

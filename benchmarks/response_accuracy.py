@@ -22,6 +22,7 @@ from benchmarks._sections import write_section
 from radiometer.analysis.response.methods import METHODS
 from radiometer.analysis.response.mitsunaga1999 import recover_response_mitsunaga1999
 from radiometer.data import Bracket, ResponseCurve
+from radiometer.errors import RadiometerError
 
 # Of the DoRF curves, those whose bends have one stop's period.
 JAGGED = (84, 85, 106, 107, 108)
@@ -71,7 +72,7 @@ def measure(bit_depth: int, others: list[tuple[str, Peer]]) -> dict[str, Tally]:
             started = cpu_seconds()
             try:
                 estimate = method([stack])
-            except Exception as error:  # noqa: BLE001 (a failure is a figure of the table)
+            except RadiometerError as error:
                 print(f"{name} failed on curve {seed}: {error}")
                 tally.errors.append(float("nan"))
                 continue

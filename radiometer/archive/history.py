@@ -61,6 +61,9 @@ def _history(patch: str, quantity: str, rows: pd.DataFrame) -> Trend:
     changes: tuple[float, ...] = ()
     if "fingerprint" in rows:  # of settings, calibration and code
         ordered = rows.sort_values("captured", kind="stable")
-        marks, times = ordered["fingerprint"].astype(str).to_numpy(), ordered["captured"].to_numpy(float)
+        marks, times = (
+            ordered["fingerprint"].astype("string").fillna("").to_numpy(),
+            ordered["captured"].to_numpy(float),
+        )
         changes = tuple(float(t) for t in times[1:][marks[1:] != marks[:-1]])
     return replace(trend, changes_s=changes, flags=dict(flags))

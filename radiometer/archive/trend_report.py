@@ -102,12 +102,15 @@ def outcome(ordered: Sequence[Trend]) -> str:
 def _undecided(changed: Sequence[Trend], count: int) -> str:
     """Return that something changes of which the record does not tell whether a season makes it."""
     one = changed[0]
-    percent = with_u(100 * one.straight_per_month, 200 * one.u_straight_per_month, "% per month")
     of = "" if count == 1 else f" ({len(changed)} of {count} patches)"
     return (
-        f"{one.patch} changes{of}, {percent}, k = 2, if on a straight line; a season would change it as much, and the "
-        "record is too short to tell the two apart."
+        f"{one.patch} changes{of}, {_straight(one)}, k = 2, if on a straight line; a season would change it as much, "
+        "and the record is too short to tell the two apart."
     )
+
+
+def _straight(trend: Trend) -> str:
+    return with_u(100 * trend.straight_per_month, 200 * trend.u_straight_per_month, "% per month")
 
 
 def advice(ordered: Sequence[Trend]) -> list[str]:
@@ -189,6 +192,7 @@ def _section(trend: Trend, *, drawn: bool) -> str:
         f"A yearly cycle of ±{100 * trend.season_rel:.2g} % is fitted beside the drift."
         if trend.season_rel is not None
         else "The readings do not tell a yearly cycle from a drift: one of up to some 5 % is in its uncertainty.",
+        f"Without any season it would be {_straight(trend)}." if trend.verdict == "season_or_drift" else "",
         " ".join(
             f"A cycle of {period / 86400:.3g} days, ±{100 * size:.2g} %, is fitted." for period, size in trend.cycles
         ),

@@ -78,11 +78,10 @@ def command(
     _check_targets(output, picture)
     started = time.monotonic()
     found = _read(paths, channel, speeds)
-    joint = (
-        recover_colours_auto(list(found.values()))
-        if DEFAULT_METHOD in names and len(found) > 1
-        else [None] * len(found)
-    )
+    joint: Sequence[ResponseEstimate | None] = [None] * len(found)
+    if DEFAULT_METHOD in names and len(found) > 1:
+        with _bar("recovering the response of all colours together"):
+            joint = recover_colours_auto(list(found.values()))
     estimates = [
         estimate
         for brackets, known in zip(found.values(), joint, strict=True)

@@ -60,8 +60,8 @@ class Provenance:
             inputs=_texts(stated.get("inputs"), f"{where}: provenance.inputs"),
             assumptions=_texts(stated.get("assumptions"), f"{where}: provenance.assumptions"),
             parameters=_mapping(stated.get("parameters"), f"{where}: provenance.parameters"),
-            created=str(stated.get("created", "")),
-            software=str(stated.get("software", "")),
+            created=str(stated.get("created") or ""),
+            software=str(stated.get("software") or ""),
         )
 
 

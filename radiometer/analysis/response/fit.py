@@ -83,9 +83,7 @@ class ResponseFit:
         # Its smallest eigenvalues may come out below zero where penalty and data differ by many decades.
         values, vectors = np.linalg.eigh(0.5 * (self.inverse + self.inverse.T))
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        starts = np.flatnonzero(np.diff(normal.group, prepend=-1))
-        own = normal.weight / np.add.reduceat(normal.weight, starts)[normal.group]
-        residual = normal.residuals(self.solution) / np.sqrt(1.0 - np.minimum(own, _MOST_LEVERAGE))
+        residual = normal.residuals(self.solution) / np.sqrt(1.0 - np.minimum(self._share_of_group(), _MOST_LEVERAGE))
         rows = normal.centred @ root
         draws = []
         for one in np.unique(frame):
@@ -102,11 +100,15 @@ class ResponseFit:
 
     def leverage(self) -> Array:
         """Return the part of each row's own noise that curve and group took up, 0 to 0.95."""
-        normal = self.normal
-        starts = np.flatnonzero(np.diff(normal.group, prepend=-1))
-        own = normal.weight / np.add.reduceat(normal.weight, starts)[normal.group]
+        normal, own = self.normal, self._share_of_group()
         curve = np.einsum("ij,ij->i", normal.centred @ self.inverse, normal.centred) * normal.weight
         return np.asarray(np.clip(own + curve, 0.0, _MOST_LEVERAGE))
+
+    def _share_of_group(self) -> Array:
+        """Return the part of its group's weight that each row has: so much of its noise the group's mean takes up."""
+        normal = self.normal
+        starts = np.flatnonzero(np.diff(normal.group, prepend=-1))
+        return np.asarray(normal.weight / np.add.reduceat(normal.weight, starts)[normal.group])
 
 
 def fit_response(

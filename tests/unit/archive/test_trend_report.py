@@ -60,6 +60,7 @@ def test_a_change_that_a_season_may_be_is_no_drift_and_no_silence():
     assert "lamp: measure until 2025-05-15" in advice([trend])[0]  # 1.5 years from 2023-11-14
     page = trend_report([trend], "t")
     assert "<span class='tag'>season or drift</span>" in page
+    assert re.search(r"Without any season it would be \(\+?0\.[45]\d*\s±\s[\d.]+\)\s% per month\.", page)
     assert ">a season or a drift<" in page
     both = outcome([trend, _history("wall", 0.0, months=6.0)])
     assert both.startswith("lamp changes (1 of 2 patches)")
@@ -128,3 +129,6 @@ def test_changes_of_the_settings_and_flags_come_from_the_table(tmp_path):
     page = trend_report([trend], "t")
     assert "2 of the readings are flagged flicker." in page
     assert "another calibration, or other settings, from 2023-11-26" in page
+    rows.assign(fingerprint="").to_csv(tmp_path / "unmarked.csv", index=False)
+    (unmarked,) = read_histories(tmp_path / "unmarked.csv", "radiance")
+    assert unmarked.changes_s == ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -16,13 +17,13 @@ def test_what_is_written_reads_back() -> None:
     assert Provenance.from_mapping(made.to_mapping(), "file") == made
 
 
-@pytest.mark.parametrize("emptied", ["inputs", "assumptions", "parameters", "method"])
+@pytest.mark.parametrize("emptied", ["inputs", "assumptions", "parameters", "method", "created", "software"])
 def test_an_entry_left_empty_holds_nothing(emptied: str) -> None:
     """A key with nothing behind it, as an editor leaves it, is as good as none."""
-    stated = Provenance("m", created="now", software="s").to_mapping()
-    stated[emptied] = None
-    expected = "unknown" if emptied == "method" else "m"
-    assert Provenance.from_mapping(stated, "file") == Provenance(expected, created="now", software="s")
+    made = Provenance("m", created="now", software="s")
+    nothing = {"method": "unknown", "inputs": (), "assumptions": (), "parameters": {}, "created": "", "software": ""}
+    expected = replace(made, **{emptied: nothing[emptied]})
+    assert Provenance.from_mapping({**made.to_mapping(), emptied: None}, "file") == expected
 
 
 def test_a_file_without_provenance_is_of_unknown_method() -> None:
