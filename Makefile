@@ -30,7 +30,7 @@ measure: $(VENV)/.ready-run  ## Read the radiance of a screen patch on the simul
 	$(BIN)/radiometer measure --budget
 
 # Two workers, each with its own core; tests that share fixtures, or that run in real time, stay in one of them.
-RUN_TESTS = PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST) -n 2 --dist loadgroup
+RUN_TESTS = PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST) -n 2
 NO_OTHERS = not bench and not soak and not hardware
 FAST_TESTS = -m "not slow and not long and $(NO_OTHERS)" tests/unit tests/style
 

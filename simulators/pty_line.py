@@ -18,6 +18,7 @@ from simulators.light_box import LightBoxTwin
 from simulators.line_faults import LineFaults
 
 IDLE_S: Final = 0.002
+LAG_S: Final = 0.5  # half of the box's dead-man time
 
 
 class SerialDevice(Protocol):
@@ -31,6 +32,9 @@ class SerialDevice(Protocol):
 @dataclass(slots=True)
 class PtyServer:
     """Serves a simulated device on a pseudo-terminal, in real time, from a thread of its own.
+
+    A real device runs while this program waits for a processor, and hears its host meanwhile. This one stands still
+    then, beyond `LAG_S`: else it would go dark for a silence that was none.
 
     Attributes:
         device: What sits behind it.
@@ -47,6 +51,8 @@ class PtyServer:
     clock: Callable[[], float] = time.monotonic
     lock: threading.Lock = field(default_factory=threading.Lock)
     _started_s: float = 0.0
+    _given_up_s: float = 0.0
+    _latest_s: float = 0.0
     _master: int = -1
     _slave: int = -1
     _thread: threading.Thread | None = None
@@ -59,7 +65,7 @@ class PtyServer:
 
     def start(self) -> None:
         """Plug the device in."""
-        self._started_s = self.clock()
+        self._started_s, self._given_up_s, self._latest_s = self.clock(), 0.0, 0.0
         self.plug()
         self._stopping.clear()
         self._thread = threading.Thread(target=self._serve, name="simulated serial device", daemon=True)
@@ -100,8 +106,12 @@ class PtyServer:
                 self._send(raw)
 
     def time_s(self) -> float:
-        """Return the device's time in s: real time since the start."""
-        return self.clock() - self._started_s
+        """Return the device's time in s: real time since the start, less what this program was kept from running."""
+        time_s = self.clock() - self._started_s - self._given_up_s
+        stood_still_s = max(0.0, time_s - self._latest_s - LAG_S)
+        self._given_up_s += stood_still_s
+        self._latest_s = time_s - stood_still_s
+        return self._latest_s
 
     def __enter__(self) -> Self:
         self.start()

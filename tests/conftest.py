@@ -7,6 +7,7 @@ import gc
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -81,13 +82,33 @@ def pytest_collection() -> Iterator[object]:
         gc.enable()
 
 
+def together(test: str) -> str:
+    """Return the name of those tests that stay in one worker with this one: its file, or the folder that shares."""
+    file = test.partition("::")[0]
+    if file.startswith(REAL_TIME):
+        return "real time"
+    return next((folder for folder in TOGETHER if file.startswith(folder)), file)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Keep what shares fixtures, or real time, in one worker.
+
+    Marks of a group do nothing with pytest 9.2: xdist 3.8 writes them into a name that is read no more.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Together(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return together(nodeid)
+
+    return Together(config, log)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep the tests of a file, or of a few folders, in one worker, for they share fixtures; so those of real time."""
+    """Part the tests into tiers by their folders."""
     for item in items:
         file = item.path.relative_to(PROJECT_ROOT).as_posix()
-        together = next((folder for folder in TOGETHER if file.startswith(folder)), file)
-        group = "real-time" if file.startswith(REAL_TIME) else together
-        item.add_marker(pytest.mark.xdist_group(group))
         if file.startswith(LONG):
             item.add_marker(pytest.mark.long)
         if not file.startswith(FAST) or item.get_closest_marker("long"):

@@ -8,7 +8,7 @@ from radiometer.reconcile import reconcile
 from tests.roundtrip.generator.rig import Rig
 from tests.roundtrip.generator.session import make_session
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.slow
 
 EIGHT_BITS = Rig(bit_depth=8, e_per_dn=41.6, black_dn=15.0)
 

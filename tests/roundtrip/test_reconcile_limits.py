@@ -9,7 +9,7 @@ from radiometer.reconcile import reconcile
 from radiometer.reconcile.result import Limit
 from tests.roundtrip.generator.session import make_session
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.slow
 
 # One entry of each block: mean, variance, spatial variance, columns, first frame, edge.
 ENTRIES = ("black_level_offset", "excess_read_noise", "prnu", "column_pattern", "image_lag", "psf_blur")

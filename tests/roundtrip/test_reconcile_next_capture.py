@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.reconcile_next_capture import asked, captures_needed
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("name", ["veiling_glare", "display_black_leak", "gain_step_error"])

@@ -10,7 +10,7 @@ from radiometer.reconcile import reconcile
 from radiometer.reconcile.result import ReconcileResult
 from tests.roundtrip.generator.session import make_session
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.slow
 
 
 def _answer(*hidden: str, seed: int = 80) -> ReconcileResult:

@@ -66,7 +66,6 @@ async def _wait_for_text(browser: Browser, name: str, text: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(150)
 async def test_page_shows_points_grow_and_survives_a_reload(
     served: tuple[LivePage, Controls], browser: Browser
 ) -> None:
@@ -96,7 +95,6 @@ async def test_page_shows_points_grow_and_survives_a_reload(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(150)
 async def test_nothing_on_the_page_is_green_or_blue(served: tuple[LivePage, Controls], browser: Browser) -> None:
     """At its brightest and with every part shown not one pixel has green or blue; as opened the red stays below 100."""
     page, _ = served
@@ -118,7 +116,6 @@ async def test_nothing_on_the_page_is_green_or_blue(served: tuple[LivePage, Cont
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(150)
 async def test_every_prompt_has_tones_of_its_own(served: tuple[LivePage, Controls], browser: Browser) -> None:
     """Rendered without a loudspeaker, each prompt sounds, stays below half of full scale, and differs from the others.
 
@@ -141,7 +138,6 @@ async def test_every_prompt_has_tones_of_its_own(served: tuple[LivePage, Control
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(150)
 async def test_buttons_reach_the_run_and_a_browser_may_go(served: tuple[LivePage, Controls], browser: Browser) -> None:
     """Pause, resume and, on the second press, stop; the page may be left meanwhile."""
     page, controls = served
@@ -167,7 +163,6 @@ async def test_buttons_reach_the_run_and_a_browser_may_go(served: tuple[LivePage
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(150)
 async def test_pause_and_stop_on_the_page_stand_in_the_journal(tmp_path: Path, browser: Browser) -> None:
     """A run pauses where the page asked for it before it began, goes on, and ends: each by the page, in this order."""
     classic = read_protocol("classic")

@@ -193,7 +193,6 @@ MARK = VIEWING.ellipse(-4.0, 0.6, (60, 0, 0))
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(150)
 async def test_browser_shows_exactly_the_codes_asked_for(shown: tuple[BrowserStimulus, Browser]) -> None:
     """Field, mark and spot stand on the composed screen to the code, the spot in its place and size to a pixel."""
     screen, browser = shown
@@ -224,7 +223,6 @@ async def _tapping(browser: Browser) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(150)
 async def test_browser_blinks_and_records_the_key(shown: tuple[BrowserStimulus, Browser]) -> None:
     """Presses during a blink come back from its onset, none is invented; a key held down is told as a hold."""
     screen, browser = shown
@@ -253,7 +251,6 @@ async def test_browser_blinks_and_records_the_key(shown: tuple[BrowserStimulus, 
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(150)
 async def test_short_run_in_a_browser_is_journalled_with_its_presses(
     oled: Path, tmp_path: Path, shown: tuple[BrowserStimulus, Browser]
 ) -> None:

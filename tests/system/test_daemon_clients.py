@@ -119,7 +119,6 @@ async def browser(tmp_path: Path) -> AsyncIterator[Browser]:
         yield driver
 
 
-@pytest.mark.timeout(120)
 async def test_a_browser_drags_the_patch_and_sees_the_value_change(daemon: DaemonProcess, browser: Browser) -> None:
     """From the bright field to the dim one; nothing from outside is loaded and no script fails."""
     await browser.command("Page.navigate", url=daemon.url + "/")
@@ -145,7 +144,6 @@ async def test_a_browser_drags_the_patch_and_sees_the_value_change(daemon: Daemo
     assert [url for url in browser.requested if not url.startswith((daemon.url, "blob:", "data:", "about:"))] == []
 
 
-@pytest.mark.timeout(120)
 async def test_the_red_theme_lights_the_red_channel_only(daemon: DaemonProcess, browser: Browser) -> None:
     """Not one pixel of the whole page has green or blue in it, alarm and sliders included: rods stay adapted."""
     await browser.command("Page.navigate", url=daemon.url + "/")
@@ -187,7 +185,6 @@ def foreign_page() -> Iterator[str]:
         serving.join()
 
 
-@pytest.mark.timeout(120)
 async def test_a_web_page_cannot_drive_the_scpi_port(
     daemon: DaemonProcess, browser: Browser, foreign_page: str
 ) -> None:

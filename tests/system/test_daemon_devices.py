@@ -13,7 +13,6 @@ from radiometer.errors import DeviceError, SettingOutOfRange
 
 
 @pytest.mark.long
-@pytest.mark.timeout(170)
 def test_a_camera_on_the_wire_is_lost_and_found() -> None:
     """Two cycles here, twenty and their times in the benchmark: every client is told, and readings come again."""
     pytest.importorskip("gi")
@@ -34,7 +33,6 @@ async def test_the_light_box_is_set_through_its_driver(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.timeout(170)
 async def test_a_light_box_is_unplugged_and_replugged_twenty_times(tmp_path: Path) -> None:
     """Each loss is told and refuses levels, each return is noticed, and the levels are known to be dark then."""
     async with box_station(tmp_path) as (station, server, _):

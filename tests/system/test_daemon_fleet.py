@@ -97,7 +97,6 @@ async def _stations(folder: Path, port: int, count: int) -> AsyncIterator[list[S
             await station.stop()
 
 
-@pytest.mark.timeout(170)
 async def test_fifty_instruments_report_into_one_broker(broker: int, tmp_path: Path) -> None:
     """One subscriber gets three readings of each of fifty simulated instruments, each under its own topic."""
     subscriber = Subscriber(broker)

@@ -105,7 +105,6 @@ async def _json(browser: Browser, expression: str) -> Any:
     return json.loads(await browser.evaluate(expression))
 
 
-@pytest.mark.timeout(170)
 async def test_the_page_fits_and_can_be_read_at_three_sizes(daemon: DaemonProcess, tmp_path: Path) -> None:
     """Nothing beside or below the window, contrast AA in every theme, name and size of every control."""
     async with headless(tmp_path / "profile") as browser:
@@ -131,7 +130,6 @@ async def test_the_page_fits_and_can_be_read_at_three_sizes(daemon: DaemonProces
         assert [url for url in browser.requested if not url.startswith((daemon.url, "blob:", "data:", "about:"))] == []
 
 
-@pytest.mark.timeout(170)
 async def test_the_page_shows_trends_alarms_and_gaps(daemon: DaemonProcess, tmp_path: Path) -> None:
     """Each patch has its panel with its own course; a day has its gap; the alarm of the limit is at the top."""
     async with headless(tmp_path / "profile", SIZES[0]) as browser:
@@ -162,7 +160,6 @@ async def test_the_page_shows_trends_alarms_and_gaps(daemon: DaemonProcess, tmp_
         assert browser.errors == []
 
 
-@pytest.mark.timeout(170)
 async def test_a_person_names_limits_and_remarks(daemon: DaemonProcess, tmp_path: Path) -> None:
     """By touch on a phone: a place gets a name and a panel, limits alarm, a remark stands among the events."""
     async with headless(tmp_path / "profile", SIZES[2]) as browser:
@@ -199,7 +196,6 @@ async def test_a_person_names_limits_and_remarks(daemon: DaemonProcess, tmp_path
         assert browser.errors == []
 
 
-@pytest.mark.timeout(170)
 async def test_the_tab_key_goes_through_the_page_as_it_is_seen(daemon: DaemonProcess, tmp_path: Path) -> None:
     """Every control is reached, each with a visible focus; card by card on a screen, from top to bottom on a phone."""
     async with headless(tmp_path / "profile", SIZES[0]) as browser:
@@ -227,7 +223,6 @@ async def test_the_tab_key_goes_through_the_page_as_it_is_seen(daemon: DaemonPro
                 assert [first[card] for card in visits] == sorted(first.values())
 
 
-@pytest.mark.timeout(170)
 async def test_seven_patches_are_one_glance(daemon: DaemonProcess, tmp_path: Path) -> None:
     """At 1440 × 900 each of seven patches has its panel in the window, and an event under the pointer is told."""
     names = [f"lamp {number}" for number in range(5)]

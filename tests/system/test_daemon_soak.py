@@ -15,7 +15,6 @@ from radiometer.data import Patch, Quantity, Reading
 
 
 @pytest.mark.long
-@pytest.mark.timeout(170)
 def test_losses_cost_no_reading_and_make_no_value_false(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten simulated minutes with all four losses: journal, streams and every answer agree with the scene."""
     monkeypatch.setattr(daemon_day_soak, "LOSS_EVERY_S", 120.0)

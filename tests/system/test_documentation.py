@@ -123,7 +123,6 @@ def site(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.xdist_group("site")
 def test_the_site_loads_nothing_from_anywhere_else(site):
     """Every script, style, font and picture of every page lies in the site itself."""
     pages = sorted(site.rglob("*.html"))
@@ -140,7 +139,6 @@ def test_the_site_loads_nothing_from_anywhere_else(site):
                 assert (base / path.lstrip("/")).exists(), (page, one)
 
 
-@pytest.mark.xdist_group("site")
 def test_the_site_shows_formulas_without_a_script(site):
     """No formula is left in TeX; those of the physics page are MathML."""
     physics = (site / "physics.html").read_text(encoding="utf-8")
@@ -149,7 +147,6 @@ def test_the_site_shows_formulas_without_a_script(site):
     assert "\\frac" not in re.sub(r"<annotation.*?</annotation>", "", physics, flags=re.DOTALL)
 
 
-@pytest.mark.xdist_group("site")
 def test_the_reference_holds_every_public_name_command_and_effect(site):
     """What can be imported, typed or switched on stands in the reference, with its words."""
     names = (site / "reference" / "python.html").read_text(encoding="utf-8")

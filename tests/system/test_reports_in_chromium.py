@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
 from radiometer.adaptation.report import report_html
@@ -61,7 +60,6 @@ def _datasheet(folder: Path) -> str:
     return datasheet(characterise(read_subject(folder, None)))
 
 
-@pytest.mark.timeout(170)
 async def test_reports_hold_in_a_browser_at_two_widths(tmp_path: Path) -> None:
     """Trend, adaptation with and without a break, characterisation: each with hostile names in it."""
     pages = {"trend": _trends(), **_adaptations(), "characterise": _datasheet(tmp_path / "set")}

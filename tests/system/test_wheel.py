@@ -13,7 +13,7 @@ import pytest
 
 from tests.patience import within
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("wheel")]
+pytestmark = pytest.mark.slow
 
 LARGEST_BYTES = 2_000_000
 

@@ -177,7 +177,6 @@ def test_a_subject_cannot_lead_out_of_the_folder(
 
 
 @pytest.mark.long
-@pytest.mark.timeout(120)
 def test_no_damaged_file_takes_more_than_a_gigabyte_or_ends_the_reader(tmp_path: Path) -> None:
     """Every reader, on damaged files that are read when whole: only our own errors, within 1 GB, in its own process."""
 

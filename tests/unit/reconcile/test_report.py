@@ -104,7 +104,6 @@ def test_rivals_are_told_in_words(glaring):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 async def test_the_page_in_a_browser(glaring, tmp_path):
     """At two widths: no scrolling sideways, readable, every picture shown, nothing loaded, no error."""
     await assert_reports_hold({"reconcile": report_html(glaring, HOSTILE)}, tmp_path)
