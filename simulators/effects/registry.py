@@ -59,6 +59,7 @@ from simulators.effects.image_lag import ImageLag
 from simulators.effects.lamp_step import LampStep
 from simulators.effects.led_thermal_droop import LedThermalDroop
 from simulators.effects.lens import Lens
+from simulators.effects.line_start_offset import LineStartOffset
 from simulators.effects.mains_ripple import MainsRipple
 from simulators.effects.mechanical_vignetting import MechanicalVignetting
 from simulators.effects.missing_codes import MissingCodes
@@ -128,6 +129,7 @@ EFFECTS: Final[dict[str, type[Effect]]] = {
     "lamp_step": LampStep,
     "led_thermal_droop": LedThermalDroop,
     "lens": Lens,
+    "line_start_offset": LineStartOffset,
     "mains_ripple": MainsRipple,
     "mechanical_vignetting": MechanicalVignetting,
     "missing_codes": MissingCodes,

@@ -14,12 +14,13 @@ PARAMETERS = {
     "lamp_step": ("step_rel", "step"),
     "first_frame_offset": ("offset_dn", "offset_dn"),
     "readout_dark_charge": ("doubling_K", "doubling_K"),
+    "line_start_offset": ("decay_share", "decay_share"),
 }
 
 
 @pytest.mark.parametrize("name", sorted(PARAMETERS))
 def test_it_is_named_with_its_size(hidden_session: Callable[..., Session], name: str) -> None:
-    """A jumping lamp, an unsettled first frame and charge gathered in readout are named alone, within four u."""
+    """A jumping lamp, unsettled first frames and lines, charge gathered in readout: named alone, within four u."""
     session = hidden_session(name, camera_seed=5101)
     found = reconcile(session.header, list(session.frames()), with_limits=False)
     assert found.verdict is Verdict.EFFECTS_FOUND

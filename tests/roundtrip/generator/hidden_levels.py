@@ -131,3 +131,12 @@ def readout_dark_charge(world: World, rng: np.random.Generator, scale: float) ->
     waited = (np.arange(world.rig.rows) / (world.rig.rows - 1))[:, None]
     world.dark.append(lambda dark, shot, t: dark + last * 2 ** ((shot.temperature_c - BASE_C) / doubling) * waited)
     return {"charge_e": last, "reference_C": BASE_C, "doubling_K": doubling}
+
+
+@entry("line_start_offset", "image_x")
+def line_start_offset(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Begin every line 1 DN too high or too low; it has settled to 1/e within a twelfth to a fifth of the line."""
+    start, share = sign(rng) * 1.0 * scale, rng.uniform(1 / 12, 1 / 5)
+    along = (np.arange(world.rig.columns) + 0.5) / world.rig.columns
+    world.digital.append(lambda value, shot: value + start * np.exp(-along / share)[None, :])
+    return {"offset_dn": start, "decay_share": share}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -14,6 +15,7 @@ from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.first_frame_offset import FirstFrameOffset
 from simulators.effects.gamma_enabled import GammaEnabled
 from simulators.effects.lamp_step import LampStep
+from simulators.effects.line_start_offset import LineStartOffset
 from simulators.effects.readout_dark_charge import ReadoutDarkCharge
 from simulators.effects.series_settling import SeriesSettling
 from simulators.effects.stray_light_kernel import StrayLightKernel
@@ -67,6 +69,37 @@ def test_rows_may_be_read_from_below() -> None:
     """Where the last row is read first, the first one gathers most."""
     effect = ReadoutDarkCharge(charge_e=8.0, from_below=1.0)
     assert np.ravel(effect.offset(_context())) == pytest.approx([8.0, 6.0, 4.0, 2.0, 0.0])
+
+
+def test_a_line_begins_high_and_settles() -> None:
+    """Of 8 columns the first, a sixteenth into its line, is up by 10·exp(−1/4) DN; exposure and rows do not count."""
+    effect = LineStartOffset(offset_dn=10.0, decay_share=0.25)
+    for exposure_s in (1e-6, 10.0):
+        line = np.ravel(effect.offset(_context(exposure_s=exposure_s, temperature_c=27.0)))
+        assert line == pytest.approx([10.0 * math.exp(-(k + 0.5) / 8.0 / 0.25) for k in range(8)])
+    low = LineStartOffset(offset_dn=-10.0, decay_share=0.25, from_right=1.0)
+    assert np.ravel(low.offset(_context())) == pytest.approx(-line[::-1])
+
+
+@pytest.mark.parametrize("decay_share", [0.02, 0.3])
+@pytest.mark.parametrize("from_right", [0.0, 1.0])
+def test_tiles_have_mean_slope_and_columns_of_their_pixels(decay_share: float, from_right: float) -> None:
+    """Two tiles of 512 columns: mean, rise and what a parabola leaves are those of the line's 1024 pixels to 1 %."""
+    effect = LineStartOffset(10.0, decay_share, from_right)
+    line = np.ravel(effect.offset(replace(_context(), geometry=FrameGeometry.of_image(1024, 1)))).reshape(2, 512)
+    u = (2.0 * np.arange(512) + 1.0) / 512 - 1.0
+    middle, side = np.array([255.5, 767.5]), np.array([-1.0, 1.0, -1.0, 1.0]) / math.sqrt(3.0)
+    geometry = FrameGeometry((middle[:, None] + 256.0 * side)[None], np.zeros((1, 2, 4)), 1024, 512)
+    ones = np.ones((1, 1, 1))
+    tiles = cast(Any, SimpleNamespace(geometry=geometry, tile_height=512 * ones, tile_pixels=512.0**2 * ones))
+    points = np.asarray(effect.offset(tiles))[0]
+    assert points.mean(axis=1) == pytest.approx(line.mean(axis=1), rel=1e-3, abs=1e-6)
+    assert points @ side / (side @ side) * (u @ u) == pytest.approx(line @ u, rel=0.02, abs=0.05)
+    flat = TileMoments.exactly(np.full((1, 2, 4), 100.0))
+    surface = np.polynomial.polynomial.polyfit(u, line.T, 2)
+    left = line - np.polynomial.polynomial.polyval(u, surface)
+    told = effect.tile(flat, flat, tiles).fixed_column_variance
+    assert float(np.ravel(told)[0]) == pytest.approx(float(np.mean(left**2)), rel=0.03, abs=1e-6)
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3, 5])
