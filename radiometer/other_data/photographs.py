@@ -24,7 +24,6 @@ from radiometer.analysis.response.left_out import others_gap, prediction_error_d
 from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, settle
-from radiometer.analysis.response.threads import on_one_blas_thread
 from radiometer.analysis.response.wrong_labels import (
     LEAST_GAIN,
     SMALLEST_LABEL_ERROR,
@@ -35,6 +34,7 @@ from radiometer.analysis.response.wrong_labels import (
 from radiometer.data import Bracket, Frame
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import CaptureError, InputError, MeasurementError
+from radiometer.one_thread import on_one_blas_thread
 from radiometer.other_data.photograph_report import FrameFinding, report_html
 from radiometer.reconcile.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.units import exact_exposure_s

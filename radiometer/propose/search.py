@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.errors import MeasurementError
+from radiometer.one_thread import on_one_blas_thread
 from radiometer.propose.effect_file import Law, effect_of, round_to
 from radiometer.propose.grammar import PER_FRAME, PLACES, Term, known_values, terms_of
 from radiometer.propose.proposal import Proposal, Rival
@@ -65,6 +66,7 @@ class Screened:
         return 0.5 * self.gain - PARAMETER_NATS * self.law.size
 
 
+@on_one_blas_thread
 def propose_law(state: FitState, say: Say = lambda line: None) -> Proposal | None:
     """Return the law that explains best what a starting camera lacks; None where none is beyond chance.
 

@@ -14,6 +14,7 @@ import structlog
 
 from radiometer.data import CaptureHeader, CaptureSet, Frame
 from radiometer.errors import CaptureError
+from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconcile.advice.limits import limits
 from radiometer.reconcile.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconcile.advice.separability import Separability, inseparable, separability
@@ -112,6 +113,7 @@ def gap_of(found: ReconcileResult | CameraModel | None, header: CaptureHeader, f
     return gaps_of((found,), header, frames)[0]
 
 
+@on_one_blas_thread
 def gaps_of(
     found: Sequence[ReconcileResult | CameraModel | None], header: CaptureHeader, frames: Iterable[Frame]
 ) -> tuple[float, ...]:
@@ -170,6 +172,7 @@ def reconcile_capture(
     return examine(captured.header, captured.read_frame, shape, model, catalogue=catalogue, progress=progress, say=say)
 
 
+@on_one_blas_thread
 def plan_of(
     path: Path,
     model: CameraModel | None = None,
@@ -195,6 +198,7 @@ def plan_of(
     return separability(start, whole_catalogue() if catalogue is None else catalogue)
 
 
+@on_one_blas_thread
 def examine(
     header: CaptureHeader,
     read: FrameReader,

@@ -19,11 +19,11 @@ from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.predicting import MANY_AS_ONE, Judged, judge_by_prediction, without_frames
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, refit, settle
-from radiometer.analysis.response.threads import on_one_blas_thread
 from radiometer.analysis.response.unseen import unseen_factor
 from radiometer.analysis.response.wrong_labels import WrongLabel, find_wrong_labels
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
+from radiometer.one_thread import on_one_blas_thread
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from radiometer.analysis.response.estimate import ResponseEstimate, compare_thir
 from radiometer.analysis.response.noise_shift import ASSUMPTION, mean_exposure_dn
 from radiometer.analysis.response.normal import NormalEquations, PenalisedSolution, eliminate_groups, solve_penalised
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
-from radiometer.analysis.response.threads import on_one_blas_thread
 from radiometer.analysis.response.unseen import unseen_factor
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError
+from radiometer.one_thread import on_one_blas_thread
 
 METHOD = "debevec1997"
 # Hat weight that the first guess of other methods asks for: 4 % of the range away from black and from saturation.

@@ -16,10 +16,10 @@ from radiometer.analysis.response.noise_shift import ASSUMPTION
 from radiometer.analysis.response.pairs import LEAST_PART, Gauge, Pairs, with_log_ratios
 from radiometer.analysis.response.polynomial import Polynomial, fit_polynomial
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
-from radiometer.analysis.response.threads import on_one_blas_thread
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError
+from radiometer.one_thread import on_one_blas_thread
 
 Array = NDArray[np.float64]
 

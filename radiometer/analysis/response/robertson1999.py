@@ -12,9 +12,9 @@ from radiometer.analysis.response.debevec1997 import curve_debevec1997, without_
 from radiometer.analysis.response.estimate import ResponseEstimate, compare_thirds
 from radiometer.analysis.response.jackknife import jackknife
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
-from radiometer.analysis.response.threads import on_one_blas_thread
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
+from radiometer.one_thread import on_one_blas_thread
 
 Array = NDArray[np.float64]
 

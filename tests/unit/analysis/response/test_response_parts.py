@@ -1,10 +1,9 @@
-"""The parts that the response methods share: limits, groups, noise, threads."""
+"""The parts that the response methods share: limits, groups, noise."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info
 
 from radiometer.analysis.response.curves import rising
 from radiometer.analysis.response.effective import places_as_one, tones_as_one
@@ -14,7 +13,6 @@ from radiometer.analysis.response.limits import find_limits
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise
 from radiometer.analysis.response.noise_shift import mean_exposure_dn
 from radiometer.analysis.response.samples import gather_samples
-from radiometer.analysis.response.threads import on_one_blas_thread
 from radiometer.data import Bracket, Frame, FrameSettings
 
 
@@ -83,18 +81,6 @@ def test_mean_behind_a_gamma_curve_is_moved_to_the_mean_exposure(make_stack):
     wanted = 4095 * exposure.mean() ** (1 / 2.2)
     found = mean_exposure_dn(np.array([mean]), np.array([variance]), g, find_limits([make_stack("gamma")]))[0]
     assert abs(found - wanted) < 0.1 * abs(mean - wanted)
-
-
-def test_blas_is_held_to_one_thread_and_released():
-    """Inside, BLAS has one thread; afterwards what it had before."""
-
-    @on_one_blas_thread
-    def threads() -> list[int]:
-        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
-
-    before = [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
-    assert set(threads()) == {1}
-    assert [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"] == before
 
 
 def _film(rng, fog, knee, times):
