@@ -146,7 +146,8 @@ def honesty(answer: dict[str, Any], hidden: str, truth: dict[str, Any]) -> str:
     """
     effects, verdict = answer["effects"], answer["verdict"]
     if verdict == "agrees":
-        return _below(answer["limits"].get(hidden), hidden, truth)
+        stated_c = answer["limit_parameters"].get(hidden, {}).get("temperature_C", 25.0)
+        return _below(answer["limits"].get(hidden), hidden, truth, stated_c)
     if verdict != "effects_found":
         return "provisional"
     right = _names(everything()[hidden])
@@ -156,21 +157,21 @@ def honesty(answer: dict[str, Any], hidden: str, truth: dict[str, Any]) -> str:
     return "rival" if told and len(effects) == 1 else "wrong"
 
 
-def _below(limit: float | None, hidden: str, truth: dict[str, Any]) -> str:
+def _below(limit: float | None, hidden: str, truth: dict[str, Any], stated_c: float) -> str:
     if limit is None:
         return "blind"
     if hidden not in SIZES:
         return "agrees"
     mine, factor = SIZES[hidden]
     if "per_s" in mine:
-        factor *= _at_25_c(truth)
+        factor *= _at(stated_c, truth)
     ratio = abs(float(truth[mine])) * factor / limit
     return "below" if ratio <= 1.0 else "near" if ratio <= 2.0 else "missed"
 
 
-def _at_25_c(truth: dict[str, Any]) -> float:
-    """Return what share of a hidden dark current is left at the 25 °C that entries and limits hold at."""
-    warmer = float(truth.get("reference_C", 25.0)) - 25.0
+def _at(stated_c: float, truth: dict[str, Any]) -> float:
+    """Return what share of a hidden dark current is left at the temperature that an entry or limit is stated at."""
+    warmer = float(truth.get("reference_C", 25.0)) - stated_c
     return float(2.0 ** (-warmer / truth.get("doubling_K", 7.0)))
 
 
@@ -197,7 +198,8 @@ def parameters(answer: dict[str, Any], truth: dict[str, dict[str, Any]]) -> list
             if entry is None or not entry.get("u"):
                 continue
             hidden = truth[effect["name"]]
-            true = float(hidden[mine]) * factor * (_at_25_c(hidden) if "per_s" in mine else 1.0)
+            stated_c = effect["parameters"].get("reference_C", {"value": 25.0})["value"]
+            true = float(hidden[mine]) * factor * (_at(stated_c, hidden) if "per_s" in mine else 1.0)
             z = (entry["value"] - true) / entry["u"]
             found.append({"parameter": f"{effect['name']}.{theirs}", "true": true, "found": entry["value"], "z": z})
     return [p for p in found if math.isfinite(p["z"])]

@@ -26,7 +26,7 @@ def place_for(effect: Effect, chain: Sequence[Effect], enabled: Sequence[bool] |
             following is None or following.stage >= effect.stage
         )
         if in_stage and unit == effect.unit_in == effect.unit_out:
-            if following is not None and following.name == effect.before:
+            if following is not None and _is_in_front(effect, following):
                 return position
             fits.append(position)
         if following is not None and (enabled is None or enabled[position]):
@@ -37,3 +37,15 @@ def place_for(effect: Effect, chain: Sequence[Effect], enabled: Sequence[bool] |
             f"no signal in {effect.unit_in} passes there"
         )
     return fits[-1]
+
+
+def _is_in_front(effect: Effect, following: Effect) -> bool:
+    """Tell whether an effect belongs right in front of another one."""
+    if following.name == effect.before:
+        return True
+    return effect.before is not None and following.before == effect.before and in_order(effect) < in_order(following)
+
+
+def in_order(effect: Effect) -> tuple[int, bool]:
+    """Return by what effects at one place are sorted; those that are alike stay as they were added."""
+    return int(effect.stage), effect.last_in_place

@@ -262,7 +262,8 @@ def _show_limits(result: ReconcileResult) -> None:
     for name, limit in result.limits.items():
         if limit.amplitude is not None:
             unit = "" if limit.unit == "1" else limit.unit
-            table.add_row(name, f"{limit.amplitude:.2g}", f"{unit} ({limit.parameter})")
+            at = "" if limit.temperature_c is None else f" at {limit.temperature_c:g} °C"
+            table.add_row(name, f"{limit.amplitude:.2g}", f"{unit} ({limit.parameter}{at})")
     console().print()
     console().print(table)
     blind = [name for name, limit in result.limits.items() if limit.amplitude is None]

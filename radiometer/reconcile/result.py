@@ -32,11 +32,18 @@ class Limit:
         amplitude: In the parameter's unit; None where the data cannot see the effect.
         parameter: Name of the parameter.
         unit: Its unit.
+        temperature_c: Temperature of the sensor in °C at which it is stated; None where it holds at all.
     """
 
     amplitude: float | None
     parameter: str
     unit: str
+    temperature_c: float | None = None
+
+    def parameter_mapping(self) -> dict[str, Any]:
+        """Return what the amplitude is of, as JSON has it."""
+        told = {"parameter": self.parameter, "unit": self.unit}
+        return told if self.temperature_c is None else told | {"temperature_C": self.temperature_c}
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +255,7 @@ class ReconcileResult:
                 "by_covariate": {n: {"before": g.before, "after": g.after} for n, g in self.covariates.items()},
             },
             "limits": {name: limit.amplitude for name, limit in self.limits.items()},
-            "limit_parameters": {n: {"parameter": v.parameter, "unit": v.unit} for n, v in self.limits.items()},
+            "limit_parameters": {n: v.parameter_mapping() for n, v in self.limits.items()},
             "tests": {"number": self.tests[0], "significant": self.tests[1]},
             "localisation": [place.to_mapping() for place in self.localisation],
             "null_tests": list(self.calls),

@@ -115,6 +115,7 @@ class Effect(ABC):
         unit_out: Unit of the signal it gives.
         before: Name of an effect of the same stage that it is put in front of when added to a model; by default it
             is put as late in its stage as its unit fits.
+        last_in_place: Whether it acts on what all others that belong there bring, whichever was added first.
     """
 
     name: ClassVar[str]
@@ -122,6 +123,7 @@ class Effect(ABC):
     unit_in: ClassVar[str]
     unit_out: ClassVar[str]
     before: ClassVar[str | None] = None
+    last_in_place: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         for known in self.parameters():

@@ -44,6 +44,8 @@ class CatalogueEffect(Effect):
         law_along: Covariates along which the data may follow another law than its equation; by default `where`.
         neutral_at_one: Parameters that do nothing at 1, as others do at 0.
         looks_back: Whether it acts by what the frame before held (`context.previous_e`).
+        stated_at: Parameter that holds the temperature in °C at which others are stated; a search takes the one of the
+            session that is nearest to the usual.
     """
 
     where: ClassVar[str]
@@ -67,11 +69,16 @@ class CatalogueEffect(Effect):
     law_along: ClassVar[tuple[str, ...]] = ()
     neutral_at_one: ClassVar[tuple[str, ...]] = ()
     looks_back: ClassVar[bool] = False
+    stated_at: ClassVar[str] = ""
 
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return the effects from which a search begins; by default those of `trials`."""
-        return cast(tuple[Self, ...], _of_trials(cls))
+        found = cast(tuple[Self, ...], _of_trials(cls))
+        if not cls.stated_at:
+            return found
+        there = {cls.stated_at: nearest_temperature_c(context, getattr(found[0], cls.stated_at))}
+        return tuple(start.with_parameters(**there) for start in found)
 
     def resized(self, factor: float, about: float = 0.0) -> Self:
         """Return the effect with its first fitted parameter's distance from a value times a factor, within bounds."""
@@ -206,6 +213,25 @@ def warmer_k(context: ExposureContext, reference_c: float) -> Any:
     if temperature is None:
         return 0.0
     return np.where(np.isnan(temperature), 0.0, np.asarray(temperature) - reference_c)
+
+
+def dark_temperatures_c(context: ExposureContext) -> Any:
+    """Return the known temperatures of the dark frames, of all where none is dark: those that leaks are seen at."""
+    settings: Any = context.settings
+    known = np.asarray(np.nan if settings.temperature_c is None else settings.temperature_c, dtype=np.float64)
+    dark = np.broadcast_to(getattr(settings, "is_dark", False), known.shape)
+    known = known[dark] if np.any(dark) else known
+    return known[np.isfinite(known)]
+
+
+def nearest_temperature_c(context: ExposureContext, usual_c: float) -> float:
+    """Return the whole °C nearest to a usual one between the coldest dark frame and the warmest.
+
+    What is stated at a temperature that no dark frame had is known no better than the law that leads there. Where no
+    temperature is known it is the usual one.
+    """
+    known = dark_temperatures_c(context)
+    return float(np.round(np.clip(usual_c, known.min(), known.max()))) if known.size else usual_c
 
 
 def elapsed_s(context: ExposureContext) -> Any:

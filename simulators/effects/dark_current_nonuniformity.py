@@ -10,11 +10,13 @@ import numpy as np
 from scipy.special import ndtr
 
 from simulators.effects.base import ELECTRONS, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, temperature_varies, warmer_k
+from simulators.effects.catalogue import CatalogueEffect, dark_temperatures_c, warmer_k
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
 _USUAL_DOUBLING_K: Final = 7.0
+_TOLD_K: Final = 2.0  # by which darks must differ to tell a law
+_LEAST_E: Final = 1e-12  # a pattern that is none
 
 
 @dataclass(frozen=True)
@@ -22,9 +24,12 @@ class DarkCurrentNonuniformity(CatalogueEffect):
     """Adds to each pixel a fixed share of thermal electrons: S grows by p·t·2^((T − T₀)/T_d), p varies by s.
 
     The pattern is log-normal less its mean: a few pixels leak much more than the others, and stand out as hot pixels.
-    These are left out of a tile's mean and no pixel leaks less than nothing, so that the mean moves by a share m of s.
+    It has no mean of its own, for that is the dark current's; only what is cut off moves the mean: no pixel holds less
+    than nothing, and the darks that show most pixels standing out have these left out of all tiles.
 
-    Source: EMVA Standard 1288, release 4.0, DCNU; the tail as seen in CMOS datasheets.
+    Source: EMVA Standard 1288, release 4.0, DCNU; the tail as seen in CMOS datasheets; Widenhorn et al. (2002), Proc.
+    SPIE 4669, 193: what differs between pixels is generation in the depletion region (doubling in 7 to 8 K), beside a
+    diffusion current that all share (3 to 5 K).
     """
 
     name = "dark_current_nonuniformity"
@@ -32,6 +37,7 @@ class DarkCurrentNonuniformity(CatalogueEffect):
     unit_in = ELECTRONS
     unit_out = ELECTRONS
     before = "shot_noise"
+    last_in_place = True  # a pixel is not empty where other leaks fill it
     where = "exposure_s"
     block = "spatial"
     acts_by_square = True
@@ -39,22 +45,22 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         {"sigma_e_per_s": 1.0},
         {"sigma_e_per_s": 10.0},
     )
-    fitted = ("sigma_e_per_s", "mean_share", "shape")
+    fitted = ("sigma_e_per_s", "shape")
+    stated_at = "reference_C"
     settles = "dark frames at two long exposures"
     endless = ("shape",)  # a log-normal of small shape is a normal one
     sigma_e_per_s: float = parameter(0.0, "e- s-1", 0.0, 100000.0, source="engineering prior; refined on a real rig")
     reference_C: float = parameter(25.0, "°C", -100.0, 150.0, source="temperature that the figure holds at")  # noqa: N815
-    doubling_K: float = parameter(_USUAL_DOUBLING_K, "K", 2.0, 30.0, source="silicon: 6 to 8 K")  # noqa: N815
-    mean_share: float = parameter(
-        0.0, "1", -0.5, 0.5, source="what clipping at zero and masked pixels leave of the mean"
-    )
+    doubling_K: float = parameter(_USUAL_DOUBLING_K, "K", 2.0, 30.0, source="silicon: 4.5 to 8 K")  # noqa: N815
     shape: float = parameter(0.5, "1", 0.05, 1.2, source="standard deviation of the leak's logarithm; CMOS: 0.3 to 0.8")
 
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the pattern that doubles within kelvins of its own."""
-        if self.doubling_K != _USUAL_DOUBLING_K or not temperature_varies(context):
-            return ()
-        return (self.with_parameters(doubling_K=_USUAL_DOUBLING_K + 0.2),)
+    @classmethod
+    def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the patterns from which a search begins: darks of several temperatures tell their doubling."""
+        known = dark_temperatures_c(context)
+        told = known.size > 0 and float(np.ptp(known)) > _TOLD_K
+        own = _USUAL_DOUBLING_K + 0.2 if told else _USUAL_DOUBLING_K
+        return tuple(start.with_parameters(doubling_K=own) for start in super().starts(context))
 
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit: the doubling only where it is not the usual one."""
@@ -62,7 +68,14 @@ class DarkCurrentNonuniformity(CatalogueEffect):
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the signal of the pixels that count."""
-        return cast(Signal, (signal + self.mean_share * self.electrons(context)).astype(signal.dtype))
+        pattern = np.maximum(self.electrons(context), _LEAST_E)
+        average, spread = self._lognormal()
+        emptied = average - signal * spread / pattern  # leaks, over their median, that would leave less than nothing
+        share, held, _ = self._above(emptied)
+        found = signal * share + (held - average * share) * pattern / spread
+        if getattr(context, "frames", None) is not None:
+            found = found - self._left_out(signal, context) * pattern
+        return cast(Signal, found.astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
         """Return 1."""
@@ -77,17 +90,38 @@ class DarkCurrentNonuniformity(CatalogueEffect):
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with the number of pixels that stand out by more than 6 robust sigmas."""
-        frames: Any = getattr(context, "frames", 1.0)
-        read2 = (context.camera.read_noise_e or 3.0) ** 2
-        noise2 = (np.maximum(before.mean, 0.0) + read2) / frames + before.spatial_variance
-        pattern = np.maximum(self.electrons(context), 1e-12)
-        _, spread = self._lognormal()
-        robust2 = np.square(self.shape / spread * pattern)  # what the median deviation of the body tells
-        limit = 6.0 * np.sqrt(noise2 + robust2) / pattern
-        above = ndtr(-np.log(1.0 + spread * limit) / self.shape)
+        above, _, _ = self._above(self._standing_out(before.mean, context, before.spatial_variance))
         pixels: Any = getattr(context, "tile_pixels", 1.0)
         count = (above * pixels).mean(axis=2, keepdims=True).sum(axis=1, keepdims=True)
         return replace(after, outliers=before.outliers + count)
+
+    def _standing_out(self, signal: Signal, context: ExposureContext, spatial_variance: Any = 0.0) -> Any:
+        """Return the leak over its median from which on a pixel stands out by more than 6 robust sigmas."""
+        frames: Any = getattr(context, "frames", 1.0)
+        read2 = (context.camera.read_noise_e or 3.0) ** 2
+        noise2 = (np.maximum(signal, 0.0) + read2) / frames + spatial_variance
+        pattern = np.maximum(self.electrons(context), _LEAST_E)
+        _, spread = self._lognormal()
+        robust2 = np.square(self.shape / spread * pattern)  # what the median deviation of the body tells
+        return 1.0 + spread * 6.0 * np.sqrt(noise2 + robust2) / pattern
+
+    def _left_out(self, signal: Signal, context: ExposureContext) -> Any:
+        """Return by how many s the mean falls where a series of captures leaves out what stands out in any dark one."""
+        share, held, _ = self._above(self._first_left_out(signal, context))
+        average, spread = self._lognormal()
+        return (held - average * share) / (1.0 - share) / spread
+
+    def _first_left_out(self, signal: Signal, context: ExposureContext) -> Any:
+        """Return the leak over its median from which on a series of captures leaves a pixel out."""
+        settings: Any = context.settings
+        limit = self._standing_out(signal, context)
+        dark = np.where(np.broadcast_to(settings.is_dark, np.shape(limit)), limit, np.inf)
+        return np.minimum(limit, np.min(dark, axis=0, keepdims=True))
+
+    def _above(self, leak: Any) -> tuple[Any, Any, Any]:
+        """Return the share of the pixels above a leak over the median, and the sums of leaks and squares, per pixel."""
+        sigmas, s = np.log(np.maximum(leak, 1e-300)) / self.shape, self.shape
+        return ndtr(-sigmas), math.exp(s**2 / 2) * ndtr(s - sigmas), math.exp(2.0 * s**2) * ndtr(2.0 * s - sigmas)
 
     def _lognormal(self) -> tuple[float, float]:
         """Return mean and standard deviation of the leak over its median."""
@@ -95,8 +129,15 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         return math.exp(square / 2), math.sqrt((math.exp(square) - 1.0) * math.exp(square))
 
     def spatial_variance(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return the pattern's variance in e-²."""
-        return np.square(self.electrons(context))
+        """Return the pattern's variance in e-²: of the pixels that count."""
+        whole = np.square(self.electrons(context))
+        if getattr(context, "frames", None) is None:
+            return whole
+        average, spread = self._lognormal()
+        share, held, square = self._above(self._first_left_out(signal, context))
+        kept = 1.0 - share
+        left = (average**2 + spread**2 - square) / kept - np.square((average - held) / kept)
+        return whole * left / spread**2
 
     def pattern_e(self, context: ExposureContext) -> Any:
         """Return the pattern's standard deviation in electrons."""

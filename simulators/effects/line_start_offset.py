@@ -33,7 +33,7 @@ class LineStartOffset(Offset):
     unit_out = DIGITAL_NUMBER
     where = "image_x"
     block = "mean"
-    also = ("slope", "columns")
+    also = ("slope",)
     log_prior_odds = -1.0
     prior_reason = "most converters begin behind the settling; of an uneven scene light can look the same"
     trials = tuple(
@@ -44,8 +44,10 @@ class LineStartOffset(Offset):
     )
     fitted = ("offset_dn", "decay_share")
     settles = "an average of many frames of no exposure, with masked or overscanned columns at both ends of the lines"
-    offset_dn: float = parameter(0.0, "DN", -0.25, 0.25, source="tenths of a DN to tens of DN", of_full_scale=True)
-    decay_share: float = parameter(0.15, "1", 0.001, 0.5, source="share of a line; a longer one is a tilt")
+    offset_dn: float = parameter(0.0, "DN", -0.05, 0.05, source="tenths of a DN to tens of DN", of_full_scale=True)
+    decay_share: float = parameter(
+        0.15, "1", 0.02, 0.5, source="share of a line; a shorter one is no more than a few columns, a longer one a tilt"
+    )
     from_right: float = parameter(0.0, "1", 0.0, 1.0, source="1 where a line is read from its last column on")
 
     def offset(self, context: ExposureContext) -> Any:

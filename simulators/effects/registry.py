@@ -34,6 +34,7 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.column_pattern import ColumnPattern
 from simulators.effects.conversion_gain import ConversionGain
 from simulators.effects.conversion_gain_error import ConversionGainError
+from simulators.effects.correlated_read_noise import CorrelatedReadNoise
 from simulators.effects.crosstalk import Crosstalk
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.dark_current_clamped import DarkCurrentClamped
@@ -105,6 +106,7 @@ EFFECTS: Final[dict[str, type[Effect]]] = {
     "column_pattern": ColumnPattern,
     "conversion_gain": ConversionGain,
     "conversion_gain_error": ConversionGainError,
+    "correlated_read_noise": CorrelatedReadNoise,
     "crosstalk": Crosstalk,
     "dark_current": DarkCurrent,
     "dark_current_clamped": DarkCurrentClamped,

@@ -15,6 +15,7 @@ PARAMETERS = {
     "first_frame_offset": ("offset_dn", "offset_dn"),
     "readout_dark_charge": ("doubling_K", "doubling_K"),
     "line_start_offset": ("decay_share", "decay_share"),
+    "correlated_read_noise": ("sigma_e", "sigma_e"),
 }
 
 

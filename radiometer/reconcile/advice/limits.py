@@ -106,7 +106,8 @@ class _Grown:
     @property
     def limit(self) -> Limit:
         """Return its size as a limit."""
-        return Limit(abs(self.size) if self.grows else self.size, self.parameter, self.unit)
+        stated = self.effect.values().get(self.effect.stated_at)
+        return Limit(abs(self.size) if self.grows else self.size, self.parameter, self.unit, stated)
 
     def milder(self, other: _Grown | None) -> _Grown:
         """Return this or another limit, whichever is the milder effect."""

@@ -55,6 +55,7 @@ FAMILY: Final = {name: family_of(name) for name in STATISTICS}
 _LOGARITHMS: Final = (*named(scale=Scale.LOGARITHM), *named(scale=Scale.LINES))
 _LIGHT_U_REL: Final = 3e-3  # how well the light of one tile is taken to be known where its variance hangs on it
 _WANDERS: Final = 61  # relative variances tried, ten to a decade
+_LEAST_RATIO: Final = 0.1  # of a profile of lines to its pixels: a trial may predict lines calmer than any are
 _FALSE_OUTLIERS: Final = 0.02  # expected in a capture without hot pixels; keeps the square root finite
 
 
@@ -275,7 +276,8 @@ class Comparison:
         excess = line_excess(self.design, self.seen, prediction, name)
         if prediction.mixed_x.any():
             excess = excess + mixing_of_lines(prediction, self.design, name)
-        return np.asarray(1.0 + excess + band_excess(self.design, self.seen, prediction).get(name, 0.0))
+        whole = 1.0 + excess + band_excess(self.design, self.seen, prediction).get(name, 0.0)
+        return np.asarray(np.maximum(whole, _LEAST_RATIO))
 
     def _comb(self, prediction: Prediction) -> Array:
         return np.array([_comb_of(round(prediction.comb_step), prediction.comb_kept, p) for p in COMB_PERIODS])

@@ -35,6 +35,7 @@ _SENSITIVITY_STEP: Final = 1e-3
 _REWEIGHTINGS: Final = 3
 _WARMER_K: Final = 0.1
 _STEEPEST_DOUBLING_K: Final = 4.0  # of a dark current in silicon
+_SWELLING: Final = ("variance", "spatial")  # what leaks and their shot noise add to
 _SETTLED: Final = 0.02  # share of a parameter's size
 _PAST_WELL: Final = 1.02  # times the declared full well, which is rounded
 _ALIVE: Final = 0.5  # share of its shot noise that a tile keeps where charge does not end
@@ -451,7 +452,8 @@ def _darkness(model: TileModel, nuisance: Nuisance, base: Prediction, seen: Capt
     warmer = model.warmed(_WARMER_K).predict(nuisance) if reading_k else base
     # A law that is not found yet may rise steeply: no more than what was seen to gather can.
     most = np.log(2.0) / _STEEPEST_DOUBLING_K * np.maximum(seen.mean - np.nanmin(seen.mean), 0.0)
-    return Darkness(black_dn, reading_k, np.clip((warmer.mean - base.mean) / _WARMER_K, -most, most))
+    swelling = {n: np.log(getattr(warmer, n) / getattr(base, n)) / _WARMER_K for n in _SWELLING} if reading_k else {}
+    return Darkness(black_dn, reading_k, np.clip((warmer.mean - base.mean) / _WARMER_K, -most, most), swelling)
 
 
 def _form_floors(model: TileModel, nuisance: Nuisance, prediction: Prediction) -> dict[str, Array]:

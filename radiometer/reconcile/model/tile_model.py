@@ -15,7 +15,7 @@ from radiometer.reconcile.measure.pattern_images import PatternImages
 from radiometer.reconcile.measure.row_bands import TileBands
 from radiometer.reconcile.model.tile_context import TileContext, rise_of, scene_radiance, tile_context, tilt_of
 from radiometer.reconcile.prediction import Prediction, of_tiles
-from simulators.chain import place_for
+from simulators.chain import in_order, place_for
 from simulators.effects.base import DIGITAL_NUMBER, ELECTRONS, Effect
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import Signal
@@ -131,7 +131,7 @@ class TileModel:
     def _beside(self, links: tuple[Effect, ...]) -> dict[int, list[CatalogueEffect]]:
         """Return the effects that act in front of each link, in the order of their stages."""
         found: dict[int, list[CatalogueEffect]] = defaultdict(list)
-        for effect in sorted((*self.given, *self.effects), key=lambda effect: effect.stage):
+        for effect in sorted((*self.given, *self.effects), key=in_order):
             found[place_for(effect, links)].append(effect)
         return found
 

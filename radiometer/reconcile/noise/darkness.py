@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -27,11 +28,13 @@ class Darkness:
         black_dn: Standard deviation by which the black level wanders from frame to frame, in DN.
         temperature_k: Standard uncertainty of a temperature reading, in K.
         warmth: (captures, tiles) change of the means in DN per kelvin.
+        swelling: The same of ln of variances, by statistic: leaks that differ do so the more the warmer it is.
     """
 
     black_dn: float
     temperature_k: float
     warmth: Array
+    swelling: Mapping[str, Array] = field(default_factory=dict)
 
 
 def wander_of_black(design: Design, seen: CaptureStatistics) -> float:

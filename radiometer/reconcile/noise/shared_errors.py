@@ -137,7 +137,7 @@ def shared_errors(
 
 
 def errors_of_darkness(design: Design, usable: Mapping[str, Mask], darkness: Darkness) -> tuple[SharedError, ...]:
-    """Return what a wandering black level and a coarse thermometer do to the means of a capture and to its first frame.
+    """Return what a wandering black level and a coarse thermometer do to a capture's means, first frame and variances.
 
     Repeated frames do not average it out: they follow one another, and the black level has its way from one series to
     the next.
@@ -159,6 +159,9 @@ def errors_of_darkness(design: Design, usable: Mapping[str, Mask], darkness: Dar
                 SharedError(name, {"mean": Part(np.where(usable["mean"], amplitude, 0.0), one)}, u**2 * every),
                 SharedError(name, {"first": Part(np.where(usable["first"], amplitude, 0.0), one)}, u**2 * first),
             ]
+    for statistic, swelling in darkness.swelling.items() if darkness.temperature_k > 0 else ():
+        part = Part(np.where(usable[statistic], swelling, 0.0), one)
+        found.append(SharedError("temperature of a capture", {statistic: part}, darkness.temperature_k**2 * every))
     return tuple(found)
 
 
@@ -381,7 +384,8 @@ def mixing_of_lines(prediction: Prediction, design: Design, name: str) -> Array:
     if name != "row_temporal":
         noise, share = prediction.spatial, prediction.variance / design.frame_count[:, None] / prediction.spatial
     more = 2.0 * together * share * (1.0 - 1.0 / length)
-    return np.asarray(np.sum(more / noise, axis=1) / np.sum(1.0 / noise, axis=1))
+    mixed = np.sum(more / noise, axis=1) / np.sum(1.0 / noise, axis=1)
+    return np.asarray(np.maximum(mixed, _LEAST_EXCESS))
 
 
 def mixing_of_bands(prediction: Prediction, design: Design) -> Array:
@@ -395,7 +399,8 @@ def mixing_of_bands(prediction: Prediction, design: Design) -> Array:
     x, y = (np.sum(weight * mixed, axis=1)[:, None] for mixed in (prediction.mixed_x, prediction.mixed_y))
     turn = np.pi * np.arange(1, bins.orders + 1) / bins.number  # of one order from bin to bin
     inside, beside = 1.0 - 1.0 / bins.step, 1.0 / bins.step
-    return np.asarray((1.0 + 2.0 * x) * (1.0 + 2.0 * y * (inside + beside * np.cos(turn))) - 1.0)
+    mixed = (1.0 + 2.0 * x) * (1.0 + 2.0 * y * (inside + beside * np.cos(turn))) - 1.0
+    return np.asarray(np.maximum(mixed, _LEAST_EXCESS))
 
 
 def relative_bands(prediction: Prediction) -> Array:

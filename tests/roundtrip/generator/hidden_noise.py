@@ -73,3 +73,16 @@ def hot_pixels(world: World, rng: np.random.Generator, scale: float) -> Truth:
 
     world.dark.append(leak)
     return {"density": float(hot.mean()), "rate_e_per_s": float(rates[hot].mean()) if hot.any() else 0.0}
+
+
+@entry("correlated_read_noise", "signal", "none", "image_x", "gain_db", "exposure_s")
+def correlated_read_noise(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Take from each pixel 0.6 electrons of noise that the pixel before it has gained."""
+    sigma = 0.6 * scale
+
+    def share(signal: np.ndarray, shot: Shot, dice: np.random.Generator) -> np.ndarray:
+        samples = sigma * dice.standard_normal((world.rig.rows, world.rig.columns + 1))
+        return signal + np.diff(samples, axis=1)
+
+    world.voltage.append(share)
+    return {"sigma_e": sigma * float(np.sqrt(2.0))}

@@ -15,6 +15,7 @@ from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.measure.seen import CaptureStatistics
 from radiometer.reconcile.noise.darkness import Darkness, uncertainty_of_readings, wander_of_black
 from radiometer.reconcile.noise.shared_errors import errors_of_darkness
+from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
 from simulators.effects.prnu import Prnu
 
 SIZE = (48, 72)
@@ -94,6 +95,32 @@ def test_darkness_moves_all_tiles_of_a_capture_together() -> None:
     first = sum(error.covariance("first")[0] for error in found if "first" in error.parts)
     assert first == pytest.approx(mean * (1.0 + 1.0 / 3.0))
     assert errors_of_darkness(design, usable, Darkness(0.0, 0.0, warmth)) == ()
+
+
+def test_a_coarse_thermometer_moves_what_leaks_add_to_variances() -> None:
+    """Leaks that grow by 0.2 in ln of their variance per kelvin, at 0.5 K: 0.1 in all tiles of a capture alike."""
+    design, _, _ = _dark([(0.01, 20.0)] * 4, np.random.default_rng(7))
+    shape = (len(design.captures), len(design.tiles))
+    usable = {name: np.ones(shape, np.bool_) for name in ("mean", "first", "spatial")}
+    swelling = {"spatial": np.full(shape, 0.2)}
+    found = errors_of_darkness(design, usable, Darkness(0.0, 0.5, np.zeros(shape), swelling))
+    spatial = sum(error.covariance("spatial")[0] for error in found if "spatial" in error.parts)
+    assert spatial == pytest.approx(np.full((shape[1], shape[1]), 0.1**2))
+    assert errors_of_darkness(design, usable, Darkness(1.0, 0.0, np.zeros(shape), swelling))[-1].parts.keys() == {
+        "first"
+    }
+
+
+def test_leaks_swell_with_the_temperature() -> None:
+    """Of a pattern of 100 e- that doubles in 7 K, ln of the spatial variance grows by 2·ln 2/7 per K nearly."""
+    settings = [(10.0, warm) for warm in (20.0, 20.4, 20.0, 20.4, 20.0, 20.4)]
+    design, seen, images = _dark(settings, np.random.default_rng(9))
+    state = with_effects(first_state(design, seen, images), [DarkCurrentNonuniformity(10.0, 20.0, 7.0)])
+    again = reweighted(state).comparison.whiteners["spatial"][0]
+    shared = np.linalg.inv(again.T @ again)
+    tile = np.sqrt(np.mean(shared[~np.eye(len(design.tiles), dtype=bool)]))
+    share = float(np.median((state.prediction.fixed / state.prediction.spatial)[0]))
+    assert tile == pytest.approx(share * 2.0 * np.log(2.0) / 7.0 * 0.4 / np.sqrt(12.0), rel=0.1)
 
 
 def test_a_particle_in_one_frame_correlates_no_neighbours() -> None:

@@ -15,14 +15,15 @@ from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.search.localise import departing, localise
 from radiometer.reconcile.search.moves import loosened
 from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
 from simulators.effects.led_thermal_droop import LedThermalDroop
 
 
-def _with(effect: CatalogueEffect, captured: Any) -> FitState:
+def _with(effect: CatalogueEffect, captured: Any, *more: CatalogueEffect) -> FitState:
     design = Design.of(captured.header, captured.frames[0].shape)
     state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
-    return settled(refit(with_effects(state, [effect])))
+    return settled(refit(with_effects(state, [effect, *more])))
 
 
 def _weaker(loss: float, onset: float) -> Callable[[Any, Any], Any]:
@@ -52,10 +53,30 @@ def test_leaks_that_double_slowly_bring_their_own_doubling(make_capture: Callabl
     darks = [{"t": t, "T": c, "shutter": "closed"} for t in (1.0, 3.0, 10.0) for c in (25.0, 35.0, 45.0)]
     plan = [*darks, *darks, *({"t": t} for t in (1e-3, 3e-3, 5e-3) for _ in range(2))]
     captured = make_capture(4, extra_e=lambda s: each * 2.0 ** ((s["T"] - 25.0) / 10.0) * s["t"], plan=plan)
-    form = loosened(_with(DarkCurrentNonuniformity(0.6), captured), ["dark_current_nonuniformity"])
-    assert form is not None
-    found = fitted_parameters(form.state)["dark_current_nonuniformity"]
+    found = fitted_parameters(_with(DarkCurrentNonuniformity(0.6, doubling_K=7.2), captured))[
+        "dark_current_nonuniformity"
+    ]
     for name, truth in (("doubling_K", 10.0), ("sigma_e_per_s", 0.5)):
         u = found[name].u
         assert u is not None
         assert abs(found[name].value - truth) < 3.0 * u < 0.1 * truth
+
+
+@pytest.mark.slow
+def test_the_mean_of_uneven_leaks_is_the_dark_current_s(make_capture: Callable[..., Any]) -> None:
+    """Log-normal leaks of 4 e-/s in the mean, doubling in 5 K: the rate takes the mean, the pattern none of it."""
+    drawn = np.random.default_rng(6).lognormal(0.0, 0.5, (64, 96))
+    leak = 4.0 * drawn / drawn.mean()
+    darks = [{"t": t, "T": c, "shutter": "closed"} for t in (1.0, 3.0, 10.0) for c in (20.0, 25.0, 30.0)]
+    plan = [*darks, *darks, *({"t": t} for t in (1e-3, 3e-3, 5e-3) for _ in range(2))]
+    captured = make_capture(4, extra_e=lambda s: leak * 2.0 ** ((s["T"] - 25.0) / 5.0) * s["t"], plan=plan)
+    parameters = fitted_parameters(_with(DarkCurrentNonuniformity(2.0, doubling_K=7.2), captured, DarkCurrent(3.0)))
+    for name, key, truth in (
+        ("dark_current", "rate_e_per_s", 4.0),
+        ("dark_current", "doubling_K", 5.0),
+        ("dark_current_nonuniformity", "sigma_e_per_s", float(leak.std())),
+        ("dark_current_nonuniformity", "doubling_K", 5.0),
+    ):
+        found = parameters[name][key]
+        assert found.u is not None
+        assert abs(found.value - truth) < 4.0 * found.u < 0.15 * truth

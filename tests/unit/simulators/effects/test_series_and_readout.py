@@ -10,10 +10,16 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from radiometer.data import CameraDescription, FrameSettings
+from radiometer.data import CameraDescription, FrameSettings, LensDescription
+from simulators.camera_model import CameraModel
 from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.effects.correlated_read_noise import CorrelatedReadNoise
+from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.dark_current_clamped import DarkCurrentClamped
+from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
 from simulators.effects.first_frame_offset import FirstFrameOffset
 from simulators.effects.gamma_enabled import GammaEnabled
+from simulators.effects.hot_pixels import HotPixels
 from simulators.effects.lamp_step import LampStep
 from simulators.effects.line_start_offset import LineStartOffset
 from simulators.effects.readout_dark_charge import ReadoutDarkCharge
@@ -71,6 +77,83 @@ def test_rows_may_be_read_from_below() -> None:
     assert np.ravel(effect.offset(_context())) == pytest.approx([8.0, 6.0, 4.0, 2.0, 0.0])
 
 
+def test_all_rows_wait_before_the_first_is_read() -> None:
+    """A wait of half the readout adds half its charge to every row; only the loosened form fits it."""
+    effect = ReadoutDarkCharge(charge_e=8.0, wait_share=0.5)
+    assert np.ravel(effect.offset(_context())) == pytest.approx([4.0, 6.0, 8.0, 10.0, 12.0])
+    assert effect.free() == ("charge_e", "doubling_K", "wait_share")
+    (loose,) = ReadoutDarkCharge(charge_e=8.0).loosened(_context())
+    assert loose.wait_share > 0.0
+    assert ReadoutDarkCharge(charge_e=8.0).free() == ("charge_e", "doubling_K")
+    assert loose.loosened(_context()) == ()
+
+
+@pytest.mark.parametrize(
+    ("warm_c", "stated_c"),
+    [((-10.2, -4.8), -5.0), ((31.0, 45.3), 31.0), ((20.0, 45.0), 25.0), ((np.nan, 10.2), 10.0), ((np.nan,), 25.0)],
+)
+def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c: tuple[float, ...], stated_c: float) -> None:
+    """25 °C where the session has it, else the nearest that it has; of a session without thermometer 25 °C."""
+    session = replace(_context(), settings=cast(Any, SimpleNamespace(temperature_c=np.array(warm_c))))
+    for kind in (DarkCurrent, DarkCurrentClamped, DarkCurrentNonuniformity, HotPixels, ReadoutDarkCharge):
+        assert {start.reference_C for start in kind.starts(session)} == {stated_c}
+
+
+def test_a_rate_is_stated_at_a_temperature_of_darks() -> None:
+    """Light at 25 and 45 °C beside darks at 35 °C: 35 °C."""
+    warm, dark = np.array([25.0, 35.2, 45.0]), np.array([False, True, False])
+    session = replace(_context(), settings=cast(Any, SimpleNamespace(temperature_c=warm, is_dark=dark)))
+    assert {start.reference_C for start in DarkCurrent.starts(session)} == {35.0}
+    assert "doubling_K" not in DarkCurrentNonuniformity.starts(session)[0].free()
+
+
+def test_leaks_bring_their_own_doubling_where_temperatures_differ() -> None:
+    """Readings within 2 K tell no law: the doubling is the usual one and stays."""
+    for warm_c, free in (((20.0, 45.0), True), ((24.9, 25.1), False), ((np.nan,), False)):
+        session = replace(_context(), settings=cast(Any, SimpleNamespace(temperature_c=np.array(warm_c))))
+        for start in DarkCurrentNonuniformity.starts(session):
+            assert ("doubling_K" in start.free()) is free
+
+
+def test_leaks_below_nothing_and_those_left_out_move_the_mean() -> None:
+    """Of 4 million leaks the mean is of those that hold no less than nothing and do not stand out by 6 sigma."""
+    effect = DarkCurrentNonuniformity(sigma_e_per_s=30.0, shape=0.6)
+    leak = np.exp(0.6 * np.random.default_rng(3).standard_normal(4_000_000))
+    leak = 30.0 * (leak - leak.mean()) / leak.std()
+    dark = _context(exposure_s=1.0, shutter="closed")
+    for signal in (0.0, 10.0, 1000.0):
+        told = float(effect.mean(np.full(1, signal), dark)[0])
+        assert told == pytest.approx(float(np.maximum(signal + leak, 0.0).mean()), abs=0.06)
+    settings = SimpleNamespace(
+        exposure_s=np.array([1.0, 0.1])[:, None, None], temperature_c=None, is_dark=np.full((2, 1, 1), True)
+    )
+    series = cast(Any, SimpleNamespace(settings=settings, camera=dark.camera, frames=4.0, tile_pixels=1.0))
+    told = np.ravel(effect.mean(np.full((2, 1, 1), 1000.0), series)) - 1000.0
+    spread = math.sqrt(math.exp(0.36) * (math.exp(0.36) - 1.0))
+    noise2 = (1000.0 + 3.0**2) / 4.0
+    middle = float(np.median(leak))
+    limit = 6.0 * math.sqrt(noise2 + (30.0 * 0.6 / spread) ** 2)
+    kept = leak[leak - middle < limit]
+    assert told == pytest.approx([kept.mean(), 0.1 * kept.mean()], abs=0.08)  # left out where it shows most, everywhere
+    left = np.ravel(effect.spatial_variance(np.full((2, 1, 1), 1000.0), series))
+    assert left == pytest.approx([kept.var(), 0.01 * kept.var()], rel=0.01)
+
+
+def test_leaks_that_differ_act_on_all_that_leaks() -> None:
+    """A dark current that is added behind them in time still stands in front of them in the chain."""
+    figures = {"pixel_pitch_um": 4.5, "conversion_gain_e_per_dn": 2.0, "read_noise_e": 3.0, "quantum_efficiency": 0.5}
+    camera = CameraDescription(bit_depth=12, full_well_e=8000.0, **figures)
+    model = CameraModel.ideal(camera, LensDescription())
+    for order in ((DarkCurrent(4.0), DarkCurrentNonuniformity(2.0)), (DarkCurrentNonuniformity(2.0), DarkCurrent(4.0))):
+        chain = model.with_effect(order[0]).with_effect(order[1]).effects
+        names = [effect.name for effect in chain]
+        assert names.count("dark_current") == 2
+        assert names[names.index("shot_noise") - 2 : names.index("shot_noise")] == [
+            "dark_current",
+            "dark_current_nonuniformity",
+        ]
+
+
 def test_a_line_begins_high_and_settles() -> None:
     """Of 8 columns the first, a sixteenth into its line, is up by 10·exp(−1/4) DN; exposure and rows do not count."""
     effect = LineStartOffset(offset_dn=10.0, decay_share=0.25)
@@ -79,6 +162,21 @@ def test_a_line_begins_high_and_settles() -> None:
         assert line == pytest.approx([10.0 * math.exp(-(k + 0.5) / 8.0 / 0.25) for k in range(8)])
     low = LineStartOffset(offset_dn=-10.0, decay_share=0.25, from_right=1.0)
     assert np.ravel(low.offset(_context())) == pytest.approx(-line[::-1])
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_successive_pixels_share_read_noise(sign: float) -> None:
+    """Frames of 2 e- have the variance 4 e-², neighbours in a line the covariance ±2 e-², others none: as told."""
+    effect = CorrelatedReadNoise(sigma_e=2.0, sign=sign)
+    drawn = effect.sample(np.zeros((1000, 1000)), _context(), np.random.default_rng(4))
+    before = TileMoments.exactly(np.zeros((1, 1, 1)))
+    told = effect.moments(before, _context())
+    assert isinstance(told, TileMoments)
+    along, further = (np.mean(drawn[:, :-k] * drawn[:, k:]) for k in (1, 2))
+    down = np.mean(drawn[:-1] * drawn[1:])
+    assert float(np.ravel(told.variance)[0]) == 4.0 == pytest.approx(drawn.var(), abs=0.03)
+    assert float(np.ravel(told.neighbour_x)[0]) == 2.0 * sign == pytest.approx(along, abs=0.02)
+    assert (further, down) == pytest.approx((0.0, 0.0), abs=0.02)
 
 
 @pytest.mark.parametrize("decay_share", [0.02, 0.3])
