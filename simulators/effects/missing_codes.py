@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from simulators.effects.base import DIGITAL_NUMBER, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
+from simulators.effects.rounding import rounded_normal
 from simulators.effects.tile_moments import TileMoments
 
 _SAMPLES: Final = 4096  # of one step, for its Fourier series
 _HARMONICS: Final = 8
+_NARROW: Final = 0.2  # of a step, below which noise resolves more harmonics
 _PER_CODE: Final = 2  # harmonics per code where single codes are left out
 _STEPS: Final = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 32.0, 64.0, 128.0, 256.0)
 
@@ -33,6 +35,17 @@ def _series(step: int, kept: int) -> tuple[NDArray[np.complex128], NDArray[np.co
 
 def _expected(u: Signal, variance: Signal, step: int, kept: int) -> tuple[Signal, Signal, Signal]:
     """Return the mean of what is cut off from a normal variable, of its square, and the derivative of the former."""
+    cut, square, slope = _by_series(u, variance, step, kept)
+    narrow = np.broadcast_to(variance < (_NARROW * step) ** 2, u.shape)
+    if kept == 1 and narrow.any():  # more harmonics than the series has; few borders between codes instead
+        at, spread2 = u[narrow], np.broadcast_to(variance, u.shape)[narrow]
+        code, left2, rise = rounded_normal(at / step - 0.5, spread2 / step**2)
+        cut[narrow], slope[narrow] = at - step * code, 1.0 - rise
+        square[narrow] = step**2 * left2 + cut[narrow] ** 2 + spread2 * (1.0 - 2.0 * rise)
+    return cut, square, slope
+
+
+def _by_series(u: Signal, variance: Signal, step: int, kept: int) -> tuple[Signal, Signal, Signal]:
     first, second = _series(step, kept)
     cut, square, slope = (np.full_like(u, value) for value in (first[0].real, second[0].real, 0.0))
     turn, turned = np.exp(2j * np.pi / step * u), np.ones_like(u, dtype=np.complex128)
@@ -96,8 +109,11 @@ class MissingCodes(CatalogueEffect):
         u = before.mean + 0.5 + self.added_codes
         spread2 = narrow2 + before.spatial_variance
         cut, square, slope = _expected(u, spread2, round(self.step_codes), round(self.kept_codes))
-        variance = narrow2 + square - cut**2 - 2.0 * narrow2 * slope
-        after = replace(before, mean=u - cut, variance=np.maximum(variance, 0.0), unrounded=before)
+        variance = np.maximum(narrow2 + square - cut**2 - 2.0 * narrow2 * slope, 0.0)
+        # What pixels share goes by the mean slope, which no variable has beyond what its own variance becomes.
+        most = np.sqrt(variance / narrow2)
+        shared = before.passed(u - cut, np.clip(1.0 - slope, -most, most))
+        after = replace(shared, variance=variance, spatial_variance=before.spatial_variance, unrounded=before)
         if not isinstance(after, TileMoments):
             return after
         return replace(after, comb_step=self.step_codes, comb_kept=self.kept_codes)

@@ -48,13 +48,12 @@ def rounded(before: SomeMoments) -> SomeMoments:
     if not coarse.any():
         return replace(before, variance=variance + 1.0 / 12.0, unrounded=before)
     mean, variance, fixed = (np.broadcast_to(values, shape).copy() for values in (mean, variance, fixed))
-    common = np.broadcast_to(np.asarray(before.common_variance), shape).copy()
+    slope = np.ones(shape)
     at, sigma2, pattern2 = mean[coarse], variance[coarse], fixed[coarse]
-    mean[coarse], variance[coarse], fixed[coarse], slope = _of_coarse(at, sigma2, pattern2)
+    mean[coarse], variance[coarse], fixed[coarse], slope[coarse] = _of_coarse(at, sigma2, pattern2)
     variance[~coarse] += 1.0 / 12.0
-    common[coarse] *= np.square(slope)
-    after = replace(before, mean=mean, variance=variance, spatial_variance=fixed, common_variance=common)
-    return replace(after, unrounded=before)
+    shared = before.passed(mean, slope)  # what pixels share goes by the mean slope
+    return replace(shared, variance=variance, spatial_variance=fixed, unrounded=before)
 
 
 def excess_kurtosis(before: Moments) -> Signal:
@@ -82,17 +81,17 @@ def excess_kurtosis(before: Moments) -> Signal:
 
 def _of_coarse(mean: Signal, variance: Signal, pattern2: Signal) -> tuple[Signal, Signal, Signal, Signal]:
     """Return mean, variance, variance of the fixed pattern and d(mean)/d(mean before) of rounded values, each (n,)."""
-    average, together, rise = _of_normal(mean, variance + pattern2)
+    average, together, rise = rounded_normal(mean, variance + pattern2)
     own = together * variance / np.maximum(variance + pattern2, 1e-12)
     asked = (pattern2 > 0) & (variance + pattern2 > _SPLIT_FROM)
     if asked.any():
         pixels = mean[asked, None] + np.sqrt(pattern2[asked])[:, None] * _QUANTILES
         within = np.broadcast_to(variance[asked, None], pixels.shape)
-        own[asked] = np.minimum(_of_normal(pixels, within)[1].mean(axis=1), together[asked])
+        own[asked] = np.minimum(rounded_normal(pixels, within)[1].mean(axis=1), together[asked])
     return average, own, together - own, rise
 
 
-def _of_normal(mean: Signal, variance: Signal) -> tuple[Signal, Signal, Signal]:
+def rounded_normal(mean: Signal, variance: Signal) -> tuple[Signal, Signal, Signal]:
     """Return mean, variance and d(mean)/d(mean before) of a rounded normal variable."""
     sigma = np.maximum(np.sqrt(variance), _LEAST_SIGMA_DN)
     nearest = np.rint(mean)

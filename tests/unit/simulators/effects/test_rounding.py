@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from radiometer.data import CameraDescription, FrameSettings
 from simulators.effects.base import Moments
+from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.effects.missing_codes import MissingCodes
 from simulators.effects.rounding import excess_kurtosis, rounded, rounding_amplitude
+from simulators.effects.tile_moments import TileMoments
+
+_CONTEXT = ExposureContext(FrameSettings(1e-3), FrameGeometry.of_image(8, 6), CameraDescription(bit_depth=12))
 
 PIXELS, FRAMES = 20_000, 100
 # Mean, noise and fixed pattern in DN: on a code, between two, at the border, hardly any noise, mostly pattern, fine.
@@ -55,3 +63,31 @@ def test_excess_kurtosis_is_that_of_rounded_samples(phase: float, noise: float) 
     wanted = 0.0 if noise > 0.6 else float(np.mean(apart**4) / np.mean(apart**2) ** 2 - 3.0)
     found = excess_kurtosis(_moments(17.0 + phase, noise, 0.0))
     assert np.asarray(found).ravel()[0] == pytest.approx(wanted, abs=0.1)
+
+
+def _tiles(mean: float, noise: float, shared: float) -> TileMoments:
+    """Return the moments of a tile whose neighbours in a row have a share of their noise in common."""
+    before = TileMoments.exactly(np.full((1, 1, 1), mean))
+    return replace(before, variance=np.full((1, 1, 1), noise**2), neighbour_x=np.full((1, 1, 1), shared * noise**2))
+
+
+@pytest.mark.parametrize(
+    ("mean", "noise", "step"),
+    [(60.0, 0.23, 1), (60.3, 0.31, 1), (60.5, 0.06, 1), (31.2, 0.4, 4), (31.9, 2.1, 4), (64.0, 0.7, 128), (70.2, 4.1, 16)],
+)
+def test_neighbours_share_what_the_codes_leave_of_it(mean: float, noise: float, step: int) -> None:
+    """The covariance of neighbours behind rounding, and behind a coarse step, is that of two million rounded pairs."""
+    share = 0.1
+    rng = np.random.default_rng(11)
+    common = np.sqrt(share) * rng.standard_normal(2_000_000)
+    pair = [mean + noise * (common + np.sqrt(1.0 - share) * rng.standard_normal(common.size)) for _ in range(2)]
+    codes = [step * np.floor(np.rint(values) / step) for values in pair]
+    products = (codes[0] - codes[0].mean()) * (codes[1] - codes[1].mean())
+    after = rounded(_tiles(mean, noise, share))
+    if step > 1:
+        after = MissingCodes(step_codes=float(step)).moments(after, _CONTEXT)
+    assert isinstance(after, TileMoments)
+    found = float(np.ravel(after.neighbour_x)[0])
+    second_order = share * max(float(products.mean()), 1e-6)  # what a pair's square has in common counts by the share²
+    assert abs(found - products.mean()) < 4.5 * products.std() / np.sqrt(products.size) + second_order
+    assert abs(found) <= float(np.ravel(after.variance)[0])
