@@ -87,6 +87,15 @@ class CatalogueEffect(Effect):
         size = about + factor * (float(getattr(self, name)) - about)
         return self.with_parameters(**{name: min(max(size, known.low), known.high)})
 
+    def reach(self, parameter: str, full_scale_dn: float) -> tuple[float, float]:
+        """Return the bounds between which a parameter is fitted.
+
+        Args:
+            parameter: Its name; of a table, that of the table.
+            full_scale_dn: Full scale of the camera, in which bounds in digital numbers are stated.
+        """
+        return next(entry for entry in self.parameters() if entry.name == parameter).bounds(full_scale_dn)
+
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return flexible forms of the effect that cover other equations of it; none by default."""

@@ -176,6 +176,18 @@ class FreeLaw(CatalogueEffect):
         """Return the names of the law's own parameters."""
         return tuple(f"law[{i}]" for i in range(len(self.law)))
 
+    def reach(self, parameter: str, full_scale_dn: float) -> tuple[float, float]:
+        """Return the bounds of a parameter; no law takes the effect farther than its own bounds would."""
+        low, high = super().reach(parameter, full_scale_dn)
+        if parameter != "law":
+            return low, high
+        name = self.own.free()[0]
+        about = self.neutral(name)
+        size = float(getattr(self, name)) - about
+        lowest, highest = self.own.reach(name, full_scale_dn)
+        room = ((highest if size > 0 else lowest) - about) / size if size else high
+        return low, float(np.clip(room, 1.0, high))
+
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return nothing: it is free already."""
         return ()

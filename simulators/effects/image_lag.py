@@ -24,15 +24,18 @@ class ImageLag(CatalogueEffect):
     release a further share m of the frame before that one, which a single frame takes to be like the one before. Traps
     of many depths release by a power p: l·S_prev·(S_prev/1000 e-)^(p − 1).
 
+    Each electron that stays by chance makes what is left as noisy as light of as many electrons; what a barrier holds
+    back, or a settling output stage, is a fixed share and adds none. The noise is a share of the former, 1 as a rule.
+
     Source: incomplete charge transfer; typical 0.01 to 0.5 %. Traps: first-order filling; of many depths a
-    power between a half and 1 (engineering prior).
+    power between a half and 1 (engineering prior). Noise: thinning of a Poisson process.
     """
 
     name = "image_lag"
     stage = Stage.ELECTRONS
     unit_in = ELECTRONS
     unit_out = ELECTRONS
-    before = "shot_noise"
+    before = "full_well_saturation"
     where = "previous_frame"
     block = "mean"
     trials = (
@@ -46,6 +49,7 @@ class ImageLag(CatalogueEffect):
     older_share: float = parameter(0.0, "1", -0.1, 0.1, source="traps empty over several frames")
     fullness_per_e: float = parameter(0.0, "e-1", 0.0, 10.0, source="1 over the electrons that the traps hold")
     power: float = parameter(1.0, "1", 0.2, 2.0, source="traps of many depths: below 1")
+    noise: float = parameter(1.0, "1", 0.0, 1.0, source="1 where each electron stays by chance, 0 for a fixed share")
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
@@ -53,26 +57,33 @@ class ImageLag(CatalogueEffect):
         return (cls(share=0.002, fullness_per_e=0.05), cls(share=0.002, power=0.6))
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the form whose traps fill up, the one whose traps are slow, and the one of a power."""
-        if self.fullness_per_e > 0 or self.older_share or self.power != 1.0:
-            return ()
-        return (
-            self.with_parameters(fullness_per_e=0.05),
-            self.with_parameters(older_share=0.1 * self.share),
-            self.with_parameters(power=0.7),
-        )
+        """Return forms by another law (traps that fill up, slow ones, a power), and the one with less noise."""
+        forms = [self.with_parameters(noise=0.5)] if self.noise == 1.0 else []
+        if self.fullness_per_e == 0.0 and not self.older_share and self.power == 1.0:
+            forms.append(self.with_parameters(fullness_per_e=0.05))
+            forms.append(self.with_parameters(older_share=0.1 * self.share))
+            forms.append(self.with_parameters(power=0.7))
+        return tuple(forms)
 
     def free(self) -> tuple[str, ...]:
-        """Return the share, and the traps' fullness where they fill up, what the older frame leaves, or the power."""
-        if self.power != 1.0:
-            return ("share", "power")
-        if self.older_share:
-            return ("share", "older_share")
-        return ("share", "fullness_per_e") if self.fullness_per_e > 0 else ("share",)
+        """Return the share, what its law holds beside (fullness, the older frame's, the power), and a lesser noise."""
+        further = {"power": self.power != 1.0, "older_share": bool(self.older_share)}
+        law = next((name for name, used in further.items() if used), "fullness_per_e" if self.fullness_per_e else "")
+        return ("share", *((law,) if law else ()), *(("noise",) if self.noise != 1.0 else ()))
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the electrons with what was left behind."""
         return cast(Signal, (signal + self._left(signal, context)).astype(signal.dtype))
+
+    def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
+        """Return one outcome: what stays behind is drawn as light is, its scatter shrunk to the share that it has."""
+        left = np.broadcast_to(np.maximum(self._left(signal, context), 0.0), signal.shape)
+        scatter = np.sqrt(self.noise) * (rng.poisson(left) - left)
+        return cast(Signal, (self.mean(signal, context) + scatter).astype(signal.dtype))
+
+    def variance(self, signal: Signal, context: ExposureContext) -> Signal:
+        """Return the variance of what stays behind."""
+        return np.asarray(self.noise * np.maximum(self._left(signal, context), 0.0))
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
         """Return 1, for the share of the own signal is far below it."""

@@ -41,13 +41,12 @@ class EffectParameters:
         """Return the fitted parameters of effects, bounds in digital numbers being those of a camera's full scale."""
         owner, names, scale, low, high = [], [], [], [], []
         for index, effect in enumerate(effects):
-            known = {entry.name: entry for entry in effect.parameters()}
             for name in effect.free():
                 owner.append(index)
                 names.append(name)
                 plain = name.split("[")[0]
                 scale.append(max(abs(value_of(effect, name)), 0.1 * _typical(effect, plain), 1e-12))
-                lowest, highest = known[plain].bounds(full_scale_dn)
+                lowest, highest = effect.reach(plain, full_scale_dn)
                 low.append(lowest)
                 high.append(highest)
         return cls(tuple(effects), tuple(owner), tuple(names), np.array(scale), np.array(low), np.array(high))

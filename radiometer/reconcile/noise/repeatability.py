@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from radiometer.reconcile.chances import chi2_beyond, chi2_quantile
 from radiometer.reconcile.measure.design import Array, Design
@@ -15,6 +18,7 @@ _DECLARED_RANGE: Final = (0.5, 2.0)
 _ENOUGH_REPEATS: Final = 5
 _CONFIDENCE: Final = 0.99
 _SMALLEST_TAU: Final = 1e-6
+_LARGEST_TAU: Final = 10.0
 _TREND_SHARE: Final = 0.4  # of the repeats' freedom that a slow change in time may take
 _MOST_WAVES: Final = 16
 _DECLARED_WANDER: Final = 1.3  # times the stated reproducibility, which is itself known to a few parts in ten
@@ -98,64 +102,90 @@ def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: 
     return float(tried[np.argmin(totals)])
 
 
-def _bounds(
-    design: Design, scale: Array, variance: Array, lit: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-) -> tuple[float, float]:
-    residual, noise, freedom = _within_repeats(design, scale, variance, lit)
+_Lit = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+
+
+def _bounds(design: Design, scale: Array, variance: Array, lit: _Lit) -> tuple[float, float]:
+    """Return the bounds of τ, as far off as chance may have made the scatter of repeats.
+
+    The scatter of repeats, each weighted by what τ and its own pixels leave it, is χ² at the right τ; captures whose
+    pixels are noisy then tell little of it, as they should.
+
+    Source: Viechtbauer (2007), Statist. Med. 26 37: the Q-profile interval.
+    """
+    repeats = _Repeats.of(design, scale, variance, lit)
     declared = design.header.source.reproducibility_u_rel
-    if freedom < _ENOUGH_REPEATS:
+    if repeats.freedom < _ENOUGH_REPEATS:
         middle, (down, up) = (declared, _DECLARED_RANGE) if declared else (_ASSUMED_TAU, _ASSUMED_RANGE)
         return max(middle * down, _SMALLEST_TAU), max(middle * up, 2 * _SMALLEST_TAU)
-    observed = residual / freedom
-    inside = np.array([chi2_quantile(0.5 + s * _CONFIDENCE / 2.0, freedom) / freedom for s in (1.0, -1.0)])
-    total = np.maximum(observed / inside, 0.0) - noise
-    low, high = np.sqrt(np.maximum(total, _SMALLEST_TAU**2))
-    return float(low), float(max(high, 2 * low, 2e-5))
+    low, high = (repeats.tau_at(chi2_quantile(0.5 + s * _CONFIDENCE / 2.0, repeats.freedom)) for s in (1.0, -1.0))
+    return low, max(high, 2 * low, 2e-5)
 
 
-def _within_repeats(
-    design: Design, scale: Array, variance: Array, lit: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-) -> tuple[float, float, int]:
-    """Return (sum of squares within repeated settings, mean pixel-noise variance, degrees of freedom).
+@dataclass(frozen=True, slots=True, eq=False)
+class _Repeats:
+    """Captures of settings that were repeated.
 
-    Settings of which one capture stands out from all others are left out: it has a cause of its own (a wrong label),
-    which poor repeatability would hide.
+    Attributes:
+        taken: (n,) which captures they are.
+        scale: (n,) their common relative deviation from the model.
+        variance: (n,) its variance from pixel noise alone.
+        basis: (n, terms) what repeats do not tell: the mean of each setting, slow change in time.
     """
-    apart, taken, rank = _about_repeats(design, scale, lit, waves=False)
-    if not apart.size:
-        return 0.0, 0.0, 0
-    usual = _NORMAL * float(np.median(np.abs(apart))) * np.sqrt(apart.size / max(apart.size - rank, 1))
-    limit = _STANDS_OUT * np.sqrt(usual**2 + variance[taken])
-    odd = np.unique(design.setting_id[taken][np.abs(apart) > limit])
-    residual, taken, rank = _about_repeats(design, scale, lit & ~np.isin(design.setting_id, odd), waves=True)
-    if not residual.size:
-        return 0.0, 0.0, 0
-    return float(np.sum(residual**2)), float(np.mean(variance[taken])), residual.size - rank
 
+    taken: NDArray[np.intp]
+    scale: Array
+    variance: Array
+    basis: Array
 
-def _about_repeats(
-    design: Design, scale: Array, lit: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], *, waves: bool
-) -> tuple[Array, np.ndarray[tuple[int, ...], np.dtype[np.intp]], int]:
-    """Return how far repeats lie from the means of their settings, which captures they are, and the rank of the means.
+    @classmethod
+    def of(cls, design: Design, scale: Array, variance: Array, lit: _Lit) -> _Repeats:
+        """Return the repeats that tell of the light, slow change in time being none of their scatter.
 
-    Args:
-        design: Captures.
-        scale: (captures,) common relative deviation from the model.
-        lit: Which captures count.
-        waves: Whether a slow change in time is taken out too.
-    """
-    ids = design.setting_id
-    repeated = lit & np.isin(ids, [i for i in np.unique(ids[lit]) if np.sum(ids[lit] == i) > 1])
-    taken = np.flatnonzero(repeated)
-    if not taken.size:
-        return np.zeros(0), taken, 0
-    groups = np.unique(ids[taken])
-    basis = np.stack([(ids[taken] == group).astype(np.float64) for group in groups], axis=1)
-    if waves:
-        freedom = taken.size - len(groups)
-        basis = np.hstack([basis, _slow_change(design.timestamp_s[taken], int(_TREND_SHARE * freedom))])
-    solution, _, rank, _ = np.linalg.lstsq(basis, scale[taken], rcond=None)
-    return np.asarray(scale[taken] - basis @ solution), taken, int(rank)
+        Settings of which one capture stands out from all others are left out: it has a cause of its own (a wrong
+        label), which poor repeatability would hide.
+        """
+        all_of_them = cls._taken(design, scale, variance, lit, waves=False)
+        if not all_of_them.taken.size:
+            return all_of_them
+        apart = np.abs(all_of_them.apart(0.0))
+        usual = _NORMAL * float(np.median(apart)) * np.sqrt(apart.size / max(all_of_them.freedom, 1))
+        limit = _STANDS_OUT * np.sqrt(usual**2 + all_of_them.variance)
+        odd = np.unique(design.setting_id[all_of_them.taken][apart > limit])
+        return cls._taken(design, scale, variance, lit & ~np.isin(design.setting_id, odd), waves=True)
+
+    @classmethod
+    def _taken(cls, design: Design, scale: Array, variance: Array, lit: _Lit, *, waves: bool) -> _Repeats:
+        ids = design.setting_id
+        taken = np.flatnonzero(lit & np.isin(ids, [i for i in np.unique(ids[lit]) if np.sum(ids[lit] == i) > 1]))
+        basis = (ids[taken][:, None] == np.unique(ids[taken])).astype(np.float64)
+        if waves:
+            freedom = taken.size - basis.shape[1]
+            basis = np.hstack([basis, _slow_change(design.timestamp_s[taken], int(_TREND_SHARE * freedom))])
+        return cls(taken, scale[taken], variance[taken], basis)
+
+    @property
+    def freedom(self) -> int:
+        """Return the degrees of freedom of their scatter."""
+        return self.taken.size - int(np.linalg.matrix_rank(self.basis)) if self.taken.size else 0
+
+    def apart(self, tau: float) -> Array:
+        """Return how far they lie from what the basis says, weighted as τ and pixel noise want it, (n,)."""
+        root = 1.0 / np.sqrt(self.variance + tau**2)
+        solution = np.linalg.lstsq(self.basis * root[:, None], self.scale * root, rcond=None)[0]
+        return np.asarray(self.scale - self.basis @ solution)
+
+    def tau_at(self, chi2: float) -> float:
+        """Return the τ at which their weighted scatter is so large; next to nothing where it never is."""
+
+        def excess(log_tau: float) -> float:
+            tau = float(np.exp(log_tau))
+            return float(np.sum(np.square(self.apart(tau)) / (self.variance + tau**2))) - chi2
+
+        ends = (np.log(_SMALLEST_TAU), np.log(_LARGEST_TAU))
+        if excess(ends[0]) <= 0.0:
+            return _SMALLEST_TAU
+        return float(np.exp(brentq(excess, *ends, xtol=1e-3))) if excess(ends[1]) < 0.0 else _LARGEST_TAU
 
 
 def _slow_change(time: Array, terms: int) -> Array:

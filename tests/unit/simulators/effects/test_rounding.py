@@ -73,7 +73,15 @@ def _tiles(mean: float, noise: float, shared: float) -> TileMoments:
 
 @pytest.mark.parametrize(
     ("mean", "noise", "step"),
-    [(60.0, 0.23, 1), (60.3, 0.31, 1), (60.5, 0.06, 1), (31.2, 0.4, 4), (31.9, 2.1, 4), (64.0, 0.7, 128), (70.2, 4.1, 16)],
+    [
+        (60.0, 0.23, 1),
+        (60.3, 0.31, 1),
+        (60.5, 0.06, 1),
+        (31.2, 0.4, 4),
+        (31.9, 2.1, 4),
+        (64.0, 0.7, 128),
+        (70.2, 4.1, 16),
+    ],
 )
 def test_neighbours_share_what_the_codes_leave_of_it(mean: float, noise: float, step: int) -> None:
     """The covariance of neighbours behind rounding, and behind a coarse step, is that of two million rounded pairs."""
