@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, FrameSettings
+from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.excess_read_noise import ExcessReadNoise
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
@@ -17,6 +18,7 @@ from simulators.effects.gamma_enabled import GammaEnabled
 from simulators.effects.mechanical_vignetting import MechanicalVignetting
 from simulators.effects.registry import EffectEntry, make_effect
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
+from simulators.effects.stray_light_kernel import StrayLightKernel
 from simulators.effects.tile_moments import Moments, TileMoments
 
 
@@ -95,3 +97,19 @@ def test_model_files_hold_the_law() -> None:
     again = EffectEntry.from_mapping(EffectEntry(free).to_mapping(), "here").effect
     assert again == free
     assert make_effect("exposure_time_offset", {"offset_s": 1e-4}) == ExposureTimeOffset(1e-4)
+
+
+@pytest.mark.parametrize(
+    ("plain", "highest"),
+    [
+        (StrayLightKernel(0.25), 2.0),  # at most half of the light is scattered
+        (StrayLightKernel(0.5), 1.0),  # as much as the entry allows already
+        (ExposureTimeOffset(-1e-4), 100.0),  # the end of its range lies farther off than any law goes
+        (GammaEnabled(2.0), 4.0),  # from 1, which does nothing, to 5
+    ],
+)
+def test_no_law_goes_beyond_the_entrys_own_bounds(plain: CatalogueEffect, highest: float) -> None:
+    """The factor ends where the plain effect's first parameter would."""
+    free = _free(plain, (1.0, 1.0), signal=(10.0, 1000.0))
+    assert free.reach("law", 4095.0) == (0.0, pytest.approx(highest))
+    assert free.reach(plain.free()[0], 4095.0) == plain.reach(plain.free()[0], 4095.0)
