@@ -14,6 +14,7 @@ from simulators.effects.surroundings import surroundings_of
 from simulators.effects.tile_moments import TileMoments
 
 _WIDTHS: Final = (0.02, 0.04, 0.08, 0.16, 0.32)  # as fractions of the longer side
+_LITTLE: Final = 0.005  # of the light, at each width
 
 
 @dataclass(frozen=True)
@@ -60,12 +61,13 @@ class StrayLightKernel(CatalogueEffect):
         return 1.0 - self._lost
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return wings of any form, which start as the Gaussian nearest to this one."""
+        """Return wings of any form, which start as the Gaussian nearest to this one, and as a little of each width."""
         if self.wings:
             return ()
         nearest = int(np.argmin(np.abs(np.log(np.array(_WIDTHS) / self.radius))))
-        start = tuple(0.6 * self.share if k == nearest else 0.1 * self.share for k in range(len(_WIDTHS)))
-        return (self.with_parameters(share=0.0, wings=tuple(max(value, 0.0) for value in start)),)
+        near = tuple((0.6 if k == nearest else 0.1) * max(self.share, 0.0) for k in range(len(_WIDTHS)))
+        even = (_LITTLE,) * len(_WIDTHS)  # a heavy tail is taken for a Gaussian far narrower than it
+        return tuple(self.with_parameters(share=0.0, wings=wings) for wings in (near, even))
 
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit: those of the wings where there are any."""
