@@ -85,7 +85,8 @@ def edge_shares(
         seen = whole**2 > _CLEAR_STEP**2 * 2.0 * noise[capture]  # of two lines
         usable = clear & ~clipped[capture] & (noise[capture] > 0) & seen
         if usable.any():
-            share[capture], u[capture] = _agreed(before[usable], whole[usable], noise[capture][usable])
+            down = np.tile(sides.along_rows, len(sides.parts))[usable]
+            share[capture], u[capture] = _of_both(before[usable], whole[usable], noise[capture][usable], down)
     return share, u
 
 
@@ -142,6 +143,19 @@ class _Straightness:
         bent = (told & ~straight).reshape(-1, sides).sum(axis=1)
         mostly = np.repeat(2 * bent <= told.reshape(-1, sides).sum(axis=1), sides)
         return np.asarray(straight & mostly)
+
+
+def _of_both(before: Array, whole: Array, noise: Array, down: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the share of all sides, and its standard uncertainty; where rows and columns differ, the mean of both.
+
+    Pixels may exchange charge along rows more than along columns: sides of one direction then disagree with the others.
+    """
+    if down.all() or not down.any():
+        return _agreed(before, whole, noise)
+    (a, u_a), (b, u_b) = (_agreed(before[own], whole[own], noise[own]) for own in (down, ~down))
+    u = float(np.hypot(u_a, u_b))
+    differ = np.isfinite(u) and abs(a - b) > _OUTLYING * u
+    return (0.5 * (a + b), 0.5 * u) if differ else _agreed(before, whole, noise)
 
 
 def _agreed(before: Array, whole: Array, noise: Array) -> tuple[float, float]:

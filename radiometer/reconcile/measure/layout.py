@@ -108,6 +108,11 @@ class PatchSides:
         ends = [round(length * i / 3) for i in range(4)] if length >= 3 * SHORTEST_PART_PX else []
         return (slice(0, length), *(slice(a, b) for a, b in itertools.pairwise(ends)))
 
+    @property
+    def along_rows(self) -> NDArray[np.bool_]:
+        """Tell of each side whether its lines run along rows, so that what crosses it goes down the columns."""
+        return np.asarray(self.rows[:, 0, 0] == self.rows[:, 0, -1])
+
     def lines(self, pixels: Array) -> tuple[Array, Array]:
         """Return the mean of every line and the variance along it, for all parts of all sides.
 

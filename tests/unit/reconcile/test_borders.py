@@ -17,7 +17,7 @@ _NOISE_DN = 2.0
 
 
 def share_of(
-    shape: str, blur_px: float = 0.0, side_px: int = 18, ground: tuple[float, ...] = (200.0,) * 12
+    shape: str, blur_px: float | tuple[float, float] = 0.0, side_px: int = 18, ground: tuple[float, ...] = (200.0,) * 12
 ) -> tuple[float, float]:
     """Return share and u of twelve patches of 600 DN that lie inside discs (or plates) of 13 px radius."""
     y, x = np.mgrid[0:120, 0:160].astype(float)
@@ -54,6 +54,15 @@ def test_blur_is_read_from_discs_as_from_plates(shape: str) -> None:
     share, u = share_of(shape, 0.6, side_px=20)
     assert u < 0.02
     assert share == pytest.approx(float(blur_edge_share(np.float64(0.6))), abs=0.03)
+
+
+@pytest.mark.parametrize("shape", ["disc", "plate"])
+@pytest.mark.parametrize("blur_px", [(0.0, 0.6), (0.6, 0.0)])
+def test_what_blurs_along_rows_or_columns_alone_counts_by_half(shape: str, blur_px: tuple[float, float]) -> None:
+    """Half of the sides have the share of a Gaussian of 0.6 px, the others none: the mean of both is told."""
+    share, u = share_of(shape, blur_px, side_px=20)
+    assert u < 0.02
+    assert share == pytest.approx(0.5 * float(blur_edge_share(np.float64(0.6))), abs=0.02)
 
 
 def test_discs_too_small_for_a_straight_part_tell_nothing() -> None:
