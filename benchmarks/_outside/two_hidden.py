@@ -378,7 +378,7 @@ def every_fifth_dim(camera: Camera, dice: np.random.Generator, size: float) -> M
     return {"depth": depth}
 
 
-@hides("outsider", "bracket", "levels", "flats", stage="source", along=("turn",))
+@hides("law", "bracket", "levels", "flats", right=("series_settling",))
 def drift_in_repeats(camera: Camera, dice: np.random.Generator, size: float) -> Mapping[str, Any]:
     """The light grows from frame to frame within a setting and starts anew with the next."""
     rise = _sign(dice) * dice.uniform(0.006, 0.015) * size
