@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import logging
 import sys
+import traceback
+from pathlib import Path
+from types import TracebackType
 
 import structlog
+from structlog.typing import EventDict, WrappedLogger
 
 
 class StandardErrorLogger:
@@ -21,8 +25,28 @@ class StandardErrorLogger:
     debug = info = warning = error = critical = exception = fatal = msg
 
 
+def error_in_one_line(logger: WrappedLogger, method: str, event: EventDict) -> EventDict:
+    """Replace an event's exception by what it is, what it says and where it was raised."""
+    given = event.pop("exc_info", None)
+    kind, error, trace = _raised(given)
+    if kind is None:
+        return event
+    where = traceback.extract_tb(trace)[-1:] if trace else []
+    at = "".join(f" ({Path(last.filename).name}:{last.lineno})" for last in where)
+    event["error"] = f"{kind.__name__}: {error}{at}"
+    return event
+
+
+def _raised(given: object) -> tuple[type[BaseException] | None, BaseException | None, TracebackType | None]:
+    if isinstance(given, BaseException):
+        return type(given), given, given.__traceback__
+    if isinstance(given, tuple):
+        return given
+    return sys.exc_info() if given else (None, None, None)
+
+
 def configure_logging(verbosity: int = 0) -> None:
-    """Show events from WARNING (0), INFO (1) or DEBUG (2 and above) on standard error."""
+    """Show events from WARNING (0), INFO (1) or DEBUG (2 and above) on standard error; the last with tracebacks."""
     level = {0: logging.WARNING, 1: logging.INFO}.get(verbosity, logging.DEBUG)
     structlog.configure(
         wrapper_class=structlog.make_filtering_bound_logger(level),
@@ -30,7 +54,10 @@ def configure_logging(verbosity: int = 0) -> None:
         processors=[
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso"),
-            structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty()),
+            *([] if level == logging.DEBUG else [error_in_one_line]),
+            structlog.dev.ConsoleRenderer(
+                colors=sys.stderr.isatty(), exception_formatter=structlog.dev.plain_traceback
+            ),
         ],
         cache_logger_on_first_use=False,
     )

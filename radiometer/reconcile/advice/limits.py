@@ -158,7 +158,9 @@ class _Search:
     def next_look(self) -> CatalogueEffect | None:
         """Return the effect where to look next; None where it would be absurd."""
         size = _next_size(self.below, self.above)
-        return self.near.times(size / self.near.size) if abs(size) <= _LARGEST_FACTOR * self.first else None
+        if not self.near.size or abs(size) > _LARGEST_FACTOR * self.first:  # it shows without any size, or never
+            return None
+        return self.near.times(size / self.near.size)
 
 
 def _next_size(below: _Grown | None, above: _Grown | None) -> float:

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from radiometer.reconcile import engine
+from radiometer.reconcile.advice.limits import _Grown, _Search
 from radiometer.reconcile.fit.state import first_state, refit, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from simulators.effects.exposure_label_error import ExposureLabelError
 from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.veiling_glare import VeilingGlare
 
@@ -45,3 +47,11 @@ def test_fit_holds_a_parameter_though_a_term_before_it_falls_to_nothing(make_cap
     fitted = refit(replace(added, frozen=frozenset({2})))
     assert fitted.parameters.names == ("full_well_e", "share")
     assert fitted.effects[1] == VeilingGlare(0.01)
+
+
+def test_an_entry_that_shows_at_no_size_at_all_has_no_limit_to_look_for() -> None:
+    """A label that other wrong labels stand beside shows even where it is right: the search ends."""
+    right = ExposureLabelError(1e-3, 1.0, 0.0, 1.0, (2e-3,), (0.1,), (0.0,), (1.0,))
+    near = _Grown(right, "ratio", "1", 1e5)
+    assert near.size == 0.0
+    assert _Search(0.5, near, above=near).next_look() is None
