@@ -10,12 +10,14 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar, Literal, Self, cast
+from typing import Any, ClassVar, Final, Literal, Self, cast
 
 import numpy as np
 
 from simulators.effects.base import Effect
 from simulators.effects.context import ExposureContext, Signal
+
+_COMPARABLE_K: Final = 10.0  # one doubling to two of a dark current in silicon
 
 
 @dataclass(frozen=True)
@@ -44,8 +46,8 @@ class CatalogueEffect(Effect):
         law_along: Covariates along which the data may follow another law than its equation; by default `where`.
         neutral_at_one: Parameters that do nothing at 1, as others do at 0.
         looks_back: Whether it acts by what the frame before held (`context.previous_e`).
-        stated_at: Parameter that holds the temperature in °C at which others are stated; a search takes the one of the
-            session that is nearest to the usual.
+        heated: Parameter that doubles within `doubling_K` and is stated at `reference_C`; a search states it at the
+            temperature of the session that is nearest to the usual.
     """
 
     where: ClassVar[str]
@@ -69,16 +71,23 @@ class CatalogueEffect(Effect):
     law_along: ClassVar[tuple[str, ...]] = ()
     neutral_at_one: ClassVar[tuple[str, ...]] = ()
     looks_back: ClassVar[bool] = False
-    stated_at: ClassVar[str] = ""
+    heated: ClassVar[str] = ""
 
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return the effects from which a search begins; by default those of `trials`."""
         found = cast(tuple[Self, ...], _of_trials(cls))
-        if not cls.stated_at:
-            return found
-        there = {cls.stated_at: nearest_temperature_c(context, getattr(found[0], cls.stated_at))}
-        return tuple(start.with_parameters(**there) for start in found)
+        return tuple(start.restated(context) for start in found) if cls.heated else found
+
+    def restated(self, context: ExposureContext) -> Self:
+        """Return the same leak, stated at the temperature of the session that is nearest to its own."""
+        known = self.values()
+        there_c = nearest_temperature_c(context, known["reference_C"])
+        size = known[self.heated] * 2.0 ** ((there_c - known["reference_C"]) / known["doubling_K"])
+        bounds = next(entry for entry in self.parameters() if entry.name == self.heated)
+        return self.with_parameters(
+            **{self.heated: float(np.clip(size, bounds.low, bounds.high)), "reference_C": there_c}
+        )
 
     def resized(self, factor: float, about: float = 0.0) -> Self:
         """Return the effect with its first fitted parameter's distance from a value times a factor, within bounds."""
@@ -234,13 +243,16 @@ def dark_temperatures_c(context: ExposureContext) -> Any:
 
 
 def nearest_temperature_c(context: ExposureContext, usual_c: float) -> float:
-    """Return the whole °C nearest to a usual one between the coldest dark frame and the warmest.
+    """Return the temperature in °C to state a leak at: the usual one, or the whole °C of the dark frames nearest to it.
 
-    What is stated at a temperature that no dark frame had is known no better than the law that leads there. Where no
-    temperature is known it is the usual one.
+    What is stated far from any dark frame is known no better than the law that leads there. Within 10 K of one the
+    usual temperature stays, as it does where none is known, so that figures can be held against datasheets.
     """
     known = dark_temperatures_c(context)
-    return float(np.round(np.clip(usual_c, known.min(), known.max()))) if known.size else usual_c
+    if not known.size:
+        return usual_c
+    nearest = float(np.clip(usual_c, known.min(), known.max()))
+    return usual_c if abs(nearest - usual_c) <= _COMPARABLE_K else float(np.round(nearest))
 
 
 def elapsed_s(context: ExposureContext) -> Any:

@@ -34,10 +34,10 @@ class CorrelatedReadNoise(CatalogueEffect):
     acts_by_square = True
     log_prior_odds = -1.0
     prior_reason = "a converter for each column has no pixel before another; charge that diffuses is usual"
-    trials = tuple({"sigma_e": size, "sign": sign} for sign in (-1.0, 1.0) for size in (0.5, 2.0))
+    trials = tuple({"sigma_e": size, "sign": sign} for sign in (-1.0, 1.0) for size in (1.0, 4.0))
     fitted = ("sigma_e",)
     settles = "many dark frames of the shortest exposure, and even light"
-    sigma_e: float = parameter(0.0, "e-", 0.0, 1000.0, source="tenths of the read noise")
+    sigma_e: float = parameter(0.0, "e-", 0.0, 1000.0, source="a third to a half of the read noise")
     sign: float = parameter(-1.0, "1", -1.0, 1.0, source="−1 or 1: whether successive pixels share it reversed")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:

@@ -34,7 +34,7 @@ class DarkCurrent(Offset):
         {"rate_e_per_s": 100.0, "doubling_K": 7.0},
     )
     fitted = ("rate_e_per_s", "doubling_K")
-    stated_at = "reference_C"
+    heated = "rate_e_per_s"
     settles = "dark frames from the shortest to the longest exposure at three temperatures"
     rate_e_per_s: float = parameter(1.0, "e- s-1", 0.0, 1e6, source="datasheet; 0.5 to 20 at 35 °C is usual")
     reference_C: float = parameter(25.0, "°C", -100.0, 150.0, source="temperature that the rate holds at")  # noqa: N815

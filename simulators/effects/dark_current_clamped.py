@@ -37,7 +37,7 @@ class DarkCurrentClamped(CatalogueEffect):
         "rate_e_per_s",
         "doubling_K",
     )
-    stated_at = "reference_C"
+    heated = "rate_e_per_s"
     settles = "dark frames from the shortest to the longest exposure"
     rate_e_per_s: float = parameter(0.0, "e- s-1", 0.0, 1000000.0, source="engineering prior; refined on a real rig")
     reference_C: float = parameter(25.0, "°C", -100.0, 150.0, source="temperature that the rate holds at")  # noqa: N815

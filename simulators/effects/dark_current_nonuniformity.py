@@ -46,7 +46,7 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         {"sigma_e_per_s": 10.0},
     )
     fitted = ("sigma_e_per_s", "shape")
-    stated_at = "reference_C"
+    heated = "sigma_e_per_s"
     settles = "dark frames at two long exposures"
     endless = ("shape",)  # a log-normal of small shape is a normal one
     sigma_e_per_s: float = parameter(0.0, "e- s-1", 0.0, 100000.0, source="engineering prior; refined on a real rig")

@@ -36,7 +36,7 @@ class HotPixels(CatalogueEffect):
         "share",
         "rate_e_per_s",
     )
-    stated_at = "reference_C"
+    heated = "rate_e_per_s"
     settles = "dark frames at the longest exposure, warm"
     share: float = parameter(0.0, "1", 0.0, 0.2, source="engineering prior; refined on a real rig")
     rate_e_per_s: float = parameter(300.0, "e- s-1", 1.0, 10000000.0, source="mean rate of a hot pixel")

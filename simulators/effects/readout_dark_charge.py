@@ -36,7 +36,7 @@ class ReadoutDarkCharge(Offset):
         {"charge_e": 30.0, "from_below": 1.0},
     )
     fitted = ("charge_e", "doubling_K")
-    stated_at = "reference_C"
+    heated = "charge_e"
     settles = "dark frames of the shortest exposure at two temperatures"
     charge_e: float = parameter(0.0, "e-", 0.0, 1e6, source="dark current times the seconds that reading takes")
     reference_C: float = parameter(25.0, "°C", -100.0, 150.0, source="temperature that the charge holds at")  # noqa: N815

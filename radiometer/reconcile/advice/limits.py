@@ -106,7 +106,7 @@ class _Grown:
     @property
     def limit(self) -> Limit:
         """Return its size as a limit."""
-        stated = self.effect.values().get(self.effect.stated_at)
+        stated = self.effect.values()["reference_C"] if self.effect.heated else None
         return Limit(abs(self.size) if self.grows else self.size, self.parameter, self.unit, stated)
 
     def milder(self, other: _Grown | None) -> _Grown:

@@ -90,20 +90,23 @@ def test_all_rows_wait_before_the_first_is_read() -> None:
 
 @pytest.mark.parametrize(
     ("warm_c", "stated_c"),
-    [((-10.2, -4.8), -5.0), ((31.0, 45.3), 31.0), ((20.0, 45.0), 25.0), ((np.nan, 10.2), 10.0), ((np.nan,), 25.0)],
+    [((-10.2, -4.8), -5.0), ((41.0, 45.3), 41.0), ((34.9, 45.0), 25.0), ((np.nan, 10.2), 10.0), ((np.nan,), 25.0)],
 )
 def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c: tuple[float, ...], stated_c: float) -> None:
-    """25 °C where the session has it, else the nearest that it has; of a session without thermometer 25 °C."""
+    """25 °C where a dark frame is within 10 K of it, else the nearest that they have; without thermometer 25 °C."""
     session = replace(_context(), settings=cast(Any, SimpleNamespace(temperature_c=np.array(warm_c))))
     for kind in (DarkCurrent, DarkCurrentClamped, DarkCurrentNonuniformity, HotPixels, ReadoutDarkCharge):
-        assert {start.reference_C for start in kind.starts(session)} == {stated_c}
+        starts = kind.starts(session)
+        assert {start.reference_C for start in starts} == {stated_c}
+        ratio = getattr(starts[0], kind.heated) / kind.trials[0][kind.heated]
+        assert ratio == pytest.approx(2.0 ** ((stated_c - 25.0) / starts[0].doubling_K), rel=0.15)  # the same leak
 
 
 def test_a_rate_is_stated_at_a_temperature_of_darks() -> None:
-    """Light at 25 and 45 °C beside darks at 35 °C: 35 °C."""
-    warm, dark = np.array([25.0, 35.2, 45.0]), np.array([False, True, False])
+    """Light at 25 and 45 °C beside darks at 40 °C: 40 °C."""
+    warm, dark = np.array([25.0, 40.2, 45.0]), np.array([False, True, False])
     session = replace(_context(), settings=cast(Any, SimpleNamespace(temperature_c=warm, is_dark=dark)))
-    assert {start.reference_C for start in DarkCurrent.starts(session)} == {35.0}
+    assert {start.reference_C for start in DarkCurrent.starts(session)} == {40.0}
     assert "doubling_K" not in DarkCurrentNonuniformity.starts(session)[0].free()
 
 
