@@ -278,7 +278,17 @@ def _result(
         captures=len(state.design.captures),
         frames=frames,
         seconds=time.monotonic() - begun,
+        extra=_remarks(state, effects),
     )
+
+
+def _remarks(state: FitState, effects: Sequence[FoundEffect]) -> dict[str, Any]:
+    """Return what the named effects say against figures that the camera's description states."""
+    named = {effect.name: {key: entry.u for key, entry in effect.parameters.items()} for effect in effects}
+    camera = state.design.header.camera
+    told = [effect.remark(camera, named[effect.name]) for effect in state.effects if effect.name in named]
+    remarks = [remark for remark in told if remark]
+    return {"remarks": remarks} if remarks else {}
 
 
 def _global_p(outcome: Search) -> tuple[float, float]:

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Final, Literal, Self, cast
 
 import numpy as np
 
+from radiometer.data import CameraDescription
 from simulators.effects.base import Effect
 from simulators.effects.context import ExposureContext, Signal
 
@@ -114,6 +115,15 @@ class CatalogueEffect(Effect):
     def neutral(cls, parameter: str) -> float:
         """Return the value at which a parameter does nothing."""
         return 1.0 if parameter in cls.neutral_at_one else 0.0
+
+    def remark(self, camera: CameraDescription, u: Mapping[str, float | None]) -> str:
+        """Return what a finding says against a figure that the camera's description states; nothing by default.
+
+        Args:
+            camera: The description.
+            u: Standard uncertainty of each parameter that was fitted.
+        """
+        return ""
 
     def between(self) -> tuple[Self, ...]:
         """Return this start and those between it and the next, looked at where there are many; by default itself."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 
+from radiometer.data import CameraDescription
 from simulators.effects.base import ELECTRONS, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, warmer_k
 from simulators.effects.context import ExposureContext, Signal
@@ -64,6 +66,15 @@ class ConversionGainError(CatalogueEffect):
         return replace(
             before, mean=before.mean + error * dark, variance=shot * factor + dark * (factor**2 - factor) + read2
         )
+
+    def remark(self, camera: CameraDescription, u: Mapping[str, float | None]) -> str:
+        """Return the electrons per DN that are stated and those that the noise tells."""
+        stated, relative = camera.conversion_gain_e_per_dn, u.get("error_rel")
+        if stated is None or relative is None:
+            return ""
+        told = stated / (1.0 + self.error_rel)
+        told_u = told * relative / (1.0 + self.error_rel)
+        return f"gain: stated {stated:.4g} e-/DN, the noise says {told:.4g} ± {told_u:.2g}"
 
     def _dark_e(self, context: ExposureContext) -> Any:
         """Return the declared thermal electrons: their number is not in question, unlike that of the light's."""

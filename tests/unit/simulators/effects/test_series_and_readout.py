@@ -13,6 +13,7 @@ import pytest
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
 from simulators.camera_model import CameraModel
 from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.correlated_read_noise import CorrelatedReadNoise
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.dark_current_clamped import DarkCurrentClamped
@@ -244,3 +245,13 @@ def test_wings_of_one_width_are_the_kernel() -> None:
     assert wings.mean(picture, context) == pytest.approx(StrayLightKernel(0.03, 0.08).mean(picture, context))
     assert wings.slope(picture, context) == pytest.approx(0.97)
     assert wings.free() == (*(f"wings[{k}]" for k in range(5)), "edge_share")
+
+
+def test_a_gain_error_says_what_was_stated_and_what_the_noise_tells() -> None:
+    """2.06 e-/DN, with 6.64 ± 0.17 % more DN for each electron, are 1.932 ± 0.0031; unknown figures tell nothing."""
+    camera = CameraDescription(bit_depth=16, conversion_gain_e_per_dn=2.06)
+    found = ConversionGainError(error_rel=0.0664)
+    said = found.remark(camera, {"error_rel": 0.0017})
+    assert said == "gain: stated 2.06 e-/DN, the noise says 1.932 ± 0.0031"
+    assert found.remark(camera, {"error_rel": None}) == ""
+    assert found.remark(CameraDescription(bit_depth=16), {"error_rel": 0.0017}) == ""
