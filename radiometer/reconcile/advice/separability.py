@@ -209,19 +209,25 @@ def left_by_fit(exact: FitState, truth: CatalogueEffect, start: Candidate) -> tu
     return max(foreign.cost - own.cost, 0.0) + _paid(truth, fitted), fitted
 
 
-def _fitted_like(directions: Directions, target: _Form, name: str) -> CatalogueEffect | None:
+def _fitted_like(directions: Directions, target: _Form, name: str, times_chi2: float = 1.0) -> CatalogueEffect | None:
     """Return an entry that fits the noiseless data of a large effect, where derivatives at its start reach not so far.
 
     Only what follows it for the most part at its start is fitted.
+
+    Args:
+        directions: Of the starts of all entries.
+        target: The effect's start.
+        name: The entry.
+        times_chi2: How many times the χ² of that start is asked about.
     """
-    whole = directions.shown(target)
+    whole, size = directions.shown(target), float(np.sqrt(times_chi2))
     rated = sorted(((*directions.left(target, form), form) for form in directions.forms[name]), key=lambda r: r[0])
-    near = [_times(form.effect, amount) for left, amount, form in rated if left < (1.0 - _WORTH_A_FIT) * whole]
+    near = [_times(form.effect, amount * size) for left, amount, form in rated if left < (1.0 - _WORTH_A_FIT) * whole]
     if not near:
         return None
-    start = Candidate(near[0], whole, max(len(near[0].free()), 1), others=tuple(near[1:2]))
-    exact = noiseless(directions.state, target.effect)
-    left, effect = left_by_fit(exact, target.effect, start)
+    start = Candidate(near[0], times_chi2 * whole, max(len(near[0].free()), 1), others=tuple(near[1:2]))
+    truth = _times(target.effect, size)
+    left, effect = left_by_fit(noiseless(directions.state, truth), truth, start)
     alike = left < 2.0 * RIVAL_NATS and not effect.unlike_itself(directions.state.model.context)
     return effect if alike else None
 
@@ -300,7 +306,11 @@ def _together(state: FitState, directions: Directions, seen: Mapping[str, _Form]
     told = set[frozenset[str]]()
     for name, target in seen.items():
         times = _ASKED_CHI2 / directions.shown(target)
-        followed = (directions.followed_by(target, other, times) for other in seen if other != name)
+        followed = (
+            directions.followed_by(target, other, times) or _fitted_like(directions, target, other, times)
+            for other in seen
+            if other != name
+        )
         others = [effect for effect in followed if effect is not None]
         names = frozenset({name, *(effect.name for effect in others)})
         if others and (every or names not in told):
