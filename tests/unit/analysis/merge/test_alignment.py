@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from radiometer.analysis.merge.alignment import Alignment, Movement, _after, aligned, find_alignment
+from radiometer.analysis.merge.alignment import Alignment, Movement, _after, _shift, aligned, find_alignment
 from radiometer.data import Bracket, Frame, FrameSettings
 
 HEIGHT, WIDTH = 220, 300
@@ -145,3 +145,23 @@ def test_one_movement_after_another(waves):
     there = second[:, :2] @ there + second[:, 2]
     both = _after(second, first)
     assert both[:, :2] @ point + both[:, 2] == pytest.approx(there)
+
+
+def test_photographs_far_apart_are_found_from_afar(waves):
+    """A quarter of the picture apart a climb from where both stand leads astray; one from the whole shift does not."""
+    places = [_place(np.array(shift), 0.3 * k) for k, shift in enumerate([(0.0, 0.0), (62.0, -41.0)])]
+    found = find_alignment(Bracket.from_frames(_photograph(waves, place, 8.0) for place in places))
+    gaps = [
+        _corner_gap(one.to_frame, _relative(place, places[found.reference]))
+        for one, place in zip(found.movements, places, strict=True)
+    ]
+    assert max(gaps) < 0.2
+
+
+@pytest.mark.parametrize(("away", "believed"), [((9, -6), True), ((9, 18), False), ((-25, 0), False), ((0, 0), True)])
+def test_a_shift_of_more_than_a_quarter_is_not_believed(away, believed):
+    """Of pictures 64 by 48 that go round; to half a pixel, which is a start for the climb."""
+    x, y = away
+    picture = np.random.default_rng(3).normal(100.0, 20.0, (48, 64)).astype(np.float32)
+    found = _shift(picture, np.roll(picture, (y, x), axis=(0, 1)))
+    assert found == pytest.approx(away if believed else (0.0, 0.0), abs=0.5)

@@ -226,3 +226,12 @@ def test_a_level_above_the_curve_s_data_is_extrapolated(short, beyond):
     frames = [Frame(np.full((2, 2), number, np.uint8), 8, FrameSettings(t)) for number, t in numbers]
     mask = merge(frames, camera, LENS, calibration).mask[0, 0]
     assert bool(mask & PixelMask.EXTRAPOLATED) is beyond
+
+
+@pytest.mark.parametrize(("u", "contradicts"), [(0.01, True), (0.1, False)])
+def test_frames_may_differ_by_what_the_curve_is_uncertain_by(u, contradicts):
+    """100 and 110 of one exposure are 23 % apart: a contradiction where the curve is known to 1 %, none at 10 %."""
+    camera, calibration = behind_a_curve(u)
+    frames = [Frame(np.full((2, 2), number, np.uint8), 8, FrameSettings(1.0)) for number in (100, 110)]
+    mask = merge(frames, camera, LENS, calibration).mask[0, 0]
+    assert bool(mask & PixelMask.INCONSISTENT) is contradicts

@@ -215,3 +215,13 @@ def test_a_primary_s_lines_have_their_shares_and_widths(kind, colour):
     power = power / power.sum()
     assert power @ wavelength == pytest.approx(mean, abs=1.5)
     assert math.sqrt(power @ (wavelength - mean) ** 2) == pytest.approx(math.sqrt(variance), rel=0.05)
+
+
+@pytest.mark.parametrize("colour", ["red", "green", "blue"])
+@pytest.mark.parametrize("kind", sorted(LINES))
+def test_a_primary_s_shares_are_those_of_one_whole(kind, colour):
+    """All that it sends is 1, and its strongest line peaks where it is stated, odd wavelengths too."""
+    wavelength, power = primary_spectrum(kind, colour)
+    assert power.sum() == pytest.approx(1.0, rel=1e-9)
+    peak, width, _ = max(LINES[kind][colour], key=lambda line: line[2] / line[1])
+    assert wavelength[np.argmax(power)] == pytest.approx(peak, abs=0.5 if width < 10.0 else 2.0)

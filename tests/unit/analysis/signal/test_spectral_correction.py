@@ -57,3 +57,18 @@ def test_a_responsivity_that_ends_before_the_light_is_refused(tmp_path):
         spectral_factor("line:550", 850.0, 40.0, file)
     file.write_text("wavelength_nm,responsivity\n400,1\n700,1\n701,0.25\n1000,0.25\n", encoding="utf-8")
     assert spectral_factor("line:550", 850.0, 40.0, file) == pytest.approx(4.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_what_a_light_reaches_is_told_in_shares_of_its_peak(tmp_path, unit):
+    """Whatever unit its spectrum is in: a tail of 1/1000 beyond the table is let pass, one of a tenth is not."""
+    table, light = tmp_path / "responsivity.csv", tmp_path / "light.csv"
+    table.write_text(HEADER + "400,1\n800,1\n", encoding="utf-8")
+    for tail, taken in ((0.001, True), (0.1, False)):
+        rows = ((500, 0.0), (600, 1.0), (700, tail), (900, tail), (901, 0.0))
+        light.write_text("\n".join(f"{nm},{power * unit!r}" for nm, power in rows), encoding="utf-8")
+        if taken:
+            assert spectral_factor(str(light), 600.0, 0.0, table) == pytest.approx(1.0, rel=1e-3)
+        else:
+            with pytest.raises(InputError, match="the responsivity ends at 800 nm"):
+                spectral_factor(str(light), 600.0, 0.0, table)
