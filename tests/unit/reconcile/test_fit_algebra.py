@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from radiometer.reconcile.fit.covariance import _jackknife
+from radiometer.reconcile.fit.covariates import Covariate
 from radiometer.reconcile.fit.held_out import Groups, leave_one_group_out
 from radiometer.reconcile.fit.linear import LinearFit, RowBlock, cholesky
 
@@ -148,3 +149,22 @@ def test_the_jackknife_is_that_of_fits_without_each_group(seed):
     ]
     expected = 7.0 / 8.0 * np.sum(np.square(shifts), axis=0)
     assert _jackknife(state, group, 5) == pytest.approx(expected, rel=1e-5)
+
+
+def test_an_effect_that_changes_nothing_predicts_nothing():
+    """A column of noughts beside others leaves every group's density as it is."""
+    fit, *_ = fit_of(5)
+    group, counts = np.repeat(np.arange(10), 4), np.ones(40, bool)
+    idle = LinearFit(fit.residual, fit.nuisances, np.column_stack([fit.effects, np.zeros(40)]), fit.followers)
+    without, found = (leave_one_group_out(one, Groups(fit.nuisances, group, counts)) for one in (fit, idle))
+    assert found.log_density == pytest.approx(without.log_density, rel=1e-7)
+    assert found.chi2 == pytest.approx(without.chi2, rel=1e-7)
+
+
+def test_waves_begin_with_half_a_turn():
+    """Over an axis from end to end: the first wave falls once from 1 to −1, the n-th has n changes of sign."""
+    basis = Covariate("time_waves", np.linspace(3.0, 9.0, 201)[:, None], per_capture=True, waves=6).basis()
+    assert basis.shape == (201, 1, 6)
+    assert basis[[0, 100, 200], 0, 0] == pytest.approx([1.0, 0.0, -1.0], abs=1e-12)
+    for number, wave in enumerate(basis[:, 0].T, 1):
+        assert np.count_nonzero(np.diff(np.sign(wave[np.abs(wave) > 1e-9]))) == number

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from radiometer.analysis.calibration.flat_field import fit_flat_field
+from radiometer.analysis.calibration.flat_field import _Tiles, _without_outliers, fit_flat_field
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.patch.reading import read_patch
 from radiometer.cli.main import run
@@ -155,3 +155,22 @@ def test_a_flat_field_of_another_size_is_refused(rig):
         read_patch(frames, Patch(0, 0, 9, 9), rig.calibration(flat_field=flat), rig.description, rig.lens)
     with pytest.raises(CalibrationError, match="160 × 120"):
         merge(frames, rig.description, rig.lens, rig.calibration(flat_field=flat))
+
+
+def test_coefficients_are_told_at_half_the_diagonal(rig):
+    """Without noise they are those of the lens, in powers of the distance over that of a corner: 100 pixels here."""
+    camera, lens = wide(rig)
+    flat = fit_flat_field(even_map(falloff(), 1e-7), camera, lens)
+    assert flat.radius_px == 100.0
+    assert flat.coefficients == pytest.approx((-0.18, -0.05, 0.0), abs=3e-3)
+
+
+@pytest.mark.parametrize(("across", "left"), [(5, 25), (8, 62)])
+def test_outliers_stay_where_too_few_tiles_would_be_left(across, left):
+    """Two shadows of 30 % among 64 tiles are left out; among 25, of which 24 are needed, they are not."""
+    y, x = (axis.ravel().astype(float) for axis in np.mgrid[:across, :across])
+    value = 1.0 + 1e-4 * np.random.default_rng(2).standard_normal(x.size)
+    value[[7, 20]] = 0.7
+    middle = np.full(2, 0.5 * (across - 1))
+    tiles = _without_outliers(_Tiles(x, y, value, np.full(x.size, 1e-4)), middle, float(across), None)
+    assert tiles.value.size == left

@@ -376,3 +376,17 @@ def test_near_infrared_reads_as_radiance_without_a_luminance(rig, nm):
     assert infrared.luminance is None
     assert green.luminance is not None
     assert green.luminance.value == pytest.approx(683 * green.radiance.value, rel=1e-3)
+
+
+@pytest.mark.parametrize(("curve_u", "flickers"), [(1e-4, True), (0.04, False)])
+def test_what_the_curve_explains_is_no_flicker(rig, curve_u, flickers):
+    """Frames at two levels that differ by 4 %: the source's doing only where the curve is known better."""
+    dn = np.arange(4096.0)
+    with np.errstate(divide="ignore"):
+        curve = ResponseCurve(
+            np.log(np.maximum(dn - 64.0, 0.0)), np.full(4096, curve_u), absolute=True, valid_dn=(65, 4094)
+        )
+    calibration = replace(rig.calibration(uncertainties=EXACT, black_level=EXACT_BLACK), response=curve)
+    truth, rng = 0.5 * rig.radiance_of_full_scale(1e-3), np.random.default_rng(1)
+    frames = [rig.frame(uniform(truth * more), seconds, rng) for more, seconds in ((1.0, 1e-3), (1.04, 3e-4))]
+    assert (Flag.FLICKER in read(rig, frames, calibration).flags) is flickers

@@ -185,12 +185,14 @@ def test_monte_carlo_beside_the_budget_says_where_they_differ(rig):
     assert said[1]["low_differs_by"] > said[1]["tolerance"]
 
 
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e3])
 @pytest.mark.parametrize(
     ("low", "high", "validates"), [(8.0, 12.0, True), (8.04, 11.96, True), (8.2, 12.0, False), (8.0, 11.8, False)]
 )
-def test_both_ends_of_the_interval_must_agree(low, high, validates):
-    """10 ± 2 with u = 1.0: its second digit is 0.1, half of it the tolerance at either end."""
-    linear = Reading(Quantity(10.0, 1.0, "1"), Patch(0, 0, 1, 1), "1", coverage_factor=2.0)
-    said = Distribution(10.0, 1.0, low, high).to_mapping(linear)
-    assert (said["validates"], said["tolerance"]) == (validates, pytest.approx(0.05))
-    assert (said["low_differs_by"], said["high_differs_by"]) == (pytest.approx(low - 8.0), pytest.approx(high - 12.0))
+def test_both_ends_of_the_interval_must_agree(low, high, validates, unit):
+    """10 ± 2 with u = 1.0: its second digit is 0.1, half of it the tolerance at either end, in whatever unit."""
+    linear = Reading(Quantity(10.0 * unit, unit, "1"), Patch(0, 0, 1, 1), "1", coverage_factor=2.0)
+    said = Distribution(10.0 * unit, unit, low * unit, high * unit).to_mapping(linear)
+    assert (said["validates"], said["tolerance"]) == (validates, pytest.approx(0.05 * unit))
+    differs = (said["low_differs_by"] / unit, said["high_differs_by"] / unit)
+    assert differs == (pytest.approx(low - 8.0), pytest.approx(high - 12.0))
