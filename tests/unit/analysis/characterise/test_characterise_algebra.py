@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.stats import linregress
 
+from radiometer.analysis.characterise import characterise, report_plots
 from radiometer.analysis.characterise.dark_figures import typical_dark_current, typical_rates
 from radiometer.analysis.characterise.dark_transfer import _halves_u
 from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
@@ -16,12 +18,16 @@ from radiometer.analysis.characterise.inconsistent import contradicting_darks
 from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.analysis.characterise.linearity import linearity
 from radiometer.analysis.characterise.nonuniformity import dsnu, prnu
+from radiometer.analysis.characterise.partial import bent
 from radiometer.analysis.characterise.photon_flux import PhotonFlux, photon_flux
 from radiometer.analysis.characterise.photon_transfer import photon_transfer
+from radiometer.analysis.characterise.report import outcome
+from radiometer.analysis.characterise.report_plots import _signal
 from radiometer.analysis.characterise.saturation import find_saturation
 from radiometer.analysis.characterise.sensitivity import responsivity, sensitivity_figures
-from radiometer.analysis.characterise.spatial_split import NoiseLeft, split_spatial_variance
+from radiometer.analysis.characterise.spatial_split import NoiseLeft, SpatialSplit, split_spatial_variance
 from radiometer.analysis.characterise.steps import make_steps
+from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import (
     CameraDescription,
     FrameSettings,
@@ -281,3 +287,91 @@ def test_a_bend_of_the_dark_transfer_is_a_range_of_slopes():
     assert _halves_u(x, bent, np.ones(10)) == pytest.approx(1.0 / math.sqrt(12.0))
     assert _halves_u(x, 3.0 * x + 1.0, np.ones(10)) == pytest.approx(0.0, abs=1e-12)
     assert _halves_u(x[[0, 1, 9]], bent[[0, 1, 9]], np.ones(3)) == 0.0
+
+
+LEVELS = np.geomspace(0.02, 1.0, 12)
+CAMERA = CameraDescription(bit_depth=12)
+NO_SPLIT = SpatialSplit(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def subject(**camera):
+    """Return frames of which nothing is known but their statistics."""
+    return Subject("made", CAMERA.model_copy(update=camera), LensDescription(), (), (None,), (None,))
+
+
+def whole(*darks):
+    """Return the figures of a camera of 0.5 DN per electron at one exposure and twelve levels, with dark groups."""
+    bright = [group(BLACK_DN + 3000.0 * x, 40.0 + 1500.0 * x, level=float(x), split=NO_SPLIT) for x in LEVELS]
+    return characterise(subject(), [*bright, *darks])
+
+
+def test_patterns_of_darkness_are_those_at_the_exposure_of_the_light():
+    """√9/0.5 = 6 e⁻ at 1 s; more frames at 10 s, whose leaking pixels make 14 e⁻, do not speak for it."""
+    dark = replace(group(BLACK_DN, 40.0, dark=True, split=NO_SPLIT), spatial_variance_dn2=9.0)
+    long = replace(group(BLACK_DN, 40.0, 10.0, dark=True, split=NO_SPLIT), spatial_variance_dn2=49.0, frames=8)
+    for darks in ((dark, long), (long, dark)):
+        assert whole(*darks).figures["DSNU_1288"].value == pytest.approx(6.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(("stated", "off"), [(2.0, None), (2.5, "+25.0 %"), (None, None)])
+def test_one_level_of_light_tells_a_wrong_statement_of_the_gain(stated, off):
+    """0.5 DN/e⁻ are 2 e⁻/DN: 2.5 are a quarter too many."""
+    groups = [group(BLACK_DN + 1000.0, 540.0), group(BLACK_DN, 40.0, dark=True)]
+    notes = characterise(subject(conversion_gain_e_per_dn=stated), groups).notes
+    told = [note for note in notes if note.startswith("conversion_gain_error")]
+    assert [off in note for note in told] == ([True] if off else [])
+
+
+def test_darks_that_tell_no_gain_doubt_no_statement():
+    """One pair at one exposure gives the dark noise; what is stated of the gain stands."""
+    found = characterise(subject(conversion_gain_e_per_dn=2.5), [group(BLACK_DN, 40.0, dark=True)])
+    assert found.figures["sigma_y_dark"].value == pytest.approx(math.sqrt(40.0))
+    assert not any("conversion_gain_error" in note for note in found.notes)
+
+
+def test_a_bend_is_told_by_variance_over_mean_at_both_ends():
+    """0.5 DN in the lowest third, 0.4 in the highest, however the steps are sorted."""
+    ratios = np.repeat([0.5, 0.45, 0.4], 2)
+    steps = steps_of(SIGNALS[:6], 40.0 + ratios * SIGNALS[:6])
+    transfer = photon_transfer(steps, 1e5)
+    assert "goes from 0.5 to 0.4 DN" in bent(replace(transfer, used=tuple(steps[::-1])))
+
+
+@pytest.mark.parametrize(("full", "ends"), [(True, " of noise and holds 5000"), (False, " of noise.")])
+def test_the_outcome_names_the_capacity_where_it_is_known(full, ends):
+    """And says nothing of it where the light never reached saturation."""
+    result = whole(group(BLACK_DN, 40.0, dark=True))
+    figures = {name: q for name, q in result.figures.items() if name != "mu_e_sat"}
+    if full:
+        figures["mu_e_sat"] = Quantity(5000.0, 20.0, "e-")
+    assert ends in outcome(replace(result, figures=figures)).replace("\u202f", "").replace("\u00a0", " ")
+
+
+def test_pictures_say_what_the_light_is_counted_in():
+    """Photons where the responsivity is known, else seconds."""
+    result = whole(group(BLACK_DN, 40.0, dark=True))
+    labels = []
+    for more in ({}, {"R": Quantity(0.3, 0.01, "DN/p")}):
+        axes = Figure().subplots()
+        _signal(axes, replace(result, figures={**result.figures, **more}))
+        labels.append(axes.get_xlabel())
+    assert labels == ["exposure × level in s", "photons per pixel"]
+
+
+def test_on_a_phone_the_panels_stand_one_below_the_other(monkeypatch):
+    """Three of one width, the photon transfer half as high again as the others; on a desk they stand side by side."""
+    drawn = {}
+
+    def kept(draw, *_):
+        for narrow in (True, False):
+            figure = drawn[narrow] = Figure()
+            draw(figure, narrow)
+        return ""
+
+    monkeypatch.setattr(report_plots, "picture", kept)
+    report_plots.story(whole(group(BLACK_DN, 40.0, dark=True)))
+    places = [axes.get_position() for axes in drawn[True].axes]
+    assert len(places) == 3
+    assert len({(round(p.x0, 6), round(p.x1, 6)) for p in places}) == 1
+    assert places[0].height == pytest.approx(1.5 * places[1].height)
+    assert len({round(axes.get_position().x0, 6) for axes in drawn[False].axes}) == 2
