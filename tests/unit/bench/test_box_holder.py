@@ -52,6 +52,12 @@ def test_light_off_asks_only_the_holder_of_the_box_named(capsys: pytest.CaptureF
     assert held_boxes() == []
 
 
+def test_what_answers_otherwise_is_no_box() -> None:
+    """Whoever tells no number of a process is passed over, and the boxes beside it are found."""
+    with holding("who is", "/dev/a", lambda: None), holding("BBBB0001", "/dev/b", lambda: None):
+        assert [(box.serial, box.pid) for box in held_boxes()] == [("BBBB0001", os.getpid())]
+
+
 def test_a_holder_that_does_not_darken_is_named() -> None:
     """The message gives the process and the ways that are left."""
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
 import math
+from collections import deque
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,9 +18,10 @@ from pydantic import ValidationError
 
 from radiometer.daemon.http import readings
 from radiometer.daemon.http.control import show_health, show_response
+from radiometer.daemon.http.patches import show_trend
 from radiometer.daemon.http.picture import Picture, PictureCache, coloured, composite, render
 from radiometer.daemon.http.requests import MeasureBody, SettingsBody, read_query
-from radiometer.daemon.http.route import STATION, QueryParameter
+from radiometer.daemon.http.route import QUERIES, STATION, QueryParameter
 from radiometer.daemon.hub import Event, Hub
 from radiometer.daemon.instrument import Measurement
 from radiometer.daemon.station import Station
@@ -256,3 +260,49 @@ def test_a_picture_is_made_once_for_a_measurement() -> None:
     first = cache.get(one, None, 1)
     assert cache.get(one, None, 1) is first
     assert cache.get(other, None, 2).sequence == 2
+
+
+@pytest.mark.parametrize(("form", "ids"), [("sse", [7, 8, 9]), ("jsonl", [7, 9])])
+async def test_a_page_is_told_of_every_patch_and_plain_lines_of_one(form: str, ids: list[int]) -> None:
+    """Events of a patch with a name go to server-sent events alone; what was replayed already is not sent again."""
+    sent: list[str] = []
+    events = [Event("reading", f'{{"n":{n}}}', n) for n in (6, 7)]
+    waiting = deque([*events, Event("patch", '{"n":8}', 8), Event("reading", '{"n":9}', 9), None])
+
+    async def take(text: bytes) -> None:
+        sent.append(text.decode())
+
+    async def next_() -> Event | None:
+        return waiting.popleft()
+
+    await readings._follow(SimpleNamespace(write=take), SimpleNamespace(next=next_), form, 6)  # type: ignore[arg-type]
+    assert [json.loads(text[text.index("{") :])["n"] for text in sent] == ids
+
+
+async def test_a_client_that_takes_nothing_is_given_up_after_ten_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not after nine, but after eleven, by the loop's own clock."""
+    loop = asyncio.get_running_loop()
+    true_time_s = loop.time
+    writing = asyncio.ensure_future(readings._write(SimpleNamespace(write=lambda _: loop.create_future()), "{}"))  # type: ignore[arg-type]
+    over = []
+    for later_s in (0.0, 9.0, 11.0):
+        monkeypatch.setattr(loop, "time", lambda later_s=later_s: true_time_s() + later_s)
+        for _ in range(5):
+            await asyncio.sleep(0)
+        over.append(writing.done())
+    writing.cancel()
+    assert over == [False, False, True]
+    assert isinstance(writing.exception(), TimeoutError)
+
+
+async def test_a_trend_is_in_seconds_and_with_twice_the_standard_uncertainty(station: Station) -> None:
+    """An hour of 20 November 2026, and one reading of 1 ± 0.01 there: U is 0.02."""
+    at = 1_795_132_800  # 2026-11-20T00:00:00Z
+    known = {"time": "2026-11-20T00:10:00.000000Z", "radiance": Quantity(1.0, 0.01, "W sr-1 m-2")}
+    await station.writer.submit(replace(Reading(Quantity(1.0, 0.01, "1"), Patch(0, 0, 4, 4), "4711"), **known))
+    query = {"since": "2026-11-20T00:00:00Z", "until": "2026-11-20T01:00:00Z"}
+    request: Any = SimpleNamespace(query=query, app={STATION: station, QUERIES: asyncio.Semaphore(1)})
+    shown = json.loads((await show_trend(request)).text or "")
+    assert (shown["since"], shown["until"]) == (at, at + 3600)
+    assert (shown["value"], shown["U"]) == ([1.0], [0.02])
+    assert shown["time"] == [pytest.approx(at + 600, abs=1.8)]  # the middle of a thousandth of the hour, 3.6 s

@@ -151,6 +151,29 @@ async def test_a_jump_is_counted_once(tmp_path: Path) -> None:
     assert kinds == ["clock", "clock"]
 
 
+async def test_a_jump_that_could_not_be_written_is_written_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its event got through before the disk was full and it alone is left: the doubt of the clock is kept."""
+    journal, pauses = Journal(tmp_path / "j.sqlite"), []
+
+    async def pause(seconds: float) -> None:
+        pauses.append(seconds)
+        monkeypatch.undo()
+
+    def full(by_us: int) -> None:
+        raise JournalError("disk full")
+
+    writer = JournalWriter(journal, Alarms(lambda *_: None), lambda *_: None, sleep=pause)
+    await writer.open()
+    monkeypatch.setattr(journal, "note_jump", full)
+    writer.note_jump(Jump(BASE_US, BASE_US + 10_000_000))
+    await writer.close()
+    assert len(pauses) == 1
+    with Journal(tmp_path / "j.sqlite") as again:
+        assert again.clock_doubt_us == 10_000_000
+
+
 async def test_there_is_room_for_so_many_readings_and_no_more(tmp_path: Path, make_reading: Make) -> None:
     """Three that wait fill room for three; once they are committed there is room again, in the order they came."""
     given: list[tuple[int, float]] = []

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import struct
 from collections.abc import Coroutine
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import pytest
 
-from radiometer.daemon.limits import is_allowed, parse_networks
+from radiometer.daemon.limits import Limits, is_allowed, parse_networks
+from radiometer.daemon.scpi import server
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.server import ScpiConnection, ScpiServer
 from radiometer.daemon.scpi.session import Session
@@ -123,6 +127,15 @@ async def test_history_runs_forward(session):
     assert (values[1], values[4]) == (6.0, 8.0)
 
 
+async def test_history_without_a_number_is_the_newest_hundred(session, station, make_reading):
+    """Of 103 readings the numbers 4 to 103."""
+    for committed in [station.writer.submit(make_reading()) for _ in range(103)]:
+        await committed
+    block = (await ask(session, "TRAC:DATA? HIST")).encode("latin-1")
+    values = struct.unpack(">300d", block[2 + int(block[1:2]) :])
+    assert values[::3] == tuple(range(4, 104))
+
+
 async def test_channels_count_from_one(session, box):
     """LED1 and LED2 are there, LED0 and LED3 are not."""
     await ask(session, "SOUR:LED2:LEV 0.5")
@@ -215,3 +228,42 @@ async def test_a_connection_that_is_lost_leaves_nothing_waiting(station):
     assert (len(server.connections), len(server.places), connection.session.pending) == (0, 0, None)
     with pytest.raises(asyncio.CancelledError):
         await task
+
+
+class Hours:
+    """A clock that is moved by hand, and what is due by it."""
+
+    def __init__(self):
+        self.now, self._due_at, self._call = 0.0, math.inf, None
+
+    def time(self):
+        return self.now
+
+    def call_later(self, pause_s, call, *arguments):
+        self._due_at, self._call = self.now + pause_s, partial(call, *arguments)
+
+    def move_to(self, then):
+        while self._due_at <= then:
+            self.now, self._due_at = self._due_at, math.inf
+            self._call()
+        self.now = then
+
+
+async def test_only_a_session_that_is_idle_is_ended(station, monkeypatch):
+    """Warned at 90 of 100 s and kept; kept while its command runs, however long; ended soon after that."""
+    hours, ended = Hours(), []
+    monkeypatch.setattr(server, "asyncio", SimpleNamespace(get_running_loop=lambda: hours))
+    connection = ScpiConnection(ScpiServer(station, limits=Limits(idle_s=100.0)))
+    connection.session = Session(station, TABLE)
+    connection._transport = SimpleNamespace(abort=lambda: ended.append(hours.now))
+    connection._start_idle_timer()
+    hours.move_to(89.0)
+    assert connection.session.status.error_count == 0
+    hours.move_to(95.0)
+    assert (connection.session.status.error_count, ended) == (1, [])
+    connection._task = object()  # a command that waits for its measurement
+    hours.move_to(150.0)
+    assert ended == []
+    connection._task = None
+    hours.move_to(152.0)
+    assert ended == [pytest.approx(151.0, abs=1.0)]

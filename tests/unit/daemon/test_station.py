@@ -8,10 +8,13 @@ import sqlite3
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from radiometer.daemon.acquisition import Acquisition
+from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.keeper import DeviceState
@@ -285,3 +288,41 @@ async def test_after_a_lost_camera_the_next_turn_waits(station: Station, monkeyp
         assert before + 0.5 <= acquisition._due_at <= time.monotonic() + 0.5
         assert [alarm.name for alarm in station.alarms.active] == alarms
     acquisition._every_s = None
+
+
+async def test_when_measuring_ends_no_patch_waits_for_its_turn(make_acquisition: Callable[..., Acquisition]) -> None:
+    """Patches with a name that were still to come in the period are dropped: the loop would turn on them for ever."""
+    acquisition = make_acquisition(is_ready=True)
+    acquisition.set_every(60.0)
+    acquisition._round.extend(["lamp", "wall"])
+    acquisition.set_every(None)
+    waiting = asyncio.ensure_future(acquisition._wait_until_needed())
+    await asyncio.sleep(0)
+    over = waiting.done()
+    waiting.cancel()
+    assert not over
+
+
+async def test_a_camera_that_is_back_is_measured_with_within_a_tenth_of_a_second(
+    make_acquisition: Callable[..., Acquisition],
+) -> None:
+    """While it is away it is looked for as often; else the loop sleeps until the next turn, or until it is woken."""
+    away, there = make_acquisition(is_ready=False), make_acquisition(is_ready=True)
+    assert there._pause_s() is None
+    for acquisition in (away, there):
+        acquisition.set_every(60.0)
+        acquisition._due_at = time.monotonic() + 50.0
+    assert 0.0 < (away._pause_s() or 0.0) <= 0.1
+    assert there._pause_s() == pytest.approx(50.0, abs=5.0)
+
+
+@pytest.fixture
+def make_acquisition() -> Callable[..., Acquisition]:
+    """Return a maker of acquisitions that nothing drives, of a camera that is ready or not."""
+
+    def make(*, is_ready: bool) -> Acquisition:
+        keeper: Any = SimpleNamespace(is_ready=is_ready)
+        absent: Any = None
+        return Acquisition(absent, keeper, absent, Alarms(lambda *_: None), lambda *_: None)
+
+    return make

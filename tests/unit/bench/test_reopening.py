@@ -1,0 +1,48 @@
+"""A camera that was lost is opened anew and set as it was before it is used again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from radiometer.bench.reopening import reopen
+from radiometer.devices import CameraSettings
+from radiometer.errors import DeviceLost
+
+
+class LostCamera:
+    """A camera that can be set only while it is open, and that is away for some tries."""
+
+    def __init__(self, away: int) -> None:
+        self.away, self.is_open, self.settings = away, True, CameraSettings(exposure_s=0.01)
+
+    def close(self) -> None:
+        self.is_open = False
+
+    def open(self) -> None:
+        if self.away:
+            self.away -= 1
+            raise DeviceLost("unplugged")
+        self.is_open = True
+
+    def configure(self, settings: CameraSettings) -> None:
+        if not self.is_open:
+            raise DeviceLost("not open")
+        self.settings = settings
+
+
+@pytest.mark.parametrize("away", [0, 2])
+def test_a_camera_that_is_back_is_open_with_its_settings(away: int) -> None:
+    """It is let go, opened again after as many pauses as it was away for, and only then set."""
+    camera: Any = LostCamera(away)
+    pauses: list[float] = []
+
+    def pause(seconds: float) -> None:
+        pauses.append(seconds)
+        if len(pauses) > away:
+            pytest.fail("a camera that is there is not opened")
+
+    wanted = CameraSettings(exposure_s=0.003)
+    reopen(camera, wanted, lambda _reason: None, pause)
+    assert (camera.is_open, camera.settings, len(pauses)) == (True, wanted, away)
