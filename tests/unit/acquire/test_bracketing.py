@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -97,6 +99,14 @@ def test_reach_is_judged_above_the_black_level():
     assert reach.cover.tolist() == [[0, 1, 1, 0]]
     assert reach.below_noise.tolist() == [[True, False, False, False]]
     assert reach.saturated.tolist() == [[False, False, False, True]]
+
+
+def test_a_black_level_that_is_not_known_is_none():
+    """The first code at or above the lowest signal counts, the one below it does not."""
+    about = CameraPreset.shipped("BFS-U3-19S4M").camera
+    first = math.ceil(ExposureWindow.of(about, 0.0, 0.0).lowest_dn)
+    frame = Frame(np.array([[first - 1, first]], dtype=np.uint16), 12, FrameSettings(exposure_s=0.01))
+    assert assess_reach([frame], about).cover.tolist() == [[0, 1]]
 
 
 def test_dark_frames_say_nothing_of_the_reach():
