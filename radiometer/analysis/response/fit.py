@@ -25,6 +25,12 @@ UNKNOWN_LABEL = (0.0, 3.0)
 # A part of the data that decides more of the fit than this has no residual to tell its error by.
 _MOST_LEVERAGE = 0.95
 _SMOOTHINGS = np.logspace(-6, 9, 31)
+# No covariance is inverted beyond this standard uncertainty of ln of an exposure: rounding.
+_LEAST_U_LOG = 1e-6
+_UNDETERMINED = (
+    "the frames do not determine a response: too few values overlap between exposures; "
+    "take exposures about one stop apart of a scene with many brightnesses"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,10 +167,7 @@ def fit_response(
         if chosen is None or freest.deviance < chosen.deviance - _CALLS_FOR_TIME_ERRORS:
             chosen = freest
     if chosen is None or not np.isfinite(chosen.deviance):
-        raise MeasurementError(
-            "the frames do not determine a response: too few values overlap between exposures; "
-            "take exposures about one stop apart of a scene with many brightnesses"
-        )
+        raise MeasurementError(_UNDETERMINED)
     return chosen.solved()
 
 
@@ -220,7 +223,10 @@ class _Problem:
         return cls(normal, right, fixed, penalty, float(smoothings[at]), scores[at], spread, patterns, basis.size)
 
     def solved(self) -> ResponseFit:
-        inverse = np.linalg.inv(self.fixed + self.smoothing * self.penalty)
+        try:
+            inverse = np.linalg.inv(self.fixed + self.smoothing * self.penalty)
+        except np.linalg.LinAlgError as error:
+            raise MeasurementError(_UNDETERMINED) from error
         solution = inverse @ self.right
         parameters = float(np.sum(inverse * self.normal.matrix))
         chi2 = float(self.normal.weight @ self.normal.residuals(solution) ** 2)
@@ -235,6 +241,16 @@ class _Problem:
             basis_size=self.basis_size,
             reduced_chi2=chi2 / max(self.normal.freedom - parameters, 1.0),
         )
+
+
+def information(covariance: Array) -> Array:
+    """Return the inverse of a covariance of logarithms of exposures, also where one is known exactly or not at all.
+
+    Args:
+        covariance: Symmetric but for rounding, shape (n, n).
+    """
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray(vectors / np.maximum(values, _LEAST_U_LOG**2) @ vectors.T)
 
 
 def _deviance(square: float, right: Array, fixed: Array, penalty: Array, smoothing: float, rank: int) -> float:

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.response.fit import information
 from radiometer.analysis.response.left_out import error_dn, prediction_error_dn
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.analysis.response.settle import Choices, FittedResponse, fit_with, given_labels, refit, settle
 
 Array = NDArray[np.float64]
+
+# Fewer rows than these are strays (one of a flea3 plane was off by a stop and a third).
+_FEWEST_ROWS: Final = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,22 +52,43 @@ class JointFit:
         """Return what fits with the same freed labels say together.
 
         The planes share nothing but the labels: the joint maximum of the likelihood is the mean of their labels,
-        weighted by the inverse of each one's covariance, and each curve what its plane says at that mean.
+        weighted by the inverse of each one's covariance, and each curve what its plane says at that mean. A plane that
+        cannot tell the labels (`tells_labels`) is given them by those that can, if any.
         """
         count = len(fits[0].choices.free)
         if not count:
             return cls(tuple(fits), np.empty(0), np.empty(0))
-        rows = [slice(one.fit.basis_size, one.fit.basis_size + count) for one in fits]
-        values = np.array([one.fit.time_modes[:count] for one in fits])
-        known = np.array([np.linalg.inv(one.fit.inverse[row, row]) for one, row in zip(fits, rows, strict=True)])
+        telling = [one for one in fits if tells_labels(one)] or fits
+        values = np.array([one.fit.time_modes[:count] for one in telling])
+        known = np.array([information(one.label_covariance) for one in telling])
         covariance = np.linalg.inv(known.sum(axis=0))
         mean = covariance @ np.einsum("pij,pj->i", known, values)
         off = values - mean
         # Planes that disagree beyond their uncertainty widen that of the mean (Birge ratio).
-        excess = np.einsum("pij,pi,pj->", known, off, off) / max(count * (len(fits) - 1), 1)
+        excess = np.einsum("pij,pi,pj->", known, off, off) / max(count * (len(telling) - 1), 1)
         u = np.sqrt(np.diag(covariance) * max(1.0, float(excess)))
         shared = fits if len(fits) == 1 else [given_labels(one, mean) for one in fits]
         return cls(tuple(shared), np.asarray(mean), np.asarray(u))
+
+
+def tells_labels(fitted: FittedResponse) -> bool:
+    """Tell whether a plane can tell the exposures of its freed frames at all.
+
+    The curve and the exposures may both be multiplied by any power: what holds the exponent are pixels that two frames
+    with trusted labels show. Where hardly any are, least squares takes a flat curve and makes all exposures equal, sure
+    of it. A row or two of the freed frame itself may be strays.
+
+    Args:
+        fitted: A fit with freed labels.
+    """
+    rows, freed = fitted.samples, np.array(fitted.choices.free)
+    trusted = ~np.isin(rows.frame, freed)
+    log_time, group = rows.log_time[trusted], rows.group[trusted]
+    earliest, latest = np.full(rows.group_count, np.inf), np.full(rows.group_count, -np.inf)
+    np.minimum.at(earliest, group, log_time)
+    np.maximum.at(latest, group, log_time)
+    of_freed = np.bincount(rows.frame, minlength=rows.frame_log_time.size)[freed]
+    return bool(of_freed.min() >= _FEWEST_ROWS and np.sum(latest > earliest) >= _FEWEST_ROWS)
 
 
 def settle_planes(planes: Sequence[Plane], free: tuple[int, ...] = ()) -> JointFit:

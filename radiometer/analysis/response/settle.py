@@ -12,7 +12,7 @@ from radiometer.analysis.response.basis import ValueBasis, hat_weight
 from radiometer.analysis.response.curves import rising, supported_range
 from radiometer.analysis.response.effective import places_as_one, tones_as_one
 from radiometer.analysis.response.estimate import inner_range
-from radiometer.analysis.response.fit import ResponseFit, fit_response
+from radiometer.analysis.response.fit import ResponseFit, fit_response, information
 from radiometer.analysis.response.left_out import error_dn, prediction_error_dn
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise
 from radiometer.analysis.response.noise_shift import mean_exposure_dn
@@ -74,6 +74,12 @@ class FittedResponse:
         if self.choices.noise is None:
             raise AssertionError("a fit always knows its noise")
         return self.choices.noise
+
+    @property
+    def label_covariance(self) -> Array:
+        """Return the posterior covariance of ln of real over stated exposure of the freed frames."""
+        labels = slice(self.fit.basis_size, self.fit.basis_size + len(self.choices.free))
+        return self.fit.inverse[labels, labels]
 
     def u_of(self, covariance: Array) -> Array:
         """Return the standard uncertainty of g − g(M_mid) that a covariance of the solution makes."""
@@ -184,7 +190,7 @@ def given_labels(found: FittedResponse, log_ratios: Array) -> FittedResponse:
     """
     fit = found.fit
     rows = slice(fit.basis_size, fit.basis_size + log_ratios.size)
-    towards = fit.inverse[:, rows] @ np.linalg.inv(fit.inverse[rows, rows])
+    towards = fit.inverse[:, rows] @ information(found.label_covariance)
     solution = fit.solution + towards @ (log_ratios - fit.time_modes[: log_ratios.size])
     moved = replace(fit, coefficients=solution[: fit.basis_size], time_modes=solution[fit.basis_size :])
     return replace(found, fit=moved, log_exposure=_values(found.samples, moved))

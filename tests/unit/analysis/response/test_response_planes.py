@@ -11,13 +11,22 @@ from numpy.typing import NDArray
 from radiometer.analysis.response.auto import solve_colours_auto
 from radiometer.analysis.response.basis import ValueBasis
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
-from radiometer.analysis.response.fit import ResponseFit, fit_response
+from radiometer.analysis.response.fit import ResponseFit, fit_response, information
 from radiometer.analysis.response.limits import ValueLimits
-from radiometer.analysis.response.planes import JointFit, Plane, errors_of_quadrants, settle_planes, without_quadrants
+from radiometer.analysis.response.planes import (
+    JointFit,
+    Plane,
+    errors_of_quadrants,
+    fit_planes,
+    settle_planes,
+    tells_labels,
+    without_quadrants,
+)
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import Choices, error_of_quadrants, fit_with, given_labels, settle
 from radiometer.analysis.response.wrong_labels import find_wrong_labels
 from radiometer.data import Bracket, Frame, FrameSettings
+from radiometer.errors import MeasurementError
 
 Array = NDArray[np.float64]
 SIGMA = 0.01
@@ -92,6 +101,95 @@ def test_a_label_known_from_elsewhere_is_weighed_by_its_uncertainty() -> None:
     assert fit(wrong, free=(3,), known=((0.1, 1e-6),)).time_modes[0] == pytest.approx(0.1, abs=1e-4)
     u = float(np.sqrt(alone.inverse[-1, -1]))
     assert fit(wrong, free=(3,), known=((0.1, u),)).time_modes[0] == pytest.approx(0.15, abs=2e-3)
+
+
+def test_a_label_that_nothing_tells_is_refused_in_words() -> None:
+    """A freed frame without a row, of which other data say nothing either, leaves equations without a solution."""
+    samples = rows_of()
+    with pytest.raises(MeasurementError, match="do not determine a response"):
+        fit(samples.kept(samples.frame != 5), free=(5,), known=((0.0, float("inf")),))
+
+
+@pytest.mark.parametrize(
+    ("covariance", "inverse"),
+    [
+        ([[2e-4, 1e-4], [1e-4, 2e-4]], [[2e4 / 3, -1e4 / 3], [-1e4 / 3, 2e4 / 3]]),
+        ([[4.0, 1.0 + 1e-13], [1.0 - 1e-13, 0.5]], [[0.5, -1.0], [-1.0, 4.0]]),
+        ([[0.0, 0.0], [0.0, 4.0]], [[1e12, 0.0], [0.0, 0.25]]),
+        ([[-1e-16, 0.0], [0.0, 4.0]], [[1e12, 0.0], [0.0, 0.25]]),
+        ([[1e30, 0.0], [0.0, 4.0]], [[0.0, 0.0], [0.0, 0.25]]),
+        ([[9.0, 9.0], [9.0, 9.0]], [[0.5e12, -0.5e12], [-0.5e12, 0.5e12]]),
+    ],
+    ids=["both known", "nearly symmetric", "one exactly", "below zero by rounding", "one not at all", "the difference"],
+)
+def test_information_is_the_inverse_also_where_a_label_is_known_exactly_or_not_at_all(
+    covariance: list[list[float]], inverse: list[list[float]]
+) -> None:
+    """What is known exactly counts as known to a millionth, what is not known counts nothing."""
+    assert information(np.array(covariance)) == pytest.approx(np.array(inverse), rel=1e-9, abs=1e-15)
+
+
+def last_label_off(*, lowest: int = 0, more: int = 0) -> Plane:
+    """Return a linear plane whose last exposure was 0.2 in ln longer than its label.
+
+    Args:
+        lowest: The first frame of which all groups are seen, 4 at most.
+        more: How many groups of the frame before are seen beside, of those that frame 4 shows.
+    """
+    samples = rows_of()
+    log_time = samples.frame_log_time - 0.2 * (np.arange(6) == 5)
+    before = (samples.frame == lowest - 1) & np.isin(samples.group, samples.group[samples.frame == 4])
+    seen = (samples.frame >= lowest) | (before & (np.cumsum(before) <= more))
+    dim = replace(samples, frame_log_time=log_time, log_time=log_time[samples.frame]).kept(seen)
+    return Plane(dim, np.log(np.maximum(np.arange(256.0), 0.5)))
+
+
+@pytest.mark.parametrize(
+    ("lowest", "more", "freed", "tells"),
+    [
+        (0, 0, (5,), True),
+        (0, 0, (0, 5), True),
+        (3, 0, (5,), True),
+        (4, 4, (5,), True),
+        (4, 3, (5,), False),
+        (4, 0, (5,), False),
+        (3, 0, (4, 5), False),
+        (3, 0, (0,), False),
+    ],
+)
+def test_two_trusted_frames_hold_the_exponent(lowest: int, more: int, freed: tuple[int, ...], tells: bool) -> None:
+    """Four groups of pixels that two trusted frames show, and four of the freed one: fewer may be strays."""
+    plane = last_label_off(lowest=lowest, more=more)
+    assert tells_labels(fit_with(plane.samples, plane.start, Choices(smoothing=1e3, free=freed))) is tells
+
+
+def test_a_plane_that_cannot_tell_a_label_is_given_it() -> None:
+    """By itself it takes a flat curve and makes the exposures equal, sure of it; others give it label and slope."""
+    bright, dark = last_label_off(), last_label_off(lowest=4)
+    deluded = fit_with(dark.samples, dark.start, Choices(free=(5,)))
+    assert deluded.fit.time_modes[0] == pytest.approx(-0.5, abs=0.001)
+    assert np.sqrt(deluded.label_covariance[0, 0]) < 0.05
+    assert np.ptp(deluded.log_exposure[20:200]) < 0.01
+    joint, alone = (fit_planes(planes, Choices(free=(5,))) for planes in ([bright, dark], [bright]))
+    assert joint.log_ratios == pytest.approx(alone.log_ratios)
+    assert joint.u_log_ratios == pytest.approx(alone.u_log_ratios)
+    assert joint.log_ratios[0] == pytest.approx(0.2, abs=3.0 * joint.u_log_ratios[0])
+    assert joint.fits[1].fit.time_modes == pytest.approx(joint.log_ratios)
+
+
+def test_planes_none_of_which_can_tell_a_label_are_left_to_the_judge() -> None:
+    """Where no plane can tell the exposure, the joint one is what they say; left-out pixels judge it."""
+    (alone,) = fit_planes([last_label_off(lowest=4)], Choices(free=(5,))).log_ratios
+    assert fit_planes([last_label_off(lowest=4)] * 2, Choices(free=(5,))).log_ratios == pytest.approx([alone])
+
+
+def test_a_plane_without_a_row_of_the_freed_frame_says_nothing() -> None:
+    """The label is what the plane says that shows the frame."""
+    bright, blind = last_label_off(), last_label_off()
+    blind = replace(blind, samples=blind.samples.kept(blind.samples.frame != 5))
+    joint, alone = (fit_planes(planes, Choices(free=(5,))) for planes in ([bright, blind], [bright]))
+    assert joint.log_ratios == pytest.approx(alone.log_ratios)
+    assert joint.u_log_ratios == pytest.approx(alone.u_log_ratios)
 
 
 def scene() -> Array:
