@@ -27,12 +27,12 @@ from benchmarks._outside.session import Secret, Session
 from benchmarks._sections import write_section
 from benchmarks.reconcile_outsiders import GENERATORS, session_of
 from radiometer.data import CaptureSet
-from radiometer.propose import Proposal, propose_law
-from radiometer.propose.effect_file import effect_class, effect_of, round_to
 from radiometer.reconcile.engine import reconcile_capture, whole_catalogue
 from radiometer.reconcile.fit.state import FitState, first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import reduce_frames
+from radiometer.reconcile.propose import Proposal, propose_law
+from radiometer.reconcile.propose.effect_file import effect_class, effect_of, round_to
 from radiometer.reconcile.search.frame_order import FrameLight, Periodic, periodic
 from simulators.effects.catalogue import CatalogueEffect
 

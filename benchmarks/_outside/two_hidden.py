@@ -386,7 +386,7 @@ def drift_in_repeats(camera: Camera, dice: np.random.Generator, size: float) -> 
     return {"rise": rise}
 
 
-@hides("outsider", "bracket", "levels", "darks", stage="digital", along=("image_y",))
+@hides("law", "bracket", "levels", "darks", right=("black_level_offset",), stage="digital", along=("image_y",))
 def row_ramp(camera: Camera, dice: np.random.Generator, size: float) -> Mapping[str, Any]:
     """The black level ramps over the rows."""
     rise = _sign(dice) * dice.uniform(1.5, 3.0) * size

@@ -15,8 +15,8 @@ from radiometer.errors import UsageError
 if TYPE_CHECKING:
     from radiometer.data import Frame
     from radiometer.other_data.sources import Done
-    from radiometer.propose import Proposal
     from radiometer.reconcile import FoundEffect, ReconcileResult
+    from radiometer.reconcile.propose import Proposal
 
 # Of larger photographs a lattice of pixels tells as much of their exposures.
 _ENOUGH_PIXELS = 1_000_000

@@ -11,8 +11,8 @@ from radiometer.errors import CaptureError, OutputError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
 from radiometer.other_data.light_meter import reconcile_meter_table
 from radiometer.other_data.photographs import reconcile_photographs
-from radiometer.propose import Proposal
 from radiometer.reconcile.engine import Progress, Say, examine, whole_catalogue
+from radiometer.reconcile.propose import Proposal
 from radiometer.reconcile.result import ReconcileResult
 from radiometer.reconcile.search.outcome import Reconciled
 from simulators.camera_model import CameraModel
@@ -59,7 +59,7 @@ class DoneCapture:
         Raises:
             OutputError: If a file cannot be written.
         """
-        from radiometer.propose import propose_law
+        from radiometer.reconcile.propose import propose_law, write_files
 
         effects = self.result.effects
         if not any(effect.name == "unnamed" or effect.other_law is not None for effect in effects):
@@ -68,7 +68,7 @@ class DoneCapture:
             return None
         found = propose_law(self._reconciled.outcome.start)
         if found is not None:
-            found.write(folder, self._source.name)
+            write_files(found, folder, self._source.name)
         return found
 
     def write_model(self, path: Path, *, provisional: bool = False) -> str:

@@ -24,6 +24,7 @@ from radiometer.reconcile.fit.state import FitState, first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import FrameReader, frame_reader, reduce_frames
 from radiometer.reconcile.noise.darkness import uncertainty_of_readings, wander_of_black
+from radiometer.reconcile.propose.beyond import held_to_laws
 from radiometer.reconcile.result import (
     CovariateGap,
     FittedParameter,
@@ -38,7 +39,15 @@ from radiometer.reconcile.search.frame_order import FrameLight, Periodic, period
 from radiometer.reconcile.search.localise import Disagreement, axis_of, global_p_value, places
 from radiometer.reconcile.search.outcome import Reconciled, Search, Step
 from radiometer.reconcile.search.search import search
-from radiometer.reconcile.verdict import by_other_laws, doubts_of, faint, faint_names, rest_of, size_of_rest, verdict_of
+from radiometer.reconcile.verdict import (
+    by_other_laws,
+    doubts_of,
+    faint,
+    faint_names,
+    rest_of,
+    size_of_rest,
+    verdict_of,
+)
 from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
@@ -231,8 +240,10 @@ def examine(
             "no part of any frame is free of clipping: capture with shorter exposures and a black level above zero"
         )
     entries = whole_catalogue() if catalogue is None else catalogue
-    outcome = search(start, entries, say)
-    return Reconciled(_result(outcome, entries, again, total, begun, with_limits=with_limits), outcome)
+    failed: list[str] = []
+    found = search(start, entries, say)
+    outcome = _spared("laws of no entry", lambda: held_to_laws(found, say), failed) or found
+    return Reconciled(_result(outcome, entries, again, total, begun, failed, with_limits=with_limits), outcome)
 
 
 def _wandering(header: CaptureHeader, rms: float) -> CaptureHeader:
@@ -247,12 +258,12 @@ def _result(
     again: Periodic | None,
     frames: int,
     begun: float,
+    failed: list[str],
     *,
     with_limits: bool,
 ) -> ReconcileResult:
-    doubts = [*doubts_of(outcome), *faint(outcome)]
+    doubts = [*outcome.remarks, *doubts_of(outcome), *faint(outcome)]
     verdict = verdict_of(outcome, doubts, again)
-    failed: list[str] = []
     effects = _found(outcome, entries, again, failed, provisional=verdict is Verdict.INCOMPLETE)
     state = outcome.state
     shown: Mapping[str, Limit] = {}

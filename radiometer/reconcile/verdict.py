@@ -44,7 +44,7 @@ def verdict_of(outcome: Search, doubts: Sequence[str], again: Periodic | None = 
         again: What comes back in the order of the frames, which no name explains.
     """
     named = bool(outcome.state.effects)
-    unnamed = _leaves_structure(outcome) or again is not None
+    unnamed = leaves_structure(outcome) or again is not None
     if named:
         return Verdict.INCOMPLETE if unnamed or doubts else Verdict.EFFECTS_FOUND
     return Verdict.UNNAMED if unnamed else Verdict.AGREES
@@ -77,7 +77,8 @@ def doubts_of(outcome: Search) -> list[str]:
     return said
 
 
-def _leaves_structure(outcome: Search) -> bool:
+def leaves_structure(outcome: Search) -> bool:
+    """Tell whether anything disagrees beside the names: tests, a term without a name, or scatter."""
     unnamed = bool(outcome.left) or any(step.name == "unnamed" for step in outcome.steps)
     return unnamed or is_misfit(outcome.state)
 
@@ -90,7 +91,7 @@ def faint_names(outcome: Search) -> list[str]:
     present = {effect.name for effect in outcome.state.effects}
     named = [step for step in outcome.steps if step.name in present]
     most = max((step.gain_nats for step in named), default=0.0)
-    if not _leaves_structure(outcome):
+    if not leaves_structure(outcome):
         return []
     needed = min(FAINT_NATS * scatter_of(outcome.state), most)
     return [step.name for step in named if step.gain_nats < needed]

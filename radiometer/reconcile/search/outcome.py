@@ -49,6 +49,7 @@ class Search:
         left: Disagreements that stay significant.
         tests: All tests of the final model.
         first_tests: All tests of the ideal camera.
+        remarks: What else is to be said of how it came about.
     """
 
     state: FitState
@@ -57,6 +58,7 @@ class Search:
     left: tuple[Disagreement, ...]
     tests: tuple[Disagreement, ...]
     first_tests: tuple[Disagreement, ...]
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

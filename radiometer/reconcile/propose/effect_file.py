@@ -10,9 +10,9 @@ from functools import cache
 from types import ModuleType
 from typing import Any, Final
 
-from radiometer.propose.grammar import COVARIATES, FORMS, PER_FRAME, SIDE, Term
-from radiometer.propose.stages import LINKS, Link
+from radiometer.reconcile.propose.grammar import COVARIATES, FORMS, PER_FRAME, SIDE, Term
 from simulators.effects.catalogue import CatalogueEffect
+from simulators.law_stages import LINKS, Link
 
 _AMPLITUDES: Final = {
     "1": "amplitude",

@@ -7,19 +7,15 @@ would be, and judged as names are. Source of the score: docs/decisions/0011.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from radiometer.errors import MeasurementError
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.propose.effect_file import Law, effect_of, round_to
-from radiometer.propose.grammar import PER_FRAME, PLACES, Term, known_values, terms_of
-from radiometer.propose.proposal import Proposal, Rival
-from radiometer.propose.stages import LINKS
 from radiometer.reconcile.fit.candidate_fit import (
     Candidate,
     FittedCandidate,
@@ -32,9 +28,13 @@ from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.model.tile_context import rise_of
+from radiometer.reconcile.propose.effect_file import Law, effect_of, round_to
+from radiometer.reconcile.propose.grammar import PER_FRAME, PLACES, Term, terms_of
+from radiometer.reconcile.propose.proposal import Proposal, Rival
 from radiometer.reconcile.search.score import contenders_of
 from radiometer.reconcile.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
+from simulators.law_stages import LINKS
 
 _AT_ONCE: Final = 128  # columns that are projected together
 _FITTED: Final = 16  # laws that are fitted to all statistics
@@ -67,18 +67,19 @@ class Screened:
 
 
 @on_one_blas_thread
-def propose_law(state: FitState, say: Say = lambda line: None) -> Proposal | None:
+def propose_law(state: FitState, say: Say = lambda line: None, along: Collection[str] = ()) -> Proposal | None:
     """Return the law that explains best what a starting camera lacks; None where none is beyond chance.
 
     Args:
         state: The starting camera fitted, without any effect that was named.
         say: Told what happens, line by line.
+        along: Covariates to which laws are confined, of one term then; by default all, and products of two terms.
     """
-    singles = screened(state, _singles(state), say)
+    singles = screened(state, (law for law in _singles(state) if not along or set(law.covariates) <= set(along)), say)
     plain = {_formula(entry.law): entry.score for entry in sorted(singles, key=lambda entry: entry.score)}
     products = [
         entry
-        for entry in screened(state, _products(state, singles), say)
+        for entry in (screened(state, _products(state, singles), say) if not along else ())
         if entry.score > plain.get(_formula(entry.law)[:1], 0.0) + NAMED_NATS
     ]
     judged = _judged(state, _chosen([*singles, *products]), say)
@@ -185,6 +186,39 @@ def screened(state: FitState, laws: Iterable[Law], say: Say = lambda line: None)
         found += _gains(state, waiting, pairs)
     say(f"{len(found)} laws looked at")
     return found
+
+
+def known_values(state: FitState) -> dict[str, Array]:
+    """Return the covariates that vary within a capture set, by name, each broadcasting to captures × tiles × points.
+
+    What differs between the first frame of a series and the others has an axis in front: first, others.
+    """
+    context, design = state.model.context, state.design
+    side = max(design.shape)
+    settings: Any = context.settings
+    signal = state.prediction.signal[:, :, None]
+    found = {
+        "exposure_s": settings.exposure_s,
+        "timestamp_s": settings.timestamp_s,
+        "temperature_C": settings.temperature_c,
+        "source_level": settings.source_level,
+        "image_x": context.geometry.x_px / side,
+        "image_y": context.geometry.y_px / side,
+        "signal": signal,
+        "value": signal * state.prediction.gain[:, None, None],
+    }
+    if context.first_frame is not None and context.later_frames is not None and design.has_timestamps:
+        first, later = (np.asarray(c.since_frame_s) for c in (context.first_frame, context.later_frames))
+        found["since_frame_s"] = np.stack([first, later])
+    lit = design.source_level > 0  # a closed shutter is no level of the source
+    if not lit.any() or not _varies(design.source_level[lit]):
+        del found["source_level"]
+    return {name: np.asarray(v, dtype=np.float64) for name, v in found.items() if _varies(np.asarray(v))}
+
+
+def _varies(values: Array) -> bool:
+    finite = values[np.isfinite(values)]
+    return finite.size > 0 and not np.isnan(values).any() and float(np.ptp(finite)) > 1e-9 * float(np.abs(finite).max())
 
 
 def _response(state: FitState, link: str) -> Array:

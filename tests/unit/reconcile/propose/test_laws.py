@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, FrameSettings
-from radiometer.propose.effect_file import Law, effect_of, effect_source, round_to, source_of_test
-from radiometer.propose.grammar import FORMS, Term, terms_of
-from radiometer.propose.stages import LINKS
 from radiometer.reconcile.model.tile_context import TileContext
+from radiometer.reconcile.propose.effect_file import Law, effect_of, effect_source, round_to, source_of_test
+from radiometer.reconcile.propose.grammar import FORMS, Term, terms_of
 from simulators.effects import registry
 from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.law_stages import LINKS
 
 SIGNAL = 1000.0
 # form, covariate, constants, parameters, values of the covariates, value of the form

@@ -1,23 +1,18 @@
-"""A proposed law with its evidence, and the files that are written of it."""
+"""A proposed law with its evidence, and what is said of it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from radiometer.data.storage import write_text_atomic, write_yaml_atomic
-from radiometer.errors import OutputError
-from radiometer.propose.effect_file import Law, effect_of, effect_source, round_to, source_of_test
-from radiometer.propose.grammar import COVARIATES, FORMS
-from radiometer.propose.stages import LINKS
-from radiometer.reconcile.advice.next_capture import FORMAT as PLAN_FORMAT
 from radiometer.reconcile.fit.state import FitState
+from radiometer.reconcile.propose.effect_file import Law, effect_source
+from radiometer.reconcile.propose.grammar import COVARIATES, FORMS
 from radiometer.reconcile.result import FittedParameter
-from simulators.effects.context import ExposureContext
+from simulators.law_stages import LINKS
 
 _ENDS: Final = ("left", "middle", "right"), ("upper", "middle", "lower")
 
@@ -119,47 +114,6 @@ class Proposal:
             ],
         }
 
-    def write(self, folder: Path, origin: str) -> tuple[Path, ...]:
-        """Write effect file, test and the plan that would refute it, and return their paths.
-
-        Args:
-            folder: Made where it is missing.
-            origin: What the law was found in.
-
-        Raises:
-            OutputError: If a file cannot be written.
-        """
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"cannot make the folder {folder}: {error.strerror or error}; name another") from error
-        effect, test, plan = folder / f"{self.name}.py", folder / f"test_{self.name}.py", folder / "plan.yaml"
-        write_text_atomic(effect, self.source(origin))
-        write_text_atomic(test, self._test(effect.name))
-        write_yaml_atomic(plan, self.plan())
-        return effect, test, plan
-
-    def _test(self, file_name: str) -> str:
-        height, width = self.before.design.shape
-        context = _test_context(self.before, width, height)
-        one = effect_of(self.law, round_to(self.amplitude))
-        rows = []
-        for column, row, signal in (
-            (0.0, 0.0, 100.0),
-            (0.5 * width, 0.3 * height, 1000.0),
-            (width - 1.0, height - 1.0, 50.0),
-        ):
-            at = _exposure_context(context, column, row)
-            rows.append((column, row, signal, float(np.ravel(one.mean(np.array([signal]), at))[0])))
-        return source_of_test(self.law, self.amplitude, file_name, context, rows)
-
-    def plan(self) -> dict[str, Any]:
-        """Return captures that go beyond the ranges of the first ones, where the law foretells most, and a repeat."""
-        from radiometer.propose.refuting import refuting_frames
-
-        frames, reasons = refuting_frames(self)
-        return {"format": PLAN_FORMAT, "reasons": reasons, "frames": frames}
-
 
 def _said(term: Any, shape: tuple[int, int]) -> str:
     if term.form == "spot":
@@ -171,28 +125,3 @@ def _said(term: Any, shape: tuple[int, int]) -> str:
         corner = " corner" if "middle" not in (row, column) else ""
         return f"falling off as a Gaussian from {place}{corner}"
     return FORMS[term.form].said.format(covariate=COVARIATES[term.covariate].said)
-
-
-def _test_context(state: FitState, width: int, height: int) -> dict[str, Any]:
-    design = state.design
-    warm = design.temperature_c
-    return {
-        "exposure_s": float(np.max(design.exposure_s)),
-        "gain_db": float(np.max(design.gain_db)),
-        "temperature_c": float(np.nanmax(warm)) if np.isfinite(warm).any() else 25.0,
-        "timestamp_s": float(np.median(design.timestamp_s)),
-        "source_level": 1.0,
-        "since_frame_s": 1.0,
-        "width": width,
-        "height": height,
-    }
-
-
-def _exposure_context(known: Mapping[str, Any], column: float, row: float) -> ExposureContext:
-    from radiometer.data import CameraDescription, FrameSettings
-    from simulators.effects.context import FrameGeometry
-
-    keys = ("exposure_s", "gain_db", "temperature_c", "timestamp_s", "source_level")
-    settings = FrameSettings(**{key: known[key] for key in keys})
-    geometry = FrameGeometry(np.array([column]), np.array([row]), known["width"], known["height"])
-    return ExposureContext(settings, geometry, CameraDescription(bit_depth=16), since_frame_s=known["since_frame_s"])

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from radiometer.reconcile.advice.capture_pool import FRAMES, CapturePool
-
-if TYPE_CHECKING:
-    from radiometer.propose.proposal import Proposal
+from radiometer.reconcile.propose.proposal import Proposal
 
 _CAPTURES: Final = 3
 _SHOWS_CHI2: Final = 9.0

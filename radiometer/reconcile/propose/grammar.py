@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
 
 _STEPS: Final = 24  # places of a step that are tried
@@ -198,39 +197,6 @@ class Term:
 class _Plain:
     def __init__(self, values: Mapping[str, float]) -> None:
         self.__dict__.update(values)
-
-
-def known_values(state: FitState) -> dict[str, Array]:
-    """Return the covariates that vary within a capture set, by name, each broadcasting to captures × tiles × points.
-
-    What differs between the first frame of a series and the others has an axis in front: first, others.
-    """
-    context, design = state.model.context, state.design
-    side = max(design.shape)
-    settings: Any = context.settings
-    signal = state.prediction.signal[:, :, None]
-    found = {
-        "exposure_s": settings.exposure_s,
-        "timestamp_s": settings.timestamp_s,
-        "temperature_C": settings.temperature_c,
-        "source_level": settings.source_level,
-        "image_x": context.geometry.x_px / side,
-        "image_y": context.geometry.y_px / side,
-        "signal": signal,
-        "value": signal * state.prediction.gain[:, None, None],
-    }
-    if context.first_frame is not None and context.later_frames is not None and design.has_timestamps:
-        first, later = (np.asarray(c.since_frame_s) for c in (context.first_frame, context.later_frames))
-        found["since_frame_s"] = np.stack([first, later])
-    lit = design.source_level > 0  # a closed shutter is no level of the source
-    if not lit.any() or not _varies(design.source_level[lit]):
-        del found["source_level"]
-    return {name: np.asarray(v, dtype=np.float64) for name, v in found.items() if _varies(np.asarray(v))}
-
-
-def _varies(values: Array) -> bool:
-    finite = values[np.isfinite(values)]
-    return finite.size > 0 and not np.isnan(values).any() and float(np.ptp(finite)) > 1e-9 * float(np.abs(finite).max())
 
 
 def terms_of(name: str, known: Mapping[str, Array]) -> Iterator[Term]:

@@ -1,5 +1,6 @@
 """Laws are found in sessions of the outside generators: stage, covariates, size, and what is written of them."""
 
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,11 +12,11 @@ from benchmarks._outside import two
 from benchmarks._outside.two_hidden import HIDDEN
 from radiometer.data import CaptureSet
 from radiometer.other_data.sources import DoneCapture
-from radiometer.propose import propose_law
-from radiometer.propose.effect_file import effect_of
 from radiometer.reconcile.fit.state import first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import reduce_frames
+from radiometer.reconcile.propose import propose_law
+from radiometer.reconcile.propose.effect_file import effect_of
 from radiometer.reconcile.result import FoundEffect
 
 
@@ -69,7 +70,8 @@ def test_the_law_holds_in_another_session(glow, tmp_path):
 def test_files_are_written_only_for_what_has_no_name(glow, tmp_path, monkeypatch):
     """An unnamed rest gives effect, test and plan; where all has a name, or frames come back in turns, none."""
     start = glow[0].before
-    monkeypatch.setattr("radiometer.propose.propose_law", {start: glow[0]}.get)  # searched once is enough
+    package = import_module("radiometer.reconcile.propose")
+    monkeypatch.setattr(package, "propose_law", {start: glow[0]}.get)  # searched once is enough
     unnamed = SimpleNamespace(effects=(FoundEffect("unnamed", {}, "image_x", 2.0, 1.0),))
     periodic = SimpleNamespace(effects=(FoundEffect("unnamed", {}, "frame", 2.0, 1.0),))
     named = SimpleNamespace(effects=(FoundEffect("dark_current", {}, "exposure_s", 2.0, 1.0),))
