@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from shutil import disk_usage
 from typing import Any
 
 import pytest
@@ -16,6 +18,10 @@ from radiometer.cli.logging_setup import configure_logging
 from tests.patience import queue
 
 PROJECT_ROOT = Path(__file__).resolve().parents[1]
+# Files of tests go to the memory where there is enough of it: journals wait for the disk at every entry.
+MEMORY, ENOUGH = Path("/dev/shm"), 4 << 30
+if "PYTEST_DEBUG_TEMPROOT" not in os.environ and os.access(MEMORY, os.W_OK) and disk_usage(MEMORY).free > ENOUGH:
+    os.environ["PYTEST_DEBUG_TEMPROOT"] = str(MEMORY)
 # Neither an example's time nor that of making one says anything of the code.
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
@@ -77,7 +83,6 @@ def pytest_collection() -> Iterator[object]:
     try:
         return (yield)
     finally:
-        gc.collect()
         gc.freeze()
         gc.enable()
 

@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import os
 import time
+from functools import lru_cache
+
+TURN_S = 2.0  # as long a measurement serves: each is work itself, and hundreds of tests ask
 
 
 def slowness() -> float:
-    """Return how many times longer this process waits for its work than it works, at least 1.
+    """Return how many times longer this process waits for its work than it works, at least 1."""
+    return max(1.0, waited_for_work(int(time.monotonic() / TURN_S)), queue())
 
-    A short piece of work is timed by the clock and by the processor; what others take of the machine lies between.
+
+@lru_cache(maxsize=1)
+def waited_for_work(turn: int) -> float:
+    """Return how many times longer a short piece of work takes by the clock than by the processor, once in a turn.
+
+    What others take of the machine lies between.
     """
     begun, worked = time.monotonic(), time.process_time()
     total = 0
     while time.process_time() - worked < 0.01:
         total += sum(range(500))
-    waited = (time.monotonic() - begun) / 0.01
-    return max(1.0, waited, queue())
+    return (time.monotonic() - begun) / 0.01
 
 
 def queue() -> float:

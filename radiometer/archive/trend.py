@@ -40,6 +40,7 @@ _MOST_CORRELATED: Final = 0.995
 _OUTLIER_SIGMAS: Final = 4.0
 _ROUNDS: Final = 4  # of scatter and stated sizes
 _LEAST_SCATTER: Final = 1e-3  # of the stated sigma, below which stated sizes pull no less
+_MOST_VALUES: Final = 4_000_000  # in a table of correlation times at once
 _MINIMUM_READINGS: Final = 8
 
 Array = NDArray[np.float64]
@@ -174,8 +175,8 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
     season = _season(months, time_s)
     design, told = season.design, season.told
     while True:
-        solution, _, scatter = _least_squares(
-            design[~outlier] / sigma[~outlier, None], relative[~outlier] / sigma[~outlier], season.spread
+        (solution,), _, (scatter,) = _least_squares(
+            (design[~outlier] / sigma[~outlier, None])[None], (relative / sigma)[None, ~outlier], season.spread
         )
         residual = np.abs(relative - design @ solution) / (scatter * sigma)
         residual[outlier] = 0.0
@@ -201,7 +202,7 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
         line=level * line,
         u_line=level * u_line,
         outlier=outlier,
-        excess_rel=typical * math.sqrt(max(0.0, scatter**2 - 1.0)),
+        excess_rel=typical * math.sqrt(max(0.0, float(scatter) ** 2 - 1.0)),
         drift_per_month=float(own[1] / own[0]),
         u_drift_per_month=float(math.sqrt(fit.covariance[1, 1]) / own[0]),
         degrees_of_freedom=fit.degrees_of_freedom,
@@ -318,53 +319,67 @@ def _generalised(design: Array, relative: Array, sigma: Array, time_s: Array, sp
     gaps, span = np.diff(time_s), float(time_s[-1] - time_s[0])
     count, columns = design.shape
     spread = np.full(columns, math.inf) if spread is None else spread
-    fits, likelihoods = [], []
-    for tau in (0.0, *(_TIMES_OF_SPAN * span)):
-        phi = np.zeros_like(gaps) if tau == 0.0 else np.minimum(np.exp(-gaps / tau), _MOST_CORRELATED)
-        rows, told, jacobian = _whitened(design / sigma[:, None], relative / sigma, phi)
-        solution, normal, scatter = _least_squares(rows, told, spread)
-        information = -np.linalg.slogdet(normal / scatter**2)[1]
-        likelihoods.append(-(count - columns) * math.log(scatter) - 0.5 * information + jacobian)
-        mean = float(phi.mean()) if phi.size else 0.0
-        # So many readings without correlation tell as much of a mean.
-        effective = count * (1.0 - mean) / (1.0 + mean)
-        fits.append(_Fit(solution, normal, max(effective - columns, 1.0), mean))
-    weight = np.exp(np.array(likelihoods) - max(likelihoods))
+    phi = np.zeros((_TIMES_OF_SPAN.size + 1, gaps.size))  # without a correlation first
+    phi[1:] = np.minimum(np.exp(-gaps / (_TIMES_OF_SPAN * span)[:, None]), _MOST_CORRELATED)
+    told = np.column_stack([design, relative]) / sigma[:, None]
+    at_once = max(_MOST_VALUES // told.size, 1)
+    parts = [_solved(told, phi[k : k + at_once], spread) for k in range(0, len(phi), at_once)]
+    solutions, covariances, likelihoods = (np.concatenate(each) for each in zip(*parts, strict=True))
+    weight = np.exp(likelihoods - likelihoods.max())
     weight /= weight.sum()
-    centre = sum(w * fit.solution for w, fit in zip(weight, fits, strict=True))
-    covariance = sum(
-        w * (fit.covariance + np.outer(fit.solution - centre, fit.solution - centre))
-        for w, fit in zip(weight, fits, strict=True)
-    )
-    freedom = float(weight @ [fit.degrees_of_freedom for fit in fits])
-    return _Fit(np.asarray(centre), np.asarray(covariance), freedom, float(weight @ [fit.correlation for fit in fits]))
+    centre = weight @ solutions
+    off = solutions - centre
+    covariance = np.einsum("t,tij->ij", weight, covariances + off[:, :, None] * off[:, None, :])
+    mean = phi.mean(axis=1) if gaps.size else np.zeros(len(phi))
+    # So many readings without correlation tell as much of a mean.
+    freedom = np.maximum(count * (1.0 - mean) / (1.0 + mean) - columns, 1.0)
+    return _Fit(centre, covariance, float(weight @ freedom), float(weight @ mean))
 
 
-def _whitened(rows: Array, told: Array, phi: Array) -> tuple[Array, Array, float]:
-    """Return rows and values without the correlation of neighbours, and the logarithm of what that divides by."""
+def _solved(told: Array, phi: Array, spread: Array) -> tuple[Array, Array, Array]:
+    """Return solutions, their covariances and log-likelihoods, each for one row of neighbours' correlations.
+
+    Args:
+        told: Columns and, as the last, values, all over sigma, shape (n, columns + 1).
+        phi: Correlations of neighbours, shape (times, n - 1).
+        spread: Standard deviations that the columns' sizes are known to have beforehand, shape (columns,).
+    """
     root = np.sqrt(1.0 - phi**2)
-    apart = np.concatenate([rows[:1], (rows[1:] - phi[:, None] * rows[:-1]) / root[:, None]])
-    values = np.concatenate([told[:1], (told[1:] - phi * told[:-1]) / root])
-    return apart, values, -float(np.log(root).sum())
+    white = np.empty((len(phi), *told.shape))
+    white[:, 0] = told[0]
+    white[:, 1:] = (told[1:] - phi[:, :, None] * told[:-1]) / root[:, :, None]
+    solutions, normals, scatters = _least_squares(white[:, :, :-1], white[:, :, -1], spread)
+    information = -np.linalg.slogdet(normals / scatters[:, None, None] ** 2)[1]
+    freedom = told.shape[0] - spread.size
+    likelihoods = -freedom * np.log(scatters) - 0.5 * information - np.log(root).sum(axis=1)
+    return solutions, normals, likelihoods
 
 
-def _least_squares(rows: Array, told: Array, spread: Array) -> tuple[Array, Array, float]:
-    """Return the solution, its covariance, and the scatter in units of the stated sigma.
+def _least_squares(rows: Array, told: Array, spread: Array) -> tuple[Array, Array, Array]:
+    """Return solutions, their covariances, and the scatters in units of the stated sigma, of problems in a stack.
 
     A column of a stated size is an observation more: that it is 0 ± that size. What this weighs depends on the
     scatter, which is found again with it.
+
+    Args:
+        rows: Columns, shape (problems, n, columns).
+        told: Values, shape (problems, n).
+        spread: Stated sizes, infinite where there is none, shape (columns,).
     """
     known = np.isfinite(spread)
-    squared, normal_rows = rows.T @ told, rows.T @ rows
-    freedom = max(rows.shape[0] - rows.shape[1] + int(known.sum()), 1)
-    scatter = 0.0
+    across = rows.transpose(0, 2, 1)
+    squared, normal_rows = across @ told[:, :, None], across @ rows
+    freedom = max(rows.shape[1] - rows.shape[2] + int(known.sum()), 1)
+    scatter = np.zeros(len(rows))
     for _ in range(_ROUNDS if known.any() else 1):
-        pull = np.where(known, max(scatter, _LEAST_SCATTER) / np.where(known, spread, 1.0), 0.0)
-        inverse: Array = np.linalg.inv(normal_rows + np.diag(pull**2)).astype(np.float64)
-        solution = inverse @ squared
-        residual = np.concatenate([told - rows @ solution, (pull * solution)[known]])
-        scatter = max(math.sqrt(float(residual @ residual) / freedom), 1e-12)
-    return solution, inverse * scatter**2, scatter
+        least = np.maximum(scatter, _LEAST_SCATTER)[:, None]
+        pull = np.where(known, least / np.where(known, spread, 1.0), 0.0)
+        inverse: Array = np.linalg.inv(normal_rows + np.eye(spread.size) * pull[:, :, None] ** 2).astype(np.float64)
+        solution = (inverse @ squared)[:, :, 0]
+        residual = told - (rows @ solution[:, :, None])[:, :, 0]
+        chi2 = (residual**2).sum(axis=1) + ((pull * solution) ** 2).sum(axis=1)
+        scatter = np.maximum(np.sqrt(chi2 / freedom), 1e-12)
+    return solution, inverse * scatter[:, None, None] ** 2, scatter
 
 
 def _refuse_unfit(time_s: Array, value: Array, u: Array, patch: str) -> None:

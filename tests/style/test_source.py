@@ -82,19 +82,29 @@ def unsaid(path):
 @cache
 def faults_of_tests(path: Path) -> tuple[list[str], list[str]]:
     """Return a file's tests without a docstring and those that cannot fail; its tree, once parsed, is not kept."""
-    tree = parsed(path)
-    return silent(tree), toothless(tree)
+    functions = functions_of(parsed(path))
+    return silent(functions), toothless(functions)
 
 
-def silent(tree):
+def functions_of(tree):
+    """Return each function of a file with the assertions and calls in it, also of functions within, in one walk."""
+    functions = {}
+    waiting = [(tree, ())]
+    while waiting:
+        node, within = waiting.pop()
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            functions[node] = []
+            within = (*within, node)
+        elif isinstance(node, ast.Assert | ast.Call):
+            for function in within:
+                functions[function].append(node)
+        waiting += [(child, within) for child in ast.iter_child_nodes(node)]
+    return functions
+
+
+def silent(functions):
     """Return the names of a file's tests that say nothing."""
-    return [
-        node.name
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        and node.name.startswith("test_")
-        and not ast.get_docstring(node)
-    ]
+    return [node.name for node in functions if node.name.startswith("test_") and not ast.get_docstring(node)]
 
 
 def test_modules_stay_small():
@@ -136,13 +146,11 @@ def is_not_none(test):
     )
 
 
-def helpers_that_judge(tree):
+def helpers_that_judge(functions):
     """Return the names of a file's own functions and fixtures that can fail a test, also through each other."""
-    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
-    inside = {one: [node for node in ast.walk(one) if isinstance(node, ast.Assert | ast.Call)] for one in functions}
-    found = {one.name for one, nodes in inside.items() if any(map(judges, nodes))}
+    found = {one.name for one, nodes in functions.items() if any(map(judges, nodes))}
     while True:
-        more = {one.name for one, nodes in inside.items() if any(calls(node, found) for node in nodes)}
+        more = {one.name for one, nodes in functions.items() if any(calls(node, found) for node in nodes)}
         if more <= found:
             return found
         found |= more
@@ -153,16 +161,10 @@ def calls(node, names):
     return isinstance(node, ast.Call) and (getattr(node.func, "id", None) or getattr(node.func, "attr", "")) in names
 
 
-def toothless(tree):
+def toothless(functions):
     """Return the names of a file's tests that cannot fail, but by an error of their own."""
-    judging = helpers_that_judge(tree)
-    return [
-        node.name
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        and node.name.startswith("test_")
-        and node.name not in judging
-    ]
+    judging = helpers_that_judge(functions)
+    return [node.name for node in functions if node.name.startswith("test_") and node.name not in judging]
 
 
 def test_every_test_can_fail():
@@ -189,7 +191,7 @@ def test_the_judge_of_tests_bites(body, refused):
     """No assertion, or only that something is not None, is refused; helpers are looked into."""
     helpers = "def shown(x):\n    assert x is not None\ndef agree(x):\n    assert x == 2\n"
     tree = ast.parse(f"{helpers}async def test_it():\n    {body}\n")
-    assert toothless(tree) == (["test_it"] if refused else [])
+    assert toothless(functions_of(tree)) == (["test_it"] if refused else [])
 
 
 def test_nothing_names_a_package_registry():
@@ -207,16 +209,20 @@ EFFECT_FILES = {path.stem for path in (ROOT / "simulators" / "effects").glob("*.
 SETTINGS = {"source_level", "quantum_efficiency", "shutter", "lens"}
 
 
-@pytest.mark.parametrize("path", RECONCILE, ids=name_of)
-def test_reconcile_knows_no_effect_by_name(path):
-    """What is peculiar to an effect stands in its own file: no name of one as a string, no import of one."""
+def effects_named(path):
+    """Return the effects that a file says by name: as a string, or by an import of one."""
     found = []
     for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             found += {node.value} & (EFFECT_FILES - SETTINGS)
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("simulators.effects"):
             found += {part for part in node.module.split(".")[2:] if part in EFFECT_FILES}
-    assert found == []
+    return found
+
+
+def test_reconcile_knows_no_effect_by_name():
+    """What is peculiar to an effect stands in its own file: no name of one as a string, no import of one."""
+    assert faulty(RECONCILE, effects_named) == {}
 
 
 SEARCH = [path for path in RECONCILE if "search/" in name_of(path) or name_of(path).endswith("verdict.py")]

@@ -8,7 +8,6 @@ from datetime import datetime
 
 import numpy as np
 import pytest
-from p4p.client.thread import Context, RemoteError
 
 from radiometer.daemon.epics import PvaOptions, PvaServer
 from radiometer.daemon.patches import MAIN, PatchLimits
@@ -19,6 +18,8 @@ from tests.patience import within
 @pytest.fixture
 async def served(station):
     """Return a served station and a client of it; one that nobody else on this machine can find."""
+    from p4p.client.thread import Context  # a second of work for whoever merely collects the tests
+
     server = PvaServer(station, PvaOptions("lab", isolated=True))
     server.start()
     client = await asyncio.to_thread(Context, "pva", conf=server.settings, useenv=False, nt=False)
@@ -96,6 +97,8 @@ async def test_map_is_an_nt_nd_array(served, station, eventually):
 
 async def test_nothing_can_be_written(served, station):
     """A put is refused."""
+    from p4p.client.thread import RemoteError
+
     _, client = served
     with pytest.raises(RemoteError):
         await asyncio.to_thread(client.put, "lab:4711:radiance", 5.0, timeout=within(20.0))
