@@ -43,7 +43,7 @@ def verdict_of(outcome: Search, doubts: Sequence[str], again: Periodic | None = 
         doubts: What speaks against its names.
         again: What comes back in the order of the frames, which no name explains.
     """
-    named = bool(outcome.state.effects)
+    named = len(outcome.state.effects) > len(faint_names(outcome))
     unnamed = leaves_structure(outcome) or again is not None
     if named:
         return Verdict.INCOMPLETE if unnamed or doubts else Verdict.EFFECTS_FOUND
@@ -84,16 +84,18 @@ def leaves_structure(outcome: Search) -> bool:
 
 
 def faint_names(outcome: Search) -> list[str]:
-    """Return names that are not worth telling: faint beside a stronger one, where structure stays anyhow.
+    """Return names that are not worth telling: faint beside what is stronger, where structure stays anyhow.
 
-    What a wrong law of the stronger one leaves, others take up in part.
+    What a wrong law of a stronger name leaves, others take up in part; so they do with what a curve along one covariate
+    leaves of an unknown cause, where that brings most of what both bring.
     """
     present = {effect.name for effect in outcome.state.effects}
     named = [step for step in outcome.steps if step.name in present]
     most = max((step.gain_nats for step in named), default=0.0)
     if not leaves_structure(outcome):
         return []
-    needed = min(FAINT_NATS * scatter_of(outcome.state), most)
+    unknown = max((step.gain_nats for step in outcome.steps if step.name == "unnamed"), default=0.0)
+    needed = max(min(FAINT_NATS * scatter_of(outcome.state), most), (1.0 / SMOOTH_SHARE - 1.0) * unknown)
     return [step.name for step in named if step.gain_nats < needed]
 
 

@@ -91,6 +91,14 @@ def test_faint_names_beside_what_stays():
     assert faint_beside_others([step("psf_blur", 41.0, Crosstalk(0.01))], (BLUR,)) == []
 
 
+@pytest.mark.parametrize(("nats", "told"), [(249.0, []), (251.0, ["psf_blur"])])
+def test_a_name_beside_an_unknown_cause_that_brings_four_fifths(nats, told):
+    """A quarter of what has no name is what a name must bring beside it; where none does, nothing is named."""
+    found = outcome((BLUR,), [step("unnamed", 1000.0), step("psf_blur", nats)], left=(1,))
+    assert faint_names(found) == sorted({"psf_blur"} - set(told))
+    assert verdict_of(found, []) is (Verdict.INCOMPLETE if told else Verdict.UNNAMED)
+
+
 @pytest.mark.parametrize(
     ("value", "u", "lacking"),
     [(2.9, 1.0, True), (3.1, 1.0, False), (-3.1, 1.0, False), (-2.9, 1.0, True), (0.1, None, False)],
