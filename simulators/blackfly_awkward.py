@@ -67,6 +67,7 @@ class AwkwardBlackfly(BlackflyGige):
         self._pipeline: deque[PictureRequest] = deque()
         self._sender: GvspSender | None = None
         self.exposed_s: list[float] = []
+        self.frames_cut = 0  # from which its link lost a packet
 
     def open(self) -> None:
         """Serve the camera. Raises DeviceInUse if the address is taken, MissingLibrary without Aravis."""
@@ -131,6 +132,7 @@ class AwkwardBlackfly(BlackflyGige):
         )
         too_fast = device.read_word(awkward.THROUGHPUT_LIMIT) > self._link_bytes_s
         self.frames_sent += 1  # before it arrives: whoever gets it may look at once
+        self.frames_cut += too_fast
         self.exposed_s.append(made_under.exposure_s)
         sender.send(sent, to, device.read_word(awkward.STREAM_PACKET) & 0xFFFF, lose_last=too_fast)
 

@@ -128,12 +128,17 @@ def test_its_test_pattern_is_switched_off(awkward):
 
 
 def test_nothing_is_dropped_on_a_link_that_carries_little_less_than_it_should(awkward):
-    """As shipped it sends at the link's nominal speed, which loses a packet of every frame; opened, it does not."""
+    """As shipped it sends at the link's nominal speed, which loses a packet of every frame; opened, it does not.
+
+    The link itself says what it lost: on a busy machine the library gives up frames that come whole, but too late for
+    it (100 ms behind their first packet).
+    """
     with opened() as camera:
+        assert camera.session.throughput.limit_bytes_s == 112_500_000
         camera.configure(SETTINGS)
         camera.capture(10)
-        assert camera.counts.incomplete == 0
-        assert camera.session.throughput.limit_bytes_s == 112_500_000
+        assert awkward.frames_sent >= 10
+        assert awkward.frames_cut == 0
 
 
 def test_a_slow_link_slows_the_camera_down(serve_awkward):
@@ -147,4 +152,4 @@ def test_a_slow_link_slows_the_camera_down(serve_awkward):
         whole = camera.counts.incomplete
         camera.capture(3)
         assert camera.counts.incomplete == whole
-    assert served.frames_sent > 40
+    assert 40 < served.frames_cut < served.frames_sent
