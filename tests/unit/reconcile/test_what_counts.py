@@ -1,0 +1,89 @@
+"""Which tiles count near a full well, how large a rest is said to be, and what a fit's misfit is, by hand."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.reconcile.fit.state import FitState
+from radiometer.reconcile.statistics import Counted
+from radiometer.reconcile.verdict import size_of_rest
+
+
+def counted(signal_e: Any, full_well_e: float | None) -> Any:
+    camera = SimpleNamespace(full_well_e=full_well_e)
+    design: Any = SimpleNamespace(header=SimpleNamespace(camera=camera))
+    base: Any = SimpleNamespace(signal=np.array(signal_e, dtype=float))
+    return Counted(design, SimpleNamespace(), base)  # type: ignore[arg-type]
+
+
+def test_the_knee_reaches_five_sigma_of_shot_noise_to_both_sides_of_the_well() -> None:
+    """9513 e⁻ lie 487 off, and 5·√9513 is 487.7; 10511 e⁻ lie 511 off, and 5·√10511 is 512.6."""
+    near = [9511.0, 9513.0, 10_000.0, 10_511.0, 10_514.0]
+    assert counted([near], 10_000.0).knee.tolist() == [[False, True, True, True, False]]
+
+
+def test_without_a_declared_well_nothing_is_near_it() -> None:
+    """No figure, no knee; and a tile without light has none either, whatever its sign."""
+    assert not counted([[0.0, 1e4, 1e9]], None).knee.any()
+    assert not counted([[-3.0, 0.0, 1.0]], 10.0).knee.any()
+
+
+def fitted(**more: Any) -> Any:
+    """Return a state of two captures of two tiles whose means an unnamed term took up by 3, 4 | 6, 8 sigmas."""
+    taken = np.array([3.0, 4.0, 6.0, 8.0, 0.0])
+    comparison = SimpleNamespace(
+        usable={"mean": np.ones((2, 2), bool), "variance": np.array([[True, False], [False, False]])},
+        deviation={"mean": np.array([[0.5, 0.5], [1.0, 1.0]]), "variance": np.full((2, 2), 0.1)},
+        cuts={"mean": slice(0, 4), "variance": slice(0, 4)},
+        whiteners={},
+        size=5,
+    )
+    term = SimpleNamespace(is_smooth=True, size=1, build=lambda *_: taken[:, None])
+    state = {
+        "comparison": comparison,
+        "terms": (term,),
+        "weights": np.array([1.0]),
+        "prediction": SimpleNamespace(gain=np.array([0.5, 2.0])),
+        "sensitivity": np.array([[0.9, 100.0], [200.0, 1.1]]),
+    }
+    return SimpleNamespace(**state | more)
+
+
+def test_a_rest_of_means_is_told_in_dn_in_electrons_and_of_the_light() -> None:
+    """1.5, 2, 6, 8 DN; at 0.5 and 2 DN/e⁻ 3, 4, 3, 4 e⁻; of light of 100, 200 and 1.1 DN, not of 0.9."""
+    found = size_of_rest(fitted(), "mean")
+    assert {name: (one.value, one.unit) for name, one in found.items()} == {
+        "rms_dn": (pytest.approx(np.sqrt((2.25 + 4 + 36 + 64) / 4)), "DN"),
+        "rms_e": (pytest.approx(np.sqrt((9 + 16 + 9 + 16) / 4)), "e-"),
+        "rms_rel": (pytest.approx(np.sqrt((0.02**2 + 0.03**2 + (8 / 1.1) ** 2) / 3)), "1"),
+    }
+
+
+def test_entries_that_do_not_count_are_no_part_of_a_rest() -> None:
+    """With the fourth mean left out the electrons are those of three; of variances one entry stays: 3 · 0.1."""
+    state = fitted()
+    state.comparison.usable["mean"][1, 1] = False
+    found = size_of_rest(state, "mean")
+    assert found["rms_e"].value == pytest.approx(np.sqrt((9 + 16 + 9) / 3))
+    (noise,) = size_of_rest(state, "variance").values()
+    assert (noise.value, noise.unit) == (pytest.approx(0.3), "1")
+
+
+def test_a_rest_in_the_dark_is_no_share_of_the_light() -> None:
+    """Below 1 DN of light no share is told; of statistics without a size nothing is."""
+    state = fitted(sensitivity=np.full((2, 2), 0.5))
+    assert sorted(size_of_rest(state, "mean")) == ["rms_dn", "rms_e"]
+    assert size_of_rest(state, "edges") == {}
+
+
+@pytest.mark.parametrize(
+    ("cost", "counts", "reduced"), [(300.0, [60, 40], 3.0), (50.0, [60, 40], 1.0), (7.0, [0, 0], 7.0)]
+)
+def test_misfit_is_chi_square_per_entry_that_counts_and_at_least_one(cost, counts, reduced) -> None:
+    """Data that agree better than stated do not make u smaller; without any entry χ² itself stands."""
+    stand_in = SimpleNamespace(cost=cost, comparison=SimpleNamespace(counts=lambda: np.array(counts)))
+    assert FitState.misfit.func(stand_in) == pytest.approx(reduced)  # type: ignore[attr-defined]
