@@ -43,8 +43,16 @@ def halves(path: Path) -> tuple[dict[str, tuple[RadianceMap, RadianceMap]], str]
         for whole in placed.brackets:
             channel = str(whole.frames[0].extra["channel"])
             bracket = with_found_times(half(whole, parity), curves[channel])
-            known = relative_calibration(bracket, curves[channel], camera, lens)
-            maps[channel] = merge(bracket, camera, lens, known, absent=placed.absent[parity::2], without_ghosts=True)
+            known, displacement = relative_calibration(bracket, curves[channel], camera, lens)
+            maps[channel] = merge(
+                bracket,
+                camera,
+                lens,
+                known,
+                absent=placed.absent[parity::2],
+                without_ghosts=True,
+                displacement_px=displacement.px if displacement else 0.0,
+            )
         found.append(maps)
     return {channel: (found[0][channel], found[1][channel]) for channel in found[0]}, str(placed.sentence)
 

@@ -291,15 +291,26 @@ def _merged(
 ) -> dict[str, RadianceMap]:
     """Return the map of a bracket by its channel."""
     from radiometer.analysis.merge.bracket import merge
-    from radiometer.cli.photograph_response import relative_calibration
+    from radiometer.cli.photograph_response import displacement_of, relative_calibration
     from radiometer.data import CameraDescription, LensDescription
 
     name = str(bracket.frames[0].extra.get("channel", "mono"))
     camera = calibration.camera if calibration else CameraDescription(bit_depth=bracket.bit_depth)
     curve = _of_channel(curves, name)
-    known = calibration or relative_calibration(bracket, curve, camera, LensDescription())
+    if calibration:
+        known, displacement = calibration, displacement_of(bracket, calibration.response)
+    else:
+        known, displacement = relative_calibration(bracket, curve, camera, LensDescription())
     known = replace(known, flat_field=flat) if flat else known
-    found = merge(bracket, camera, LensDescription(), known, absent=absent, without_ghosts=without_ghosts)
+    found = merge(
+        bracket,
+        camera,
+        LensDescription(),
+        known,
+        absent=absent,
+        without_ghosts=without_ghosts,
+        displacement_px=displacement.px if displacement else 0.0,
+    )
     return {name: with_iso_in_map(found, bracket)}
 
 
@@ -352,6 +363,7 @@ def _report(picture: Picture, out: list[Path]) -> dict[str, Any]:
         "u_rel_common": found.u_rel_common,
         "pixels": {"good": int(np.count_nonzero(found.mask == 0)), **counts},
         "iso": found.provenance.parameters.get("iso", []),
+        "displacement_px": found.provenance.parameters.get("displacement_px"),
         "assumptions": list(found.provenance.assumptions),
     }
 
@@ -373,6 +385,10 @@ def _show(report: dict[str, Any]) -> None:
             out.print(f"{name.replace('_', ' '):<13}{count} pixels ({100 * count / total:.3g} %)")
     if report["alignment"]:
         out.print(f"frames     {report['alignment']}")
+    if report["displacement_px"]:
+        out.print(
+            f"frames     displaced by {report['displacement_px']:.2g} pixels (k = 1), in u where the picture changes"
+        )
     if report["falloff"]:
         out.print(f"lens       {report['falloff']}")
     for assumption in report["assumptions"]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from radiometer.errors import InputError, UsageError
 
 if TYPE_CHECKING:
+    from radiometer.analysis.response.displacement import Displacement
     from radiometer.data import Bracket, Calibration, ResponseCurve
 
 # Enough for a response; larger photographs are read on a lattice for it.
@@ -109,8 +110,12 @@ def with_found_times(bracket: Bracket, curve: ResponseCurve) -> Bracket:
     return type(bracket).from_frames([*frames, *bracket.dark_frames], origin=bracket.origin)
 
 
-def relative_calibration(bracket: Bracket, curve: ResponseCurve | None, camera: Any, lens: Any) -> Calibration:
-    """Return a calibration without a scale: the curve (linear without one) and the noise that the frames show.
+def relative_calibration(
+    bracket: Bracket, curve: ResponseCurve | None, camera: Any, lens: Any
+) -> tuple[Calibration, Displacement | None]:
+    """Return a calibration without a scale and how far the frames are displaced, both as the frames show it.
+
+    The calibration is the curve (linear without one) and the noise; where displacement shows, without what that adds.
 
     Args:
         bracket: The frames.
@@ -118,20 +123,20 @@ def relative_calibration(bracket: Bracket, curve: ResponseCurve | None, camera: 
         camera: Description of the camera.
         lens: Description of the lens.
     """
-    from radiometer.analysis.response.pixel_noise import pixel_noise, sensor_noise
+    from radiometer.analysis.response.pixel_noise import sensor_noise
     from radiometer.data import BlackLevel, Calibration, Scale, SensorNoise
-    from radiometer.errors import MeasurementError
 
     black_dn = bracket.frames[0].settings.black_level_dn or 0.0
-    try:
+    displacement = displacement_of(bracket, curve)
+    if displacement is None:
+        noise = SensorNoise.of(camera)  # too little overlap to tell: typical figures, said to be assumed
+    else:
         line = curve or _straight_line(bracket.bit_depth, black_dn)
-        noise = sensor_noise(pixel_noise(bracket, line), line, black_dn)
+        noise = sensor_noise(displacement.noise, line, black_dn)
         if curve is None:
             # A linear sensor clips at its full well, which the frames do not show below the converter's end.
             noise = replace(noise, full_well_e=_BEYOND_THE_CONVERTER * noise.full_well_e)
-    except MeasurementError:
-        noise = SensorNoise.of(camera)  # too little overlap to tell: typical figures, said to be assumed
-    return Calibration(
+    known = Calibration(
         camera=camera,
         lens=lens,
         scale=Scale(value=1.0, u_rel=0.0, method="relative"),
@@ -139,6 +144,24 @@ def relative_calibration(bracket: Bracket, curve: ResponseCurve | None, camera: 
         noise=noise,
         black_level=BlackLevel(dn=black_dn),
     )
+    return known, displacement
+
+
+def displacement_of(bracket: Bracket, curve: ResponseCurve | None) -> Displacement | None:
+    """Return how far the frames are displaced by parts of a pixel; None where they overlap too little to tell.
+
+    Args:
+        bracket: The frames.
+        curve: Their response; None where they are linear.
+    """
+    from radiometer.analysis.response.displacement import find_displacement
+    from radiometer.errors import MeasurementError
+
+    black_dn = bracket.frames[0].settings.black_level_dn or 0.0
+    try:
+        return find_displacement(bracket, curve or _straight_line(bracket.bit_depth, black_dn))
+    except MeasurementError:
+        return None
 
 
 def _straight_line(bit_depth: int, black_dn: float) -> ResponseCurve:

@@ -7,12 +7,13 @@ import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.merge.defects import repair_defects
+from radiometer.analysis.merge.displaced import MeanDisplacement, excess_scatter, relative_shift, with_shift
 from radiometer.analysis.merge.finish import finish
 from radiometer.analysis.merge.frames import FrameTerms, frame_terms
 from radiometer.analysis.merge.ghosts import find_strays
@@ -53,6 +54,7 @@ def merge(
     *,
     absent: Sequence[NDArray[np.bool_]] = (),
     without_ghosts: bool = False,
+    displacement_px: float = 0.0,
 ) -> RadianceMap:
     """Return radiance in W·sr⁻¹·m⁻² (relative without a calibration) and its standard uncertainty for every pixel.
 
@@ -66,6 +68,7 @@ def merge(
         calibration: The camera's calibration; None gives relative values.
         absent: Of a Bracket: where each light frame shows nothing, shape (height, width) each.
         without_ghosts: Of a Bracket: leave out of every pixel the frames that contradict the others there.
+        displacement_px: Of a Bracket: standard deviation of a frame's displacement along any direction in pixels.
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
@@ -73,10 +76,30 @@ def merge(
     """
     merging = StreamingMerge(camera, lens, calibration)
     if isinstance(frames, Bracket):
-        return merging.merge_bracket(frames, absent, without_ghosts=without_ghosts)
+        return merging.merge_bracket(frames, absent, without_ghosts=without_ghosts, displacement_px=displacement_px)
     for frame in frames:
         merging.add(frame)
     return merging.result()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Excused:
+    """Pixels where displacement explains how the frames disagree.
+
+    Attributes:
+        pixels: Their indices.
+        excess: Their squared scatter over what noise and displacement together make.
+        shift: Relative change by a displacement at every pixel, flat; None where the frames lie in one place.
+    """
+
+    pixels: NDArray[np.intp]
+    excess: NDArray[np.float64]
+    shift: NDArray[np.float32] | None
+
+    @classmethod
+    def none(cls) -> _Excused:
+        """Return no pixels."""
+        return cls(np.empty(0, np.intp), np.empty(0), None)
 
 
 class StreamingMerge:
@@ -150,7 +173,12 @@ class StreamingMerge:
         return sums.first, sums.second, sums.mask
 
     def merge_bracket(
-        self, bracket: Bracket, absent: Sequence[NDArray[np.bool_]] = (), *, without_ghosts: bool = False
+        self,
+        bracket: Bracket,
+        absent: Sequence[NDArray[np.bool_]] = (),
+        *,
+        without_ghosts: bool = False,
+        displacement_px: float = 0.0,
     ) -> RadianceMap:
         """Return the radiance map of a bracket in memory, every pixel's sums made and used up at once.
 
@@ -158,6 +186,7 @@ class StreamingMerge:
             bracket: The frames.
             absent: Where each light frame shows nothing, shape (height, width) each; empty where all show everything.
             without_ghosts: Leave out of every pixel the frames that contradict the others there.
+            displacement_px: Standard deviation of a frame's displacement along any direction in pixels.
 
         Raises:
             MeasurementError: If frames do not belong together.
@@ -170,31 +199,68 @@ class StreamingMerge:
             self._pending.append(self._sample(frame))
         batch, self._pending = self._pending, []
         images = self._merged(batch)
-        if without_ghosts or any(one.any() for one in absent):
-            self._leave_out(batch, images, absent, without_ghosts=without_ghosts)
-        return self._map(images)
+        self._leave_out_absent(batch, images, absent)
+        excused = _Excused.none()
+        if displacement_px:
+            excused = self._excuse(batch, images, absent, displacement_px)
+        if without_ghosts:
+            self._leave_out_strays(batch, images, absent, excused.shift)
+        if displacement_px:
+            shift = self._shift(images, displacement_px)
+            mean = MeanDisplacement.of(merge_tables(self._terms, self._situation.model))
+            with_shift(images[0], images[1], shift, self._factor(0, shift.size), mean)
+            images[1][excused.pixels] *= np.sqrt(np.maximum(excused.excess, 1.0)).astype(np.float32)
+        found = self._map(images)
+        return replace(found, provenance=_with_displacement(found, displacement_px)) if displacement_px else found
 
-    def _leave_out(
+    def _shift(self, images: Images, displacement_px: float) -> NDArray[np.float32]:
+        """Return the relative change that a displacement by one standard deviation makes, flat."""
+        shape = self._known_shape()
+        return relative_shift(images[0].reshape(shape), images[1].reshape(shape), displacement_px).ravel()
+
+    def _excuse(
         self,
         batch: list[MergeSample],
         images: Images,
         absent: Sequence[NDArray[np.bool_]],
-        *,
-        without_ghosts: bool,
-    ) -> None:
-        """Merge pixels anew, in place, without the frames that show nothing there or contradict the others."""
-        mask, shape = images[2], self._known_shape()
+        displacement_px: float,
+    ) -> _Excused:
+        """Take the flag off pixels where displacement explains how the frames disagree."""
+        shift, tables = self._shift(images, displacement_px), merge_tables(self._terms, self._situation.model)
+        doubtful = np.flatnonzero(images[2] & PixelMask.INCONSISTENT)
+        excess = np.empty(doubtful.size)
+        for start in range(0, doubtful.size, _BLOCK_PIXELS):
+            pixels = doubtful[start : start + _BLOCK_PIXELS]
+            rate = images[0][pixels] / self._factor_at(pixels).astype(np.float64)
+            excess[start : start + pixels.size] = excess_scatter(
+                batch, tables, pixels, rate, shift[pixels].astype(np.float64), absent
+            )
+        found = _Excused(doubtful[np.isfinite(excess)], excess[np.isfinite(excess)], shift)
+        images[2][found.pixels] &= ~np.uint8(PixelMask.INCONSISTENT)
+        return found
+
+    def _leave_out_absent(self, batch: list[MergeSample], images: Images, absent: Sequence[NDArray[np.bool_]]) -> None:
+        """Merge pixels anew, in place, without the frames that show nothing there."""
+        mask = images[2]
         if absent:
             bits = np.zeros(mask.size, np.uint64)
             for k, one in enumerate(absent):
                 bits |= one.ravel().astype(np.uint64) << np.uint64(k)
             pixels = np.flatnonzero(bits)
             self._merge_parts(batch, pixels, bits[pixels], images)
-        if not without_ghosts:
-            return
+
+    def _leave_out_strays(
+        self,
+        batch: list[MergeSample],
+        images: Images,
+        absent: Sequence[NDArray[np.bool_]],
+        shift: NDArray[np.float32] | None,
+    ) -> None:
+        """Merge pixels anew, in place, without the frames that contradict the others there."""
+        mask, shape = images[2], self._known_shape()
         tables = merge_tables(self._terms, self._situation.model)
         doubtful = (mask & PixelMask.INCONSISTENT > 0).reshape(shape)
-        strays = find_strays(batch, tables, doubtful, absent)
+        strays = find_strays(batch, tables, doubtful, absent, shift)
         self._merge_parts(batch, strays.pixels, strays.left_out, images)
         mask[strays.pixels] |= np.uint8(PixelMask.MOVED)
         mask[strays.pixels[strays.alone]] |= np.uint8(PixelMask.INCONSISTENT)
@@ -408,6 +474,12 @@ class StreamingMerge:
             ),
             not_in_u=not_in_u,
         )
+
+
+def _with_displacement(found: RadianceMap, displacement_px: float) -> Provenance:
+    """Return where a map comes from, with the displacement of its frames."""
+    parameters = {**found.provenance.parameters, "displacement_px": displacement_px}
+    return replace(found.provenance, parameters=parameters)
 
 
 def _on_all_cores(shape: tuple[int, int], work: Callable[[int, int], None]) -> None:

@@ -47,6 +47,7 @@ def find_strays(
     tables: MergeTables,
     doubtful: NDArray[np.bool_],
     absent: Sequence[NDArray[np.bool_]],
+    shift: NDArray[np.float32] | None = None,
 ) -> Strays:
     """Return which frames to leave out at the pixels where frames contradict each other.
 
@@ -55,6 +56,8 @@ def find_strays(
         tables: As the last step of the merge uses them, for all frames.
         doubtful: Where frames disagree beyond their noise, shape (height, width).
         absent: Where each frame shows nothing, same shape; empty where all show everything.
+        shift: By how much a displacement by one standard deviation changes a frame's value, relative, flat; None
+            where the frames lie in one place.
     """
     shape = doubtful.shape
     bits = np.zeros(doubtful.size, np.uint64)
@@ -64,7 +67,8 @@ def find_strays(
         here = start + np.flatnonzero(doubtful.ravel()[start : start + _CHUNK])
         if here.size:
             gone = np.array([np.zeros(here.size, bool) if one is None else one[here] for one in missing])
-            out, few = _contradicting(samples, tables, here, gone)
+            moved = np.zeros(here.size) if shift is None else shift[here].astype(np.float64)
+            out, few = _contradicting(samples, tables, here, gone, moved)
             alone[here] = few
             for k in range(len(samples)):
                 bits[here[out[k]]] |= np.uint64(1 << k)
@@ -84,23 +88,27 @@ def find_strays(
 
 
 def _contradicting(
-    samples: Sequence[MergeSample], tables: MergeTables, pixels: NDArray[np.intp], gone: NDArray[np.bool_]
+    samples: Sequence[MergeSample],
+    tables: MergeTables,
+    pixels: NDArray[np.intp],
+    gone: NDArray[np.bool_],
+    shift: Array,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which frames contradict the best value of every pixel, (frames, pixels), and whether that stands alone."""
-    x, used, high = _signals(samples, pixels, gone)
+    x, used, high = signals(samples, pixels, gone)
     exposure = tables.frames[:, :1]
     best = np.full(pixels.size, -1.0)
     known = np.zeros(pixels.size)
     rate = np.zeros(pixels.size)
     for j in (int(k) for k in np.flatnonzero(used.any(axis=1))):
         guess = np.maximum(x[j] / exposure[j], 0.0)
-        agree, information = _agreement(tables, guess, x, used, high, of=j)
+        agree, information = _agreement(tables, guess, x, used, high, shift, of=j)
         votes, total = agree.sum(axis=0), np.where(agree & used, information, 0.0).sum(axis=0)
         better = used[j] & ((votes > best) | ((votes == best) & (total > known)))
         mean = np.where(agree & used, information * x / exposure, 0.0).sum(axis=0) / np.maximum(total, 1e-300)
         best, known = np.where(better, votes, best), np.where(better, total, known)
         rate = np.where(better, np.maximum(mean, 0.0), rate)
-    agree, _ = _agreement(tables, rate, x, used, high, of=None)
+    agree, _ = _agreement(tables, rate, x, used, high, shift, of=None)
     expected = rate * exposure
     shows = expected > _AGREE_SIGMA * np.sqrt(tables.variance(expected)[0])
     speaks = (used | high) & ~gone
@@ -111,10 +119,16 @@ def _contradicting(
     return out, (used & agree & shows).sum(axis=0) < 2
 
 
-def _signals(
+def signals(
     samples: Sequence[MergeSample], pixels: NDArray[np.intp], gone: NDArray[np.bool_]
 ) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the signal of every frame at some pixels, whether it is one, and whether it clips."""
+    """Return the signal of every frame at some pixels, whether it is one, and whether it clips.
+
+    Args:
+        samples: The frames.
+        pixels: Indices of the pixels.
+        gone: Which frames show nothing there, shape (frames, pixels).
+    """
     x = np.zeros((len(samples), pixels.size))
     used, high = np.zeros(x.shape, bool), np.zeros(x.shape, bool)
     for k, one in enumerate(samples):
@@ -126,15 +140,21 @@ def _signals(
 
 
 def _agreement(
-    tables: MergeTables, rate: Array, x: Array, used: NDArray[np.bool_], high: NDArray[np.bool_], of: int | None
+    tables: MergeTables,
+    rate: Array,
+    x: Array,
+    used: NDArray[np.bool_],
+    high: NDArray[np.bool_],
+    shift: Array,
+    of: int | None,
 ) -> tuple[NDArray[np.bool_], Array]:
     """Return which frames agree with a rate per pixel (frame `of` by itself says it), and their information on it."""
     exposure, clips_at, sigma_clip = (tables.frames[:, k][:, None] for k in (0, 2, 3))
     expected = rate * exposure
     variance, curve = tables.variance(expected)
-    own = 0.0
+    own = (shift * expected) ** 2
     if of is not None:
-        own = (exposure / exposure[of]) ** 2 * variance[of]
+        own = 2.0 * own + (exposure / exposure[of]) ** 2 * variance[of]
     slack = (float(tables.bounds[2]) + _AGREE_SIGMA * curve) * expected
     gap = np.abs(x - expected)
     agree = used & (gap <= _AGREE_SIGMA * np.sqrt(variance + own) + slack)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -29,6 +30,71 @@ _ROUNDING_DN2: Final = 1.0 / 12.0
 _MOST_ELECTRONS: Final = 1e7
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SinglePixels:
+    """Some thousand pixels evenly over the picture, each with its rows by frame.
+
+    Attributes:
+        samples: One group per pixel.
+        row: Row of the picture of every group, shape (groups,).
+        column: Column of every group.
+        log_h: g at the rows' digital numbers, shape (rows,).
+        slope: g' in 1/DN there.
+    """
+
+    samples: ResponseSamples
+    row: NDArray[np.intp]
+    column: NDArray[np.intp]
+    log_h: Array
+    slope: Array
+
+    @classmethod
+    def of(cls, bracket: Bracket, curve: ResponseCurve) -> SinglePixels:
+        """Return the pixels of a lattice whose step shares no factor with the blocks of JPEG, borders left out.
+
+        Raises:
+            MeasurementError: If hardly a pixel is unclipped in two frames.
+        """
+        rows, columns = _lattice(bracket.shape)
+        dn = np.array([frame.dn[rows[:, None], columns].ravel() for frame in bracket], dtype=np.float64).T
+        samples, pixel = _samples(bracket, curve, dn)
+        g = finite(curve.log_exposure)
+        log_h, slope = value_at(g, samples.dn), slope_at(g, samples.dn, samples)
+        return cls(samples, rows[pixel // columns.size], columns[pixel % columns.size], log_h, slope)
+
+    def noise_terms(self) -> Array:
+        """Return what unit amplitudes of shot, read and digital noise make of the variance, shape (rows, 3)."""
+        return np.column_stack([np.exp(-self.log_h), np.exp(-2.0 * self.log_h), self.slope**2])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TermsFit:
+    """Amplitudes of terms of the variance, fitted to squared residuals.
+
+    Attributes:
+        amplitudes: At or above 0, shape (terms,).
+        information: Weighted normal matrix, shape (terms, terms).
+        score: Each row's part in the normal equations at the solution, shape (rows, terms).
+    """
+
+    amplitudes: Array
+    information: Array
+    score: Array
+
+    def covariance(self, part: NDArray[np.intp]) -> Array:
+        """Return the covariance of the amplitudes from how far parts of the picture are from it.
+
+        Args:
+            part: Which part every row belongs to; residuals within one may be alike in any way.
+
+        Source: K.-Y. Liang, S. L. Zeger 1986, Biometrika 73, 13–22 (the sandwich over clusters).
+        """
+        sums = np.zeros((int(part.max()) + 1, self.amplitudes.size))
+        np.add.at(sums, part, self.score)
+        inverse = np.linalg.pinv(self.information)
+        return np.asarray(inverse @ (sums.T @ sums) @ inverse)
+
+
 def pixel_noise(bracket: Bracket, curve: ResponseCurve) -> LogNoise:
     """Return the noise of one pixel: shot, read, and what arises behind the curve, as the frames themselves show it.
 
@@ -42,17 +108,32 @@ def pixel_noise(bracket: Bracket, curve: ResponseCurve) -> LogNoise:
     Raises:
         MeasurementError: If hardly a pixel is unclipped in two frames.
     """
-    samples = _single_pixels(bracket, curve)
-    g = _finite(curve.log_exposure)
-    log_h, slope = value_at(g, samples.dn), slope_at(g, samples.dn, samples)
-    hat = hat_weight(samples.dn, samples.limits) ** 2 + 1e-6
-    terms = np.column_stack([np.exp(-log_h), np.exp(-2.0 * log_h), slope**2])
-    amplitudes = np.array([0.0, 0.0, 1.0])
-    for _ in range(_ROUNDS):
-        weight = hat / (terms @ amplitudes + _ROUNDING_DN2 * slope**2)
-        residual, share = group_residual(samples, log_h, weight)
-        amplitudes = _amplitudes(residual, _of_residuals(samples, terms, share), amplitudes)
+    pixels = SinglePixels.of(bracket, curve)
+    return log_noise(fit_terms(pixels, pixels.noise_terms()).amplitudes)
+
+
+def log_noise(amplitudes: Array) -> LogNoise:
+    """Return the noise of amplitudes in the order of `SinglePixels.noise_terms`; further ones are left out."""
     return LogNoise(float(amplitudes[0]), float(amplitudes[1]), float(amplitudes[2]), 0.0)
+
+
+def fit_terms(pixels: SinglePixels, terms: Array) -> TermsFit:
+    """Return the amplitudes of terms of the variance of ln H of single pixels.
+
+    Args:
+        pixels: The pixels.
+        terms: What a unit amplitude of each makes of the variance of every row; the third is noise in DN².
+    """
+    samples, rounding = pixels.samples, _ROUNDING_DN2 * pixels.slope**2
+    hat = hat_weight(samples.dn, samples.limits) ** 2 + 1e-6
+    amplitudes = np.zeros(terms.shape[1])
+    amplitudes[2] = 1.0
+    for _ in range(_ROUNDS):
+        weight = hat / (terms @ amplitudes + rounding)
+        residual, share = group_residual(samples, pixels.log_h, weight)
+        fit = _fitted(residual, _of_residuals(samples, terms, share), amplitudes)
+        amplitudes = fit.amplitudes
+    return fit
 
 
 def _of_residuals(samples: ResponseSamples, terms: Array, share: Array) -> Array:
@@ -65,7 +146,7 @@ def _of_residuals(samples: ResponseSamples, terms: Array, share: Array) -> Array
     return np.asarray((1.0 - 2.0 * share)[:, None] * terms + of_mean[samples.group])
 
 
-def _amplitudes(residual: Array, terms: Array, start: Array) -> Array:
+def _fitted(residual: Array, terms: Array, start: Array) -> TermsFit:
     """Return the amplitudes, at or above 0, that make the squared residuals; rounding is known.
 
     Source: Var(r²) = 2σ⁴ for Gaussian residuals, so that 1/σ⁴ weights a regression of r² on its expectation.
@@ -79,7 +160,8 @@ def _amplitudes(residual: Array, terms: Array, start: Array) -> Array:
         weighted = terms / expected[:, None]
         scale = np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)
         found = nnls(weighted / scale, wanted)[0] / scale
-    return np.asarray(found)
+    left = wanted - weighted @ found
+    return TermsFit(np.asarray(found), weighted.T @ weighted, weighted * left[:, None])
 
 
 def sensor_noise(noise: LogNoise, curve: ResponseCurve, black_dn: float = 0.0) -> SensorNoise:
@@ -104,11 +186,26 @@ def sensor_noise(noise: LogNoise, curve: ResponseCurve, black_dn: float = 0.0) -
     )
 
 
-def _single_pixels(bracket: Bracket, curve: ResponseCurve) -> ResponseSamples:
-    """Return one group per pixel, on a lattice whose step shares no factor with the blocks of JPEG."""
-    step = max(1, int(np.sqrt(np.prod(bracket.shape) / _PIXELS)))
+def finite(log_exposure: Array) -> Array:
+    """Return a curve with its ends held where it says nothing.
+
+    Args:
+        log_exposure: g at every digital number; infinite where it says nothing.
+    """
+    known = np.flatnonzero(np.isfinite(log_exposure))
+    return np.interp(np.arange(log_exposure.size), known, log_exposure[known])
+
+
+def _lattice(shape: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return rows and columns of the pixels that stand for all; each has neighbours on all sides."""
+    step = max(1, int(np.sqrt(shape[0] * shape[1] / _PIXELS)))
     step += (step + 1) % 2
-    dn = np.array([frame.dn[step // 2 :: step, step // 2 :: step].ravel() for frame in bracket], dtype=np.float64).T
+    first = max(step // 2, 1)
+    return np.arange(first, shape[0] - 1, step), np.arange(first, shape[1] - 1, step)
+
+
+def _samples(bracket: Bracket, curve: ResponseCurve, dn: Array) -> tuple[ResponseSamples, NDArray[np.intp]]:
+    """Return one group per pixel that two frames show, and which pixel each is; dn of shape (pixels, frames)."""
     low, high = curve.valid_dn or (1, curve.log_exposure.size - 2)
     inside = (dn >= low) & (dn <= high)
     inside &= (inside.sum(axis=1) >= 2)[:, None]
@@ -116,10 +213,11 @@ def _single_pixels(bracket: Bracket, curve: ResponseCurve) -> ResponseSamples:
     if pixel.size < _FEWEST_ROWS:
         raise MeasurementError("hardly a pixel is unclipped in two frames: the noise of the stack cannot be told")
     log_time = np.log(bracket.effective_exposures_s)
-    return ResponseSamples(
+    seen, group = np.unique(pixel, return_inverse=True)
+    samples = ResponseSamples(
         dn=dn[pixel, frame],
         log_time=log_time[frame],
-        group=np.unique(pixel, return_inverse=True)[1].astype(np.intp),
+        group=group.astype(np.intp),
         frame=frame,
         pixels=np.ones(pixel.size),
         variance=np.full(pixel.size, _ROUNDING_DN2),
@@ -130,9 +228,4 @@ def _single_pixels(bracket: Bracket, curve: ResponseCurve) -> ResponseSamples:
         pixel_count=dn.shape[0],
         channel=curve.channel,
     )
-
-
-def _finite(g: Array) -> Array:
-    """Return the curve with its ends held where it says nothing."""
-    known = np.flatnonzero(np.isfinite(g))
-    return np.interp(np.arange(g.size), known, g[known])
+    return samples, seen
