@@ -19,7 +19,10 @@ _ENDS: Final = ("left", "middle", "right"), ("upper", "middle", "lower")
 
 @dataclass(frozen=True, slots=True)
 class Rival:
-    """Another law that the data do not rule out: name, stage, covariates, and how many nats it lies behind."""
+    """Another law that the data do not rule out: name, stage, covariates, and how many nats it lies behind.
+
+    Fewer than none where it lies ahead of one that acts at a plainer stage.
+    """
 
     name: str
     stage: str
@@ -38,7 +41,7 @@ class Proposal:
         nats: Improvement of the held-out log density against the starting camera.
         before: The starting camera as fitted.
         after: The same with the law.
-        rivals: Laws within odds of 150, each further parameter paid for.
+        rivals: Laws within odds of 150, each further parameter and a second factor paid for.
     """
 
     law: Law

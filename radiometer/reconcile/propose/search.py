@@ -7,7 +7,7 @@ would be, and judged as names are. Source of the score: docs/decisions/0011.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any, Final
@@ -85,8 +85,7 @@ def propose_law(state: FitState, say: Say = lambda line: None, along: Collection
     judged = _judged(state, _chosen([*singles, *products]), say)
     if not judged:
         return None
-    judged = sorted(judged, key=lambda entry: (-round(_score(entry)), entry[0].link not in _PLAIN))
-    best = judged[0]
+    best = _plainest(judged)
     if _score(best) < NAMED_NATS:
         return None
     law, fitted, nats = best
@@ -98,8 +97,8 @@ def propose_law(state: FitState, say: Say = lambda line: None, along: Collection
     law = law.with_parameters(effect.values())
     rivals = tuple(
         Rival(other.name, LINKS[other.link].stage, other.covariates, round(_score(best) - _score(entry), 1))
-        for entry in judged[1:]
-        if (other := entry[0]) and _score(best) - _score(entry) < RIVAL_NATS and not _holds(other, law)
+        for entry in sorted(judged, key=lambda entry: -_score(entry))
+        if (other := entry[0]) is not best[0] and _score(best) - _score(entry) < RIVAL_NATS and not _holds(other, law)
     )
     parameters = fitted_parameters(after)[law.name]
     return Proposal(law, float(effect.values()[law.amplitude]), parameters, nats, state, after, rivals)
@@ -168,7 +167,7 @@ def _chosen(entries: Iterable[Screened]) -> list[Screened]:
         near = tuple(other for other in others if other.gain > _NEAR * entry.gain)[:_STARTS]
         entry = replace(entry, others=near)
         alike = [other for other in taken if _formula(other.law) == _formula(entry.law)]
-        if len(alike) <= _OF_A_KIND and entry.score > 0:
+        if (len(alike) <= _OF_A_KIND or entry.law.link in _PLAIN) and entry.score > 0:
             taken.append(entry)
     return taken[:_FITTED]
 
@@ -327,11 +326,19 @@ def _started(entry: Screened) -> CatalogueEffect | None:
     return effect_of(entry.law, round_to(entry.amplitude)) if entry.amplitude else None
 
 
+def _plainest(judged: Sequence[_JudgedLaw]) -> _JudgedLaw:
+    """Return the law of the highest score; of those that the data hardly rule out one of a plain stage."""
+    most = max(_score(entry) for entry in judged)
+    near = [entry for entry in judged if most - _score(entry) < RIVAL_NATS]
+    return min(near, key=lambda entry: (entry[0].link not in _PLAIN, -_score(entry)))
+
+
 def _holds(law: Law, other: Law) -> bool:
     """Tell whether a law is another one times something more."""
     return law.link == other.link and set(_formula(other)) < set(_formula(law))
 
 
 def _score(entry: _JudgedLaw) -> float:
+    """Return the nats of a law less what its parameters cost, and what a second factor does."""
     law, _, nats = entry
-    return nats - PARAMETER_NATS * law.size
+    return nats - PARAMETER_NATS * law.size - NAMED_NATS * (len(law.terms) - 1)

@@ -16,7 +16,9 @@ from radiometer.reconcile.fit.state import first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import reduce_frames
 from radiometer.reconcile.propose import propose_law
-from radiometer.reconcile.propose.effect_file import effect_of
+from radiometer.reconcile.propose.effect_file import Law, effect_of
+from radiometer.reconcile.propose.grammar import Term
+from radiometer.reconcile.propose.search import _plainest
 from radiometer.reconcile.result import FoundEffect
 
 
@@ -135,3 +137,18 @@ def test_the_time_since_the_last_frame_is_told_of_first_and_other_frames(glow):
     one = design.captures[1].frames
     assert first[1] == pytest.approx(stamps[one[0]] - stamps[one[0] - 1])
     assert later[1] == pytest.approx((stamps[one[-1]] - stamps[one[0]]) / (len(one) - 1))
+
+
+def judged(link, nats, *terms):
+    """Return a law of a term for each covariate as it was judged."""
+    return Law(link, tuple(Term("ramp", name, {"reference": 0.5}, {}) for name in terms)), None, nats
+
+
+def test_of_laws_that_data_hardly_rule_out_the_plainer_is_taken():
+    """Within 5 nats the optics go before charge, beyond them they do not; a second factor pays 8 nats more."""
+    assert _plainest([judged("charge_rate", 104.9, "image_x"), judged("optics", 100.0, "image_x")])[0].link == "optics"
+    far = [judged("charge_rate", 105.1, "image_x"), judged("optics", 100.0, "image_x")]
+    assert _plainest(far)[0].link == "charge_rate"
+    one, two_factors = judged("analog", 100.0, "image_x"), judged("analog", 107.9, "image_x", "image_y")
+    assert _plainest([one, two_factors]) is one
+    assert _plainest([one, judged("analog", 108.1, "image_x", "image_y")]) is not one
