@@ -14,6 +14,7 @@ from simulators.effects.surroundings import surroundings_of
 from simulators.effects.tile_moments import TileMoments
 
 _WIDTHS: Final = (0.02, 0.04, 0.08, 0.16, 0.32)  # as fractions of the longer side
+_BEYOND: Final = 0.5  # of the light at the border
 _LITTLE: Final = 0.005  # of the light, at each width
 
 
@@ -21,7 +22,8 @@ _LITTLE: Final = 0.005  # of the light, at each width
 class StrayLightKernel(CatalogueEffect):
     """Spreads a share of the light over a wide Gaussian: E' = (1 − v)·E + v·(E ∗ G_σ).
 
-    With wings of any other form it is a sum of Gaussians of five widths, E' = E + Σ vₖ·(E ∗ Gₖ − E).
+    With wings of any other form it is a sum of Gaussians of five widths, E' = E + Σ vₖ·(E ∗ Gₖ − E). What lies beyond
+    the border is not seen: the picture goes on there as at the border, or at a share of it.
 
     Source: the far tail of a point-spread function; σ a tenth of the picture and more.
     """
@@ -48,12 +50,13 @@ class StrayLightKernel(CatalogueEffect):
         0.05, "1", 0.0, 0.4, source="part of the kernel in the last line before an edge, over the patch's own mean"
     )
     wings: tuple[float, ...] = parameter((), "1", 0.0, 0.5, source="shares of the widths 0.02, 0.04 … 0.32")
+    beyond: float = parameter(1.0, "1", 0.0, 2.0, source="light beyond the border over that at the border")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return irradiance with the scattered light."""
         around, spread = surroundings_of(context), signal * (1.0 - self._lost)
         for share, radius in self._kernels():
-            spread = spread + share * around.spread(signal, radius)
+            spread = spread + share * around.spread(signal, radius, self.beyond)
         return cast(Signal, spread.astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
@@ -61,17 +64,23 @@ class StrayLightKernel(CatalogueEffect):
         return 1.0 - self._lost
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return wings of any form, which start as the Gaussian nearest to this one, and as a little of each width."""
+        """Return wings of any form, which start as the Gaussian nearest to this one, and as a little of each width.
+
+        Of wings that are there the form whose picture goes on otherwise beyond the border.
+        """
         if self.wings:
-            return ()
+            return () if self.beyond != 1.0 else (self.with_parameters(beyond=_BEYOND),)
         nearest = int(np.argmin(np.abs(np.log(np.array(_WIDTHS) / self.radius))))
         near = tuple((0.6 if k == nearest else 0.1) * max(self.share, 0.0) for k in range(len(_WIDTHS)))
         even = (_LITTLE,) * len(_WIDTHS)  # a heavy tail is taken for a Gaussian far narrower than it
         return tuple(self.with_parameters(share=0.0, wings=wings) for wings in (near, even))
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: those of the wings where there are any."""
-        return (*(f"wings[{k}]" for k in range(len(self.wings))), "edge_share") if self.wings else self.fitted
+        """Return the parameters to fit: those of the wings where there are any, and of what lies beyond."""
+        if not self.wings:
+            return self.fitted
+        further = ("beyond",) if self.beyond != 1.0 else ()
+        return (*(f"wings[{k}]" for k in range(len(self.wings))), "edge_share", *further)
 
     def _kernels(self) -> tuple[tuple[float, float], ...]:
         """Return share and width of each kernel."""

@@ -19,8 +19,11 @@ class Surroundings(Protocol):
         """Return the mean over the whole frame."""
         ...
 
-    def spread(self, signal: Signal, radius_fraction: float) -> Signal:
-        """Return the signal spread by a Gaussian whose sigma is a fraction of the frame's longer side."""
+    def spread(self, signal: Signal, radius_fraction: float, beyond: float = 1.0) -> Signal:
+        """Return the signal spread by a Gaussian whose sigma is a fraction of the frame's longer side.
+
+        Beyond the border the picture goes on at a share of what it is at the border.
+        """
         ...
 
     def reflected(self, signal: Signal, radius_fraction: float = 0.0) -> Signal:
@@ -38,13 +41,17 @@ class ImageSurroundings:
         """Return the mean over the whole frame."""
         return self._context.frame_mean(signal)
 
-    def spread(self, signal: Signal, radius_fraction: float) -> Signal:
-        """Return the signal spread by a Gaussian; beyond the border the picture goes on as at the border."""
+    def spread(self, signal: Signal, radius_fraction: float, beyond: float = 1.0) -> Signal:
+        """Return the signal spread by a Gaussian; beyond the border it goes on at a share of what it is there."""
         sigma = radius_fraction * max(signal.shape)
         step = max(1, int(sigma / 4.0))  # a wide Gaussian needs no fine picture
         height, width = signal.shape
         small = cv2.resize(signal, (max(1, width // step), max(1, height // step)), interpolation=cv2.INTER_AREA)
-        soft = cv2.GaussianBlur(small, (0, 0), sigma * small.shape[1] / width, borderType=cv2.BORDER_REPLICATE)
+        coarse = sigma * small.shape[1] / width
+        soft = cv2.GaussianBlur(small, (0, 0), coarse, borderType=cv2.BORDER_REPLICATE)
+        if beyond != 1.0:
+            dark = cv2.GaussianBlur(small, (0, 0), coarse, borderType=cv2.BORDER_CONSTANT)
+            soft = beyond * soft + (1.0 - beyond) * dark
         return cast(Signal, cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR))
 
     def reflected(self, signal: Signal, radius_fraction: float = 0.0) -> Signal:

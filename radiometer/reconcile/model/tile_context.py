@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Final, cast
+from typing import Any, Final, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.pattern_images import PatternImages
 from simulators.effects.context import ExposureContext, FrameGeometry, Signal
 from simulators.undeclared import completed
+
+Border = Literal["nearest", "constant"]  # of a picture: it goes on, or is dark
 
 GAUSS_POINT: Final = 1.0 / math.sqrt(3.0)
 _DENSE: Final = 12  # points per side of a tile where light from elsewhere varies within it
@@ -66,7 +68,7 @@ class PictureSurroundings:
 
     def __init__(self, design: Design, images: PatternImages) -> None:
         self._design, self._images = design, images
-        self._spread: dict[float, Array] = {}
+        self._spread: dict[tuple[float, Border], Array] = {}
         self._tiles = self._sampled([images.picture(p) for p in range(len(design.patterns))])
         self._norm = np.maximum(self._tiles.mean(axis=(1, 2)), 1e-30)
         self._mean = np.array([images.picture(p).mean() for p in range(len(design.patterns))]) / self._norm
@@ -76,13 +78,22 @@ class PictureSurroundings:
         """Return the mean over the whole frame, shape (captures, 1, 1)."""
         return np.asarray(self._level(signal) * self._mean[self._design.pattern_index][:, None, None])
 
-    def spread(self, signal: Signal, radius_fraction: float) -> Signal:
-        """Return the signal at each tile spread over a fraction of the frame's longer side."""
-        key = round(radius_fraction, 6)
+    def spread(self, signal: Signal, radius_fraction: float, beyond: float = 1.0) -> Signal:
+        """Return the signal at each tile spread over a fraction of the frame's longer side.
+
+        Beyond the border the picture goes on at a share of what it is there.
+        """
+        found = self._softened(round(radius_fraction, 6), "nearest")
+        if beyond != 1.0:
+            found = beyond * found + (1.0 - beyond) * self._softened(round(radius_fraction, 6), "constant")
+        return self._relative(signal, found)
+
+    def _softened(self, radius_fraction: float, border: Border) -> Array:
+        key = (radius_fraction, border)
         if key not in self._spread:
-            pictures = [_soft(self._images.picture(p), key) for p in range(len(self._design.patterns))]
+            pictures = [_soft(self._images.picture(p), *key) for p in range(len(self._design.patterns))]
             self._spread[key] = self._smoothed(pictures)
-        return self._relative(signal, self._spread[key])
+        return self._spread[key]
 
     def reflected(self, signal: Signal, radius_fraction: float = 0.0) -> Signal:
         """Return the signal at the point reflected about the optical axis, spread where asked for."""
@@ -282,7 +293,7 @@ def _bilinear(picture: Array, x: Array, y: Array) -> Array:
     return cast(Array, upper * (1 - fy) + lower * fy)
 
 
-def _soft(picture: Array, radius_fraction: float) -> Array:
+def _soft(picture: Array, radius_fraction: float, border: Border = "nearest") -> Array:
     from scipy.ndimage import gaussian_filter
 
-    return cast(Array, gaussian_filter(picture, radius_fraction * max(picture.shape), mode="nearest"))
+    return cast(Array, gaussian_filter(picture, radius_fraction * max(picture.shape), mode=border))

@@ -247,6 +247,30 @@ def test_wings_of_one_width_are_the_kernel() -> None:
     assert wings.free() == (*(f"wings[{k}]" for k in range(5)), "edge_share")
 
 
+@pytest.mark.parametrize("beyond", [1.0, 0.5, 0.0])
+def test_light_beyond_the_border_is_scattered_in(beyond: float) -> None:
+    """Of an even picture a bell brings what lies inside, the normal integral, and its share of what lies beyond."""
+    picture, width_px = np.full((64, 64), 1000.0), 0.08 * 64
+    context = replace(_context(), geometry=FrameGeometry.of_image(64, 64))
+    kernel = StrayLightKernel(share=0.0, wings=(0.0, 0.0, 0.2, 0.0, 0.0), beyond=beyond)
+    scattered = (kernel.mean(picture, context) - 800.0) / 200.0
+    inside = 0.5 * (1.0 + math.erf(0.5 / width_px / math.sqrt(2.0)))  # of the first pixel's bell
+    assert scattered[32, 32] == pytest.approx(1.0, abs=1e-6)
+    assert scattered[32, 0] == pytest.approx(inside + beyond * (1.0 - inside), abs=2e-3)
+    assert scattered[0, 0] == pytest.approx(inside**2 + beyond * (1.0 - inside**2), abs=2e-3)
+
+
+def test_what_lies_beyond_the_border_is_asked_once_the_wings_are_there() -> None:
+    """The bell takes wings first, these the light beyond; then there is no further form."""
+    bell = StrayLightKernel(0.03, 0.08)
+    winged = bell.loosened(_context())
+    assert [form.beyond for form in winged] == [1.0, 1.0]
+    (further,) = winged[0].loosened(_context())
+    assert further.beyond == 0.5
+    assert further.free() == (*(f"wings[{k}]" for k in range(5)), "edge_share", "beyond")
+    assert further.loosened(_context()) == ()
+
+
 def test_a_gain_error_says_what_was_stated_and_what_the_noise_tells() -> None:
     """2.06 e-/DN, with 6.64 ± 0.17 % more DN for each electron, are 1.932 ± 0.0031; unknown figures tell nothing."""
     camera = CameraDescription(bit_depth=16, conversion_gain_e_per_dn=2.06)
