@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks._photograph_sets import RealStack
+from benchmarks._photograph_sets import HIGHEST_DN, LOWEST_DN, RealStack
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import gather_samples
@@ -20,6 +20,9 @@ _PLANTED_STOPS = (1 / 3, -1 / 3, 1 / 2, -1 / 2, 2 / 3)
 _LIES = 3
 # Frames that hold fewer rows than this part of the median say too little to plant a lie in.
 _LEAST_ROWS = 0.25
+# Two or three frames and an unknown curve have no label that could be told: a lie needs four frames that show
+# something, this part of the pixels of one colour between 5 and 95 % of the scale.
+_LEAST_SHOWN, _FEWEST_SHOWING = 0.01, 4
 # Labels of this camera are wrong by themselves: its stacks are neither clean nor fit for planting.
 _REALLY_WRONG = "CanonPowerShotG9"
 
@@ -32,6 +35,7 @@ class Labels:
     accused: list[str] = field(default_factory=list)
     scenes: int = 0
     scenes_accused: list[str] = field(default_factory=list)
+    dark: list[str] = field(default_factory=list)
     planted: int = 0
     missed: list[str] = field(default_factory=list)
     others: list[str] = field(default_factory=list)
@@ -54,6 +58,9 @@ class Labels:
             self.accused += [f"{name} plane {number}"] if find_wrong_labels([plane]) else []
         self.scenes += 1
         self.scenes_accused += [name] if together else []
+        if _showing(brackets) < _FEWEST_SHOWING:
+            self.dark += [name]
+            return
         rng = np.random.default_rng(self.scenes)
         frames = len(brackets[0])
         rows = np.sum([np.bincount(plane.samples.frame, minlength=frames) for _, plane in known], axis=0)
@@ -80,8 +87,9 @@ class Labels:
             f"**Wrong labels** (no stack of fewer than four frames; the colours of a scene, or the four planes of a "
             f"mosaic, are judged together). Clean planes by themselves: {self.clean}, of which with a label named "
             f"wrongly: {len(self.accused)}{_names(self.accused)}; clean scenes: {self.scenes}, "
-            f"{len(self.scenes_accused)}{_names(self.scenes_accused)}. {_LIES} times in every scene one label made "
-            f"wrong by a third of a stop to two thirds: {found} of {self.planted} found "
+            f"{len(self.scenes_accused)}{_names(self.scenes_accused)}. {_LIES} times in every scene of which four "
+            f"frames or more show anything (not: {', '.join(self.dark) or 'none'}) one label made wrong by a third of "
+            f"a stop to two thirds: {found} of {self.planted} found "
             f"(missed{_names(self.missed) or ': none'}); another named beside or instead: {len(self.others)}"
             f"{_names(self.others)}. The G9's last frame really has 0.833 (i1) and 0.823 (i2, where the third is some "
             f"7 % short too): {'. '.join(self.really)}."
@@ -91,6 +99,14 @@ class Labels:
 def _told(label: WrongLabel) -> str:
     rivals = "".join(f", or frame {frame} {ratio:.3f}" for frame, ratio in label.rivals)
     return f"frame {label.frame} has {label.ratio:.3f} ± {label.u_ratio:.3f}{rivals}"
+
+
+def _showing(brackets: Sequence[Bracket]) -> int:
+    """Return how many frames show something in one of the colours."""
+    shown = np.zeros(len(brackets[0]), bool)
+    for bracket in brackets:
+        shown |= [np.mean((f.dn >= LOWEST_DN) & (f.dn <= HIGHEST_DN)) >= _LEAST_SHOWN for f in bracket]
+    return int(shown.sum())
 
 
 def _planes(stack: RealStack) -> list[Bracket]:

@@ -74,12 +74,13 @@ def find_wrong_labels(planes: Sequence[Plane]) -> tuple[WrongLabel, ...]:
 
     One label after the other is freed, the same for all planes. It stays freed where in every quadrant of the picture,
     left out of the fit, its frame is predicted better by the others, by a factor in all, and the other frames no worse;
-    most labels must be right, or a flat curve with exposures of its own fits best.
+    most labels must be right, or a flat curve with exposures of its own fits best. Frames that show next to nothing do
+    not count: of fewer than four that show something no label can be told.
 
     Args:
         planes: Colours of the same photographs, in the same order of frames; those without quadrants say nothing.
     """
-    frames = planes[0].samples.frame_log_time.size
+    frames = int(np.sum(_rows_of_frames(planes) >= _FEWEST_ROWS))
     most = max((frames - 1) // 3, 1) if frames > 3 else 0
     settled = [pair for one in planes for pair in _settled(one)] if most else []
     if not settled:
@@ -131,10 +132,16 @@ class _Tried:
         return float(self.joint.log_ratios[place]), float(np.hypot(np.sqrt(of_places), self.joint.u_log_ratios[place]))
 
 
+def _rows_of_frames(planes: Sequence[Plane]) -> NDArray[np.intp]:
+    """Return how many rows of each frame the plane holds that shows most of it."""
+    frames = planes[0].samples.frame_log_time.size
+    return np.asarray(np.max([np.bincount(plane.samples.frame, minlength=frames) for plane in planes], axis=0))
+
+
 def _candidates(planes: Sequence[Plane], freed: tuple[int, ...]) -> list[int]:
     """Return the frames whose freed labels leave the least error within the fit, best first."""
     frames = planes[0].samples.frame_log_time.size
-    rows = np.max([np.bincount(plane.samples.frame, minlength=frames) for plane in planes], axis=0)
+    rows = _rows_of_frames(planes)
     errors = {}
     for frame in range(frames):
         if rows[frame] < _FEWEST_ROWS or frame in freed:
