@@ -153,17 +153,19 @@ def fit_response(
     expected = np.array(known or [UNKNOWN_LABEL] * len(free)).reshape(-1, 2)
     modes = np.hstack([labels, time_error_modes(samples.frame_log_time)])
 
-    def problem(spread: float) -> _Problem:
-        patterns = modes if spread else labels
+    def equations(patterns: Array) -> NormalEquations:
         columns = [design, sp.csr_array(-patterns[samples.frame])] if patterns.shape[1] else [design]
-        normal = eliminate_groups(
+        return eliminate_groups(
             sp.csr_array(sp.hstack(columns, format="csr")), samples.log_time, 1.0 / variance, samples.group
         )
+
+    def problem(normal: NormalEquations, patterns: Array, spread: float) -> _Problem:
         return _Problem.of(normal, basis, samples, patterns, expected, spread, smoothings)
 
-    chosen = problem(0.0) if 0.0 in spreads else None
+    chosen = problem(equations(labels), labels, 0.0) if 0.0 in spreads else None
     if any(spreads):
-        freest = min((problem(spread) for spread in spreads if spread), key=lambda one: one.deviance)
+        with_times = equations(modes)
+        freest = min((problem(with_times, modes, one) for one in spreads if one), key=lambda one: one.deviance)
         if chosen is None or freest.deviance < chosen.deviance - _CALLS_FOR_TIME_ERRORS:
             chosen = freest
     if chosen is None or not np.isfinite(chosen.deviance):

@@ -64,15 +64,18 @@ def eliminate_groups(design: sp.csr_array, target: Array, weight: Array, group: 
     """
     starts = np.flatnonzero(np.diff(group, prepend=-1))
     total = np.add.reduceat(weight, starts)
-    dense = design.toarray()
-    mean_design = np.add.reduceat(dense * weight[:, None], starts, axis=0) / total[:, None]
+    # A row has few entries and a group few rows: sums over groups are made while the design is sparse.
+    over_group = sp.csr_array((weight, np.arange(target.size), np.append(starts, target.size)))
+    mean_design = (over_group @ design).toarray() / total[:, None]
     mean_target = np.add.reduceat(target * weight, starts) / total
-    centred = dense - mean_design[group]
+    centred = design.toarray()
+    centred -= mean_design[group]
     centred_target = target - mean_target[group]
-    weighted = centred * weight[:, None]
+    root = np.sqrt(weight)
+    scaled = centred * root[:, None]
     return NormalEquations(
-        matrix=weighted.T @ centred,
-        right=weighted.T @ centred_target,
+        matrix=scaled.T @ scaled,
+        right=scaled.T @ (root * centred_target),
         square=float(weight @ centred_target**2),
         freedom=int(target.size - starts.size),
         centred=centred,
