@@ -177,3 +177,17 @@ def test_command_writes_json_page_and_csv(tmp_path, capsys):
     assert report["estimates"]["break_min"]["value"] == pytest.approx(9.0, abs=0.6)
     assert "Rod–cone break" in page.read_text(encoding="utf-8")
     assert table.read_text().splitlines()[0] == "time_min,log10_threshold,fitted,residual,weight"
+
+
+def test_a_doubtful_stimulus_moves_the_time_of_the_criterion_by_its_share_of_the_slope():
+    """0.05 log10 units at 0.24 per min are 0.21 min, beside what the thresholds leave open; the break stays."""
+    thresholds = series(0.03)
+    times, breaks = [], []
+    for u_log10 in (0.0, 0.05):
+        request = FitRequest(criterion=-3.0, stimulus_u_log10=u_log10, bootstrap_draws=20)
+        found = fit_adaptation(thresholds, request, np.random.default_rng(2)).estimates
+        times.append(found["criterion_min"].bootstrap)
+        breaks.append(found["break_min"].bootstrap)
+    own, widened = (0.5 * (one.high - one.low) for one in times)
+    assert np.sqrt(widened**2 - own**2) == pytest.approx(1.96 * 0.05 / 0.24, rel=0.05)
+    assert breaks[0] == breaks[1]

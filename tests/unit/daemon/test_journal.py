@@ -163,13 +163,14 @@ def test_retention_deletes_the_oldest_and_keeps_the_numbers(tmp_path: Path, make
         assert [reading.sequence for reading in journal.append([make_reading()])] == [12]
 
 
-def test_a_hole_is_found_on_opening(tmp_path: Path, make_reading: Make) -> None:
-    """A journal that was tampered with is refused."""
+@pytest.mark.parametrize("gone", [2, 3])
+def test_a_hole_is_found_on_opening(tmp_path: Path, make_reading: Make, gone: int) -> None:
+    """A journal that was tampered with is refused, also where the newest readings are missing."""
     path = tmp_path / "j.sqlite"
     with Journal(path) as journal:
         journal.append([make_reading()] * 3)
     with sqlite3.connect(path) as other:
-        other.execute("DELETE FROM readings WHERE sequence = 2")
+        other.execute("DELETE FROM readings WHERE sequence = ?", (gone,))
     other.close()
     with pytest.raises(OutputError, match="damaged"):
         Journal(path).open()

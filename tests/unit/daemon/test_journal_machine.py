@@ -219,6 +219,27 @@ async def test_what_cannot_be_deleted_is_an_alarm(tmp_path, make_reading, monkey
     await writer.close()
 
 
+async def test_a_patch_that_changes_while_it_is_written_is_written_again(tmp_path, monkeypatch):
+    """What a client asks for during the writing of what it asked for before is not lost."""
+    journal = Journal(tmp_path / "j.sqlite")
+    writer = JournalWriter(journal, Alarms(lambda *_: None), lambda *_: None)
+    await writer.open()
+    real, written = journal.keep_patch, []
+
+    def slow(name, line):
+        if not written:
+            writer._kept_patches[name] = "second"
+        written.append(line)
+        real(name, line)
+
+    monkeypatch.setattr(journal, "keep_patch", slow)
+    writer.keep_patch("lamp", "first")
+    await writer._commit_batch()
+    assert written == ["first", "second"]
+    assert await writer.patches() == {"lamp": "second"}
+    await writer.close()
+
+
 def test_deletion_in_chunks_deletes_all_that_is_old(tmp_path, make_reading, monkeypatch):
     """More than one chunk goes in one call, events too, and of the trend whole old minutes."""
     monkeypatch.setattr(journal_module, "_RETENTION_CHUNK", 3)

@@ -58,6 +58,14 @@ def test_thermal_limit_of_a_one_second_exposure():
     assert hazard_fractions(source, 1e6, 1.0).thermal == pytest.approx(1.0, rel=1e-6)
 
 
+@pytest.mark.parametrize(("bright_s", "smallest_rad"), [(1e-3, 1.7e-3), (0.25, 1.7e-3), (1.0, 3.4e-3), (20.0, 0.011)])
+def test_a_point_counts_as_wide_as_the_eye_smears_it(bright_s, smallest_rad):
+    """4.3.5: 1.7 mrad up to 0.25 s, growing by the root of the time, 11 mrad from 10 s on."""
+    point = ChannelOptics(600.0, 1.0, math.degrees(1e-4), 1.0)
+    limit = 50_000.0 / (smallest_rad * min(bright_s, 10.0) ** 0.25)
+    assert hazard_fractions(point, limit, bright_s).thermal == pytest.approx(1.0, rel=1e-6)
+
+
 def test_thermal_angle_is_capped_at_100_mrad():
     """A wider source than 100 mrad counts as 100 mrad."""
     wide, cap = (ChannelOptics(600.0, 1.0, math.degrees(alpha), 1.0) for alpha in (0.8, 0.1))

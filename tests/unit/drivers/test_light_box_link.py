@@ -114,3 +114,35 @@ def test_a_press_long_after_the_last_comparison_follows_the_drift():
     assert time_s == pytest.approx(150.0, abs=4 * u_s)
     assert u_s < 0.005
     assert clock.estimate().drift_ppm == pytest.approx(1000.0, rel=0.01)
+
+
+def test_right_after_one_comparison_only_the_resonator_is_known():
+    """0.5 % of 100 s are 0.5 s, of 1000 s 5 s: the doubt of the rate grows with the time since."""
+    clock = BoxClock()
+    clock.add(ClockSample(1.0, 1.0, 1.0, 1.0))
+    assert [clock.host_time_s(1.0 + away_s)[1] for away_s in (100.0, 1000.0)] == pytest.approx([0.5, 5.0], rel=1e-4)
+
+
+def test_a_box_that_boots_again_has_ended_the_session():
+    """Its numbers start again: before the first comparison that is how it greets, after it the light is gone."""
+    for known, ends in ((False, False), (True, True)):
+        line, link = link_of(("=SS OK",))
+        if known:
+            link.inbox.start_after(4)
+        line.waiting.append(sealed("!00 BO P 0.004"))
+        link.listen(0.1)
+        if ends:
+            with pytest.raises(DeviceLost, match="has restarted; every channel is dark, reopen it"):
+                link.request("ST")
+        else:
+            assert link.request("ST") == ()
+
+
+def test_an_event_that_the_box_no_longer_has_holds_back_none_after_it():
+    """Of events 5 and 6 the box has forgotten the first: the second is handed out, one is counted as lost."""
+    line, link = link_of(("=SS OK 1.000 1.100 06",), ("=SS ER 11",), ("=SS OK BT D 12.345",))
+    link.inbox.start_after(4)
+    link.compare_clocks()
+    assert [(event.number, event.kind, event.argument) for event in link.take_events()] == [(6, "BT", "D")]
+    assert link.inbox.lost == 1
+    assert [words.split("*")[0][4:] for words in line.sent] == ["TM", "EV 05", "EV 06"]

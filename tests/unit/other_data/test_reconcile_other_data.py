@@ -137,6 +137,7 @@ def test_one_of_four_labels_may_lie() -> None:
     assert effect.parameters["ratio"].value == pytest.approx(0.8, abs=0.03)
 
 
+@pytest.mark.slow
 def test_report_of_photographs_tells_the_story(tmp_path: Path) -> None:
     """One sentence with the factor and its U, both plots, what to do, and the others' exposures beside their labels."""
     real = [EXACT[6], EXACT[5], EXACT[4], EXACT[4] * 1.6, EXACT[3] * 2.0]

@@ -50,6 +50,7 @@ def test_no_law_is_free_where_nothing_varies(late: FitState) -> None:
     assert {form.axes for form in free_forms(late, AngleDependence(0.1))} == {("field_radius",)}
 
 
+@pytest.mark.slow
 def test_one_name_by_its_own_law_replaces_nothing_at_all(late: FitState) -> None:
     """Of two entries the exposure's error predicts best by a curve that is three times as high at the end."""
     found = by_a_free_law(late, late, [ExposureTimeOffset(8e-6), GammaEnabled(1.001)])

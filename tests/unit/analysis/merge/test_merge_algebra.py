@@ -211,6 +211,16 @@ def test_white_and_black_behind_a_curve_are_told_apart():
         ]  # fmt: skip
 
 
+def test_what_no_frame_shows_is_as_doubtful_as_large():
+    """Clipped everywhere it is at least the end of the curve, black everywhere at most its first number, u as large."""
+    camera, calibration = behind_a_curve()
+    found = merge([Frame(np.array([[255, 0, 250, 5]], np.uint8), 8, FrameSettings(1.0))] * 2, camera, LENS, calibration)
+    white, black, high, low = found.radiance[0]
+    assert white > high > low > black > 0.0
+    assert found.u_radiance[0, :2] == pytest.approx([white, black], rel=1e-6)
+    assert white == pytest.approx(FULL * (254.5 / FULL) ** 2.2, rel=0.01)
+
+
 def test_a_frame_that_clips_near_its_end_raises_the_value():
     """Beside a frame just below clipping at 1 s, one that clips at 1.05 s says "at least so much", never less."""
     lone = merge([frame(3900)], CAMERA, LENS, CALIBRATION).radiance[0, 0]

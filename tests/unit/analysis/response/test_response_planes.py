@@ -236,6 +236,7 @@ def test_colours_together_tell_one_label(lying: list[Plane]) -> None:
     assert [one.fit.time_modes[0] for one in joint.fits] == pytest.approx([weighted] * 2, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_colours_with_right_labels_name_none_and_a_dark_one_says_nothing(lying: list[Plane]) -> None:
     """Right labels are left alone; a colour without quadrants neither helps nor hinders."""
     assert find_wrong_labels(planes_of(None)) == ()
@@ -263,6 +264,7 @@ def test_quadrants_of_one_plane_are_judged_as_before(lying: list[Plane]) -> None
     assert errors_of_quadrants([plane], parts)[0] == pytest.approx(error_of_quadrants(plane.samples, fitted))
 
 
+@pytest.mark.slow
 def test_estimates_of_colours_take_the_label_found_together(lying: list[Plane]) -> None:
     """Each colour's curve comes with the same wrong label, and with the exposure that all of them tell."""
     estimates = solve_colours_auto([plane.samples for plane in lying])

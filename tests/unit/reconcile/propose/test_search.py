@@ -122,6 +122,7 @@ def test_what_a_rest_does_to_the_black_level_is_seen(tmp_path):
     assert abs(tau.value - session.secret.drawn["tau_s"]) < 4.0 * tau.u
 
 
+@pytest.mark.slow
 def test_nothing_is_proposed_where_nothing_is_hidden(tmp_path):
     """Of two thousand laws one always fits best; beyond chance is none."""
     state, _ = state_of(tmp_path / "set", 13, None, "bracket")
