@@ -141,6 +141,11 @@ def preload() -> None:
 
 def passes(tests: tuple[str, ...], copy: Path, environment: dict[str, str] | None = None) -> bool:
     """Tell whether the fast tests among some pass in a copy; what takes longer than `SECONDS` does not."""
+    return code_of(tests, copy, environment) == 0
+
+
+def code_of(tests: tuple[str, ...], copy: Path, environment: dict[str, str] | None = None) -> int | None:
+    """Return how pytest ended for the fast tests among some in a copy; None after `SECONDS`."""
     child = os.fork()
     if child == 0:
         code = 3
@@ -149,10 +154,7 @@ def passes(tests: tuple[str, ...], copy: Path, environment: dict[str, str] | Non
             code = run_tests(tests, copy, environment or {})
         finally:
             os._exit(code)
-    code = ended(child)
-    if code in (4, 5):  # misused, or nothing collected: the list is wrong
-        raise RuntimeError(f"pytest ended with {code} for {' '.join(tests)}")
-    return code == 0
+    return ended(child)
 
 
 def run_tests(tests: tuple[str, ...], copy: Path, environment: dict[str, str]) -> int:
@@ -202,8 +204,8 @@ def run_share(share: list[Mutant]) -> list[Outcome]:
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy = copied_sources(Path(folder))
         for tests in {mutant.tests for mutant in share}:
-            if not passes(tests, copy):
-                raise RuntimeError(f"the tests fail without any mutant: {' '.join(tests)}")
+            if (code := code_of(tests, copy)) != 0:  # 4 or 5: misused, or nothing collected
+                raise RuntimeError(f"pytest ends with {code} without any mutant: {' '.join(tests)}")
         outcomes = []
         for mutant in share:
             outcomes.append(fate_of(mutant, copy))

@@ -23,6 +23,7 @@ from radiometer.errors import (
     MissingLibrary,
     SettingOutOfRange,
 )
+from tests.patience import within
 
 TIMES = KeeperTimes(first_pause_s=0.1, longest_pause_s=0.75, check_every_s=0.02, overdue_s=50.0)
 
@@ -120,6 +121,31 @@ async def test_a_device_that_is_not_there_is_closed_again_and_an_alarm() -> None
     bench.device.there = True
     assert await bench.keeper.open_once()
     assert (bench.alarm, bench.keeper.losses, bench.opened) == ("", 1, 1)
+    await bench.keeper.close()
+
+
+async def test_a_loss_is_acted_on_at_once() -> None:
+    """With questions an hour apart, a device that a call loses is opened again without waiting for the next."""
+    bench = Bench(Device(), KeeperTimes(first_pause_s=0.1, longest_pause_s=0.75, check_every_s=3600.0, overdue_s=50.0))
+    async with running(bench), asyncio.timeout(within(20.0)):
+        while not bench.keeper.is_ready:
+            await asyncio.sleep(0.001)
+        await asyncio.sleep(0.001)  # the loop waits for its next question by now
+        with pytest.raises(DeviceLost):
+            await bench.keeper.use(bench.device.work, DeviceLost("unplugged"))
+        while bench.opened < 2:
+            await asyncio.sleep(0.001)
+        assert bench.device.calls == ["open", "check", "work", "open", "check"]
+
+
+async def test_the_alarm_names_the_call_that_is_late_and_no_later_one() -> None:
+    """The first call that does not come back is what is wrong; what waits behind it is late for its sake."""
+    bench = Bench(Device())
+    assert await bench.keeper.open_once()
+    bench.keeper._call_late("work", 3.0)
+    bench.keeper._call_late("check", 9.0)
+    assert bench.keeper.state is DeviceState.OVERDUE
+    assert bench.alarm == "camera has not answered 'work' for 3.0 s"
     await bench.keeper.close()
 
 

@@ -347,3 +347,18 @@ async def test_masks_are_given_back(station: Any, mask: int) -> None:
         assert session.execute(f"STAT:{name}:ENAB {mask};ENAB?") == str(mask)
     assert session.execute("STAT:PRES;:STAT:OPER:ENAB?;:STAT:QUES:ENAB?") == "0;0"
     assert session.execute("*ESE 256;*ESE?") == str(mask)
+
+
+@pytest.mark.parametrize("text", ['SYST:ERR"x"', "A:B#11x", "*CLS(1)", "*IDN?,1"])
+def test_a_header_and_its_argument_are_parted(text):
+    """Without a space between them it is an invalid separator (-103), not an argument."""
+    units, error = split_message(text)
+    assert units == ()
+    assert error.entry.startswith("-103,")
+
+
+def test_what_stands_before_a_mistake_is_still_there():
+    """IEEE 488.2, 6.1.6.1.1: what was read before the error is carried out."""
+    units, error = split_message("SENS:GAIN 3; *CLS ;@")
+    assert [unit.header for unit in units] == ["SENS:GAIN", "*CLS"]
+    assert error.entry.startswith("-101,")

@@ -15,6 +15,8 @@ TABLE = {
     5: "field 0 1024 1953 65535 60000 70500000 118",
 }
 
+LINE_BYTES = 64  # of a request without its line end, as docs/light-box-protocol.md says
+
 
 def bucket(box, channel):
     return int(box.ask(f"RB {channel}").split()[-1])
@@ -312,3 +314,41 @@ def test_bounces_are_one_press_and_a_late_change_is_seen(power):
     box.contact(closed=False)
     box.run(8)
     assert [line.split()[2] for line in box.take().splitlines()] == [b"D", b"U"]
+
+
+@pytest.mark.parametrize("bright_ms", [1, 2, 250])
+def test_a_pulse_is_as_long_as_asked_to_the_millisecond(power, bright_ms):
+    """Bright until the last of its milliseconds, dark with it; blinks likewise, bright and dark."""
+    box = power()
+    box.ask("HI 2")
+    for words, dark_ms in ((f"PU 1 L 60000 {bright_ms}", 0), (f"BL 1 L 60000 {bright_ms} 3 2", 3)):
+        box.ask(words)
+        for wait_ms in [bright_ms] if not dark_ms else [bright_ms, dark_ms, bright_ms]:
+            before = box.duties()[1]
+            box.run(wait_ms - 1)
+            assert box.duties()[1] == before
+            box.run(1)
+            assert (box.duties()[1] == 0.0) is (before > 0.0)
+
+
+def test_a_ramp_takes_each_step_when_it_is_whole(power):
+    """From 0 to 500 in 1 s the level is half the time in ms, rounded down; so it is on the way back, rounded up."""
+    box = power()
+    box.ask("HI 2")
+    box.ask("RA 1 L 500 1000")
+    for ms in range(1, 6):
+        box.run(1)
+        assert box.ask("RB 1").split()[3] == str(ms // 2)
+
+
+def test_a_line_that_is_too_long_is_none_though_its_beginning_is_whole(power):
+    """64 characters are read, and refused for what they say; with one more they are no request at all."""
+    box = power()
+    box.ask("HI 2")
+    body = "#01 SL 1 L " + "7".rjust(LINE_BYTES - 9 - 11, "0")
+    line = f"{body}*{crc32(body.encode()):08X}".encode()
+    assert len(line) == LINE_BYTES
+    for more, answer in ((b"", b"=01 ER 03*"), (b"x", b"=-- ER 01*")):
+        box.take()
+        box.send(line + more + b"\n")
+        assert box.take().startswith(answer)

@@ -69,8 +69,21 @@ def test_entries_that_do_not_count_are_no_part_of_a_rest() -> None:
     state.comparison.usable["mean"][1, 1] = False
     found = size_of_rest(state, "mean")
     assert found["rms_e"].value == pytest.approx(np.sqrt((9 + 16 + 9) / 3))
+    assert found["rms_rel"].value == pytest.approx(np.sqrt((0.02**2 + 0.03**2) / 2))
     (noise,) = size_of_rest(state, "variance").values()
     assert (noise.value, noise.unit) == (pytest.approx(0.3), "1")
+
+
+def test_without_a_term_a_rest_is_what_exceeds_its_uncertainties() -> None:
+    """χ² of 9 + 16 + 36 + 64 where 4 are expected: all residuals by √(1 − 4/125); nothing where 125 are."""
+    state = fitted(terms=(), data_residual=np.array([3.0, 4.0, 6.0, 8.0, 0.0]))
+    whole = size_of_rest(fitted(), "mean")["rms_dn"].value
+    for expected, share in ((4, 1.0 - 4.0 / 125.0), (200, None)):
+        state.comparison.degrees = lambda _, expected=expected: expected
+        found = size_of_rest(state, "mean")
+        assert [one.value for name, one in found.items() if name == "rms_dn"] == (
+            [] if share is None else [pytest.approx(whole * np.sqrt(share))]
+        )
 
 
 def test_a_rest_in_the_dark_is_no_share_of_the_light() -> None:

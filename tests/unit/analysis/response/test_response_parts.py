@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,10 +11,11 @@ from radiometer.analysis.response.curves import rising
 from radiometer.analysis.response.effective import places_as_one, tones_as_one
 from radiometer.analysis.response.jackknife import jackknife_u
 from radiometer.analysis.response.left_out import prediction_error_dn
-from radiometer.analysis.response.limits import find_limits
+from radiometer.analysis.response.limits import ValueLimits, find_limits
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise
 from radiometer.analysis.response.noise_shift import mean_exposure_dn
 from radiometer.analysis.response.samples import gather_samples
+from radiometer.analysis.response.weights import row_variance
 from radiometer.data import Bracket, Frame, FrameSettings
 
 
@@ -169,3 +172,15 @@ def test_levelling_listens_to_what_is_known():
     level = rising(g, u, (0, 7))
     assert np.all(np.diff(level) >= 0)
     assert np.max(np.abs(level - g)[[0, 1, 2, 3, 5, 6, 7]]) < 0.01
+
+
+def test_rows_near_black_and_saturation_fade_by_the_square_of_their_distance():
+    """At a half and a quarter of 5 % of the range a row counts for a quarter and a sixteenth; in the middle in full."""
+    dn = np.array([500.0, 50.0, 25.0, 12.5, 975.0, 0.0])
+    samples = SimpleNamespace(
+        limits=ValueLimits(0, 1000), pixels=np.ones(dn.size), frame_log_time=np.log([1.0, 2.0, 4.0])
+    )
+    noise = SimpleNamespace(variance=lambda log_exposure, slope, pixels: np.full(dn.size, 0.01))
+    curve = np.log(np.maximum(np.arange(1001.0), 0.5))
+    found = row_variance(samples, dn, curve, noise)
+    assert found / 0.01 == pytest.approx([1.0, 1.0, 4.0, 16.0, 4.0, 1e6], rel=1e-5)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from radiometer.analysis.signal.dark import UNKNOWN_DARK_E_PER_S, dark_levels, dark_u
-from radiometer.analysis.signal.lens import lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.lens import known_f_number, lens_factor_sr, relative_sensitivity
 from radiometer.analysis.signal.model import signal_model
 from radiometer.data import (
     BlackLevel,
@@ -173,3 +173,23 @@ def test_natural_fall_off_is_the_fourth_power_of_the_cosine(x, y):
     assert found == pytest.approx(math.cos(math.atan(away_mm / 8.0)) ** 4, rel=1e-9)
     shifted = LensDescription(focal_length_mm=8.0, principal_point_px=(float(x), float(y)))
     assert float(relative_sensitivity(camera, shifted, None, (480, 640), x, y)) == 1.0
+
+
+@pytest.mark.parametrize(("exposure_s", "gain_db"), [(0.01, 0.0), (10.0, 0.0), (10.0, 20.0)])
+def test_masked_pixels_are_doubted_by_half_a_number_and_a_tenth_of_the_dark_signal(exposure_s, gain_db):
+    """50 e⁻/s over 2 e⁻/DN: 25 DN/s; 0.29 DN (before the gain) and 10 % of it add in squares."""
+    settings = FrameSettings(exposure_s, gain_db)
+    (level,) = dark_levels([settings], [], LINEAR, BlackLevel(dn=BLACK, u_dn=1.0), masked_dn=[130.0])
+    gain = 10.0 ** (gain_db / 20.0)
+    assert level.signal == pytest.approx(30.0 / gain)
+    assert level.u_common == pytest.approx(math.hypot(0.29 / gain, 0.1 * 25.0 * exposure_s))
+    assert (level.u_independent, level.source) == (0.0, "masked pixels")
+
+
+@pytest.mark.parametrize(
+    ("of_frame", "of_lens", "found"), [(2.8, 8.0, 2.8), (None, 8.0, 8.0), (2.8, None, 2.8), (None, None, None)]
+)
+def test_the_f_number_of_a_frame_goes_before_that_of_the_lens(of_frame, of_lens, found):
+    """The camera tells the one in force; the lens's is what the bench was told once."""
+    settings = FrameSettings(0.01, f_number=of_frame)
+    assert known_f_number(None, settings, LensDescription(f_number=of_lens)) == found
