@@ -2,8 +2,9 @@
 
 A search can only say names that it knows. Where its names leave something, are several, or are doubted, the hypothesis
 that the cause is another one is asked too: names that one law outdoes by far are none. A single name that leaves
-nothing is held to the laws along its own covariate: where one of them predicts better, the name is provisional. A name
-by another equation than the catalogue's is not meant: it brings most of what any law along its covariate brings.
+nothing is held to the laws along its own covariate: where one of them predicts better, the name is provisional, or
+none where it brings far less. A name by another equation than the catalogue's is not meant: it brings most of what any
+law along its covariate brings.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import replace
 from typing import Final
 
 from radiometer.reconcile.fit.covariance import scatter_of
+from radiometer.reconcile.propose.grammar import PLACES
 from radiometer.reconcile.propose.proposal import Proposal
 from radiometer.reconcile.propose.search import propose_law
 from radiometer.reconcile.search.free_laws import worth
@@ -41,13 +43,15 @@ def held_to_laws(outcome: Search, say: Callable[[str], None] = lambda line: None
     named = [step.name for step in outcome.steps if step.name != "unnamed"]
     said = f"{law.name}, a law that no entry holds, predicts better than {' and '.join(named)}"
     say(said)
-    if stays and not brings_most(outcome, law):
+    if not brings_most(outcome, law):
         return without_names(outcome, law, f"{said} (gap {law.after.gap:.3g}), which is not named therefore")
     return replace(outcome, remarks=(*outcome.remarks, said))
 
 
 def own_covariates(where: str) -> tuple[str, ...]:
-    """Return the covariates of laws that go with what an entry goes with."""
+    """Return the covariates of laws that go with what an entry goes with; a place is one of the picture."""
+    if where in ("field_radius", "screen_x", "screen_y", *PLACES):
+        return PLACES
     return ("signal", "value") if where == "signal" else (where,)
 
 

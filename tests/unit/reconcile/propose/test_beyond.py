@@ -55,12 +55,12 @@ def test_a_law_needs_the_odds_of_a_name(found, better):
 @pytest.mark.parametrize(
     ("found", "gap", "effects", "along", "stands"),
     [
-        (790.0, 1.0, (BLUR,), "image_y", False),  # most is four fifths
-        (810.0, 1.0, (BLUR,), "image_y", True),
-        (810.0, 2.0, (BLUR,), "image_y", False),  # it leaves structure that the law does not
-        (810.0, 2.0, (BLUR,), BLUR.where, True),  # but the law is its own by another equation
-        (790.0, 2.0, (BLUR,), BLUR.where, False),
-        (810.0, 2.0, (BLUR, GAIN), BLUR.where, False),  # of two names none has the law for its own
+        (790.0, 1.0, (GAIN,), "image_y", False),  # most is four fifths
+        (810.0, 1.0, (GAIN,), "image_y", True),
+        (810.0, 2.0, (GAIN,), "image_y", False),  # it leaves structure that the law does not
+        (810.0, 2.0, (GAIN,), GAIN.where, True),  # but the law is its own by another equation
+        (790.0, 2.0, (GAIN,), GAIN.where, False),
+        (810.0, 2.0, (BLUR, GAIN), GAIN.where, False),  # of two names none has the law for its own
         (810.0, 1.0, (BLUR, GAIN), "image_y", True),
     ],
 )
@@ -81,17 +81,31 @@ def test_the_law_is_told_and_the_names_are_not(monkeypatch):
 
 
 def test_a_single_name_that_leaves_nothing_is_asked_about_its_own_covariate(monkeypatch):
-    """Only laws along it are looked at, and where one of them predicts better the name stays, with a remark."""
+    """Only laws along it are looked at; where one predicts better the name stays with a remark, if it brings most."""
     asked = []
     monkeypatch.setattr(beyond, "doubts_of", lambda outcome: [])
     monkeypatch.setattr(beyond, "propose_law", lambda start, along=(): asked.append(along) or law(1000.0, *along))
-    before = outcome(600.0, BLUR)
+    before = outcome(810.0, BLUR)
     told = held_to_laws(before)
     assert asked == [own_covariates(BLUR.where)]
     assert told.state.effects == (BLUR,)
     assert told.steps == before.steps
     assert len(told.remarks) == 1
     assert held_to_laws(outcome(995.0, BLUR)).remarks == ()
+    assert [step.name for step in held_to_laws(outcome(790.0, BLUR)).steps] == ["unnamed"]
+
+
+@pytest.mark.parametrize(
+    ("where", "along"),
+    [
+        ("source_level", ("source_level",)),
+        ("signal", ("signal", "value")),
+        *((where, ("image_x", "image_y")) for where in ("image_x", "image_y", "screen_x", "field_radius")),
+    ],
+)
+def test_the_covariates_of_laws_for_what_an_entry_goes_with(where, along):
+    """The charge and what the amplifier makes of it are one; a radius or a place of the screen is of the picture."""
+    assert own_covariates(where) == along
 
 
 def test_without_a_name_no_law_is_asked(monkeypatch):
