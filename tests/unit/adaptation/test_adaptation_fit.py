@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation, makes_sense
+from radiometer.adaptation.adaptation_fit import FitRequest, _derived_estimates, fit_adaptation, makes_sense
 from radiometer.adaptation.branch_fit import fit_model
 from radiometer.adaptation.branch_models import CONE_S2, CONE_S2_S3, MODELS, ONE_BRANCH
-from radiometer.adaptation.intervals import profile_interval
+from radiometer.adaptation.intervals import bootstrap_values, profile_interval
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.cli.main import run
 from radiometer.errors import InputError, MeasurementError
@@ -180,14 +180,13 @@ def test_command_writes_json_page_and_csv(tmp_path, capsys):
 
 
 def test_a_doubtful_stimulus_moves_the_time_of_the_criterion_by_its_share_of_the_slope():
-    """0.05 log10 units at 0.24 per min are 0.21 min, beside what the thresholds leave open; the break stays."""
-    thresholds = series(0.03)
-    times, breaks = [], []
-    for u_log10 in (0.0, 0.05):
-        request = FitRequest(criterion=-3.0, stimulus_u_log10=u_log10, bootstrap_draws=20)
-        found = fit_adaptation(thresholds, request, np.random.default_rng(2)).estimates
-        times.append(found["criterion_min"].bootstrap)
-        breaks.append(found["break_min"].bootstrap)
-    own, widened = (0.5 * (one.high - one.low) for one in times)
+    """0.05 log10 units at 0.24 per min are 0.21 min, beside what the thresholds leave open; the area stays."""
+    fit = fit_model(series(0.03), CONE_S2)
+    draws = bootstrap_values(fit, 20, np.random.default_rng(2))
+    sure, doubtful = (
+        _derived_estimates(fit, -3.0, draws, FitRequest(criterion=-3.0, stimulus_u_log10=u)) for u in (0.0, 0.05)
+    )
+    own, widened = (0.5 * (one["criterion_min"].bootstrap.high - one["criterion_min"].bootstrap.low)
+                    for one in (sure, doubtful))  # fmt: skip
     assert np.sqrt(widened**2 - own**2) == pytest.approx(1.96 * 0.05 / 0.24, rel=0.05)
-    assert breaks[0] == breaks[1]
+    assert sure["area_log10_min"] == doubtful["area_log10_min"]

@@ -37,6 +37,7 @@ def glow(tmp_path_factory):
     return propose_law(state), session
 
 
+@pytest.mark.slow
 def test_a_glow_is_found_as_charge_that_grows_with_the_exposure(glow):
     """Stage, place and width are those that were hidden, within four of their u; it closes all but nothing."""
     proposal, session = glow
@@ -50,6 +51,7 @@ def test_a_glow_is_found_as_charge_that_grows_with_the_exposure(glow):
     assert proposal.law.size == 4
 
 
+@pytest.mark.slow
 def test_it_is_said_in_one_sentence(glow):
     """What acts, how it scales, along what, and what kind of cause acts so."""
     drawn, (height, width) = glow[1].secret.drawn, glow[1].frames[0].shape
@@ -61,6 +63,7 @@ def test_it_is_said_in_one_sentence(glow):
     )
 
 
+@pytest.mark.slow
 def test_the_law_holds_in_another_session(glow, tmp_path):
     """The effect as it is written closes nine tenths of what another session lacks, nothing fitted."""
     effect = effect_of(glow[0].law, glow[0].amplitude)
@@ -69,6 +72,7 @@ def test_the_law_holds_in_another_session(glow, tmp_path):
     assert after.gap - 1.0 < 0.1 * (before.gap - 1.0)
 
 
+@pytest.mark.slow
 def test_files_are_written_only_for_what_has_no_name(glow, tmp_path, monkeypatch):
     """An unnamed rest gives effect, test and plan; where all has a name, or frames come back in turns, none."""
     start = glow[0].before
@@ -129,6 +133,7 @@ def test_nothing_is_proposed_where_nothing_is_hidden(tmp_path):
     assert propose_law(state) is None
 
 
+@pytest.mark.slow
 def test_the_time_since_the_last_frame_is_told_of_first_and_other_frames(glow):
     """The first frame of a capture waited since the last of the one before; of all frames the first is infinite."""
     design = glow[0].before.design
