@@ -152,11 +152,13 @@ def displacement_of(bracket: Bracket, curve: ResponseCurve | None) -> Displaceme
 
     Args:
         bracket: The frames.
-        curve: Their response; None where they are linear.
+        curve: Their response; None where they are linear. One of another bit depth tells nothing.
     """
     from radiometer.analysis.response.displacement import find_displacement
     from radiometer.errors import MeasurementError
 
+    if curve is not None and curve.bit_depth != bracket.bit_depth:
+        return None
     black_dn = bracket.frames[0].settings.black_level_dn or 0.0
     try:
         return find_displacement(bracket, curve or _straight_line(bracket.bit_depth, black_dn))

@@ -7,6 +7,7 @@ import pytest
 
 from radiometer.analysis.response.displacement import find_displacement
 from radiometer.analysis.response.pixel_noise import pixel_noise
+from radiometer.cli.photograph_response import displacement_of
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
 
 # Frames a quarter of a stop apart, so that nearly all show every pixel about equally well.
@@ -76,3 +77,11 @@ def test_even_ground_shows_no_displacement():
         _bracket(rng, rng.standard_normal((TIMES.size, 2)), scene=lambda row, _: 0.0 * row), _curve()
     )
     assert found.px == 0.0
+
+
+def test_a_curve_of_another_bit_depth_tells_nothing():
+    """Frames of 8 bits through a curve of 10 are left to the merge to refuse; through none they are linear."""
+    bracket = _bracket(np.random.default_rng(6), np.zeros((TIMES.size, 2)))
+    assert displacement_of(bracket, ResponseCurve(np.arange(1024.0), np.zeros(1024))) is None
+    known = displacement_of(bracket, _curve())
+    assert known == find_displacement(bracket, _curve())
