@@ -5,6 +5,7 @@ From special functions alone: scipy.stats takes longer to load than they take to
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -102,7 +103,14 @@ def normal_score(ratio: Array, dof: Array) -> Array:
 
 def _of_cube_root(dof: Array) -> tuple[Array, Array]:
     """Return mean and variance of the cube root of χ²/dof, from E[(χ²)^p] = 2^p·Γ(dof/2 + p)/Γ(dof/2)."""
-    half = np.asarray(dof, dtype=np.float64) / 2.0
+    freedoms = np.asarray(dof, dtype=np.float64)
+    return _of_the_cube_root(freedoms.tobytes(), freedoms.shape)
+
+
+@lru_cache(maxsize=64)
+def _of_the_cube_root(freedoms: bytes, shape: tuple[int, ...]) -> tuple[Array, Array]:
+    """Return the same for freedoms that a fit asks for at each of its points."""
+    half = np.frombuffer(freedoms).reshape(shape) / 2.0
     mean, square = (half**-p * np.exp(gammaln(half + p) - gammaln(half)) for p in (1.0 / 3.0, 2.0 / 3.0))
     return np.asarray(mean), np.asarray(square - mean**2)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, ClassVar, Final, Self, cast
 
 import numpy as np
@@ -121,11 +121,10 @@ class FreeLaw(CatalogueEffect):
 
     def weight(self, signal: Signal, context: ExposureContext) -> Any:
         """Return the factor on what the effect does; broadcasts against the signal."""
-        values = np.reshape(self.law, [len(self.knots(axis)) for axis in self.axes])
         first, *second = self.axes
         at = axis_scale(first, self.knots(first))
         seen = np.clip(axis_scale(first, axis_values(self, first, signal, context)), at[0], at[-1])
-        found = PchipInterpolator(at, values, axis=0)(seen)
+        found = _curve(tuple(at.tolist()), self.law)(seen)
         if not second:
             return np.maximum(found, 0.0)
         return np.maximum(np.sum(found * self._hats(second[0], signal, context), axis=-1), 0.0)
@@ -191,6 +190,13 @@ class FreeLaw(CatalogueEffect):
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return nothing: it is free already."""
         return ()
+
+
+@lru_cache(maxsize=256)
+def _curve(at: tuple[float, ...], law: tuple[float, ...]) -> PchipInterpolator:
+    """Return the curve through a law's values at its knots along the first covariate; one for each of a second."""
+    values = np.reshape(law, (len(at), -1))
+    return PchipInterpolator(at, values if values.shape[1] > 1 else values[:, 0], axis=0)
 
 
 def _names(before: Moments) -> tuple[str, ...]:

@@ -11,8 +11,11 @@ from simulators.effects.base import DIGITAL_NUMBER, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 
-_NODES: Final = np.linspace(-4.5, 4.5, 37)  # sigmas; even steps, for the curve has a corner
-_WEIGHTS: Final = np.exp(-0.5 * _NODES**2) / np.sum(np.exp(-0.5 * _NODES**2))
+_EVEN: Final = np.linspace(-4.5, 4.5, 37)  # sigmas; even steps, for the curve has a corner
+_ABOUT_CORNER: Final = (_EVEN, np.exp(-0.5 * _EVEN**2) / np.sum(np.exp(-0.5 * _EVEN**2)))
+_FAR_NODES, _FAR_WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
+_FAR_OFF: Final = (_FAR_NODES, _FAR_WEIGHTS / np.sum(_FAR_WEIGHTS))
+_CORNER: Final = 6.0  # sigmas from it within which its steps are needed; the nodes beyond reach 4.5
 _LEAST_DN2: Final = 1e-6
 
 
@@ -58,10 +61,13 @@ class GammaEnabled(CatalogueEffect):
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the bent value."""
         black, room = self._range(context)
+        return cast(Signal, self._bent(signal, black, room).astype(signal.dtype))
+
+    def _bent(self, signal: Any, black: Any, room: Any) -> Any:
         share = np.abs(signal - black) / room if self.above_black else np.maximum(signal / room, 0.0)
         bent = np.where(share > self.toe, share ** (1.0 / self.gamma), share * self._lift())
         turned = np.where(signal < black, -bent, bent) if self.above_black else bent
-        return cast(Signal, (black + room * turned).astype(signal.dtype))
+        return black + room * turned
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
         """Return d(mean)/d(signal)."""
@@ -77,10 +83,7 @@ class GammaEnabled(CatalogueEffect):
         if not self.above_black:
             return super().moments(before, context)
         sigma = np.sqrt(np.maximum(before.variance + before.spatial_variance, _LEAST_DN2))
-        bent = [self.mean(np.asarray(before.mean + z * sigma), context) for z in _NODES.tolist()]
-        mean = sum(w * value for w, value in zip(_WEIGHTS, bent, strict=True))
-        square = sum(w * (value - mean) ** 2 for w, value in zip(_WEIGHTS, bent, strict=True))
-        slope = sum(w * z * value for w, z, value in zip(_WEIGHTS, _NODES, bent, strict=True)) / sigma
+        mean, square, slope = self._by_quadrature(before.mean, sigma, *self._range(context))
         after = before.passed(cast(Signal, mean), cast(Signal, slope))
         more = np.maximum(square - np.square(slope * sigma), 0.0) / sigma**2  # what no straight line does to the noise
         return replace(
@@ -88,6 +91,20 @@ class GammaEnabled(CatalogueEffect):
             variance=after.variance + more * before.variance,
             spatial_variance=after.spatial_variance + more * before.spatial_variance,
         )
+
+    def _by_quadrature(self, mean: Any, sigma: Any, black: Any, room: Any) -> tuple[Any, Any, Any]:
+        """Return mean, variance and slope of what becomes of normal values; close to the corner in even steps."""
+        middle, sigma, black, room = np.broadcast_arrays(mean, sigma, black, room)
+        found = np.empty((3, *middle.shape))
+        off = np.abs(middle - black)
+        close = np.minimum(off, np.abs(off - self.toe * room)) < _CORNER * sigma
+        for some, (nodes, weights) in ((close, _ABOUT_CORNER), (~close, _FAR_OFF)):
+            if some.any():
+                at, spread = middle[some], sigma[some]
+                bent = self._bent(at + nodes[:, None] * spread, black[some], room[some])
+                after = weights @ bent
+                found[:, some] = after, weights @ (bent - after) ** 2, (weights * nodes) @ bent / spread
+        return found[0], found[1], found[2]
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return curves with a toe at a few levels."""

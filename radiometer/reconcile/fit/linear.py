@@ -111,6 +111,10 @@ class LinearFit:
         """Return the change of the parameters that minimises the residual."""
         return self.solve(self.pull(self.residual))
 
+    def step_from(self, residual: Array) -> Array:
+        """Return the same step from another point's residual, followers not followed yet."""
+        return self.solve(self.pull(self.followed(residual)))
+
     def pull(self, vectors: Array, start: int = 0) -> Array:
         """Return Jᵀ·v for vectors whose entries begin at row `start`, (entries,) or (entries, n)."""
         own = self.effects[start : start + vectors.shape[0]].T @ vectors

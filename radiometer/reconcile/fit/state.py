@@ -31,6 +31,7 @@ from simulators.effects.catalogue import CatalogueEffect
 _SHORTER, _SHORTENINGS = 0.3, 6  # steps that are tried
 _IDLE: Final = 1e-3  # sigmas that a parameter moves by its whole scale
 _CONVERGED: Final = 1e-3  # change of χ², in units of the reduced χ² where that is above 1, that ends the fit
+_HOLDS: Final = 0.25  # share of the gain before that a step by old derivatives may have; beyond, new ones are taken
 _SENSITIVITY_STEP: Final = 1e-3
 _REWEIGHTINGS: Final = 3
 _WARMER_K: Final = 0.1
@@ -191,6 +192,11 @@ class FitState:
         if self.frozen:
             effects = np.delete(effects, sorted(self.frozen), axis=1)
         return LinearFit.of(self.residual, self.nuisance_jacobian, effects, self._nuisance_derivatives[1])
+
+    @property
+    def promised(self) -> float:
+        """Return χ² after the best step, were the model linear."""
+        return float(self.fit.projected @ self.fit.projected)
 
     def effect_step(self, step: Array) -> Array:
         """Return the effects' part of a step of the whole fit, 0 for parameters that are frozen."""
@@ -386,12 +392,36 @@ def _frozen(state: FitState, held: frozenset[int]) -> FitState:
 
 def _trials(state: FitState, fixed: frozenset[tuple[int, str]]) -> Iterator[FitState]:
     """Yield the states after ever shorter steps; none where even the linearised model promises nothing."""
-    if state.cost - float(state.fit.projected @ state.fit.projected) < _CONVERGED * state.misfit:
+    if state.cost - state.promised < _CONVERGED * state.misfit:
         return
     for number in range(_SHORTENINGS):
         trial = _moved(state, _SHORTER**number * state.fit.step)
         if _is_within_range(trial):
-            yield _held_at_bounds(trial, fixed) if trial.cost < state.cost else trial
+            yield _held_at_bounds(_glided(state, trial), fixed) if trial.cost < state.cost else trial
+
+
+def _glided(state: FitState, moved: FitState) -> FitState:
+    """Return where further steps by the derivatives of one point lead, as long as these hold.
+
+    Such a step costs one prediction, new derivatives one for each parameter. They hold where a step gains far less
+    than the one before it, as steps of Gauss and Newton do near the least χ².
+
+    Args:
+        state: The point of the derivatives.
+        moved: The point after the first step from there.
+    """
+    gained = state.cost - moved.cost
+    while not moved.frozen and moved.parameters.names == state.parameters.names:
+        if gained < _CONVERGED * moved.misfit:
+            break
+        further = _moved(moved, state.fit.step_from(moved.residual), state)
+        if further.frozen or not _is_within_range(further) or further.cost >= moved.cost:
+            break
+        before, gained = gained, moved.cost - further.cost
+        moved = further
+        if gained > _HOLDS * before:
+            break
+    return moved
 
 
 def _is_within_range(trial: FitState) -> bool:
@@ -403,9 +433,12 @@ def _is_within_range(trial: FitState) -> bool:
         return False
 
 
-def _moved(state: FitState, step: Array) -> FitState:
+def _moved(state: FitState, step: Array, origin: FitState | None = None) -> FitState:
+    """Return the state after a step of its own fit, or of the fit of the point where the derivatives were taken."""
     m, k = state.layout.size, state.weights.size
-    effects, at_bound = state.parameters.moved(state.effect_step(step))
+    origin = origin or state
+    scaled = origin.effect_step(step) * origin.parameters.scale / state.parameters.scale
+    effects, at_bound = state.parameters.moved(scaled)
     return replace(
         state,
         values=state.values + step[:m],

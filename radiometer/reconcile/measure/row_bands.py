@@ -45,7 +45,8 @@ class RowBins:
         """Return the bins of a design's rows."""
         height = design.shape[0]
         step = -(-height // _MOST_BINS)
-        covered = {row // step for tile in design.tiles for row in range(tile.y, tile.y + tile.height)}
+        spans = {(tile.y // step, (tile.y + tile.height - 1) // step) for tile in design.tiles}
+        covered = {number for first, last in spans for number in range(first, last + 1)}
         return cls(step, -(-height // step), int(np.clip(len(covered) / _ROWS_PER_ORDER, 1, _MOST_ORDERS)))
 
     @property

@@ -19,7 +19,7 @@ from radiometer.reconcile.fit.terms import LinearTerm
 from radiometer.reconcile.search.score import contenders_of, likeliest
 from radiometer.reconcile.search.screening import directions_of, screen
 from radiometer.reconcile.search.starts import StartPool
-from radiometer.reconcile.thresholds import KEPT_NATS, NAMED_NATS, OWN_LAW_NATS, PARAMETER_NATS
+from radiometer.reconcile.thresholds import HUGE_NATS, KEPT_NATS, NAMED_NATS, OWN_LAW_NATS, PARAMETER_NATS
 from simulators.effects.catalogue import CatalogueEffect
 
 _FITTED: Final = 4  # entries that are fitted in another's place
@@ -40,6 +40,8 @@ def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[
     while changed:
         changed = False
         for name, smaller in _without_one(state):
+            if smaller.promised - state.cost > 2.0 * HUGE_NATS:  # the others, free to move, come nowhere near
+                continue
             lost = _log_density(state) - _log_density(refit(smaller, iterations=6))
             if lost < KEPT_NATS:
                 say(f"{name} dropped again: it brings {lost:.1f} nats")

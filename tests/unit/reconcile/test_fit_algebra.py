@@ -46,6 +46,16 @@ def test_step_and_covariance_are_those_of_least_squares(seed):
 
 
 @quick
+@given(seeds)
+def test_a_step_from_another_point_is_that_of_its_own_residual(seed):
+    """Old derivatives and a new residual give the step of least squares of that residual."""
+    fit, jacobian, _, rng = fit_of(seed)
+    elsewhere = rng.standard_normal(40)
+    step = np.linalg.lstsq(jacobian, elsewhere, rcond=None)[0]
+    assert fit.step_from(elsewhere) == pytest.approx(step, rel=1e-6, abs=1e-8)
+
+
+@quick
 @given(seeds, st.integers(0, 20), st.integers(1, 4))
 def test_a_score_is_what_more_columns_would_explain(seed, start, terms):
     """χ² of further columns beside the parameters is the fall of the sum of squares when they are fitted too."""

@@ -236,6 +236,22 @@ def test_a_gamma_above_black_bends_noise_too() -> None:
     assert nothing.mean(np.array([90.0, 100.0, 3000.0]), context) == pytest.approx([90.0, 100.0, 3000.0])
 
 
+@pytest.mark.parametrize("dn", [40.0, 64.0, 83.0, 120.0, 180.0, 3000.0])
+@pytest.mark.parametrize("toe", [0.0, 0.03])
+def test_moments_of_a_gamma_are_integrals_over_the_noise(dn: float, toe: float) -> None:
+    """Close to the corners of the curve, on both sides of black, and far off: mean and variance of 4 DN of noise."""
+    effect = GammaEnabled(1.4, toe=toe, above_black=1.0)
+    context = _context(black_level_dn=64.0)
+    z = np.linspace(-8.0, 8.0, 200_001)
+    chance = np.exp(-0.5 * z**2) / np.exp(-0.5 * z**2).sum()
+    bent = effect.mean(dn + 4.0 * z, context)
+    mean = float(chance @ bent)
+    told = effect.moments(Moments(np.array([[dn]]), np.array([[16.0]]), np.zeros((1, 1)), np.zeros((1, 1))), context)
+    assert told.mean.shape == (1, 1)
+    assert float(told.mean[0, 0]) == pytest.approx(mean, abs=0.02)
+    assert float(told.variance[0, 0]) == pytest.approx(float(chance @ (bent - mean) ** 2), rel=0.02)
+
+
 def test_wings_of_one_width_are_the_kernel() -> None:
     """A sum of Gaussians in which one has all is that Gaussian; what it scatters is taken from the light itself."""
     picture = np.zeros((20, 40))

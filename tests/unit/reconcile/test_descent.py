@@ -1,0 +1,77 @@
+"""Refits that go on by derivatives of an earlier point: where they end, what they cost, and what needs none at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.reconcile.fit import state as fitting
+from radiometer.reconcile.fit.nuisances import NuisanceLayout
+from radiometer.reconcile.fit.state import FitState, first_state, refit, with_effects
+from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconcile.search import moves
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.response_nonlinearity import ResponseNonlinearity
+
+LADDER = [{"t": float(t), "d": d} for d in (0.9, 0.3) for t in np.geomspace(1e-4, 5e-3, 8)]
+
+
+@pytest.fixture(scope="module")
+def bent(make_capture: Callable[..., Any]) -> FitState:
+    """A camera whose exposures last 5 µs longer than stated."""
+    captured = make_capture(5, plan=[setting | {"t": setting["t"] + 5e-6} for setting in LADDER])
+    stated = [f.model_copy(update={"exposure_s": f.exposure_s - 5e-6}) for f in captured.header.frames]
+    header = captured.header.model_copy(update={"frames": tuple(stated)})
+    design = Design.of(header, captured.frames[0].shape)
+    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+
+
+def test_old_derivatives_lead_to_the_same_least_squares(bent: FitState, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With and without steps by old derivatives a fit ends at one place; with them it takes fewer derivatives."""
+    taken: list[int] = []
+    real = NuisanceLayout.derivatives
+
+    def counted(self: NuisanceLayout, *arguments: Any) -> Any:
+        taken.append(1)
+        return real(self, *arguments)
+
+    monkeypatch.setattr(NuisanceLayout, "derivatives", counted)
+    start = with_effects(bent, [ExposureTimeOffset(1e-6), ResponseNonlinearity(0.01)])
+    gliding = refit(start)
+    few = len(taken)
+    monkeypatch.setattr(fitting, "_glided", lambda state, moved: moved)
+    plain = refit(with_effects(bent, [ExposureTimeOffset(1e-6), ResponseNonlinearity(0.01)]))
+    assert few < len(taken) - few
+    assert gliding.cost == pytest.approx(plain.cost, abs=2e-3)
+    u = np.sqrt(np.diag(plain.fit.covariance))[-3:]
+    moved = np.abs(gliding.parameters.values - plain.parameters.values) / plain.parameters.scale
+    assert (moved < 0.03 * u).all()
+    offset = gliding.effects[0].values()["offset_s"]
+    assert offset == pytest.approx(5e-6, abs=4.0 * u[0] * plain.parameters.scale[0])
+
+
+def test_a_name_that_nothing_stands_in_for_is_not_fitted_away(bent: FitState, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether names bring anything is asked by a fit without them only where others come near."""
+    first, second = ExposureTimeOffset(5e-6), ResponseNonlinearity(1e-5)
+    state = refit(with_effects(bent, [first, second]))
+    without = with_effects(bent, [second])
+    asked: list[FitState] = []
+
+    def counted(state: FitState, iterations: int = 25) -> FitState:
+        asked.append(state)
+        return refit(state, iterations)
+
+    monkeypatch.setattr(moves, "refit", counted)
+    kept, dropped = moves.pruned(state, lambda line: None)
+    assert not dropped
+    assert kept is state
+    far = without.promised - state.cost > 2.0 * moves.HUGE_NATS
+    assert bool(asked) is not far
+    loosely = with_effects(state, [second, first, ResponseNonlinearity(2e-6)])
+    left, gone = moves.pruned(loosely, lambda line: None)
+    assert gone
+    assert any(effect.name == first.name for effect in left.effects)
