@@ -19,28 +19,23 @@ from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.pattern_images import PatternImages
 from radiometer.reconcile.measure.seen import CaptureStatistics
 from radiometer.reconcile.model.parameters import EffectParameters
+from radiometer.reconcile.model.responses import darkness_of, form_floors, light_response
 from radiometer.reconcile.model.tile_model import Nuisance, TileModel, Trace
-from radiometer.reconcile.noise.darkness import Darkness, uncertainty_of_readings, wander_of_black
 from radiometer.reconcile.noise.fixed_patterns import error_of_borders, fixed_errors
 from radiometer.reconcile.noise.repeatability import capture_scale, estimate_tau
 from radiometer.reconcile.noise.shared_errors import Repeatability, relative_bands, relative_flicker
 from radiometer.reconcile.prediction import Prediction
-from radiometer.reconcile.statistics import STATISTICS, Scale, usable_entries
+from radiometer.reconcile.statistics import usable_entries
 from simulators.effects.catalogue import CatalogueEffect
 
 _SHORTER, _SHORTENINGS = 0.3, 6  # steps that are tried
 _IDLE: Final = 1e-3  # sigmas that a parameter moves by its whole scale
 _CONVERGED: Final = 1e-3  # change of χ², in units of the reduced χ² where that is above 1, that ends the fit
 _HOLDS: Final = 0.25  # share of the gain before that a step by old derivatives may have; beyond, new ones are taken
-_SENSITIVITY_STEP: Final = 1e-3
 _REWEIGHTINGS: Final = 3
-_WARMER_K: Final = 0.1
-_STEEPEST_DOUBLING_K: Final = 4.0  # of a dark current in silicon
-_SWELLING: Final = ("variance", "spatial")  # what leaks and their shot noise add to
 _SETTLED: Final = 0.02  # share of a parameter's size
 _PAST_WELL: Final = 1.02  # times the declared full well, which is rounded
 _ALIVE: Final = 0.5  # share of its shot noise that a tile keeps where charge does not end
-_FORM_FLOOR: Final = 0.005  # share of an accepted effect's own correction that its form is not trusted with
 
 
 # What of a state was worked out and hangs on the model and the nuisances alone, whatever is frozen or fitted.
@@ -112,7 +107,7 @@ class FitState:
     @cached_property
     def sensitivity(self) -> Array:
         """Return d(mean)/d(log light) in DN, (captures, tiles)."""
-        return light_sensitivity(self.model, self.nuisance, self.prediction)
+        return light_response(self.model, self.nuisance, self.prediction)[0]
 
     @cached_property
     def term_columns(self) -> Array:
@@ -251,19 +246,6 @@ class FitState:
         return float(self.held_out.chi2[:settings].sum() / max(self.held_out.count[:settings].sum(), 1.0))
 
 
-def light_sensitivity(model: TileModel, nuisance: Nuisance, base: Prediction) -> Array:
-    """Return d(mean)/d(log light) in DN by a finite difference."""
-    return light_response(model, nuisance, base)[0]
-
-
-def light_response(model: TileModel, nuisance: Nuisance, base: Prediction) -> tuple[Array, Array]:
-    """Return d(mean)/d(log light) in DN and |d(ln variance)/d(log light)| by a finite difference."""
-    moved = model.predict(nuisance.with_off(log_responsivity=nuisance.off.log_responsivity + _SENSITIVITY_STEP))
-    mean = (moved.mean - base.mean) / _SENSITIVITY_STEP
-    variance = np.abs(np.log(moved.variance / base.variance)) / _SENSITIVITY_STEP
-    return np.asarray(mean), np.asarray(variance)
-
-
 def first_state(
     design: Design, seen: CaptureStatistics, images: PatternImages, given: tuple[CatalogueEffect, ...] = ()
 ) -> FitState:
@@ -315,7 +297,7 @@ def reweighted(state: FitState) -> FitState:
         *error_of_borders(state.comparison.usable["edge"]),
     )
     terms = (*smooth, *(LinearTerm.of(error) for error in errors))
-    floors = _form_floors(state.model, state.nuisance, state.prediction)
+    floors = form_floors(state.model, state.nuisance, state.prediction)
     mask = state.comparison.usable
     again = _weighted(state.seen, state.model, state.layout, state.values, terms, tau, floors, mask, state.trace)
     found = replace(again, weights=np.concatenate([kept, np.zeros(sum(t.size for t in terms) - kept.size)]))
@@ -468,40 +450,12 @@ def _weighted(
     bands = (relative_bands(prediction), prediction.band_frequency)
     repeatability = Repeatability(tau, flicker, prediction.row_variance, *bands)
     mask = usable if isinstance(usable, dict) else usable_entries(design, seen, prediction)
-    darkness = _darkness(model, nuisance, prediction, seen)
+    darkness = darkness_of(model, nuisance, prediction, seen)
     comparison = compare(design, seen, prediction, sensitivity, repeatability, response, floors, mask, darkness)
     weights = np.zeros(sum(term.size for term in terms))
     state = FitState(seen, model, layout, values, terms, weights, comparison, tau)
     vars(state).update({"trace": trace, "sensitivity": sensitivity})
     return state
-
-
-def _darkness(model: TileModel, nuisance: Nuisance, base: Prediction, seen: CaptureStatistics) -> Darkness | None:
-    """Return how far darkness differs from frame to frame; None where nothing shows that it does."""
-    design = model.design
-    black_dn, reading_k = wander_of_black(design, seen), uncertainty_of_readings(design.frame_temperatures_c)
-    if not (black_dn or reading_k):
-        return None
-    warmer = model.warmed(_WARMER_K).predict(nuisance) if reading_k else base
-    # A law that is not found yet may rise steeply: no more than what was seen to gather can.
-    most = np.log(2.0) / _STEEPEST_DOUBLING_K * np.maximum(seen.mean - np.nanmin(seen.mean), 0.0)
-    swelling = {n: np.log(getattr(warmer, n) / getattr(base, n)) / _WARMER_K for n in _SWELLING} if reading_k else {}
-    return Darkness(black_dn, reading_k, np.clip((warmer.mean - base.mean) / _WARMER_K, -most, most), swelling)
-
-
-def _form_floors(model: TileModel, nuisance: Nuisance, prediction: Prediction) -> dict[str, Array]:
-    """Return by statistic the uncertainty of the accepted effects' form: a share of each one's own correction."""
-    floors: dict[str, Array] = {}
-    everything = (*model.given, *model.effects)
-    for index in range(len(everything)):
-        without = tuple(effect for i, effect in enumerate(everything) if i != index)
-        other = replace(model, given=(), effects=without).predict(nuisance)
-        for name, row in STATISTICS.items():
-            if row.holds_form:
-                there, bare = getattr(prediction, name), getattr(other, name)
-                change = np.log(there / bare) if row.scale is Scale.LOGARITHM else there - bare
-                floors[name] = np.hypot(floors.get(name, 0.0), _FORM_FLOOR * np.abs(change))
-    return floors
 
 
 def _estimate_tau(state: FitState) -> float:

@@ -1,0 +1,57 @@
+"""What a model makes of a little more light or warmth, and of each of its effects: by predictions beside its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from radiometer.reconcile.measure.design import Array
+from radiometer.reconcile.measure.seen import CaptureStatistics
+from radiometer.reconcile.model.tile_model import Nuisance, TileModel
+from radiometer.reconcile.noise.darkness import Darkness, uncertainty_of_readings, wander_of_black
+from radiometer.reconcile.prediction import Prediction
+from radiometer.reconcile.statistics import STATISTICS, Scale
+
+_SENSITIVITY_STEP: Final = 1e-3
+_WARMER_K: Final = 0.1
+_STEEPEST_DOUBLING_K: Final = 4.0  # of a dark current in silicon
+_SWELLING: Final = ("variance", "spatial")  # what leaks and their shot noise add to
+_FORM_FLOOR: Final = 0.005  # share of an accepted effect's own correction that its form is not trusted with
+
+
+def light_response(model: TileModel, nuisance: Nuisance, base: Prediction) -> tuple[Array, Array]:
+    """Return d(mean)/d(log light) in DN and |d(ln variance)/d(log light)| by a finite difference."""
+    moved = model.predict(nuisance.with_off(log_responsivity=nuisance.off.log_responsivity + _SENSITIVITY_STEP))
+    mean = (moved.mean - base.mean) / _SENSITIVITY_STEP
+    variance = np.abs(np.log(moved.variance / base.variance)) / _SENSITIVITY_STEP
+    return np.asarray(mean), np.asarray(variance)
+
+
+def darkness_of(model: TileModel, nuisance: Nuisance, base: Prediction, seen: CaptureStatistics) -> Darkness | None:
+    """Return how far darkness differs from frame to frame; None where nothing shows that it does."""
+    design = model.design
+    black_dn, reading_k = wander_of_black(design, seen), uncertainty_of_readings(design.frame_temperatures_c)
+    if not (black_dn or reading_k):
+        return None
+    warmer = model.warmed(_WARMER_K).predict(nuisance) if reading_k else base
+    # A law that is not found yet may rise steeply: no more than what was seen to gather can.
+    most = np.log(2.0) / _STEEPEST_DOUBLING_K * np.maximum(seen.mean - np.nanmin(seen.mean), 0.0)
+    swelling = {n: np.log(getattr(warmer, n) / getattr(base, n)) / _WARMER_K for n in _SWELLING} if reading_k else {}
+    return Darkness(black_dn, reading_k, np.clip((warmer.mean - base.mean) / _WARMER_K, -most, most), swelling)
+
+
+def form_floors(model: TileModel, nuisance: Nuisance, prediction: Prediction) -> dict[str, Array]:
+    """Return by statistic the uncertainty of the accepted effects' form: a share of each one's own correction."""
+    floors: dict[str, Array] = {}
+    everything = (*model.given, *model.effects)
+    for index in range(len(everything)):
+        without = tuple(effect for i, effect in enumerate(everything) if i != index)
+        other = replace(model, given=(), effects=without).predict(nuisance)
+        for name, row in STATISTICS.items():
+            if row.holds_form:
+                there, bare = getattr(prediction, name), getattr(other, name)
+                change = np.log(there / bare) if row.scale is Scale.LOGARITHM else there - bare
+                floors[name] = np.hypot(floors.get(name, 0.0), _FORM_FLOOR * np.abs(change))
+    return floors
