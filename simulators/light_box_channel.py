@@ -111,8 +111,10 @@ class Channel:
         if not self.bright:
             self.bucket = min(self.limits.bucket, self.bucket + ms * self.limits.refill)
             return True
-        cost = cost_per_ms(self.level, self.high) * ms
+        each = cost_per_ms(self.level, self.high)
+        cost = each * ms
         if cost > self.bucket:
+            self.bucket %= each  # the whole milliseconds before the last were bright
             self.darken()
             return False
         self.bucket -= cost

@@ -6,7 +6,7 @@ from dataclasses import replace
 from zlib import crc32
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from simulators.light_box import LightBoxTwin, TwinSettings
@@ -105,6 +105,7 @@ class Pair:
 @pytest.mark.parametrize("kind", ["whole", "small"])
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(steps=steps)
+@example(steps=["SL 0 H 20000", "press"])  # dark in the midst of a wait, its budget spent to the rest
 def test_firmware_and_twin_say_and_do_the_same(power, kind, steps):
     """Any mixture of requests, damaged lines, waiting and pressing: every byte, every duty, every bucket agree."""
     box = power(kind)
