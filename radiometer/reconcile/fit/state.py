@@ -19,10 +19,10 @@ from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.pattern_images import PatternImages
 from radiometer.reconcile.measure.seen import CaptureStatistics
 from radiometer.reconcile.model.parameters import EffectParameters
-from radiometer.reconcile.model.responses import darkness_of, form_floors, light_response
 from radiometer.reconcile.model.tile_model import Nuisance, TileModel, Trace
 from radiometer.reconcile.noise.fixed_patterns import error_of_borders, fixed_errors
 from radiometer.reconcile.noise.repeatability import capture_scale, estimate_tau
+from radiometer.reconcile.noise.responses import darkness_of, form_floors, light_response
 from radiometer.reconcile.noise.shared_errors import Repeatability, relative_bands, relative_flicker
 from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.statistics import usable_entries
