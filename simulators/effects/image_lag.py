@@ -90,10 +90,21 @@ class ImageLag(CatalogueEffect):
         return 1.0
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with the first frame's difference from the others."""
+        """Return the moments with the first frame's difference from the others, and with what noise hands on.
+
+        What a pixel held by chance comes back by as much in the frame after: frames of a series are alike by ρ₁ = dr/dS
+        of what is released, and by m one further. The scatter about their mean falls by 2·Σ(1 − k/n)·ρ_k/(n − 1) of
+        the variance, and the mean's variance, which pixels show, rises by 2·Σ(1 − k/n)·ρ_k of what it is for noise.
+        """
         previous = np.zeros(1) if context.previous_e is None else context.previous_e
+        frames: Any = getattr(context, "frames", 1.0)
+        counted = np.where(frames > 2, frames - 1.0, frames)  # the first of three or more is not among them
+        alike = (self._rise(before.mean, context), self.older_share)
+        calmer = _alike(alike, counted) / np.maximum(counted - 1.0, 1.0)
         return replace(
             after,
+            variance=after.variance - calmer * before.variance,
+            spatial_variance=after.spatial_variance + (_alike(alike, frames) + calmer) * before.variance / frames,
             first_excess=before.first_excess
             + self._released(previous, context)
             - self._released(before.mean, context)
@@ -115,6 +126,13 @@ class ImageLag(CatalogueEffect):
         slow = self.older_share * (older * previous + (frames - older) * signal) / frames
         return (self._released(previous, context) + (frames - 1.0) * self._released(signal, context)) / frames + slow
 
+    def _rise(self, held: Any, context: ExposureContext) -> Any:
+        """Return d(released)/d(held)."""
+        well = context.camera.full_well_e
+        step = 1e-3 * np.maximum(held, _LEAST_E)
+        rise = (self._released(held, context) - self._released(held - step, context)) / step
+        return rise if well is None else np.where(held < well, rise, 0.0)
+
     def _released(self, held: Any, context: ExposureContext) -> Any:
         """Return the electrons that a frame leaves to the next; no pixel holds more than its full well."""
         well = context.camera.full_well_e
@@ -126,3 +144,8 @@ class ImageLag(CatalogueEffect):
             return lag
         filled = -np.expm1(-self.fullness_per_e * np.maximum(lag, 0.0)) / self.fullness_per_e
         return np.where(lag > 0, filled, lag)
+
+
+def _alike(correlations: tuple[Any, ...], frames: Any) -> Any:
+    """Return 2·Σ(1 − k/n)·ρ_k over the distances k of n frames."""
+    return sum(2.0 * np.maximum(1.0 - k / frames, 0.0) * rho for k, rho in enumerate(correlations, start=1))

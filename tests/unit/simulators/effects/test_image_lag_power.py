@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
+from radiometer.data import CameraDescription
+from simulators.effects.context import ExposureContext
 from simulators.effects.image_lag import ImageLag
+from simulators.effects.tile_moments import TileMoments
 
 
 def _left(lag: ImageLag, previous: float) -> float:
@@ -57,3 +62,35 @@ def test_nothing_is_left_by_a_dark_frame() -> None:
     signal = np.full((1, 2), 100.0)
     assert ImageLag(share=0.02).variance(signal, context).tolist() == [[0.0, 10.0]]
     assert ImageLag(share=-0.02).variance(signal, context).tolist() == [[0.0, 0.0]]
+
+
+@pytest.mark.parametrize("frames", [1, 2, 4, 6])
+@pytest.mark.parametrize(("share", "older"), [(0.1, 0.0), (0.06, 0.05), (-0.08, 0.0)])
+def test_noise_that_comes_back_makes_frames_alike(frames: int, share: float, older: float) -> None:
+    """Scatter about the mean of a series, and of that mean from pixel to pixel, as drawn frame by frame."""
+    rng, pixels = np.random.default_rng(frames), 400_000
+    held = 5000.0 + np.sqrt(5000.0) * rng.standard_normal((frames + 2, pixels))
+    seen = held[2:] + share * held[1:-1] + older * held[:-2]
+    context = cast(
+        ExposureContext,
+        SimpleNamespace(
+            camera=CameraDescription(bit_depth=12, full_well_e=20_000.0),
+            previous_e=np.array([[[5000.0]]]),
+            frames=float(frames),
+            first_frame=None,
+        ),
+    )
+    before = replace(TileMoments.exactly(np.array([[[5000.0]]])), variance=np.array([[[5000.0]]]))
+    lag = ImageLag(share=share, older_share=older, noise=0.0)
+    told = lag.moments(before, context)
+    counted = seen[1:] if frames > 2 else seen
+    if frames > 1:
+        scatter = float(np.mean(np.var(counted, axis=0, ddof=1)))
+        own = 3.0 * scatter * np.sqrt(2.0 / (pixels * (len(counted) - 1))) + (share**2 + older**2) * 5000.0
+        assert float(told.variance.item()) == pytest.approx(scatter, abs=1.2 * own)
+    mean = float(np.var(np.mean(seen, axis=0)))
+    own = 3.0 * mean * np.sqrt(2.0 / pixels) + 2.5 * (abs(share) + abs(older)) ** 2 * 5000.0 / frames
+    expected = float(told.variance.item()) / frames + float(told.spatial_variance.item())
+    assert expected == pytest.approx(mean, abs=own)
+    if frames > 1:
+        assert abs(mean - 5000.0 / frames) > own  # what a model without memory says
