@@ -52,7 +52,7 @@ def contenders_of(
     than `fewest` left all are returned as they came.
     """
     best = max((nats for _, nats in judged), default=0.0)
-    share = NEAR_SHARE if state.gap < FAR_GAP else 1.0
+    share = 1.0 if is_far(state) else NEAR_SHARE
     near = [entry for entry in judged if entry[1] > best - share * best]
     if best < HUGE_NATS or len(near) < max(fewest, 2):
         return judged
@@ -71,14 +71,20 @@ def log_chance(gain: float, parameters: int) -> float:
     return float(np.log(chance)) if chance > 0 else -np.inf
 
 
-def is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool) -> bool:
+def is_far(state: FitState) -> bool:
+    """Tell whether entries are off by ten of their uncertainties and more: what follows linearly tells little there."""
+    return state.gap >= FAR_GAP
+
+
+def is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool, far: bool = False) -> bool:
     """Tell whether settings held out are predicted better, beyond chance, and in the statistic that must show it.
 
-    Of many starts one fits by chance, and beside an effect that is there already a further one is less likely. The
+    Far off, where nuisances would have to move by much, the statistic is asked by the full fit alone. Of many starts one fits by chance, and beside an effect that is there already a further one is less likely. The
     radiances of patches are stated once: an error of their measurement that goes with the level looks like an effect.
     """
     needed = NAMED_NATS - fitted.effect.log_prior_odds + float(np.log(max(fitted.tries / FEW_TRIES, 1.0)))
     needed += STATED_NATS if fitted.stated > STATED_SHARE * fitted.gain else 0.0
     needed += FLEXIBLE_NATS if fitted.flexible else 0.0
     beyond_chance = log_chance(fitted.gain, fitted.parameters) < limit
-    return beyond_chance and nats >= needed + (LATER_NATS if later else 0.0) and fitted.evidence >= SHOWN_CHI2
+    in_its_own = fitted.evidence >= SHOWN_CHI2 or (far and nats > HUGE_NATS)
+    return beyond_chance and nats >= needed + (LATER_NATS if later else 0.0) and in_its_own

@@ -27,6 +27,7 @@ from radiometer.reconcile.search.plain_trends import TRENDS
 from radiometer.reconcile.search.rivals import rivals_of
 from radiometer.reconcile.search.score import (
     contenders_of,
+    is_far,
     is_shown,
     likeliest,
     log_chance,
@@ -140,7 +141,8 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     fitted = sorted((fit_candidate(state, c) for c in promising[:_FITTED]), key=lambda f: -penalised_chi2(f))
     run.first = run.first or [candidate.effect for candidate in fitted]
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
-    shown = [entry for entry in judged if is_shown(*entry, limit, later=bool(state.effects))]
+    far = is_far(state)
+    shown = [entry for entry in judged if is_shown(*entry, limit, later=bool(state.effects), far=far)]
     looser = loosened(state) if standing else loosened(state, departed) if departed else None
     while shown:
         contenders = contenders_of(state, shown)
