@@ -79,8 +79,9 @@ def is_far(state: FitState) -> bool:
 def is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool, far: bool = False) -> bool:
     """Tell whether settings held out are predicted better, beyond chance, and in the statistic that must show it.
 
-    Far off, where nuisances would have to move by much, the statistic is asked by the full fit alone. Of many starts one fits by chance, and beside an effect that is there already a further one is less likely. The
-    radiances of patches are stated once: an error of their measurement that goes with the level looks like an effect.
+    Far off, where nuisances would have to move by much, the statistic is asked by the full fit alone. Of many starts
+    one fits by chance, and beside an effect that is there already a further one is less likely. The radiances of
+    patches are stated once: an error of their measurement that goes with the level looks like an effect.
     """
     needed = NAMED_NATS - fitted.effect.log_prior_odds + float(np.log(max(fitted.tries / FEW_TRIES, 1.0)))
     needed += STATED_NATS if fitted.stated > STATED_SHARE * fitted.gain else 0.0
