@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_module
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -65,7 +66,8 @@ def command(
 
     Every pixel is the maximum-likelihood value over the frames that do not clip there. .exr and .tiff carry the
     standard uncertainty and the mask as well; .png is a false-colour picture with a scale bar. The response of
-    photographs is recovered from them where none is given, and kept beside the first file written.
+    photographs is recovered from them where none is given, and kept beside the first file written. How far they lie
+    apart by parts of a pixel is told with its uncertainty, and counts where the picture changes.
     """
     from radiometer.analysis.exports.maps import Picture, in_luminance, writer_for
     from radiometer.analysis.signal.spectra import spectrum as spectrum_of
@@ -291,7 +293,7 @@ def _merged(
 ) -> dict[str, RadianceMap]:
     """Return the map of a bracket by its channel."""
     from radiometer.analysis.merge.bracket import merge
-    from radiometer.cli.photograph_response import displacement_of, relative_calibration
+    from radiometer.cli.photograph_response import displacement_of, relative_calibration, with_displacement_told
     from radiometer.data import CameraDescription, LensDescription
 
     name = str(bracket.frames[0].extra.get("channel", "mono"))
@@ -311,7 +313,7 @@ def _merged(
         without_ghosts=without_ghosts,
         displacement_px=displacement.px if displacement else 0.0,
     )
-    return {name: with_iso_in_map(found, bracket)}
+    return {name: with_iso_in_map(with_displacement_told(found, displacement), bracket)}
 
 
 def _relative(
@@ -364,8 +366,25 @@ def _report(picture: Picture, out: list[Path]) -> dict[str, Any]:
         "pixels": {"good": int(np.count_nonzero(found.mask == 0)), **counts},
         "iso": found.provenance.parameters.get("iso", []),
         "displacement_px": found.provenance.parameters.get("displacement_px"),
-        "assumptions": list(found.provenance.assumptions),
+        "displacement_u_px": found.provenance.parameters.get("displacement_u_px"),
+        "assumptions": _assumptions(picture),
     }
+
+
+def _displacement(px: float, u_px: float) -> str:
+    """Return how far the frames lie apart, in words."""
+    if not px:
+        return f"no displacement shows; less than some {u_px:.1g} pixels would not have shown, and is not in u"
+    decimals = max(0, 1 - math.floor(math.log10(u_px)))  # two digits of the uncertainty
+    return f"displaced by {px:.{decimals}f} ± {u_px:.{decimals}f} pixels (k = 1), in u where the picture changes"
+
+
+def _assumptions(picture: Picture) -> list[str]:
+    """Return what was assumed; what not all channels share stands with its channel."""
+    by_channel = {name: one.provenance.assumptions for name, one in picture.maps.items()}
+    shared = [text for text in picture.first.provenance.assumptions if all(text in one for one in by_channel.values())]
+    own = [f"{name}: {text}" for name, texts in by_channel.items() for text in texts if text not in shared]
+    return [*shared, *own]
 
 
 def _show(report: dict[str, Any]) -> None:
@@ -385,10 +404,8 @@ def _show(report: dict[str, Any]) -> None:
             out.print(f"{name.replace('_', ' '):<13}{count} pixels ({100 * count / total:.3g} %)")
     if report["alignment"]:
         out.print(f"frames     {report['alignment']}")
-    if report["displacement_px"]:
-        out.print(
-            f"frames     displaced by {report['displacement_px']:.2g} pixels (k = 1), in u where the picture changes"
-        )
+    if report["displacement_u_px"] is not None:
+        out.print(f"frames     {_displacement(report['displacement_px'], report['displacement_u_px'])}")
     if report["falloff"]:
         out.print(f"lens       {report['falloff']}")
     for assumption in report["assumptions"]:

@@ -13,12 +13,13 @@ from radiometer.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from radiometer.analysis.response.displacement import Displacement
-    from radiometer.data import Bracket, Calibration, ResponseCurve
+    from radiometer.data import Bracket, Calibration, RadianceMap, ResponseCurve
 
 # Enough for a response; larger photographs are read on a lattice for it.
 ENOUGH_PIXELS = 1_000_000
 _KEY = "photographs_sha256"
 _BEYOND_THE_CONVERTER = 1.1
+_UNDISPLACED = "frames lie in one place to parts of a pixel: too few pixels show in two of them to tell"
 
 
 def curves_of(paths: Sequence[Path], bit_depth: int) -> dict[str, ResponseCurve]:
@@ -164,6 +165,22 @@ def displacement_of(bracket: Bracket, curve: ResponseCurve | None) -> Displaceme
         return find_displacement(bracket, curve or _straight_line(bracket.bit_depth, black_dn))
     except MeasurementError:
         return None
+
+
+def with_displacement_told(found: RadianceMap, displacement: Displacement | None) -> RadianceMap:
+    """Return a map whose provenance says how far its frames are displaced, or that they were taken as not displaced.
+
+    Args:
+        found: The map.
+        displacement: As the frames tell it, with u; None where they cannot tell.
+    """
+    origin = found.provenance
+    if displacement is None:
+        origin = replace(origin, assumptions=(*origin.assumptions, _UNDISPLACED))
+    else:
+        told = {"displacement_px": displacement.px, "displacement_u_px": displacement.u_px}
+        origin = replace(origin, parameters={**origin.parameters, **told})
+    return replace(found, provenance=origin)
 
 
 def _straight_line(bit_depth: int, black_dn: float) -> ResponseCurve:

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from radiometer.analysis.merge.records import CENSORED_SIGMA
+from radiometer.analysis.merge.records import CENSORED_SIGMA, CONTRADICTION_SIGMA
 from radiometer.compiled import compiled
 
-_CONTRADICTION_SIGMA = 6.0  # clipped, though the other frames put it this far below clipping
 # The hazard is read off straight lines, right to 1e-6, which is quicker than exp and erfc for every such pixel.
 _TABLE_END, _TABLE_STEPS = 8.0, 4096
 _PER_SIGMA = _TABLE_STEPS / (_TABLE_END + CENSORED_SIGMA)
@@ -63,7 +62,7 @@ def with_censored(
             if below < 0.0 and below * below >= CENSORED_SIGMA**2 * noise:
                 continue  # it had to clip
             gap = clips_at - rate * t
-            if gap > 0.0 and gap * gap > _CONTRADICTION_SIGMA**2 * (noise + t * t * variance):
+            if gap > 0.0 and gap * gap > CONTRADICTION_SIGMA**2 * (noise + t * t * variance):
                 # Far below clipping: it was cut off at the black end, or the scene has changed.
                 contradiction = contradiction or expected > 0.1 * clips_at
                 continue

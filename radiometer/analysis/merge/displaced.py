@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.merge.ghosts import signals
-from radiometer.analysis.merge.records import scatter_limit
+from radiometer.analysis.merge.records import AGREEMENT_SIGMA, CONTRADICTION_SIGMA, scatter_limit
 from radiometer.analysis.merge.sums import MergeSample
 from radiometer.analysis.merge.tables import MergeTables
 from radiometer.compiled import compiled
@@ -24,8 +24,6 @@ Array = NDArray[np.float64]
 
 # Levels per e-fold at which the weights of the frames are worked out: they change little between.
 _PER_FOLD: Final = 16.0
-_CONTRADICTION_SIGMA: Final = 6.0  # as in `censored`
-_CURVE_SIGMA: Final = 5.0  # as in `finish`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,31 +100,6 @@ def _squared_slope(one: float, u_one: float, two: float, u_two: float, steps: in
     return float(max(slope * slope - (u_one / one) ** 2 - (u_two / two) ** 2, 0.0) / (steps * steps))
 
 
-@compiled
-def add_shift(
-    radiance: Any, u_radiance: Any, shift: Any, per_unit: Any, lowest: float, factors: Any, per_fold: float
-) -> None:  # pragma: no cover (compiled)
-    """Add to the uncertainty of every pixel what displacement makes of the mean of its frames.
-
-    Args:
-        radiance: L, flat, float32.
-        u_radiance: Its standard uncertainty, flat; overwritten.
-        shift: As of `relative_shift`, flat.
-        per_unit: Radiance per rate, of every pixel or of all (size 1).
-        lowest: As in `MeanDisplacement`.
-        factors: Likewise.
-        per_fold: Levels per e-fold.
-    """
-    step = 1 if per_unit.size > 1 else 0
-    for i in range(radiance.size):
-        if shift[i] <= 0.0 or radiance[i] <= 0.0:
-            continue
-        place = (np.log(radiance[i] / per_unit[i * step]) - lowest) * per_fold
-        level = min(max(int(place + 0.5), 0), factors.size - 1)
-        added = shift[i] * factors[level] * radiance[i]
-        u_radiance[i] = np.sqrt(u_radiance[i] ** 2 + added * added)
-
-
 def with_shift(
     radiance: NDArray[np.float32],
     u_radiance: NDArray[np.float32],
@@ -143,7 +116,21 @@ def with_shift(
         per_unit: Radiance per rate, of every pixel or of all (size 1).
         mean: What the weights of the frames leave of it.
     """
-    add_shift(radiance, u_radiance, shift, per_unit, mean.lowest, mean.factors, _PER_FOLD)
+    _add_shift(radiance, u_radiance, shift, per_unit, mean.lowest, mean.factors, _PER_FOLD)
+
+
+@compiled
+def _add_shift(
+    radiance: Any, u_radiance: Any, shift: Any, per_unit: Any, lowest: float, factors: Any, per_fold: float
+) -> None:  # pragma: no cover (compiled)
+    step = 1 if per_unit.size > 1 else 0
+    for i in range(radiance.size):
+        if shift[i] <= 0.0 or radiance[i] <= 0.0:
+            continue
+        place = (np.log(radiance[i] / per_unit[i * step]) - lowest) * per_fold
+        level = min(max(int(place + 0.5), 0), factors.size - 1)
+        added = shift[i] * factors[level] * radiance[i]
+        u_radiance[i] = np.sqrt(u_radiance[i] ** 2 + added * added)
 
 
 def excess_scatter(
@@ -156,7 +143,7 @@ def excess_scatter(
 ) -> Array:
     """Return how much the frames disagree, as a part of what noise and displacement together make; infinite beyond.
 
-    A ratio of sums of squares: 1 is expected, and what five standard deviations do not reach is a contradiction.
+    A ratio of sums of squares: 1 is expected, and what `AGREEMENT_SIGMA` does not reach is a contradiction.
 
     Args:
         samples: The frames.
@@ -175,9 +162,9 @@ def excess_scatter(
     square = np.where(used, (x - expected) ** 2, 0.0).sum(axis=0)
     total, extra = np.where(used, variance, 0.0).sum(axis=0), np.where(used, variance**2, 0.0).sum(axis=0)
     freedom = total**2 / np.maximum(extra, 1e-300)
-    slack_rel = float(tables.bounds[2]) ** 2 + (_CURVE_SIGMA * curve.max(axis=0)) ** 2
+    slack_rel = float(tables.bounds[2]) ** 2 + (AGREEMENT_SIGMA * curve.max(axis=0)) ** 2
     slack = slack_rel * np.where(used, expected**2, 0.0).sum(axis=0)
     limit = np.array([scatter_limit(max(one, 1e-3)) for one in freedom])
-    clipped = high & (clips_at - expected > _CONTRADICTION_SIGMA * np.sqrt(variance))
+    clipped = high & (clips_at - expected > CONTRADICTION_SIGMA * np.sqrt(variance))
     explained = (square <= total * limit + slack) & ~clipped.any(axis=0)
     return np.where(explained, square / np.maximum(total, 1e-300), np.inf)

@@ -12,6 +12,7 @@ from radiometer.analysis.merge.moments import from_root_table, mixture, moments
 from radiometer.analysis.merge.records import (
     A0,
     A1,
+    AGREEMENT_SIGMA,
     C1,
     CC,
     D1,
@@ -142,7 +143,7 @@ def finish(
                 if quantisation is None:
                     extra = record[CC] + kappa * seen * (2.0 * record[C1] + kappa * seen * s2)
                 # Satterthwaite 1946 for the degrees of freedom.
-                tolerance = (bounds[2] ** 2 + 25.0 * level_u**2) * rate**2 * s2
+                tolerance = (bounds[2] ** 2 + (AGREEMENT_SIGMA * level_u) ** 2) * rate**2 * s2
                 if scatter > total * scatter_limit(total**2 / extra) + tolerance:
                     flags |= INCONSISTENT
             if rate < near:

@@ -24,19 +24,24 @@ RECORD_SIZE = 21
 FIRST_POWER = 0.35
 # A frame expected to clip by more than this says nothing new: its censored score is below 0.001 sigma.
 CENSORED_SIGMA = 3.5
-_AGREEMENT_SIGMA = 5.0
+# The scatter of a pixel's frames, and what a curve's uncertainty excuses of it: beyond five standard deviations a
+# normal error comes once in 3.5 million, so that not one pixel of a picture is called inconsistent by chance.
+AGREEMENT_SIGMA = 5.0
+# A frame that clipped, though the others put it this far below clipping: asked of every frame of every pixel, up to a
+# hundred times as often as the scatter, so that its chance must be as much smaller (one in a thousand million).
+CONTRADICTION_SIGMA = 6.0
 
 
 @compiled
 def scatter_limit(freedom: float) -> float:  # pragma: no cover (compiled)
-    """Return by how much Σ(x − E·t)² may exceed its expectation at five sigma.
+    """Return by how much Σ(x − E·t)² may exceed its expectation, at `AGREEMENT_SIGMA`.
 
     Args:
         freedom: Degrees of freedom.
 
     Source: Wilson and Hilferty 1931.
     """
-    return float((1.0 - 2.0 / (9.0 * freedom) + _AGREEMENT_SIGMA * math.sqrt(2.0 / (9.0 * freedom))) ** 3)
+    return float((1.0 - 2.0 / (9.0 * freedom) + AGREEMENT_SIGMA * math.sqrt(2.0 / (9.0 * freedom))) ** 3)
 
 
 @compiled

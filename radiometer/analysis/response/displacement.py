@@ -35,7 +35,7 @@ class Displacement:
     Attributes:
         px: Standard deviation δ of a frame's displacement along any direction in pixels; 0 where none shows.
         u_px: Its standard uncertainty, of the pixels and of a standard deviation from so few frames; where none shows,
-            what would not have shown.
+            the smallest that would have, half of the time.
         noise: Noise of one pixel without it.
     """
 
@@ -64,7 +64,9 @@ def find_displacement(bracket: Bracket, curve: ResponseCurve) -> Displacement:
     square = float(fit.amplitudes[3])
     u_square = float(np.sqrt(fit.covariance(_parts(bracket.shape, pixels))[3, 3]))
     if square <= _SIGMA * u_square:
-        return Displacement(0.0, float(np.sqrt(u_square)), log_noise(fit_terms(pixels, noise_terms).amplitudes))
+        return Displacement(
+            0.0, float(np.sqrt(_SIGMA * u_square)), log_noise(fit_terms(pixels, noise_terms).amplitudes)
+        )
     # A variance from n displacements along two directions has 2·(n − 1) degrees of freedom.
     frames = pixels.samples.dn.size / pixels.samples.group_count
     u_square = float(np.hypot(u_square, square / np.sqrt(max(frames - 1.0, 1.0))))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import cv2
@@ -48,6 +49,51 @@ def _agrees(picture, truth):
     z = (value / truth / np.median(value / truth) - 1.0) / (u / value)
     bright = truth > np.median(truth)
     assert np.sqrt(np.mean(z[bright] ** 2)) == pytest.approx(1.0, abs=0.15)
+
+
+def _waves(folder: Path, shifts, level=2000.0):
+    """Write linear photographs of waves along the rows, each displaced by so many pixels."""
+    folder.mkdir()
+    rng, column = np.random.default_rng(8), np.arange(96.0)
+    for k, (seconds, shift) in enumerate(zip(TIMES, shifts, strict=False)):
+        light = np.exp(0.5 * np.sin(2.0 * np.pi * (column + shift) / 12.0))
+        electrons = rng.poisson(np.broadcast_to(level * seconds * light, (72, 96)))
+        cv2.imwrite(str(folder / f"p{k}.png"), np.clip(electrons, 0, 65535).astype(np.uint16))
+    (folder / "exposures.txt").write_text("".join(f"p{k}.png {s}\n" for k, s in enumerate(TIMES[: len(shifts)])))
+    return folder
+
+
+def _told(folder: Path, target: Path, capsys, *words):
+    assert run(["merge", str(folder), "--linear", "--align", "off", "-o", str(target), *words]) == 0
+    return capsys.readouterr().out
+
+
+def test_how_far_frames_lie_apart_is_told_with_its_uncertainty(tmp_path, capsys):
+    """Frames in turn 0.2 pixels to either side along the waves are told as displaced by 0.2 within 2 u."""
+    folder, target = _waves(tmp_path / "apart", (0.2, -0.2, 0.2, -0.2)), tmp_path / "map.exr"
+    said = json.loads(_told(folder, target, capsys, "--json"))
+    assert abs(said["displacement_px"] - 0.2) < 2.0 * said["displacement_u_px"]
+    assert 0.01 < said["displacement_u_px"] < 0.1
+    told = f"{said['displacement_px']:.3f} ± {said['displacement_u_px']:.3f} pixels"
+    assert f"frames     displaced by {told}" in _told(folder, target, capsys)
+
+
+def test_frames_in_one_place_are_told_with_what_would_not_have_shown(tmp_path, capsys):
+    """Where no displacement shows, the report says from how many pixels on it would have."""
+    folder, target = _waves(tmp_path / "still", (0.0,) * 4), tmp_path / "map.exr"
+    said = json.loads(_told(folder, target, capsys, "--json"))
+    assert said["displacement_px"] == 0.0
+    assert 0.0 < said["displacement_u_px"] < 0.1
+    assert f"less than some {said['displacement_u_px']:.1g} pixels would not" in _told(folder, target, capsys)
+
+
+def test_frames_that_cannot_tell_a_displacement_are_assumed_to_have_none(tmp_path, capsys):
+    """Two frames of which the second clips everywhere share no pixel: that they lie in one place is an assumption."""
+    folder, target = _waves(tmp_path / "apart", (0.0, 0.0), level=60_000.0), tmp_path / "map.exr"
+    said = json.loads(_told(folder, target, capsys, "--json"))
+    assert said["displacement_px"] is None
+    assert any("frames lie in one place" in text for text in said["assumptions"])
+    assert "assumed    frames lie in one place" in _told(folder, target, capsys)
 
 
 def test_raw_files_need_no_response(tmp_path, capsys):

@@ -70,6 +70,17 @@ def test_frames_in_one_place_are_not_displaced(seed):
         assert 0.0 < found.u_px < 0.1
 
 
+def test_what_is_said_not_to_have_shown_would_not_have_and_twice_that_does():
+    """Where none shows u is the smallest δ that would have: half of it stays unseen, twice it is found, within 3 u."""
+    still = find_displacement(_bracket(np.random.default_rng(0), np.zeros((TIMES.size, 2))), _curve())
+    assert still.px == 0.0
+    corners = still.u_px * np.array([(1, 1), (-1, -1), (1, -1), (-1, 1)] * 3)
+    less, more = (find_displacement(_bracket(np.random.default_rng(0), k * corners), _curve()) for k in (0.5, 2.0))
+    assert less.px == 0.0
+    assert abs(more.px - 2.0 * still.u_px) < 3.0 * more.u_px
+    assert more.px > 0.0
+
+
 def test_even_ground_shows_no_displacement():
     """Without a gradient nothing can be displaced: δ is 0 however far the frames lie apart."""
     rng = np.random.default_rng(3)
