@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +15,8 @@ from radiometer.analysis.merge.displaced import MeanDisplacement, excess_scatter
 from radiometer.analysis.merge.finish import finish
 from radiometer.analysis.merge.frames import FrameTerms, frame_terms
 from radiometer.analysis.merge.ghosts import find_strays
-from radiometer.analysis.merge.sums import FRAMES_PER_PLANE, MergeSample, MergeSums
+from radiometer.analysis.merge.parts import BLOCK_PIXELS, block_size, blocks, on_all_cores
+from radiometer.analysis.merge.sums import FRAMES_PER_PLANE, Images, MergeSample, MergeSums, ScratchSums
 from radiometer.analysis.merge.tables import merge_tables
 from radiometer.analysis.patch.outside import frame_u_rel
 from radiometer.analysis.signal.found_effects import corrected_settings, temperature_factor
@@ -38,12 +37,8 @@ from radiometer.data import (
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.errors import MeasurementError
 
-Images = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]
-
 MOST_FRAMES = 64
-_BLOCK_PIXELS = 1 << 15  # a block's sums stay in a core's second-level cache
 _TOLD_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not told of
-_PARTS_PER_CORE = 4  # few, because each costs the interpreter's lock; several, because cores are not equally fast
 
 
 def merge(
@@ -156,21 +151,29 @@ class StreamingMerge:
 
     def _merged(self, batch: list[MergeSample]) -> Images:
         """Return radiance, uncertainty and mask, flat, from the sums so far and a last batch."""
-        shape, tables = self._known_shape(), merge_tables(self._terms, self._situation.model)
-        sums = self._known_sums()
+        (height, width), tables = self._known_shape(), merge_tables(self._terms, self._situation.model)
+        reference, frames, sums = self._terms[0].exposure, len(self._terms), self._sums
+        if sums is not None or self._finished:
+            sums = self._known_sums()
+            images = sums.first, sums.second, sums.mask
+        else:
+            size = height * width
+            images = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.uint8)
         self._sums, self._finished = None, True
-        reference = self._terms[0].exposure
 
         def work(start: int, stop: int) -> None:
-            for begin, end in _blocks(start, stop, shape[1]):
-                part = sums.part(begin, end)
+            kept = tables.kept()
+            room = sums or ScratchSums.of(images, block_size(width), frames)
+            for begin, end in blocks(start, stop, width):
+                part = room.part(begin, end)
                 part.add(batch, begin, reference)
                 # The sums make room for the result.
                 image = self._factor(begin, end - begin), part.first, part.second
-                finish(part.first, part.second, part.squares, part.patterns(), part.mask, *tables.arguments, *image)
+                patterns = part.patterns()
+                finish(part.first, part.second, part.squares, patterns, part.mask, *kept, *tables.arguments, *image)
 
-        _on_all_cores(shape, work)
-        return sums.first, sums.second, sums.mask
+        on_all_cores((height, width), work)
+        return images
 
     def merge_bracket(
         self,
@@ -229,8 +232,8 @@ class StreamingMerge:
         shift, tables = self._shift(images, displacement_px), merge_tables(self._terms, self._situation.model)
         doubtful = np.flatnonzero(images[2] & PixelMask.INCONSISTENT)
         excess = np.empty(doubtful.size)
-        for start in range(0, doubtful.size, _BLOCK_PIXELS):
-            pixels = doubtful[start : start + _BLOCK_PIXELS]
+        for start in range(0, doubtful.size, BLOCK_PIXELS):
+            pixels = doubtful[start : start + BLOCK_PIXELS]
             rate = images[0][pixels] / self._factor_at(pixels).astype(np.float64)
             excess[start : start + pixels.size] = excess_scatter(
                 batch, tables, pixels, rate, shift[pixels].astype(np.float64), absent
@@ -292,7 +295,8 @@ class StreamingMerge:
         place = self._factor_at(pixels)
         place = place * np.float32(self._terms[0].exposure / terms[0].exposure)
         image = place, sums.first, sums.second
-        finish(sums.first, sums.second, sums.squares, sums.patterns(), sums.mask, *tables.arguments, *image)
+        patterns = sums.patterns()
+        finish(sums.first, sums.second, sums.squares, patterns, sums.mask, *tables.kept(), *tables.arguments, *image)
         images[0][pixels], images[1][pixels], images[2][pixels] = sums.first, sums.second, sums.mask
 
     def _corrected(self, frame: Frame) -> Frame:
@@ -313,7 +317,7 @@ class StreamingMerge:
         """Add the frames of the batch to the sums and release them."""
         sums, reference = self._known_sums(), self._terms[0].exposure
         batch, self._pending = self._pending, []
-        _on_all_cores(self._known_shape(), lambda start, stop: sums.part(start, stop).add(batch, start, reference))
+        on_all_cores(self._known_shape(), lambda start, stop: sums.part(start, stop).add(batch, start, reference))
 
     def _sample(self, frame: Frame) -> MergeSample:
         if len(self._terms) == MOST_FRAMES:
@@ -331,7 +335,7 @@ class StreamingMerge:
         self._terms.append(terms)
         model = self._situation.model
         table = None if model.linear and terms.dark.size == 1 else model.table(frame.settings).astype(np.float32)
-        return MergeSample(np.ascontiguousarray(frame.dn).ravel(), terms, table, len(self._terms) - 1)
+        return MergeSample.of(np.ascontiguousarray(frame.dn).ravel(), terms, table, len(self._terms) - 1)
 
     def _refuse_misfit(self, frame: Frame) -> None:
         self._shape = self._shape or frame.shape
@@ -480,20 +484,3 @@ def _with_displacement(found: RadianceMap, displacement_px: float) -> Provenance
     """Return where a map comes from, with the displacement of its frames."""
     parameters = {**found.provenance.parameters, "displacement_px": displacement_px}
     return replace(found.provenance, parameters=parameters)
-
-
-def _on_all_cores(shape: tuple[int, int], work: Callable[[int, int], None]) -> None:
-    """Call work(start, stop) for parts of whole rows that make up the picture, on all cores."""
-    height, width = shape
-    cores = os.cpu_count() or 1
-    rows = -(-height // (cores * _PARTS_PER_CORE)) * width
-    parts = [(start, min(start + rows, height * width)) for start in range(0, height * width, rows)]
-    with ThreadPoolExecutor(max_workers=cores) as pool:
-        list(pool.map(lambda part: work(*part), parts))
-
-
-def _blocks(start: int, stop: int, width: int) -> Iterator[tuple[int, int]]:
-    """Yield the bounds of blocks of whole rows."""
-    step = max(1, _BLOCK_PIXELS // width) * width
-    for begin in range(start, stop, step):
-        yield begin, min(begin + step, stop)

@@ -47,7 +47,7 @@ def with_censored(
         rate: Estimate from the frames that did not clip.
         variance: Its variance.
         pattern: Bits of those frames.
-        frames: As in `merge_records.fill_record`.
+        frames: As in `records.fill_record`.
         kappa: Shot noise variance per unit of x.
     """
     estimate, information, contradiction = rate, 1.0 / variance, False

@@ -1,4 +1,9 @@
-"""The best mixture of a pixel's two estimates where quantisation depends on the level: behind a response curve."""
+"""The best mixture of a pixel's two estimates where quantisation depends on the level: behind a response curve.
+
+What it is depends on the frames used and on the level alone, so that each set of frames has a table over √E of its own,
+of straight lines between the levels where rounding is tabulated for the frame that shows most; it is filled in where
+a pixel asks.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from radiometer.analysis.merge.records import FIRST_POWER
+from radiometer.analysis.merge.records import FIRST_POWER, INV1, INV2, ROOT
 from radiometer.compiled import compiled
+
+# Columns of a level: what a pixel there needs.
+(SHARE, VARIANCE, TOTAL, SQUARES) = range(4)
+LEVEL_SIZE = 4
+# Lower levels are worked out singly: so near to zero straight lines over √E are off by more than 0.1 %.
+FIRST_LEVEL = 16
 
 
 @compiled
@@ -52,3 +63,44 @@ def mixture(
         return rate_a, 1.0, var_a
     share = (var_b - both) / between
     return rate_b + share * (rate_a - rate_b), share, var_a - (var_a - both) ** 2 / between
+
+
+@compiled
+def fill_level(
+    k: int,
+    pattern: Any,
+    record: Any,
+    levels: Any,
+    frames: Any,
+    gains: Any,
+    kappa: float,
+    quantisation: Any,
+    top: float,
+) -> None:  # pragma: no cover (compiled)
+    """Fill in one level of a set of frames, at √(rate·t·gain/top) = k/(size − 1) of the frame that shows most.
+
+    Args:
+        k: Number of the level.
+        pattern: Bits of the frames used.
+        record: As of `fill_record`.
+        levels: Shape (size, 4): what `at_rate` returns; overwritten at k.
+        frames: As in `fill_record`.
+        gains: Gain factor of every frame.
+        kappa: Shot noise variance per unit of x.
+        quantisation: As in `from_root_table`, of as many entries as there are levels.
+        top: Likewise.
+    """
+    rate = (k / ((levels.shape[0] - 1) * record[ROOT])) ** 2
+    share, variance, total, squares = at_rate(rate, pattern, record, frames, gains, kappa, quantisation, top)
+    levels[k, SHARE], levels[k, VARIANCE], levels[k, TOTAL], levels[k, SQUARES] = share, variance, total, squares
+
+
+@compiled
+def at_rate(
+    rate: float, pattern: Any, record: Any, frames: Any, gains: Any, kappa: float, quantisation: Any, top: float
+) -> tuple[float, float, float, float]:  # pragma: no cover (compiled)
+    """Return (share of the first estimate, variance of the mixture, Σv, Σv²) at a rate; arguments as `fill_level`."""
+    total, squares, var_a, both, var_b = moments(max(rate, 0.0), pattern, frames, gains, kappa, quantisation, top)
+    inv1, inv2 = record[INV1], record[INV2]
+    _, share, variance = mixture(0.0, 0.0, var_a * inv1**2, both * inv1 * inv2, var_b * inv2**2)
+    return share, variance, total, squares

@@ -19,8 +19,33 @@ import numpy as np
 from radiometer.compiled import compiled
 
 # Columns of a record: what `finish` needs of one set of frames.
-(INV1, INV2, S2, P0, P1, R0, R1, A0, A1, G0, G1, V0, V1, CC, C1, D1, D2, NEAR, COUNT, LONGEST, PLENTY) = range(21)
-RECORD_SIZE = 21
+(
+    INV1,
+    INV2,
+    S2,
+    P0,
+    P1,
+    R0,
+    R1,
+    A0,
+    A1,
+    G0,
+    G1,
+    V0,
+    V1,
+    CC,
+    C1,
+    D1,
+    D2,
+    NEAR,
+    COUNT,
+    LONGEST,
+    PLENTY,
+    ROOT,
+    NEAREST,
+    NEXT,
+) = range(24)
+RECORD_SIZE = 24
 FIRST_POWER = 0.35
 # A frame expected to clip by more than this says nothing new: its censored score is below 0.001 sigma.
 CENSORED_SIGMA = 3.5
@@ -45,18 +70,24 @@ def scatter_limit(freedom: float) -> float:  # pragma: no cover (compiled)
 
 
 @compiled
-def fill_record(record: Any, pattern: Any, frames: Any, kappa: float) -> None:  # pragma: no cover (compiled)
+def fill_record(
+    record: Any, pattern: Any, frames: Any, kappa: float, gains: Any, top: float
+) -> None:  # pragma: no cover (compiled)
     """Fill in what follows from which frames are used: sums, and the variances as lines in E.
 
     With w = t^0.35, E_a = Σwx/Σwt and E_b = Σtx/Σt²: var E_a = a0 + a1·E, var E_a − cov = g0 + g1·E, the variance
     of E_a − E_b is r0 + r1·E, and the best share of E_a is (p0 + p1·E)/(r0 + r1·E). PLENTY is how often the expected
     scatter is still consistent whatever the level: by Cauchy and Schwarz the degrees of freedom are at most the frames.
+    Below the rate NEAR the frame NEAREST may not have had to clip, below NEXT others as well.
+    ROOT times √E is 1 where the frame that shows most is at the end of the response curve.
 
     Args:
         record: float64, shape (RECORD_SIZE,), overwritten.
         pattern: Bits of the frames used.
         frames: float64, shape (n, 5): t, c, x at clipping, its sigma there, common uncertainty of the dark level.
         kappa: Shot noise variance per unit of x.
+        gains: Gain factor of every frame.
+        top: x of the curve's end; of no meaning for a linear sensor.
     """
     record[:] = 0.0
     longest, s1, s2 = -1.0, 0.0, 0.0
@@ -75,11 +106,16 @@ def fill_record(record: Any, pattern: Any, frames: Any, kappa: float) -> None:  
             record[D1] += w * frames[i, 4]
             record[D2] += t * frames[i, 4]
             record[COUNT] += 1.0
+            record[ROOT] = max(record[ROOT], math.sqrt(t * gains[i] / top))
             if t > longest:
                 longest = t
                 record[LONGEST] = i
         else:
-            record[NEAR] = max(record[NEAR], (frames[i, 2] + CENSORED_SIGMA * frames[i, 3]) / t)
+            near = (frames[i, 2] + CENSORED_SIGMA * frames[i, 3]) / t
+            if near > record[NEAR]:
+                record[NEXT], record[NEAR], record[NEAREST] = record[NEAR], near, i
+            else:
+                record[NEXT] = max(record[NEXT], near)
     record[INV1], record[INV2], record[S2] = 1.0 / s1, 1.0 / s2, s2
     record[D1], record[D2] = record[D1] / s1, record[D2] / s2
     var_a0, var_a1 = var_a0 / s1**2, var_a1 / s1**2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -13,7 +14,10 @@ from radiometer.analysis.merge import kernels as merge_kernels
 from radiometer.analysis.merge.frames import FrameTerms
 from radiometer.analysis.merge.records import FIRST_POWER
 
+Images = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]
+
 FRAMES_PER_PLANE: Final = 16
+_AT_ONCE: Final = 4  # frames that one pass over the sums takes in
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,12 +29,27 @@ class MergeSample:
         terms: The frame's constants.
         table: x by digital number; None where the sensor is linear and the dark signal one number.
         index: Place of the frame, from 0.
+        usable: x less the dark signal by digital number, 0 where it is not used; None without a table, or where the
+            dark signal is that of every pixel.
     """
 
     dn: NDArray[Any]
     terms: FrameTerms
     table: NDArray[np.float32] | None
     index: int
+    usable: NDArray[np.float32] | None = None
+
+    @classmethod
+    def of(cls, dn: NDArray[Any], terms: FrameTerms, table: NDArray[np.float32] | None, index: int) -> MergeSample:
+        """Return a frame's sample with what follows from its table; arguments as the attributes."""
+        sample = cls(dn, terms, table, index)
+        if table is None or terms.dark.size > 1:
+            return sample
+        low, high = sample.limits
+        # As long as its type has digital numbers: the compiled loop asks of none whether the table holds it.
+        usable = np.zeros(int(np.iinfo(dn.dtype).max) + 1, np.float32)
+        usable[low:high] = table[low:high] - terms.dark
+        return replace(sample, usable=usable)
 
     @property
     def limits(self) -> tuple[int, int]:
@@ -63,9 +82,10 @@ class MergeSample:
         return replace(self, dn=np.ascontiguousarray(self.dn[pixels]), terms=terms, index=index)
 
     def is_like(self, other: MergeSample) -> bool:
-        """Tell whether both frames are linear and can go into the sums in one pass."""
+        """Tell whether both frames can go into the sums in one pass: both linear, or both through a table alone."""
         linear = self.table is None and other.table is None
-        return linear and self.plane == other.plane and self.dn.dtype == other.dn.dtype
+        alike = linear or (self.usable is not None and other.usable is not None)
+        return alike and self.plane == other.plane and self.dn.dtype == other.dn.dtype
 
     def constants(self, reference: float) -> tuple[float, float, float, float]:
         """Return offset in DN and 1/gain (of no meaning with a table), relative exposure t, and t^0.35."""
@@ -126,11 +146,30 @@ class MergeSums:
         """
         waiting = list(samples)
         while waiting:
-            one = waiting.pop(0)
-            if waiting and one.is_like(waiting[0]):
-                self._add_linear_pair(one, waiting.pop(0), start, reference)
+            one = waiting[0]
+            alike = list(itertools.takewhile(one.is_like, waiting[:_AT_ONCE]))
+            if len(alike) == _AT_ONCE:
+                self._add_four(alike, start, reference)
+            elif len(alike) > 1 and one.table is None:
+                alike = alike[:2]
+                self._add_linear_pair(alike[0], alike[1], start, reference)
             else:
+                alike = [one]
                 self._add_one(one, start, reference)
+            waiting = waiting[len(alike) :]
+
+    def _add_four(self, four: Sequence[MergeSample], start: int, reference: float) -> None:
+        stop = start + self.first.size
+        dn = [one.dn[start:stop] for one in four]
+        constants = np.array([one.constants(reference) for one in four], np.float32)
+        limits = np.array([one.limits for one in four], dn[0].dtype)
+        bits, view = np.array([one.bit for one in four], np.uint16), self._view(four[0].plane)
+        if four[0].table is None:
+            merge_kernels.add_linear_four(*dn, constants, limits, bits, *view)
+        else:
+            tables = tuple(one.usable for one in four)
+            exposures = np.ascontiguousarray(constants[:, 2:])
+            merge_kernels.add_table_four(*dn, tables, exposures, limits, bits, *view)
 
     def _add_linear_pair(self, one: MergeSample, two: MergeSample, start: int, reference: float) -> None:
         stop = start + self.first.size
@@ -155,3 +194,47 @@ class MergeSums:
 
     def _view(self, plane: int) -> tuple[NDArray[Any], ...]:
         return self.first, self.second, self.squares, self.planes[plane], self.mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScratchSums:
+    """Sums of one block of pixels after another, each used up before the next: only the result is kept of all pixels.
+
+    Attributes:
+        first: Place of the radiance of all pixels, and of a block's Σt^0.35·x before.
+        second: Place of its uncertainty, and of a block's Σt·x before.
+        mask: Place of the mask, uint8.
+        squares: Σx² of a block.
+        planes: Bits of the frames used in a block.
+    """
+
+    first: NDArray[np.float32]
+    second: NDArray[np.float32]
+    mask: NDArray[np.uint8]
+    squares: NDArray[np.float32]
+    planes: list[NDArray[np.uint16]]
+
+    @classmethod
+    def of(cls, images: Images, most: int, frames: int) -> ScratchSums:
+        """Return sums of blocks of `most` pixels and `frames` frames.
+
+        Args:
+            images: Places of radiance, uncertainty and mask of all pixels, flat.
+            most: Pixels of the largest block.
+            frames: Number of frames.
+        """
+        block = MergeSums.zeros(most)
+        block.make_room(frames)
+        return cls(*images, block.squares, block.planes)
+
+    def part(self, start: int, stop: int) -> MergeSums:
+        """Return empty sums of the pixels from `start` to `stop`; those of the part before are lost."""
+        cut, size = slice(start, stop), stop - start
+        planes = [plane[:size] for plane in self.planes]
+        part = MergeSums(self.first[cut], self.second[cut], self.squares[:size], self.mask[cut], planes)
+        for one in (part.first, part.second, part.squares):
+            one.fill(0.0)
+        part.mask.fill(0)
+        for plane in planes:
+            plane.fill(0)
+        return part

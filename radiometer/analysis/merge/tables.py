@@ -10,9 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.merge.frames import FrameTerms
+from radiometer.analysis.merge.moments import LEVEL_SIZE
+from radiometer.analysis.merge.records import RECORD_SIZE
 from radiometer.analysis.signal.model import SignalModel
 
 _ROOT_TABLE_SIZE = 2048
+# Sets of frames, a power of 2: a bracket of 16 has some hundred; memory is taken by those that occur.
+_KEPT_SETS = 256
 # Frames that agree to this are consistent whatever the noise; more slack where the noise is only a typical one.
 _AGREEMENT_REL = 0.01
 _AGREEMENT_ASSUMED_REL = 0.1
@@ -21,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeTables:
-    """What the merge's last step is given besides the pixels; its attributes are named as in `merge_finish.finish`."""
+    """What the merge's last step is given besides the pixels; its attributes are named as in `finish.finish`."""
 
     frames: Array
     kappa: float
@@ -44,6 +48,15 @@ class MergeTables:
             self.curve,
             self.top,
             self.valid,
+        )
+
+    def kept(self) -> tuple[NDArray[np.uint64], Array, Array]:
+        """Return what `finish` keeps from block to block, empty: sets of frames, their records and their levels."""
+        levels = 0 if self.quantisation is None else _ROOT_TABLE_SIZE
+        return (
+            np.zeros(_KEPT_SETS, np.uint64),
+            np.zeros((_KEPT_SETS, RECORD_SIZE)),
+            np.zeros((_KEPT_SETS, levels, LEVEL_SIZE)),
         )
 
     def variance(self, expected: Array) -> tuple[Array, Array]:

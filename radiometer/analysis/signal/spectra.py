@@ -57,7 +57,10 @@ class Spectrum:
     def integral(
         self, weighting_nm: NDArray[np.float64] | None = None, weighting: NDArray[np.float64] | None = None
     ) -> float:
-        """Return ∫ S(λ)·w(λ) dλ over the band by the trapezium rule on both sets of wavelengths.
+        """Return ∫ S(λ)·w(λ) dλ over the band, exactly, with straight lines between the entries of either table.
+
+        Between neighbouring wavelengths of both, h apart, the product of two straight lines is a parabola:
+        ∫ = h/6·[S₀·(2w₀ + w₁) + S₁·(w₀ + 2w₁)].
 
         Args:
             weighting_nm: Ascending wavelengths of the weighting in nm; None weighs all alike.
@@ -68,11 +71,12 @@ class Spectrum:
         if self.wavelength_nm.size == 1:
             here = np.interp(self.wavelength_nm[0], weighting_nm, weighting, left=0.0, right=0.0)
             return float(self.power[0] * here)
-        low, high = self.band_nm
-        inside = weighting_nm[(weighting_nm > low) & (weighting_nm < high)]
-        grid = np.union1d(self.wavelength_nm, inside)
-        values = np.interp(grid, self.wavelength_nm, self.power)
-        return float(np.trapezoid(values * np.interp(grid, weighting_nm, weighting, left=0.0, right=0.0), grid))
+        low, high = max(self.wavelength_nm[0], weighting_nm[0]), min(self.wavelength_nm[-1], weighting_nm[-1])
+        grid = np.union1d(self.wavelength_nm, weighting_nm)
+        grid = grid[(grid >= low) & (grid <= high)]
+        power, weight = np.interp(grid, self.wavelength_nm, self.power), np.interp(grid, weighting_nm, weighting)
+        crossed = power[:-1] * (2.0 * weight[:-1] + weight[1:]) + power[1:] * (weight[:-1] + 2.0 * weight[1:])
+        return float(np.sum(np.diff(grid) * crossed) / 6.0)
 
 
 def spectrum(name: str) -> Spectrum:
