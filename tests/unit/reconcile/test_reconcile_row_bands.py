@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -49,6 +50,17 @@ def test_without_bands_each_spatial_frequency_is_noise(make_capture: Callable[..
     lit = np.isfinite(seen.bands)
     assert lit.sum(axis=1).max() > 10
     assert np.mean(seen.bands[lit]) == pytest.approx(1.0, abs=4 * np.sqrt(1.0 / lit.sum()))
+
+
+def test_a_tile_that_ends_where_a_bin_ends_covers_no_further_one(make_capture: Callable[..., Any]) -> None:
+    """Rows 10 to 31 of 480, two to a bin, are 11 bins: three whole orders; the next row begins a twelfth."""
+    captured = make_capture(plan=[{"t": 3e-3}], frames=1)
+    small = Design.of(captured.header, captured.frames[0].shape)
+    tiles = [dataclasses.replace(small.tiles[0], y=10, height=height) for height in (22, 23)]
+    ending, reaching = (RowBins.of(dataclasses.replace(small, shape=(480, 96), tiles=(tile,))) for tile in tiles)
+    assert (ending.step, ending.number, ending.orders) == (2, 240, 3)
+    assert reaching.orders == 4
+    np.testing.assert_array_equal(ending.middle[:3], [0.5, 2.5, 4.5])
 
 
 def test_bands_have_the_power_that_a_wave_predicts(make_capture: Callable[..., Any]) -> None:
