@@ -15,6 +15,7 @@ PACKAGES = ("radiometer", "drivers", "simulators")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
 LONGEST_MODULE = 500
+LEAVES = (ast.expr_context, ast.operator, ast.unaryop, ast.cmpop, ast.boolop, ast.Name, ast.Constant, ast.alias)
 # A command's docstring is its help text for people; what it raises becomes an exit code.
 LIBRARY = [path for path in SOURCES if "cli" not in path.parts]
 
@@ -98,8 +99,20 @@ def functions_of(tree):
         elif isinstance(node, ast.Assert | ast.Call):
             for function in within:
                 functions[function].append(node)
-        waiting += [(child, within) for child in ast.iter_child_nodes(node)]
+        waiting += [(child, within) for child in children_of(node)]
     return functions
+
+
+def children_of(node):
+    """Return the nodes right within a node, names and operators left out: they are half of a tree and hold nothing."""
+    children = []
+    for field in node._fields:
+        held = getattr(node, field, None)
+        if isinstance(held, ast.AST):
+            children.append(held)
+        elif isinstance(held, list):
+            children += held
+    return [child for child in children if not isinstance(child, LEAVES) and isinstance(child, ast.AST)]
 
 
 def silent(functions):

@@ -28,6 +28,8 @@ _ROUNDS: Final = 6
 _ROUNDING_DN2: Final = 1.0 / 12.0
 # Electrons of a sensor whose shot noise a stack does not show: many enough to weigh nothing.
 _MOST_ELECTRONS: Final = 1e7
+# Square of the length at which two unit columns that are told apart differ, beyond what sums in double precision lose.
+_ALIKE: Final = 1e-13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,10 +160,23 @@ def _fitted(residual: Array, terms: Array, start: Array) -> TermsFit:
         # A wild residual (movement, a defect) counts as five standard deviations, not more.
         wanted = (np.minimum(square, 25.0 * expected) - rounding) / expected
         weighted = terms / expected[:, None]
-        scale = np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)
-        found = nnls(weighted / scale, wanted)[0] / scale
+        found = _least_squares_above_zero(weighted, wanted)
     left = wanted - weighted @ found
     return TermsFit(np.asarray(found), weighted.T @ weighted, weighted * left[:, None])
+
+
+def _least_squares_above_zero(columns: Array, wanted: Array) -> Array:
+    """Return the coefficients x ≥ 0 of least |A·x − y|²: those of as few rows as columns, with the same AᵀA and Aᵀy.
+
+    Args:
+        columns: A, shape (rows, k).
+        wanted: y, shape (rows,).
+    """
+    gram, right = columns.T @ columns, columns.T @ wanted
+    scale = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
+    square, directions = np.linalg.eigh(gram / np.outer(scale, scale))
+    length = np.sqrt(np.maximum(square, _ALIKE))
+    return np.asarray(nnls((directions * length).T, directions.T @ (right / scale) / length)[0] / scale)
 
 
 def sensor_noise(noise: LogNoise, curve: ResponseCurve, black_dn: float = 0.0) -> SensorNoise:
