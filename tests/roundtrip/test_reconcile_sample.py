@@ -28,6 +28,7 @@ def test_nothing_hidden_nothing_found() -> None:
     assert answer.effects == ()
 
 
+@pytest.mark.usefixtures("laws_left_out")
 @pytest.mark.parametrize("name", SAMPLE)
 def test_hidden_effect_is_named_first(name: str) -> None:
     """At its smallest realistic size the effect is the first name given, and the gap on held-out settings shrinks."""
@@ -44,6 +45,7 @@ def test_hidden_effect_is_named_alone(name: str) -> None:
     assert [e.name for e in answer.effects] == [name]
 
 
+@pytest.mark.usefixtures("laws_left_out")
 def test_found_effect_shrinks_the_gap_of_a_fresh_session() -> None:
     """With what was found frozen, another session of the same rig is met to a reduced chi-square of 1.05."""
     answer = _ask(make_session("exposure_time_offset", camera_seed=4))
@@ -60,6 +62,7 @@ def test_power_of_short_times_alone_keeps_its_name() -> None:
     assert [e.name for e in answer.effects] == ["reciprocity_failure"]
 
 
+@pytest.mark.usefixtures("laws_left_out")
 @pytest.mark.parametrize("form", ["black_level_drift:curved", "mechanical_vignetting:circles"])
 def test_other_equation_of_an_effect_takes_a_flexible_form(form: str) -> None:
     """A bent drift and a pupil cut by the barrel keep their names, alone, and a fresh session is met to 1.05."""

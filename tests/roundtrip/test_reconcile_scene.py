@@ -24,6 +24,7 @@ def test_picture_left_behind_is_no_noise() -> None:
     assert [effect.name for effect in answer.effects] == ["image_lag"]
 
 
+@pytest.mark.usefixtures("laws_left_out")
 def test_flicker_seen_at_short_exposures_alone_has_two_names() -> None:
     """Below 1.4 ms a ripple of the mains and a dimmed source look alike: either stands beside the other."""
     effect = _ask("mains_ripple").effects[0]

@@ -37,6 +37,7 @@ def test_unknown_scene_shows_what_needs_no_scene(name: str) -> None:
     assert str(answer.verdict) == "effects_found"
 
 
+@pytest.mark.usefixtures("laws_left_out")
 def test_fit_that_goes_astray_takes_smaller_steps_and_says_nothing() -> None:
     """A gamma bends a free scene so much that a whole step would overflow: no warning reaches the terminal."""
     with warnings.catch_warnings():

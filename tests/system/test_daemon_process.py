@@ -97,17 +97,17 @@ def test_kills_leave_no_hole_and_lose_nothing_that_was_seen() -> None:
 
 @pytest.mark.long
 def test_many_clients_are_served_while_it_measures() -> None:
-    """200 clients at 20 queries/s for 4 s: every reply comes and is right. The benchmark takes a minute, and times."""
-    result = daemon_load.run("small", 0.1, 200, 20.0, 4.0)
+    """200 clients at 20 queries/s for 2 s: every reply comes and is right. The benchmark takes a minute, and times."""
+    result = daemon_load.run("small", 0.1, 200, 20.0, 2.0)
     assert result.replies.errors == 0
-    assert result.replies.asked == 200 * 80
+    assert result.replies.asked == 200 * 40
     assert result.loaded_per_s > 0
 
 
 @pytest.mark.long
 def test_a_short_soak_leaks_no_descriptor() -> None:
-    """Clients come and go for 20 s; descriptors stay, and memory grows by less than a leak would show."""
-    result = daemon_soak.run(20.0, warm_up_s=15.0, sample_s=0.25)
+    """Clients come and go for 8 s; descriptors stay, and memory grows by less than a leak would show."""
+    result = daemon_soak.run(8.0, warm_up_s=6.0, sample_s=0.25)
     assert result.errors == 0
     assert abs(result.descriptors_last - result.descriptors_first) <= 6  # connections that come and go
     assert result.end_mb - result.warm_mb < 15

@@ -69,3 +69,25 @@ def test_shutter_by_hand_is_asked_for_and_given_back() -> None:
             break
     frames.close()  # type: ignore[attr-defined]
     assert asked == [True, False]
+
+
+def test_two_thirds_of_the_ladder_rise_evenly_and_a_third_passes_through_saturation() -> None:
+    """Of nine steps six run from 2 to 88 % of the saturating exposure and three from 90 to 108 %; the stack at 50 %."""
+    camera = _camera(0.3)
+    saturating_s = saturating_exposure_s(camera, REGION)
+    request = LadderRequest(REGION, steps=9, stack=4)
+    bright = [f.settings.exposure_s for f in take_ladder(camera, request) if not f.settings.is_dark]
+    ladder, stack = bright[:-4], bright[-4:]
+    shares = [0.02, 0.192, 0.364, 0.536, 0.708, 0.88, 0.90, 0.99, 1.08]
+    twice = [share * saturating_s for share in shares for _ in range(2)]
+    assert ladder == pytest.approx(twice, rel=0.01)
+    assert stack == pytest.approx([0.5 * saturating_s] * 4, rel=0.01)
+
+
+def test_dark_frames_of_1_2_and_4_s_are_taken_besides() -> None:
+    """Without a wish of one's own the dark current is told by these, two each."""
+    camera = _camera(0.3)
+    frames = list(take_ladder(camera, LadderRequest(REGION, steps=6, stack=3)))
+    long = [f.settings.exposure_s for f in frames if f.settings.exposure_s > 0.5]
+    assert long == pytest.approx([1.0, 1.0, 2.0, 2.0, 4.0, 4.0], rel=1e-3)
+    assert len(frames) == LadderRequest(REGION, steps=6, stack=3).frames()

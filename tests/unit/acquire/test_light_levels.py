@@ -11,7 +11,7 @@ import pytest
 from radiometer.acquire.light_levels import LevelSurvey, Measured, SpectralCorrection, assemble, plan_levels
 from radiometer.data import Contribution, Patch, Quantity, Reading
 from radiometer.devices.light_box import ChannelCapabilities, ChannelMode, ChannelState, CurrentRange, DriveLevel
-from radiometer.errors import MeasurementError
+from radiometer.errors import MeasurementError, UnsafeStimulus
 
 CHANNEL = ChannelCapabilities("spot", 460.0, 4096, 1000.0, {CurrentRange.LOW: 65535, CurrentRange.HIGH: 30000})
 LEVEL = DriveLevel(20_000)
@@ -148,3 +148,102 @@ def test_a_channel_that_the_box_ended_is_no_level():
     """Its energy budget is used up: what was read is no light of that level, and the way out is told."""
     with pytest.raises(MeasurementError, match="ten minutes"):
         survey_of(LinearBox(ChannelMode.OFF)).survey("spot", SpectralCorrection())
+
+
+class SlowBox(LinearBox):
+    """A box whose light grows by a part of itself every 20 s, without end, and whose energy budget may shrink."""
+
+    def __init__(self, growth, *, longest_s=math.inf, energy_per_step=0.0, energy=1.0):
+        super().__init__()
+        self.growth, self.longest_s = growth, longest_s
+        self.energy_per_step, self.energy, self.lit_s = energy_per_step, energy, 0.0
+        self.darkened = 0
+
+    def set_level(self, channel, level):
+        self.pulse(channel, level, math.inf)
+
+    def pulse(self, channel, level, seconds):
+        if seconds > self.longest_s:
+            raise UnsafeStimulus("too long")
+        self.drive, self.lit_s = level, 0.0
+
+    def off(self, channel):
+        self.drive, self.darkened = None, self.darkened + 1
+
+    def read_channel(self, channel):
+        return ChannelState(channel, self.mode, self.drive or DriveLevel(0), 4096, self.energy)
+
+    def wait(self, seconds):
+        self.lit_s += seconds
+        self.energy += self.energy_per_step if self.drive is not None else 0.1
+        super().wait(seconds)
+
+    def measure(self):
+        steps = self.lit_s / 20.0
+        return reading(0.0 if self.drive is None else (1.0 + self.growth) ** steps)
+
+
+def point_of(box, drive=LEVEL):
+    survey = LevelSurvey(box, box.measure, box.wait, np.random.default_rng(1))
+    survey._dark = reading(0.0)
+    return survey._point("spot", drive, 0.0)
+
+
+@pytest.mark.parametrize(("longest_s", "lit_s"), [(math.inf, 600.0), (599.0, 280.0), (200.0, 180.0), (100.0, 90.0)])
+def test_light_that_does_not_settle_is_read_40_s_before_it_has_to_end(longest_s, lit_s):
+    """It is lit for the longest time that the eye allows; its last step of 1 % stands for 2/√3 % to come."""
+    found = point_of(SlowBox(0.01, longest_s=longest_s))
+    assert lit_s - 40.0 <= found.settle_s < lit_s - 20.0
+    assert found.own_u_rel == pytest.approx(0.01 * 2 / math.sqrt(3))
+    assert found.radiance == pytest.approx(1.01 ** (found.settle_s / 20.0))
+    assert found.start_rel == pytest.approx(1.0 / found.radiance)
+
+
+def test_light_that_is_forbidden_at_any_length_is_no_point():
+    """What the eye allows for no time at all stays dark, and the box's refusal comes through."""
+    with pytest.raises(UnsafeStimulus):
+        point_of(SlowBox(0.01, longest_s=89.0))
+
+
+@pytest.mark.parametrize(("growth", "settle_s"), [(0.0004, 20.0), (0.0006, 560.0)])
+def test_light_has_settled_when_two_readings_agree_to_a_twentieth_of_a_percent(growth, settle_s):
+    """Then half a per mille is what is doubted of it, however much better they agree."""
+    found = point_of(SlowBox(growth))
+    assert found.settle_s == settle_s
+    assert found.own_u_rel == pytest.approx(max(growth, 0.0005) * 2 / math.sqrt(3))
+
+
+def test_the_wait_ends_before_the_energy_budget_does():
+    """It loses a tenth in 20 s: after nine steps less than 15 % are left, and the box would darken the channel."""
+    found = point_of(SlowBox(0.01, energy_per_step=-0.1))
+    assert found.settle_s == 180.0
+
+
+@pytest.mark.parametrize(
+    ("drive", "steps"),
+    [
+        (DriveLevel(30_000), 10),  # the whole limit: 98 % must be there
+        (DriveLevel(15_000), 5),  # half of it
+        (DriveLevel(3_000), 3),  # never less than twice what is kept, 30 %
+        (DriveLevel(65_535, CurrentRange.LOW), 3),
+    ],
+)
+def test_a_channel_recovers_in_the_dark_until_its_budget_suffices(drive, steps):
+    """From 0.03 up by a tenth in 20 s of darkness: a brighter level waits longer."""
+    box = SlowBox(0.0, energy=0.03)
+    LevelSurvey(box, box.measure, box.wait, np.random.default_rng(1))._let_recover("spot", drive)
+    assert box.waited == 20.0 * steps
+    assert box.darkened == steps
+
+
+@pytest.mark.parametrize(("duty_steps", "lowest_high"), [(4096, 256), (65_536, 163)])
+def test_levels_begin_where_steps_lie_close_enough(duty_steps, lowest_high):
+    """At 16 steps, with the high current at a 400th of all steps where that is more; four a decade and the end."""
+    channel = ChannelCapabilities("spot", 460.0, duty_steps, 1000.0, dict.fromkeys(CurrentRange, 65_535))
+    levels = plan_levels(channel, 4.0)
+    low, high = ([one.level for one in levels if one.current_range is current] for current in CurrentRange)
+    low, high = sorted((low, high), key=min)
+    assert min(low) == 16 * 65_536 // duty_steps
+    assert min(high) == lowest_high
+    for own in (low, high):
+        assert len(own) == math.ceil(4.0 * math.log10(65_536 / min(own))) + 1

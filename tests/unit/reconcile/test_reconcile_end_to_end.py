@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -84,6 +86,7 @@ def test_power_of_time_without_its_entry_is_no_settling_lamp(make_capture: Calla
     assert "exposure_s" in [effect.where for effect in result.effects]
 
 
+@pytest.mark.usefixtures("laws_left_out")
 def test_uneven_leak_moves_whole_patches_and_nothing_else_is_named(make_capture: Callable[..., Any]) -> None:
     """Few pixels leak much: the patches that hold them differ in mean and spread, and that belongs to the one name."""
     drawn = np.random.default_rng(5).lognormal(0.0, 0.7, (64, 96))
@@ -94,16 +97,21 @@ def test_uneven_leak_moves_whole_patches_and_nothing_else_is_named(make_capture:
     assert result.verdict is Verdict.EFFECTS_FOUND
 
 
-def test_command_writes_json_model_and_report(
-    make_capture: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture(scope="module")
+def commanded(make_capture: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
+    """Return the model and the report that the command writes for an offset of 1.5 DN, and what it prints."""
+    folder = tmp_path_factory.mktemp("commanded")
+    model, report = folder / "reconciled.yaml", folder / "report.html"
+    captured = _write(make_capture(seed=14, extra_dn=lambda s: 1.5), folder / "set")
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        assert run(["reconcile", str(captured), "-o", str(model), "--report", str(report), "--json"]) == 0
+    return model, report, printed.getvalue()
+
+
+def test_command_writes_json_model_and_report(commanded: tuple[Path, Path, str]) -> None:
     """The command prints one JSON object of the documented form; model and report can be opened."""
-    captured = make_capture(seed=14, extra_dn=lambda s: 1.5)
-    folder = _write(captured, tmp_path / "set")
-    model, report = tmp_path / "reconciled.yaml", tmp_path / "report.html"
-    code = run(["reconcile", str(folder), "-o", str(model), "--report", str(report), "--json"])
-    printed = json.loads(capsys.readouterr().out)
-    assert code == 0
+    model, report, text = commanded
+    printed = json.loads(text)
     assert printed["verdict"] == "effects_found"
     (effect,) = printed["effects"]
     assert effect["name"] == "black_level_offset"
@@ -116,16 +124,14 @@ def test_command_writes_json_model_and_report(
     assert "data:image/svg+xml;base64," in report.read_text(encoding="utf-8")
 
 
-def test_found_model_as_start_agrees(make_capture: Callable[..., Any], tmp_path: Path) -> None:
+def test_found_model_as_start_agrees(
+    commanded: tuple[Path, Path, str], make_capture: Callable[..., Any], tmp_path: Path
+) -> None:
     """Starting from the model with the effect in it, a fresh capture of the same camera agrees."""
     from radiometer.reconcile.engine import reconcile_capture
 
-    hidden = {"extra_dn": lambda s: 1.5}
-    folder = _write(make_capture(seed=15, **hidden), tmp_path / "set")
-    model = tmp_path / "model.yaml"
-    assert run(["reconcile", str(folder), "-o", str(model), "--json"]) == 0
-    fresh = _write(make_capture(seed=16, **hidden), tmp_path / "fresh")
-    again = reconcile_capture(fresh, CameraModel.read(model)).result
+    fresh = _write(make_capture(seed=16, extra_dn=lambda s: 1.5), tmp_path / "fresh")
+    again = reconcile_capture(fresh, CameraModel.read(commanded[0])).result
     assert again.verdict is Verdict.AGREES
     assert again.gap_before == pytest.approx(1.0, abs=0.05)
 

@@ -1,0 +1,195 @@
+"""The flux of a few pixels, worked out by hand: merging, noise, background, scale, steps to the emitted flux."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiometer.analysis.flux.estimate import led_flux
+from radiometer.analysis.flux.report import Emitter
+from radiometer.analysis.flux.sensor import SensorFlux, flux_scale, sensor_flux
+from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription, Patch, Quantity, SourceDescription
+from radiometer.data.calibration_sections import StatedUncertainties
+from radiometer.errors import CalibrationError
+
+# 2 electrons per DN, of 0.5 electrons per photon of 500 nm on (10 µm)²: 4 photons stand behind a DN above black.
+CAMERA = CameraDescription(
+    bit_depth=12, pixel_pitch_um=10.0, conversion_gain_e_per_dn=2.0, quantum_efficiency=0.5, read_noise_e=3.0,
+    full_well_e=9000.0, dark_current_e_per_s=0.0, black_level_dn=100.0,
+)  # fmt: skip
+SOURCE = SourceDescription(kind="led", wavelength_nm=500.0)
+JOULE = 4.0 * 6.62607015e-34 * 299_792_458.0 / 500e-9  # per DN and pixel
+SHAPE = (100, 40)
+
+
+def frame(dn: np.ndarray | float, exposure_s: float, *, level: float = 1.0) -> Frame:
+    numbers = np.broadcast_to(np.asarray(dn), SHAPE).astype(np.uint16)
+    return Frame(numbers, 12, FrameSettings(exposure_s, black_level_dn=100.0, source_level=level, f_number=4.0))
+
+
+def flux_of(*frames: Frame, region: Patch | None = None) -> SensorFlux:
+    return sensor_flux(frames, flux_scale(CAMERA, SOURCE, None), region)
+
+
+def test_the_flux_is_that_of_all_light_by_all_time() -> None:
+    """200 DN in 1 ms and 400 DN in 2 ms on 4000 pixels: 600 DN in 3 ms each, whatever the order of the frames."""
+    off = frame(100, 1e-3, level=0.0)
+    measured = flux_of(frame(500, 2e-3), frame(300, 1e-3), off)
+    assert measured.merged_w == pytest.approx(4000 * 600 * JOULE / 3e-3, rel=1e-9)
+    # Of each frame shot noise of its electrons, reading and rounding, in DN².
+    variance = (200 / 2 + (3 / 2) ** 2 + 1 / 12) + (400 / 2 + (3 / 2) ** 2 + 1 / 12)
+    assert measured.u_noise_w == pytest.approx(math.sqrt(4000 * variance) * JOULE / 3e-3, rel=1e-6)
+    assert measured.background_w == pytest.approx(0.0, abs=1e-20)
+    assert measured.background_source == "frames with the source off"
+    dark_noise = math.sqrt(4000 * ((3 / 2) ** 2 + 1 / 12)) * JOULE / 1e-3
+    assert measured.u_background_w == pytest.approx(dark_noise, rel=1e-6)
+    assert measured.clipped_everywhere == 0
+
+
+def test_a_pixel_counts_the_frames_in_which_it_does_not_clip() -> None:
+    """One that clips at 2 ms has the light of 1 ms alone; one that clips in both is at least full scale in 1 ms."""
+    short, long = np.full(SHAPE, 300), np.full(SHAPE, 500)
+    long[50, 20] = 4095
+    short[60, 20] = long[60, 20] = 4095
+    measured = flux_of(frame(short, 1e-3), frame(long, 2e-3), frame(100, 1e-3, level=0.0))
+    irradiance = measured.irradiance * 1e-10 / JOULE  # DN per s
+    assert irradiance[0, 0] == pytest.approx(600 / 3e-3)
+    assert irradiance[50, 20] == pytest.approx(200 / 1e-3)
+    assert irradiance[60, 20] == pytest.approx(3995 / 1e-3)
+    assert measured.clipped_everywhere == 1
+    rest = (3 / 2) ** 2 + 1 / 12
+    variance = 3998 * (600 / 2 + 2 * rest) / 3e-3**2 + (200 / 2 + rest) / 1e-3**2  # nothing is known of the third
+    assert measured.u_noise_w == pytest.approx(math.sqrt(variance) * JOULE, rel=1e-6)
+
+
+def test_the_background_of_a_room_is_that_of_frames_with_the_source_off() -> None:
+    """10 DN in 1 ms without the source are taken off, whatever the rim of the lit picture shows."""
+    measured = flux_of(frame(300, 1e-3), frame(110, 1e-3, level=0.0), frame(130, 3e-3, level=0.0))
+    assert measured.background_w == pytest.approx(4000 * 40 * JOULE / 4e-3, rel=1e-9)
+    region = Patch(4, 10, 5, 8)
+    of_region = flux_of(frame(300, 1e-3), frame(110, 1e-3, level=0.0), region=region)
+    assert of_region.merged_w == pytest.approx(40 * 200 * JOULE / 1e-3, rel=1e-9)
+    assert of_region.background_w == pytest.approx(40 * 10 * JOULE / 1e-3, rel=1e-9)
+    variance = 10 / 2 + (3 / 2) ** 2 + 1 / 12
+    assert of_region.u_background_w == pytest.approx(math.sqrt(40 * variance) * JOULE / 1e-3, rel=1e-6)
+
+
+def rimmed(top: float, bottom: float, left: float, right: float) -> np.ndarray:
+    """Return a picture of 300 DN with a rim of two pixels (a twentieth of its 40 columns) of other values."""
+    dn = np.full(SHAPE, 300.0)
+    dn[:, :2], dn[:, -2:] = left, right
+    dn[:2], dn[-2:] = top, bottom
+    return dn
+
+
+def test_without_such_frames_the_rim_is_the_background() -> None:
+    """Its median counts, and half the spread of the medians of its four sides as the doubt of every pixel."""
+    dn = rimmed(110, 130, 112, 114)
+    dn[99, 5] = 4000  # a defect moves no median
+    measured = flux_of(frame(dn, 1e-3))
+    assert measured.background_source == "outermost twentieth of the frame"
+    assert measured.background_w == pytest.approx(4000 * 13 * JOULE / 1e-3, rel=1e-9)  # between 112 and 114 DN
+    spread = math.hypot(0.0, (30 - 10) / 2)
+    assert measured.u_background_w == pytest.approx(4000 * spread * JOULE / 1e-3, rel=1e-9)
+    region = Patch(4, 10, 5, 8)
+    assert flux_of(frame(dn, 1e-3), region=region).background_w == pytest.approx(40 * 13 * JOULE / 1e-3, rel=1e-9)
+
+
+def test_an_even_rim_is_known_by_the_scatter_of_its_pixels() -> None:
+    """Sides alike, 110 and 114 DN in turn: σ = 2 DN of 544 pixels is 0.086 DN for every pixel of the sum."""
+    checks = np.where(np.indices(SHAPE).sum(axis=0) % 2 == 0, 110.0, 114.0)
+    dn = np.where(rimmed(0, 0, 0, 0) == 0, checks, 300.0)
+    measured = flux_of(frame(dn, 1e-3))
+    assert measured.u_background_w == pytest.approx(4000 * 2.0 / math.sqrt(544) * JOULE / 1e-3, rel=1e-9)
+
+
+def test_one_photograph_stands_for_all_by_the_thesis() -> None:
+    """Of four frames the second smallest figure is taken; values at 0 and full scale are left out and counted."""
+    exposures = {2e-3: 500, 1e-3: 300, 4e-3: 1300, 8e-3: 3300}  # 200, 200, 300 and 400 DN per ms
+    frames = [frame(np.where(np.indices(SHAPE)[0] < 10, 4095, dn), t) for t, dn in exposures.items()]
+    frames[1] = frame(np.where(np.indices(SHAPE)[0] < 25, 0, 290), 1e-3)
+    report = led_flux(frames, flux_scale(CAMERA, SOURCE, None), LensDescription())
+    assert report.thesis_exposure_s == 2e-3
+    assert report.thesis.value == pytest.approx(3600 * 200 * JOULE / 1e-3, rel=1e-9)
+    assert report.thesis_left_out == pytest.approx(0.1)
+    by_exposure = {one[0]: one for one in flux_of(*frames).thesis}
+    assert by_exposure[1e-3][1] == pytest.approx(3000 * 190 * JOULE / 1e-3, rel=1e-9)
+    assert by_exposure[1e-3][2] == pytest.approx(0.25)
+
+
+def test_noise_and_background_stay_in_the_light_before_the_lens() -> None:
+    """Behind the lens 90 ± 2 %: both noises, the scale's doubt and the lens's add in squares, all grown by 1/0.9."""
+    frames = [frame(rimmed(110, 130, 112, 114), 1e-3)]
+    lens = LensDescription(focal_length_mm=20.0, f_number=4.0, transmittance=0.9, transmittance_u_rel=0.02)
+    emitter = Emitter(Quantity(20.0, 0.0, "°"), None, Quantity(80.0, 0.0, "mm"))
+    scale = flux_scale(CAMERA, SOURCE, None)
+    report = led_flux(frames, scale, lens, emitter)
+    steps = {step.name: step.flux for step in report.corrections}
+    measured = flux_of(*frames)
+    on_sensor = measured.merged_w - measured.background_w
+    of_scale = math.hypot(0.03, 1e-4)  # the description's, and that of exposure times
+    assert steps["clipped pixels from shorter exposures"].u == pytest.approx(
+        math.hypot(measured.merged_w * of_scale, measured.u_noise_w), rel=1e-6
+    )
+    assert report.on_sensor.value == pytest.approx(on_sensor, rel=1e-12)
+    noise = math.hypot(measured.u_noise_w, measured.u_background_w)
+    assert report.on_sensor.u == pytest.approx(math.hypot(on_sensor * of_scale, noise), rel=1e-6)
+    behind = steps["light lost in the lens"]
+    assert behind.value == pytest.approx(on_sensor / 0.9, rel=1e-12)
+    assert behind.u == pytest.approx(math.hypot(on_sensor * of_scale, noise, on_sensor * 0.02) / 0.9, rel=1e-6)
+
+
+@pytest.mark.parametrize(("bright_rows", "sharp"), [(40, True), (20, False)])
+def test_a_diode_with_a_plateau_has_a_radiance(bright_rows: int, sharp: bool) -> None:
+    """Of 50 lit rows 40 at their highest value are a plateau; 20 beside 30 at half of it are a blur."""
+    rows = np.indices(SHAPE)[0]
+    dn = np.where(rows < 25, 100.0, np.where(rows < 25 + bright_rows, 900.0, np.where(rows < 75, 500.0, 100.0)))
+    lens = LensDescription(focal_length_mm=20.0, f_number=4.0, magnification=0.3)
+    emitter = Emitter(Quantity(20.0, 0.0, "°"), Quantity(3.0, 0.0, "mm"), Quantity(80.0, 0.0, "mm"))
+    frames = [frame(dn, 1e-3), frame(100, 1e-3, level=0.0)]
+    emitted = led_flux(frames, flux_scale(CAMERA, SOURCE, None), lens, emitter).emitted
+    assert ("radiance_times_area" in emitted) is sharp
+
+
+def test_a_lens_that_states_nothing_takes_nothing() -> None:
+    """Without a stated transmittance all the light that reaches the lens reaches the sensor."""
+    frames = [frame(rimmed(100, 100, 100, 100), 1e-3)]
+    emitter = Emitter(Quantity(20.0, 0.0, "°"), None, Quantity(80.0, 0.0, "mm"))
+    open_lens = LensDescription(focal_length_mm=20.0, f_number=4.0)
+    half = open_lens.model_copy(update={"transmittance": 0.5})
+    plain, darkened = (led_flux(frames, flux_scale(CAMERA, SOURCE, None), one, emitter) for one in (open_lens, half))
+    steps = {step.name: step.flux for step in plain.corrections}
+    assert steps["light lost in the lens"].value == pytest.approx(plain.on_sensor.value, rel=1e-12)
+    assert darkened.emitted["fraction_through_pupil"].value == pytest.approx(
+        2.0 * plain.emitted["fraction_through_pupil"].value, rel=1e-12
+    )
+
+
+def test_the_scale_of_a_calibration_is_its_own(rig) -> None:
+    """J·m⁻² per DN and its uncertainty, the spectrum's beside it, are the calibration's; nothing is assumed."""
+    calibration = rig.calibration(u_rel=0.003, uncertainties=StatedUncertainties(spectral_u_rel=0.004))
+    camera = calibration.camera.model_copy(update={"pixel_pitch_um": 4.5})
+    calibration = replace(calibration, camera=camera)
+    scale = flux_scale(camera, SOURCE, calibration)
+    assert scale.joule_per_m2 == pytest.approx(rig.true_scale, rel=1e-12)
+    assert scale.u_rel == pytest.approx(0.005, rel=1e-12)
+    assert scale.pixel_area_m2 == pytest.approx(4.5e-6**2)
+    assert scale.assumptions == ()
+    relative = calibration.scale.model_copy(update={"method": "relative"})
+    for lacking in (relative, calibration.scale.model_copy(update={"f_number": None})):
+        with pytest.raises(CalibrationError, match="no exposure on the sensor"):
+            flux_scale(camera, SOURCE, replace(calibration, scale=lacking))
+
+
+def test_the_scale_of_a_description_is_four_photons_a_pixel() -> None:
+    """c·h·ν/(η·A) with A by the pitch; the flux sums over the spacing of the pixels that are read."""
+    scale = flux_scale(CAMERA, SOURCE, None)
+    assert scale.joule_per_m2 == pytest.approx(JOULE / 1e-10, rel=1e-12)
+    assert scale.u_rel == 0.03
+    binned = flux_scale(CAMERA.model_copy(update={"pixel_spacing_um": 20.0}), SOURCE, None, responsivity_u_rel=0.01)
+    assert binned.joule_per_m2 == scale.joule_per_m2
+    assert binned.pixel_area_m2 == pytest.approx(4e-10)
+    assert (binned.u_rel, binned.assumptions) == (0.01, ())
