@@ -15,6 +15,7 @@ from drivers.serial_line import SerialLine
 from radiometer.daemon.bench_instrument import BenchInstrument
 from radiometer.daemon.bench_light import BenchLight
 from radiometer.daemon.journal import Journal
+from radiometer.daemon.keeper import KeeperTimes
 from radiometer.daemon.station import Station
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
@@ -32,7 +33,9 @@ OPTICS = {
 
 
 @contextlib.asynccontextmanager
-async def box_station(folder: Path) -> AsyncIterator[tuple[Station, PtyServer, LightBoxTwin]]:
+async def box_station(
+    folder: Path, times: KeeperTimes | None = None
+) -> AsyncIterator[tuple[Station, PtyServer, LightBoxTwin]]:
     """Run a station with a small simulated camera and the twin of the light box behind a pseudo-terminal."""
     twin = LightBoxTwin()
     server = PtyServer(WiredTwin(twin), link=folder / "box")
@@ -42,7 +45,7 @@ async def box_station(folder: Path) -> AsyncIterator[tuple[Station, PtyServer, L
         return SerialLightBox(BoxLink(SerialLine(str(folder / "box"))), ExposureLedger(OPTICS, time.monotonic))
 
     instrument = BenchInstrument(write_small_bench(folder), uncalibrated=True)
-    station = Station(instrument, Journal(folder / "journal.sqlite"), box=BenchLight(open_box))
+    station = Station(instrument, Journal(folder / "journal.sqlite"), box=BenchLight(open_box), times=times)
     await station.start()
     try:
         yield station, server, twin

@@ -9,7 +9,11 @@ import pytest
 from benchmarks import daemon_loss
 from benchmarks._box_station import OPTICS, box_station, seconds_until
 from benchmarks._daemon import DaemonProcess
+from radiometer.daemon.keeper import KeeperTimes
 from radiometer.errors import DeviceError, SettingOutOfRange
+
+# How often an idle box is asked and a lost one looked for: what twenty losses show does not depend on it.
+QUICK = KeeperTimes(first_pause_s=0.02, longest_pause_s=0.1, check_every_s=0.1)
 
 
 @pytest.mark.long
@@ -35,7 +39,7 @@ async def test_the_light_box_is_set_through_its_driver(tmp_path: Path) -> None:
 @pytest.mark.long
 async def test_a_light_box_is_unplugged_and_replugged_twenty_times(tmp_path: Path) -> None:
     """Each loss is told and refuses levels, each return is noticed, and the levels are known to be dark then."""
-    async with box_station(tmp_path) as (station, server, _):
+    async with box_station(tmp_path, QUICK) as (station, server, _):
         for _ in range(20):
             await station.set_level("fixation", 0.1)
             server.unplug()

@@ -244,10 +244,12 @@ def test_an_exposure_must_end_before_the_deadline(at_s, taken):
     assert len(list(alone)) == 1
 
 
-@pytest.mark.parametrize(("limit_s", "taken"), [(10.0, 3), (0.1, 2)])
-def test_the_deadline_leaves_ten_seconds_and_half_the_time(limit_s, taken):
-    """Of 10 s: 25 s; of 0.1 s: 10.15 s. The third frame of a second would begin at 10 s."""
-    now = iter((0.0, 1.0, 10.0))
+@pytest.mark.parametrize(
+    ("limit_s", "third_s", "taken"), [(10.0, 23.9, 3), (10.0, 24.1, 2), (0.1, 9.14, 3), (0.1, 9.16, 2)]
+)
+def test_the_deadline_leaves_ten_seconds_and_half_the_time(limit_s, third_s, taken):
+    """Of 10 s: 25 s; of 0.1 s: 10.15 s. A third frame of a second has to begin a second before."""
+    now = iter((0.0, 1.0, third_s))
     plan = ExposurePlan((1.0, 1.0, 1.0))
     frames = take_plan(camera_before(CHART), plan, BracketRequest(time_limit_s=limit_s), clock=lambda: next(now))
     assert len(list(frames)) == taken

@@ -148,11 +148,11 @@ def test_intervals_of_every_figure_hold_the_truth() -> None:
 
 @pytest.mark.long
 def test_intervals_hold_fixed_patterns() -> None:
-    """With a PRNU of 0.6 % and a DSNU of 2 e-, the intervals hold these (and K) in at least 89 % of 25 runs."""
+    """With a PRNU of 0.6 % and a DSNU of 2 e-, the intervals hold these (and K) in at least 89 % of 50 runs."""
     model = CameraModel.ideal(CAMERA, LensDescription(f_number=4.0))
     model = model.with_effect(PatternInPixels()).with_effect(OffsetInPixels())
     truth = {"PRNU_1288": 0.6, "DSNU_1288": 2.0, "K": 1 / 5.95}
-    coverage = _coverage(model, truth, range(SEEDS // 2))
+    coverage = _coverage(model, truth, range(SEEDS))
     assert {name: share for name, share in coverage.items() if share < 0.89} == {}
 
 
