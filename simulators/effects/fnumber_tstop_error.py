@@ -57,12 +57,9 @@ class FnumberTstopError(Scaling):
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return the law with curvature, and the table over the stops in use, which covers every law."""
-        used, count = np.unique(np.asarray(context.f_number), return_counts=True)
+        used = np.unique(np.asarray(context.f_number))
         if used.size < 3:
             return ()
-        # The stop used most is the reference: its error belongs to the responsivity.
-        order = [int(np.argmax(count)), *(i for i in range(used.size) if i != int(np.argmax(count)))]
-        del order
         return (cls(f_numbers=tuple(used.tolist()), errors_rel=(0.0,) * used.size),)
 
     def free(self) -> tuple[str, ...]:

@@ -75,7 +75,6 @@ def test_other_equation_of_an_effect_takes_a_flexible_form(form: str) -> None:
     assert after <= 1.05
 
 
-@pytest.mark.usefixtures("laws_left_out")
 def test_entry_taken_from_the_catalogue_is_not_replaced_by_a_confident_name() -> None:
     """Without its entry the droop is left unnamed or provisional, and the source's level is among the first places."""
     answer = _ask(make_session("led_thermal_droop", camera_seed=5), without=("led_thermal_droop",))

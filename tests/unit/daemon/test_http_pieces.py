@@ -306,3 +306,24 @@ async def test_a_trend_is_in_seconds_and_with_twice_the_standard_uncertainty(sta
     assert (shown["since"], shown["until"]) == (at, at + 3600)
     assert (shown["value"], shown["U"]) == ([1.0], [0.02])
     assert shown["time"] == [pytest.approx(at + 600, abs=1.8)]  # the middle of a thousandth of the hour, 3.6 s
+
+
+@pytest.mark.parametrize(("clipped", "shown"), [(0, 0.04), (4, 0.04), (5, 0.02), (4096, 0.02)])
+def test_the_frame_shown_is_the_longest_in_which_less_than_a_thousandth_clips(clipped: int, shown: float) -> None:
+    """Of 4096 pixels four may clip; where all frames clip, the shortest is shown."""
+    dn = np.full(4096, 900)
+    dn[:clipped] = 4095
+    pictures = [
+        Frame(dn.reshape(64, 64).astype(np.uint16), 12, FrameSettings(0.04)),
+        Frame(np.full((64, 64), 450, np.uint16), 12, FrameSettings(0.02)),
+        Frame(np.full((64, 64), 225, np.uint16), 12, FrameSettings(0.01)),
+    ]
+    reading = Reading(Quantity(2.0, 0.1, "1"), Patch(0, 0, 4, 4), "1")
+    frame = Measurement(reading, tuple(pictures)).frame
+    assert frame is not None
+    assert frame.settings.exposure_s == shown
+    white = [replace(one, dn=np.full((64, 64), 4095, np.uint16)) for one in pictures]
+    last = Measurement(reading, tuple(white)).frame
+    assert last is not None
+    assert last.settings.exposure_s == 0.01
+    assert Measurement(reading).frame is None

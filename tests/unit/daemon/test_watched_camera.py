@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from radiometer.daemon.watched_camera import GRACE_S, WatchedCamera
+from radiometer.daemon.watched_camera import WatchedCamera
 from radiometer.devices import Camera, CameraSettings
 
 
@@ -26,11 +26,11 @@ class _Camera:
 
 
 def test_a_capture_is_late_after_twice_its_exposures_and_a_grace() -> None:
-    """The time counts from the call's begin; after the call nothing is late."""
+    """1.4 s, counted from the call's begin; after the call nothing is late."""
     camera: Any = _Camera()
     camera.watch = watched = WatchedCamera(camera, clock=lambda: 100.0)
     watched.capture(3)
-    assert camera.seen == [100.0 + GRACE_S + 3.0]
+    assert camera.seen == [100.0 + 1.4 + 3.0]
     assert watched.late_at is None
 
 
@@ -41,7 +41,7 @@ def test_a_refused_call_is_not_late_for_ever() -> None:
     try:
         watched.configure(CameraSettings(0.1))
     except ValueError:
-        assert camera.seen == [100.0 + GRACE_S]
+        assert camera.seen == [100.0 + 1.4]
     assert watched.late_at is None
 
 

@@ -88,3 +88,14 @@ def test_safety_bound_is_above_the_radiance():
     assert found.highest_radiance("spot", 8 * 100, True) == pytest.approx(102.0, rel=1e-3)
     assert found.highest_radiance("spot", 8 * 5000, True) is None
     assert found.highest_radiance("spot", 8 * 100, False) is None
+
+
+@pytest.mark.parametrize("dip", range(1, 4))
+def test_one_level_that_gives_no_more_light_than_the_one_below_is_refused(dip):
+    """Wherever it lies: what falls or stays between two levels was not measured well."""
+    for share in (1.0, 0.9):
+        radiances = [16.0, 64.0, 256.0, 1024.0]
+        radiances[dip] = share * radiances[dip - 1]
+        points = [point(step, radiance) for step, radiance in zip((16, 64, 256, 1024), radiances, strict=True)]
+        with pytest.raises(CalibrationError, match="must rise"):
+            calibration(*points).choose("spot", 20.0)

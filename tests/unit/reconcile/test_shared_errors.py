@@ -127,3 +127,20 @@ def test_what_follows_the_light_is_predicted(design: Design) -> None:
         if row.tells_light or row.follows_light:
             assert row.given is Given.TILE
             assert name in Prediction.__dataclass_fields__
+
+
+def test_light_moves_what_counts_by_its_sensitivity(design: Design) -> None:
+    """A capture's light moves the means of the tiles that count by d(mean)/d(log light) each, and no other."""
+    captures = len(design.captures)
+    sensitivity = np.tile([120.0, 35.0, 7.0], (captures, 1))
+    counts = np.tile([True, True, False], (captures, 1))
+    usable = dict.fromkeys(("mean", "first", "slope_y", "variance", "spatial"), counts)
+    none = np.zeros(captures)
+    repeats = Repeatability(0.01, np.full(captures, 0.0004), none, none, 0.0)
+    found = {error.name: error for error in shared_errors(design, None, usable, sensitivity, repeats)}  # type: ignore[arg-type]
+    moved = np.array([120.0, 35.0, 0.0])
+    np.testing.assert_allclose(found["light of a capture"].covariance("mean")[0], 1e-4 * np.outer(moved, moved))
+    # Five frames: the mean has a fifth of their variance, the first less the mean of the four others five quarters.
+    np.testing.assert_allclose(found["light of its frames"].covariance("mean")[0], 8e-5 * np.outer(moved, moved))
+    first = found["light of its first frame"].covariance("first")[0]
+    np.testing.assert_allclose(first, 4e-4 * 1.25 * np.outer(moved, moved))

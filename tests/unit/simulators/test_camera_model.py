@@ -174,11 +174,15 @@ def test_every_effect_is_registered_under_its_name_with_bounded_sourced_paramete
     """A registry line and its class agree; each parameter has a unit, a source and a default within bounds."""
     kind = EFFECTS[name]
     assert kind.name == name
-    kind()
+    made = kind()
     for known in kind.parameters():
+        assert isinstance(known.unit, str)
         assert known.unit
         assert known.source
         assert known.low < known.high
+        default = getattr(made, known.name)
+        for value in default if isinstance(default, tuple) else (default,):
+            assert known.low <= value <= known.high
 
 
 @pytest.mark.parametrize("bits", [8, 10, 12, 16])

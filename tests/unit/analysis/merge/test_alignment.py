@@ -158,10 +158,30 @@ def test_photographs_far_apart_are_found_from_afar(waves):
     assert max(gaps) < 0.2
 
 
-@pytest.mark.parametrize(("away", "believed"), [((9, -6), True), ((9, 18), False), ((-25, 0), False), ((0, 0), True)])
+@pytest.mark.parametrize(
+    ("away", "believed"),
+    [
+        ((9, -6), True), ((-9, 6), True), ((9, 18), False), ((9, -18), False), ((-25, 0), False), ((25, 0), False),
+        ((0, 0), True),
+    ],
+)  # fmt: skip
 def test_a_shift_of_more_than_a_quarter_is_not_believed(away, believed):
     """Of pictures 64 by 48 that go round; to half a pixel, which is a start for the climb."""
     x, y = away
     picture = np.random.default_rng(3).normal(100.0, 20.0, (48, 64)).astype(np.float32)
     found = _shift(picture, np.roll(picture, (y, x), axis=(0, 1)))
     assert found == pytest.approx(away if believed else (0.0, 0.0), abs=0.5)
+
+
+def test_what_all_frames_show_is_left_by_the_largest_displacement():
+    """7.2 pixels to a side, and one more for values between pixels, are cut off all around; never past a quarter."""
+
+    def still(shift):
+        return Movement(np.array([[1.0, 0.0, shift], [0.0, 1.0, 0.0]]))
+
+    frames = [Frame(np.arange(60 * 80, dtype=np.uint16).reshape(60, 80), 16, FrameSettings(t)) for t in (0.1, 0.2)]
+    for shift, rim in ((7.2, 9), (-7.2, 9), (500.0, 15)):
+        alignment = Alignment((still(0.0), still(shift)), 0, (60, 80))
+        trimmed = alignment.trimmed(Bracket.from_frames(frames))
+        for one, frame in zip(trimmed, frames, strict=True):
+            np.testing.assert_array_equal(one.dn, frame.dn[rim : 60 - rim, rim : 80 - rim])

@@ -154,7 +154,9 @@ def test_a_wrong_spectrum_file_is_refused(tmp_path, text, message):
         spectrum(str(tmp_path / "lamp.csv"))
 
 
-@pytest.mark.parametrize("name", ["moonlight", "planck:hot", "line:", "line:9000", "nowhere.csv"])
+@pytest.mark.parametrize(
+    "name", ["moonlight", "planck:hot", "planck:499", "planck:50001", "line:", "line:199", "line:2001", "nowhere.csv"]
+)
 def test_an_unknown_spectrum_is_refused(name):
     """With the names there are, or what is wrong with the number or file."""
     with pytest.raises(InputError):
