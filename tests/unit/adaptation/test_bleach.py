@@ -15,7 +15,7 @@ from radiometer.adaptation.bleach import (
     retinal_exposure_for,
     retinal_illuminance_td,
 )
-from radiometer.data.bleaching_constants import CONSTANTS
+from radiometer.data.bleaching_constants import CONE_HALF_BLEACH, CONE_REGENERATION, CONSTANTS
 from simulators import eye_kinetics
 
 
@@ -85,3 +85,14 @@ def test_calculator_eye_and_docs_share_one_table(project_root: Path) -> None:
         assert constant.low <= constant.value <= constant.high
     assert KINETICS["cones"].half_bleach_td == eye_kinetics.CONE_EXPOSURE_TD_S / eye_kinetics.CONE_REGENERATION_S
     assert KINETICS["rods"].td_s == eye_kinetics.ROD_EXPOSURE_TD_S
+
+
+def test_range_of_cones_spans_their_own_constants() -> None:
+    """I0 and τ of cones are published apart: the extremes are those of I0 with τ, whatever Q they make together."""
+    half, back = CONE_HALF_BLEACH, CONE_REGENERATION
+    ends = []
+    for half_td in (half.low, half.high):
+        for time_s in (back.low, back.high):
+            rate = (1.0 + 1e4 / half_td) / time_s
+            ends.append(1e4 / (1e4 + half_td) * (1.0 - math.exp(-rate * 60.0)))
+    assert bleached_range(1e4, 60.0, "cones") == pytest.approx((min(ends), max(ends)))

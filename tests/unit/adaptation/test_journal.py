@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -40,3 +41,18 @@ def test_damage_in_the_middle_is_refused_with_its_line(tmp_path: Path, damage: b
     file.write_bytes(b'{"sequence": 0, "kind": "start", "time_s": 0}\n' + damage + b"{}\n")
     with pytest.raises(InputError, match="line 2"):
         list(read_events(file))
+
+
+def test_an_event_is_on_the_disk_unless_it_need_not_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a word each event waits for the disk; one that need not last only leaves the program."""
+    synced: list[int] = []
+    monkeypatch.setattr(os, "fsync", synced.append)
+    with Journal(tmp_path / "j") as journal:
+        journal.write("start", 0.0)
+        after_start = len(synced)
+        journal.write("blink", 1.0, lasting=False)
+        assert len(synced) == after_start
+        assert [e["kind"] for e in read_events(tmp_path / "j")] == ["start", "blink"]
+        journal.write("trial", 2.0)
+        assert len(synced) == after_start + 1
+    assert after_start >= 1

@@ -99,3 +99,23 @@ def test_one_level_that_gives_no_more_light_than_the_one_below_is_refused(dip):
         points = [point(step, radiance) for step, radiance in zip((16, 64, 256, 1024), radiances, strict=True)]
         with pytest.raises(CalibrationError, match="must rise"):
             calibration(*points).choose("spot", 20.0)
+
+
+def test_between_two_levels_their_doubts_and_the_bend_count():
+    """f = ln(radiance/duty) = c·x²: midway its bend c·w²/4 stands as a rectangle beside the halves of both u."""
+    c, w = 0.02, math.log(4.0)
+    steps = [16, 64, 256, 1024, 4096]
+    x = [math.log(step / STEPS) for step in steps]
+    u_rel = [0.001, 0.001, 0.003, 0.004, 0.001]
+    points = [
+        point(step, step / STEPS * math.exp(c * one**2), u_rel=u) for step, one, u in zip(steps, x, u_rel, strict=True)
+    ]
+    for near in (300, 370, 512, 700):
+        choice = calibration(*points).choose("spot", near / STEPS * math.exp(c * math.log(near / STEPS) ** 2))
+        step = choice.level * STEPS / 65536
+        assert step == pytest.approx(near, rel=0.02)
+        share = math.log(step / 256) / w
+        own = math.hypot((1 - share) * 0.003, share * 0.004)
+        bend = c * w**2 * share * (1 - share) / math.sqrt(3)
+        expected = math.hypot(own, bend)
+        assert choice.u_w_sr_m2 / choice.radiance_w_sr_m2 == pytest.approx(expected, rel=1e-6)

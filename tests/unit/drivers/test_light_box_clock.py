@@ -67,3 +67,25 @@ def test_no_exchange_is_said():
     """Without any comparison there is no time."""
     with pytest.raises(MeasurementError, match="synchronise"):
         BoxClock().host_time_s(1.0)
+
+
+def test_one_exchange_is_known_by_its_delay_and_the_rate_by_what_resonators_hold():
+    """2 ms there and back: ±1 ms of asymmetry and ±1.25 ms of slack as rectangles; 0.5 % for every second away."""
+    clock = BoxClock()
+    clock.add(exchange(10.0, 3.0, 0.001, 0.001))
+    sample_s = 10.0 + 0.001 - 3.0
+    asymmetry, slack = 0.002 / 2 / np.sqrt(3), 0.0025 / 2 / np.sqrt(3)
+    for away_s in (0.0, 2.0, -2.0):
+        time_s, u_s = clock.host_time_s(sample_s + away_s)
+        assert time_s == pytest.approx(sample_s + away_s + 3.0, abs=1e-9)
+        assert u_s == pytest.approx(np.sqrt(asymmetry**2 + slack**2 + (0.005 * away_s) ** 2), rel=1e-4)
+    assert clock.estimate().u_drift_ppm == pytest.approx(5000.0)
+
+
+def test_slack_averages_out_and_asymmetry_does_not():
+    """A hundred exchanges at one time know the slack ten times better than one; half the least delay stays."""
+    clock = BoxClock()
+    for _ in range(100):
+        clock.add(exchange(10.0, 3.0, 0.001, 0.001))
+    asymmetry, slack = 0.002 / 2 / np.sqrt(3), 0.0025 / 2 / np.sqrt(3)
+    assert clock.host_time_s(7.001)[1] == pytest.approx(np.hypot(asymmetry, slack / 10.0), rel=1e-4)

@@ -1,0 +1,59 @@
+"""The simulated light box by itself: what it answers to commands, and what leaves its LEDs without any."""
+
+from __future__ import annotations
+
+import pytest
+
+from simulators.light_box import LightBoxTwin
+from simulators.light_box_commands import Commands
+
+
+def greeted() -> tuple[LightBoxTwin, Commands]:
+    twin = LightBoxTwin()
+    commands = Commands(twin)
+    assert commands.run("HI 2").startswith("OK radiometer-light-box 2")
+    return twin, commands
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("XX", 2), ("st", 2), ("ST ", 3), ("ST 1", 3), ("CH", 3), ("CH 99", 4), ("CH 0 0", 3), ("RB x", 3),
+        ("SL 1 X 100", 3), ("SL 1 H 65536", 3), ("SL 1 H", 3), ("PU 1 H 100 0", 3), ("PU 1 H 100 600001", 3),
+        ("BL 1 H 100 10 60001 3", 3), ("EV 1", 3), ("EV ff", 3), ("EV 7F", 10), ("HI", 3), ("HI 9", 9),
+        ("SL 1 H 1 2 3 4 5", 3),
+    ],
+)  # fmt: skip
+def test_what_is_no_command_is_refused_by_its_number(text: str, code: int) -> None:
+    """2 is no command, 3 no such arguments, 4 no such channel, 9 another version, 10 no such event."""
+    _, commands = greeted()
+    assert commands.run(text) == f"ER {code:02d}"
+
+
+def test_a_box_that_nobody_greeted_shines_for_nobody() -> None:
+    """Reading is allowed, light is not (7); a fresh box has lost and darkened nothing and its button is up."""
+    commands = Commands(LightBoxTwin())
+    assert commands.run("SL 1 H 100") == "ER 07"
+    assert commands.run("ST").split()[3:] == ["0", "0", "0", "P", "0", "0"]
+    assert commands.run("TM").endswith(" 01")  # it has told of its start, and of nothing else
+
+
+def test_a_pulse_ends_in_the_light_too() -> None:
+    """Half a second of 60 000: the LED is lit within and dark beyond, though no further command came."""
+    twin, commands = greeted()
+    assert commands.run("PU 1 H 20000 500").startswith("OK")
+    begun_s = twin.time_s
+    assert twin.emission("spot", begun_s + 0.4).radiance_w_sr_m2 > 0.0
+    assert twin.duty("spot") > 0.0
+    assert twin.emission("spot", begun_s + 0.6).radiance_w_sr_m2 == 0.0
+    assert twin.duty("spot") == 0.0
+
+
+def test_a_host_that_falls_silent_leaves_the_leds_dark() -> None:
+    """A second after its last word a steady light goes out, and the box tells that it did."""
+    twin, commands = greeted()
+    assert commands.run("SL 1 H 20000").startswith("OK")
+    assert twin.emission("spot", twin.time_s + 0.9).radiance_w_sr_m2 > 0.0
+    assert twin.emission("spot", twin.time_s + 0.3).radiance_w_sr_m2 == 0.0
+    assert not twin.session
+    assert any(event.startswith("DK D") for event in twin.events.values())
