@@ -38,6 +38,7 @@ async def test_the_watchdog_is_fed_until_the_daemon_is_told_to_end(station: Stat
         await asyncio.sleep(0.005)
     service._stop.set()
     await watching
+    assert fed.times >= 3
 
 
 async def test_a_camera_that_hangs_lets_the_watchdog_bite(station: Station, monkeypatch: pytest.MonkeyPatch) -> None:

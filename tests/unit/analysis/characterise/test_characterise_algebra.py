@@ -12,13 +12,14 @@ from scipy.stats import linregress
 
 from radiometer.analysis.characterise import characterise, report_plots
 from radiometer.analysis.characterise.dark_figures import typical_dark_current, typical_rates
+from radiometer.analysis.characterise.dark_signal import dark_signal
 from radiometer.analysis.characterise.dark_transfer import _halves_u
 from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
 from radiometer.analysis.characterise.inconsistent import contradicting_darks
 from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.analysis.characterise.linearity import linearity
 from radiometer.analysis.characterise.nonuniformity import dsnu, prnu
-from radiometer.analysis.characterise.partial import bent
+from radiometer.analysis.characterise.partial import _of_masked_rows, bent, disagreeing_gains
 from radiometer.analysis.characterise.photon_flux import PhotonFlux, photon_flux
 from radiometer.analysis.characterise.photon_transfer import photon_transfer
 from radiometer.analysis.characterise.report import outcome
@@ -27,11 +28,12 @@ from radiometer.analysis.characterise.saturation import find_saturation
 from radiometer.analysis.characterise.sensitivity import responsivity, sensitivity_figures
 from radiometer.analysis.characterise.spatial_split import NoiseLeft, SpatialSplit, split_spatial_variance
 from radiometer.analysis.characterise.steps import make_steps
-from radiometer.analysis.characterise.subject import Subject
+from radiometer.analysis.characterise.subject import Subject, _inside
 from radiometer.data import (
     CameraDescription,
     FrameSettings,
     LensDescription,
+    Patch,
     PatchDescription,
     Quantity,
     SourceDescription,
@@ -277,7 +279,9 @@ def test_a_dark_group_off_the_line_of_the_others_is_named(slope, wrong_dn, named
     found = contradicting_darks(darks, 3000.0)
     assert [one.settings.exposure_s for one, _ in found] == [3.0] * named
     for _, said in found:
-        assert f"{means[3]:.4g} DN where all others say {BLACK_DN + 3.0 * slope:.4g}" in said
+        straight = BLACK_DN + 3.0 * slope
+        assert f"{means[3]:.4g} DN where all others say {straight:.4g}" in said
+        assert said.endswith(f"({round(100.0 * wrong_dn / straight):+d} %)")
 
 
 def test_a_bend_of_the_dark_transfer_is_a_range_of_slopes():
@@ -400,3 +404,52 @@ def test_variances_of_few_lines_scatter_by_their_stated_uncertainty():
         told = [one.u_column_dn2 if turned else one.u_row_dn2 for one in splits]
         assert np.mean(values) == pytest.approx(9.0, rel=0.08)
         assert np.mean(told) == pytest.approx(np.std(values), rel=0.08)
+
+
+def test_masked_rows_tell_the_black_level_by_their_mean_and_scatter():
+    """Three rows of 100, 100 and 104 DN; equal ones leave rounding, one alone a whole DN of doubt."""
+    found = _of_masked_rows([100.0, 100.0, 104.0])
+    assert (found.value, found.u) == pytest.approx((304.0 / 3.0, 4.0 / math.sqrt(3.0)))
+    assert _of_masked_rows([100.0, 100.0]).u == pytest.approx(1.0 / math.sqrt(12.0))
+    assert _of_masked_rows([100.0]).u == 1.0
+
+
+@pytest.mark.parametrize(
+    ("dark", "word"), [(0.4901, "agrees with"), (0.4899, "differs from"), (0.5101, "differs from")]
+)
+def test_two_gains_agree_within_twice_what_both_leave_open(dark, word):
+    """0.003 and 0.004 DN/e⁻ make 0.005: a distance of 0.01 is the last that agrees, to either side."""
+    (said,) = disagreeing_gains(Quantity(0.5, 0.003, "DN/e-"), Quantity(dark, 0.004, "DN/e-"))
+    assert f"{word} that from light" in said
+    assert "(2.0 u)" in said
+
+
+@pytest.mark.parametrize("step_dn", [1, 4])
+def test_noise_below_a_code_is_a_bound_that_grows_with_the_square_of_the_spacing(step_dn):
+    """EMVA 1288 takes 0.24 DN² for the least that rounding leaves; in codes 4 DN apart that is 3.84 DN²."""
+    quiet, loud = (dark_signal([group(BLACK_DN, v * step_dn**2, dark=True)], step_dn) for v in (0.23, 0.25))
+    assert (quiet.variance_dn2.value, quiet.quantisation_limited) == (pytest.approx(0.24 * step_dn**2), True)
+    assert (loud.variance_dn2.value, loud.quantisation_limited) == (pytest.approx(0.25 * step_dn**2), False)
+
+
+def test_darkness_begins_at_the_shortest_exposure_where_two_make_no_line():
+    """Of 1 and 2 s the figures are those of 1 s, whatever the order; of three exposures those of the line at 0 s."""
+    one, two = group(101.0, 40.0, 1.0, dark=True), group(102.0, 42.0, 2.0, dark=True)
+    for darks in ([one, two], [two, one]):
+        found = dark_signal(darks)
+        assert (found.mean_dn.value, found.variance_dn2.value) == (101.0, 40.0)
+        assert found.mean_line is None
+    found = dark_signal([two, group(103.0, 44.0, 3.0, dark=True), one])
+    assert (found.mean_dn.value, found.variance_dn2.value) == pytest.approx((100.0, 38.0))
+    assert found.mean_line is not None
+    assert found.mean_line.slope == pytest.approx(1.0)
+
+
+def test_a_region_lies_in_a_patch_where_all_its_pixels_do():
+    """Held against sets of pixels, for every place and size on a small frame."""
+    outer = Patch(3, 2, 3, 4)
+    pixels = {(x, y) for x in range(3, 6) for y in range(2, 6)}
+    for x, y, width, height in np.ndindex(7, 7, 4, 5):
+        if width and height:
+            own = {(a, b) for a in range(x, x + width) for b in range(y, y + height)}
+            assert _inside(Patch(x, y, width, height), outer) is (own <= pixels)

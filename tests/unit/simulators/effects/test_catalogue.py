@@ -352,3 +352,43 @@ def test_amplified_offset_may_bend_with_the_gain() -> None:
     *_, bent = BlackLevelGainSlope(0.5).loosened(context)
     assert bent.free() == ("slope_dn", "bend")
     np.testing.assert_allclose(bent.with_parameters(bend=-0.02).offset(context), [0.0, 0.5 * (9 - 0.02 * 81)])
+
+
+# These mix pixels or codes, or leave what the light brings to the responsivity: each has a test of its own.
+APART = {"brighter_fatter", "crosstalk", "conversion_gain_error", "missing_codes"}
+NEEDS_A_PICTURE = {"ghost", "stray_light_kernel"}
+
+
+def _grown(effect: CatalogueEffect, field: str) -> Any:
+    """Return by how much of 7 units more of a kind of noise more of it is left behind an effect."""
+    amounts = {name: np.full((1, 1, 1), 50.0 + 4.0 * n) for n, name in enumerate(TileMoments.squared)}
+    before = replace(TileMoments.exactly(np.full((1, 1, 1), 900.0)), first_excess=np.full((1, 1, 1), 3.0), **amounts)
+    more = replace(before, **{field: getattr(before, field) + 7.0})
+    left, rest = (np.asarray(getattr(effect.moments(moments, _context()), field)) for moments in (more, before))
+    return np.mean(left - rest) / 7.0
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE.keys() - APART - NEEDS_A_PICTURE))
+def test_noise_from_before_passes_by_the_slope(name: str) -> None:
+    """Variances and covariances by its square, differences of means by itself, shares and counts as they are."""
+    effect = _starts(CATALOGUE[name], _context())[0]
+    slope = np.asarray(effect.slope(np.full((1, 1, 1), 900.0), _context()))
+    for field in TileMoments.squared:
+        assert _grown(effect, field) == pytest.approx(np.mean(slope**2), rel=1e-9), field
+    assert _grown(effect, "first_excess") == pytest.approx(np.mean(slope), rel=1e-9)
+    for field in ("edge_share", "outliers"):
+        assert _grown(effect, field) == pytest.approx(1.0, rel=1e-9), field
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE.keys() - NEEDS_A_PICTURE - {"missing_codes", "veiling_glare"}))
+def test_the_slope_is_that_of_the_mean(name: str) -> None:
+    """The derivative of what an effect makes of an even signal, by differences, over all pixels.
+
+    Glare goes by the mean of the frame, and what is told of it is one pixel's part.
+    """
+    effect, context = _starts(CATALOGUE[name], _context())[0], _context()
+    for signal in (40.0, 900.0, 3000.0):
+        even = np.full((HEIGHT, WIDTH), signal)
+        high, low = (np.asarray(effect.mean(even + way, context)) for way in (0.5, -0.5))
+        told = np.broadcast_to(np.asarray(effect.slope(even, context)), high.shape)
+        assert np.mean(high - low) == pytest.approx(np.mean(told), rel=2e-3, abs=1e-4), signal

@@ -1,0 +1,177 @@
+"""Laws of effects by figures worked out by hand: the factor, the offset or the noise at one setting each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.data import CameraDescription, FrameSettings, LensDescription
+from simulators.effects.ambient_light_leak import AmbientLightLeak
+from simulators.effects.black_level_drift import BlackLevelDrift
+from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
+from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.effects.conversion_gain import ConversionGain
+from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.display_black_leak import DisplayBlackLeak
+from simulators.effects.display_gamma_error import DisplayGammaError
+from simulators.effects.exposure_quantisation import ExposureQuantisation
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.first_frame_offset import FirstFrameOffset
+from simulators.effects.fnumber_tstop_error import FnumberTstopError
+from simulators.effects.full_well_saturation import FullWellSaturation
+from simulators.effects.gain_step_error import GainStepError
+from simulators.effects.hot_pixels import HotPixels
+from simulators.effects.led_thermal_droop import LedThermalDroop
+from simulators.effects.lens import Lens
+from simulators.effects.mains_ripple import MainsRipple
+from simulators.effects.polarisation import Polarisation
+from simulators.effects.pwm_flicker import PwmFlicker
+from simulators.effects.quantum_efficiency_temperature import QuantumEfficiencyTemperature
+from simulators.effects.reciprocity_failure import ReciprocityFailure
+from simulators.effects.response_nonlinearity import ResponseNonlinearity
+from simulators.effects.source_not_proportional_to_exposure import SourceNotProportionalToExposure
+from simulators.effects.source_warmup_drift import SourceWarmupDrift
+from simulators.effects.spectral_mismatch import SpectralMismatch
+from simulators.effects.tile_moments import TileMoments
+
+CAMERA = CameraDescription(bit_depth=12, full_well_e=10_000.0, read_noise_e=3.0)
+SIX_DB = 20.0 * math.log10(2.0)
+
+
+def at(
+    exposure_s: float = 1e-3, *, code: float | None = None, frame_index: int = 0, **settings: Any
+) -> ExposureContext:
+    return ExposureContext(
+        FrameSettings(exposure_s, **settings),
+        FrameGeometry.of_image(4, 3),
+        CAMERA,
+        LensDescription(),
+        code=None if code is None else np.full((3, 4), code),
+        peak_radiance=3.0,
+        frame_index=frame_index,
+    )
+
+
+@pytest.mark.parametrize(
+    ("effect", "context", "expected"),
+    [
+        (SpectralMismatch(0.01, 0.02, 0.03), at(pattern="green"), 1.02),
+        (SpectralMismatch(0.01, 0.02, 0.03), at(pattern="blue"), 1.03),
+        (SpectralMismatch(0.01, 0.02, 0.03), at(pattern="white"), 1.0),
+        (SourceWarmupDrift(0.1, 100.0, 0.05, 1000.0), at(timestamp_s=100.0), 1 + 0.1 / math.e + 0.05 * math.exp(-0.1)),
+        (DisplayGammaError(0.2), at(code=0.5), 0.5**0.2),
+        (DisplayGammaError(0.2, 0.1), at(code=0.5), 0.5**0.2 * math.exp(0.1 * math.log(2.0) ** 2)),
+        (ExposureTimeOffset(5e-6, 2e-6, 6.0), at(gain_db=0.0), 1.005),
+        (ExposureTimeOffset(5e-6, 2e-6, 6.0), at(gain_db=12.0), 1.007),
+        (ExposureTimeOffset(-5e-6), at(1e-6), 0.0),
+        (ExposureQuantisation(1e-4, 0.0), at(1.26e-3), 1.2 / 1.26),
+        (ExposureQuantisation(1e-4, 0.5), at(1.26e-3), 1.3 / 1.26),
+        (ExposureQuantisation(1e-4, 0.5), at(1.24e-3), 1.2 / 1.24),
+        (ReciprocityFailure(0.01), at(1e-2), 10.0**0.01),
+        (ReciprocityFailure(0.01, 2e-3), at(1e-2), 2.0**0.01),
+        (ReciprocityFailure(0.01, 2e-3), at(5e-4), 0.5**0.01),
+        (SourceNotProportionalToExposure(0.1, 0.01), at(1e-2), 1.0 - 0.1 / math.e),
+        (LedThermalDroop(0.1, 0.05, 0.02), at(source_level=0.5), 1.0 - 0.05 - 0.0125 - 0.0025),
+        (LedThermalDroop(levels=(0.01, 1.0), errors_rel=(0.0, 0.1)), at(source_level=0.1), 1.05),
+        (QuantumEfficiencyTemperature(0.001, 1e-5), at(temperature_c=45.0), 1.024),
+        (FnumberTstopError(0.02), at(f_number=8.0), 1.02**2),
+        (FnumberTstopError(0.0, 0.01), at(f_number=8.0), 1.04),
+        (FnumberTstopError(f_numbers=(2.0, 8.0), errors_rel=(0.0, 0.1)), at(f_number=4.0), 1.05),
+        (GainStepError(gains_db=(0.0, 12.0), errors_rel=(0.0, 0.02)), at(gain_db=6.0), 1.01),
+    ],
+)  # fmt: skip
+def test_a_factor_at_one_setting(effect: Any, context: ExposureContext, expected: float) -> None:
+    """The law as its docstring states it, in figures."""
+    assert np.mean(np.asarray(effect.factor(context))) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(("turn_rad", "expected"), [(0.3, 1.1), (0.3 + math.pi / 2, 0.9), (0.3 + math.pi / 4, 1.0)])
+def test_polarised_light_comes_and_goes_twice_a_turn(turn_rad: float, expected: float) -> None:
+    """Largest along the axis, smallest across it."""
+    context = at()
+    turned = replace(context, geometry=replace(context.geometry, screen_rotation_rad=turn_rad))
+    assert np.mean(np.asarray(Polarisation(0.1, 0.3).factor(turned))) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("effect", "context", "expected"),
+    [
+        (DarkCurrent(10.0, 25.0, 7.0), at(0.5, temperature_c=39.0), 20.0),
+        (DarkCurrent(10.0, 25.0, 7.0), at(0.5, temperature_c=18.0), 2.5),
+        (AmbientLightLeak(2.0, 0.5), at(f_number=8.0), 1.25),
+        (AmbientLightLeak(2.0), at(f_number=8.0), 2.0),
+        (AmbientLightLeak(2.0, 1.0), at(f_number=2.0), 8.0),
+        (DisplayBlackLeak(0.01), at(source_level=0.5), 0.015),
+        (BlackLevelDrift(0.1, 25.0), at(temperature_c=35.0), 1.0),
+        (BlackLevelDrift(0.1, 25.0, 0.01), at(temperature_c=35.0), 2.0),
+        (BlackLevelGainSlope(0.5, 0.0), at(gain_db=2 * SIX_DB), 1.5),
+        (BlackLevelGainSlope(0.5, SIX_DB, 0.1), at(gain_db=2 * SIX_DB), 0.55),
+        (BlackLevelGainSlope(0.5, SIX_DB, 0.1), at(gain_db=0.0), 0.0),
+    ],
+)  # fmt: skip
+def test_an_offset_at_one_setting(effect: Any, context: ExposureContext, expected: float) -> None:
+    """What is added, in the effect's own unit."""
+    assert np.mean(np.asarray(effect.offset(context))) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("effect", "signal", "context", "expected"),
+    [
+        (ResponseNonlinearity(0.01, 0.02), 5000.0, at(), 4950.0),
+        (ConversionGain(2.0), 100.0, at(gain_db=SIX_DB), 100.0),
+        (FullWellSaturation(8000.0), 9000.0, at(), 8000.0),
+        (FullWellSaturation(8000.0), 7000.0, at(), 7000.0),
+        (FirstFrameOffset(0.5), 100.0, at(frame_index=0), 100.5),
+        (FirstFrameOffset(0.5), 100.0, at(frame_index=3), 100.0),
+        (Lens(transmittance=0.9), 1.0, at(f_number=4.0), math.pi * 0.9 / 64.0),
+        (Lens(magnification=0.5, pupil_magnification=2.0), 1.0, at(f_number=4.0), math.pi / 100.0),
+    ],
+)  # fmt: skip
+def test_a_signal_behind_an_effect(effect: Any, signal: float, context: ExposureContext, expected: float) -> None:
+    """An even signal comes out even."""
+    found = np.asarray(effect.mean(np.full((3, 4), signal), context))
+    assert np.mean(found) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_field_falls_off_by_the_fourth_power_of_the_cosine() -> None:
+    """Where tan α is 1 a quarter is left; with half the law, five eighths."""
+    geometry = FrameGeometry.of_image(800, 600)
+    context = replace(at(f_number=4.0), geometry=geometry)
+    far_mm = float(np.max(geometry.radius_um())) / 1000.0
+    for share, left in ((1.0, 1.0 / 4.0), (0.5, 5.0 / 8.0)):
+        lit = np.asarray(Lens(focal_length_mm=far_mm, cos4=share).mean(np.ones((600, 800)), context))
+        assert np.min(lit) == pytest.approx(math.pi / 64.0 * left, rel=1e-6)
+        assert np.max(lit) == pytest.approx(math.pi / 64.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", [PwmFlicker, MainsRipple])
+@pytest.mark.parametrize(
+    ("exposure_s", "left"), [(1e-9, 1.0), (2.5e-3, 8 / math.pi**2), (1e-2, 0.0), (1.5e-2, 4 / (9 * math.pi**2))]
+)
+def test_a_wave_of_light_averages_out_over_whole_periods(kind: Any, exposure_s: float, left: float) -> None:
+    """10 % at 100 Hz on 1000: its variance is 100²/2, less by the square of what an exposure leaves of a sine."""
+    effect = kind(0.1, 100.0)
+    found = np.asarray(effect.common_variance(np.full((3, 4), 1000.0), at(exposure_s)))
+    assert np.mean(found) == pytest.approx(5000.0 * left, rel=1e-6, abs=1e-6)
+
+
+def test_hot_pixels_that_stand_out_are_counted() -> None:
+    """1 % of 1000 leak 10 e⁻/s on average, fourfold at 39 °C: in 2 s 80 e⁻.
+
+    Four frames of 3 e⁻ leave 1.5 e⁻, and six of these are passed by exp(−9/80) of an exponential distribution.
+    """
+    effect = HotPixels(share=0.01, rate_e_per_s=10.0, reference_C=25.0, doubling_K=7.0)
+    context = at(2.0, temperature_c=39.0)
+    assert np.mean(np.asarray(effect.electrons(context))) == pytest.approx(80.0)
+
+    class Tiles(ExposureContext):
+        frames, tile_pixels = 4.0, np.full((1, 1, 1), 1000.0)
+
+    tiles: Any = Tiles(context.settings, context.geometry, CAMERA, LensDescription())
+    nothing = TileMoments.exactly(np.zeros((1, 1, 1)))
+    told = effect.tile(nothing, nothing, tiles).outliers
+    assert float(np.sum(told)) == pytest.approx(10.0 * math.exp(-9.0 / 80.0))
