@@ -12,6 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
+from radiometer.analysis.patch.contributions import local_scatter
+from radiometer.analysis.patch.outside import conditions_of
 from radiometer.analysis.patch.reading import read_patch
 from radiometer.data import (
     BlackLevel,
@@ -21,6 +23,7 @@ from radiometer.data import (
     FlatField,
     FoundEffects,
     Frame,
+    FrameSettings,
     LensDescription,
     Patch,
     ScaleConditions,
@@ -73,11 +76,13 @@ def test_a_year_since_calibration_counts(rig):
 
 
 def test_kelvins_from_the_calibration_count(rig):
-    """Frames at 25 °C under a calibration at 10 °C: 15 K at 0.1 %/K are 1.5 %; an unknown temperature is 3 K."""
+    """Frames at 25 °C under a calibration at 10 or 40 °C: 15 K at 0.1 %/K are 1.5 %; an unknown temperature is 3 K."""
     stated = only(temperature_u_rel_per_k=1e-3)
     warm = read(rig, calibrated(rig, ScaleConditions(temperature_c=10.0), uncertainties=stated))
     assert line(warm, "temperature") == pytest.approx(0.015)
     assert warm.flags == (Flag.TEMPERATURE,)
+    cold = read(rig, calibrated(rig, ScaleConditions(temperature_c=40.0), uncertainties=stated))
+    assert line(cold, "temperature") == pytest.approx(0.015)
     unknown = read(rig, calibrated(rig, ScaleConditions(), uncertainties=stated))
     assert line(unknown, "temperature") == pytest.approx(3e-3)
 
@@ -373,3 +378,28 @@ def test_masked_pixels_are_dark_frames_of_their_own_exposure(rig):
     assert (told.note, told.u_rel) == ("masked pixels", pytest.approx(0.29 / 81.0, rel=0.02))
     assert "dark_assumed" in off.flags
     assert "dark_assumed" not in right.flags
+
+
+def test_the_conditions_of_a_reading_are_those_of_its_frames_by_their_parts():
+    """Parts of 2, −1 and 1 quarters: 1/t and gain are their weighted means, whatever the sign; temperature is plain."""
+    frames = [
+        FrameSettings(t, g, temperature_c=c) for t, g, c in ((1e-3, 0.0, 20.0), (2e-3, 6.0, 20.0), (4e-3, 12.0, 26.0))
+    ]
+    made = {"sensitivity": 0.9, "field": 0.5, "polarised": None}
+    found = conditions_of(np.array([0.5, -0.25, 0.25]), frames, -0.01, surround=-0.2, **made)
+    assert found.inverse_exposure_per_s == pytest.approx(0.5 * 1000 + 0.25 * 500 + 0.25 * 250)
+    assert found.gain_db == pytest.approx(0.25 * 6.0 + 0.25 * 12.0)
+    assert found.temperature_c == pytest.approx(22.0)
+    assert (found.level, found.surround, found.sensitivity, found.field) == (0.0, 0.0, 0.9, 0.5)
+    unknown = [*frames[:2], FrameSettings(4e-3)]
+    assert conditions_of(np.ones(3) / 3, unknown, 0.3, surround=0.2, **made).temperature_c is None
+
+
+def test_scatter_of_neighbours_leaves_out_whatever_touches_a_bad_pixel():
+    """Of 4 × 5 equal pixels one is bad and in the middle: four of 31 pairs go; a slope of 2 a column counts, √2."""
+    pixels, good = np.full((4, 5), 100.0), np.ones((4, 5), bool)
+    pixels[1, 2], good[1, 2] = 1000.0, False
+    assert local_scatter(pixels, good) == (0.0, 27)
+    sloped = 2.0 * np.indices((4, 5))[1]
+    assert local_scatter(sloped, np.ones((4, 5), bool)) == (pytest.approx(math.sqrt(16 * 4.0 / 31 / 2.0)), 31)
+    assert local_scatter(pixels, np.zeros((4, 5), bool)) == (0.0, 0)

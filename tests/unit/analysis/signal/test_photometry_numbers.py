@@ -155,7 +155,20 @@ def test_a_wrong_spectrum_file_is_refused(tmp_path, text, message):
 
 
 @pytest.mark.parametrize(
-    "name", ["moonlight", "planck:hot", "planck:499", "planck:50001", "line:", "line:199", "line:2001", "nowhere.csv"]
+    "name",
+    [
+        "moonlight",
+        "planck:hot",
+        "planck:499",
+        "display:oled:purple",
+        "display:oled",
+        "display:slate:red",
+        "planck:50001",
+        "line:",
+        "line:199",
+        "line:2001",
+        "nowhere.csv",
+    ],
 )
 def test_an_unknown_spectrum_is_refused(name):
     """With the names there are, or what is wrong with the number or file."""
