@@ -26,9 +26,12 @@ SomeMoments = TypeVar("SomeMoments", bound=Moments)
 def rounding_amplitude(before: Moments) -> Signal:
     """Return how far rounding may move the mean, in DN: exp(−2π²σ²)/π for noise and fixed pattern σ together.
 
+    What rows and columns share is a part of both.
+
     Source: Widrow, Kollár, Liu (1996), "Statistical theory of quantization", first harmonic of the sawtooth.
     """
-    spread = np.maximum(before.variance, 0.0) + np.maximum(before.spatial_variance, 0.0)
+    fixed, shaken = before.variance_of_lines
+    spread = np.maximum(before.variance, 0.0) + np.maximum(before.spatial_variance, 0.0) + fixed + shaken
     return np.asarray(np.exp(-2.0 * np.pi**2 * spread) / np.pi)
 
 
@@ -39,18 +42,23 @@ def rounded(before: SomeMoments) -> SomeMoments:
     are the sums over the codes of a normal variable cut at half codes. With less than 0.3 DN of noise and fixed
     pattern together, their shares of the variance are not told apart.
 
+    What the pixels of a row or a column share spreads them over the codes as noise of their own does, and goes on as it
+    was: what rounding adds is booked to noise and pattern of single pixels.
+
     Args:
         before: Moments in DN, of type `Moments` or derived from it.
     """
     mean, variance, fixed = before.mean, np.maximum(before.variance, 0.0), np.maximum(before.spatial_variance, 0.0)
-    shape = np.broadcast_shapes(np.shape(mean), variance.shape, fixed.shape)
-    coarse = np.broadcast_to(variance + fixed < _FINE, shape)
+    lines, shaken = before.variance_of_lines
+    shape = np.broadcast_shapes(np.shape(mean), variance.shape, fixed.shape, np.shape(lines), np.shape(shaken))
+    coarse = np.broadcast_to(variance + fixed + lines + shaken < _FINE, shape)
     if not coarse.any():
         return replace(before, variance=variance + 1.0 / 12.0, unrounded=before)
     mean, variance, fixed = (np.broadcast_to(values, shape).copy() for values in (mean, variance, fixed))
+    shared2 = np.broadcast_to(lines + shaken, shape)[coarse]
     slope = np.ones(shape)
     at, sigma2, pattern2 = mean[coarse], variance[coarse], fixed[coarse]
-    mean[coarse], variance[coarse], fixed[coarse], slope[coarse] = _of_coarse(at, sigma2, pattern2)
+    mean[coarse], variance[coarse], fixed[coarse], slope[coarse] = _of_coarse(at, sigma2, pattern2, shared2)
     variance[~coarse] += 1.0 / 12.0
     shared = before.passed(mean, slope)  # what pixels share goes by the mean slope
     return replace(shared, variance=variance, spatial_variance=fixed, unrounded=before)
@@ -79,16 +87,25 @@ def excess_kurtosis(before: Moments) -> Signal:
     return found
 
 
-def _of_coarse(mean: Signal, variance: Signal, pattern2: Signal) -> tuple[Signal, Signal, Signal, Signal]:
-    """Return mean, variance, variance of the fixed pattern and d(mean)/d(mean before) of rounded values, each (n,)."""
-    average, together, rise = rounded_normal(mean, variance + pattern2)
-    own = together * variance / np.maximum(variance + pattern2, 1e-12)
-    asked = (pattern2 > 0) & (variance + pattern2 > _SPLIT_FROM)
+def _of_coarse(mean: Signal, variance: Signal, pattern2: Signal, shared2: Signal) -> tuple[Signal, ...]:
+    """Return mean, variance, variance of the fixed pattern and d(mean)/d(mean before) of rounded values, each (n,).
+
+    Args:
+        mean: Mean before.
+        variance: Variance of each pixel's own noise.
+        pattern2: Variance of each pixel's own pattern.
+        shared2: Variance of what lines share, noise and pattern together.
+    """
+    whole = variance + pattern2 + shared2
+    average, together, rise = rounded_normal(mean, whole)
+    alone = np.maximum(together - shared2 * rise**2, 0.0)
+    own = alone * variance / np.maximum(variance + pattern2, 1e-12)
+    asked = (pattern2 + shared2 > 0) & (whole > _SPLIT_FROM)
     if asked.any():
-        pixels = mean[asked, None] + np.sqrt(pattern2[asked])[:, None] * _QUANTILES
+        pixels = mean[asked, None] + np.sqrt((pattern2 + shared2)[asked])[:, None] * _QUANTILES
         within = np.broadcast_to(variance[asked, None], pixels.shape)
-        own[asked] = np.minimum(rounded_normal(pixels, within)[1].mean(axis=1), together[asked])
-    return average, own, together - own, rise
+        own[asked] = np.minimum(rounded_normal(pixels, within)[1].mean(axis=1), alone[asked])
+    return average, own, alone - own, rise
 
 
 def rounded_normal(mean: Signal, variance: Signal) -> tuple[Signal, Signal, Signal]:

@@ -31,6 +31,11 @@ class Moments:
     common_variance: Signal
     unrounded: Moments | None = field(default=None, kw_only=True)
 
+    @property
+    def variance_of_lines(self) -> tuple[Any, Any]:
+        """Return what pixels of one row or column share beyond their own: fixed pattern, and noise."""
+        return 0.0, 0.0
+
     @classmethod
     def exactly(cls, mean: Signal) -> Self:
         """Return the moments of a signal that is known exactly."""
@@ -103,6 +108,11 @@ class TileMoments(Moments):
     band_frequency: float = 0.0
     limit_variance: Signal | float = 0.0
     comb_kept: float = 1.0
+
+    @property
+    def variance_of_lines(self) -> tuple[Any, Any]:
+        """Return what pixels of one row or column share beyond their own: fixed pattern, and noise."""
+        return self.fixed_column_variance + self.fixed_row_variance, self.row_variance
 
     @classmethod
     def exactly(cls, mean: Signal) -> Self:

@@ -99,3 +99,25 @@ def test_neighbours_share_what_the_codes_leave_of_it(mean: float, noise: float, 
     second_order = share * max(float(products.mean()), 1e-6)  # what a pair's square has in common counts by the share²
     assert abs(found - products.mean()) < 4.5 * products.std() / np.sqrt(products.size) + second_order
     assert abs(found) <= float(np.ravel(after.variance)[0])
+
+
+@pytest.mark.parametrize(("mean", "columns", "rows"), [(60.0, 0.2, 0.0), (60.5, 0.15, 0.0), (60.0, 0.0, 0.2)])
+def test_what_lines_share_spreads_pixels_over_the_codes(mean: float, columns: float, rows: float) -> None:
+    """Columns 0.2 DN apart, or rows that tremble so, change a pixel's noise as a pattern of its own does.
+
+    2500 columns, or rows at 2500 times, tell it to 4.5 standard errors of their spread.
+    """
+    noise, lines, pixels = 0.33, 2500, 400
+    rng = np.random.default_rng(8)
+    at = mean + (columns + rows) * rng.standard_normal((lines, 1))
+    codes = np.rint(at + noise * rng.standard_normal((lines, pixels)))
+    within = codes.var(axis=1, ddof=1)
+    one = TileMoments.exactly(np.full((1, 1, 1), mean))
+    own, shaken, fixed = (np.full((1, 1, 1), s**2) for s in (noise, rows, columns))
+    after = rounded(replace(one, variance=own, row_variance=shaken, fixed_column_variance=fixed))
+    u_within = within.std() / np.sqrt(lines)
+    assert float(after.variance[0, 0, 0]) == pytest.approx(within.mean(), abs=4.5 * u_within)
+    assert abs(float(rounded(replace(one, variance=own)).variance[0, 0, 0]) - within.mean()) > 10.0 * u_within
+    of_line = codes.mean(axis=1)
+    u_mean = of_line.std() / np.sqrt(lines)
+    assert float(after.mean[0, 0, 0]) == pytest.approx(of_line.mean(), abs=4.5 * u_mean)
