@@ -154,11 +154,12 @@ class CatalogueEffect(Effect):
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return more flexible forms that start from this one; tried where structure stays beside it.
 
-        By default the covers that have more free parameters, with this one's values where they share them.
+        By default the covers that have more free parameters, with this one's values where they share them: what was
+        fitted and is free no more would be a parameter that nobody pays for.
         """
-        known = {name: getattr(self, name) for name in self.free() if "[" not in name}
         more = (cover for cover in self.covers(context) if len(cover.free()) > len(self.free()))
-        return tuple(cover.with_parameters(**known) for cover in more)
+        shared = ((cover, (name for name in self.free() if "[" not in name and name in cover.free())) for cover in more)
+        return tuple(cover.with_parameters(**{name: getattr(self, name) for name in names}) for cover, names in shared)
 
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit; `name[2]` is the third entry of a table."""

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
 from simulators.effects.base import IRRADIANCE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
+
+_BENT: Final = 0.01  # k₄ from which a fit begins
+_RINGS: Final = 101
+_BACK: Final = 0.1  # of what was lost, by which k₄ may err
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,26 @@ class NaturalVignetting(Scaling):
         """Return the plain law about an axis of its own."""
         return (cls(0.02, 0.0, 0.01, 0.01),)
 
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the law about an axis of its own, plain and with k₄."""
+        if not (self.axis_x or self.axis_y):
+            (plain,) = self.covers(context)
+            return tuple(plain.with_parameters(strength=self.strength, k4=k4) for k4 in (0.0, self.k4 or _BENT))
+        return () if self.k4 else (self.with_parameters(k4=_BENT),)
+
+    def unlike_itself(self, context: ExposureContext) -> bool:
+        """Tell whether the light, having fallen, comes back towards the corner: no oblique light does."""
+        x, y = context.geometry.field_xy()
+        far2 = float(np.max(np.square(x - self.axis_x) + np.square(y - self.axis_y)))
+        rho2 = np.linspace(0.0, far2, _RINGS)
+        ring = (1.0 + self.strength * rho2) ** -2.0 * (1.0 - self.k4 * rho2**2)
+        return bool(self.strength > 0.0 and ring[-1] - ring.min() > _BACK * (1.0 - ring.min()))
+
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the axis in place of k₄ where it is not the stated one."""
-        return ("strength", "axis_x", "axis_y") if self.axis_x or self.axis_y else self.fitted
+        """Return the parameters to fit: of an axis that is not the stated one its place too, and k₄ where it is not 0.
+
+        A k₄ that was fitted is free there as well: else it would be a parameter that nobody pays for.
+        """
+        if not (self.axis_x or self.axis_y):
+            return self.fitted
+        return ("strength", *(("k4",) if self.k4 else ()), "axis_x", "axis_y")

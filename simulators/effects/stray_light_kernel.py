@@ -23,7 +23,8 @@ class StrayLightKernel(CatalogueEffect):
     """Spreads a share of the light over a wide Gaussian: E' = (1 − v)·E + v·(E ∗ G_σ).
 
     With wings of any other form it is a sum of Gaussians of five widths, E' = E + Σ vₖ·(E ∗ Gₖ − E). What lies beyond
-    the border is not seen: the picture goes on there as at the border, or at a share of it.
+    the border is not seen: the picture goes on there as at the border, or at a share of it, down to darkness; that
+    share is free whatever the wings, for what is missing at the border looks like a fall-off.
 
     Source: the far tail of a point-spread function; σ a tenth of the picture and more.
     """
@@ -44,6 +45,7 @@ class StrayLightKernel(CatalogueEffect):
     fitted = ("share", "radius", "edge_share")
     settles = "one bright patch with several sizes of surround"
     essential = ("radius",)  # a kernel of any width is any glare
+    endless = ("beyond",)  # darkness beyond the border
     share: float = parameter(0.0, "1", -0.05, 0.5, source="engineering prior; refined on a real rig")
     radius: float = parameter(0.1, "1", 0.02, 1.0, source="sigma as a fraction of the longer side")
     edge_share: float = parameter(
@@ -66,20 +68,21 @@ class StrayLightKernel(CatalogueEffect):
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return wings of any form, which start as the Gaussian nearest to this one, and as a little of each width.
 
-        Of wings that are there the form whose picture goes on otherwise beyond the border.
+        Before them the form whose picture goes on otherwise beyond the border.
         """
+        others = (self.with_parameters(beyond=_BEYOND),) if self.beyond == 1.0 else ()
         if self.wings:
-            return () if self.beyond != 1.0 else (self.with_parameters(beyond=_BEYOND),)
+            return others
         nearest = int(np.argmin(np.abs(np.log(np.array(_WIDTHS) / self.radius))))
         near = tuple((0.6 if k == nearest else 0.1) * max(self.share, 0.0) for k in range(len(_WIDTHS)))
         even = (_LITTLE,) * len(_WIDTHS)  # a heavy tail is taken for a Gaussian far narrower than it
-        return tuple(self.with_parameters(share=0.0, wings=wings) for wings in (near, even))
+        return (*others, *(self.with_parameters(share=0.0, wings=wings) for wings in (near, even)))
 
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit: those of the wings where there are any, and of what lies beyond."""
-        if not self.wings:
-            return self.fitted
         further = ("beyond",) if self.beyond != 1.0 else ()
+        if not self.wings:
+            return (*self.fitted, *further)
         return (*(f"wings[{k}]" for k in range(len(self.wings))), "edge_share", *further)
 
     def _kernels(self) -> tuple[tuple[float, float], ...]:

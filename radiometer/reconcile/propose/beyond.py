@@ -3,7 +3,7 @@
 A search can only say names that it knows. Where its names leave something, are several, or are doubted, the hypothesis
 that the cause is another one is asked too: names that one law outdoes by far are none. A single name that leaves
 nothing is held to the laws along its own covariate: where one of them predicts better, the name is provisional, or
-none where it brings far less. A name by another equation than the catalogue's is not meant: it brings most of what any
+none where it brings far less. A name that had to be bent to the data is provisional where a law predicts as well. A name by another equation than the catalogue's is not meant: it brings most of what any
 law along its covariate brings.
 """
 
@@ -20,8 +20,9 @@ from radiometer.reconcile.propose.search import propose_law
 from radiometer.reconcile.search.free_laws import worth
 from radiometer.reconcile.search.localise import significant
 from radiometer.reconcile.search.outcome import Search, Step
-from radiometer.reconcile.thresholds import NAMED_NATS, SMOOTH_SHARE
+from radiometer.reconcile.thresholds import NAMED_NATS, RIVAL_NATS, SMOOTH_SHARE
 from radiometer.reconcile.verdict import doubts_of, leaves_structure
+from simulators.effects.free_law import FreeLaw
 
 _WHERE: Final = {"since_frame_s": "timestamp_s", "value": "signal"}  # what results call it
 
@@ -38,9 +39,16 @@ def held_to_laws(outcome: Search, say: Callable[[str], None] = lambda line: None
         return outcome
     stays = len(effects) > 1 or leaves_structure(outcome) or bool(doubts_of(outcome))
     law = propose_law(outcome.start, along=() if stays else own_covariates(effects[0].where))
-    if law is None or not predicts_better(outcome, law):
+    if law is None:
         return outcome
     named = [step.name for step in outcome.steps if step.name != "unnamed"]
+    if not predicts_better(outcome, law):
+        bent = [effect.name for effect in effects if isinstance(effect, FreeLaw)]
+        if not bent or not predicts_as_well(outcome, law):
+            return outcome
+        said = f"{' and '.join(bent)} goes by no equation of its own, and {law.name}, a law of no entry, predicts as well"
+        say(said)
+        return replace(outcome, remarks=(*outcome.remarks, said))
     said = f"{law.name}, a law that no entry holds, predicts better than {' and '.join(named)}"
     say(said)
     if not brings_most(outcome, law):
@@ -63,6 +71,18 @@ def predicts_better(outcome: Search, law: Proposal) -> bool:
         law: The law proposed for the same data, from the same start.
     """
     return worth(law.after) > worth(outcome.state) + NAMED_NATS * scatter_of(outcome.state)
+
+
+def predicts_as_well(outcome: Search, law: Proposal) -> bool:
+    """Tell whether a law is a rival of what was found, each parameter paid for.
+
+    An entry by its own equation is known beforehand, a law is not; one that had to be bent has that no more.
+
+    Args:
+        outcome: What the search came to.
+        law: The law proposed for the same data, from the same start.
+    """
+    return worth(law.after) > worth(outcome.state) - RIVAL_NATS * scatter_of(outcome.state)
 
 
 def brings_most(outcome: Search, law: Proposal) -> bool:

@@ -17,6 +17,8 @@ from radiometer.reconcile.result import Verdict
 from radiometer.reconcile.search.outcome import Search, Step
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
+from simulators.effects.free_law import freed
+from simulators.effects.led_thermal_droop import LedThermalDroop
 from simulators.effects.psf_blur import PsfBlur
 
 BLUR, TALK, GAIN = PsfBlur(0.3), Crosstalk(0.01), ConversionGainError(0.01)
@@ -93,6 +95,19 @@ def test_a_single_name_that_leaves_nothing_is_asked_about_its_own_covariate(monk
     assert len(told.remarks) == 1
     assert held_to_laws(outcome(995.0, BLUR)).remarks == ()
     assert [step.name for step in held_to_laws(outcome(790.0, BLUR)).steps] == ["unnamed"]
+
+
+@pytest.mark.parametrize(("nats", "doubted"), [(804.0, False), (806.0, True), (812.0, True)])
+def test_a_name_that_was_bent_is_doubted_where_a_law_predicts_as_well(monkeypatch, nats, doubted):
+    """Within five nats, the odds of a rival, of an effect by a law of its own; one by its equation needs eight more."""
+    monkeypatch.setattr(beyond, "doubts_of", lambda outcome: [])
+    monkeypatch.setattr(beyond, "propose_law", lambda start, along=(): law(nats, "source_level"))
+    droop = LedThermalDroop(0.05)
+    bent = freed(LedThermalDroop, ("source_level",))(0.05, law=(1.0, 2.0), at_source_level=(0.1, 1.0))
+    told = held_to_laws(outcome(810.0, bent))
+    assert told.steps[0].name == "led_thermal_droop"
+    assert bool(told.remarks) is doubted
+    assert held_to_laws(outcome(810.0, droop)).remarks == ()
 
 
 @pytest.mark.parametrize(

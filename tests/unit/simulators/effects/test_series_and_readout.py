@@ -19,10 +19,12 @@ from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.dark_current_clamped import DarkCurrentClamped
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
 from simulators.effects.first_frame_offset import FirstFrameOffset
+from simulators.effects.gain_step_error import GainStepError
 from simulators.effects.gamma_enabled import GammaEnabled
 from simulators.effects.hot_pixels import HotPixels
 from simulators.effects.lamp_step import LampStep
 from simulators.effects.line_start_offset import LineStartOffset
+from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.readout_dark_charge import ReadoutDarkCharge
 from simulators.effects.series_settling import SeriesSettling
 from simulators.effects.stray_light_kernel import StrayLightKernel
@@ -276,15 +278,51 @@ def test_light_beyond_the_border_is_scattered_in(beyond: float) -> None:
     assert scattered[0, 0] == pytest.approx(inside**2 + beyond * (1.0 - inside**2), abs=2e-3)
 
 
-def test_what_lies_beyond_the_border_is_asked_once_the_wings_are_there() -> None:
-    """The bell takes wings first, these the light beyond; then there is no further form."""
+def test_what_lies_beyond_the_border_is_asked_before_and_after_wings() -> None:
+    """The bell itself may end at the border, or take wings, in either order; darkness there ends no doubtful range."""
     bell = StrayLightKernel(0.03, 0.08)
-    winged = bell.loosened(_context())
+    ended, *winged = bell.loosened(_context())
+    assert (ended.beyond, ended.wings, ended.share) == (0.5, (), 0.03)
+    assert ended.free() == ("share", "radius", "edge_share", "beyond")
     assert [form.beyond for form in winged] == [1.0, 1.0]
+    assert [form.beyond for form in ended.loosened(_context())] == [0.5, 0.5]
     (further,) = winged[0].loosened(_context())
     assert further.beyond == 0.5
     assert further.free() == (*(f"wings[{k}]" for k in range(5)), "edge_share", "beyond")
     assert further.loosened(_context()) == ()
+    assert bell.endless == ("beyond",)
+
+
+@pytest.mark.parametrize(
+    ("lens", "alike"),
+    [
+        (NaturalVignetting(0.05), False),
+        (NaturalVignetting(0.05, -0.01), False),  # falls more slowly towards the corner
+        (NaturalVignetting(0.05, 0.03, 0.1, 0.0), False),
+        (NaturalVignetting(0.048, -0.075, 0.1, 0.05), True),  # 3 % less at 0.6 of the way, 1 % at the corner
+    ],
+)
+def test_a_fall_off_that_comes_back_is_none(lens: NaturalVignetting, alike: bool) -> None:
+    """Oblique light weakens all the way to the corner; a ring that is darker than the corner is another cause's."""
+    assert lens.unlike_itself(_context()) is alike
+
+
+def test_what_was_fitted_is_fitted_on_where_the_axis_is_free() -> None:
+    """About an axis of its own the plain law has three parameters, with the k₄ that was found four; none is held."""
+    plain, bent = NaturalVignetting(0.05, 0.03).loosened(_context())
+    assert (plain.strength, plain.k4, plain.free()) == (0.05, 0.0, ("strength", "axis_x", "axis_y"))
+    assert (bent.strength, bent.k4, bent.free()) == (0.05, 0.03, ("strength", "k4", "axis_x", "axis_y"))
+    (further,) = plain.loosened(_context())
+    assert "k4" in further.free()
+    assert further.loosened(_context()) == ()
+
+
+def test_a_table_does_not_stand_on_a_law_that_was_fitted() -> None:
+    """What a looser form does not fit it does not hold either: the table over the gains begins at the exact gain."""
+    gains = SimpleNamespace(gain_db=np.array([0.0, 6.0, 12.0]))
+    (table,) = GainStepError(error_rel=0.02).loosened(replace(_context(), settings=cast(Any, gains)))
+    assert table.error_rel == 0.0
+    assert table.free() == ("errors_rel[1]", "errors_rel[2]")
 
 
 def test_a_gain_error_says_what_was_stated_and_what_the_noise_tells() -> None:
