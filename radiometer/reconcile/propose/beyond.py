@@ -3,8 +3,9 @@
 A search can only say names that it knows. Where its names leave something, are several, or are doubted, the hypothesis
 that the cause is another one is asked too: names that one law outdoes by far are none. A single name that leaves
 nothing is held to the laws along its own covariate: where one of them predicts better, the name is provisional, or
-none where it brings far less. A name that had to be bent to the data is provisional where a law predicts as well. A name by another equation than the catalogue's is not meant: it brings most of what any
-law along its covariate brings.
+none where it brings far less. A name that had to be bent to the data is provisional where a law predicts as well. A
+name by another equation than the catalogue's is not meant by all this: it brings most of what any law along its
+covariate brings.
 """
 
 from __future__ import annotations
@@ -46,7 +47,9 @@ def held_to_laws(outcome: Search, say: Callable[[str], None] = lambda line: None
         bent = [effect.name for effect in effects if isinstance(effect, FreeLaw)]
         if not bent or not predicts_as_well(outcome, law):
             return outcome
-        said = f"{' and '.join(bent)} goes by no equation of its own, and {law.name}, a law of no entry, predicts as well"
+        said = (
+            f"{' and '.join(bent)} goes by no equation of its own, and {law.name}, a law of no entry, predicts as well"
+        )
         say(said)
         return replace(outcome, remarks=(*outcome.remarks, said))
     said = f"{law.name}, a law that no entry holds, predicts better than {' and '.join(named)}"
