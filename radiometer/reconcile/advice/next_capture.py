@@ -9,7 +9,6 @@ Source: Box & Hill (1967), discrimination among mechanistic models, in the form 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Final
@@ -19,7 +18,7 @@ import numpy as np
 from radiometer.data import FrameEntry
 from radiometer.data.storage import write_yaml_atomic
 from radiometer.reconcile.advice.capture_pool import FRAMES, CapturePool
-from radiometer.reconcile.fit.state import FitState, refit, with_effects, with_terms
+from radiometer.reconcile.fit.state import FitState, beside, refit, with_effects, with_terms
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.result import Limit, ReconcileResult
 from simulators.effects.catalogue import CatalogueEffect
@@ -81,10 +80,8 @@ def tells_apart(state: FitState, effect: CatalogueEffect, others: Sequence[Catal
 
 
 def _held(state: FitState, effect: CatalogueEffect) -> FitState:
-    """Return the model with an effect as it is, nuisances refitted."""
-    added = with_effects(state, [*state.effects, effect])
-    held = frozenset(range(state.parameters.size, added.parameters.size))
-    return refit(replace(added, frozen=held), iterations=_REFITS)
+    """Return the model with an effect as it is, all else following."""
+    return beside(state, effect, iterations=_REFITS)
 
 
 def propose_for_unnamed(

@@ -244,6 +244,23 @@ def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
     return with_effects(state, effects)
 
 
+class FullFits:
+    """What was fitted in full from one model, so that nothing is fitted twice while a step is thought over."""
+
+    def __init__(self, state: FitState) -> None:
+        self.state = state
+        self._known: list[tuple[CatalogueEffect, bool, FitState]] = []
+
+    def included(self, effect: CatalogueEffect, *, far: bool) -> FitState:
+        """Return `included` of the model and an effect."""
+        for known, was_far, fitted in self._known:
+            if known is effect and was_far is far:
+                return fitted
+        fitted = included(self.state, effect, far=far)
+        self._known.append((effect, far, fitted))
+        return fitted
+
+
 def included(state: FitState, effect: CatalogueEffect, *, far: bool) -> FitState:
     """Return the state with the effect in the model, refitted in full.
 

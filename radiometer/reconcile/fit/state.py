@@ -330,6 +330,19 @@ def with_effects(state: FitState, effects: Sequence[CatalogueEffect]) -> FitStat
     return replace(state, model=state.model.with_effects(effects), frozen=frozenset(), held_columns=None)
 
 
+def beside(state: FitState, effect: CatalogueEffect, iterations: int = 25) -> FitState:
+    """Return the state with a further effect as it is; all else follows by the derivatives of the state without it.
+
+    Where these lead nowhere it is refitted by derivatives of its own, in so many iterations at most.
+    """
+    start = replace(with_effects(state, (*state.effects, effect)), held_columns=state.term_columns)
+    moved = _moved(start, state.fit.step_from(start.residual), state)
+    if _is_within_range(moved) and moved.cost < start.cost:
+        return _glided(state, moved, start.cost - moved.cost)
+    held = frozenset(range(state.parameters.size, start.parameters.size))
+    return refit(replace(start, frozen=held, held_columns=None), iterations)
+
+
 def refit(state: FitState, iterations: int = 25) -> FitState:
     """Return the state at the least χ² over nuisances, term weights and effect parameters (damped Gauss–Newton).
 
@@ -379,10 +392,11 @@ def _trials(state: FitState, fixed: frozenset[tuple[int, str]]) -> Iterator[FitS
     for number in range(_SHORTENINGS):
         trial = _moved(state, _SHORTER**number * state.fit.step)
         if _is_within_range(trial):
-            yield _held_at_bounds(_glided(state, trial), fixed) if trial.cost < state.cost else trial
+            lower = trial.cost < state.cost
+            yield _held_at_bounds(_glided(state, trial, state.cost - trial.cost), fixed) if lower else trial
 
 
-def _glided(state: FitState, moved: FitState) -> FitState:
+def _glided(state: FitState, moved: FitState, gained: float) -> FitState:
     """Return where further steps by the derivatives of one point lead, as long as these hold.
 
     Such a step costs one prediction, new derivatives one for each parameter. They hold where a step gains far less
@@ -390,10 +404,11 @@ def _glided(state: FitState, moved: FitState) -> FitState:
 
     Args:
         state: The point of the derivatives.
-        moved: The point after the first step from there.
+        moved: The point after the first step by them.
+        gained: By how much that step lowered χ².
     """
-    gained = state.cost - moved.cost
-    while not moved.frozen and moved.parameters.names == state.parameters.names:
+    names = state.parameters.names
+    while not moved.frozen and moved.parameters.names[: len(names)] == names:
         if gained < _CONVERGED * moved.misfit:
             break
         further = _moved(moved, state.fit.step_from(moved.residual), state)
@@ -416,10 +431,14 @@ def _is_within_range(trial: FitState) -> bool:
 
 
 def _moved(state: FitState, step: Array, origin: FitState | None = None) -> FitState:
-    """Return the state after a step of its own fit, or of the fit of the point where the derivatives were taken."""
+    """Return the state after a step of its own fit, or of the fit of the point where the derivatives were taken.
+
+    Effects that the model there did not have stay as they are.
+    """
     m, k = state.layout.size, state.weights.size
     origin = origin or state
-    scaled = origin.effect_step(step) * origin.parameters.scale / state.parameters.scale
+    known, scaled = origin.parameters.size, np.zeros(state.parameters.size)
+    scaled[:known] = origin.effect_step(step) * origin.parameters.scale / state.parameters.scale[:known]
     effects, at_bound = state.parameters.moved(scaled)
     return replace(
         state,

@@ -19,9 +19,9 @@ from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconcile.fit.candidate_fit import (
     Candidate,
     FittedCandidate,
+    FullFits,
     UnfitError,
     fit_candidate,
-    included,
     judged_gain,
 )
 from radiometer.reconcile.fit.covariance import fitted_parameters
@@ -82,7 +82,8 @@ def propose_law(state: FitState, say: Say = lambda line: None, along: Collection
         for entry in (screened(state, _products(state, singles), say) if not along else ())
         if entry.score > plain.get(_formula(entry.law)[:1], 0.0) + NAMED_NATS
     ]
-    judged = _judged(state, _chosen([*singles, *products]), say)
+    fits = FullFits(state)
+    judged = _judged(fits, _chosen([*singles, *products]), say)
     if not judged:
         return None
     best = _plainest(judged)
@@ -90,7 +91,7 @@ def propose_law(state: FitState, say: Say = lambda line: None, along: Collection
         return None
     law, fitted, nats = best
     try:
-        after = included(state, fitted.effect, far=True)
+        after = fits.included(fitted.effect, far=True)
     except UnfitError:
         return None
     effect = next(e for e in after.effects if e.name == law.name)
@@ -300,9 +301,9 @@ def _turned(law: Law, best: Array, gain: float) -> Screened:
 _JudgedLaw = tuple[Law, FittedCandidate, float]
 
 
-def _judged(state: FitState, chosen: list[Screened], say: Say) -> list[_JudgedLaw]:
+def _judged(fits: FullFits, chosen: list[Screened], say: Say) -> list[_JudgedLaw]:
     """Return the laws fitted to all statistics, with the nats that they improve held-out settings by."""
-    fitted = list[tuple[Law, FittedCandidate]]()
+    fitted, state = list[tuple[Law, FittedCandidate]](), fits.state
     for entry in chosen:
         effect = _started(entry)
         if effect is None:
@@ -316,9 +317,10 @@ def _judged(state: FitState, chosen: list[Screened], say: Say) -> list[_JudgedLa
     fitted.sort(key=lambda pair: -pair[1].gain + 2.0 * PARAMETER_NATS * pair[0].size)
     rated = [(f, judged_gain(state, f)) for _, f in fitted[:_JUDGED]]
     laws = {id(f): law for law, f in fitted}
-    for f, nats in contenders_of(state, rated):
+    contenders = contenders_of(fits, rated)
+    for f, nats in contenders:
         say(f"{f.name}: {nats:.0f} nats")
-    return [(laws[id(f)], f, nats) for f, nats in contenders_of(state, rated)]
+    return [(laws[id(f)], f, nats) for f, nats in contenders]
 
 
 def _started(entry: Screened) -> CatalogueEffect | None:

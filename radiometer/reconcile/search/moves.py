@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.errors import ConfigurationError
-from radiometer.reconcile.fit.candidate_fit import UnfitError, fit_candidate, included, judged_gain
+from radiometer.reconcile.fit.candidate_fit import FullFits, UnfitError, fit_candidate, included, judged_gain
 from radiometer.reconcile.fit.state import FitState, refit, reweighted, settled, with_effects, with_terms
 from radiometer.reconcile.fit.terms import LinearTerm
 from radiometer.reconcile.search.score import contenders_of, likeliest
@@ -91,11 +91,12 @@ def better(
         rest = settled(refit(with_effects(state, [effect for effect in state.effects if effect is not own])))
         others = [candidate for candidate in screen(rest, catalogue, pool) if candidate.effect.name not in present]
         judged = [(fitted, judged_gain(rest, fitted)) for fitted in (fit_candidate(rest, c) for c in others[:_FITTED])]
-        chosen = likeliest(contenders_of(rest, judged))
+        fits = FullFits(rest)
+        chosen = likeliest(contenders_of(fits, judged))
         if chosen is None:
             return None
         fitted = chosen[0]
-        changed = included(rest, fitted.effect, far=True)
+        changed = fits.included(fitted.effect, far=True)
     except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted takes no place
         return None
     more = PARAMETER_NATS * (changed.parameters.size - state.parameters.size)

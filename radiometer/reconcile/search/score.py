@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from radiometer.reconcile.chances import chi2_beyond
-from radiometer.reconcile.fit.candidate_fit import FittedCandidate, included
+from radiometer.reconcile.fit.candidate_fit import FittedCandidate, FullFits
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.thresholds import (
     FAR_GAP,
@@ -43,7 +43,7 @@ def score(entry: tuple[FittedCandidate, float]) -> float:
 
 
 def contenders_of(
-    state: FitState, judged: list[tuple[FittedCandidate, float]], fewest: int = 1
+    fits: FullFits, judged: list[tuple[FittedCandidate, float]], fewest: int = 1
 ) -> list[tuple[FittedCandidate, float]]:
     """Return the candidates, those of a very large and nearly equal gain judged anew after a full fit of each.
 
@@ -52,12 +52,12 @@ def contenders_of(
     than `fewest` left all are returned as they came.
     """
     best = max((nats for _, nats in judged), default=0.0)
-    share = 1.0 if is_far(state) else NEAR_SHARE
+    share = 1.0 if is_far(fits.state) else NEAR_SHARE
     near = [entry for entry in judged if entry[1] > best - share * best]
     if best < HUGE_NATS or len(near) < max(fewest, 2):
         return judged
-    base = state.evidence
-    return [(f, included(state, f.effect, far=True).evidence - base) for f, _ in near]
+    base = fits.state.evidence
+    return [(f, fits.included(f.effect, far=True).evidence - base) for f, _ in near]
 
 
 def likeliest(judged: list[tuple[FittedCandidate, float]]) -> tuple[FittedCandidate, float] | None:

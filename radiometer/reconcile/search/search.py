@@ -11,10 +11,10 @@ import numpy as np
 from radiometer.reconcile.fit.candidate_fit import (
     Candidate,
     FittedCandidate,
+    FullFits,
     UnfitError,
     fit_candidate,
     held_out_gain,
-    included,
     judged_gain,
 )
 from radiometer.reconcile.fit.covariance import is_misfit, scatter_of
@@ -144,18 +144,19 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     far = is_far(state)
     shown = [entry for entry in judged if is_shown(*entry, limit, later=bool(state.effects), far=far)]
     looser = loosened(state) if standing else loosened(state, departed) if departed else None
+    fits = FullFits(state)
     while shown:
-        contenders = contenders_of(state, shown)
+        contenders = contenders_of(fits, shown)
         chosen = likeliest(contenders)
         if chosen is None:
             break
-        plain = _plain_leads(state, chosen)
-        if not _convinces(state, chosen, standing, plain) or _is_likelier(state, looser, chosen):
+        plain = _plain_leads(fits, chosen)
+        if not _convinces(state, chosen, standing, plain) or _is_likelier(fits, looser, chosen):
             break
         others = judged if contenders is shown else contenders
         outdone = any(_is_plainer(kind, chosen[0]) and lead > 0.0 for kind, lead in plain.items())
         outdone |= any(_outdoes(other, chosen) for other in others)
-        following = _named(state, chosen, others, judged, run, outdone=outdone)
+        following = _named(fits, chosen, others, judged, run, outdone=outdone)
         if following is not None:
             return following
         shown = [entry for entry in shown if entry[0].name != chosen[0].name]
@@ -164,7 +165,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     return _unnamed(state, standing, judged, run) if standing else None
 
 
-def _is_likelier(state: FitState, looser: Loosened | None, chosen: tuple[FittedCandidate, float]) -> bool:
+def _is_likelier(fits: FullFits, looser: Loosened | None, chosen: tuple[FittedCandidate, float]) -> bool:
     """Tell whether another form of an effect that is there predicts better than a further effect.
 
     The form was fitted in full; where the two are near, the further effect is too, before they are compared.
@@ -174,8 +175,8 @@ def _is_likelier(state: FitState, looser: Loosened | None, chosen: tuple[FittedC
     form = looser.nats - PARAMETER_NATS * looser.further - FLEXIBLE_NATS
     if form > score(chosen) or form < _NEAR_FORM * score(chosen):
         return form > score(chosen)
-    fitted = included(state, chosen[0].effect, far=False)
-    return form > score((chosen[0], fitted.evidence - state.evidence))
+    fitted = fits.included(chosen[0].effect, far=False)
+    return form > score((chosen[0], fitted.evidence - fits.state.evidence))
 
 
 def _taken(state: FitState, looser: Loosened, run: _Run) -> FitState:
@@ -208,20 +209,21 @@ def _convinces(
     return nats >= SMOOTH_SHARE * smooth or nats >= smooth - NAMED_NATS
 
 
-def _plain_leads(state: FitState, chosen: tuple[FittedCandidate, float]) -> dict[type[CatalogueEffect], float]:
+def _plain_leads(fits: FullFits, chosen: tuple[FittedCandidate, float]) -> dict[type[CatalogueEffect], float]:
     """Return by how many nats each plain trend of no more freedom predicts better than the chosen effect."""
     effect = chosen[0].effect
     return {
-        kind: _plain_lead(state, kind, chosen)
+        kind: _plain_lead(fits, kind, chosen)
         for kind in TRENDS
         if kind.block == effect.block and kind.where in ("", effect.where) and len(kind.fitted) <= chosen[0].parameters
     }
 
 
-def _plain_lead(state: FitState, kind: type[CatalogueEffect], chosen: tuple[FittedCandidate, float]) -> float:
+def _plain_lead(fits: FullFits, kind: type[CatalogueEffect], chosen: tuple[FittedCandidate, float]) -> float:
+    state = fits.state
     starts = kind.starts(state.model.context)
     plain = fit_candidate(state, Candidate(starts[0], 0.0, len(kind.fitted), others=starts[1:]))
-    (_, named), (_, trend) = contenders_of(state, [chosen, (plain, judged_gain(state, plain))], fewest=2)
+    (_, named), (_, trend) = contenders_of(fits, [chosen, (plain, judged_gain(state, plain))], fewest=2)
     return trend + PARAMETER_NATS * (chosen[0].parameters - plain.parameters) - named
 
 
@@ -248,7 +250,7 @@ def _smooth_gain(state: FitState, test: Disagreement) -> float:
 
 
 def _named(
-    state: FitState,
+    fits: FullFits,
     chosen: tuple[FittedCandidate, float],
     contenders: list[tuple[FittedCandidate, float]],
     judged: list[tuple[FittedCandidate, float]],
@@ -260,8 +262,8 @@ def _named(
 
     Contenders are judged as the chosen one is, `judged` are all those of this step before any full fit.
     """
-    fitted, nats = chosen
-    following = included(state, fitted.effect, far=nats > HUGE_NATS)
+    (fitted, nats), state = chosen, fits.state
+    following = fits.included(fitted.effect, far=nats > HUGE_NATS)
     brought = following.evidence - state.evidence
     if brought < KEPT_NATS or brought < NAMED_NATS * scatter_of(following):
         run.refused.add(fitted.name)
