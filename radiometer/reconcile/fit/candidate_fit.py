@@ -12,7 +12,7 @@ from radiometer.errors import ConfigurationError
 from radiometer.reconcile.fit.comparison import FAMILY
 from radiometer.reconcile.fit.held_out import leave_one_group_out
 from radiometer.reconcile.fit.linear import descended
-from radiometer.reconcile.fit.state import FitState, refit, settled, with_effects
+from radiometer.reconcile.fit.state import FitState, approached, settled, with_effects
 from radiometer.reconcile.measure.design import Array
 from simulators.effects.catalogue import CatalogueEffect
 
@@ -277,7 +277,7 @@ def included(state: FitState, effect: CatalogueEffect, *, far: bool) -> FitState
         if far:
             own = following.parameters.owner
             mine = frozenset(i for i, at in enumerate(own) if following.effects[at].name == effect.name)
-            following = replace(refit(replace(following, frozen=mine)), frozen=frozenset())
-        return settled(refit(following))
+            following = replace(approached(replace(following, frozen=mine)), frozen=frozenset())
+        return settled(approached(following))
     except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
         raise UnfitError(effect.name) from error

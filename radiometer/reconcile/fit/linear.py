@@ -111,9 +111,11 @@ class LinearFit:
         """Return the change of the parameters that minimises the residual."""
         return self.solve(self.pull(self.residual))
 
-    def step_from(self, residual: Array) -> Array:
-        """Return the same step from another point's residual, followers not followed yet."""
-        return self.solve(self.pull(self.followed(residual)))
+    def step_from(self, residual: Array) -> tuple[Array, float]:
+        """Return the same step from another point's residual, followers not followed yet, and what χ² it promises."""
+        pulled = self.pull(self.followed(residual))
+        step = self.solve(pulled)
+        return step, float(pulled @ step)
 
     def pull(self, vectors: Array, start: int = 0) -> Array:
         """Return Jᵀ·v for vectors whose entries begin at row `start`, (entries,) or (entries, n)."""

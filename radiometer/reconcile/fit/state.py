@@ -28,6 +28,7 @@ from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.statistics import usable_entries
 from simulators.effects.catalogue import CatalogueEffect
 
+_ITERATIONS: Final = 25
 _SHORTER, _SHORTENINGS = 0.3, 6  # steps that are tried
 _IDLE: Final = 1e-3  # sigmas that a parameter moves by its whole scale
 _CONVERGED: Final = 1e-3  # change of χ², in units of the reduced χ² where that is above 1, that ends the fit
@@ -308,13 +309,13 @@ def reweighted(state: FitState) -> FitState:
 def settled(state: FitState) -> FitState:
     """Return the state refitted under weights of its own, until these no longer move the parameters."""
     for _ in range(_REWEIGHTINGS):
-        before, state = state.parameters.values, refit(reweighted(state))
+        before, state = state.parameters.values, approached(reweighted(state))
         after = state.parameters.values
         if before.size != after.size:  # a further term fell to nothing, and the form is the plain one again
             continue
         if not after.size or float(np.max(np.abs(after - before) / state.parameters.scale)) < _SETTLED:
-            break
-    return state
+            return _held_at_bounds(state)
+    return refit(state)
 
 
 def with_terms(state: FitState, terms: Sequence[LinearTerm]) -> FitState:
@@ -330,34 +331,61 @@ def with_effects(state: FitState, effects: Sequence[CatalogueEffect]) -> FitStat
     return replace(state, model=state.model.with_effects(effects), frozen=frozenset(), held_columns=None)
 
 
-def beside(state: FitState, effect: CatalogueEffect, iterations: int = 25) -> FitState:
+def beside(state: FitState, effect: CatalogueEffect, iterations: int = _ITERATIONS) -> FitState:
     """Return the state with a further effect as it is; all else follows by the derivatives of the state without it.
 
     Where these lead nowhere it is refitted by derivatives of its own, in so many iterations at most.
     """
     start = replace(with_effects(state, (*state.effects, effect)), held_columns=state.term_columns)
-    moved = _moved(start, state.fit.step_from(start.residual), state)
+    moved = _moved(start, state.fit.step_from(start.residual)[0], state)
     if _is_within_range(moved) and moved.cost < start.cost:
-        return _glided(state, moved, start.cost - moved.cost)
+        return _glided(state, moved, start.cost - moved.cost)[0]
     held = frozenset(range(state.parameters.size, start.parameters.size))
     return refit(replace(start, frozen=held, held_columns=None), iterations)
 
 
-def refit(state: FitState, iterations: int = 25) -> FitState:
+def refit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
     """Return the state at the least χ² over nuisances, term weights and effect parameters (damped Gauss–Newton).
 
     Parameters that come frozen within their bounds stay so. They are known by effect and name: a further term that
     falls to nothing on the way is none of its effect's parameters any more, and all behind it move up.
     """
-    on_low, on_high = state.parameters.on_bounds()
-    inside = state.frozen - frozenset(np.flatnonzero(on_low | on_high).tolist())
+    fixed = _fixed(state)
+
+    def trials(at: FitState) -> Iterator[FitState]:
+        for trial in _trials(at):
+            yield _held_at_bounds(_glided(at, trial, at.cost - trial.cost)[0], fixed) if trial.cost < at.cost else trial
+
+    return descended(_held_at_bounds(state, fixed), trials, lambda at: _CONVERGED * at.misfit, iterations)
+
+
+def approached(state: FitState) -> FitState:
+    """Return the state near the least χ², for weights that will be brought up to date there.
+
+    As `refit`, but the end is where derivatives of one point lead, if they hold all the way: none are taken there to
+    confirm it. Parameters at bounds are not held yet.
+    """
+    fixed = _fixed(state)
+    for _ in range(_ITERATIONS):
+        state = _held_at_bounds(state, fixed)
+        lower = next((trial for trial in _trials(state) if trial.cost < state.cost), None)
+        if lower is None:
+            break
+        misfit, (state, gained) = state.misfit, _glided(state, lower, state.cost - lower.cost)
+        if gained < _CONVERGED * misfit:
+            break
+    return state
+
+
+def _fixed(state: FitState) -> frozenset[tuple[int, str]]:
+    """Return the effect and the name of each parameter that is frozen within its bounds."""
     own = state.parameters
-    fixed = frozenset((own.owner[i], own.names[i]) for i in inside)
-    start = _held_at_bounds(state, fixed)
-    return descended(start, lambda at: _trials(at, fixed), lambda at: _CONVERGED * at.misfit, iterations)
+    on_low, on_high = own.on_bounds()
+    inside = state.frozen - frozenset(np.flatnonzero(on_low | on_high).tolist())
+    return frozenset((own.owner[i], own.names[i]) for i in inside)
 
 
-def _held_at_bounds(state: FitState, fixed: frozenset[tuple[int, str]]) -> FitState:
+def _held_at_bounds(state: FitState, fixed: frozenset[tuple[int, str]] = frozenset()) -> FitState:
     """Return the state with those effect parameters frozen that stand on a bound and would leave it, and the fixed.
 
     Were they free, the linearised fit would take up beyond the bound what the model cannot, and hide it. A parameter
@@ -385,19 +413,20 @@ def _frozen(state: FitState, held: frozenset[int]) -> FitState:
     return other
 
 
-def _trials(state: FitState, fixed: frozenset[tuple[int, str]]) -> Iterator[FitState]:
+def _trials(state: FitState) -> Iterator[FitState]:
     """Yield the states after ever shorter steps; none where even the linearised model promises nothing."""
     if state.cost - state.promised < _CONVERGED * state.misfit:
         return
     for number in range(_SHORTENINGS):
         trial = _moved(state, _SHORTER**number * state.fit.step)
         if _is_within_range(trial):
-            lower = trial.cost < state.cost
-            yield _held_at_bounds(_glided(state, trial, state.cost - trial.cost), fixed) if lower else trial
+            yield trial
 
 
-def _glided(state: FitState, moved: FitState, gained: float) -> FitState:
-    """Return where further steps by the derivatives of one point lead, as long as these hold.
+def _glided(state: FitState, moved: FitState, gained: float) -> tuple[FitState, float]:
+    """Return where further steps by the derivatives of one point lead, as long as these hold, and the last one's gain.
+
+    Where the next step promises next to nothing, it is what that promises.
 
     Such a step costs one prediction, new derivatives one for each parameter. They hold where a step gains far less
     than the one before it, as steps of Gauss and Newton do near the least χ².
@@ -411,14 +440,17 @@ def _glided(state: FitState, moved: FitState, gained: float) -> FitState:
     while not moved.frozen and moved.parameters.names[: len(names)] == names:
         if gained < _CONVERGED * moved.misfit:
             break
-        further = _moved(moved, state.fit.step_from(moved.residual), state)
+        step, promised = state.fit.step_from(moved.residual)
+        if promised < _CONVERGED * moved.misfit:
+            return moved, promised
+        further = _moved(moved, step, state)
         if further.frozen or not _is_within_range(further) or further.cost >= moved.cost:
             break
         before, gained = gained, moved.cost - further.cost
         moved = further
         if gained > _HOLDS * before:
             break
-    return moved
+    return moved, gained
 
 
 def _is_within_range(trial: FitState) -> bool:
