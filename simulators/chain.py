@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 from radiometer.errors import ConfigurationError
 from simulators.effects.base import RADIANCE, Effect
@@ -19,6 +20,11 @@ def place_for(effect: Effect, chain: Sequence[Effect], enabled: Sequence[bool] |
     Raises:
         ConfigurationError: If its unit fits nowhere in its stage.
     """
+    return _place(type(effect), tuple(map(type, chain)), None if enabled is None else tuple(enabled))
+
+
+@lru_cache(maxsize=4096)
+def _place(effect: type[Effect], chain: tuple[type[Effect], ...], enabled: tuple[bool, ...] | None) -> int:
     unit, fits = RADIANCE, list[int]()
     for position in range(len(chain) + 1):
         following = chain[position] if position < len(chain) else None
@@ -39,13 +45,13 @@ def place_for(effect: Effect, chain: Sequence[Effect], enabled: Sequence[bool] |
     return fits[-1]
 
 
-def _is_in_front(effect: Effect, following: Effect) -> bool:
+def _is_in_front(effect: type[Effect], following: type[Effect]) -> bool:
     """Tell whether an effect belongs right in front of another one."""
     if following.name == effect.before:
         return True
     return effect.before is not None and following.before == effect.before and in_order(effect) < in_order(following)
 
 
-def in_order(effect: Effect) -> tuple[int, bool]:
+def in_order(effect: Effect | type[Effect]) -> tuple[int, bool]:
     """Return by what effects at one place are sorted; those that are alike stay as they were added."""
     return int(effect.stage), effect.last_in_place

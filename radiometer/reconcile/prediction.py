@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from simulators.effects.rounding import excess_kurtosis, rounding_amplitude
 from simulators.effects.tile_moments import Moments
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Prediction:
     """Expected statistics, named and shaped as in CaptureStatistics.
 
@@ -53,6 +54,16 @@ class Prediction:
     mixed_x: Array
     mixed_y: Array
     limit_variance: Array
+
+    @cached_property
+    def waves(self) -> bool:
+        """Tell whether any light goes as a wave along the rows."""
+        return bool(self.band_variance.any())
+
+    @cached_property
+    def mixes(self) -> bool:
+        """Tell whether any neighbours in a row exchange charge."""
+        return bool(self.mixed_x.any())
 
     @property
     def rounding(self) -> Array:

@@ -184,12 +184,12 @@ class Effect(ABC):
             "common_variance": self.common_variance(mean, context),
         }
         more = {name: getattr(after, name) + v for name, v in added.items() if not isinstance(v, float) or v}
-        after = replace(after, **more) if more else after
         if not (isinstance(after, TileMoments) and isinstance(before, TileMoments)):
-            return after
+            return after.changed(**more)
         if context.first_frame is not None and context.later_frames is not None and self.drifts:
             moved = self.mean(mean, context.first_frame) - self.mean(mean, context.later_frames)
-            after = replace(after, first_excess=after.first_excess + moved)
+            more["first_excess"] = after.first_excess + moved
+        after = after.changed(**more) if more else after
         return self.tile(after, before, context)
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -55,4 +55,4 @@ class BrighterFatter(CatalogueEffect):
         share = self.share * np.clip(before.mean / well_e(context), 0.0, 1.2)
         mixed = exchange_moments(after, share, light=1.0)
         edge = self.edge_fill * np.max(share, axis=(1, 2), keepdims=True)
-        return replace(mixed, edge_share=before.edge_share + edge)
+        return mixed.changed(edge_share=before.edge_share + edge)

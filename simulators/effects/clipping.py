@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any, Final
 
 import numpy as np
@@ -69,14 +69,14 @@ def limited(before: Moments, limit: Callable[[Moments], Moments]) -> Moments:
         limit: Gives mean, variances and fixed-pattern variance behind it.
     """
     after = limit(before) if not isinstance(before, TileMoments) else _limited_tile(before, limit)
-    return after if before.unrounded is None else replace(after, unrounded=limited(before.unrounded, limit))
+    return after if before.unrounded is None else after.changed(unrounded=limited(before.unrounded, limit))
 
 
 def _limited_tile(before: TileMoments, limit: Callable[[Moments], Moments]) -> TileMoments:
     one = np.ones((1,) * before.mean.ndim)
     after = limit(Moments(before.mean, before.variance, one, before.common_variance))
     kept = before.passed(after.mean, np.sqrt(after.spatial_variance))
-    return replace(kept, variance=after.variance, common_variance=after.common_variance)
+    return kept.changed(variance=after.variance, common_variance=after.common_variance)
 
 
 def is_reached(before: Moments, limit: float) -> bool:
@@ -96,8 +96,8 @@ def unevenly_limited(before: Moments, limit: Callable[[Moments, float], Moments]
     left = sum(weight * np.square(part.mean - mean) for weight, part in parts)
     alike = ("comb_step", "comb_kept", "band_frequency", "unrounded")
     names = [entry.name for entry in fields(before) if entry.name not in alike]
-    after = replace(before, **{name: sum(weight * getattr(part, name) for weight, part in parts) for name in names})
-    after = replace(after, spatial_variance=after.spatial_variance + left)
+    after = before.changed(**{name: sum(weight * getattr(part, name) for weight, part in parts) for name in names})
+    after = after.changed(spatial_variance=after.spatial_variance + left)
     if before.unrounded is not None:
-        after = replace(after, unrounded=unevenly_limited(before.unrounded, limit))
-    return replace(after, limit_variance=after.limit_variance + left) if isinstance(after, TileMoments) else after
+        after = after.changed(unrounded=unevenly_limited(before.unrounded, limit))
+    return after.changed(limit_variance=after.limit_variance + left) if isinstance(after, TileMoments) else after

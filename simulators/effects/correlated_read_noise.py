@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -59,4 +59,4 @@ class CorrelatedReadNoise(CatalogueEffect):
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with the covariance of successive pixels."""
-        return replace(after, neighbour_x=before.neighbour_x + 0.5 * self.sign * self.sigma_e**2)
+        return after.changed(neighbour_x=before.neighbour_x + 0.5 * self.sign * self.sigma_e**2)

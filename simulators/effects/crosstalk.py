@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -55,7 +55,7 @@ class Crosstalk(CatalogueEffect):
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments of a tile whose pixels exchange charge."""
         mixed = exchange_moments(after, np.full((1, 1, 1), self.share), 1.0, self.further_down)
-        return replace(mixed, edge_share=before.edge_share + self.share + 0.5 * self.further_down)
+        return mixed.changed(edge_share=before.edge_share + self.share + 0.5 * self.further_down)
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return the exchange that differs between rows and columns."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final, Self, cast
 
 import numpy as np
@@ -71,7 +71,7 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         pattern = np.maximum(self.electrons(context), _LEAST_E)
         average, spread = self._lognormal()
         emptied = average - signal * spread / pattern  # leaks, over their median, that would leave less than nothing
-        share, held, _ = self._above(emptied)
+        share, held = self._above(emptied)
         found = signal * share + (held - average * share) * pattern / spread
         if getattr(context, "frames", None) is not None:
             found = found - self._left_out(signal, context) * pattern
@@ -90,10 +90,10 @@ class DarkCurrentNonuniformity(CatalogueEffect):
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with the number of pixels that stand out by more than 6 robust sigmas."""
-        above, _, _ = self._above(self._standing_out(before.mean, context, before.spatial_variance))
+        (above,) = self._above(self._standing_out(before.mean, context, before.spatial_variance), powers=1)
         pixels: Any = getattr(context, "tile_pixels", 1.0)
         count = (above * pixels).mean(axis=2, keepdims=True).sum(axis=1, keepdims=True)
-        return replace(after, outliers=before.outliers + count)
+        return after.changed(outliers=before.outliers + count)
 
     def _standing_out(self, signal: Signal, context: ExposureContext, spatial_variance: Any = 0.0) -> Any:
         """Return the leak over its median from which on a pixel stands out by more than 6 robust sigmas."""
@@ -107,7 +107,7 @@ class DarkCurrentNonuniformity(CatalogueEffect):
 
     def _left_out(self, signal: Signal, context: ExposureContext) -> Any:
         """Return by how many s the mean falls where a series of captures leaves out what stands out in any dark one."""
-        share, held, _ = self._above(self._first_left_out(signal, context))
+        share, held = self._above(self._first_left_out(signal, context))
         average, spread = self._lognormal()
         return (held - average * share) / (1.0 - share) / spread
 
@@ -118,10 +118,10 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         dark = np.where(np.broadcast_to(settings.is_dark, np.shape(limit)), limit, np.inf)
         return np.minimum(limit, np.min(dark, axis=0, keepdims=True))
 
-    def _above(self, leak: Any) -> tuple[Any, Any, Any]:
+    def _above(self, leak: Any, powers: int = 2) -> tuple[Any, ...]:
         """Return the share of the pixels above a leak over the median, and the sums of leaks and squares, per pixel."""
         sigmas, s = np.log(np.maximum(leak, 1e-300)) / self.shape, self.shape
-        return ndtr(-sigmas), math.exp(s**2 / 2) * ndtr(s - sigmas), math.exp(2.0 * s**2) * ndtr(2.0 * s - sigmas)
+        return tuple(math.exp((n * s) ** 2 / 2) * ndtr(n * s - sigmas) for n in range(powers))
 
     def _lognormal(self) -> tuple[float, float]:
         """Return mean and standard deviation of the leak over its median."""
@@ -134,7 +134,7 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         if getattr(context, "frames", None) is None:
             return whole
         average, spread = self._lognormal()
-        share, held, square = self._above(self._first_left_out(signal, context))
+        share, held, square = self._above(self._first_left_out(signal, context), powers=3)
         kept = 1.0 - share
         left = (average**2 + spread**2 - square) / kept - np.square((average - held) / kept)
         return whole * left / spread**2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Self, cast
 
 import numpy as np
@@ -60,7 +60,7 @@ class Defocus(CatalogueEffect):
         """Return the moments with what blurs across an edge."""
         sigma = self._sigma(context)
         share = (1.0 - self.evenness) * blur_edge_share(sigma) + self.evenness * disc_edge_share(2.0 * sigma)
-        return replace(after, edge_share=before.edge_share + share)
+        return after.changed(edge_share=before.edge_share + share)
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return the blur that is a disc in part."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -44,7 +44,7 @@ class FirstFrameOffset(CatalogueEffect):
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with the first frame's difference from the others."""
-        return replace(after, first_excess=before.first_excess + self.offset_dn)
+        return after.changed(first_excess=before.first_excess + self.offset_dn)
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:

@@ -8,7 +8,7 @@ are the effect's, the law is the data's. `freed` makes the kind; its name is the
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cache, lru_cache
 from typing import Any, ClassVar, Final, Self, cast
 
@@ -164,7 +164,7 @@ class FreeLaw(CatalogueEffect):
         carried = before.passed(mean, self.slope(signal, context))
         unweighted = before.passed(after.mean, own.slope(signal, context))
         changed = {name: _added(name, carried, after, unweighted, weight) for name in _names(before)}
-        return replace(after, mean=mean, **changed)
+        return after.changed(mean=mean, **changed)
 
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit: the law's, and the shape's where the law leaves the effect's own covariate."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final, Self, cast
 
 import numpy as np
@@ -86,8 +86,7 @@ class GammaEnabled(CatalogueEffect):
         mean, square, slope = self._by_quadrature(before.mean, sigma, *self._range(context))
         after = before.passed(cast(Signal, mean), cast(Signal, slope))
         more = np.maximum(square - np.square(slope * sigma), 0.0) / sigma**2  # what no straight line does to the noise
-        return replace(
-            after,
+        return after.changed(
             variance=after.variance + more * before.variance,
             spatial_variance=after.spatial_variance + more * before.spatial_variance,
         )

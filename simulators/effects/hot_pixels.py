@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -71,4 +71,4 @@ class HotPixels(CatalogueEffect):
         standing_out = np.exp(-6.0 * noise / np.maximum(self.electrons(context), 1e-12))
         pixels: Any = getattr(context, "tile_pixels", 1.0)
         count = (self.share * standing_out * pixels).mean(axis=2, keepdims=True).sum(axis=1, keepdims=True)
-        return replace(after, outliers=before.outliers + count)
+        return after.changed(outliers=before.outliers + count)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final, Self, cast
 
 import numpy as np
@@ -101,8 +101,7 @@ class ImageLag(CatalogueEffect):
         counted = np.where(frames > 2, frames - 1.0, frames)  # the first of three or more is not among them
         alike = (self._rise(before.mean, context), self.older_share)
         calmer = _alike(alike, counted) / np.maximum(counted - 1.0, 1.0)
-        return replace(
-            after,
+        return after.changed(
             variance=after.variance - calmer * before.variance,
             spatial_variance=after.spatial_variance + (_alike(alike, frames) + calmer) * before.variance / frames,
             first_excess=before.first_excess

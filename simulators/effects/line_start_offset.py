@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -70,7 +70,7 @@ class LineStartOffset(Offset):
         surface, _ = np.linalg.qr(np.stack([np.ones_like(u), u, u * u], axis=1))
         left = at - (at @ surface) @ surface.T
         columns = np.mean(np.square(left), axis=-1, keepdims=True).mean(axis=-2, keepdims=True)
-        return replace(after, fixed_column_variance=before.fixed_column_variance + columns)
+        return after.changed(fixed_column_variance=before.fixed_column_variance + columns)
 
     def _law(self, along: Any) -> Any:
         return self.offset_dn * np.exp(-along / self.decay_share)

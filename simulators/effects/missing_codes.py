@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Final, cast
 
@@ -113,7 +113,7 @@ class MissingCodes(CatalogueEffect):
         # What pixels share goes by the mean slope, which no variable has beyond what its own variance becomes.
         most = np.sqrt(variance / narrow2)
         shared = before.passed(u - cut, np.clip(1.0 - slope, -most, most))
-        after = replace(shared, variance=variance, spatial_variance=before.spatial_variance, unrounded=before)
+        after = shared.changed(variance=variance, spatial_variance=before.spatial_variance, unrounded=before)
         if not isinstance(after, TileMoments):
             return after
-        return replace(after, comb_step=self.step_codes, comb_kept=self.kept_codes)
+        return after.changed(comb_step=self.step_codes, comb_kept=self.kept_codes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -49,4 +49,4 @@ class PsfBlur(CatalogueEffect):
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with what blurs across an edge."""
-        return replace(after, edge_share=before.edge_share + blur_edge_share(np.full((1, 1, 1), self.sigma_px)))
+        return after.changed(edge_share=before.edge_share + blur_edge_share(np.full((1, 1, 1), self.sigma_px)))

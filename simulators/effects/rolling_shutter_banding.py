@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, Self, cast
 
 import numpy as np
@@ -69,7 +69,7 @@ class RollingShutterBanding(CatalogueEffect):
         """Return the moments with the bands as a wave along the rows."""
         left = np.square(self.modulation * np.sinc(self.frequency_hz * context.settings.exposure_s)) / 2.0
         bands = before.band_variance + left * np.square(before.mean)
-        return replace(after, band_variance=bands, band_frequency=self.frequency_hz * self.row_time_s)
+        return after.changed(band_variance=bands, band_frequency=self.frequency_hz * self.row_time_s)
 
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:

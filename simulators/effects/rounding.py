@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Final, TypeVar
 
 import numpy as np
@@ -53,7 +52,7 @@ def rounded(before: SomeMoments) -> SomeMoments:
     shape = np.broadcast_shapes(np.shape(mean), variance.shape, fixed.shape, np.shape(lines), np.shape(shaken))
     coarse = np.broadcast_to(variance + fixed + lines + shaken < _FINE, shape)
     if not coarse.any():
-        return replace(before, variance=variance + 1.0 / 12.0, unrounded=before)
+        return before.changed(variance=variance + 1.0 / 12.0, unrounded=before)
     mean, variance, fixed = (np.broadcast_to(values, shape).copy() for values in (mean, variance, fixed))
     shared2 = np.broadcast_to(lines + shaken, shape)[coarse]
     slope = np.ones(shape)
@@ -61,7 +60,7 @@ def rounded(before: SomeMoments) -> SomeMoments:
     mean[coarse], variance[coarse], fixed[coarse], slope[coarse] = _of_coarse(at, sigma2, pattern2, shared2)
     variance[~coarse] += 1.0 / 12.0
     shared = before.passed(mean, slope)  # what pixels share goes by the mean slope
-    return replace(shared, variance=variance, spatial_variance=fixed, unrounded=before)
+    return shared.changed(variance=variance, spatial_variance=fixed, unrounded=before)
 
 
 def excess_kurtosis(before: Moments) -> Signal:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -55,4 +55,4 @@ class RowPattern(CatalogueEffect):
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with the pattern booked as one of rows."""
         rows = before.fixed_row_variance + self.sigma_e**2
-        return replace(after, spatial_variance=before.spatial_variance, fixed_row_variance=rows)
+        return after.changed(spatial_variance=before.spatial_variance, fixed_row_variance=rows)

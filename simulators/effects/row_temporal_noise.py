@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -54,4 +54,4 @@ class RowTemporalNoise(CatalogueEffect):
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with the noise booked as one of rows."""
-        return replace(after, variance=before.variance, row_variance=before.row_variance + self.sigma_e**2)
+        return after.changed(variance=before.variance, row_variance=before.row_variance + self.sigma_e**2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -61,7 +61,7 @@ class SeriesSettling(Scaling):
         frames: Any = getattr(context, "frames", 1.0)
         later = self._powers(frames, 1.0, 1.0) / np.maximum(frames - 1.0, 1.0)
         moved: Any = before.mean * self.excess_rel * np.where(frames > 1, 1.0 - later, 0.0)
-        return replace(after, first_excess=after.first_excess + moved)
+        return after.changed(first_excess=after.first_excess + moved)
 
     def _powers(self, frames: Any, power: float, first: Any) -> Any:
         """Return the sum of r^(p·k) over the frames k from `first` on."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Self, cast
 
 import numpy as np
@@ -80,4 +80,4 @@ class ShutterDeadTime(CatalogueEffect):
         """Return the moments with what the first frame has more."""
         usual = self._usual(np.asarray(getattr(context, "frames", 1.0)))
         gained = before.mean * (1.0 - self._kept(usual, context))
-        return replace(after, first_excess=after.first_excess + gained)
+        return after.changed(first_excess=after.first_excess + gained)

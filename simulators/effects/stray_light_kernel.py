@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, Self, cast
 
 import numpy as np
@@ -95,4 +95,4 @@ class StrayLightKernel(CatalogueEffect):
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with what the kernel carries across an edge, which hangs on where the patch ends."""
-        return replace(after, edge_share=before.edge_share + np.full((1, 1, 1), self._lost * self.edge_share))
+        return after.changed(edge_share=before.edge_share + np.full((1, 1, 1), self._lost * self.edge_share))

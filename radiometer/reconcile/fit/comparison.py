@@ -139,10 +139,10 @@ class Comparison:
 
     def _bands(self, prediction: Prediction) -> Array:
         bands2 = relative_bands(prediction)
-        if not (bands2.any() or prediction.row_variance.any() or prediction.mixed_x.any()):
+        if not (bands2.any() or prediction.row_variance.any() or prediction.mixes):
             return self._calm_bands
         power = self.band_power(bands2, prediction.band_frequency)
-        if prediction.mixed_x.any():
+        if prediction.mixes:
             power = power + mixing_of_bands(prediction, self.design)
         return self.band_scores(power, prediction.row_variance)
 
@@ -240,7 +240,7 @@ class Comparison:
     def band_deviance(self, prediction: Prediction) -> float:
         """Return the same of the bands."""
         steady = 1.0 + prediction.row_variance[:, None] * self.seen.bands_of_rows
-        steady = steady + (mixing_of_bands(prediction, self.design) if prediction.mixed_x.any() else 0.0)
+        steady = steady + (mixing_of_bands(prediction, self.design) if prediction.mixes else 0.0)
         expected = steady + self.band_power(relative_bands(prediction), prediction.band_frequency)
         return float(np.sum(deviances(self.seen.bands, expected, self.band_freedom, self.usable["bands"])))
 
@@ -274,7 +274,7 @@ class Comparison:
     def _excess(self, name: str, prediction: Prediction) -> Array:
         """Return what a variance ratio is expected to be: 1 without any common part."""
         excess = line_excess(self.design, self.seen, prediction, name)
-        if prediction.mixed_x.any():
+        if prediction.mixes:
             excess = excess + mixing_of_lines(prediction, self.design, name)
         whole = 1.0 + excess + band_excess(self.design, self.seen, prediction).get(name, 0.0)
         return np.asarray(np.maximum(whole, _LEAST_RATIO))
@@ -357,7 +357,7 @@ def _deviations(
 def _common_bands(design: Design, seen: CaptureStatistics, prediction: Prediction) -> Array:
     """Return the relative variance of a wave along the rows that a whole frame has in common, (captures,)."""
     bands2 = relative_bands(prediction)
-    if not bands2.any():
+    if not prediction.waves:
         return bands2
     return np.asarray(bands2 * wave_power(RowBins.of(design), seen.bands_basis, prediction.band_frequency)[1])
 

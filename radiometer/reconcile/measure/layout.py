@@ -52,11 +52,13 @@ def tile_groups(design: Design) -> tuple[TileGroup, ...]:
 
 
 def slope_lengths(design: Design) -> tuple[Array, Array]:
-    """Return the length of the tilts over each tile: a coefficient divided by it is the rise from centre to edge."""
-    x, y = np.empty(len(design.tiles)), np.empty(len(design.tiles))
-    for group in tile_groups(design):
-        x[group.index], y[group.index] = group.slope_norm
-    return x, y
+    """Return the length of the tilts over each tile: a coefficient divided by it is the rise from centre to edge.
+
+    The squares of the centres of n equal cells of −1 … 1 sum to (n² − 1)/(3n).
+    """
+    width, height = design.tile_width, design.tile_height
+    across, down = ((n**2 - 1.0) / (3.0 * n) for n in (width, height))
+    return np.sqrt(height * across), np.sqrt(width * down)
 
 
 def _group(tiles: Sequence[Tile], height: int, width: int) -> TileGroup:

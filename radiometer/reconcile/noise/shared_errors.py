@@ -405,6 +405,8 @@ def mixing_of_bands(prediction: Prediction, design: Design) -> Array:
 
 def relative_bands(prediction: Prediction) -> Array:
     """Return the relative variance of the light that goes as a wave along the rows, (captures,)."""
+    if not prediction.waves:
+        return np.zeros(prediction.gain.size)
     return _of_fair_tiles(prediction, prediction.band_variance)
 
 
@@ -426,9 +428,9 @@ def _of_fair_tiles(prediction: Prediction, variance: Array) -> Array:
 
 def band_excess(design: Design, seen: CaptureStatistics, prediction: Prediction) -> dict[str, Array]:
     """Return what a wave along the rows adds to the ratios of the rows' profiles, by statistic, (captures,)."""
-    bands2 = relative_bands(prediction)
-    if not bands2.any():
+    if not prediction.waves:
         return {}
+    bands2 = relative_bands(prediction)
     left = TileBands.of(design, prediction.band_frequency)
     temporal = bands2 * seen.row_temporal_light
     # The weights of the time mean's rows are those of the temporal profile but for the noise of a pixel.
