@@ -334,7 +334,7 @@ def with_effects(state: FitState, effects: Sequence[CatalogueEffect]) -> FitStat
 def beside(state: FitState, effect: CatalogueEffect, iterations: int = _ITERATIONS) -> FitState:
     """Return the state with a further effect as it is; all else follows by the derivatives of the state without it.
 
-    Where these lead nowhere it is refitted by derivatives of its own, in so many iterations at most.
+    Where these lead nowhere all else is refitted by derivatives of its own, in so many iterations at most.
     """
     start = replace(with_effects(state, (*state.effects, effect)), held_columns=state.term_columns)
     moved = _moved(start, state.fit.step_from(start.residual)[0], state)

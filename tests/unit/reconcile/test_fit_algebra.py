@@ -48,11 +48,14 @@ def test_step_and_covariance_are_those_of_least_squares(seed):
 @quick
 @given(seeds)
 def test_a_step_from_another_point_is_that_of_its_own_residual(seed):
-    """Old derivatives and a new residual give the step of least squares of that residual."""
+    """Old derivatives and a new residual give the step of least squares of that residual, and what it gains."""
     fit, jacobian, _, rng = fit_of(seed)
     elsewhere = rng.standard_normal(40)
     step = np.linalg.lstsq(jacobian, elsewhere, rcond=None)[0]
-    assert fit.step_from(elsewhere) == pytest.approx(step, rel=1e-6, abs=1e-8)
+    found, promised = fit.step_from(elsewhere)
+    assert found == pytest.approx(step, rel=1e-6, abs=1e-8)
+    left = elsewhere - jacobian @ step
+    assert promised == pytest.approx(elsewhere @ elsewhere - left @ left, rel=1e-6, abs=1e-8)
 
 
 @quick
