@@ -28,7 +28,8 @@ from benchmarks._sections import write_section
 from benchmarks.reconcile_outsiders import GENERATORS, session_of
 from radiometer.data import CaptureSet
 from radiometer.reconcile.engine import reconcile_capture, whole_catalogue
-from radiometer.reconcile.fit.state import FitState, first_state
+from radiometer.reconcile.fit.descent import first_state
+from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import reduce_frames
 from radiometer.reconcile.propose import Proposal, propose_law

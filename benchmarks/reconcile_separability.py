@@ -27,7 +27,8 @@ from radiometer.reconcile.advice.separability import (
     separability,
 )
 from radiometer.reconcile.engine import whole_catalogue
-from radiometer.reconcile.fit.state import FitState, first_state
+from radiometer.reconcile.fit.descent import first_state
+from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.search.screening import screen

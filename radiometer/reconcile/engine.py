@@ -19,8 +19,9 @@ from radiometer.reconcile.advice.limits import limits
 from radiometer.reconcile.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconcile.advice.separability import Separability, inseparable, separability
 from radiometer.reconcile.fit.covariance import fitted_parameters, is_misfit
+from radiometer.reconcile.fit.descent import first_state
 from radiometer.reconcile.fit.nuisances import dark_current_is_free
-from radiometer.reconcile.fit.state import FitState, first_state
+from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import FrameReader, frame_reader, reduce_frames
 from radiometer.reconcile.noise.darkness import uncertainty_of_readings, wander_of_black

@@ -15,7 +15,8 @@ import numpy as np
 from radiometer.reconcile.fit.comparison import FAMILY, TILE_BLOCKS, Comparison
 from radiometer.reconcile.fit.covariance import fitted_parameters, is_misfit, scatter_of
 from radiometer.reconcile.fit.covariates import covariates
-from radiometer.reconcile.fit.state import FitState, refit, with_effects
+from radiometer.reconcile.fit.descent import refit
+from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.result import FittedParameter, FoundEffect, Verdict
 from radiometer.reconcile.search.frame_order import Periodic

@@ -18,7 +18,8 @@ import numpy as np
 from radiometer.data import FrameEntry
 from radiometer.data.storage import write_yaml_atomic
 from radiometer.reconcile.advice.capture_pool import FRAMES, CapturePool
-from radiometer.reconcile.fit.state import FitState, beside, refit, with_effects, with_terms
+from radiometer.reconcile.fit.descent import beside, refit
+from radiometer.reconcile.fit.state import FitState, with_effects, with_terms
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.result import Limit, ReconcileResult
 from simulators.effects.catalogue import CatalogueEffect

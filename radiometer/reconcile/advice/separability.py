@@ -21,7 +21,8 @@ from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconcile.advice.next_capture import tells_apart
 from radiometer.reconcile.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconcile.fit.comparison import Comparison
-from radiometer.reconcile.fit.state import FitState, refit, with_effects
+from radiometer.reconcile.fit.descent import refit
+from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.search.screening import directions_of

@@ -10,9 +10,10 @@ import numpy as np
 
 from radiometer.errors import ConfigurationError
 from radiometer.reconcile.fit.comparison import FAMILY
+from radiometer.reconcile.fit.descent import approached, settled
 from radiometer.reconcile.fit.held_out import leave_one_group_out
 from radiometer.reconcile.fit.linear import descended
-from radiometer.reconcile.fit.state import FitState, approached, settled, with_effects
+from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Array
 from simulators.effects.catalogue import CatalogueEffect
 

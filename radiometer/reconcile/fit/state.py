@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from radiometer.errors import ConfigurationError
 from radiometer.reconcile.fit.comparison import Comparison, compare
 from radiometer.reconcile.fit.held_out import Groups, HeldOut, leave_one_group_out
-from radiometer.reconcile.fit.linear import LinearFit, RowBlock, descended
-from radiometer.reconcile.fit.nuisances import Here, NuisanceLayout, rough_log_responsivity
+from radiometer.reconcile.fit.linear import LinearFit, RowBlock
+from radiometer.reconcile.fit.nuisances import Here, NuisanceLayout
 from radiometer.reconcile.fit.terms import LinearTerm, prior_rows
 from radiometer.reconcile.measure.design import Array, Design
-from radiometer.reconcile.measure.pattern_images import PatternImages
 from radiometer.reconcile.measure.seen import CaptureStatistics
 from radiometer.reconcile.model.parameters import EffectParameters
 from radiometer.reconcile.model.tile_model import Nuisance, TileModel, Trace
@@ -27,17 +25,6 @@ from radiometer.reconcile.noise.shared_errors import Repeatability, relative_ban
 from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.statistics import usable_entries
 from simulators.effects.catalogue import CatalogueEffect
-
-_ITERATIONS: Final = 25
-_SHORTER, _SHORTENINGS = 0.3, 6  # steps that are tried
-_IDLE: Final = 1e-3  # sigmas that a parameter moves by its whole scale
-_CONVERGED: Final = 1e-3  # change of χ², in units of the reduced χ² where that is above 1, that ends the fit
-_HOLDS: Final = 0.25  # share of the gain before that a step by old derivatives may have; beyond, new ones are taken
-_REWEIGHTINGS: Final = 3
-_SETTLED: Final = 0.02  # share of a parameter's size
-_PAST_WELL: Final = 1.02  # times the declared full well, which is rounded
-_ALIVE: Final = 0.5  # share of its shot noise that a tile keeps where charge does not end
-
 
 # What of a state was worked out and hangs on the model and the nuisances alone, whatever is frozen or fitted.
 _OF_THE_MODEL: Final = ("nuisance", "trace", "prediction", "sensitivity", "parameters")
@@ -194,6 +181,12 @@ class FitState:
         """Return χ² after the best step, were the model linear."""
         return float(self.fit.projected @ self.fit.projected)
 
+    def with_frozen(self, held: frozenset[int]) -> FitState:
+        """Return the state with these parameters frozen; what does not hang on that is kept."""
+        other = replace(self, frozen=held)
+        vars(other).update({name: known for name, known in vars(self).items() if name in _OF_THE_POINT})
+        return other
+
     def effect_step(self, step: Array) -> Array:
         """Return the effects' part of a step of the whole fit, 0 for parameters that are frozen."""
         scaled = np.zeros(self.parameters.size)
@@ -247,46 +240,6 @@ class FitState:
         return float(self.held_out.chi2[:settings].sum() / max(self.held_out.count[:settings].sum(), 1.0))
 
 
-def first_state(
-    design: Design, seen: CaptureStatistics, images: PatternImages, given: tuple[CatalogueEffect, ...] = ()
-) -> FitState:
-    """Return the starting camera fitted to the statistics: nuisances only.
-
-    Args:
-        design: Captures and tiles.
-        seen: Measured statistics.
-        images: Mean picture of each pattern.
-        given: Effects that the starting model holds beside the ideal chain; they are not fitted.
-    """
-    model = replace(TileModel.of(design, images), given=given, passes_well=_passes_well(design, seen))
-    layout = NuisanceLayout.of(design)
-    values = np.zeros(layout.size)
-    if "black_dn" in layout.scalars:  # else darks would be predicted at zero, and left out as clipped for good
-        values[layout.scalars.index("black_dn")] = float(np.nanmin(seen.mean))
-    rough = model.predict(layout.unpack(design, values))
-    unclipped = (seen.high < 1e-3) & (seen.low < 1e-3)
-    values[0] = rough_log_responsivity(design, seen.mean, rough, unclipped)
-    state = _weighted(seen, model, layout, values, (), tau=1e-3, floors={}, usable=None)
-    state = refit(state)
-    return refit(reweighted(state))
-
-
-def _passes_well(design: Design, seen: CaptureStatistics) -> bool:
-    """Tell whether tiles hold more than the declared full well and still show the noise of their light.
-
-    The declared well then is not where charge ends: a model that ends there would predict no noise where there is some.
-    A plateau that lies above it, for a wrong conversion gain, has lost its noise.
-    """
-    camera = design.header.camera
-    if camera.full_well_e is None or camera.conversion_gain_e_per_dn is None:
-        return False
-    black = np.where(np.isnan(design.black_level_dn), np.nanmin(seen.mean), design.black_level_dn)
-    e_per_dn = (camera.conversion_gain_e_per_dn * 10.0 ** (-design.gain_db / 20.0))[:, None]
-    held_e = (seen.mean - black[:, None]) * e_per_dn
-    alive = np.nan_to_num(seen.variance) * e_per_dn**2 > _ALIVE * held_e
-    return bool(np.any(alive & (held_e > _PAST_WELL * camera.full_well_e) & (seen.high < 1e-3)))
-
-
 def reweighted(state: FitState) -> FitState:
     """Return the state with repeatability, weights and realisations brought up to date; parameters as they are."""
     tau = _estimate_tau(state)
@@ -300,22 +253,10 @@ def reweighted(state: FitState) -> FitState:
     terms = (*smooth, *(LinearTerm.of(error) for error in errors))
     floors = form_floors(state.model, state.nuisance, state.prediction)
     mask = state.comparison.usable
-    again = _weighted(state.seen, state.model, state.layout, state.values, terms, tau, floors, mask, state.trace)
+    again = weighted(state.seen, state.model, state.layout, state.values, terms, tau, floors, mask, state.trace)
     found = replace(again, weights=np.concatenate([kept, np.zeros(sum(t.size for t in terms) - kept.size)]))
     vars(found).update({name: known for name, known in vars(again).items() if name in _OF_THE_MODEL})
     return found
-
-
-def settled(state: FitState) -> FitState:
-    """Return the state refitted under weights of its own, until these no longer move the parameters."""
-    for _ in range(_REWEIGHTINGS):
-        before, state = state.parameters.values, approached(reweighted(state))
-        after = state.parameters.values
-        if before.size != after.size:  # a further term fell to nothing, and the form is the plain one again
-            continue
-        if not after.size or float(np.max(np.abs(after - before) / state.parameters.scale)) < _SETTLED:
-            return _held_at_bounds(state)
-    return refit(state)
 
 
 def with_terms(state: FitState, terms: Sequence[LinearTerm]) -> FitState:
@@ -331,158 +272,7 @@ def with_effects(state: FitState, effects: Sequence[CatalogueEffect]) -> FitStat
     return replace(state, model=state.model.with_effects(effects), frozen=frozenset(), held_columns=None)
 
 
-def beside(state: FitState, effect: CatalogueEffect, iterations: int = _ITERATIONS) -> FitState:
-    """Return the state with a further effect as it is; all else follows by the derivatives of the state without it.
-
-    Where these lead nowhere all else is refitted by derivatives of its own, in so many iterations at most.
-    """
-    start = replace(with_effects(state, (*state.effects, effect)), held_columns=state.term_columns)
-    moved = _moved(start, state.fit.step_from(start.residual)[0], state)
-    if _is_within_range(moved) and moved.cost < start.cost:
-        return _glided(state, moved, start.cost - moved.cost)[0]
-    held = frozenset(range(state.parameters.size, start.parameters.size))
-    return refit(replace(start, frozen=held, held_columns=None), iterations)
-
-
-def refit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
-    """Return the state at the least χ² over nuisances, term weights and effect parameters (damped Gauss–Newton).
-
-    Parameters that come frozen within their bounds stay so. They are known by effect and name: a further term that
-    falls to nothing on the way is none of its effect's parameters any more, and all behind it move up.
-    """
-    fixed = _fixed(state)
-
-    def trials(at: FitState) -> Iterator[FitState]:
-        for trial in _trials(at):
-            yield _held_at_bounds(_glided(at, trial, at.cost - trial.cost)[0], fixed) if trial.cost < at.cost else trial
-
-    return descended(_held_at_bounds(state, fixed), trials, lambda at: _CONVERGED * at.misfit, iterations)
-
-
-def approached(state: FitState) -> FitState:
-    """Return the state near the least χ², for weights that will be brought up to date there.
-
-    As `refit`, but the end is where derivatives of one point lead, if they hold all the way: none are taken there to
-    confirm it. Parameters at bounds are not held yet.
-    """
-    fixed = _fixed(state)
-    for _ in range(_ITERATIONS):
-        state = _held_at_bounds(state, fixed)
-        lower = next((trial for trial in _trials(state) if trial.cost < state.cost), None)
-        if lower is None:
-            break
-        misfit, (state, gained) = state.misfit, _glided(state, lower, state.cost - lower.cost)
-        if gained < _CONVERGED * misfit:
-            break
-    return state
-
-
-def _fixed(state: FitState) -> frozenset[tuple[int, str]]:
-    """Return the effect and the name of each parameter that is frozen within its bounds."""
-    own = state.parameters
-    on_low, on_high = own.on_bounds()
-    inside = state.frozen - frozenset(np.flatnonzero(on_low | on_high).tolist())
-    return frozenset((own.owner[i], own.names[i]) for i in inside)
-
-
-def _held_at_bounds(state: FitState, fixed: frozenset[tuple[int, str]] = frozenset()) -> FitState:
-    """Return the state with those effect parameters frozen that stand on a bound and would leave it, and the fixed.
-
-    Were they free, the linearised fit would take up beyond the bound what the model cannot, and hide it. A parameter
-    that moves nothing where it stands is frozen too: the fit would send it anywhere.
-    """
-    on_low, on_high = state.parameters.on_bounds()
-    idle = np.flatnonzero(np.linalg.norm(state.effect_jacobian, axis=0) < _IDLE)
-    named = zip(state.parameters.owner, state.parameters.names, strict=True)
-    held = frozenset(i for i, entry in enumerate(named) if entry in fixed) | frozenset(idle.tolist())
-    while True:
-        state = state if state.frozen == held else _frozen(state, held)
-        if not (on_low | on_high).any():
-            return state
-        step = state.effect_step(state.fit.step)
-        more = held | frozenset(np.flatnonzero((on_low & (step < 0)) | (on_high & (step > 0))).tolist())
-        if more == held:
-            return state
-        held = more
-
-
-def _frozen(state: FitState, held: frozenset[int]) -> FitState:
-    """Return the state with these parameters frozen; what does not hang on that is kept."""
-    other = replace(state, frozen=held)
-    vars(other).update({name: known for name, known in vars(state).items() if name in _OF_THE_POINT})
-    return other
-
-
-def _trials(state: FitState) -> Iterator[FitState]:
-    """Yield the states after ever shorter steps; none where even the linearised model promises nothing."""
-    if state.cost - state.promised < _CONVERGED * state.misfit:
-        return
-    for number in range(_SHORTENINGS):
-        trial = _moved(state, _SHORTER**number * state.fit.step)
-        if _is_within_range(trial):
-            yield trial
-
-
-def _glided(state: FitState, moved: FitState, gained: float) -> tuple[FitState, float]:
-    """Return where further steps by the derivatives of one point lead, as long as these hold, and the last one's gain.
-
-    Where the next step promises next to nothing, it is what that promises.
-
-    Such a step costs one prediction, new derivatives one for each parameter. They hold where a step gains far less
-    than the one before it, as steps of Gauss and Newton do near the least χ².
-
-    Args:
-        state: The point of the derivatives.
-        moved: The point after the first step by them.
-        gained: By how much that step lowered χ².
-    """
-    names = state.parameters.names
-    while not moved.frozen and moved.parameters.names[: len(names)] == names:
-        if gained < _CONVERGED * moved.misfit:
-            break
-        step, promised = state.fit.step_from(moved.residual)
-        if promised < _CONVERGED * moved.misfit:
-            return moved, promised
-        further = _moved(moved, step, state)
-        if further.frozen or not _is_within_range(further) or further.cost >= moved.cost:
-            break
-        before, gained = gained, moved.cost - further.cost
-        moved = further
-        if gained > _HOLDS * before:
-            break
-    return moved, gained
-
-
-def _is_within_range(trial: FitState) -> bool:
-    """Tell whether a trial step leads to a camera: not so far that the light overflows."""
-    try:
-        with np.errstate(over="raise"):
-            return bool(np.isfinite(trial.cost))
-    except (FloatingPointError, ConfigurationError):
-        return False
-
-
-def _moved(state: FitState, step: Array, origin: FitState | None = None) -> FitState:
-    """Return the state after a step of its own fit, or of the fit of the point where the derivatives were taken.
-
-    Effects that the model there did not have stay as they are.
-    """
-    m, k = state.layout.size, state.weights.size
-    origin = origin or state
-    known, scaled = origin.parameters.size, np.zeros(state.parameters.size)
-    scaled[:known] = origin.effect_step(step) * origin.parameters.scale / state.parameters.scale[:known]
-    effects, at_bound = state.parameters.moved(scaled)
-    return replace(
-        state,
-        values=state.values + step[:m],
-        weights=state.weights + step[m : m + k],
-        model=state.model.with_effects(effects),
-        frozen=frozenset(at_bound),
-        held_columns=state.term_columns,
-    )
-
-
-def _weighted(
+def weighted(
     seen: CaptureStatistics,
     model: TileModel,
     layout: NuisanceLayout,
@@ -493,6 +283,19 @@ def _weighted(
     usable: object,
     trace: Trace | None = None,
 ) -> FitState:
+    """Return the state of a model and its nuisances with weights that come from what it predicts there.
+
+    Args:
+        seen: Measured statistics.
+        model: The camera with its effects.
+        layout: Which nuisances are fitted.
+        values: Nuisance parameters.
+        terms: Unnamed terms and realisations, all of weight 0.
+        tau: Capture-to-capture repeatability.
+        floors: Standard uncertainty of the effects' own form, by statistic.
+        usable: Which entries count, by statistic; found anew where None.
+        trace: The chain as it runs, where it is known.
+    """
     design = model.design
     trace = trace or model.trace(layout.unpack(design, values))
     nuisance, prediction = trace.nuisance, trace.prediction

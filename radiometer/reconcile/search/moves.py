@@ -14,7 +14,8 @@ import numpy as np
 
 from radiometer.errors import ConfigurationError
 from radiometer.reconcile.fit.candidate_fit import FullFits, UnfitError, fit_candidate, included, judged_gain
-from radiometer.reconcile.fit.state import FitState, refit, reweighted, settled, with_effects, with_terms
+from radiometer.reconcile.fit.descent import refit, settled
+from radiometer.reconcile.fit.state import FitState, reweighted, with_effects, with_terms
 from radiometer.reconcile.fit.terms import LinearTerm
 from radiometer.reconcile.search.score import contenders_of, likeliest
 from radiometer.reconcile.search.screening import directions_of, screen

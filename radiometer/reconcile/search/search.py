@@ -18,7 +18,8 @@ from radiometer.reconcile.fit.candidate_fit import (
     judged_gain,
 )
 from radiometer.reconcile.fit.covariance import is_misfit, scatter_of
-from radiometer.reconcile.fit.state import FitState, refit, reweighted, with_terms
+from radiometer.reconcile.fit.descent import refit
+from radiometer.reconcile.fit.state import FitState, reweighted, with_terms
 from radiometer.reconcile.search.free_laws import by_a_free_law, worth
 from radiometer.reconcile.search.localise import Disagreement, departing, localise, significant, smooth_term
 from radiometer.reconcile.search.moves import Loosened, better, loosened, pruned, simpler

@@ -11,7 +11,8 @@ import pytest
 
 from radiometer.reconcile import engine
 from radiometer.reconcile.advice.limits import _Grown, _Search
-from radiometer.reconcile.fit.state import first_state, refit, with_effects
+from radiometer.reconcile.fit.descent import first_state, refit
+from radiometer.reconcile.fit.state import with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from simulators.effects.exposure_label_error import ExposureLabelError

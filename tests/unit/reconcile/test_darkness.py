@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
-from radiometer.reconcile.fit.state import first_state, reweighted, with_effects
+from radiometer.reconcile.fit.descent import first_state
+from radiometer.reconcile.fit.state import reweighted, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.measure.seen import CaptureStatistics

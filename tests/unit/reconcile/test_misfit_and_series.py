@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from radiometer.reconcile.fit.covariance import effect_covariance, fitted_parameters, is_misfit
+from radiometer.reconcile.fit.descent import first_state, refit
 from radiometer.reconcile.fit.nuisances import dark_current_is_free
-from radiometer.reconcile.fit.state import FitState, first_state, refit, reweighted, with_effects
+from radiometer.reconcile.fit.state import FitState, reweighted, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from simulators.effects.black_level_drift import BlackLevelDrift

@@ -11,8 +11,8 @@ import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, PatchDescription
 from radiometer.reconcile.advice.limits import limits
+from radiometer.reconcile.fit.descent import first_state
 from radiometer.reconcile.fit.nuisances import NuisanceLayout, dark_current_is_free
-from radiometer.reconcile.fit.state import first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.noise.repeatability import steady_wander2

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconcile.fit.state import FitState, first_state, refit, with_effects
+from radiometer.reconcile.fit.descent import first_state, refit
+from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.search.outcome import Search, Step

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from radiometer.reconcile.fit.covariance import is_misfit
-from radiometer.reconcile.fit.state import FitState, first_state
+from radiometer.reconcile.fit.descent import first_state
+from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.measure.row_bands import RowBins, TileBands, _white, wave_power

@@ -13,7 +13,8 @@ from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry,
 from radiometer.errors import CaptureError
 from radiometer.reconcile.advice.limits import limits
 from radiometer.reconcile.fit.covariance import fitted_parameters
-from radiometer.reconcile.fit.state import FitState, first_state, refit, settled, with_effects
+from radiometer.reconcile.fit.descent import first_state, refit, settled
+from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.fit.terms import LinearTerm
 from radiometer.reconcile.measure.design import Design, group_captures
 from radiometer.reconcile.measure.edges import edge_shares

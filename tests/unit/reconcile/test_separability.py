@@ -23,7 +23,8 @@ from radiometer.reconcile.advice.separability import (
 )
 from radiometer.reconcile.engine import whole_catalogue
 from radiometer.reconcile.fit.candidate_fit import Candidate
-from radiometer.reconcile.fit.state import FitState, first_state, refit, with_effects
+from radiometer.reconcile.fit.descent import first_state, refit
+from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from simulators.effects.ambient_light_leak import AmbientLightLeak

@@ -12,17 +12,9 @@ import pytest
 
 from radiometer.reconcile.fit import candidate_fit
 from radiometer.reconcile.fit.candidate_fit import FullFits
+from radiometer.reconcile.fit.descent import approached, beside, first_state, refit, settled
 from radiometer.reconcile.fit.nuisances import NuisanceLayout
-from radiometer.reconcile.fit.state import (
-    FitState,
-    approached,
-    beside,
-    first_state,
-    refit,
-    reweighted,
-    settled,
-    with_effects,
-)
+from radiometer.reconcile.fit.state import FitState, reweighted, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.layout import slope_lengths, tile_groups
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames

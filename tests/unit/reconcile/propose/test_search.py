@@ -12,7 +12,7 @@ from benchmarks._outside import two
 from benchmarks._outside.two_hidden import HIDDEN
 from radiometer.data import CaptureSet
 from radiometer.other_data.sources import DoneCapture
-from radiometer.reconcile.fit.state import first_state
+from radiometer.reconcile.fit.descent import first_state
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import reduce_frames
 from radiometer.reconcile.propose import propose_law
