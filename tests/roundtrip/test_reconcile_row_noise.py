@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from radiometer.reconcile.fit.candidate_fit import accepted
 from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.descent import first_state, refit, settled
+from radiometer.reconcile.fit.full_fit import accepted
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Design, rough_share
 from radiometer.reconcile.measure.layout import tile_groups

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.reconcile.fit.candidate_fit import accepted
 from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.descent import first_state, refit, settled
+from radiometer.reconcile.fit.full_fit import accepted
 from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames

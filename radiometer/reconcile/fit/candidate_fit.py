@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from radiometer.errors import ConfigurationError
 from radiometer.reconcile.fit.comparison import FAMILY
-from radiometer.reconcile.fit.descent import approached, settled
 from radiometer.reconcile.fit.held_out import leave_one_group_out
 from radiometer.reconcile.fit.linear import descended
-from radiometer.reconcile.fit.state import FitState, with_effects
+from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
 from simulators.effects.catalogue import CatalogueEffect
 
@@ -42,10 +40,6 @@ class Candidate:
     flexible: bool = False
     others: tuple[CatalogueEffect, ...] = ()
     tries: int = 1
-
-
-class UnfitError(ArithmeticError):
-    """An effect cannot be fitted to the data; its name is the argument."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,50 +229,3 @@ def held_out_gain(state: FitState, residual: Array, columns: Array) -> float:
     """
     with_it = leave_one_group_out(state.fit.extended(columns, residual), state.groups)
     return float(np.sum(with_it.log_density - state.held_out.log_density))
-
-
-def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
-    """Return the state with the effect in the model, not refitted yet; one that repeats joins its like."""
-    effects = tuple(old.joined(effect) if old.name == effect.name else old for old in state.effects)
-    if all(old.name != effect.name for old in state.effects):
-        effects = (*effects, effect)
-    return with_effects(state, effects)
-
-
-class FullFits:
-    """What was fitted in full from one model, so that nothing is fitted twice while a step is thought over."""
-
-    def __init__(self, state: FitState) -> None:
-        self.state = state
-        self._known: list[tuple[CatalogueEffect, bool, FitState]] = []
-
-    def included(self, effect: CatalogueEffect, *, far: bool) -> FitState:
-        """Return `included` of the model and an effect."""
-        for known, was_far, fitted in self._known:
-            if known is effect and was_far is far:
-                return fitted
-        fitted = included(self.state, effect, far=far)
-        self._known.append((effect, far, fitted))
-        return fitted
-
-
-def included(state: FitState, effect: CatalogueEffect, *, far: bool) -> FitState:
-    """Return the state with the effect in the model, refitted in full.
-
-    Args:
-        state: The model without it.
-        effect: The effect at its best parameters, nuisances having followed linearly.
-        far: Whether the nuisances stand so far off that they had better move first, and the effect's parameters then.
-
-    Raises:
-        UnfitError: If with it the model predicts what no camera does.
-    """
-    following = accepted(state, effect)
-    try:
-        if far:
-            own = following.parameters.owner
-            mine = frozenset(i for i, at in enumerate(own) if following.effects[at].name == effect.name)
-            following = replace(approached(replace(following, frozen=mine)), frozen=frozenset())
-        return settled(approached(following))
-    except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
-        raise UnfitError(effect.name) from error

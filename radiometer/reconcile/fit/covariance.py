@@ -20,7 +20,7 @@ from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.model.parameters import value_of
 from radiometer.reconcile.noise.shared_errors import chances_of_rows
 from radiometer.reconcile.result import FittedParameter
-from radiometer.reconcile.thresholds import CLOSED_GAP, SCATTER_SIGMAS
+from radiometer.reconcile.thresholds import CLOSED_GAP, FAR_GAP, SCATTER_SIGMAS
 
 _BLOCKS: Final = 5  # along a covariate, each left out in turn
 _ALONE: Final = 0.9  # share of a direction told by one group, beyond which the others cannot check it
@@ -33,6 +33,11 @@ def is_misfit(state: FitState) -> bool:
     """Tell whether structure is left: the gap of held-out settings lies above 1 by more than chance."""
     count = max(float(state.held_out.count[: state.settings].sum()), 1.0)
     return state.gap > max(CLOSED_GAP, 1.0 + SCATTER_SIGMAS * float(np.sqrt(2.0 / count)))
+
+
+def is_far(state: FitState) -> bool:
+    """Tell whether entries are off by ten of their uncertainties and more: what follows linearly tells little there."""
+    return state.gap >= FAR_GAP
 
 
 def scatter_of(state: FitState) -> float:

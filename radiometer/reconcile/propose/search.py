@@ -16,22 +16,15 @@ import numpy as np
 
 from radiometer.errors import MeasurementError
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconcile.fit.candidate_fit import (
-    Candidate,
-    FittedCandidate,
-    FullFits,
-    UnfitError,
-    fit_candidate,
-    judged_gain,
-)
+from radiometer.reconcile.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, judged_gain
 from radiometer.reconcile.fit.covariance import fitted_parameters
+from radiometer.reconcile.fit.full_fit import FullFits, UnfitError, contenders_of
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.model.tile_context import rise_of
 from radiometer.reconcile.propose.effect_file import Law, effect_of, round_to
 from radiometer.reconcile.propose.grammar import PER_FRAME, PLACES, Term, terms_of
 from radiometer.reconcile.propose.proposal import Proposal, Rival
-from radiometer.reconcile.search.score import contenders_of
 from radiometer.reconcile.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.law_stages import LINKS

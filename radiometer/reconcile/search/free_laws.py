@@ -16,9 +16,9 @@ import numpy as np
 
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconcile.chances import Mask
-from radiometer.reconcile.fit.candidate_fit import UnfitError, included
 from radiometer.reconcile.fit.covariance import is_misfit
 from radiometer.reconcile.fit.descent import refit
+from radiometer.reconcile.fit.full_fit import UnfitError, included
 from radiometer.reconcile.fit.state import FitState, with_effects, with_terms
 from radiometer.reconcile.search.screening import directions_of
 from radiometer.reconcile.thresholds import LAW_SHARE, PARAMETER_NATS

@@ -13,11 +13,12 @@ from typing import Final
 import numpy as np
 
 from radiometer.errors import ConfigurationError
-from radiometer.reconcile.fit.candidate_fit import FullFits, UnfitError, fit_candidate, included, judged_gain
+from radiometer.reconcile.fit.candidate_fit import fit_candidate, judged_gain
 from radiometer.reconcile.fit.descent import refit, settled
+from radiometer.reconcile.fit.full_fit import FullFits, UnfitError, contenders_of, included
 from radiometer.reconcile.fit.state import FitState, reweighted, with_effects, with_terms
 from radiometer.reconcile.fit.terms import LinearTerm
-from radiometer.reconcile.search.score import contenders_of, likeliest
+from radiometer.reconcile.search.score import likeliest
 from radiometer.reconcile.search.screening import directions_of, screen
 from radiometer.reconcile.search.starts import StartPool
 from radiometer.reconcile.thresholds import HUGE_NATS, KEPT_NATS, NAMED_NATS, OWN_LAW_NATS, PARAMETER_NATS

@@ -8,16 +8,13 @@ from __future__ import annotations
 import numpy as np
 
 from radiometer.reconcile.chances import chi2_beyond
-from radiometer.reconcile.fit.candidate_fit import FittedCandidate, FullFits
-from radiometer.reconcile.fit.state import FitState
+from radiometer.reconcile.fit.candidate_fit import FittedCandidate
 from radiometer.reconcile.thresholds import (
-    FAR_GAP,
     FEW_TRIES,
     FLEXIBLE_NATS,
     HUGE_NATS,
     LATER_NATS,
     NAMED_NATS,
-    NEAR_SHARE,
     PARAMETER_NATS,
     SHOWN_CHI2,
     STATED_NATS,
@@ -42,24 +39,6 @@ def score(entry: tuple[FittedCandidate, float]) -> float:
     return nats - _penalty(fitted) - (FLEXIBLE_NATS if fitted.flexible else 0.0)
 
 
-def contenders_of(
-    fits: FullFits, judged: list[tuple[FittedCandidate, float]], fewest: int = 1
-) -> list[tuple[FittedCandidate, float]]:
-    """Return the candidates, those of a very large and nearly equal gain judged anew after a full fit of each.
-
-    Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges; where entries
-    are off by ten of their uncertainties and more, of all candidates. With fewer
-    than `fewest` left all are returned as they came.
-    """
-    best = max((nats for _, nats in judged), default=0.0)
-    share = 1.0 if is_far(fits.state) else NEAR_SHARE
-    near = [entry for entry in judged if entry[1] > best - share * best]
-    if best < HUGE_NATS or len(near) < max(fewest, 2):
-        return judged
-    base = fits.state.evidence
-    return [(f, fits.included(f.effect, far=True).evidence - base) for f, _ in near]
-
-
 def likeliest(judged: list[tuple[FittedCandidate, float]]) -> tuple[FittedCandidate, float] | None:
     """Return the judged candidate of the highest score."""
     return max(judged, key=score) if judged else None
@@ -69,11 +48,6 @@ def log_chance(gain: float, parameters: int) -> float:
     """Return ln of the chance that so many idle parameters gain so much χ²."""
     chance = chi2_beyond(max(gain, 1e-9), parameters)
     return float(np.log(chance)) if chance > 0 else -np.inf
-
-
-def is_far(state: FitState) -> bool:
-    """Tell whether entries are off by ten of their uncertainties and more: what follows linearly tells little there."""
-    return state.gap >= FAR_GAP
 
 
 def is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool, far: bool = False) -> bool:

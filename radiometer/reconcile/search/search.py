@@ -8,17 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconcile.fit.candidate_fit import (
-    Candidate,
-    FittedCandidate,
-    FullFits,
-    UnfitError,
-    fit_candidate,
-    held_out_gain,
-    judged_gain,
-)
-from radiometer.reconcile.fit.covariance import is_misfit, scatter_of
+from radiometer.reconcile.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, held_out_gain, judged_gain
+from radiometer.reconcile.fit.covariance import is_far, is_misfit, scatter_of
 from radiometer.reconcile.fit.descent import refit
+from radiometer.reconcile.fit.full_fit import FullFits, UnfitError, contenders_of
 from radiometer.reconcile.fit.state import FitState, reweighted, with_terms
 from radiometer.reconcile.search.free_laws import by_a_free_law, worth
 from radiometer.reconcile.search.localise import Disagreement, departing, localise, significant, smooth_term
@@ -26,15 +19,7 @@ from radiometer.reconcile.search.moves import Loosened, better, loosened, pruned
 from radiometer.reconcile.search.outcome import Search, Step
 from radiometer.reconcile.search.plain_trends import TRENDS
 from radiometer.reconcile.search.rivals import rivals_of
-from radiometer.reconcile.search.score import (
-    contenders_of,
-    is_far,
-    is_shown,
-    likeliest,
-    log_chance,
-    penalised_chi2,
-    score,
-)
+from radiometer.reconcile.search.score import is_shown, likeliest, log_chance, penalised_chi2, score
 from radiometer.reconcile.search.screening import screen
 from radiometer.reconcile.search.starts import StartPool
 from radiometer.reconcile.thresholds import (

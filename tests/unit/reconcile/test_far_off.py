@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from radiometer.reconcile.search.score import is_far, is_shown
+from radiometer.reconcile.fit.covariance import is_far
+from radiometer.reconcile.search.score import is_shown
 from radiometer.reconcile.thresholds import FAR_GAP, HUGE_NATS
 
 

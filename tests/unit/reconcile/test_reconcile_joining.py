@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from radiometer.reconcile.engine import whole_catalogue
-from radiometer.reconcile.fit.candidate_fit import UnfitError
 from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.descent import first_state, refit, settled
+from radiometer.reconcile.fit.full_fit import FullFits, UnfitError
 from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconcile.search import moves
 from radiometer.reconcile.search.moves import better, simpler
 from radiometer.reconcile.search.starts import StartPool
 from simulators.effects.angle_dependence import AngleDependence
@@ -89,6 +88,6 @@ def test_what_cannot_be_fitted_takes_no_place(
         raise UnfitError("black_level_offset")
 
     state = _fitted(make_capture(extra_dn=lambda s: 0.9), GammaEnabled(1.002), VeilingGlare(0.001))
-    monkeypatch.setattr(moves, "included", refused)
+    monkeypatch.setattr(FullFits, "included", refused)
     entries = {"black_level_offset": whole_catalogue()["black_level_offset"]}
     assert better(state, "gamma_enabled", entries, StartPool()) is None

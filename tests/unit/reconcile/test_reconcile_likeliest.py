@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve
 
-from radiometer.reconcile.fit.candidate_fit import UnfitError, included
 from radiometer.reconcile.fit.descent import first_state
+from radiometer.reconcile.fit.full_fit import UnfitError, included
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconcile.fit import candidate_fit
-from radiometer.reconcile.fit.candidate_fit import FullFits
+from radiometer.reconcile.fit import full_fit
 from radiometer.reconcile.fit.descent import approached, beside, first_state, refit, settled
+from radiometer.reconcile.fit.full_fit import FullFits
 from radiometer.reconcile.fit.nuisances import NuisanceLayout
 from radiometer.reconcile.fit.state import FitState, reweighted, with_effects
 from radiometer.reconcile.measure.design import Design
@@ -104,7 +104,7 @@ def test_one_step_fits_nothing_twice(plain: FitState, monkeypatch: pytest.Monkey
         fitted.append((effect, far))
         return with_effects(state, [effect])
 
-    monkeypatch.setattr(candidate_fit, "included", counted)
+    monkeypatch.setattr(full_fit, "included", counted)
     fits, effect = FullFits(plain), ExposureTimeOffset(1e-6)
     first = fits.included(effect, far=True)
     assert fits.included(effect, far=True) is first

@@ -1,0 +1,84 @@
+"""Fits models with a further effect in full: nuisances, weights and all effects together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from radiometer.errors import ConfigurationError
+from radiometer.reconcile.fit.candidate_fit import FittedCandidate
+from radiometer.reconcile.fit.covariance import is_far
+from radiometer.reconcile.fit.descent import approached, settled
+from radiometer.reconcile.fit.state import FitState, with_effects
+from radiometer.reconcile.thresholds import HUGE_NATS, NEAR_SHARE
+from simulators.effects.catalogue import CatalogueEffect
+
+
+class UnfitError(ArithmeticError):
+    """An effect cannot be fitted to the data; its name is the argument."""
+
+
+def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
+    """Return the state with the effect in the model, not refitted yet; one that repeats joins its like."""
+    effects = tuple(old.joined(effect) if old.name == effect.name else old for old in state.effects)
+    if all(old.name != effect.name for old in state.effects):
+        effects = (*effects, effect)
+    return with_effects(state, effects)
+
+
+def included(state: FitState, effect: CatalogueEffect, *, far: bool) -> FitState:
+    """Return the state with the effect in the model, refitted in full.
+
+    Args:
+        state: The model without it.
+        effect: The effect at its best parameters, nuisances having followed linearly.
+        far: Whether the nuisances stand so far off that they had better move first, and the effect's parameters then.
+
+    Raises:
+        UnfitError: If with it the model predicts what no camera does.
+    """
+    following = accepted(state, effect)
+    try:
+        if far:
+            own = following.parameters.owner
+            mine = frozenset(i for i, at in enumerate(own) if following.effects[at].name == effect.name)
+            following = replace(approached(replace(following, frozen=mine)), frozen=frozenset())
+        return settled(approached(following))
+    except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
+        raise UnfitError(effect.name) from error
+
+
+class FullFits:
+    """What was fitted in full from one model, so that nothing is fitted twice while a step is thought over."""
+
+    def __init__(self, state: FitState) -> None:
+        self.state = state
+        self._known: list[tuple[CatalogueEffect, bool, FitState]] = []
+
+    def included(self, effect: CatalogueEffect, *, far: bool) -> FitState:
+        """Return `included` of the model and an effect."""
+        for known, was_far, fitted in self._known:
+            if known is effect and was_far is far:
+                return fitted
+        fitted = included(self.state, effect, far=far)
+        self._known.append((effect, far, fitted))
+        return fitted
+
+
+def contenders_of(
+    fits: FullFits, judged: list[tuple[FittedCandidate, float]], fewest: int = 1
+) -> list[tuple[FittedCandidate, float]]:
+    """Return the candidates, those of a very large and nearly equal gain judged anew after a full fit of each.
+
+    Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges; where entries
+    are off by ten of their uncertainties and more, of all candidates. With fewer
+    than `fewest` left all are returned as they came.
+    """
+    best = max((nats for _, nats in judged), default=0.0)
+    share = 1.0 if is_far(fits.state) else NEAR_SHARE
+    near = [entry for entry in judged if entry[1] > best - share * best]
+    if best < HUGE_NATS or len(near) < max(fewest, 2):
+        return judged
+    base = fits.state.evidence
+    return [(f, fits.included(f.effect, far=True).evidence - base) for f, _ in near]
