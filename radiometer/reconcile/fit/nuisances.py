@@ -40,10 +40,6 @@ class Change:
     mean: Array
     residual: Array
 
-    def per(self, step: float) -> Change:
-        """Return the change of one step per unit of it."""
-        return Change(self.mean / step, self.residual / step)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Here:
@@ -58,7 +54,7 @@ class Here:
     def change(self, moved: Nuisance, step: float) -> Change:
         """Return the finite difference to other nuisances that lie a step away."""
         there = self.model.predict(moved)
-        return Change(there.mean - self.base.mean, self.comparison.residual(there) - self.residual).per(step)
+        return Change((there.mean - self.base.mean) / step, (self.comparison.residual(there) - self.residual) / step)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,18 +211,17 @@ class NuisanceLayout:
         return int(max(comparison.cuts[block].stop for block in _TILE_ROWS))
 
     def _scene_columns(self, matrix: Array, here: Here) -> None:
-        """Write the columns of the rises and of the texture: each shows in one statistic, so that all move at once."""
+        """Write the columns of the rises, each of which shows in a statistic of its own, and of the texture."""
         start = self._common.stop
-        texture = here.nuisance.off.texture + _TEXTURE_STEP
-        moved = replace(here.nuisance, slope=here.nuisance.slope + _SLOPE_STEP).with_off(texture=texture)
-        change = here.change(moved, 1.0)
+        change = here.change(replace(here.nuisance, slope=here.nuisance.slope + _SLOPE_STEP), _SLOPE_STEP)
         for number, pattern in enumerate(self.patterns):
             for axis, name in enumerate(("slope_x", "slope_y")):
                 first = start + (2 * number + axis) * self.tiles
-                self._spread(matrix, here.comparison, change.per(_SLOPE_STEP), first, (name,), only=pattern)
+                self._spread(matrix, here.comparison, change, first, (name,), only=pattern)
         first = start + 2 * len(self.patterns) * self.tiles
+        change = here.change(here.nuisance.with_off(texture=here.nuisance.off.texture + _TEXTURE_STEP), _TEXTURE_STEP)
         for pattern in self.patterns:
-            self._spread(matrix, here.comparison, change.per(_TEXTURE_STEP), first, ("spatial",), only=pattern)
+            self._spread(matrix, here.comparison, change, first, ("spatial",), only=pattern)
 
     def _spread(
         self,

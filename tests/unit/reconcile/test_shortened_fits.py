@@ -113,7 +113,7 @@ def test_one_step_fits_nothing_twice(plain: FitState, monkeypatch: pytest.Monkey
 
 
 def test_columns_of_an_unknown_scene_are_what_each_rise_alone_changes(make_capture: Callable[..., Any]) -> None:
-    """Rises and textures of all tiles are moved at once; each column is what its own figure does by itself."""
+    """Both rises of all tiles are moved at once; each column is what its own figure does by itself."""
     captured = make_capture(6, plan=LADDER[:3], picture=lambda image, setting: image * np.linspace(0.7, 1.0, 96))
     header = captured.header.model_copy(update={"patches": ()})
     design = Design.of(header, captured.frames[0].shape)
