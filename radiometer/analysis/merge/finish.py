@@ -1,9 +1,4 @@
-"""Compiled last step of the merge: sums into radiance, standard uncertainty and mask.
-
-Most pixels of a linear sensor need nothing but the mixture of their two estimates: runs of such pixels of the same
-frames go through a loop without branches, which is vectorised, and the few where frames disagree or clip nearby are
-looked at one by one, as all pixels behind a response curve are.
-"""
+"""Compiled last step of the merge: sums into radiance, standard uncertainty and mask."""
 
 from __future__ import annotations
 
@@ -20,7 +15,7 @@ from radiometer.analysis.merge.moments import (
     TOTAL,
     VARIANCE,
     at_rate,
-    fill_level,
+    fill_levels,
     from_root_table,
 )
 from radiometer.analysis.merge.records import (
@@ -60,7 +55,6 @@ EXTRAPOLATED = np.uint8(PixelMask.EXTRAPOLATED)
 INCONSISTENT = np.uint8(PixelMask.INCONSISTENT)
 _NOISE_FLOOR_SIGMA = 2.0
 _RUN = 1024  # pixels whose square roots are taken together: only a loop without branches is vectorised
-_DOUBTFUL = np.uint8(128)  # no flag of a map: to be looked at singly
 _PROBES = 8
 _HASH = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio (Knuth, vol. 3, 6.4)
 
@@ -112,62 +106,94 @@ def finish(
         radiance: Written.
         u_radiance: Written.
     """
-    rates, variances, flags = np.empty(_RUN), np.empty(_RUN), np.empty(_RUN, np.uint8)
+    rates, variances = np.empty(_RUN), np.empty(_RUN)
+    record, last, slot = records[0], np.uint64(0), 0
     for start in range(0, bits.size, _RUN):
         count = min(_RUN, bits.size - start)
-        begin = 0
-        while begin < count:
-            pattern, end = bits[start + begin], begin + 1
-            while end < count and bits[start + end] == pattern:
-                end += 1
-            if pattern == 0:  # no frame shows these pixels unclipped
-                for j in range(begin, end):
-                    white = mask[start + j] & SATURATED
-                    rates[j] = bounds[0] if white else bounds[1]
-                    variances[j] = rates[j] ** 2
-                    flags[j] = SATURATED if white else BELOW_NOISE
-                begin = end
+        for j in range(count):
+            i = start + j
+            pattern = bits[i]
+            if pattern == 0:  # no frame shows this pixel unclipped
+                white = mask[i] & SATURATED
+                rates[j] = bounds[0] if white else bounds[1]
+                variances[j] = rates[j] ** 2
+                mask[i] = SATURATED if white else BELOW_NOISE
                 continue
-            slot = _place_of(pattern, known)
-            record = records[slot]
-            if known[slot] != pattern:
-                known[slot] = pattern
-                fill_record(record, pattern, frames, kappa, gains, top)
-                levels[slot] = 0.0
-            if quantisation is None:
-                _mixed(first, second, squares, start, begin, end, record, rates, variances, flags)
-                for j in range(begin, end):
-                    if flags[j] & _DOUBTFUL:
-                        i = start + j
-                        found = _linear_one(first[i], second[i], record, kappa)
-                        rates[j], variances[j], flags[j] = _settled(
-                            *found, second[i], squares[i], pattern, record, frames, kappa, bounds[2]
+            if pattern != last:
+                last = pattern
+                slot = _place_of(pattern, known)
+                record = records[slot]
+                if known[slot] != pattern:
+                    known[slot] = pattern
+                    fill_record(record, pattern, frames, kappa, gains, top)
+                    levels[slot] = 0.0
+                inv1, inv2, s2, near, plenty = record[INV1], record[INV2], record[S2], record[NEAR], record[PLENTY]
+                p0, p1, r0, r1 = record[P0], record[P1], record[R0], record[R1]
+                a0, a1, g0, g1, v0, v1 = record[A0], record[A1], record[G0], record[G1], record[V0], record[V1]
+                d1, d2 = record[D1], record[D2]
+                if quantisation is not None:
+                    longest = int(record[LONGEST])
+                    of_longest, per_root = frames[longest, 0] * gains[longest], record[ROOT] * (levels.shape[1] - 1)
+            sum_b = float(second[i])
+            rate_a, rate_b = first[i] * inv1, sum_b * inv2
+            found, extra, level_u = np.uint8(0), 0.0, 0.0
+            if quantisation is not None:
+                rate, share, variance, total = rate_b, 0.0, 0.0, 0.0
+                for _ in range(2):
+                    place = math.sqrt(max(rate, 0.0)) * per_root
+                    if FIRST_LEVEL <= place < levels.shape[1] - 1:
+                        k = int(place)
+                        above = place - k
+                        if levels[slot, k, VARIANCE] == 0.0 or levels[slot, k + 1, VARIANCE] == 0.0:
+                            fill_levels(k, pattern, record, levels[slot], frames, gains, kappa, quantisation, top)
+                        share = levels[slot, k, SHARE] + above * (levels[slot, k + 1, SHARE] - levels[slot, k, SHARE])
+                        variance = levels[slot, k, VARIANCE] + above * (
+                            levels[slot, k + 1, VARIANCE] - levels[slot, k, VARIANCE]
                         )
+                        total = levels[slot, k, TOTAL] + above * (levels[slot, k + 1, TOTAL] - levels[slot, k, TOTAL])
+                        extra = levels[slot, k, SQUARES] + above * (
+                            levels[slot, k + 1, SQUARES] - levels[slot, k, SQUARES]
+                        )
+                    else:
+                        share, variance, total, extra = at_rate(
+                            rate, pattern, record, frames, gains, kappa, quantisation, top
+                        )
+                    rate = rate_b + share * (rate_a - rate_b)
+                # Frames may differ by what the curve is uncertain by, at the level of the longest.
+                level = max(rate, 0.0) * of_longest
+                level_u = from_root_table(level, curve, top)
+                if level < valid[0] or level > valid[1]:
+                    found |= EXTRAPOLATED
             else:
-                _mixed_behind_curve(
-                    first,
-                    second,
-                    squares,
-                    start,
-                    begin,
-                    end,
-                    pattern,
-                    record,
-                    levels[slot],
-                    frames,
-                    gains,
-                    kappa,
-                    quantisation,
-                    top,
-                    curve,
-                    valid,
-                    bounds[2],
-                    rates,
-                    variances,
-                    flags,
-                )
-            begin = end
-        mask[start : start + count] = flags[:count]
+                seen = max(rate_b, 0.0)
+                rate = rate_b + (p0 + p1 * seen) / (r0 + r1 * seen) * (rate_a - rate_b)
+                seen = max(rate, 0.0)
+                inverse = 1.0 / (r0 + r1 * seen)
+                share, gap = (p0 + p1 * seen) * inverse, g0 + g1 * seen
+                rate = rate_b + share * (rate_a - rate_b)
+                variance, total = a0 + a1 * seen - gap * gap * inverse, v0 + v1 * seen
+            scatter = squares[i] - rate * (2.0 * sum_b - rate * s2)
+            if scatter > plenty * total:
+                if quantisation is None:
+                    extra = record[CC] + kappa * seen * (2.0 * record[C1] + kappa * seen * s2)
+                # Satterthwaite 1946 for the degrees of freedom.
+                tolerance = (bounds[2] ** 2 + (AGREEMENT_SIGMA * level_u) ** 2) * rate**2 * s2
+                if scatter > total * scatter_limit(total**2 / extra) + tolerance:
+                    found |= INCONSISTENT
+            if rate < near:
+                if rate < record[NEXT]:
+                    rate, variance, contradiction = with_censored(rate, variance, pattern, frames, kappa)
+                else:  # the others had to clip: only one frame has something to say
+                    nearest = int(record[NEAREST])
+                    here = frames[nearest : nearest + 1]
+                    rate, variance, contradiction = with_censored(rate, variance, np.uint64(0), here, kappa)
+                if contradiction:
+                    found |= INCONSISTENT
+            dark = d2 + share * (d1 - d2)
+            variance += dark * dark
+            if rate < 0.0 or rate * rate < _NOISE_FLOOR_SIGMA**2 * variance:
+                found |= BELOW_NOISE
+            rates[j], variances[j], mask[i] = rate, variance + (level_u * rate) ** 2, found
         scaled(rates[:count], variances[:count], factor, start, radiance, u_radiance)
 
 
@@ -181,204 +207,6 @@ def _place_of(pattern: Any, known: Any) -> int:  # pragma: no cover (compiled)
             return place
         place = (place + 1) & last
     return place
-
-
-@compiled
-def _linear_mixture(
-    rate_a: float,
-    rate_b: float,
-    p0: float,
-    p1: float,
-    r0: float,
-    r1: float,
-    a0: float,
-    a1: float,
-    g0: float,
-    g1: float,
-) -> tuple[float, float, float, float]:  # pragma: no cover (compiled)
-    """Return (rate, share of the first estimate, variance, level that these are for) of a linear sensor's mixture.
-
-    The arguments after the estimates are the columns of the record of these names.
-    """
-    seen = max(rate_b, 0.0)
-    seen = max(rate_b + (p0 + p1 * seen) / (r0 + r1 * seen) * (rate_a - rate_b), 0.0)
-    inverse, gap = 1.0 / (r0 + r1 * seen), g0 + g1 * seen
-    share = (p0 + p1 * seen) * inverse
-    return rate_b + share * (rate_a - rate_b), share, a0 + a1 * seen - gap * gap * inverse, seen
-
-
-@compiled
-def _mixed(
-    first: Any,
-    second: Any,
-    squares: Any,
-    start: int,
-    begin: int,
-    end: int,
-    record: Any,
-    rates: Any,
-    variances: Any,
-    flags: Any,
-) -> None:  # pragma: no cover (compiled)
-    """Write rates, variances and flags of the pixels `begin` to `end` after `start`, or that they are doubtful."""
-    inv1, inv2, s2, near, plenty = record[INV1], record[INV2], record[S2], record[NEAR], record[PLENTY]
-    p0, p1, r0, r1, a0, a1 = record[P0], record[P1], record[R0], record[R1], record[A0], record[A1]
-    g0, g1, v0, v1, d1, d2 = record[G0], record[G1], record[V0], record[V1], record[D1], record[D2]
-    good, below, doubtful = np.uint8(0), BELOW_NOISE, _DOUBTFUL
-    for j in range(begin, end):
-        sum_b = float(second[start + j])
-        rate, share, variance, seen = _linear_mixture(
-            first[start + j] * inv1, sum_b * inv2, p0, p1, r0, r1, a0, a1, g0, g1
-        )
-        scatter = squares[start + j] - rate * (2.0 * sum_b - rate * s2)
-        doubt = (scatter > plenty * (v0 + v1 * seen)) | (rate < near)
-        dark = d2 + share * (d1 - d2)
-        variance += dark * dark
-        dim = _below_noise(rate, variance)
-        rates[j] = rate
-        variances[j] = variance
-        flags[j] = (below if dim else good) | (doubtful if doubt else good)
-
-
-@compiled
-def _mixed_behind_curve(
-    first: Any,
-    second: Any,
-    squares: Any,
-    start: int,
-    begin: int,
-    end: int,
-    pattern: Any,
-    record: Any,
-    levels: Any,
-    frames: Any,
-    gains: Any,
-    kappa: float,
-    quantisation: Any,
-    top: float,
-    curve: Any,
-    valid: Any,
-    agreement: float,
-    rates: Any,
-    variances: Any,
-    flags: Any,
-) -> None:  # pragma: no cover (compiled)
-    """Write rates, variances and flags of the pixels `begin` to `end` after `start`, by the levels of their frames.
-
-    Levels are filled in as they are needed. Arguments as in `finish`; `agreement` is the last of its `bounds`.
-    """
-    inv1, inv2, s2, near, plenty = record[INV1], record[INV2], record[S2], record[NEAR], record[PLENTY]
-    d1, d2, longest, last = record[D1], record[D2], int(record[LONGEST]), levels.shape[0] - 1
-    per_root, of_longest, low_x, high_x = record[ROOT] * last, frames[longest, 0] * gains[longest], valid[0], valid[1]
-    for j in range(begin, end):
-        sum_b = float(second[start + j])
-        rate_a, rate_b = first[start + j] * inv1, sum_b * inv2
-        rate, share, variance, total, extra = rate_b, 0.0, 0.0, 0.0, 0.0
-        for _ in range(2):
-            place = math.sqrt(max(rate, 0.0)) * per_root
-            if FIRST_LEVEL <= place < last:
-                k = int(place)
-                above = place - k
-                if levels[k, VARIANCE] == 0.0:
-                    fill_level(k, pattern, record, levels, frames, gains, kappa, quantisation, top)
-                if levels[k + 1, VARIANCE] == 0.0:
-                    fill_level(k + 1, pattern, record, levels, frames, gains, kappa, quantisation, top)
-                share = levels[k, SHARE] + above * (levels[k + 1, SHARE] - levels[k, SHARE])
-                variance = levels[k, VARIANCE] + above * (levels[k + 1, VARIANCE] - levels[k, VARIANCE])
-                total = levels[k, TOTAL] + above * (levels[k + 1, TOTAL] - levels[k, TOTAL])
-                extra = levels[k, SQUARES] + above * (levels[k + 1, SQUARES] - levels[k, SQUARES])
-            else:
-                share, variance, total, extra = at_rate(rate, pattern, record, frames, gains, kappa, quantisation, top)
-            rate = rate_b + share * (rate_a - rate_b)
-        # Frames may differ by what the curve is uncertain by, at the level of the longest.
-        level = max(rate, 0.0) * of_longest
-        level_u, beyond = from_root_table(level, curve, top), level < low_x or level > high_x
-        scatter = squares[start + j] - rate * (2.0 * sum_b - rate * s2)
-        if scatter > plenty * total or rate < near:
-            rates[j], variances[j], flags[j] = _settled(
-                rate,
-                share,
-                variance,
-                total,
-                extra,
-                level_u,
-                beyond,
-                sum_b,
-                squares[start + j],
-                pattern,
-                record,
-                frames,
-                kappa,
-                agreement,
-            )
-            continue
-        dark = d2 + share * (d1 - d2)
-        variance += dark * dark
-        dim = _below_noise(rate, variance)
-        rates[j], variances[j] = rate, variance + (level_u * rate) ** 2
-        flags[j] = (BELOW_NOISE if dim else np.uint8(0)) | (EXTRAPOLATED if beyond else np.uint8(0))
-
-
-@compiled
-def _below_noise(rate: float, variance: float) -> bool:  # pragma: no cover (compiled)
-    """Tell whether a rate does not stand out of its noise."""
-    return (rate < 0.0) | (rate * rate < _NOISE_FLOOR_SIGMA**2 * variance)
-
-
-@compiled
-def _linear_one(
-    first: float, second: float, record: Any, kappa: float
-) -> tuple[float, float, float, float, float, float, bool]:  # pragma: no cover (compiled)
-    """Return (rate, share, variance, Σv, Σv², u of the curve, beyond its data) of a pixel of a linear sensor."""
-    p0, p1, r0, r1, a0, a1 = record[P0], record[P1], record[R0], record[R1], record[A0], record[A1]
-    rate_a, rate_b = first * record[INV1], float(second) * record[INV2]
-    rate, share, variance, seen = _linear_mixture(rate_a, rate_b, p0, p1, r0, r1, a0, a1, record[G0], record[G1])
-    extra = record[CC] + kappa * seen * (2.0 * record[C1] + kappa * seen * record[S2])
-    return rate, share, variance, record[V0] + record[V1] * seen, extra, 0.0, False
-
-
-@compiled
-def _settled(
-    rate: float,
-    share: float,
-    variance: float,
-    total: float,
-    extra: float,
-    level_u: float,
-    beyond: bool,
-    sum_b: float,
-    squares: float,
-    pattern: Any,
-    record: Any,
-    frames: Any,
-    kappa: float,
-    agreement: float,
-) -> tuple[float, float, Any]:  # pragma: no cover (compiled)
-    """Return (rate, variance, flags) of one pixel after all that its frames say of each other.
-
-    The first seven arguments are of `_linear_one`, `agreement` is the last of `bounds` of `finish`.
-    """
-    flags, s2 = EXTRAPOLATED if beyond else np.uint8(0), record[S2]
-    scatter = squares - rate * (2.0 * sum_b - rate * s2)
-    if scatter > record[PLENTY] * total:
-        # Satterthwaite 1946 for the degrees of freedom.
-        tolerance = (agreement**2 + (AGREEMENT_SIGMA * level_u) ** 2) * rate**2 * s2
-        if scatter > total * scatter_limit(total**2 / extra) + tolerance:
-            flags |= INCONSISTENT
-    if rate < record[NEAR]:
-        if rate < record[NEXT]:
-            rate, variance, contradiction = with_censored(rate, variance, pattern, frames, kappa)
-        else:  # the others had to clip: only one frame has something to say
-            nearest = int(record[NEAREST])
-            here = frames[nearest : nearest + 1]
-            rate, variance, contradiction = with_censored(rate, variance, np.uint64(0), here, kappa)
-        if contradiction:
-            flags |= INCONSISTENT
-    dark = record[D2] + share * (record[D1] - record[D2])
-    variance += dark * dark
-    if _below_noise(rate, variance):
-        flags |= BELOW_NOISE
-    return rate, variance + (level_u * rate) ** 2, flags
 
 
 @compiled

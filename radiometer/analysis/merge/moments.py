@@ -66,7 +66,7 @@ def mixture(
 
 
 @compiled
-def fill_level(
+def fill_levels(
     k: int,
     pattern: Any,
     record: Any,
@@ -77,29 +77,30 @@ def fill_level(
     quantisation: Any,
     top: float,
 ) -> None:  # pragma: no cover (compiled)
-    """Fill in one level of a set of frames, at √(rate·t·gain/top) = k/(size − 1) of the frame that shows most.
+    """Fill in level k of a set of frames and the next, √(rate·t·gain/top) = k/(size − 1) of the frame that shows most.
 
     Args:
         k: Number of the level.
         pattern: Bits of the frames used.
         record: As of `fill_record`.
-        levels: Shape (size, 4): what `at_rate` returns; overwritten at k.
+        levels: Shape (size, 4): what `at_rate` returns; overwritten at k and k + 1.
         frames: As in `fill_record`.
         gains: Gain factor of every frame.
         kappa: Shot noise variance per unit of x.
         quantisation: As in `from_root_table`, of as many entries as there are levels.
         top: Likewise.
     """
-    rate = (k / ((levels.shape[0] - 1) * record[ROOT])) ** 2
-    share, variance, total, squares = at_rate(rate, pattern, record, frames, gains, kappa, quantisation, top)
-    levels[k, SHARE], levels[k, VARIANCE], levels[k, TOTAL], levels[k, SQUARES] = share, variance, total, squares
+    for j in (k, k + 1):
+        rate = (j / ((levels.shape[0] - 1) * record[ROOT])) ** 2
+        share, variance, total, squares = at_rate(rate, pattern, record, frames, gains, kappa, quantisation, top)
+        levels[j, SHARE], levels[j, VARIANCE], levels[j, TOTAL], levels[j, SQUARES] = share, variance, total, squares
 
 
 @compiled
 def at_rate(
     rate: float, pattern: Any, record: Any, frames: Any, gains: Any, kappa: float, quantisation: Any, top: float
 ) -> tuple[float, float, float, float]:  # pragma: no cover (compiled)
-    """Return (share of the first estimate, variance of the mixture, Σv, Σv²) at a rate; arguments as `fill_level`."""
+    """Return (share of the first estimate, variance of the mixture, Σv, Σv²) at a rate; arguments as `fill_levels`."""
     total, squares, var_a, both, var_b = moments(max(rate, 0.0), pattern, frames, gains, kappa, quantisation, top)
     inv1, inv2 = record[INV1], record[INV2]
     _, share, variance = mixture(0.0, 0.0, var_a * inv1**2, both * inv1 * inv2, var_b * inv2**2)
