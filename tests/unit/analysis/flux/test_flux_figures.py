@@ -178,6 +178,8 @@ def test_the_scale_of_a_calibration_is_its_own(rig) -> None:
     assert scale.u_rel == pytest.approx(0.005, rel=1e-12)
     assert scale.pixel_area_m2 == pytest.approx(4.5e-6**2)
     assert scale.assumptions == ()
+    with pytest.raises(CalibrationError, match="serial"):
+        flux_scale(camera.model_copy(update={"serial": "2"}), SOURCE, calibration)
     relative = calibration.scale.model_copy(update={"method": "relative"})
     for lacking in (relative, calibration.scale.model_copy(update={"f_number": None})):
         with pytest.raises(CalibrationError, match="no exposure on the sensor"):
