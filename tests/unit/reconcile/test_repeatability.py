@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from radiometer.reconcile.noise.repeatability import estimate_tau
+from radiometer.reconcile.noise.repeatability import _Repeats, estimate_tau
 
 SETTINGS, REPEATS, TAU = 16, 2, 1e-3
 
@@ -54,3 +54,19 @@ def test_few_repeats_leave_it_to_what_is_stated() -> None:
     design.setting_id = np.arange(design.setting_id.size)
     scale = 0.05 * np.random.default_rng(8).standard_normal(design.setting_id.size)
     assert estimate_tau(design, scale, _noise() ** 2) == pytest.approx(4e-3, rel=0.01)
+
+
+def test_only_lit_settings_that_were_repeated_tell_how_light_repeats() -> None:
+    """Of four settings one was taken once and one has one lit capture: the others count, each about its own mean."""
+    setting = np.array([0, 0, 1, 2, 2, 2, 3, 3])
+    lit = np.array([True, True, True, True, False, True, True, False])
+    design = SimpleNamespace(setting_id=setting, timestamp_s=np.arange(8.0))
+    scale, variance = np.arange(8.0), np.arange(8.0) ** 2
+    found = _Repeats._taken(design, scale, variance, lit, waves=False)
+    assert found.taken.tolist() == [0, 1, 3, 5]
+    assert found.scale.tolist() == [0.0, 1.0, 3.0, 5.0]
+    assert found.variance.tolist() == [0.0, 1.0, 9.0, 25.0]
+    assert found.basis.tolist() == [[1, 0], [1, 0], [0, 1], [0, 1]]
+    assert found.freedom == 2
+    none = _Repeats._taken(design, scale, variance, np.array([True, False] * 4), waves=False)
+    assert none.freedom == 0
