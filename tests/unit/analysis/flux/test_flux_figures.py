@@ -195,3 +195,17 @@ def test_the_scale_of_a_description_is_four_photons_a_pixel() -> None:
     assert binned.joule_per_m2 == scale.joule_per_m2
     assert binned.pixel_area_m2 == pytest.approx(4e-10)
     assert (binned.u_rel, binned.assumptions) == (0.01, ())
+
+
+def test_what_misses_a_small_pupil_is_as_doubtful_as_twice_its_f_number():
+    """A pupil of 5 mm at 80 mm takes in a part that goes as 1/N²: 1 % of N are 2 % of the emitted flux."""
+    frames = [frame(rimmed(100, 100, 100, 100), 1e-3)]
+    lens = LensDescription(focal_length_mm=20.0, f_number=4.0)
+    emitter = Emitter(Quantity(60.0, 0.0, "°"), None, Quantity(80.0, 0.0, "mm"))
+    found = [
+        led_flux(frames, flux_scale(CAMERA, SOURCE, None), lens, emitter, f_number_u_rel=u).emitted for u in (0.0, 0.01)
+    ]
+    sharp, doubtful = (one["fraction_through_pupil"] for one in found)
+    assert doubtful.value == pytest.approx(sharp.value, rel=1e-12)
+    added = math.sqrt(doubtful.u**2 - sharp.u**2) / doubtful.value
+    assert added == pytest.approx(0.02, rel=0.01)

@@ -72,3 +72,12 @@ def test_what_a_light_reaches_is_told_in_shares_of_its_peak(tmp_path, unit):
         else:
             with pytest.raises(InputError, match="the responsivity ends at 800 nm"):
                 spectral_factor(str(light), 600.0, 0.0, table)
+
+
+@pytest.mark.parametrize(("peak_nm", "share_above"), [(550.0, 0.5), (560.0, 0.880473), (530.0, 0.009257)])
+def test_a_line_has_the_width_that_is_stated(tmp_path, peak_nm, share_above):
+    """Of a Gaussian of 20 nm, σ = 8.493 nm, a half, Φ(1.1774) and Φ(−2.3548) lie above a step at 550 nm."""
+    file = tmp_path / "camera.csv"
+    file.write_text("wavelength_nm,responsivity\n380,1\n549.999,1\n550.001,3\n780,3\n")
+    found = spectral_factor("line:450", peak_nm, 20.0, file)
+    assert found == pytest.approx(1.0 / (1.0 + 2.0 * share_above), rel=2e-3)
