@@ -52,3 +52,10 @@ def test_an_ascent_climbs_until_it_is_seen_and_begins_lower_where_it_is_seen_at_
     ceiling = Ascent(SPOT, rules, last=1.2)
     assert levels_of(ceiling, "nn") == [0.9, 1.0]
     assert ceiling.exhausted
+
+
+def test_a_spot_whose_levels_are_reversed_is_refused() -> None:
+    """Nothing lies between them, nor where both are the same."""
+    for highest in (-3.0, -3.1):
+        with pytest.raises(ValueError, match="must be above"):
+            Spot(device="light_box", channel="spot", peak_nm=453, lowest_log10=-3.0, highest_log10=highest)

@@ -327,3 +327,28 @@ def test_the_frame_shown_is_the_longest_in_which_less_than_a_thousandth_clips(cl
     assert last is not None
     assert last.settings.exposure_s == 0.01
     assert Measurement(reading).frame is None
+
+
+@pytest.mark.parametrize("height", [60, 200])
+def test_the_bar_runs_from_its_brightest_at_the_top_to_its_end(height: int) -> None:
+    """34 pixels, or a quarter, from the top, and 14, or half, from the bottom; beyond it there is background."""
+    picture = Picture(np.linspace(1.0, 2.0, height * 100, dtype=np.float32).reshape(height, 100),
+                      np.zeros((height, 100), bool), "W sr-1 m-2", 3)  # fmt: skip
+    page, _ = render(picture, width=100, scale="linear", colours="grey", bar=True)
+    pixels = np.asarray(Image.open(io.BytesIO(page)).convert("L")).astype(int)
+    assert pixels.shape[0] == height
+    bar = pixels[:, 100 + 20]
+    top, bottom = min(34, height // 4), max(height - 14, height // 2)
+    assert bar[top] == bar.max() > 200
+    assert np.all(np.diff(bar[top:bottom]) <= 0)
+    assert bar[bottom - 1] < 20
+    assert len(set(bar[bottom:].tolist())) == 1
+
+
+def test_what_lies_at_black_is_dim_and_not_a_thousand() -> None:
+    """Numbers at or below black are a thousandth of a DN, the patch is what was read, and a patch in the dark is 1."""
+    dn = np.full((8, 8), 64 + 1000)
+    dn[6, 6] = 40
+    assert composite(measured((0, 0.01, 0.0), dn=dn), None, 3).radiance[6, 6] == pytest.approx(2e-6)
+    dark = replace(measured((64, 0.01, 0.0)), reading=Reading(Quantity(0.0, 0.1, "1"), Patch(0, 0, 4, 4), "1"))
+    assert composite(dark, None, 3).radiance[0, 0] == pytest.approx(1e-3 / 0.01)

@@ -57,3 +57,12 @@ def test_a_host_that_falls_silent_leaves_the_leds_dark() -> None:
     assert twin.emission("spot", twin.time_s + 0.3).radiance_w_sr_m2 == 0.0
     assert not twin.session
     assert any(event.startswith("DK D") for event in twin.events.values())
+
+
+def test_the_last_sixteen_events_can_be_asked_for() -> None:
+    """Of twenty more after its start number 21 is the latest; 6 to 21 are kept, 5 is not."""
+    twin, commands = greeted()
+    for number in range(20):
+        twin.add_event("BT", str(number % 2), 100.0 + number)
+    assert commands.run("TM").endswith(" 15")
+    assert [commands.run(f"EV {number:02X}").split()[0] for number in range(4, 22)] == ["ER"] * 2 + ["OK"] * 16
