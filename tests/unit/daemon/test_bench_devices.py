@@ -14,6 +14,7 @@ from benchmarks._daemon import write_small_bench
 from radiometer.daemon.bench_instrument import BenchInstrument
 from radiometer.daemon.bench_light import BenchLight
 from radiometer.daemon.instrument import MeasurementSettings
+from radiometer.daemon.keeper import KeeperTimes
 from radiometer.daemon.service import ServiceOptions
 from radiometer.devices import ChannelMode, ChannelState, CurrentRange, DriveLevel
 from radiometer.errors import DeviceError
@@ -92,3 +93,9 @@ def test_the_ports_are_those_that_are_documented(project_root: Path) -> None:
     page = (project_root / "docs" / "daemon.md").read_text(encoding="utf-8")
     assert "5025" in page
     assert "8080" in page
+
+
+def test_a_device_is_looked_for_and_asked_twice_a_second() -> None:
+    """By itself first after 0.2 s, then at most half a second apart; a call is late after a second."""
+    times = KeeperTimes()
+    assert (times.first_pause_s, times.longest_pause_s, times.check_every_s, times.overdue_s) == (0.2, 0.5, 0.5, 1.0)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
 from radiometer.analysis.patch.contributions import local_scatter
-from radiometer.analysis.patch.outside import conditions_of
+from radiometer.analysis.patch.outside import conditions_of, stray_light
 from radiometer.analysis.patch.reading import read_patch
 from radiometer.data import (
     BlackLevel,
@@ -403,3 +403,18 @@ def test_scatter_of_neighbours_leaves_out_whatever_touches_a_bad_pixel():
     sloped = 2.0 * np.indices((4, 5))[1]
     assert local_scatter(sloped, np.ones((4, 5), bool)) == (pytest.approx(math.sqrt(16 * 4.0 / 31 / 2.0)), 31)
     assert local_scatter(pixels, np.zeros((4, 5), bool)) == (0.0, 0)
+
+
+def test_stray_light_is_told_by_what_surrounds_the_patch():
+    """A picture of 3 around a patch of 2: 1.5 times as bright, beside 0.5 times at calibration; g·|3 − 1|."""
+
+    class Made:
+        class scale:  # noqa: N801
+            conditions = ScaleConditions(surround=0.5)
+
+        uncertainties = only(glare_u=0.01)
+
+    term = stray_light(2.0, 3.0, Made)
+    assert term.u == pytest.approx(0.02)
+    assert "1.5 times the patch, 0.5 times at calibration" in term.note
+    assert "inf times" in stray_light(0.0, 3.0, Made).note

@@ -16,6 +16,7 @@ from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.conversion_gain import ConversionGain
 from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
 from simulators.effects.display_black_leak import DisplayBlackLeak
 from simulators.effects.display_gamma_error import DisplayGammaError
 from simulators.effects.exposure_quantisation import ExposureQuantisation
@@ -175,3 +176,14 @@ def test_hot_pixels_that_stand_out_are_counted() -> None:
     nothing = TileMoments.exactly(np.zeros((1, 1, 1)))
     told = effect.tile(nothing, nothing, tiles).outliers
     assert float(np.sum(told)) == pytest.approx(10.0 * math.exp(-9.0 / 80.0))
+
+
+def test_leaks_that_differ_are_drawn_with_the_spread_that_is_stated() -> None:
+    """30 e⁻/s for 2 s at the stated temperature: 60 e⁻ of scatter and no mean, in the same pixels each time."""
+    effect = DarkCurrentNonuniformity(sigma_e_per_s=30.0, reference_C=25.0, shape=0.4)
+    context = replace(at(2.0, temperature_c=25.0), geometry=FrameGeometry.of_image(400, 300))
+    drawn = np.asarray(effect.sample(np.full((300, 400), 1e4), context, np.random.default_rng(1))) - 1e4
+    assert drawn.std() == pytest.approx(60.0, rel=0.02)
+    assert drawn.mean() == pytest.approx(0.0, abs=4 * 60.0 / math.sqrt(drawn.size))
+    again = np.asarray(effect.sample(np.full((300, 400), 1e4), context, np.random.default_rng(2))) - 1e4
+    np.testing.assert_array_equal(again, drawn)

@@ -121,3 +121,15 @@ def test_what_lines_share_spreads_pixels_over_the_codes(mean: float, columns: fl
     of_line = codes.mean(axis=1)
     u_mean = of_line.std() / np.sqrt(lines)
     assert float(after.mean[0, 0, 0]) == pytest.approx(of_line.mean(), abs=4.5 * u_mean)
+
+
+def test_many_signals_are_rounded_as_each_by_itself() -> None:
+    """Coarse ones beside fine ones in one array come out as they do alone, whatever stands next to them."""
+    together = rounded(
+        Moments(*(np.array(column) for column in zip(*((m, n**2, p**2, 1e-6) for m, n, p in CASES), strict=True)))
+    )
+    for number, case in enumerate(CASES):
+        alone = rounded(_moments(*case))
+        for field in ("mean", "variance", "spatial_variance", "common_variance"):
+            values = np.broadcast_to(getattr(together, field), (len(CASES),))
+            assert values[number] == pytest.approx(float(np.ravel(getattr(alone, field))[0]), rel=1e-9), (field, case)
