@@ -46,10 +46,9 @@ class BlackLevelOffset(Offset):
         x, y = context.geometry.sensor_xy()
         return self.offset_dn + self.tilt_x_dn * x + self.tilt_y_dn * y
 
-    @classmethod
-    def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the offset that goes with the place: a ramp that is nothing in the middle has no plain offset."""
-        return (cls(0.02, 0.02, 0.02),)
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the offset that goes with the place."""
+        return () if self.tilt_x_dn or self.tilt_y_dn else (self.with_parameters(tilt_x_dn=0.02, tilt_y_dn=0.02),)
 
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit: those of the flexible form only where they are set."""

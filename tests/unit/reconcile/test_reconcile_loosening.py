@@ -15,8 +15,6 @@ from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.search.localise import departing, localise
 from radiometer.reconcile.search.moves import loosened
-from radiometer.reconcile.search.search import search
-from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
@@ -83,20 +81,3 @@ def test_the_mean_of_uneven_leaks_is_the_dark_current_s(make_capture: Callable[.
         found = parameters[name][key]
         assert found.u is not None
         assert abs(found.value - truth) < 4.0 * found.u < 0.15 * truth
-
-
-def test_a_ramp_that_is_nothing_in_the_middle_is_an_offset_s(make_capture: Callable[..., Any]) -> None:
-    """A black level that rises by 2 DN over the rows, −1 to 1 DN, has no plain part: its tilt is found at once."""
-    rows = np.arange(64.0)[:, None]
-    plan = [{"t": t, "g": g, "shutter": "closed"} for t in (1e-4, 1e-2) for g in (0.0, 12.0)] * 2
-    captured = make_capture(6, extra_dn=lambda setting: 2.0 * (rows / 63.0 - 0.5), plan=plan)
-    design = Design.of(captured.header, captured.frames[0].shape)
-    state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
-    found = search(state, {"black_level_offset": BlackLevelOffset})
-    assert [step.name for step in found.steps] == ["black_level_offset"]
-    told = fitted_parameters(found.state)["black_level_offset"]
-    per_half_side = 2.0 * 48.0 / 63.0  # the longer side has 96 pixels
-    for name, value in (("offset_dn", 0.0), ("tilt_x_dn", 0.0), ("tilt_y_dn", per_half_side)):
-        assert told[name].u is not None
-        assert abs(told[name].value - value) < 3.5 * told[name].u
-    assert told["tilt_y_dn"].u < 0.1
