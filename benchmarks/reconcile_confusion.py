@@ -1,6 +1,6 @@
 """The confusion matrix of `radiometer reconcile` on sessions of an independent generator, and its page.
 
-    python -m benchmarks.reconcile_confusion --seeds 4 --jobs 2 [--kinds null,single,...] [--sample 100] [--report-only]
+    python -m benchmarks.reconcile_confusion --seeds 4 --jobs 2 [--kinds null,single,...] [--sample 100] [--report-only] [--write]
 
 Every run is one line of the results file; what is there is not run again, so that the benchmark can be stopped and
 taken up. `--first-seed` moves all seeds: a blind set is one whose seeds were never used in development.
@@ -105,6 +105,7 @@ def main() -> None:
     )
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--report-only", action="store_true")
+    parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks.md")
     options = parser.parse_args()
     kinds = tuple(options.kinds.split(","))
     plain = all(kind.startswith("plain") for kind in kinds)
@@ -120,7 +121,7 @@ def main() -> None:
     kept = [r for r in read(options.results) if r["key"] in keys]
     page = f"{len(kept)} of {len(wanted)} runs are done.\n\n{plain_report(kept) if plain else report(kept)}"
     print(page)
-    if not only:
+    if options.write:
         command = f"python -m benchmarks.reconcile_confusion --seeds {options.seeds} --first-seed {options.first_seed}"
         command += f" --kinds {options.kinds}" if kinds != KINDS else ""
         command += f" --sample {options.sample}" if options.sample else ""

@@ -1,6 +1,6 @@
 """Nothing is hidden: how often `radiometer reconcile` cries wolf, and whether every one of its tests is calibrated.
 
-    nice python -m benchmarks.reconcile_null [--sets 200] [--first-seed 20000] [--report-only]
+    nice python -m benchmarks.reconcile_null [--sets 200] [--first-seed 20000] [--report-only] [--write]
 
 One process; every session is one line of the results file, so that the benchmark can be stopped and taken up.
 """
@@ -119,6 +119,7 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=20_000)
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--report-only", action="store_true")
+    parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks.md")
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.sets)
     if not options.report_only:
@@ -126,8 +127,9 @@ def main() -> None:
     records = [record for record in read(options.results) if record["seed"] in seeds]
     body = page(records)
     print(body)
-    command = f"python -m benchmarks.reconcile_null --sets {options.sets} --first-seed {options.first_seed}"
-    write_section("reconcile_null", "Reconcile: nothing hidden", command, f"{len(records)} sets.\n\n{body}")
+    if options.write:
+        command = f"python -m benchmarks.reconcile_null --sets {options.sets} --first-seed {options.first_seed}"
+        write_section("reconcile_null", "Reconcile: nothing hidden", command, f"{len(records)} sets.\n\n{body}")
 
 
 if __name__ == "__main__":
