@@ -10,6 +10,7 @@ from drivers.camera_opening import CameraSession
 from drivers.chunk_data import CHUNKS, changed_chunks, holds_other_settings, told_by_chunks
 from drivers.frame_assembly import assemble
 from drivers.frame_stream import FrameStream, LossyLink, RawFrame, Tally
+from drivers.pixel_unpacking import pixel_format_of_code
 from drivers.settings_access import bit_depth_of
 from radiometer.data import Frame, LensDescription
 from radiometer.devices import CameraSettings
@@ -79,8 +80,11 @@ class FreshFrames:
         self._longest_s = max(self._longest_s, before.exposure_s)
 
     def _is_told(self, raw: RawFrame) -> bool:
-        """Tell whether the chunks of a frame confirm all that was changed; never where there are none."""
+        """Tell whether a frame's format and chunks confirm all that was changed; never where there are no chunks."""
         session = self._session
+        sent = pixel_format_of_code(raw.format_code)
+        if sent is None or sent.name != session.settings.pixel_format:
+            return False
         full_scale_dn = (1 << bit_depth_of(session.settings.pixel_format, session.quirks)) - 1
         return bool(raw.chunks) and told_by_chunks(
             raw, self._changed, session.settings, session.black_level_scale, full_scale_dn

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -13,7 +14,7 @@ from drivers.frame_stream import BUFFER_COUNT, MAX_ATTEMPTS, FrameStream, LossyL
 from drivers.fresh_frames import FreshFrames
 from radiometer.data import LensDescription
 from radiometer.devices import CameraSettings
-from radiometer.errors import DeviceLost, DeviceTimeout
+from radiometer.errors import DeviceError, DeviceLost, DeviceTimeout
 
 WHOLE, BROKEN = "success", "missing-packets"
 
@@ -286,6 +287,19 @@ def test_a_black_level_is_confirmed_by_its_chunk(fresh, percent, taken):
     frames._stale = 0
     frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
     assert frames.next().frame_id == taken
+
+
+def test_a_frame_still_in_the_format_before_is_thrown_away(fresh):
+    """No chunk tells a format, but the frame itself does: two of Mono10p pass by, a third would be an error."""
+    stale = [replace(frame(n, NEW), format_code=0x010A0046) for n in (1, 2, 3)]
+    frames, tally = fresh([*stale[:2], frame(3, NEW)], discard=2)
+    frames._stale = 0
+    frames.settings_changed(replace(BEFORE, exposure_s=0.005, pixel_format="Mono10p"))
+    assert frames.next().frame_id == 3
+    assert tally.extra["stale_discarded"] == 2
+    frames, _ = fresh([*stale, frame(4, NEW)], discard=2)
+    with pytest.raises(DeviceError, match="sent Mono10p where Mono8 was set"):
+        frames.next()
 
 
 def test_a_change_that_no_frame_has_shown_is_not_forgotten(fresh):

@@ -1,0 +1,250 @@
+"""The catalogue, what its effects do to a session's statistics, and each step of a reconciliation."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from radiometer.data import (
+    CameraDescription,
+    CaptureHeader,
+    Frame,
+    FrameEntry,
+    FrameSettings,
+    LensDescription,
+    PatchDescription,
+    SourceDescription,
+)
+from radiometer.reconcile.engine import examine, whole_catalogue
+from radiometer.reconcile.fit.candidate_fit import Candidate, fit_candidate
+from radiometer.reconcile.fit.covariance import fitted_parameters
+from radiometer.reconcile.fit.covariates import covariates
+from radiometer.reconcile.fit.descent import first_state, refit
+from radiometer.reconcile.fit.full_fit import accepted
+from radiometer.reconcile.fit.state import FitState, reweighted
+from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconcile.search.localise import localise
+from radiometer.reconcile.statistics import STATISTICS
+from simulators.effects.catalogue import CatalogueEffect
+from tests.unit.held.figures import FITS, digest, moved
+
+HEIGHT, WIDTH, ROWS, COLUMNS = 48, 72, 4, 6
+PATCHES = [(r * 12, c * 12) for r in range(ROWS) for c in range(COLUMNS)]
+LEVELS = np.geomspace(0.01, 1.0, 24)[np.random.default_rng(17).permutation(24)]
+PATTERNS = {"chart": LEVELS, "turned": LEVELS[::-1]}
+
+CAMERA = CameraDescription(
+    bit_depth=12,
+    pixel_pitch_um=4.5,
+    conversion_gain_e_per_dn=2.6,
+    read_noise_e=2.4,
+    full_well_e=10_500.0,
+    dark_current_e_per_s=1.0,
+    dark_current_reference_C=25.0,
+    black_level_dn=64.0,
+    quantum_efficiency=0.62,
+)
+
+
+def plan() -> list[dict[str, Any]]:
+    """Return settings of all kinds, few of each."""
+    dark = [
+        {"t": t, "g": g, "closed": True, "T": T}
+        for t, g, T in ((1e-4, 0, 35), (1e-2, 12, 35), (1.0, 0, 35), (1.0, 24, 45))
+    ]
+    ladder = [{"t": float(t), "d": d} for d in (0.9, 0.3) for t in np.geomspace(4e-5, 8e-3, 6)]
+    gains = [{"t": 4e-4, "g": g} for g in (0.0, 6.0, 12.0, 18.0)]
+    stops = [{"t": 3e-3, "N": n} for n in (2.8, 5.6, 8.0)]
+    warm = [{"t": 3e-3, "T": T} for T in (25.0, 45.0)]
+    others = [{"t": 3e-3, "pattern": "turned"}, {"t": 0.5, "d": 0.0}]
+    return [*dark, *ladder, *gains, *stops, *warm, *others, *({"t": 4e-3} for _ in range(4))]
+
+
+@cache
+def session(hidden: str = "") -> tuple[CaptureHeader, list[Frame]]:
+    """Return a session of three frames each, of which the camera holds nothing or something that it does not state."""
+    rng = np.random.default_rng([23, len(hidden)])
+    rows, columns = np.indices((HEIGHT, WIDTH))
+    entries, frames = [], []
+    for number, s in enumerate(plan()[i] for i in rng.permutation(len(plan()))):
+        temperature = s.get("T", 35.0) + rng.normal(0.0, 0.1)
+        levels = PATTERNS[s.get("pattern", "chart")].reshape(ROWS, COLUMNS)
+        scene = levels[rows // 12, columns // 12]
+        light = s.get("d", 0.9) * (4.0 / s.get("N", 4.0)) ** 2 * (1 + 1e-3 * rng.standard_normal())
+        for repeat in range(3):
+            seconds = s["t"] + (2e-5 if hidden == "offset" else 0.0)
+            expected = scene * 10_500.0 * light * seconds / 6e-3 * (not s.get("closed"))
+            expected = expected + 2.0 ** ((temperature - 25.0) / 7.0) * s["t"]
+            charge = np.minimum(rng.poisson(expected), 10_500) + rng.normal(0.0, 2.4, expected.shape)
+            dn = np.clip(np.floor(64.5 + charge * 10 ** (s.get("g", 0.0) / 20) / 2.6), 0, 4095).astype(np.uint16)
+            settings = FrameSettings(
+                s["t"], s.get("g", 0.0), s.get("N", 4.0), 64.0, round(temperature, 2), 2.5 * (3 * number + repeat + 1),
+                s.get("d", 0.9), s.get("pattern", "chart"), "closed" if s.get("closed") else "open",
+            )  # fmt: skip
+            entries.append(FrameEntry.of(f"frames/{len(entries):04d}.png", settings))
+            frames.append(Frame(dn, 12, settings, len(frames)))
+    patches = tuple(
+        PatchDescription(
+            name=f"p{k}", x=x, y=y, width=12, height=12, u_rel=5e-3,
+            radiance_W_per_sr_m2={name: float(v[k]) for name, v in PATTERNS.items()},
+        )
+        for k, (y, x) in enumerate(PATCHES)
+    )  # fmt: skip
+    header = CaptureHeader(
+        camera=CAMERA,
+        lens=LensDescription(focal_length_mm=16.0, f_number=4.0, transmittance=0.95),
+        source=SourceDescription(kind="screen", wavelength_nm=550.0, reproducibility_u_rel=1e-3),
+        patterns=tuple(PATTERNS),
+        patches=patches,
+        frames=tuple(entries),
+    )
+    return header, frames
+
+
+@cache
+def start(hidden: str = "") -> FitState:
+    header, frames = session(hidden)
+    design = Design.of(header, frames[0].dn.shape)
+    return first_state(design, *reduce_frames(design, frame_reader(frames)))
+
+
+def fields(thing: Any) -> dict[str, Any]:
+    """Return the digests of a dataclass's arrays, and its numbers."""
+    found = {}
+    for field in dataclasses.fields(thing):
+        value = getattr(thing, field.name)
+        if isinstance(value, np.ndarray):
+            found[field.name] = digest(value)
+        elif isinstance(value, bool | int | float):
+            found[field.name] = value
+    return found
+
+
+def blocks(state: FitState, residual: NDArray[np.float64]) -> dict[str, list[float]]:
+    """Return the digest of a vector of whitened differences, statistic by statistic."""
+    return {name: digest(residual[cut]) for name, cut in state.comparison.cuts.items()}
+
+
+@pytest.mark.parametrize("name", sorted(whole_catalogue()))
+def test_an_entry_is_as_it_was(name):
+    """What an entry says of itself, and what each of its starts does to every predicted statistic."""
+    kind = whole_catalogue()[name]
+    state = start()
+    context = state.model.context
+    said = {
+        key: getattr(kind, key)
+        for key in CatalogueEffect.__annotations__
+        if key not in ("settles", "prior_reason")
+        if hasattr(kind, key) and getattr(kind, key) != getattr(CatalogueEffect, key, None)
+    }
+    said["stage"] = str(kind.stage)
+    said["trials"] = [len(kind.trials), *kind.trials[:3], *kind.trials[-1:]]
+    told: dict[str, Any] = {"says": said}
+    told["parameters"] = {
+        one.name: [one.unit, one.low, one.high, one.default, one.of_full_scale] for one in kind.parameters()
+    }
+    base = fields(state.prediction)
+    starts = kind.starts(context)
+    told["starts"] = [one.values() for one in starts[:6]]
+    told["does"] = []
+    for effect in starts[:2]:
+        found = fields(state.predicted_with((effect,)))
+        told["does"].append({key: found[key] for key in found if not np.allclose(found[key], base[key], rtol=1e-9)})
+    assert not moved(f"effects/{name}", told, rel=1e-6)
+
+
+def test_what_is_measured_is_as_it_was():
+    """The design of a session and every statistic of its frames."""
+    state = start()
+    design = state.design
+    told = {
+        "design": {
+            name: digest(getattr(design, name))
+            for name in sorted(vars(type(design)))
+            if isinstance(getattr(design, name, None), np.ndarray)
+        },
+        "seen": fields(state.seen),
+    }
+    assert not moved("reconcile/measured", told, rel=1e-7)
+
+
+def test_the_first_fit_is_as_it_was():
+    """Nuisances, predicted statistics, what counts, weights and what is left of each statistic."""
+    state = start()
+    comparison = state.comparison
+    told = {
+        "values": state.values,
+        "tau": state.tau,
+        "gap": state.gap,
+        "misfit": state.misfit,
+        "predicted": fields(state.prediction),
+        "usable": {name: digest(mask) for name, mask in comparison.usable.items()},
+        "deviation": {name: digest(comparison.deviation[name][comparison.usable[name]]) for name in comparison.usable},
+        "whiteners": {name: digest(value) for name, value in comparison.whiteners.items()},
+        "comparison": fields(comparison),
+        "left": blocks(state, state.plain_residual),
+        "sensitivity": digest(state.sensitivity),
+        "covariates": {name: digest(one.basis()) for name, one in covariates(state.model, state.prediction).items()},
+        "tests": [[t.block, t.where, t.form, t.chi2, t.rank, t.p_value] for t in localise(state)],
+    }
+    assert set(comparison.usable) == set(STATISTICS)
+    assert not moved("reconcile/first_fit", told, rel=10 * FITS)
+
+
+TRIED = (
+    "exposure_time_offset",
+    "veiling_glare",
+    "dark_current",
+    "prnu",
+    "gain_step_error",
+    "excess_read_noise",
+    "image_lag",
+)
+
+
+@pytest.mark.parametrize("name", TRIED)
+def test_a_candidate_is_fitted_as_it_was(name):
+    """Gain, evidence and values of entries that are not there, in a session that hides another."""
+    state = start("offset")
+    starts = whole_catalogue()[name].starts(state.model.context)
+    found = fit_candidate(state, Candidate(starts[0], 0.0, len(starts[0].free()) or 1, others=starts[1:3]))
+    told = fields(found) | {
+        "values": found.effect.values(),
+        "left": blocks(state, found.residual[: state.comparison.size]),
+    }
+    assert not moved(f"reconcile/candidate_{name}", told, rel=100 * FITS)
+
+
+def test_an_accepted_effect_is_fitted_as_it_was():
+    """Its parameters with u, and the gap that is left."""
+    state = start("offset")
+    kind = whole_catalogue()["exposure_time_offset"]
+    state = accepted(state, kind.starts(state.model.context)[0])
+    state = refit(reweighted(state))
+    fitted = fitted_parameters(state)
+    told = {
+        "gap": state.gap,
+        "values": state.values,
+        "parameters": {k: {n: fields(one) for n, one in group.items()} for k, group in fitted.items()},
+        "left": blocks(state, state.plain_residual),
+    }
+    offset_s = fitted["exposure_time_offset"]
+    assert any(abs(one.value - 2e-5) < 4.0 * one.u for one in offset_s.values())  # what the session hides
+    assert not moved("reconcile/accepted", told, rel=100 * FITS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", ["", "offset"])
+def test_a_whole_reconciliation_is_as_it_was(hidden):
+    """Verdict, effects, parameters, gaps, tests, limits: the result as it is written."""
+    header, frames = session(hidden)
+    found = examine(header, frame_reader(frames), frames[0].dn.shape).result.to_mapping()
+    for words in ("provenance", "remarks", "next_capture", "seconds"):
+        found.pop(words, None)
+    assert not moved(f"reconcile/whole_{hidden or 'nothing'}", found, rel=1000 * FITS)
