@@ -1,6 +1,6 @@
 """The confusion matrix of `radiometer reconcile` on sessions of an independent generator, and its page.
 
-    python -m benchmarks.reconcile_confusion --seeds 4 [--kinds null,single,...] [--sample 100] [--report-only] [--write]
+    python -m benchmarks.reconcile_confusion --seeds 4 [--kinds null,single,...] [--report-only] [--write]
 
 Every run is one line of the results file; what is there is not run again, so that the benchmark can be stopped and
 taken up. `--first-seed` moves all seeds: a blind set is one whose seeds were never used in development.

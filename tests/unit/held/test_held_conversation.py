@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import re
 from collections.abc import Coroutine
 from pathlib import Path
 from typing import Any
 
+import aiohttp
+
+from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.scpi.command import Command
 from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, short_form
@@ -22,6 +26,8 @@ TABLE = command_table()
 UNITS = ("MS", "US", "S", "DB", "NM", "PCT", "KG")
 # Replies that hold a time, a version or a path.
 PASSING = re.compile(r"\d{4}-\d\d-\d\d|\d+\.\d+\.\d+|/dev/|/tmp/|uptime", re.IGNORECASE)
+GUARDS = ("Content-Security-Policy", "X-Content-Type-Options", "Cache-Control", "Access-Control-Allow-Origin")
+PASSING_KEYS = ("time", "_ms", "uptime_s", "since", "until")
 LEFT_OUT = ("SYSTem:TIME", "SYSTem:DATE", "UPTime", "HELP", "MEMory", "LOG", "DIAGnostic")
 
 
@@ -93,3 +99,91 @@ async def answers(tmp_path: Path) -> dict[str, list[Any]]:
 async def test_the_conversation_is_as_it_was(tmp_path):
     """Every reply and every error that a line leaves."""
     assert not moved("conversation", await answers(tmp_path))
+
+
+# Requests to the web server: method, path, body.
+VISIT = """
+GET /status
+GET /response
+GET /healthz
+GET /events
+GET /openapi.json
+GET /nothing
+GET /readings?limit=1
+GET /readings?format=csv
+GET /readings?after=1
+GET /readings?flag=saturated
+GET /readings?clean=true
+GET /readings?limit=0
+GET /readings?since=x
+GET /trend
+GET /trend?points=5
+GET /trend?points=0
+GET /trend?patch=a
+GET /trend?nonsense=1
+POST /measure {}
+POST /measure {"patch": {"x": 3, "y": 4, "width": 5, "height": 6}}
+POST /measure {"exposure_s": 1e9}
+POST /measure {"gain_db": -1}
+POST /measure {"spectrum": 3}
+POST /settings {"exposure_s": 0.01}
+POST /settings {"auto_exposure": true}
+POST /settings {"every_s": null}
+POST /settings {"every_s": -1}
+POST /settings {"x": 1}
+POST /light {"channel": "red", "level": 0.25}
+POST /light {"channel": "red", "level": 1.5}
+POST /light {"channel": "no", "level": 0.1}
+POST /light {}
+GET /status
+POST /light/off {}
+POST /patches {"name": "a", "x": 1, "y": 2, "width": 3, "height": 4}
+POST /patches {"name": "b", "x": 99, "y": 0, "width": 3, "height": 4}
+POST /patches {"name": ""}
+POST /patches/delete {"name": "a"}
+POST /patches/delete {"name": "z"}
+POST /events {"message": "lamp changed"}
+POST /events {"message": ""}
+POST /events {}
+GET /frame.png
+GET /frame.png?width=32
+GET /frame.png?width=0
+GET /status
+GET /readings?limit=2
+"""
+
+
+def lasting(value: Any) -> Any:
+    """Return an answer without what is another at every run."""
+    if isinstance(value, dict):
+        return {key: lasting(one) for key, one in value.items() if not key.endswith(PASSING_KEYS)}
+    if isinstance(value, list):
+        return [lasting(one) for one in value]
+    return "passing" if isinstance(value, str) and PASSING.search(value) else value
+
+
+async def test_the_web_server_answers_as_it_did(tmp_path):
+    """Status, kind and body of every request of a fixed visit; numbers that count seconds or bytes left out."""
+    station = Station(FakeInstrument(), Journal(tmp_path / "journal.sqlite"), box=FakeBox(), times=QUICK)
+    await station.start()
+    while not station.instrument.is_open:
+        await asyncio.sleep(0.001)
+    server = HttpServer(station)
+    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
+    told = {}
+    async with aiohttp.ClientSession() as client:
+        for number, line in enumerate(VISIT.split("\n")[1:-1]):
+            method, path, *body = line.split(" ", 2)
+            async with client.request(method, base + path, json=json.loads(body[0]) if body else None) as reply:
+                content = await reply.read()
+                kind = reply.content_type
+                answer: Any = len(content) > 0
+                if kind == "application/json":
+                    answer = lasting(json.loads(content))
+                elif kind == "text/csv":
+                    answer = len(content.splitlines())
+                guards = sum(key in reply.headers for key in GUARDS)
+                told[f"{number} {line}"] = [reply.status, kind, guards, answer]
+    await server.close()
+    await station.stop()
+    assert not moved("web", told)
