@@ -86,9 +86,8 @@ class Number:
         value = self._scaled(argument)
         limits = self.limits(station)
         if not limits.low * (1 - 1e-9) <= value <= limits.high * (1 + 1e-9):
-            raise ScpiError(
-                -222, f"{self.name} {value:g} is outside {limits.low:g} to {limits.high:g} {self.unit.lower()}".rstrip()
-            )
+            unit = {"PCT": "", "DB": "dB"}.get(self.unit, self.unit.lower())  # a share is told as a fraction
+            raise ScpiError(-222, f"{self.name} {value:g} is outside {limits.low:g} to {limits.high:g} {unit}".rstrip())
         return round(value) if self.integer else value
 
     def _scaled(self, argument: Argument) -> float:

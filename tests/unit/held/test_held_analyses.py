@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +91,7 @@ def test_a_flux_is_as_it_was(emitter):
     scales = {
         "described": flux_scale(camera, LED, None),
         "measured": flux_scale(camera, LED, None, 0.012),
+        "without_black": flux_scale(camera.model_copy(update={"black_level_dn": None}), LED, None),
         "calibrated": flux_scale(
             camera, LED, world.calibration(camera=camera, uncertainties=world.doubts(spectral_u_rel=0.03))
         ),
@@ -100,6 +102,25 @@ def test_a_flux_is_as_it_was(emitter):
     }
     told["part"] = described(led_flux(frames, scales["described"], lens, EMITTERS[emitter], Patch(8, 14, 30, 34), 0.05))
     assert not moved(f"fluxes/{emitter}", told, rel=1e-7)
+
+
+def warm_darks() -> Subject:
+    """Return the whole camera with its bright frames taken warmer than most of its darks."""
+    plain = subject()
+    warmer = tuple(
+        one if one.settings.is_dark else replace(one, settings=replace(one.settings, temperature_c=33.0))
+        for one in plain.groups
+    )
+    return replace(plain, groups=warmer)
+
+
+def without_temperatures(whole: Subject) -> Subject:
+    groups = tuple(replace(one, settings=replace(one.settings, temperature_c=None)) for one in whole.groups)
+    return replace(whole, groups=groups)
+
+
+def of_kind(whole: Subject, *, dark: bool) -> Subject:
+    return replace(whole, groups=tuple(one for one in whole.groups if one.settings.is_dark is dark))
 
 
 def subject(*, darks: bool = True, gains: tuple[float, ...] = (0.0,), photons: bool = True, step: int = 1) -> Subject:
@@ -137,6 +158,10 @@ CAMERAS = {
     "without_darks": lambda: subject(darks=False),
     "without_photons": lambda: subject(photons=False),
     "two_gains": lambda: subject(gains=(0.0, 6.0)),
+    "warm": warm_darks,
+    "unknown_temperature": lambda: without_temperatures(subject()),
+    "only_darks": lambda: of_kind(subject(), dark=True),
+    "only_light": lambda: of_kind(subject(), dark=False),
     "coarse_codes": lambda: subject(step=16),
 }
 

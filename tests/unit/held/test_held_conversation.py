@@ -96,6 +96,74 @@ async def answers(tmp_path: Path) -> dict[str, list[Any]]:
     return told
 
 
+# Lines that no manual has: odd blocks, strings, numbers, headers, and several units in one.
+ODD = """
+SENS:EXP #15hello
+SENS:EXP #0rest
+SENS:EXP #19abc
+SENS:EXP #x1
+SENS:EXP #HFF
+SENS:EXP #B102
+SENS:EXP 1e400
+SENS:EXP 1e-3;GAIN?
+SENS:EXP 2 MS;:SENS:EXP?
+:SENS:EXP?;*IDN?;*ESR?
+SENSE:EXPOSURE? MAX;:SENS:GAIN? MIN
+SENS:EXP 'text'
+SENS:EXP "unfinished
+SENS:PATC 1,2,3
+SENS:PATC 1,2,3,4,5
+SENS:PATC 60,0,10,10
+SENS:PATC 1,2,30,4;PATC?
+SENS:PATC CENT;PATC?
+SENS::EXP?
+SENS:EXPO?
+SENS:EXP??
+*XYZ
+:*IDN?
+;;
+MEAS:RAD?;LUM?
+INIT;FETC:RAD?
+READ:RAD?
+FETC?
+SOUR:LED1:LEV 0.25;LEV?
+SOUR:LED2:LEV 50 PCT;LEV?
+SOUR:LED9:LEV 1
+SOUR:LED1:LEV -0.1
+SOUR:LED1:LEV MAX;LEV?
+TRIG:TIM 0.5;TIM?
+TRIG:TIM -1
+CALC:LIM:UPP 5;UPP?;LOW 7
+STAT:QUES?
+STAT:QUES:ENAB 65536
+SYST:ERR:COUN?
+ABOR;*OPC?
+*RST;:SENS:EXP?
+"""
+
+
+async def test_odd_lines_are_answered_as_they_were(tmp_path):
+    """One session, one line after the other; each leaves its reply and its errors."""
+    station = Station(FakeInstrument(), Journal(tmp_path / "journal.sqlite"), box=FakeBox(), times=QUICK)
+    await station.start()
+    while not station.instrument.is_open:
+        await asyncio.sleep(0.001)
+    session = Session(station, TABLE)
+    told = []
+    for line in ODD.split("\n")[1:-1]:
+        heard: list[Any] = [line]
+        for said in (line, *["SYST:ERR?"] * 4):
+            outcome = session.execute(said)
+            async with asyncio.timeout(within(20.0)):
+                reply = await outcome if isinstance(outcome, Coroutine) else outcome
+            heard.append("passing" if reply and PASSING.search(reply) else reply)
+            if str(reply).startswith('0,"No'):
+                break
+        told.append(heard)
+    await station.stop()
+    assert not moved("odd_lines", {"lines": told})
+
+
 async def test_the_conversation_is_as_it_was(tmp_path):
     """Every reply and every error that a line leaves."""
     assert not moved("conversation", await answers(tmp_path))

@@ -39,6 +39,13 @@ def repeats() -> list[Frame]:
     return [world.frame(60 + k, 1.6e-4, radiance=world.scene() * (1 + 0.01 * (k % 3))) for k in range(6)]
 
 
+def unlit() -> list[Frame]:
+    """Return frames whose black level is stated 2 DN too high: their estimate lies below 0."""
+    return [
+        world.frame(80 + k, t, radiance=0.0 * world.scene(), black_level_dn=66.0) for k, t in enumerate((1e-4, 1e-3))
+    ]
+
+
 def stopped_down() -> list[Frame]:
     return [world.frame(30 + k, 4e-5 * 4.0**k, f_number=8.0) for k in range(6)]
 
@@ -54,6 +61,8 @@ SITUATIONS = {
     "with_darks": lambda: read([*world.bracket(), *darks()], world.calibration()),
     "darkest_field": lambda: read(world.bracket(), world.calibration(), Patch(1, 1, 7, 9)),
     "brightest_field": lambda: read(world.bracket(), world.calibration(), Patch(21, 13, 8, 9)),
+    "no_light": lambda: read(unlit(), world.calibration()),
+    "unlit_small_patch": lambda: read(unlit(), world.calibration(flat_field=world.flat_field()), Patch(3, 3, 2, 3)),
     "small_patch": lambda: read(world.bracket(), world.calibration(), Patch(12, 14, 3, 3)),
     "over_an_edge": lambda: read(world.bracket(), world.calibration(), Patch(6, 8, 9, 8)),
     "clipped": lambda: read(world.bracket()[6:], world.calibration(), Patch(21, 13, 8, 9)),
