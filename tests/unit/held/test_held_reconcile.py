@@ -26,7 +26,7 @@ from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.covariates import covariates
 from radiometer.reconcile.fit.descent import first_state, refit
 from radiometer.reconcile.fit.full_fit import accepted
-from radiometer.reconcile.fit.state import FitState, reweighted
+from radiometer.reconcile.fit.state import FitState, reweighted, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.search.localise import localise
@@ -131,6 +131,30 @@ def blocks(state: FitState, residual: NDArray[np.float64]) -> dict[str, list[flo
     return {name: digest(residual[cut]) for name, cut in state.comparison.cuts.items()}
 
 
+def with_all_terms(kind: type[CatalogueEffect]) -> CatalogueEffect:
+    """Return an effect none of whose parameters is at its default: each a thirtieth of its range above it, or below."""
+    values = {}
+    for one in kind.parameters():
+        if isinstance(one.default, float):
+            low, high = one.bounds(CAMERA.full_scale_dn)
+            step = (high - low) / 30.0
+            values[one.name] = one.default + (step if one.default + step <= high else -step)
+    return kind().with_parameters(**values)
+
+
+def weighed(state: FitState, effect: CatalogueEffect) -> dict[str, Any]:
+    """Return what is left of each statistic, and how it is weighted, where an effect is part of the model."""
+    there = reweighted(with_effects(state, (effect,)))
+    return {
+        "tau": there.tau,
+        "terms": [term.size for term in there.terms],
+        "columns": digest(there.term_columns),
+        "left": digest(there.plain_residual),
+        "by statistic": {n: d for n, d in blocks(there, there.plain_residual).items() if d[2]},
+        "shared": {n: digest(w) for n, w in there.comparison.whiteners.items()},
+    }
+
+
 @pytest.mark.parametrize("name", sorted(whole_catalogue()))
 def test_an_entry_is_as_it_was(name):
     """What an entry says of itself, and what each of its starts does to every predicted statistic."""
@@ -151,11 +175,20 @@ def test_an_entry_is_as_it_was(name):
     }
     base = fields(state.prediction)
     starts = kind.starts(context)
-    told["starts"] = [one.values() for one in starts[:6]]
-    told["does"] = []
-    for effect in starts[:2]:
+    told["starts"] = [len(starts), *(one.values() for one in starts[:6])]
+    tried = {f"start {k}": one for k, one in enumerate(starts[:2])}
+    tried["all terms"] = starts[-1] if kind.is_stepwise else with_all_terms(kind)
+    tried |= {f"looser {k}": one for k, one in enumerate(tried["all terms"].loosened(context)[:3])}
+    tried |= {f"cover {k}": one for k, one in enumerate(kind.covers(context)[:2])}
+    tried |= {
+        f"nearby {k}": one for k, one in enumerate([*starts[0].nearby(HEIGHT, 0)[:1], *starts[0].nearby(HEIGHT, 1)[:1]])
+    }
+    told["does"] = {}
+    for title, effect in tried.items():
         found = fields(state.predicted_with((effect,)))
-        told["does"].append({key: found[key] for key in found if not np.allclose(found[key], base[key], rtol=1e-9)})
+        does = {key: found[key] for key in found if not np.allclose(found[key], base[key], rtol=1e-9)}
+        told["does"][title] = {"values": effect.values(), "free": list(effect.free()), **does}
+    told["weighs"] = {title: weighed(state, tried[title]) for title in ("start 0", "all terms") if title in tried}
     assert not moved(f"effects/{name}", told, rel=1e-6)
 
 
