@@ -116,6 +116,16 @@ def test_opi_trials_give_a_threshold_wherever_the_answer_changes(tmp_path: Path)
     assert any("a list of 12 trials: 3 thresholds" in said for said in found.taken)
 
 
+def test_the_steps_of_a_search_say_how_far_apart_two_levels_may_be(tmp_path: Path) -> None:
+    """Steps up of 0.1 count and new beginnings 0.4 lower do not, though there are as many; of steps down alone, all."""
+    ascents = [(0, -1.0, "no"), (2, -0.9, "yes"), (4, -1.3, "no"), (6, -1.2, "yes"), (8, -1.6, "no"), (10, -1.5, "yes")]
+    descents = [(0, -1.0, "yes"), (2, -1.4, "no"), (4, -0.6, "yes"), (6, -1.0, "no")]
+    for name, trials, found in (("up", ascents, [-0.95, -1.25, -1.55]), ("down", descents[:2], [-1.2])):
+        rows = "".join(f"{onset},{level},{seen}\n" for onset, level, seen in trials)
+        (tmp_path / name).write_text("onset_s,log10_level,seen\n" + rows)
+        assert read_table(tmp_path / name).rows[:, 1] == pytest.approx(found)
+
+
 def test_false_alarm_in_a_list_of_trials_is_no_threshold(tmp_path: Path) -> None:
     """A dim level seen, then a brighter one not: one of the answers was wrong, neither change counts."""
     text = "onset_s,log10_level,seen\n0,-1.0,no\n2,-0.9,no\n4,-1.4,yes\n6,-0.9,no\n8,-0.8,yes\n"

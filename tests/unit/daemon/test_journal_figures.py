@@ -71,6 +71,14 @@ def test_the_bounds_of_a_trend_are_from_the_first_to_before_the_last(tmp_path: P
     assert len(reader.lines(wanted)) == 2
 
 
+def test_a_trend_finer_than_its_span_is_one_of_microseconds(tmp_path: Path, make_reading: Make) -> None:
+    """Ten microseconds in 1500 points: each reading stands by itself."""
+    reader = written(tmp_path / "j.sqlite", readings(make_reading))
+    (point,) = reader.trend("", BASE_US - 5, BASE_US + 5, 1500)
+    assert (point.value, point.count) == (1.0, 1)
+    assert abs(point.time_us - BASE_US) <= 1
+
+
 def test_what_clients_measure_for_themselves_is_in_no_trend(tmp_path: Path, make_reading: Make) -> None:
     """Readings of a session are kept, listed as `own`, and drawn nowhere; those of a named patch under its name."""
     reader = written(tmp_path / "j.sqlite", readings(make_reading, session="http-1"))

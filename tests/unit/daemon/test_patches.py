@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
@@ -129,6 +130,16 @@ def test_names_that_lead_astray_are_refused(name: str) -> None:
     """Nothing that a path, a topic or a line of SCPI could stumble over."""
     with pytest.raises(UsageError):
         check_name(name)
+
+
+@pytest.mark.parametrize(("low", "high"), [(2.0, 2.0), (3.0, 2.0), (math.nan, None), (None, math.inf)])
+def test_limits_that_nothing_can_keep_are_refused(low: float | None, high: float | None) -> None:
+    """A radiance cannot lie above 2 and below 2, nor be held against no number; the hysteresis is half at most."""
+    with pytest.raises(UsageError):
+        PatchLimits(low, high)
+    assert PatchLimits(1.0, 2.0, 0.5).hysteresis_rel == 0.5
+    with pytest.raises(UsageError, match="hysteresis"):
+        PatchLimits(1.0, 2.0, 0.51)
 
 
 async def test_wrong_patches_are_refused(station: Station) -> None:
