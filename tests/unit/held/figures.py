@@ -104,12 +104,18 @@ def moved(name: str, figures: Mapping[str, Any], *, rel: float = SUMS) -> list[s
     """
     path = FOLDER / f"{name}.yaml"
     now = plain(figures)
-    if os.environ.get("HOLD"):
+    gone = _moved(path, now, rel)
+    if gone and os.environ.get("HOLD"):
         path.parent.mkdir(parents=True, exist_ok=True)
         text = yaml.dump(now, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
         path.write_text(text, encoding="utf-8")
-    held = dict(leaves(yaml.load(path.read_text(encoding="utf-8"), Loader=LOADER)))
-    found = dict(leaves(now))
+        return []
+    return gone
+
+
+def _moved(path: Path, now: Any, rel: float) -> list[str]:
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    held, found = dict(leaves(yaml.load(text, Loader=LOADER) or {})), dict(leaves(now))
     return [
         f"{key}: held {held.get(key, 'nothing')}, now {found.get(key, 'nothing')}"
         for key in {**held, **found}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.merge.alignment import aligned, find_alignment
 from radiometer.analysis.merge.bracket import merge
-from radiometer.data import BlackLevel, Bracket, Calibration, Frame, FrameSettings, PixelMask, RadianceMap
+from radiometer.data import BlackLevel, Bracket, Calibration, Frame, FrameSettings, PixelMask, RadianceMap, SensorNoise
 from tests.unit.held import world
 from tests.unit.held.figures import digest, moved
 
@@ -64,12 +64,20 @@ def unsteady() -> list[Frame]:
     return [world.frame(130 + k, 1e-4, radiance=world.scene() * (1 + 0.2 * (k % 2))) for k in range(6)]
 
 
-def with_a_visitor() -> list[Frame]:
-    """Return six exposures of which the fourth shows a bright square that the others do not have."""
-    frames = [world.frame(200 + k, 1e-4 * 2.0**k) for k in range(6)]
+def visited(frames: list[Frame], value: int) -> list[Frame]:
+    """Return frames of which the fourth shows a bright square that the others do not have."""
     dn = np.array(frames[3].dn)
-    dn[3:8, 4:9] = 2600
+    dn[3:8, 4:9] = value
     return [*frames[:3], replace(frames[3], dn=dn), *frames[4:]]
+
+
+def with_a_visitor() -> list[Frame]:
+    return visited([world.frame(200 + k, 1e-4 * 2.0**k) for k in range(6)], 2600)
+
+
+def grainy() -> SensorNoise:
+    """Return the noise of a photograph: little light in a step of a code, and half a code of grain behind the curve."""
+    return SensorNoise(4.0, 5.0, full_well_e=3000.0, post_curve_dn2=0.3)
 
 
 def gone(number: int) -> list[NDArray[np.bool_]]:
@@ -96,6 +104,14 @@ SITUATIONS = {
     "displaced_curve": lambda: of(world.bracket(bits=8), eight_bits(), displacement_px=0.2),
     "absent": lambda: of(world.bracket(), world.calibration(), absent=gone(2)),
     "curve": lambda: of(world.bracket(bits=8), eight_bits()),
+    "curve_with_grain": lambda: of(
+        [*world.bracket(bits=8), *world.bracket(bits=8, gain_db=6.0)[:5]],
+        eight_bits(noise=grainy()),
+        displacement_px=0.1,
+    ),
+    "curve_with_a_visitor": lambda: of(
+        visited(world.bracket(bits=8), 180), eight_bits(noise=grainy()), without_ghosts=True
+    ),
     "curve_two_frames": lambda: of(world.bracket(bits=8)[3:5], eight_bits()),
     "long_only": lambda: of(world.bracket()[5:], world.calibration()),
     "short_only": lambda: of(world.bracket()[:2], world.calibration()),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.patch.reading import read_patch
+from radiometer.analysis.uncertainty.budget import covariance, difference, mean, ratio, shares
 from radiometer.data import BlackLevel, Bracket, Calibration, Frame, Patch, Reading, SourceDescription
 from tests.unit.held import world
 from tests.unit.held.figures import moved
@@ -151,6 +152,20 @@ def test_a_reading_behind_a_curve_is_as_it_was(exposures):
         Bracket.from_frames(frames), MIDDLE, calibration, calibration.camera, world.LENS, now=world.NOW
     )
     assert not moved(f"readings/curve_{exposures.start}", figures(read_by), rel=1e-7)
+
+
+def test_what_two_readings_share_is_as_it_was():
+    """Covariance, ratio, difference and mean of readings by one calibration, and shares of a budget."""
+    one, two = SITUATIONS["plain"](), SITUATIONS["brightest_field"]()
+    three = SITUATIONS["stopped_down"]()
+    told = {
+        "covariance": [covariance(one, two), covariance(one, three), covariance(three, three)],
+        "ratio": ratio(one, two).to_mapping(),
+        "difference": difference(two, three).to_mapping(),
+        "mean": mean([one, two, three]).to_mapping(),
+        "shares": [[line.name, share] for line, share in shares(two.budget)],
+    }
+    assert not moved("readings/two", told, rel=1e-7)
 
 
 def test_a_reading_of_drifting_frames_is_as_it_was():
