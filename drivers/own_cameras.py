@@ -25,11 +25,6 @@ _LISTED: Final[dict[str, Callable[[], list[CameraIdentity]]]] = {
 KINDS: Final = tuple(_LISTED)
 
 
-def is_own(name: str | None) -> bool:
-    """Tell whether a name means a camera of this kind: its library, a colon, and where it is."""
-    return name is not None and name.partition(":")[0] in KINDS and ":" in name
-
-
 def open_own(name: str, lens: LensDescription | None = None, preset: CameraDescription | None = None) -> PlainCamera:
     """Return a camera by name, ready for `open()`.
 

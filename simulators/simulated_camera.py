@@ -206,10 +206,6 @@ class SimulatedCamera:
             raise SettingOutOfRange(self._name, "f-number", f_number, 0.5, 64.0, "")
         self._f_number = f_number
 
-    def set_temperature(self, temperature_c: float) -> None:
-        """Bring the sensor to a temperature in °C."""
-        self._temperature_c = temperature_c
-
     def __enter__(self) -> Self:
         self.open()
         return self

@@ -32,7 +32,7 @@ from radiometer.adaptation.method_bias import method_bias
 from radiometer.adaptation.methods import begin
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.reliability import Count, Reliability
-from radiometer.adaptation.report import to_mapping
+from radiometer.adaptation.report import meaning, outcome, to_mapping
 from radiometer.adaptation.retest import limits_of_agreement
 from radiometer.adaptation.rod_intercept import InterceptRule
 from radiometer.adaptation.run import run_test
@@ -261,15 +261,15 @@ def test_a_run_is_as_it_was(name, tmp_path, monkeypatch):
     """Thresholds, catches and verdict of a whole run with an eye of fixed habits."""
     monkeypatch.setattr(os, "fsync", lambda handle: None)
     with Journal(tmp_path / "j") as journal:
-        outcome = run_test(read_protocol(name), ScriptedStage(eye, read_protocol(name)), journal, subject="A1", seed=3)
+        ended = run_test(read_protocol(name), ScriptedStage(eye, read_protocol(name)), journal, subject="A1", seed=3)
         kinds: dict[str, int] = {}
         for event in journal.of_kind("trial") + journal.of_kind("blink") + journal.of_kind("threshold"):
             kinds[event["kind"]] = kinds.get(event["kind"], 0) + 1
     told = {
-        "verdict": outcome.verdict,
-        "times": digest(outcome.times_min),
-        "thresholds": digest(outcome.thresholds_log10),
-        "first": list(outcome.thresholds_log10[:5]),
+        "verdict": ended.verdict,
+        "times": digest(ended.times_min),
+        "thresholds": digest(ended.thresholds_log10),
+        "first": list(ended.thresholds_log10[:5]),
         "events": kinds,
     }
     assert not moved(f"benches/run_{name}", told)
@@ -291,8 +291,7 @@ def test_a_fit_of_adaptation_is_as_it_was(kind):
     """Models, parameters with intervals, break and its evidence, criterion, rod intercept."""
     request = FitRequest(-3.0, 0.05, 0, 0.95, InterceptRule(-2.8, 12.0, 0.05, 0.02))
     fit = fit_adaptation(series(kind), request, np.random.default_rng(1))
-    told = to_mapping(fit)
-    told.pop("taken")
+    told = to_mapping(fit) | {"says": [outcome(fit), *meaning(fit)]}
     assert not moved(f"benches/fit_{kind.replace(' ', '_')}", told, rel=100 * FITS)
 
 

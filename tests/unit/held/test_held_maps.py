@@ -30,7 +30,7 @@ def figures(found: RadianceMap) -> dict[str, Any]:
         "mask": {str(bit.name): digest((found.mask & bit) != 0) for bit in PixelMask if bit},
         "u_rel_common": found.u_rel_common,
         "exposures_s": list(found.exposures_s),
-        "not in u": len(found.not_in_u),
+        "not in u": list(found.not_in_u),
         "parameters": found.provenance.parameters,
     }
 

@@ -18,9 +18,13 @@ MIDDLE = Patch(11, 13, 8, 9)  # 120 W·sr⁻¹·m⁻²
 
 
 def figures(reading: Reading) -> dict[str, Any]:
-    """Return the numbers and flags of a reading; its words belong to other tests."""
-    budget = {one.name: [one.u_rel, one.kind, one.degrees_of_freedom, one.correlated] for one in reading.budget}
-    return reading.to_mapping() | {"budget": budget, "parameters": reading.provenance.parameters}
+    """Return the numbers, flags and words of a reading."""
+    budget = {
+        one.name: [one.u_rel, one.kind, one.degrees_of_freedom, one.correlated, one.note] for one in reading.budget
+    }
+    provenance = reading.provenance
+    assumed = {"parameters": provenance.parameters, "assumptions": list(provenance.assumptions)}
+    return reading.to_mapping() | {"budget": budget} | assumed
 
 
 def read(frames: list[Frame], calibration: Calibration | None, patch: Patch = MIDDLE, **options: Any) -> Reading:
