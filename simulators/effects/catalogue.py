@@ -18,6 +18,7 @@ from radiometer.data import CameraDescription
 from simulators.effects.base import Effect
 from simulators.effects.context import ExposureContext, Signal
 
+_TOLD_RATIO: Final = 2.0  # of the longest dark exposure to the shortest
 _COMPARABLE_K: Final = 10.0  # one doubling to two of a dark current in silicon
 
 
@@ -253,17 +254,28 @@ def dark_temperatures_c(context: ExposureContext) -> Any:
     return known[np.isfinite(known)]
 
 
+def dark_exposures_vary(context: ExposureContext) -> bool:
+    """Tell whether dark frames of one exposure stand beside some of another: what grows with it is seen there only."""
+    settings: Any = context.settings
+    dark = np.asarray(settings.is_dark)
+    known = np.broadcast_to(settings.exposure_s, dark.shape)[dark]
+    return bool(known.size and known.max() >= _TOLD_RATIO * known.min())
+
+
 def nearest_temperature_c(context: ExposureContext, usual_c: float) -> float:
     """Return the temperature in °C to state a leak at: the usual one, or the whole °C of the dark frames nearest to it.
 
     What is stated far from any dark frame is known no better than the law that leads there. Within 10 K of one the
-    usual temperature stays, as it does where none is known, so that figures can be held against datasheets.
+    usual temperature stays, as it does where none is known, so that figures can be held against datasheets. Darks of
+    one temperature tell no doubling: stated at the very temperature, their leak does not ask for one.
     """
     known = dark_temperatures_c(context)
     if not known.size:
         return usual_c
     nearest = float(np.clip(usual_c, known.min(), known.max()))
-    return usual_c if abs(nearest - usual_c) <= _COMPARABLE_K else float(np.round(nearest))
+    if abs(nearest - usual_c) <= _COMPARABLE_K:
+        return usual_c
+    return float(np.round(nearest)) if np.ptp(known) > 0 else nearest
 
 
 def elapsed_s(context: ExposureContext) -> Any:

@@ -19,14 +19,13 @@ from radiometer.reconcile.chances import Mask, deviances, followed_scores, log_b
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.row_bands import RowBins, wave_power
 from radiometer.reconcile.measure.seen import COMB_PERIODS, CaptureStatistics
-from radiometer.reconcile.noise.darkness import Darkness
+from radiometer.reconcile.noise.darkness import Darkness, errors_of_darkness
 from radiometer.reconcile.noise.repeatability import steady_wander2
 from radiometer.reconcile.noise.shared_errors import (
     Part,
     Repeatability,
     band_excess,
     common_of_rows,
-    errors_of_darkness,
     line_excess,
     mixing_of_bands,
     mixing_of_lines,

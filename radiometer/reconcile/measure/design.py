@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from radiometer.data import CaptureHeader, FrameSettings
 from radiometer.errors import CaptureError
+from radiometer.reconcile.measure.thermometer import readings_c, regulated, uncertainty_of_readings
 
 Array = NDArray[np.float64]
 
@@ -78,11 +79,12 @@ class Design:
     """What was captured: settings per capture and the tiles, without any pixel.
 
     Attributes:
-        header: What `capture.yaml` says, with a stand-in for exposures of 0 s.
+        header: What `capture.yaml` says, with a stand-in for exposures of 0 s and one temperature for readings in turn.
         shape: (height, width) of the frames in pixels.
         captures: Captures in the order taken.
         tiles: Tiles of the picture.
         uniform: Whether the tiles are known patches (uniform by design) rather than cells of an unknown scene.
+        reading_u_k: Standard uncertainty of a temperature reading in K; 0 where readings do not come in steps.
     """
 
     header: CaptureHeader
@@ -90,6 +92,7 @@ class Design:
     captures: tuple[Capture, ...]
     tiles: tuple[Tile, ...]
     uniform: bool
+    reading_u_k: float = 0.0
 
     @classmethod
     def of(cls, header: CaptureHeader, shape: tuple[int, int]) -> Design:
@@ -98,9 +101,10 @@ class Design:
         Raises:
             CaptureError: If a patch lies outside the frames or is too small to be judged.
         """
-        header = _without_zeros(header)
+        reading_u_k = uncertainty_of_readings(readings_c(header))
+        header = regulated(_without_zeros(header))
         tiles = _patch_tiles(header, shape) or _grid_tiles(len(_patterns(header)), shape)
-        return cls(header, shape, group_captures(header), tiles, bool(header.patches))
+        return cls(header, shape, group_captures(header), tiles, bool(header.patches), reading_u_k)
 
     @cached_property
     def patterns(self) -> tuple[str, ...]:
@@ -169,12 +173,6 @@ class Design:
     def temperature_c(self) -> Array:
         """Return the sensor temperature of each capture in °C; NaN where unknown."""
         return self._column("temperature_c")
-
-    @cached_property
-    def frame_temperatures_c(self) -> Array:
-        """Return the temperature reading of each frame in °C; NaN where there is none."""
-        readings = [entry.temperature_C for entry in self.header.frames]
-        return np.array([np.nan if reading is None else reading for reading in readings], dtype=np.float64)
 
     @cached_property
     def timestamp_s(self) -> Array:

@@ -34,6 +34,9 @@ class CaptureStatistics:
         black: (captures,) variance in DN² of an offset that all tiles of a frame share, steady change taken out.
         black_unit: (captures,) what pixel noise alone gives it.
         black_dof: (captures,) its degrees of freedom; 0 where too few frames tell it.
+        drift: (captures,) the same of half a wave down the frame, as a random walk of the black level has it.
+        drift_unit: (captures,) what pixel noise alone gives it.
+        drift_dof: (captures,) its degrees of freedom.
         row_temporal: (captures,) variance of row means from frame to frame over what pixel noise alone gives.
         row_temporal_weight: (captures,) its sensitivity: mean over rows of Σ 1/variance, in DN⁻².
         row_temporal_dof: (captures,) its degrees of freedom.
@@ -73,6 +76,9 @@ class CaptureStatistics:
     black: Array
     black_unit: Array
     black_dof: Array
+    drift: Array
+    drift_unit: Array
+    drift_dof: Array
     row_temporal: Array
     row_temporal_weight: Array
     row_temporal_dof: Array

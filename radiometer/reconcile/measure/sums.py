@@ -28,6 +28,7 @@ _LOPSIDED: Final = 2.0  # a twentieth of the pixels as many times farther below:
 _SMOOTH_MAD_DN: Final = 15.0**0.5 / _MAD_TO_SIGMA
 _MOST_FOR_MEDIAN: Final = 4096  # samples that give a robust sigma to 2 %; more would cost time and change nothing
 _TREND_TERMS: Final = 6
+_HALF_WAVES: Final = 3  # down a frame, of a black level that moves while the rows are read
 _CUT_OFF: Final = 1.0 / 3.0  # of a darker tile's noise, below which light is cut off: six sigmas of 36 pixels in pairs
 
 Mask = NDArray[np.bool_]
@@ -175,10 +176,22 @@ class CaptureSums:
         result |= fixed_profile(self.groups, residuals, spatial, counting)
         result |= row_light(bins, self.groups, self.row_sums, known, means, variance, black_dn, structured=structured)
         result |= light_of_frames(means, out, black_dn)
-        result |= _additive_fluctuation(means, out)
+        result |= _additive_fluctuation(means, out, self._half_waves())
         result["side_lines"], result["side_unevenness"] = self.sides.lines(self.side_pixels / n)
         result |= _comb(self.histogram)
         return result, outlying
+
+    def _half_waves(self) -> Array:
+        """Return the mean over each tile of half waves down the frame, (tiles, waves): as many as tiles can tell."""
+        rows = np.zeros(self.low.size)
+        for group in self.groups:
+            rows[group.index] = group.rows[:, 0]
+        waves = np.arange(1, min(_HALF_WAVES, np.unique(rows).size - 1) + 1)
+        found = np.zeros((self.low.size, waves.size))
+        for group in self.groups:
+            down = np.pi * (group.rows[:, :, None] + 0.5) / self.defects.shape[0]
+            found[group.index] = np.cos(down * waves).mean(axis=1)
+        return found
 
     def _finish_group(
         self, number: int, group: TileGroup, means: Array, spacing_dn: float, out: dict[str, Array], outlying: Mask
@@ -349,28 +362,43 @@ def _common_fluctuation(means: Array, out: Mapping[str, Array], black_dn: float)
     return {"common": float(np.sum(amplitude**2) / (n - 1) * information), "common_unit": 1.0 / information}
 
 
-def _additive_fluctuation(means: Array, out: dict[str, Array]) -> dict[str, float]:
+def _additive_fluctuation(means: Array, out: dict[str, Array], waves: Array) -> dict[str, float]:
     """Return the variance in DN² of an offset that all tiles of a frame share, and what pixel noise alone gives it.
 
-    What goes on steadily through the frames is a drift, not a wander: a straight line over them is taken out.
+    Beside it that of half waves down the frame: of a random walk the k-th has 1/k of the first, so that k times their
+    sizes tell the first one's. What goes on steadily through the frames is a drift, not a wander: a straight line over
+    them is taken out.
+
+    Args:
+        means: (frames, tiles) means in DN.
+        out: Statistics of the tiles by name.
+        waves: (tiles, waves) mean of each half wave over each tile.
     """
     means = means[1:] if means.shape[0] > 2 else means  # the first frame may differ for a reason of its own
     n = means.shape[0]
     taken = 1 if n < 3 else 2
     usable = _free(out) & (out["variance"] > 0)
     weight = np.where(usable, out["pixels"] / np.where(usable, out["variance"], 1.0), 0.0)
-    information = float(weight.sum())
-    if n <= taken or information <= 0:
-        return {"black": np.nan, "black_unit": np.nan, "black_dof": 0.0}
-    offset = (means - means.mean(axis=0)) @ weight / information
-    if taken == 2:
-        steady = np.arange(n) - (n - 1) / 2.0
-        offset = offset - steady * float(offset @ steady) / float(steady @ steady)
-    return {
-        "black": float(offset @ offset) / (n - taken),
-        "black_unit": 1.0 / information,
-        "black_dof": float(n - taken),
-    }
+    found: dict[str, float] = {}
+    for name, forms in (("black", np.ones((usable.size, 1))), ("drift", waves)):
+        shapes = forms if name == "black" else np.column_stack([forms, np.ones(usable.size)])
+        inverse = np.linalg.pinv(shapes.T @ (weight[:, None] * shapes), hermitian=True)
+        rank = forms.shape[1]
+        size = np.arange(1, rank + 1)
+        unit = np.square(size) * np.diag(inverse)[:rank]
+        if n <= taken or not weight.sum() > 0 or not rank:
+            found |= {name: np.nan, f"{name}_unit": np.nan, f"{name}_dof": 0.0}
+            continue
+        offset = size * ((means - means.mean(axis=0)) @ (weight[:, None] * shapes) @ inverse)[:, :rank]
+        if taken == 2:
+            steady = np.arange(n) - (n - 1) / 2.0
+            offset = offset - np.outer(steady, steady @ offset) / float(steady @ steady)
+        found |= {
+            name: float(np.sum(offset**2)) / (n - taken) / rank,
+            f"{name}_unit": float(np.mean(unit)),
+            f"{name}_dof": (n - taken) * float(unit.sum() ** 2 / np.sum(unit**2)),
+        }
+    return found
 
 
 def _common_amplitude(means: Array, out: Mapping[str, Array], black_dn: float) -> tuple[Array, float]:

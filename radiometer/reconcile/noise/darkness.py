@@ -8,16 +8,15 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconcile.chances import chi2_beyond
+from radiometer.reconcile.chances import Mask, chi2_beyond
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.seen import CaptureStatistics
+from radiometer.reconcile.noise.shared_errors import Part, SharedError, tilts_of_rows
 
-_FEWEST: Final = 2.0  # degrees of freedom of repeated dark frames that tell a wander
+_FEWEST: Final = 1.0  # degrees of freedom of repeated dark frames that tell a wander
 _CHANCE: Final = 1e-4
+_HALF_WAVES: Final = 12  # of a black level that moves within a frame: three to each of four tiles
 _MOST_SHARE: Final = 0.3  # of a pixel's own noise: a black level that differs by more is something to name
-_FINEST_STEP_K: Final = 0.05
-_WIDEST_STEP_K: Final = 0.75
-_REPEATED: Final = 0.5  # share of frames that may have a reading of their own before readings are no steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +25,7 @@ class Darkness:
 
     Attributes:
         black_dn: Standard deviation by which the black level wanders from frame to frame, in DN.
+        drift_dn: Standard deviation of half a wave down the rows by which it moves while a frame is read, in DN.
         temperature_k: Standard uncertainty of a temperature reading, in K.
         warmth: (captures, tiles) change of the means in DN per kelvin.
         swelling: The same of ln of variances, by statistic: leaks that differ do so the more the warmer it is.
@@ -35,6 +35,7 @@ class Darkness:
     temperature_k: float
     warmth: Array
     swelling: Mapping[str, Array] = field(default_factory=dict)
+    drift_dn: float = 0.0
 
 
 def wander_of_black(design: Design, seen: CaptureStatistics) -> float:
@@ -47,35 +48,84 @@ def wander_of_black(design: Design, seen: CaptureStatistics) -> float:
         design: Captures.
         seen: What was measured.
     """
-    told = design.closed & (seen.black_dof > 0) & np.isfinite(seen.black)
-    freedom = float(seen.black_dof[told].sum())
+    return _wander("black", design, seen)
+
+
+def drift_of_black(design: Design, seen: CaptureStatistics) -> float:
+    """Return the standard deviation in DN of half a wave down the rows by which dark frames differ; 0 where none need.
+
+    Rows are read one after the other: what wanders from frame to frame moves within one, too.
+
+    Args:
+        design: Captures.
+        seen: What was measured.
+    """
+    return _wander("drift", design, seen)
+
+
+def _wander(name: str, design: Design, seen: CaptureStatistics) -> float:
+    shown, unit, dof = (getattr(seen, name + of) for of in ("", "_unit", "_dof"))
+    told = design.closed & (dof > 0) & np.isfinite(shown)
+    freedom = float(dof[told].sum())
     if freedom < _FEWEST:
         return 0.0
     rows = np.where(np.isfinite(seen.row_temporal), np.maximum(seen.row_temporal, 1.0), 1.0)
-    chance = seen.black_unit[told] * rows[told]
-    weight = seen.black_dof[told]
-    if chi2_beyond(float(np.sum(weight * seen.black[told] / chance)), int(freedom)) > _CHANCE:
+    chance = unit[told] * rows[told]
+    weight = dof[told]
+    if chi2_beyond(float(np.sum(weight * shown[told] / chance)), int(freedom)) > _CHANCE:
         return 0.0
-    wander2 = float(np.sum(weight * (seen.black[told] - chance)) / freedom)
+    wander2 = float(np.sum(weight * (shown[told] - chance)) / freedom)
     noise2 = float(np.nanmedian(seen.variance[told]))
     return float(np.sqrt(np.clip(wander2, 0.0, _MOST_SHARE**2 * noise2)))
 
 
-def uncertainty_of_readings(temperatures_c: Array) -> float:
-    """Return the standard uncertainty in K of temperature readings that come in steps; 0 where they do not.
+def errors_of_darkness(design: Design, usable: Mapping[str, Mask], darkness: Darkness) -> tuple[SharedError, ...]:
+    """Return what a wandering black level and a coarse thermometer do to a capture's means, first frame and variances.
 
-    A regulated sensor shows two neighbouring readings in turn: their distance is the step, and the temperature lies
-    anywhere in it.
+    Repeated frames do not average it out: they follow one another, and the black level has its way from one series to
+    the next.
 
     Args:
-        temperatures_c: Reading of each frame in °C; NaN where there is none.
-
-    Source: JCGM 100:2008, 4.3.7, a rectangular distribution.
+        design: Captures and tiles.
+        usable: Which entries of each statistic count.
+        darkness: How far darkness differs.
     """
-    known = temperatures_c[np.isfinite(temperatures_c)]
-    readings = np.unique(np.round(known, 3))
-    if readings.size < 2 or readings.size > _REPEATED * known.size:
-        return 0.0
-    steps = np.diff(readings)
-    steps = steps[(steps >= _FINEST_STEP_K) & (steps <= _WIDEST_STEP_K)]
-    return float(np.median(steps)) / np.sqrt(12.0) if steps.size else 0.0
+    first = 1.0 + 1.0 / np.maximum(design.frame_count - 1.0, 1.0)
+    every, one = np.ones(len(design.captures)), np.ones((len(design.tiles), 1))
+    found = []
+    for name, amplitude, u in (
+        ("black level of a capture", np.ones_like(darkness.warmth), darkness.black_dn),
+        ("temperature of a capture", darkness.warmth, darkness.temperature_k),
+    ):
+        if u > 0:
+            found += [
+                SharedError(name, {"mean": Part(np.where(usable["mean"], amplitude, 0.0), one)}, u**2 * every),
+                SharedError(name, {"first": Part(np.where(usable["first"], amplitude, 0.0), one)}, u**2 * first),
+            ]
+    if darkness.drift_dn > 0:
+        found += _drift(design, usable, darkness.drift_dn, first)
+    for statistic, swelling in darkness.swelling.items() if darkness.temperature_k > 0 else ():
+        part = Part(np.where(usable[statistic], swelling, 0.0), one)
+        found.append(SharedError("temperature of a capture", {statistic: part}, darkness.temperature_k**2 * every))
+    return tuple(found)
+
+
+def _drift(design: Design, usable: Mapping[str, Mask], drift_dn: float, first: Array) -> list[SharedError]:
+    """Return a black level that moves while the rows are read, as a random walk does: k half waves have 1/k of one.
+
+    Its steps in one frame are independent of those in another, so that repeats average them out.
+
+    Source: the expansion of Brownian motion in cosines, K. Karhunen (1947), whose variances go as 1/k².
+    """
+    waves = np.arange(1, _HALF_WAVES + 1)
+    shapes = np.cos(np.pi * (np.arange(design.shape[0])[:, None] + 0.5) / design.shape[0] * waves)
+    variance = np.square(drift_dn / waves)
+    parts = {"mean": design.rows_of_tiles @ shapes, "slope_y": tilts_of_rows(design) @ shapes}
+    of_mean = 1.0 / design.frame_count
+    bases = (("mean", parts["mean"], of_mean), ("first", parts["mean"], first), ("slope_y", parts["slope_y"], of_mean))
+    return [
+        SharedError(
+            "black level within a frame", {n: Part(usable[n].astype(np.float64), basis)}, each[:, None] * variance
+        )
+        for n, basis, each in bases
+    ]

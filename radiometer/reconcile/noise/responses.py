@@ -10,7 +10,7 @@ import numpy as np
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.measure.seen import CaptureStatistics
 from radiometer.reconcile.model.tile_model import Nuisance, TileModel
-from radiometer.reconcile.noise.darkness import Darkness, uncertainty_of_readings, wander_of_black
+from radiometer.reconcile.noise.darkness import Darkness, drift_of_black, wander_of_black
 from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.statistics import STATISTICS, Scale
 
@@ -32,14 +32,15 @@ def light_response(model: TileModel, nuisance: Nuisance, base: Prediction) -> tu
 def darkness_of(model: TileModel, nuisance: Nuisance, base: Prediction, seen: CaptureStatistics) -> Darkness | None:
     """Return how far darkness differs from frame to frame; None where nothing shows that it does."""
     design = model.design
-    black_dn, reading_k = wander_of_black(design, seen), uncertainty_of_readings(design.frame_temperatures_c)
-    if not (black_dn or reading_k):
+    black_dn, drift_dn, reading_k = wander_of_black(design, seen), drift_of_black(design, seen), design.reading_u_k
+    if not (black_dn or drift_dn or reading_k):
         return None
     warmer = model.warmed(_WARMER_K).predict(nuisance) if reading_k else base
     # A law that is not found yet may rise steeply: no more than what was seen to gather can.
     most = np.log(2.0) / _STEEPEST_DOUBLING_K * np.maximum(seen.mean - np.nanmin(seen.mean), 0.0)
     swelling = {n: np.log(getattr(warmer, n) / getattr(base, n)) / _WARMER_K for n in _SWELLING} if reading_k else {}
-    return Darkness(black_dn, reading_k, np.clip((warmer.mean - base.mean) / _WARMER_K, -most, most), swelling)
+    warmth = np.clip((warmer.mean - base.mean) / _WARMER_K, -most, most)
+    return Darkness(black_dn, reading_k, warmth, swelling, drift_dn)
 
 
 def form_floors(model: TileModel, nuisance: Nuisance, prediction: Prediction) -> dict[str, Array]:

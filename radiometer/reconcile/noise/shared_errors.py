@@ -21,7 +21,6 @@ from radiometer.reconcile.chances import Mask, frames_counted, score_slope
 from radiometer.reconcile.measure.design import SURFACE_LINES, Array, Design
 from radiometer.reconcile.measure.row_bands import RowBins, TileBands
 from radiometer.reconcile.measure.seen import CaptureStatistics
-from radiometer.reconcile.noise.darkness import Darkness
 from radiometer.reconcile.prediction import Prediction
 
 _LEAST_EXCESS: Final = -0.9  # of a variance ratio, so that it stays positive
@@ -136,35 +135,6 @@ def shared_errors(
     return tuple(found)
 
 
-def errors_of_darkness(design: Design, usable: Mapping[str, Mask], darkness: Darkness) -> tuple[SharedError, ...]:
-    """Return what a wandering black level and a coarse thermometer do to a capture's means, first frame and variances.
-
-    Repeated frames do not average it out: they follow one another, and the black level has its way from one series to
-    the next.
-
-    Args:
-        design: Captures and tiles.
-        usable: Which entries of each statistic count.
-        darkness: How far darkness differs.
-    """
-    first = 1.0 + 1.0 / np.maximum(design.frame_count - 1.0, 1.0)
-    every, one = np.ones(len(design.captures)), np.ones((len(design.tiles), 1))
-    found = []
-    for name, amplitude, u in (
-        ("black level of a capture", np.ones_like(darkness.warmth), darkness.black_dn),
-        ("temperature of a capture", darkness.warmth, darkness.temperature_k),
-    ):
-        if u > 0:
-            found += [
-                SharedError(name, {"mean": Part(np.where(usable["mean"], amplitude, 0.0), one)}, u**2 * every),
-                SharedError(name, {"first": Part(np.where(usable["first"], amplitude, 0.0), one)}, u**2 * first),
-            ]
-    for statistic, swelling in darkness.swelling.items() if darkness.temperature_k > 0 else ():
-        part = Part(np.where(usable[statistic], swelling, 0.0), one)
-        found.append(SharedError("temperature of a capture", {statistic: part}, darkness.temperature_k**2 * every))
-    return tuple(found)
-
-
 def _row_noise(design: Design, base: Prediction, usable: Mapping[str, Mask], variance: Array) -> list[SharedError]:
     """Return row noise: in means, slopes and first frames, and what its own chance variance does to variances."""
     n = design.frame_count
@@ -174,7 +144,7 @@ def _row_noise(design: Design, base: Prediction, usable: Mapping[str, Mask], var
     found = [
         SharedError("row noise", {"mean": Part(count["mean"], rows)}, variance / n),
         SharedError("row noise of the first frame", {"first": Part(count["first"], rows)}, variance * first),
-        SharedError("row noise as a tilt", {"slope_y": Part(count["slope_y"], _tilts_of_rows(design))}, variance / n),
+        SharedError("row noise as a tilt", {"slope_y": Part(count["slope_y"], tilts_of_rows(design))}, variance / n),
     ]
     for name, moved in _moved_by_rows(design, base).items():
         spread, taken = _spread_of_rows(design)[name], SURFACE_LINES if name == "spatial" else 1
@@ -183,7 +153,7 @@ def _row_noise(design: Design, base: Prediction, usable: Mapping[str, Mask], var
     return found
 
 
-def _tilts_of_rows(design: Design) -> Array:
+def tilts_of_rows(design: Design) -> Array:
     """Return what each row adds to the tiles' rises from centre to bottom edge, (tiles, rows)."""
     tilts = np.zeros((len(design.tiles), design.shape[0]))
     for number, tile in enumerate(design.tiles):

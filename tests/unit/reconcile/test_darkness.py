@@ -14,8 +14,8 @@ from radiometer.reconcile.fit.state import reweighted, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.measure.seen import CaptureStatistics
-from radiometer.reconcile.noise.darkness import Darkness, uncertainty_of_readings, wander_of_black
-from radiometer.reconcile.noise.shared_errors import errors_of_darkness
+from radiometer.reconcile.measure.thermometer import regulated, uncertainty_of_readings
+from radiometer.reconcile.noise.darkness import Darkness, drift_of_black, errors_of_darkness, wander_of_black
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
 from simulators.effects.prnu import Prnu
 
@@ -61,6 +61,36 @@ def test_a_wander_is_no_more_than_a_share_of_the_pixels_noise() -> None:
     assert wander_of_black(design, seen) == pytest.approx(0.3 * NOISE_DN, rel=0.05)
 
 
+def test_a_black_level_that_moves_within_frames_is_measured() -> None:
+    """Half waves of 0.8 DN over their number, new in each frame, show 0.8 DN; what moves as a whole, or never, none."""
+    rng = np.random.default_rng(15)
+    number = np.arange(1, 5)
+    waves = np.cos(np.pi * number * (np.arange(SIZE[0])[:, None] + 0.5) / SIZE[0])
+    repeats, size = [(0.01, 20.0)] * 40, rng.normal(0.0, 0.8, (40, 4)) / number
+    design, seen, _ = _dark(repeats, rng, lambda n: (waves @ size[n])[:, None])
+    assert drift_of_black(design, seen) == pytest.approx(0.8, rel=0.4)
+    for steady in (lambda n: 0.0, lambda n: size[n, 0], lambda n: 3.0 * waves[:, :1]):
+        design, seen, _ = _dark(repeats, rng, steady)
+        assert drift_of_black(design, seen) == 0.0
+
+
+def test_the_weights_hold_a_black_level_that_walks_at_random() -> None:
+    """Rows that each add a random step to the row before: means, tilts and first frames scatter as the weights say."""
+    rng, frames, series = np.random.default_rng(16), 5, 24
+    step = 2.4 / np.sqrt(SIZE[0])
+
+    def walk(number: int) -> Any:
+        return np.cumsum(rng.normal(0.0, step, SIZE[0]))[:, None]
+
+    design, seen, images = _dark([(0.01 * (1 + n // frames), 20.0) for n in range(frames * series)], rng, walk)
+    state = first_state(design, seen, images)
+    for name in ("first", "slope_y"):
+        squares = np.square(state.data_residual[state.comparison.cuts[name]])
+        plain = np.square(getattr(seen, name) / state.comparison.deviation[name]).mean()
+        assert plain > 1.8  # without the walk the weights would be wrong
+        assert 0.5 < squares.mean() < 1.0 + 3.0 * np.sqrt(2.0 / squares.size), name
+
+
 def test_readings_in_steps_are_known_to_a_step() -> None:
     """Two readings 0.42 K apart in turn: 0.42 K/√12; readings that all differ, or plateaus alone, tell no step."""
     turns = np.array([-4.82, -5.23, -4.82, -5.23, -5.23, -10.2, -10.2, -10.2])
@@ -81,6 +111,36 @@ def test_two_readings_of_one_plateau_are_one_setting() -> None:
     assert [capture.frames for capture in design.captures] == [(0,), (1, 3, 5), (2, 4)] or sorted(
         capture.frames for capture in design.captures
     ) == [(0,), (1, 3, 5), (2,), (4,)]
+
+
+def _read_at(*warm: float) -> CaptureHeader:
+    entries = tuple(
+        FrameEntry.of(f"{n}.tif", FrameSettings(60.0, temperature_c=w, timestamp_s=60.0 * n, shutter="closed"))
+        for n, w in enumerate(warm)
+    )
+    return CaptureHeader(camera=CameraDescription(bit_depth=16), frames=entries)
+
+
+def _temperatures(header: CaptureHeader) -> list[float | None]:
+    return [entry.temperature_C for entry in regulated(header).frames]
+
+
+def test_readings_in_turn_are_one_temperature() -> None:
+    """Two neighbouring steps in turn are one regulated temperature; a drift, and steps alone, stay as read."""
+    turns = (-4.82, -5.23, -4.82, -5.23, -5.23, -10.2, -10.2, -10.2)
+    mean = (2 * -4.82 + 3 * -5.23) / 5
+    assert _temperatures(_read_at(*turns)) == pytest.approx([mean] * 5 + [-10.2] * 3)
+    drift = (-4.82, -4.82, -4.82, -5.23, -5.23, -5.23)
+    assert _temperatures(_read_at(*drift)) == pytest.approx(list(drift))
+    wide = (-4.82, -5.23, -5.64, -4.82, -5.64, -5.23, -4.82, -5.23, -5.64)  # over three steps: it moves
+    assert _temperatures(_read_at(*wide)) == pytest.approx(list(wide))
+
+
+def test_readings_in_turn_keep_their_uncertainty() -> None:
+    """What is one temperature is known to a step still: 0.41 K/√12."""
+    design = Design.of(_read_at(-4.82, -5.23, -4.82, -5.23, -4.82, -5.23), SIZE)
+    assert np.ptp(design.temperature_c) == 0.0
+    assert design.reading_u_k == pytest.approx(0.41 / np.sqrt(12.0))
 
 
 def test_darkness_moves_all_tiles_of_a_capture_together() -> None:
@@ -104,6 +164,7 @@ def test_a_coarse_thermometer_moves_what_leaks_add_to_variances() -> None:
     shape = (len(design.captures), len(design.tiles))
     usable = {name: np.ones(shape, np.bool_) for name in ("mean", "first", "spatial")}
     swelling = {"spatial": np.full(shape, 0.2)}
+    assert errors_of_darkness(design, usable, Darkness(0.0, 0.0, np.zeros(shape))) == ()
     found = errors_of_darkness(design, usable, Darkness(0.0, 0.5, np.zeros(shape), swelling))
     spatial = sum(error.covariance("spatial")[0] for error in found if "spatial" in error.parts)
     assert spatial == pytest.approx(np.full((shape[1], shape[1]), 0.1**2))

@@ -106,10 +106,10 @@ def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c: tuple[float, .
 
 
 def test_a_rate_is_stated_at_a_temperature_of_darks() -> None:
-    """Light at 25 and 45 °C beside darks at 40 °C: 40 °C."""
+    """Light at 25 and 45 °C beside darks at 40.2 °C alone: their very temperature, where no doubling matters."""
     warm, dark = np.array([25.0, 40.2, 45.0]), np.array([False, True, False])
     session = replace(_context(), settings=cast(Any, SimpleNamespace(temperature_c=warm, is_dark=dark)))
-    assert {start.reference_C for start in DarkCurrent.starts(session)} == {40.0}
+    assert {start.reference_C for start in DarkCurrent.starts(session)} == {40.2}
     assert "doubling_K" not in DarkCurrentNonuniformity.starts(session)[0].free()
 
 
