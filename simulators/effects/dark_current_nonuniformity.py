@@ -10,18 +10,23 @@ import numpy as np
 from scipy.special import ndtr
 
 from simulators.effects.base import ELECTRONS, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, dark_temperatures_c, warmer_k
+from simulators.effects.catalogue import CatalogueEffect, dark_exposures_vary, dark_temperatures_c, warmer_k
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
 _USUAL_DOUBLING_K: Final = 7.0
 _TOLD_K: Final = 2.0  # by which darks must differ to tell a law
 _LEAST_E: Final = 1e-12  # a pattern that is none
+_SMOOTH: Final = ("rise_x", "rise_y", "bend_x", "bend_y")
+_THIRD: Final = 1.0 / 3.0  # mean of x² from −1 to 1
 
 
 @dataclass(frozen=True)
 class DarkCurrentNonuniformity(CatalogueEffect):
     """Adds to each pixel a fixed share of thermal electrons: S grows by p·t·2^((T − T₀)/T_d), p varies by s.
+
+    p may rise and bend over the sensor, too: by s·(a·x + b·y + c·(x² − ⅓) + d·(y² − ⅓)), x and y from −1 to 1 over its
+    longer side: what generates charge is not spread evenly over a wafer, and edges have more of it.
 
     The pattern is log-normal less its mean: a few pixels leak much more than the others, and stand out as hot pixels.
     It has no mean of its own, for that is the dark current's; only what is cut off moves the mean: no pixel holds less
@@ -29,7 +34,8 @@ class DarkCurrentNonuniformity(CatalogueEffect):
 
     Source: EMVA Standard 1288, release 4.0, DCNU; the tail as seen in CMOS datasheets; Widenhorn et al. (2002), Proc.
     SPIE 4669, 193: what differs between pixels is generation in the depletion region (doubling in 7 to 8 K), beside a
-    diffusion current that all share (3 to 5 K).
+    diffusion current that all share (3 to 5 K). A KAF-1001E's darks of 300 s at 0 °C rise by 2 % down the rows and by
+    2 % from the middle column to both sides, and as slowly with the temperature as its pattern does.
     """
 
     name = "dark_current_nonuniformity"
@@ -54,6 +60,11 @@ class DarkCurrentNonuniformity(CatalogueEffect):
     doubling_K: float = parameter(_USUAL_DOUBLING_K, "K", 2.0, 30.0, source="silicon: 4.5 to 8 K")  # noqa: N815
     shape: float = parameter(0.5, "1", 0.05, 1.2, source="standard deviation of the leak's logarithm; CMOS: 0.3 to 0.8")
 
+    rise_x: float = parameter(0.0, "1", -10.0, 10.0, source="shares of the pattern; 0.05 in a KAF-1001E")
+    rise_y: float = parameter(0.0, "1", -10.0, 10.0, source="the same from top to bottom")
+    bend_x: float = parameter(0.0, "1", -10.0, 10.0, source="the same from the middle to both sides")
+    bend_y: float = parameter(0.0, "1", -10.0, 10.0, source="the same to top and bottom")
+
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return the patterns from which a search begins: darks of several temperatures tell their doubling."""
@@ -64,11 +75,19 @@ class DarkCurrentNonuniformity(CatalogueEffect):
 
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit: the doubling only where it is not the usual one."""
-        return self.fitted if self.doubling_K == _USUAL_DOUBLING_K else (*self.fitted, "doubling_K")
+        doubling = () if self.doubling_K == _USUAL_DOUBLING_K else ("doubling_K",)
+        return (*self.fitted, *doubling, *(_SMOOTH if self._is_uneven() else ()))
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the pattern that rises and bends over the sensor: seen at one exposure, any uneven black is that."""
+        if self._is_uneven() or not dark_exposures_vary(context):
+            return ()
+        return (self.with_parameters(**dict.fromkeys(_SMOOTH, 0.02)),)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the signal of the pixels that count."""
         pattern = np.maximum(self.electrons(context), _LEAST_E)
+        signal = signal + self._smooth(context) * pattern
         average, spread = self._lognormal()
         emptied = average - signal * spread / pattern  # leaks, over their median, that would leave less than nothing
         share, held = self._above(emptied)
@@ -85,7 +104,8 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         """Return the signal with this camera's pattern of leaks; never below zero."""
         tail = np.exp(self.shape * context.fixed_rng(self.name).standard_normal(signal.shape))
         average, spread = self._lognormal()
-        leaked = np.maximum(signal + (tail - average) / spread * self.electrons(context), 0.0)
+        leak = (tail - average) / spread + self._smooth(context)
+        leaked = np.maximum(signal + leak * self.electrons(context), 0.0)
         return cast(Signal, leaked.astype(signal.dtype))
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
@@ -94,6 +114,17 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         pixels: Any = getattr(context, "tile_pixels", 1.0)
         count = (above * pixels).mean(axis=2, keepdims=True).sum(axis=1, keepdims=True)
         return after.changed(outliers=before.outliers + count)
+
+    def _is_uneven(self) -> bool:
+        return any(getattr(self, name) for name in _SMOOTH)
+
+    def _smooth(self, context: ExposureContext) -> Any:
+        """Return by how many of its standard deviations the pattern lies higher in some place of the sensor."""
+        if not self._is_uneven():
+            return 0.0
+        x, y = context.geometry.sensor_xy()
+        rise = self.rise_x * x + self.rise_y * y
+        return rise + self.bend_x * (np.square(x) - _THIRD) + self.bend_y * (np.square(y) - _THIRD)
 
     def _standing_out(self, signal: Signal, context: ExposureContext, spatial_variance: Any = 0.0) -> Any:
         """Return the leak over its median from which on a pixel stands out by more than 6 robust sigmas."""

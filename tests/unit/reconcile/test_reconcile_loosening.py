@@ -81,3 +81,28 @@ def test_the_mean_of_uneven_leaks_is_the_dark_current_s(make_capture: Callable[.
         found = parameters[name][key]
         assert found.u is not None
         assert abs(found.value - truth) < 4.0 * found.u < 0.15 * truth
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("uneven", [True, False])
+def test_leaks_that_are_more_at_the_bottom_rise_over_the_sensor(make_capture: Callable[..., Any], uneven: bool) -> None:
+    """Leaks that grow e-fold within a third of the rows: the pattern rises and bends as they do; else it is even."""
+    drawn = np.random.default_rng(7).lognormal(0.0, 0.5, (64, 96))
+    down = np.linspace(-1.0, 1.0, 64)[:, None]
+    more = 0.8 * np.exp((down - 1.0) / 0.67) * uneven
+    leak = 4.0 * drawn / drawn.mean() + more
+    darks = [{"t": t, "T": c, "shutter": "closed"} for t in (1.0, 3.0, 10.0) for c in (20.0, 25.0, 30.0)]
+    plan = [*darks, *darks, *({"t": t} for t in (1e-3, 3e-3, 5e-3) for _ in range(2))]
+    captured = make_capture(4, extra_e=lambda s: leak * 2.0 ** ((s["T"] - 25.0) / 6.0) * s["t"], plan=plan)
+    state = _with(DarkCurrentNonuniformity(2.0, doubling_K=7.2), captured, DarkCurrent(3.0))
+    form = loosened(state)
+    assert (form is not None) is uneven
+    if form is not None:
+        found = fitted_parameters(form.state)["dark_current_nonuniformity"]
+        sigma = found["sigma_e_per_s"].value
+        rise, bend = np.polynomial.legendre.legfit(down[:, 0], np.broadcast_to(more, (64, 1))[:, 0], 2)[1:]
+        side = 64 / 96  # y runs from −1 to 1 over the longer side
+        rises = (("rise_y", rise / sigma / side), ("bend_y", 1.5 * bend / sigma / side**2))
+        for name, truth in (*rises, ("rise_x", 0.0), ("bend_x", 0.0)):
+            assert found[name].u is not None
+            assert abs(found[name].value - truth) < 4.0 * float(found[name].u or 0.0) < 0.5
