@@ -234,7 +234,8 @@ def _taken_up(state: FitState, block: str) -> Array:
 def _at_bound(state: FitState) -> list[str]:
     """Return what parameters the data push out of their physical range: the entry is bent to what it is not."""
     own = state.parameters
-    ends = [index for index in sorted(state.frozen) if own.values[index] != 0.0]
+    low, high = own.on_bounds()  # what moves nothing where it stands is frozen too
+    ends = [index for index in sorted(state.frozen) if (low | high)[index] and own.values[index] != 0.0]
     ends = [index for index in ends if own.names[index] not in own.effects[own.owner[index]].endless]
     return [
         f"{own.names[index]} of {own.effects[own.owner[index]].name}"

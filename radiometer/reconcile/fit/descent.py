@@ -103,7 +103,10 @@ def approached(state: FitState) -> FitState:
 
 
 def settled(state: FitState) -> FitState:
-    """Return the state refitted under weights of its own, until these no longer move the parameters."""
+    """Return the state refitted under weights of its own, until these no longer move the parameters.
+
+    Of what does not settle the weights that speak less for it count.
+    """
     for _ in range(_REWEIGHTINGS):
         before, state = state.parameters.values, approached(reweighted(state))
         after = state.parameters.values
@@ -111,7 +114,9 @@ def settled(state: FitState) -> FitState:
             continue
         if not after.size or float(np.max(np.abs(after - before) / state.parameters.scale)) < _SETTLED:
             return _held_at_bounds(state)
-    return refit(state)
+    last = refit(state)
+    own = refit(reweighted(last))  # a pattern fitted to nothing beside realisations that its former size allowed
+    return min(last, own, key=lambda found: found.evidence)
 
 
 def beside(state: FitState, effect: CatalogueEffect, iterations: int = _ITERATIONS) -> FitState:

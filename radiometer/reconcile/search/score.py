@@ -16,6 +16,7 @@ from radiometer.reconcile.thresholds import (
     LATER_NATS,
     NAMED_NATS,
     PARAMETER_NATS,
+    RIVAL_NATS,
     SHOWN_CHI2,
     STATED_NATS,
     STATED_SHARE,
@@ -42,6 +43,23 @@ def score(entry: tuple[FittedCandidate, float]) -> float:
 def likeliest(judged: list[tuple[FittedCandidate, float]]) -> tuple[FittedCandidate, float] | None:
     """Return the judged candidate of the highest score."""
     return max(judged, key=score) if judged else None
+
+
+def by_itself(full: list[Judged], alone: list[Judged], scatter: float) -> Judged:
+    """Return of candidates that a full fit makes as good as the best the one that brings most by itself.
+
+    Where much is wrong still, what all else must move far for may look like anything: what scatters for no known reason
+    makes nats worth that much less, and within those of a rival the gain with all else near where it was decides.
+
+    Args:
+        full: Candidates as their full fits judge them; not none.
+        alone: The same and others as they were judged with all else following linearly.
+        scatter: By how much χ² counts too high under the best of them.
+    """
+    near = max(score(entry) for entry in full) - RIVAL_NATS * scatter
+    own = {entry[0].name: score(entry) for entry in alone}
+    tied = [entry for entry in full if score(entry) >= near]
+    return max(tied, key=lambda entry: own.get(entry[0].name, -np.inf) if scatter > 1.0 else score(entry))
 
 
 def log_chance(gain: float, parameters: int) -> float:

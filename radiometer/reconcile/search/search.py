@@ -19,7 +19,7 @@ from radiometer.reconcile.search.moves import Loosened, better, loosened, pruned
 from radiometer.reconcile.search.outcome import Search, Step
 from radiometer.reconcile.search.plain_trends import TRENDS
 from radiometer.reconcile.search.rivals import rivals_of
-from radiometer.reconcile.search.score import is_shown, likeliest, log_chance, penalised_chi2, score
+from radiometer.reconcile.search.score import by_itself, is_shown, likeliest, log_chance, penalised_chi2, score
 from radiometer.reconcile.search.screening import screen
 from radiometer.reconcile.search.starts import StartPool
 from radiometer.reconcile.thresholds import (
@@ -136,6 +136,8 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
         chosen = likeliest(contenders)
         if chosen is None:
             break
+        if contenders is not shown:
+            chosen = by_itself(contenders, shown, scatter_of(fits.included(chosen[0].effect, far=True)))
         plain = _plain_leads(fits, chosen)
         if not _convinces(state, chosen, standing, plain) or _is_likelier(fits, looser, chosen):
             break

@@ -11,13 +11,19 @@ import numpy as np
 import pytest
 
 from radiometer.reconcile import verdict
+from radiometer.reconcile.fit.candidate_fit import FittedCandidate
 from radiometer.reconcile.fit.covariance import is_misfit
 from radiometer.reconcile.result import FittedParameter, Verdict
 from radiometer.reconcile.search.outcome import Step
+from radiometer.reconcile.search.score import by_itself
 from radiometer.reconcile.statistics import Scatter
 from radiometer.reconcile.verdict import faint, faint_beside_others, faint_names, verdict_of
+from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
+from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.dsnu import Dsnu
+from simulators.effects.gamma_enabled import GammaEnabled
 from simulators.effects.psf_blur import PsfBlur
 
 BLUR, GAIN = PsfBlur(0.3), ConversionGainError(0.01)
@@ -166,3 +172,16 @@ def test_how_far_a_variance_scatters():
     pairs = np.array([[700.0], [100.0]]) * 100.0 / 99.0
     assert scatter().neighbours("width") == pytest.approx(np.sqrt(1.0 / (0.9 * pairs)))
     assert scatter().neighbours("height") == pytest.approx(np.sqrt(1.0 / (0.95 * pairs)))
+
+
+def _judged(effect: CatalogueEffect, nats: float) -> tuple[FittedCandidate, float]:
+    nothing = np.zeros(0)
+    return FittedCandidate(effect, 2.0 * nats, 2.0 * nats, 2, False, nothing, nothing), nats
+
+
+@pytest.mark.parametrize(("scatter", "named"), [(1.0, "gamma_enabled"), (10.0, "gamma_enabled"), (300.0, "dsnu")])
+def test_far_off_a_tie_goes_to_what_brings_most_by_itself(scatter: float, named: str) -> None:
+    """800 nats of 820 000 are odds of e^800 at a gap of 1, and less than those of a rival at a gap of 300."""
+    full = [_judged(GammaEnabled(1.9), 820_891.0), _judged(Dsnu(15.0), 820_091.0), _judged(DarkCurrent(1.0), 600_000.0)]
+    alone = [_judged(GammaEnabled(1.1), 76_721.0), _judged(Dsnu(14.0), 802_327.0), _judged(DarkCurrent(1.0), 900_000.0)]
+    assert by_itself(full, alone, scatter)[0].name == named
