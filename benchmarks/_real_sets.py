@@ -15,12 +15,15 @@ class Documented:
         names: Entries that name it rightly.
         covariates: Covariates along which a disagreement points at it.
         by: Who says so.
+        told: Where it is no entry's law but how frames of one setting differ: of which frames, `dark` or `lit`, the
+            result must tell it.
     """
 
     what: str
     names: tuple[str, ...]
     covariates: tuple[str, ...]
     by: str
+    told: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,13 +78,18 @@ SETS: tuple[RealSet, ...] = (
                 "photon transfer (PROVENANCE)",
             ),
             Documented(
-                "flats of one setting differ by 0.4 %", ("lamp_step", "source_warmup_drift"), ("timestamp_s",), _OWN
+                "flats of one setting differ by 0.4 %",
+                ("lamp_step", "source_warmup_drift"),
+                ("timestamp_s",),
+                _OWN,
+                told="lit",
             ),
             Documented(
                 "first bias of a series 0.4 DN low",
                 ("first_frame_offset",),
                 ("previous_frame", "timestamp_s"),
                 _OWN,
+                told="dark",
             ),
             Documented(
                 "hot pixels, 63 000 DN after 60 s",

@@ -3,8 +3,9 @@
     python -m benchmarks real_sensors [--sets PART…]
 
 Needs the real sets in shared/data; says so and leaves where they are absent. Right is an effect that is named, or whose
-covariate comes first; partly one that shows only further down; wrong a name that neither its owner documents nor an
-independent measurement of the same frames shows. A provisional name is one that the verdict itself calls so.
+covariate comes first, or, of what equal frames differ by, one that is told with its size; partly one that shows only
+further down; wrong a name that neither its owner documents nor an independent measurement of the same frames shows. A
+provisional name is one that the verdict itself calls so.
 """
 
 from __future__ import annotations
@@ -50,11 +51,20 @@ def judged(effect: Documented, result: ReconcileResult) -> str:
     """Return whether a documented effect was named, only pointed at, or missed."""
     if any(found.name in effect.names for found in result.effects):
         return "right"
+    if said_of_frames(effect, result):
+        return "right: told"
     places = [place.covariate for place in result.localisation]
     if any(where in effect.covariates for where in places[:_LEADING]):
         return "right covariate"
     shown = [*places, *(found.where for found in result.effects)]
     return "partly" if any(where in effect.covariates for where in shown) else "missed"
+
+
+def said_of_frames(effect: Documented, result: ReconcileResult) -> str:
+    """Return what the result tells of equal frames, where that is what is documented and its size is sure."""
+    said = [one for one in result.repeats if one.kind == effect.told]
+    sure = [one for one in said if one.scatter.u is not None and one.scatter.value > 3.0 * one.scatter.u]
+    return "; ".join(text for one in sure for text in one.sentences())
 
 
 def wrong_names(known: RealSet, result: ReconcileResult) -> list[str]:
@@ -71,7 +81,8 @@ def of_reconcile(known: RealSet, folder: Path) -> Iterator[Row]:
     seconds = time.process_time() - begun
     for effect in known.documented:
         named = [f for f in result.effects if f.name in effect.names]
-        said = "; ".join(_shown(f.name, f.parameters) for f in named) or f"first along {_first(result)}"
+        said = "; ".join(_shown(f.name, f.parameters) for f in named) or said_of_frames(effect, result)
+        said = said or f"first along {_first(result)}"
         yield Row(known.name, effect.what, effect.by, said, judged(effect, result), seconds)
     wrong = wrong_names(known, result)
     provisional = "provisional " if result.verdict == "incomplete" else "confident "
@@ -187,10 +198,11 @@ def main() -> None:
             rows += _told(question(folder))
     table = "| set | documented | by | what it says | judged | time |\n|---|---|---|---|---|---|\n"
     asked = [row for row in rows if row.by]
-    right = sum(row.judged in ("right", "right covariate") for row in asked)
+    right = sum(row.judged in ("right", "right covariate", "right: told") for row in asked)
     confident = sum(row.judged.startswith("wrong: confident") for row in rows)
     body = table + "\n".join(row.markdown() for row in rows)
-    body += f"\n\n{right} of {len(asked)} documented effects: right name, or right covariate first; {confident} sets "
+    body += f"\n\n{right} of {len(asked)} documented effects: right name, right covariate first, or (where frames "
+    body += f"of one setting differ) told with its size; {confident} sets "
     body += "with a confidently wrong name. Time is processor time, reading included."
     print(body)
     if not wanted:

@@ -18,13 +18,14 @@ from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconcile.advice.limits import limits
 from radiometer.reconcile.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconcile.advice.separability import Separability, inseparable, separability
-from radiometer.reconcile.fit.covariance import fitted_parameters, is_misfit
+from radiometer.reconcile.fit.covariance import fitted_parameters, is_misfit, sizes_by_own_law
 from radiometer.reconcile.fit.descent import first_state
 from radiometer.reconcile.fit.nuisances import dark_current_is_free
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import FrameReader, frame_reader, reduce_frames
-from radiometer.reconcile.noise.darkness import uncertainty_of_readings, wander_of_black
+from radiometer.reconcile.noise.darkness import drift_of_black, wander_of_black
+from radiometer.reconcile.noise.repeats import repeats_of
 from radiometer.reconcile.propose.beyond import held_to_laws
 from radiometer.reconcile.result import (
     CovariateGap,
@@ -34,6 +35,7 @@ from radiometer.reconcile.result import (
     Limit,
     Place,
     ReconcileResult,
+    Repeats,
     Verdict,
 )
 from radiometer.reconcile.search.frame_order import FrameLight, Periodic, periodic, steadied
@@ -244,7 +246,13 @@ def examine(
     failed: list[str] = []
     found = search(start, entries, say)
     outcome = _spared("laws of no entry", lambda: held_to_laws(found, say), failed) or found
-    return Reconciled(_result(outcome, entries, again, total, begun, failed, with_limits=with_limits), outcome)
+    result = _result(outcome, entries, again, total, begun, failed, with_limits=with_limits)
+    return Reconciled(replace(result, repeats=_repeats(outcome.state, light)), outcome)
+
+
+def _repeats(state: FitState, light: FrameLight) -> tuple[Repeats, ...]:
+    wander = (wander_of_black(state.design, state.seen), float(np.sqrt(state.comparison.wander2)))
+    return repeats_of(state.design, light.of_tiles, state.comparison.usable["mean"], state.sensitivity, wander)
 
 
 def _wandering(header: CaptureHeader, rms: float) -> CaptureHeader:
@@ -359,7 +367,13 @@ def _found(
             what = f"the capture that tells {step.name} from its rivals"
             advice = _spared(what, partial(propose, state, own, rivals), failed)
             shown = replace(step, rivals=rivals)
-            effect = _effect(shown, own, parameters[step.name], advice, provisional=provisional)
+            told = dict(parameters[step.name])
+            if isinstance(own, FreeLaw):
+                sizes = _spared(
+                    f"how well the size of {step.name} is known", partial(sizes_by_own_law, state, own), failed
+                )
+                told |= {name: entry for name, entry in (sizes or {}).items() if told[name].u is None}
+            effect = _effect(shown, own, told, advice, provisional=provisional)
             other = size_of_rest(state, own.block) if own in others else None
             found.append(replace(effect, other_law=other, curve=LawCurve.of(own, parameters[step.name])))
     return (*found, rest) if rest is not None and rest not in found else tuple(found)
@@ -432,7 +446,10 @@ def _assumptions(outcome: Search, doubts: Sequence[str]) -> tuple[str, ...]:
     wander_dn = wander_of_black(state.design, state.seen)
     if wander_dn:
         said.append(f"the black level wanders by {wander_dn:.2g} DN from frame to frame: fitted aside, not named")
-    reading_k = uncertainty_of_readings(state.design.frame_temperatures_c)
+    drift_dn = drift_of_black(state.design, state.seen)
+    if drift_dn:
+        said.append(f"the black level moves by {drift_dn:.2g} DN while a frame is read: fitted aside, not named")
+    reading_k = state.design.reading_u_k
     if reading_k:
         said.append(f"temperatures are read in steps: each is known to {reading_k:.2g} K")
     if np.isnan(state.design.black_level_dn).any():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Final
@@ -190,6 +190,93 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
+class Series:
+    """Frames of one capture against each other.
+
+    Attributes:
+        frames: Their positions in the header, in order.
+        exposure_s: Exposure in s.
+        temperature_c: Temperature of the sensor in °C; None where unknown.
+        apart: Each frame less the mean of the others: its median over the tiles.
+        u: Its standard uncertainty from the scatter of the tiles.
+        standing_out: Positions in the series of frames that lie farther off than all other repeats scatter.
+    """
+
+    frames: tuple[int, ...]
+    exposure_s: float
+    temperature_c: float | None
+    apart: tuple[float, ...]
+    u: tuple[float, ...]
+    standing_out: tuple[int, ...] = ()
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping that stands in JSON."""
+        return {
+            "frames": list(self.frames),
+            "exposure_s": self.exposure_s,
+            "temperature_C": self.temperature_c,
+            "apart": list(self.apart),
+            "u": list(self.u),
+            "standing_out": [self.frames[position] for position in self.standing_out],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Repeats:
+    """What frames of one setting differ by, and how much of it is taken for a wander that gets no name.
+
+    Attributes:
+        kind: `dark` (black level and dark current, in DN) or `lit` (light, relative).
+        scatter: Standard deviation of a frame about its series, with its standard uncertainty.
+        aside: Standard deviation of the wander that the fit allows for; 0 where none is needed.
+        series: The series.
+    """
+
+    kind: str
+    scatter: FittedParameter
+    aside: float
+    series: tuple[Series, ...]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping that stands in JSON."""
+        return {
+            "scatter": self.scatter.to_mapping(),
+            "fitted_aside": self.aside,
+            "series": [one.to_mapping() for one in self.series],
+            "said": list(self.sentences()),
+        }
+
+    def sentences(self) -> tuple[str, ...]:
+        """Return in words where differences between equal frames come from."""
+        frames = sum(len(one.frames) for one in self.series)
+        what = "black level or dark charge" if self.kind == "dark" else "light"
+        aside = f"; {self._shown(self.aside)} are taken for a wander and fitted aside, not named" if self.aside else ""
+        first = (
+            f"{frames} {self.kind} frames in {len(self.series)} series of one setting: their {what} differs by "
+            f"{self._shown(self.scatter.value, self.scatter.u)} (standard deviation) from frame to frame{aside}"
+        )
+        begins = [one for one in self.series if len(one.frames) > 2 and abs(one.apart[0]) > 3.0 * one.u[0]]
+        said = [first, f"first frame of a series less the others: {self._listed(begins)}"] if begins else [first]
+        out = [(one, at) for one in self.series for at in one.standing_out]
+        if out:
+            told = (f"frame {one.frames[at]} ({self._shown(one.apart[at], one.u[at])})" for one, at in out)
+            said.append(f"beyond what the others scatter by lie: {', '.join(told)}")
+        return tuple(said)
+
+    def _listed(self, series: Sequence[Series]) -> str:
+        return ", ".join(f"{self._shown(one.apart[0], one.u[0])} {_taken_at(one)}" for one in series)
+
+    def _shown(self, value: float, u: float | None = None) -> str:
+        size, unit = (100.0, " %") if self.scatter.unit == "1" else (1.0, f" {self.scatter.unit}")
+        return f"{size * value:.2g}{unit}" if u is None else f"({size * value:.2f} ± {size * u:.2g}){unit}"
+
+
+def _taken_at(series: Series) -> str:
+    warm = "" if series.temperature_c is None else f", {series.temperature_c:.1f} °C"
+    return f"({series.exposure_s:.3g} s{warm})"
+
+
+@dataclass(frozen=True, slots=True)
 class ReconcileResult:
     """The outcome of one capture set.
 
@@ -214,6 +301,7 @@ class ReconcileResult:
         global_p: Chance that any of all tests is as significant without a disagreement, at the start and in the end.
         added: The effects of the final model beside the ideal chain.
         next_capture: Where no rivals are to be told apart: the capture that would show what these data cannot.
+        repeats: What frames of one setting differ by.
         extra: Further entries of the JSON object.
     """
 
@@ -237,6 +325,7 @@ class ReconcileResult:
     global_p: tuple[float, float] | None = None
     added: tuple[CatalogueEffect, ...] = ()
     next_capture: Mapping[str, Any] | None = None
+    repeats: tuple[Repeats, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def written(self, model: str | None, report: str | None) -> ReconcileResult:
@@ -261,6 +350,7 @@ class ReconcileResult:
             "null_tests": list(self.calls),
             "global_p": {"before": self.global_p[0], "after": self.global_p[1]} if self.global_p else None,
             "repeatability_rel": self.repeatability,
+            "repeats": {one.kind: one.to_mapping() for one in self.repeats},
             "captures": self.captures,
             "frames": self.frames,
             "next_capture": dict(self.next_capture) if self.next_capture else None,

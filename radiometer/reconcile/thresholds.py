@@ -63,6 +63,13 @@ PERIOD_SIGNIFICANCE: Final = _row(
     "a period among frames that scatter at random",
     "40 lamps that wander by 2 % (tests/unit/reconcile/test_frame_order.py): none",
 )
+FRAME_SIGNIFICANCE: Final = _row(
+    "FRAME_SIGNIFICANCE",
+    0.01,
+    "chance",
+    "one of equal frames said to stick out of the others by chance",
+    "series drawn at random (tests/unit/reconcile/test_repeats.py)",
+)
 SCATTER_SIGMAS: Final = _row(
     "SCATTER_SIGMAS", 5.0, "sigma", "scatter without any trend, which no test along a covariate sees", _NULL
 )
@@ -130,7 +137,9 @@ NEAR_SHARE: Final = _row("NEAR_SHARE", 0.05, "1", "the same: share of the best w
 FAR_GAP: Final = _row(
     "FAR_GAP", 100.0, "χ²", "the same: reduced χ² from which every candidate that may be it is fitted in full"
 )
-MOST_STEPS: Final = int(_row("MOST_STEPS", 7, "1", "a search without an end"))
+MOST_STEPS: Final = int(
+    _row("MOST_STEPS", 12, "1", "a search without an end", "a CCD's darks show nine effects, two in freer forms")
+)
 
 # ---- doubts ---------------------------------------------------------------------------------------------------------
 FAINT_NATS: Final = _row(

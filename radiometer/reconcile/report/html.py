@@ -45,8 +45,10 @@ def report_html(reconciled: Reconciled, title: str) -> str:
             pictures.story(reconciled),
             *[_effect(effect, reconciled) for effect in result.effects],
             _following(result),
+            _repeats(result),
             section("Where the rest lies", pictures.rest_map(reconciled.outcome.state)),
             heading("Figures"),
+            folded("Equal frames, each less the others of its series", _frames(result)),
             folded(
                 "Residuals along each setting, before and after",
                 pictures.residual_panels(reconciled) if result.covariates else "",
@@ -108,6 +110,23 @@ def _places(result: ReconcileResult) -> str:
         for place in result.localisation[:_LISTED_PLACES]
     ]
     return table(("what", "along", "form", "χ²", "p"), rows, words=(1, 2))
+
+
+def _repeats(result: ReconcileResult) -> str:
+    """Return in words what equal frames differ by."""
+    said = [f"{text[0].upper()}{text[1:]}." for one in result.repeats for text in one.sentences()]
+    return section("What equal frames differ by", listed(said)) if said else ""
+
+
+def _frames(result: ReconcileResult) -> str:
+    """Return each frame less the others of its series."""
+    rows = []
+    for part in result.repeats:
+        scale, unit = (100.0, "%") if part.scatter.unit == "1" else (1.0, part.scatter.unit)
+        for one in part.series:
+            apart = (with_u(scale * value, 2.0 * scale * u, unit) for value, u in zip(one.apart, one.u, strict=True))
+            rows += [(str(n), f"{one.exposure_s:.4g} s", shown) for n, shown in zip(one.frames, apart, strict=True)]
+    return table(("frame", "exposure", "apart (k = 2)"), rows)
 
 
 def _following(result: ReconcileResult) -> str:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconcile.fit.covariance import scatter_of
-from radiometer.reconcile.fit.descent import first_state
-from radiometer.reconcile.fit.state import FitState
+from radiometer.reconcile.fit.covariance import scatter_of, sizes_by_own_law
+from radiometer.reconcile.fit.descent import first_state, refit
+from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.result import FittedParameter, LawCurve
@@ -82,3 +82,14 @@ def test_a_curve_stands_in_json_with_its_band(late: FitState) -> None:
     assert list(told["along"]) == ["exposure_s"]
     assert (told["factor"], told["u"]) == ([1.5] * 5, [0.1] * 5)
     assert LawCurve.of(ExposureTimeOffset(8e-6), {}) is None
+
+
+def test_the_size_of_another_law_is_told_with_its_u(late: FitState) -> None:
+    """Exposures 8 to 24 µs too long: a law about 12 µs tells these, as uncertain as the own equation's size is off."""
+    form = free_forms(late, ExposureTimeOffset(12e-6))[0]
+    told = sizes_by_own_law(with_effects(late, [form]), form)["offset_s"]
+    plain = refit(with_effects(late, [ExposureTimeOffset(12e-6)])).effects[0]
+    assert isinstance(plain, ExposureTimeOffset)
+    assert told.value == 12e-6
+    assert told.u is not None
+    assert abs(plain.offset_s - 12e-6) <= told.u < 16e-6

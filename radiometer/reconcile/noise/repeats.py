@@ -1,0 +1,102 @@
+"""What equal frames differ by: the offset or the light of each frame of a series against the others of it.
+
+A frame's offset is seen in every tile, so that what one frame shows is held out over the tiles of that frame; what all
+frames of all series scatter by tells whether one of them sticks out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtr
+
+from radiometer.reconcile.measure.design import Array, Design
+from radiometer.reconcile.result import FittedParameter, Repeats, Series
+from radiometer.reconcile.thresholds import FRAME_SIGNIFICANCE
+
+_OF_MEDIAN: Final = 1.2533 * 1.4826  # standard error of a median of normal values, from their median deviation
+_FEWEST: Final = 2  # degrees of freedom that tell a scatter
+_LIT_DN: Final = 1.0  # per unit of ln light, below which nothing is said of light
+
+Tiles = Callable[[tuple[int, ...]], Array]
+
+
+def repeats_of(
+    design: Design, tiles_of: Tiles, usable: NDArray[np.bool_], sensitivity: Array, wander: Sequence[float]
+) -> tuple[Repeats, ...]:
+    """Return what frames of one setting differ by: dark ones in DN, lit ones relative to their light.
+
+    Args:
+        design: Captures and tiles.
+        tiles_of: Gives the mean of each tile in frames at positions of the header, (frames, tiles) in DN.
+        usable: (captures, tiles) which means count.
+        sensitivity: (captures, tiles) d(mean)/d(log light) in DN.
+        wander: What the weights of the model hold of it, of dark frames in DN and of lit ones relative.
+    """
+    dark = design.closed | ~(design.source_level > 0)
+    found = []
+    for kind, unit, chosen, aside in zip(("dark", "lit"), ("DN", "1"), (dark, ~dark), wander, strict=True):
+        series = []
+        for number in np.flatnonzero(chosen).tolist():
+            frames = design.captures[number].frames
+            scale = np.ones(len(design.tiles)) if kind == "dark" else sensitivity[number]
+            counts = usable[number] & (scale >= _LIT_DN)
+            if len(frames) > 1 and counts.any():
+                apart = tiles_of(frames)[:, counts] / scale[counts]
+                series.append(_series(design, number, apart))
+        if sum(len(one.frames) - 1 for one in series) >= _FEWEST:
+            found.append(_together(kind, unit, series, aside))
+    return tuple(found)
+
+
+def _series(design: Design, number: int, means: Array) -> Series:
+    """Return each frame less the mean of the others of its capture, from (frames, tiles) in the unit to be told."""
+    n = means.shape[0]
+    apart = (means - means.mean(axis=0)) * n / (n - 1.0)
+    middle = np.median(apart, axis=1)
+    u = _OF_MEDIAN * np.median(np.abs(apart - middle[:, None]), axis=1) / np.sqrt(apart.shape[1])
+    warm = float(design.temperature_c[number])
+    return Series(
+        tuple(design.captures[number].frames),
+        float(design.exposure_s[number]),
+        warm if np.isfinite(warm) else None,
+        tuple(middle.tolist()),
+        tuple(u.tolist()),
+    )
+
+
+def _together(kind: str, unit: str, series: Sequence[Series], aside: float) -> Repeats:
+    """Return series of one kind with the scatter that all of them show, and the frames that stick out of it."""
+    squares = [_square(one) for one in series]
+    freedom = sum(len(one.frames) - 1 for one in series)
+    scatter = float(np.sqrt(sum(squares) / freedom))
+    shown = [replace(one, standing_out=_standing_out(one, sum(squares), freedom)) for one in series]
+    return Repeats(kind, FittedParameter(scatter, scatter / np.sqrt(2.0 * freedom), unit), aside, tuple(shown))
+
+
+def _square(series: Series) -> float:
+    """Return the sum of squares of the frames' deviations from their mean."""
+    n = len(series.frames)
+    return float(np.sum(np.square(series.apart))) * ((n - 1.0) / n) ** 2
+
+
+def _standing_out(series: Series, total: float, freedom: int) -> tuple[int, ...]:
+    """Return the positions of frames that lie farther off than the scatter of all others lets them.
+
+    A frame less the mean of the n − 1 others, over their scatter times √(n/(n − 1)), follows Student's t.
+
+    Source: R. D. Cook, S. Weisberg (1982), Residuals and Influence in Regression, 2.2.1, externally studentised
+    residuals; Bonferroni over the frames.
+    """
+    n, found = len(series.frames), []
+    for position, apart in enumerate(series.apart):
+        own = apart**2 * (n - 1.0) / n
+        left = max(total - own, 1e-30) / max(freedom - 1, 1)
+        t = abs(apart) / np.sqrt(left * n / (n - 1.0))
+        if freedom > _FEWEST and 2.0 * float(stdtr(freedom - 1, -t)) * (freedom + 1) < FRAME_SIGNIFICANCE:
+            found.append(position)
+    return tuple(found)
