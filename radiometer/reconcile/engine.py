@@ -18,7 +18,7 @@ from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconcile.advice.limits import limits
 from radiometer.reconcile.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconcile.advice.separability import Separability, inseparable, separability
-from radiometer.reconcile.fit.covariance import fitted_parameters, is_misfit, sizes_by_own_law
+from radiometer.reconcile.fit.covariance import fitted_parameters, is_misfit
 from radiometer.reconcile.fit.descent import first_state
 from radiometer.reconcile.fit.nuisances import dark_current_is_free
 from radiometer.reconcile.fit.state import FitState
@@ -49,6 +49,7 @@ from radiometer.reconcile.verdict import (
     faint_names,
     rest_of,
     size_of_rest,
+    sizes_by_own_law,
     verdict_of,
 )
 from simulators.camera_model import CameraModel

@@ -231,6 +231,26 @@ def _taken_up(state: FitState, block: str) -> Array:
     return np.asarray(left.reshape(shape) * np.sqrt(more))
 
 
+def sizes_by_own_law(state: FitState, effect: FreeLaw) -> dict[str, FittedParameter]:
+    """Return the parameters of an effect of another law that its own equation would be fitted by, with u.
+
+    The law is a factor on what the effect does by its own equation, of the size that it was found with. How well that
+    size is known the fit by the own equation tells, and where that would have it differently, by how much.
+
+    Args:
+        state: The model with the effect by another law.
+        effect: That effect.
+    """
+    own = effect.own
+    plain = refit(with_effects(state, [own if other is effect else other for other in state.effects]))
+    found = {}
+    for name, entry in fitted_parameters(plain)[effect.name].items():
+        held = float(getattr(effect, name, entry.value)) if "[" not in name else entry.value
+        if entry.u is not None:
+            found[name] = FittedParameter(held, float(np.hypot(entry.u, entry.value - held)), entry.unit)
+    return found
+
+
 def _at_bound(state: FitState) -> list[str]:
     """Return what parameters the data push out of their physical range: the entry is bent to what it is not."""
     own = state.parameters

@@ -19,10 +19,11 @@ from radiometer.reconcile.chances import Mask, deviances, followed_scores, log_b
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.row_bands import RowBins, wave_power
 from radiometer.reconcile.measure.seen import COMB_PERIODS, CaptureStatistics
-from radiometer.reconcile.noise.darkness import Darkness, errors_of_darkness
+from radiometer.reconcile.noise.dark_errors import errors_of_darkness
+from radiometer.reconcile.noise.darkness import Darkness
 from radiometer.reconcile.noise.repeatability import steady_wander2
+from radiometer.reconcile.noise.shared import Part, whiteners
 from radiometer.reconcile.noise.shared_errors import (
-    Part,
     Repeatability,
     band_excess,
     common_of_rows,
@@ -34,7 +35,6 @@ from radiometer.reconcile.noise.shared_errors import (
     relative_flicker,
     shared_errors,
     unsteady_phases,
-    whiteners,
     with_heavy_rows,
 )
 from radiometer.reconcile.prediction import Prediction

@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from radiometer.reconcile.chances import frames_counted
-from radiometer.reconcile.fit.descent import refit
-from radiometer.reconcile.fit.state import FitState, with_effects
+from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.model.parameters import value_of
 from radiometer.reconcile.noise.shared_errors import chances_of_rows
 from radiometer.reconcile.result import FittedParameter
 from radiometer.reconcile.thresholds import CLOSED_GAP, FAR_GAP, SCATTER_SIGMAS
-from simulators.effects.free_law import FreeLaw
 
 _BLOCKS: Final = 5  # along a covariate, each left out in turn
 _ALONE: Final = 0.9  # share of a direction told by one group, beyond which the others cannot check it
@@ -200,24 +198,4 @@ def fitted_parameters(state: FitState) -> dict[str, dict[str, FittedParameter]]:
                 u = float(sigma[position] * own.scale[position])
                 unit = units[name.split("[")[0]]
                 found[effect.name][name] = FittedParameter(value_of(effect, name), u if np.isfinite(u) else None, unit)
-    return found
-
-
-def sizes_by_own_law(state: FitState, effect: FreeLaw) -> dict[str, FittedParameter]:
-    """Return the parameters of an effect of another law that its own equation would be fitted by, with u.
-
-    The law is a factor on what the effect does by its own equation, of the size that it was found with. How well that
-    size is known the fit by the own equation tells, and where that would have it differently, by how much.
-
-    Args:
-        state: The model with the effect by another law.
-        effect: That effect.
-    """
-    own = effect.own
-    plain = refit(with_effects(state, [own if other is effect else other for other in state.effects]))
-    found = {}
-    for name, entry in fitted_parameters(plain)[effect.name].items():
-        held = float(getattr(effect, name, entry.value)) if "[" not in name else entry.value
-        if entry.u is not None:
-            found[name] = FittedParameter(held, float(np.hypot(entry.u, entry.value - held)), entry.unit)
     return found

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data import CaptureHeader, FrameSettings
+from radiometer.data.thermometer import readings_c, regulated, uncertainty_of_readings
 from radiometer.errors import CaptureError
-from radiometer.reconcile.measure.thermometer import readings_c, regulated, uncertainty_of_readings
 
 Array = NDArray[np.float64]
 
@@ -149,6 +149,15 @@ class Design:
         for number, tile in enumerate(self.tiles):
             found[number, tile.y : tile.y + tile.height] = 1.0 / tile.height
         return found
+
+    @cached_property
+    def tilts_of_rows(self) -> Array:
+        """Return what each row of the frame adds to the tiles' rises from centre to bottom edge, (tiles, rows)."""
+        tilts = np.zeros((len(self.tiles), self.shape[0]))
+        for number, tile in enumerate(self.tiles):
+            u = (2.0 * np.arange(tile.height) + 1.0) / tile.height - 1.0
+            tilts[number, tile.y : tile.y + tile.height] = u / max(float(u @ u), 1e-12)
+        return tilts
 
     def _column(self, name: str, missing: float = np.nan) -> Array:
         values = [getattr(capture.settings, name) for capture in self.captures]

@@ -18,7 +18,7 @@ from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.edges import SHARPEST
 from radiometer.reconcile.measure.layout import slope_lengths
 from radiometer.reconcile.measure.seen import CaptureStatistics
-from radiometer.reconcile.noise.shared_errors import Part
+from radiometer.reconcile.noise.shared import Part
 from radiometer.reconcile.prediction import Prediction
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext

@@ -11,7 +11,7 @@ Source: noise as bases and weights, as pulsar timing has it (Luo et al. 2021, Ap
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -21,6 +21,7 @@ from radiometer.reconcile.chances import Mask, frames_counted, score_slope
 from radiometer.reconcile.measure.design import SURFACE_LINES, Array, Design
 from radiometer.reconcile.measure.row_bands import RowBins, TileBands
 from radiometer.reconcile.measure.seen import CaptureStatistics
+from radiometer.reconcile.noise.shared import Part, SharedError
 from radiometer.reconcile.prediction import Prediction
 
 _LEAST_EXCESS: Final = -0.9  # of a variance ratio, so that it stays positive
@@ -28,53 +29,6 @@ _FAIR_SHARE: Final = 0.05  # of the brightest tile's light
 _LEAST_ROWS: Final = 1.0
 _LEAST_RATIO: Final = 1e-6
 _TOGETHER: Final = 0.85  # of the correlation of one wave's scores that is trusted: a cube root is no square
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """What a shared error does to one statistic: amplitude · basis · z.
-
-    Attributes:
-        amplitude: (captures, entries) in the statistic's own scale; 0 where an entry does not count.
-        basis: (entries, n) or (captures, entries, n).
-    """
-
-    amplitude: Array
-    basis: Array
-
-    @property
-    def columns(self) -> Array:
-        """Return what a unit of each z does, (captures, entries, n)."""
-        return np.asarray(self.amplitude[:, :, None] * self.basis)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SharedError:
-    """One source of error whose z are drawn anew in each capture.
-
-    Attributes:
-        name: What it is.
-        parts: What it does, by statistic.
-        variance: (captures,) variance of each z, or (captures, n).
-        within: Whether the statistic's own standard uncertainty holds it already, so that it correlates entries only.
-    """
-
-    name: str
-    parts: Mapping[str, Part]
-    variance: Array
-    within: bool = False
-
-    def covariance(self, name: str) -> Array:
-        """Return the covariance of a statistic's entries in each capture, (captures, entries, entries)."""
-        part = self.parts[name]
-        left = part.basis if self.variance.ndim == 1 else part.basis * self.variance[:, None, :]
-        shape = left @ part.basis.swapaxes(-1, -2)
-        each = self.variance[:, None, None] if self.variance.ndim == 1 else 1.0
-        found = each * shape * (part.amplitude[:, :, None] * part.amplitude[:, None, :])
-        if self.within:
-            index = np.arange(found.shape[1])
-            found[:, index, index] = 0.0
-        return np.asarray(found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,22 +98,13 @@ def _row_noise(design: Design, base: Prediction, usable: Mapping[str, Mask], var
     found = [
         SharedError("row noise", {"mean": Part(count["mean"], rows)}, variance / n),
         SharedError("row noise of the first frame", {"first": Part(count["first"], rows)}, variance * first),
-        SharedError("row noise as a tilt", {"slope_y": Part(count["slope_y"], tilts_of_rows(design))}, variance / n),
+        SharedError("row noise as a tilt", {"slope_y": Part(count["slope_y"], design.tilts_of_rows)}, variance / n),
     ]
     for name, moved in _moved_by_rows(design, base).items():
         spread, taken = _spread_of_rows(design)[name], SURFACE_LINES if name == "spatial" else 1
         part = Part(np.where(usable[name], moved, 0.0), _free_rows(design, taken)[:, None] * rows)
         found.append(SharedError(f"chance variance of rows: {name}", {name: part}, spread))
     return found
-
-
-def tilts_of_rows(design: Design) -> Array:
-    """Return what each row adds to the tiles' rises from centre to bottom edge, (tiles, rows)."""
-    tilts = np.zeros((len(design.tiles), design.shape[0]))
-    for number, tile in enumerate(design.tiles):
-        u = (2.0 * np.arange(tile.height) + 1.0) / tile.height - 1.0
-        tilts[number, tile.y : tile.y + tile.height] = u / max(float(u @ u), 1e-12)
-    return tilts
 
 
 def _moved_by_rows(design: Design, base: Prediction) -> dict[str, Array]:
@@ -246,25 +191,6 @@ def unsteady_phases(design: Design, seen: CaptureStatistics, base: Prediction) -
         "row_temporal": lines["row_temporal"] * unsteady.max(axis=1),
         "rows": lines["rows"],
     }
-
-
-def whiteners(
-    errors: Sequence[SharedError], deviation: Mapping[str, Array], usable: Mapping[str, Mask]
-) -> dict[str, Array]:
-    """Return the inverse Cholesky factors of the captures' covariances, of every statistic that shares an error.
-
-    Args:
-        errors: The sources.
-        deviation: Standard uncertainty of each entry by itself, by statistic.
-        usable: Which entries count.
-    """
-    found = {}
-    for name in dict.fromkeys(name for error in errors for name in error.parts):
-        covariance = np.sum([error.covariance(name) for error in errors if name in error.parts], axis=0)
-        index = np.arange(usable[name].shape[1])
-        covariance[:, index, index] += np.where(usable[name], deviation[name] ** 2, 1.0)
-        found[name] = np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
-    return found
 
 
 def chances_of_rows(

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
+from radiometer.data.thermometer import regulated, uncertainty_of_readings
 from radiometer.reconcile.fit.descent import first_state
 from radiometer.reconcile.fit.state import reweighted, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.measure.seen import CaptureStatistics
-from radiometer.reconcile.measure.thermometer import regulated, uncertainty_of_readings
-from radiometer.reconcile.noise.darkness import Darkness, drift_of_black, errors_of_darkness, wander_of_black
+from radiometer.reconcile.noise.dark_errors import errors_of_darkness
+from radiometer.reconcile.noise.darkness import Darkness, drift_of_black, wander_of_black
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
 from simulators.effects.prnu import Prnu
 

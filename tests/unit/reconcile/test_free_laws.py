@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconcile.fit.covariance import scatter_of, sizes_by_own_law
+from radiometer.reconcile.fit.covariance import scatter_of
 from radiometer.reconcile.fit.descent import first_state, refit
 from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Design
@@ -16,6 +16,7 @@ from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.result import FittedParameter, LawCurve
 from radiometer.reconcile.search.free_laws import by_a_free_law, free_forms, worth
 from radiometer.reconcile.search.screening import best_start
+from radiometer.reconcile.verdict import sizes_by_own_law
 from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.fnumber_tstop_error import FnumberTstopError

@@ -61,7 +61,8 @@ def test_an_effect_of_temperature_moves_the_first_frame_of_a_series(make_capture
     """Of frames that warm up by 0.3 K after the first, that one is darker by 0.3 K times the drift."""
     captured = make_capture(1, plan=[{"t": 1e-3}, {"t": 3e-3}])
     entries = captured.header.frames
-    warming = tuple(replace_temperature(entry, 30.0 + 0.3 * (number % 4 > 0)) for number, entry in enumerate(entries))
+    warm_c = [30.0 + 0.3 * (number % 4 > 0) + 5.0 * (number // 4) for number in range(len(entries))]
+    warming = tuple(replace_temperature(entry, read) for entry, read in zip(entries, warm_c, strict=True))
     state = _state(replace(captured, header=captured.header.model_copy(update={"frames": warming})))
     drifting = state.model.with_effects([BlackLevelDrift(drift_dn_per_K=2.0)])
     assert drifting.predict(state.nuisance).first == pytest.approx(-0.6, abs=2e-4)  # and a little dark current
@@ -71,7 +72,8 @@ def test_declared_dark_current_moves_the_first_frame_of_a_series(make_capture: C
     """Dark electrons of 1 s at 25 °C, 1 e-/s doubling in 7 K, differ by 2^(0.1) − 1 when it is 0.7 K warmer."""
     captured = make_capture(1, plan=[{"t": 1.0, "shutter": "closed"}, {"t": 1e-3}])
     entries = captured.header.frames
-    warming = tuple(replace_temperature(entry, 25.0 + 0.7 * (number % 4 > 0)) for number, entry in enumerate(entries))
+    warm_c = [25.0 + 0.7 * (number % 4 > 0) + 5.0 * (number // 4) for number in range(len(entries))]
+    warming = tuple(replace_temperature(entry, read) for entry, read in zip(entries, warm_c, strict=True))
     state = _state(replace(captured, header=captured.header.model_copy(update={"frames": warming})))
     dark = state.design.closed
     assert state.prediction.first[dark] == pytest.approx(-(2.0**0.1 - 1.0) / 2.6, rel=1e-6)

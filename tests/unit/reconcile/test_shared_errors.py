@@ -9,14 +9,8 @@ from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, FrameS
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.row_bands import RowBins, TileBands
 from radiometer.reconcile.measure.seen import CaptureStatistics
-from radiometer.reconcile.noise.shared_errors import (
-    Part,
-    Repeatability,
-    SharedError,
-    phases_of_wave,
-    shared_errors,
-    whiteners,
-)
+from radiometer.reconcile.noise.shared import Part, SharedError, whiteners
+from radiometer.reconcile.noise.shared_errors import Repeatability, phases_of_wave, shared_errors
 from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.statistics import STATISTICS, Given, family_of
 

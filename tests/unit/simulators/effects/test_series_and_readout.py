@@ -93,10 +93,10 @@ def test_all_rows_wait_before_the_first_is_read() -> None:
 
 @pytest.mark.parametrize(
     ("warm_c", "stated_c"),
-    [((-10.2, -4.8), -5.0), ((41.0, 45.3), 41.0), ((34.9, 45.0), 25.0), ((np.nan, 10.2), 10.0), ((np.nan,), 25.0)],
+    [((-10.2, -4.8), -5.0), ((41.0, 45.3), 41.0), ((34.9, 45.0), 25.0), ((np.nan, 10.2), 10.2), ((np.nan,), 25.0)],
 )
 def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c: tuple[float, ...], stated_c: float) -> None:
-    """25 °C where a dark frame is within 10 K of it, else the nearest that they have; without thermometer 25 °C."""
+    """25 °C where a dark frame is within 10 K of it, else the nearest whole °C that they have, or the only one."""
     session = replace(_context(), settings=cast(Any, SimpleNamespace(temperature_c=np.array(warm_c))))
     for kind in (DarkCurrent, DarkCurrentClamped, DarkCurrentNonuniformity, HotPixels, ReadoutDarkCharge):
         starts = kind.starts(session)

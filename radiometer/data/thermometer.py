@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.data import CaptureHeader
+from radiometer.data.capture_set import CaptureHeader
 
 _FINEST_STEP_K: Final = 0.05
 _WIDEST_STEP_K: Final = 0.75
