@@ -36,6 +36,7 @@ from radiometer.adaptation.report import meaning, outcome, to_mapping
 from radiometer.adaptation.retest import limits_of_agreement
 from radiometer.adaptation.rod_intercept import InterceptRule
 from radiometer.adaptation.run import run_test
+from radiometer.adaptation.screen_levels import SpotLevels, field_code, mark_code, within_reach
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.bench.config import read_bench
 from radiometer.daemon.keeper import KeeperTimes
@@ -53,6 +54,7 @@ from radiometer.devices.retinal_safety import (
     thermal_weight,
 )
 from radiometer.errors import RadiometerError, UnsafeStimulus
+from radiometer.screen.calibration import ChannelCurve, ScreenCalibration
 from simulators.camera_model import CameraModel
 from simulators.scenes import scene_from_mapping
 from simulators.simulated_camera import SimulatedCamera
@@ -309,3 +311,35 @@ def test_figures_about_eyes_are_as_they_were():
     rooms = [judge_room(cd, u, read_protocol("classic")) for cd, u in ((1e-6, 1e-7), (3e-3, 1e-4), (1.0, 0.1))]
     told["rooms"] = [one.facts | {"refused": one.refusal is not None} for one in rooms]
     assert not moved("benches/eyes", told)
+
+
+def test_a_screen_s_levels_are_as_they_were():
+    """The spots that a screen can show, their u and codes, its field and mark, and a protocol cut to its reach."""
+    levels = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 160, 192, 224, 255)
+    curves = {}
+    for name, share, efficacies in (
+        ("grey", 1.0, (320.0, 750.0)),
+        ("red", 0.25, (200.0, 60.0)),
+        ("blue", 0.3, (90.0, 1000.0)),
+    ):
+        values = tuple(3e-4 + 0.7 * share * (n / 255) ** 2.2 for n in levels)
+        curves[name] = ChannelCurve(name, levels, values, tuple(1e-3 * v for v in values), 0.01, *efficacies, "assumed")
+    screen = ScreenCalibration("desk", curves, created="2026-11-21T12:00:00.000000Z", pixel_mm=0.27)
+    told: dict[str, Any] = {}
+    for name, density in (("blue", 0.0), ("grey", 2.0)):
+        spots = SpotLevels.of(screen, name, density)
+        protocol = within_reach(read_protocol("screen-only"), spots)
+        told[name] = {
+            "levels": {key: plain_field(getattr(spots, key)) for key in spots.__dataclass_fields__},
+            "reach": list(spots.reach),
+            "coarsest": [spots.coarsest_step(low) for low in (-4.0, -2.0)],
+            "rgb": [list(spots.rgb(spots.nearest(level))) for level in (-4.0, -2.0, 0.0)],
+            "spot": protocol.spot.model_dump(mode="json"),
+        }
+    told["field"] = [list(field_code(screen, cd, "red")) for cd in (0.1, 5.0)]
+    told["mark"] = [[list(mark_code(screen, cd)[0]), mark_code(screen, cd)[1]] for cd in (0.05, 1.0)]
+    assert not moved("benches/screen", told, rel=1e-7)
+
+
+def plain_field(value: Any) -> Any:
+    return digest(value) if isinstance(value, np.ndarray) else value

@@ -31,7 +31,9 @@ from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.search.localise import localise
 from radiometer.reconcile.statistics import STATISTICS
+from simulators.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.context import FrameGeometry
 from tests.unit.held.figures import FITS, digest, moved
 
 HEIGHT, WIDTH, ROWS, COLUMNS = 48, 72, 4, 6
@@ -68,14 +70,14 @@ def plan() -> list[dict[str, Any]]:
 
 @cache
 def session(hidden: str = "") -> tuple[CaptureHeader, list[Frame]]:
-    """Return a session of three frames each, of which the camera holds nothing or something that it does not state."""
+    """Return a session of three frames each; the camera may hide something, and patches be unknown or none."""
     rng = np.random.default_rng([23, len(hidden)])
     rows, columns = np.indices((HEIGHT, WIDTH))
     entries, frames = [], []
     for number, s in enumerate(plan()[i] for i in rng.permutation(len(plan()))):
         temperature = s.get("T", 35.0) + rng.normal(0.0, 0.1)
         levels = PATTERNS[s.get("pattern", "chart")].reshape(ROWS, COLUMNS)
-        scene = levels[rows // 12, columns // 12]
+        scene = levels[rows // 12, columns // 12] if hidden != "flats" else 0.5 + 0.001 * columns
         light = s.get("d", 0.9) * (4.0 / s.get("N", 4.0)) ** 2 * (1 + 1e-3 * rng.standard_normal())
         for repeat in range(3):
             seconds = s["t"] + (2e-5 if hidden == "offset" else 0.0)
@@ -92,7 +94,7 @@ def session(hidden: str = "") -> tuple[CaptureHeader, list[Frame]]:
     patches = tuple(
         PatchDescription(
             name=f"p{k}", x=x, y=y, width=12, height=12, u_rel=5e-3,
-            radiance_W_per_sr_m2={name: float(v[k]) for name, v in PATTERNS.items()},
+            radiance_W_per_sr_m2=None if hidden == "unknown" else {name: float(v[k]) for name, v in PATTERNS.items()},
         )
         for k, (y, x) in enumerate(PATCHES)
     )  # fmt: skip
@@ -101,7 +103,7 @@ def session(hidden: str = "") -> tuple[CaptureHeader, list[Frame]]:
         lens=LensDescription(focal_length_mm=16.0, f_number=4.0, transmittance=0.95),
         source=SourceDescription(kind="screen", wavelength_nm=550.0, reproducibility_u_rel=1e-3),
         patterns=tuple(PATTERNS),
-        patches=patches,
+        patches=() if hidden == "flats" else patches,
         frames=tuple(entries),
     )
     return header, frames
@@ -140,6 +142,24 @@ def with_all_terms(kind: type[CatalogueEffect]) -> CatalogueEffect:
             step = (high - low) / 30.0
             values[one.name] = one.default + (step if one.default + step <= high else -step)
     return kind().with_parameters(**values)
+
+
+def sampled(effect: CatalogueEffect, seed: int) -> list[Any]:
+    """Return the digest of a frame that a camera with an effect takes of a wedge on a display; the second is dark."""
+    model = CameraModel.ideal(CAMERA, LensDescription(focal_length_mm=16.0, f_number=4.0)).with_effect(effect)
+    rows, columns = np.indices((24, 36))
+    wedge = 0.02 * 10 ** (2.0 * columns / 36) * (1.0 + 0.1 * (rows > 12))
+    shutter = "closed" if seed == 2 else "open"
+    settings = FrameSettings(
+        0.02 * seed, 6.0 * (seed - 1), 4.0, 64.0, 25.0 + 4 * seed, 3.0 * seed, 0.8, "default", shutter
+    )
+    geometry = FrameGeometry.of_image(36, 24, sensor_width=72, sensor_height=60, x=10, y=8, pixel_spacing_um=4.5)
+    context = model.context(
+        settings, geometry, frame_index=seed, code=wedge / 3.0, peak_radiance=3.0, previous_e=400.0 * wedge,
+        since_light_s=2.0, since_frame_s=0.5, device_seed=4,
+    )  # fmt: skip
+    exposed = model.sample(wedge, context, (5, seed))
+    return [digest(exposed.dn), digest(exposed.electrons)]
 
 
 def weighed(state: FitState, effect: CatalogueEffect) -> dict[str, Any]:
@@ -188,13 +208,18 @@ def test_an_entry_is_as_it_was(name):
         found = fields(state.predicted_with((effect,)))
         does = {key: found[key] for key in found if not np.allclose(found[key], base[key], rtol=1e-9)}
         told["does"][title] = {"values": effect.values(), "free": list(effect.free()), **does}
+    told["samples"] = [sampled(tried["start 0"], seed) for seed in (1, 2)] + [sampled(tried["all terms"], 3)]
     told["weighs"] = {title: weighed(state, tried[title]) for title in ("start 0", "all terms") if title in tried}
     assert not moved(f"effects/{name}", told, rel=1e-6)
 
 
-def test_what_is_measured_is_as_it_was():
+KINDS = ("", "flats", "unknown")  # patches of known radiance, none at all, patches of unknown radiance
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_measured_is_as_it_was(kind):
     """The design of a session and every statistic of its frames."""
-    state = start()
+    state = start(kind)
     design = state.design
     told = {
         "design": {
@@ -204,12 +229,13 @@ def test_what_is_measured_is_as_it_was():
         },
         "seen": fields(state.seen),
     }
-    assert not moved("reconcile/measured", told, rel=1e-7)
+    assert not moved(f"reconcile/measured_{kind or 'known'}", told, rel=1e-7)
 
 
-def test_the_first_fit_is_as_it_was():
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_first_fit_is_as_it_was(kind):
     """Nuisances, predicted statistics, what counts, weights and what is left of each statistic."""
-    state = start()
+    state = start(kind)
     comparison = state.comparison
     told = {
         "values": state.values,
@@ -227,7 +253,7 @@ def test_the_first_fit_is_as_it_was():
         "tests": [[t.block, t.where, t.form, t.chi2, t.rank, t.p_value] for t in localise(state)],
     }
     assert set(comparison.usable) == set(STATISTICS)
-    assert not moved("reconcile/first_fit", told, rel=10 * FITS)
+    assert not moved(f"reconcile/first_fit_{kind or 'known'}", told, rel=10 * FITS)
 
 
 TRIED = (
