@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import time
 import tracemalloc
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -21,6 +23,7 @@ from radiometer.data import (
     Frame,
     FrameSettings,
     LensDescription,
+    ResponseCurve,
     Scale,
     SensorNoise,
     StatedUncertainties,
@@ -47,6 +50,11 @@ CALIBRATION = Calibration(
     black_level=BlackLevel(dn=BLACK_DN, u_dn=0.0, dark_u_rel=0.0),
     uncertainties=StatedUncertainties(exposure_u_rel=0.0, linearity_u_rel=0.0),
 )
+with np.errstate(divide="ignore"):
+    SQUARE = ResponseCurve(2.0 * np.log(np.arange(256) / 255.0), np.full(256, 0.003), absolute=True, valid_dn=(1, 254))
+CURVED = replace(
+    CALIBRATION, camera=CameraDescription(bit_depth=8), response=SQUARE, black_level=BlackLevel(dn=0.0, u_dn=0.0)
+)
 BRIGHTEST_E_PER_S = 0.8 * (4095 - BLACK_DN) * GAIN_E_PER_DN / EXPOSURES_S[0]
 
 
@@ -58,6 +66,12 @@ def frames_of(electrons_per_s: NDArray[np.float64], rng: np.random.Generator) ->
         stored = np.clip(np.rint(dn), 0, 4095).astype(np.uint16)
         frames.append(Frame(stored, 12, FrameSettings(float(exposure_s), f_number=4.0, black_level_dn=BLACK_DN)))
     return frames
+
+
+def square_root(dn: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Return what a camera of 8 bits stores whose numbers go with the root of the light."""
+    light = np.clip((dn - BLACK_DN) / (4095.0 - BLACK_DN), 0.0, 1.0)
+    return np.rint(255.0 * np.sqrt(light)).astype(np.uint8)
 
 
 def alternately(works: Sequence[Callable[[], object]], repeats: int = 9) -> list[tuple[float, float]]:
@@ -78,17 +92,22 @@ def speed_and_memory() -> list[str]:
     frames = frames_of(BRIGHTEST_E_PER_S * 10 ** (-4.5 * (smooth - smooth.min()) / np.ptp(smooth)), rng)
     bracket = Bracket.from_frames(frames)
     eight = [(frame.dn >> 4).astype(np.uint8) for frame in frames]
+    behind_a_curve = Bracket.from_frames(
+        [Frame(square_root(frame.dn), 8, FrameSettings(frame.settings.exposure_s, f_number=4.0)) for frame in frames]
+    )
     response = np.maximum(np.arange(256, dtype=np.float32) - 4, 0.05).reshape(256, 1, 1)
     peer = cv2.createMergeDebevec()
     begun = time.perf_counter()
     merge(bracket, CAMERA, LENS, CALIBRATION)
     first = time.perf_counter() - begun
-    theirs, ours, streaming, reading, copying = alternately(
+    theirs, ours, streaming, curved, reading, summing, copying = alternately(
         [
             lambda: peer.process(eight, EXPOSURES_S.astype(np.float32), response),
             lambda: merge(bracket, CAMERA, LENS, CALIBRATION),
             lambda: merge(iter(frames), CAMERA, LENS, CALIBRATION),
+            lambda: merge(behind_a_curve, CURVED.camera, CURVED.lens, CURVED),
             lambda: [int(frame.dn.max()) for frame in frames],
+            lambda: [int(frame.dn.sum()) for frame in frames],
             lambda: [frame.dn.copy() for frame in frames],
         ]
     )
@@ -96,7 +115,9 @@ def speed_and_memory() -> list[str]:
         "OpenCV `MergeDebevec`, 8 bit, value only": theirs,
         "`merge` of a bracket, 12 bit, value + uncertainty + mask": ours,
         "`merge` of a stream, the same": streaming,
-        "reading the frames once from memory (the largest number of each)": reading,
+        "`merge` of a bracket, 8 bit, behind a curve": curved,
+        "reading the frames once from memory: their largest numbers": reading,
+        "reading the frames once from memory: their sums": summing,
         "copying the frames once": copying,
     }
     rows = [
@@ -110,10 +131,11 @@ def speed_and_memory() -> list[str]:
         "|---|---|---|---|---|",
         *rows,
         "",
-        f"Merging takes {ours[0] / reading[0]:.1f} times as long as reading the frames once from memory (a stream "
-        f"{streaming[0] / reading[0]:.1f} times; by processor time {ours[1] / reading[1]:.1f} and "
-        f"{streaming[1] / reading[1]:.1f}), {ours[0] / copying[0]:.1f} times as long as copying them (by processor "
-        f"time {ours[1] / copying[1]:.1f}).",
+        f"Merging takes {ours[0] / summing[0]:.1f} times as long as summing the frames once from memory (a stream "
+        f"{streaming[0] / summing[0]:.1f} times; by processor time {ours[1] / summing[1]:.1f} and "
+        f"{streaming[1] / summing[1]:.1f}), {ours[0] / reading[0]:.1f} times as long as looking for their largest "
+        f"numbers ({ours[1] / reading[1]:.1f}), {ours[0] / copying[0]:.1f} times as long as copying them "
+        f"({ours[1] / copying[1]:.1f}). Load average at the end: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores.",
         f"The first call of a process takes {first:.2f} s (loading the compiled loops, or compiling them where they "
         "are not yet on disk).",
         f"Peak memory while streaming, beyond the result: {peak_planes():.2f} frames of float32, the frame in hand "

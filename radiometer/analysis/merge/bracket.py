@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,8 +162,13 @@ class StreamingMerge:
             images = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.uint8)
         self._sums, self._finished = None, True
 
+        idle: list[tuple[Any, ...]] = []  # what is kept of sets of frames, from one part of the picture to another
+
         def work(start: int, stop: int) -> None:
-            kept = tables.kept()
+            try:
+                kept = idle.pop()
+            except IndexError:  # asked first, another thread might take the last between question and answer
+                kept = tables.kept()
             room = sums or ScratchSums.of(images, block_size(width), frames)
             for begin, end in blocks(start, stop, width):
                 part = room.part(begin, end)
@@ -171,6 +177,7 @@ class StreamingMerge:
                 image = self._factor(begin, end - begin), part.first, part.second
                 patterns = part.patterns()
                 finish(part.first, part.second, part.squares, patterns, part.mask, *kept, *tables.arguments, *image)
+            idle.append(kept)
 
         on_all_cores((height, width), work)
         return images
@@ -420,7 +427,7 @@ class StreamingMerge:
         share = math.hypot(calibration.uncertainties.glare_u, calibration.found.glare) if calibration else 0.0
         if calibration is None or share == 0.0:
             return ()
-        light = share * float(np.mean(radiance, dtype=np.float64))
+        light = share * float(np.mean(radiance))  # pairwise: right to parts in a million
         unit = RADIANCE_UNIT if calibration.absolute else RELATIVE_UNIT
         return (f"no stray light: the lens may add {light:.2g} {unit} (k = 1) to every pixel, which u does not hold",)
 

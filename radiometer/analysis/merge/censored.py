@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from radiometer.analysis.merge.records import CENSORED_SIGMA, CONTRADICTION_SIGMA
+from radiometer.analysis.merge.records import CENSORED_SIGMA, CONTRADICTION_SIGMA, NEAREST, NEXT
 from radiometer.compiled import compiled
 
 # The hazard is read off straight lines, right to 1e-6, which is quicker than exp and erfc for every such pixel.
@@ -39,7 +39,7 @@ def hazard(z: float) -> float:  # pragma: no cover (compiled)
 
 @compiled
 def with_censored(
-    rate: float, variance: float, pattern: Any, frames: Any, kappa: float
+    rate: float, variance: float, pattern: Any, frames: Any, begin: int, end: int, kappa: float
 ) -> tuple[float, float, bool]:  # pragma: no cover (compiled)
     """Return (rate, variance, contradiction) after frames that clipped are heard.
 
@@ -48,12 +48,15 @@ def with_censored(
         variance: Its variance.
         pattern: Bits of those frames.
         frames: As in `records.fill_record`.
+        begin: First of the frames that may have something to say.
+        end: The one after the last of them.
         kappa: Shot noise variance per unit of x.
     """
-    estimate, information, contradiction = rate, 1.0 / variance, False
+    from_others = 1.0 / variance
+    estimate, information, contradiction = rate, from_others, False
     for _ in range(2):
-        score, total = (rate - estimate) / variance, 1.0 / variance
-        for i in range(frames.shape[0]):
+        score, total = (rate - estimate) * from_others, from_others
+        for i in range(begin, end):
             if (pattern >> np.uint64(i)) & np.uint64(1):
                 continue
             t, clips_at = frames[i, 0], frames[i, 2]
@@ -66,10 +69,33 @@ def with_censored(
                 # Far below clipping: it was cut off at the black end, or the scene has changed.
                 contradiction = contradiction or expected > 0.1 * clips_at
                 continue
-            sigma = math.sqrt(noise)
-            rise = hazard(below / sigma)
-            score += t * rise / sigma
-            total += t * t * rise * (rise - below / sigma) / noise
+            per_sigma = 1.0 / math.sqrt(noise)
+            z = below * per_sigma
+            rise = hazard(z)
+            score += t * rise * per_sigma
+            total += t * t * rise * (rise - z) * (per_sigma * per_sigma)
         estimate += score / total
         information = total
     return estimate, 1.0 / information, contradiction
+
+
+@compiled
+def near_clipping(
+    rate: float, variance: float, pattern: Any, slot: int, records: Any, frames: Any, kappa: float
+) -> tuple[float, float, bool]:  # pragma: no cover (compiled)
+    """Return (rate, variance, contradiction) after those frames were heard that need not have clipped at a rate.
+
+    Args:
+        rate: Estimate from the frames that did not clip.
+        variance: Its variance.
+        pattern: Bits of those frames.
+        slot: Place of their record.
+        records: As of `records.fill_record`.
+        frames: Likewise.
+        kappa: Shot noise variance per unit of x.
+    """
+    begin, end = 0, frames.shape[0]
+    if rate >= records[slot, NEXT]:  # the others had to clip: only one frame has something to say
+        begin = int(records[slot, NEAREST])
+        end = begin + 1
+    return with_censored(rate, variance, pattern, frames, begin, end, kappa)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from radiometer.analysis.merge.censored import with_censored
+from radiometer.analysis.merge.censored import near_clipping
 from radiometer.analysis.merge.moments import (
     FIRST_LEVEL,
     SHARE,
@@ -26,14 +26,10 @@ from radiometer.analysis.merge.records import (
     CC,
     D1,
     D2,
-    G0,
-    G1,
     INV1,
     INV2,
     LONGEST,
     NEAR,
-    NEAREST,
-    NEXT,
     P0,
     P1,
     PLENTY,
@@ -46,6 +42,7 @@ from radiometer.analysis.merge.records import (
     fill_record,
     scatter_limit,
 )
+from radiometer.analysis.merge.straight import ONLY_NEAR_CLIPPING, marks, straight, straight_curved
 from radiometer.compiled import compiled
 from radiometer.data.radiance_map import PixelMask
 
@@ -53,7 +50,6 @@ SATURATED = np.uint8(PixelMask.SATURATED)
 BELOW_NOISE = np.uint8(PixelMask.BELOW_NOISE)
 EXTRAPOLATED = np.uint8(PixelMask.EXTRAPOLATED)
 INCONSISTENT = np.uint8(PixelMask.INCONSISTENT)
-_NOISE_FLOOR_SIGMA = 2.0
 _RUN = 1024  # pixels whose square roots are taken together: only a loop without branches is vectorised
 _PROBES = 8
 _HASH = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio (Knuth, vol. 3, 6.4)
@@ -83,11 +79,15 @@ def finish(
 ) -> None:  # pragma: no cover (compiled)
     """Turn the sums of a block into radiance, standard uncertainty and mask.
 
+    A first loop, for a linear sensor one without branches, works out every pixel; pixels about which there is more to
+    say (frames that disagree, frames near clipping) are few and gone through again. A branch that no processor can
+    foresee costs as much as a pixel's arithmetic.
+
     Args:
         first: Σt^0.35·x, float32; may be `radiance` itself.
         second: Σt·x, float32; may be `u_radiance` itself.
         squares: Σx², float32.
-        bits: Frames used in each pixel, uint64.
+        bits: Frames used in each pixel, unsigned.
         mask: Clipping seen in each pixel; overwritten by PixelMask bits.
         known: Sets of frames that `records` and `levels` hold something of; as is the rest, kept from block to block.
         records: As of `fill_record`, shape (sets, RECORD_SIZE); their number is a power of 2.
@@ -107,94 +107,177 @@ def finish(
         u_radiance: Written.
     """
     rates, variances = np.empty(_RUN), np.empty(_RUN)
-    record, last, slot = records[0], np.uint64(0), 0
-    for start in range(0, bits.size, _RUN):
-        count = min(_RUN, bits.size - start)
-        for j in range(count):
-            i = start + j
-            pattern = bits[i]
-            if pattern == 0:  # no frame shows this pixel unclipped
-                white = mask[i] & SATURATED
-                rates[j] = bounds[0] if white else bounds[1]
-                variances[j] = rates[j] ** 2
-                mask[i] = SATURATED if white else BELOW_NOISE
-                continue
-            if pattern != last:
-                last = pattern
-                slot = _place_of(pattern, known)
-                record = records[slot]
-                if known[slot] != pattern:
-                    known[slot] = pattern
-                    fill_record(record, pattern, frames, kappa, gains, top)
-                    levels[slot] = 0.0
-                inv1, inv2, s2, near, plenty = record[INV1], record[INV2], record[S2], record[NEAR], record[PLENTY]
-                p0, p1, r0, r1 = record[P0], record[P1], record[R0], record[R1]
-                a0, a1, g0, g1, v0, v1 = record[A0], record[A1], record[G0], record[G1], record[V0], record[V1]
-                d1, d2 = record[D1], record[D2]
-                if quantisation is not None:
-                    longest = int(record[LONGEST])
-                    of_longest, per_root = frames[longest, 0] * gains[longest], record[ROOT] * (levels.shape[1] - 1)
-            sum_b = float(second[i])
-            rate_a, rate_b = first[i] * inv1, sum_b * inv2
-            found, extra, level_u = np.uint8(0), 0.0, 0.0
-            if quantisation is not None:
-                rate, share, variance, total = rate_b, 0.0, 0.0, 0.0
-                for _ in range(2):
-                    place = math.sqrt(max(rate, 0.0)) * per_root
-                    if FIRST_LEVEL <= place < levels.shape[1] - 1:
-                        k = int(place)
-                        above = place - k
-                        if levels[slot, k, VARIANCE] == 0.0 or levels[slot, k + 1, VARIANCE] == 0.0:
-                            fill_levels(k, pattern, record, levels[slot], frames, gains, kappa, quantisation, top)
-                        share = levels[slot, k, SHARE] + above * (levels[slot, k + 1, SHARE] - levels[slot, k, SHARE])
-                        variance = levels[slot, k, VARIANCE] + above * (
-                            levels[slot, k + 1, VARIANCE] - levels[slot, k, VARIANCE]
-                        )
-                        total = levels[slot, k, TOTAL] + above * (levels[slot, k + 1, TOTAL] - levels[slot, k, TOTAL])
-                        extra = levels[slot, k, SQUARES] + above * (
-                            levels[slot, k + 1, SQUARES] - levels[slot, k, SQUARES]
-                        )
-                    else:
-                        share, variance, total, extra = at_rate(
-                            rate, pattern, record, frames, gains, kappa, quantisation, top
-                        )
-                    rate = rate_b + share * (rate_a - rate_b)
-                # Frames may differ by what the curve is uncertain by, at the level of the longest.
-                level = max(rate, 0.0) * of_longest
-                level_u = from_root_table(level, curve, top)
-                if level < valid[0] or level > valid[1]:
-                    found |= EXTRAPOLATED
-            else:
-                seen = max(rate_b, 0.0)
-                rate = rate_b + (p0 + p1 * seen) / (r0 + r1 * seen) * (rate_a - rate_b)
-                seen = max(rate, 0.0)
-                inverse = 1.0 / (r0 + r1 * seen)
-                share, gap = (p0 + p1 * seen) * inverse, g0 + g1 * seen
-                rate = rate_b + share * (rate_a - rate_b)
-                variance, total = a0 + a1 * seen - gap * gap * inverse, v0 + v1 * seen
-            scatter = squares[i] - rate * (2.0 * sum_b - rate * s2)
-            if scatter > plenty * total:
-                if quantisation is None:
-                    extra = record[CC] + kappa * seen * (2.0 * record[C1] + kappa * seen * s2)
-                # Satterthwaite 1946 for the degrees of freedom.
-                tolerance = (bounds[2] ** 2 + (AGREEMENT_SIGMA * level_u) ** 2) * rate**2 * s2
-                if scatter > total * scatter_limit(total**2 / extra) + tolerance:
-                    found |= INCONSISTENT
-            if rate < near:
-                if rate < record[NEXT]:
-                    rate, variance, contradiction = with_censored(rate, variance, pattern, frames, kappa)
-                else:  # the others had to clip: only one frame has something to say
-                    nearest = int(record[NEAREST])
-                    here = frames[nearest : nearest + 1]
-                    rate, variance, contradiction = with_censored(rate, variance, np.uint64(0), here, kappa)
-                if contradiction:
-                    found |= INCONSISTENT
-            dark = d2 + share * (d1 - d2)
-            variance += dark * dark
-            if rate < 0.0 or rate * rate < _NOISE_FLOOR_SIGMA**2 * variance:
-                found |= BELOW_NOISE
-            rates[j], variances[j], mask[i] = rate, variance + (level_u * rate) ** 2, found
+    slots, doubtful = np.empty(_RUN, np.int64), np.empty(_RUN, np.uint8)
+    start, dark = 0, bool(np.any(frames[:, 4] > 0.0))
+    while start < bits.size:
+        end = min(start + _RUN, bits.size)
+        count = _find_sets(bits[start:end], slots, known, records, levels, frames, kappa, gains, top)
+        end = start + count
+        sums = first[start:end], second[start:end], squares[start:end]
+        these, seen = bits[start:end], mask[start:end]
+        if quantisation is None:
+            straight(*sums, these, slots, records, dark, rates, variances, seen, doubtful)
+        else:
+            straight_curved(
+                *sums,
+                these,
+                slots,
+                records,
+                levels,
+                frames,
+                kappa,
+                gains,
+                quantisation,
+                curve,
+                top,
+                valid,
+                rates,
+                variances,
+                seen,
+                doubtful,
+            )
+        for i in range(count):
+            if doubtful[i] == ONLY_NEAR_CLIPPING:
+                rate, variance, contradiction = near_clipping(
+                    rates[i], variances[i], np.uint64(these[i]), slots[i], records, frames, kappa
+                )
+                seen[i] = marks(rate, variance) | (INCONSISTENT if contradiction else np.uint8(0))
+                rates[i], variances[i] = rate, variance
+            elif doubtful[i]:
+                rates[i], variances[i], seen[i] = _single(
+                    first[start + i],
+                    second[start + i],
+                    squares[start + i],
+                    np.uint64(these[i]),
+                    seen[i],
+                    slots[i],
+                    records,
+                    levels,
+                    frames,
+                    kappa,
+                    bounds,
+                    gains,
+                    quantisation,
+                    curve,
+                    top,
+                    valid,
+                )
         scaled(rates[:count], variances[:count], factor, start, radiance, u_radiance)
+        start = end
+
+
+@compiled
+def _find_sets(
+    bits: Any, slots: Any, known: Any, records: Any, levels: Any, frames: Any, kappa: float, gains: Any, top: float
+) -> int:  # pragma: no cover (compiled)
+    """Write where the record of each pixel's set of frames is; return for how many pixels there was room.
+
+    Records are filled in where they were not; one that is in the way of the first pixel is given up for it, one that
+    earlier pixels of the run may need is not.
+    """
+    last, shift = np.uint64(known.size - 1), np.uint64(32)
+    for i in range(bits.size):
+        pattern = np.uint64(bits[i])
+        place = int(((pattern * _HASH) >> shift) & last)
+        if known[place] != pattern and pattern != 0:
+            place = _place_of(pattern, known)
+            if known[place] != pattern:
+                if i > 0 and known[place] != 0:
+                    return i
+                known[place] = pattern
+                fill_record(records[place], pattern, frames, kappa, gains, top)
+                levels[place] = 0.0
+        slots[i] = place
+    return int(bits.size)
+
+
+@compiled
+def _single(
+    first: Any,
+    second: Any,
+    squares: Any,
+    pattern: Any,
+    seen_of_clipping: Any,
+    slot: int,
+    records: Any,
+    levels: Any,
+    frames: Any,
+    kappa: float,
+    bounds: Any,
+    gains: Any,
+    quantisation: Any,
+    curve: Any,
+    top: float,
+    valid: Any,
+) -> tuple[float, float, Any]:  # pragma: no cover (compiled)
+    """Return rate, variance and mask of a pixel from its sums; arguments as `finish`, those of its set of frames."""
+    if pattern == 0:  # no frame shows this pixel unclipped
+        white = seen_of_clipping & SATURATED
+        bound = bounds[0] if white else bounds[1]
+        return bound, bound**2, SATURATED if white else BELOW_NOISE
+    inv1, inv2, s2, near, plenty = (
+        records[slot, INV1],
+        records[slot, INV2],
+        records[slot, S2],
+        records[slot, NEAR],
+        records[slot, PLENTY],
+    )
+    p0, p1, r0, r1 = records[slot, P0], records[slot, P1], records[slot, R0], records[slot, R1]
+    a0, a1, v0, v1 = records[slot, A0], records[slot, A1], records[slot, V0], records[slot, V1]
+    d1, d2 = records[slot, D1], records[slot, D2]
+    sum_b = float(second)
+    rate_a, rate_b = first * inv1, sum_b * inv2
+    found, extra, level_u = np.uint8(0), 0.0, 0.0
+    if quantisation is not None:
+        longest = int(records[slot, LONGEST])
+        of_longest, per_root = frames[longest, 0] * gains[longest], records[slot, ROOT] * (levels.shape[1] - 1)
+        rate, share, variance, total = rate_b, 0.0, 0.0, 0.0
+        for _ in range(2):
+            place = math.sqrt(max(rate, 0.0)) * per_root
+            if FIRST_LEVEL <= place < levels.shape[1] - 1:
+                k = int(place)
+                above = place - k
+                if levels[slot, k, VARIANCE] == 0.0 or levels[slot, k + 1, VARIANCE] == 0.0:
+                    fill_levels(k, pattern, records[slot], levels[slot], frames, gains, kappa, quantisation, top)
+                share = levels[slot, k, SHARE] + above * (levels[slot, k + 1, SHARE] - levels[slot, k, SHARE])
+                variance = levels[slot, k, VARIANCE] + above * (
+                    levels[slot, k + 1, VARIANCE] - levels[slot, k, VARIANCE]
+                )
+                total = levels[slot, k, TOTAL] + above * (levels[slot, k + 1, TOTAL] - levels[slot, k, TOTAL])
+                extra = levels[slot, k, SQUARES] + above * (levels[slot, k + 1, SQUARES] - levels[slot, k, SQUARES])
+            else:
+                share, variance, total, extra = at_rate(
+                    rate, pattern, records[slot], frames, gains, kappa, quantisation, top
+                )
+            rate = rate_b + share * (rate_a - rate_b)
+        # Frames may differ by what the curve is uncertain by, at the level of the longest.
+        level = max(rate, 0.0) * of_longest
+        level_u = from_root_table(level, curve, top)
+        if level < valid[0] or level > valid[1]:
+            found |= EXTRAPOLATED
+    else:
+        seen = max(rate_b, 0.0)
+        rate = rate_b + (p0 + p1 * seen) / (r0 + r1 * seen) * (rate_a - rate_b)
+        seen = max(rate, 0.0)
+        of_b, of_both = p0 + p1 * seen, r0 + r1 * seen
+        share, gap = of_b / of_both, of_both - of_b
+        rate = rate_b + share * (rate_a - rate_b)
+        variance, total = a0 + a1 * seen - gap * gap / of_both, v0 + v1 * seen
+    scatter = squares - rate * (2.0 * sum_b - rate * s2)
+    if scatter > plenty * total:
+        if quantisation is None:
+            extra = records[slot, CC] + kappa * seen * (2.0 * records[slot, C1] + kappa * seen * s2)
+        # Satterthwaite 1946 for the degrees of freedom.
+        tolerance = (bounds[2] ** 2 + (AGREEMENT_SIGMA * level_u) ** 2) * rate**2 * s2
+        if scatter > total * scatter_limit(total**2 / extra) + tolerance:
+            found |= INCONSISTENT
+    if rate < near:
+        rate, variance, contradiction = near_clipping(rate, variance, pattern, slot, records, frames, kappa)
+        if contradiction:
+            found |= INCONSISTENT
+    dark = d2 + share * (d1 - d2)
+    variance += dark * dark
+    return rate, variance + (level_u * rate) ** 2, found | marks(rate, variance)
 
 
 @compiled

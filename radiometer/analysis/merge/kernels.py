@@ -15,6 +15,8 @@ from radiometer.data.radiance_map import PixelMask
 
 CLIPPED_HIGH = np.uint8(PixelMask.SATURATED)
 CLIPPED_LOW = np.uint8(PixelMask.BELOW_NOISE)
+MANY = 16  # frames that go through one call; those of one plane of bits
+_RUN = 4096  # pixels: their sums and four frames of 16 bits are read from a core's nearest caches
 
 
 @compiled
@@ -144,8 +146,7 @@ def add_linear_four(
     offset_d, inverse_d, exposure_d, weight_d = constants[3]
     low_a, high_a, low_b, high_b = limits[0, 0], limits[0, 1], limits[1, 0], limits[1, 1]
     low_c, high_c, low_d, high_d = limits[2, 0], limits[2, 1], limits[3, 0], limits[3, 1]
-    bit_a, bit_b, bit_c, bit_d, none = bits_of[0], bits_of[1], bits_of[2], bits_of[3], bits.dtype.type(0)
-    zero, nothing = np.float32(0.0), np.uint8(0)
+    zero = np.float32(0.0)
     for i in range(dn_a.size):
         a, b, c, d = dn_a[i], dn_b[i], dn_c[i], dn_d[i]
         used_a, used_b = (a >= low_a) & (a < high_a), (b >= low_b) & (b < high_b)
@@ -157,11 +158,7 @@ def add_linear_four(
         first[i] = (((first[i] + weight_a * x_a) + weight_b * x_b) + weight_c * x_c) + weight_d * x_d
         second[i] = (((second[i] + exposure_a * x_a) + exposure_b * x_b) + exposure_c * x_c) + exposure_d * x_d
         squares[i] = (((squares[i] + x_a * x_a) + x_b * x_b) + x_c * x_c) + x_d * x_d
-        seen = (bit_a if used_a else none) | (bit_b if used_b else none)
-        bits[i] |= seen | (bit_c if used_c else none) | (bit_d if used_d else none)
-        clipped = (a >= high_a) | (b >= high_b) | (c >= high_c) | (d >= high_d)
-        black = (a < low_a) | (b < low_b) | (c < low_c) | (d < low_d)
-        mask[i] |= (CLIPPED_HIGH if clipped else nothing) | (CLIPPED_LOW if black else nothing)
+    _mark_four(dn_a, dn_b, dn_c, dn_d, limits, bits_of, bits, mask)
 
 
 @compiled
@@ -209,6 +206,17 @@ def add_table_four(
         first[i] = (((first[i] + weight_a * x_a) + weight_b * x_b) + weight_c * x_c) + weight_d * x_d
         second[i] = (((second[i] + exposure_a * x_a) + exposure_b * x_b) + exposure_c * x_c) + exposure_d * x_d
         squares[i] = (((squares[i] + x_a * x_a) + x_b * x_b) + x_c * x_c) + x_d * x_d
+    _mark_four(dn_a, dn_b, dn_c, dn_d, limits, bits_of, bits, mask)
+
+
+@compiled
+def _mark_four(
+    dn_a: Any, dn_b: Any, dn_c: Any, dn_d: Any, limits: Any, bits_of: Any, bits: Any, mask: Any
+) -> None:  # pragma: no cover (compiled)
+    """Mark which of four frames are used and which clip; arguments as `add_linear_four`.
+
+    A loop for each: numbers of one width only are compared many at a time.
+    """
     low_a, high_a, low_b, high_b = limits[0, 0], limits[0, 1], limits[1, 0], limits[1, 1]
     low_c, high_c, low_d, high_d = limits[2, 0], limits[2, 1], limits[3, 0], limits[3, 1]
     bit_a, bit_b, bit_c, bit_d, none = bits_of[0], bits_of[1], bits_of[2], bits_of[3], bits.dtype.type(0)
@@ -223,6 +231,70 @@ def add_table_four(
         clipped = (a >= high_a) | (b >= high_b) | (c >= high_c) | (d >= high_d)
         black = (a < low_a) | (b < low_b) | (c < low_c) | (d < low_d)
         mask[i] |= (CLIPPED_HIGH if clipped else nothing) | (CLIPPED_LOW if black else nothing)
+
+
+@compiled
+def add_linear_many(
+    frames: Any,
+    count: int,
+    start: int,
+    constants: Any,
+    limits: Any,
+    bits_of: Any,
+    first: Any,
+    second: Any,
+    squares: Any,
+    bits: Any,
+    mask: Any,
+) -> None:  # pragma: no cover (compiled)
+    """Add frames of a linear sensor in fours, in runs of pixels whose sums stay in a core's first-level cache.
+
+    Args:
+        frames: Digital numbers of `MANY` frames of one type, whole pictures.
+        count: How many of them count: a multiple of four.
+        start: Their first pixel that the sums are of.
+        constants: As in `add_linear_four` for each frame; so are `limits` and `bits_of`.
+        limits: Likewise.
+        bits_of: Likewise.
+        first: Σw·x, float32, added to.
+        second: Σt·x, float32, added to.
+        squares: Σx², float32, added to.
+        bits: Frames used in each pixel, added to.
+        mask: Clipping seen in each pixel, added to.
+    """
+    for low in range(0, first.size, _RUN):
+        high = min(low + _RUN, first.size)
+        here, sums = slice(start + low, start + high), (first[low:high], second[low:high], squares[low:high])
+        marks = bits[low:high], mask[low:high]
+        for k in range(0, count, 4):
+            four = frames[k][here], frames[k + 1][here], frames[k + 2][here], frames[k + 3][here]
+            add_linear_four(*four, constants[k : k + 4], limits[k : k + 4], bits_of[k : k + 4], *sums, *marks)
+
+
+@compiled
+def add_table_many(
+    frames: Any,
+    count: int,
+    start: int,
+    tables: Any,
+    constants: Any,
+    limits: Any,
+    bits_of: Any,
+    first: Any,
+    second: Any,
+    squares: Any,
+    bits: Any,
+    mask: Any,
+) -> None:  # pragma: no cover (compiled)
+    """Add frames through tables in fours; arguments as `add_linear_many`, `tables` and `constants` `add_table_four`."""
+    for low in range(0, first.size, _RUN):
+        high = min(low + _RUN, first.size)
+        here, sums = slice(start + low, start + high), (first[low:high], second[low:high], squares[low:high])
+        marks = bits[low:high], mask[low:high]
+        for k in range(0, count, 4):
+            four = frames[k][here], frames[k + 1][here], frames[k + 2][here], frames[k + 3][here]
+            of_four = tables[k], tables[k + 1], tables[k + 2], tables[k + 3]
+            add_table_four(*four, of_four, constants[k : k + 4], limits[k : k + 4], bits_of[k : k + 4], *sums, *marks)
 
 
 @compiled

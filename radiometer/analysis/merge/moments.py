@@ -77,13 +77,15 @@ def fill_levels(
     quantisation: Any,
     top: float,
 ) -> None:  # pragma: no cover (compiled)
-    """Fill in level k of a set of frames and the next, √(rate·t·gain/top) = k/(size − 1) of the frame that shows most.
+    """Fill in level k of a set of frames and the next, where they are not yet.
+
+    At level k √(rate·t·gain/top) = k/(size − 1) of the frame that shows most.
 
     Args:
         k: Number of the level.
         pattern: Bits of the frames used.
         record: As of `fill_record`.
-        levels: Shape (size, 4): what `at_rate` returns; overwritten at k and k + 1.
+        levels: Shape (size, 4): what `at_rate` returns; written at k and k + 1 where nothing is yet.
         frames: As in `fill_record`.
         gains: Gain factor of every frame.
         kappa: Shot noise variance per unit of x.
@@ -91,6 +93,8 @@ def fill_levels(
         top: Likewise.
     """
     for j in (k, k + 1):
+        if levels[j, VARIANCE] > 0.0:
+            continue
         rate = (j / ((levels.shape[0] - 1) * record[ROOT])) ** 2
         share, variance, total, squares = at_rate(rate, pattern, record, frames, gains, kappa, quantisation, top)
         levels[j, SHARE], levels[j, VARIANCE], levels[j, TOTAL], levels[j, SQUARES] = share, variance, total, squares

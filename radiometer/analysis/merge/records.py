@@ -29,8 +29,6 @@ from radiometer.compiled import compiled
     R1,
     A0,
     A1,
-    G0,
-    G1,
     V0,
     V1,
     CC,
@@ -41,6 +39,8 @@ from radiometer.compiled import compiled
     COUNT,
     LONGEST,
     PLENTY,
+    PLENTY0,
+    PLENTY1,
     ROOT,
     NEAREST,
     NEXT,
@@ -75,10 +75,11 @@ def fill_record(
 ) -> None:  # pragma: no cover (compiled)
     """Fill in what follows from which frames are used: sums, and the variances as lines in E.
 
-    With w = t^0.35, E_a = Σwx/Σwt and E_b = Σtx/Σt²: var E_a = a0 + a1·E, var E_a − cov = g0 + g1·E, the variance
-    of E_a − E_b is r0 + r1·E, and the best share of E_a is (p0 + p1·E)/(r0 + r1·E). PLENTY is how often the expected
-    scatter is still consistent whatever the level: by Cauchy and Schwarz the degrees of freedom are at most the frames.
-    Below the rate NEAR the frame NEAREST may not have had to clip, below NEXT others as well.
+    With w = t^0.35, E_a = Σwx/Σwt and E_b = Σtx/Σt²: var E_a = a0 + a1·E, the variance of E_a − E_b is r0 + r1·E,
+    var E_b − cov = p0 + p1·E and so var E_a − cov = r − p; the best share of E_a is p/r. PLENTY is how often the
+    expected scatter is still consistent whatever the level: by Cauchy and Schwarz the degrees of freedom are at most
+    the frames. PLENTY0 + PLENTY1·E is that scatter. Below the rate NEAR the frame NEAREST may not have had to clip,
+    below NEXT others as well.
     ROOT times √E is 1 where the frame that shows most is at the end of the response curve.
 
     Args:
@@ -124,7 +125,7 @@ def fill_record(
     record[A0], record[A1] = var_a0, var_a1
     record[R0], record[R1] = var_a0 + var_b0 - 2.0 * both0, var_a1 + var_b1 - 2.0 * both1
     record[P0], record[P1] = var_b0 - both0, var_b1 - both1
-    record[G0], record[G1] = var_a0 - both0, var_a1 - both1
     record[PLENTY] = scatter_limit(record[COUNT]) if record[COUNT] > 1.0 else math.inf
+    record[PLENTY0], record[PLENTY1] = record[PLENTY] * record[V0], record[PLENTY] * record[V1]
     if record[R0] <= 1e-9 * var_a0 and record[R1] <= 1e-9 * var_a1:  # one exposure only: both estimates are the same
-        record[P0], record[P1], record[R0], record[R1], record[G0], record[G1] = 1.0, 0.0, 1.0, 0.0, 0.0, 0.0
+        record[P0], record[P1], record[R0], record[R1] = 1.0, 0.0, 1.0, 0.0

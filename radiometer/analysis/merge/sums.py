@@ -16,7 +16,7 @@ from radiometer.analysis.merge.records import FIRST_POWER
 
 Images = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]
 
-FRAMES_PER_PLANE: Final = 16
+FRAMES_PER_PLANE: Final = merge_kernels.MANY
 _AT_ONCE: Final = 4  # frames that one pass over the sums takes in
 
 
@@ -129,8 +129,10 @@ class MergeSums:
         planes = [plane[cut] for plane in self.planes]
         return MergeSums(self.first[cut], self.second[cut], self.squares[cut], self.mask[cut], planes)
 
-    def patterns(self) -> NDArray[np.uint64]:
+    def patterns(self) -> NDArray[np.uint16] | NDArray[np.uint64]:
         """Return the bits of all frames used in each pixel."""
+        if len(self.planes) == 1:
+            return self.planes[0]
         bits = self.planes[0].astype(np.uint64)
         for number, plane in enumerate(self.planes[1:], start=1):
             bits |= plane.astype(np.uint64) << np.uint64(number * FRAMES_PER_PLANE)
@@ -147,9 +149,10 @@ class MergeSums:
         waiting = list(samples)
         while waiting:
             one = waiting[0]
-            alike = list(itertools.takewhile(one.is_like, waiting[:_AT_ONCE]))
-            if len(alike) == _AT_ONCE:
-                self._add_four(alike, start, reference)
+            alike = list(itertools.takewhile(one.is_like, waiting[:FRAMES_PER_PLANE]))
+            if len(alike) >= _AT_ONCE:
+                alike = alike[: len(alike) // _AT_ONCE * _AT_ONCE]
+                self._add_fours(alike, start, reference)
             elif len(alike) > 1 and one.table is None:
                 alike = alike[:2]
                 self._add_linear_pair(alike[0], alike[1], start, reference)
@@ -158,18 +161,18 @@ class MergeSums:
                 self._add_one(one, start, reference)
             waiting = waiting[len(alike) :]
 
-    def _add_four(self, four: Sequence[MergeSample], start: int, reference: float) -> None:
-        stop = start + self.first.size
-        dn = [one.dn[start:stop] for one in four]
-        constants = np.array([one.constants(reference) for one in four], np.float32)
-        limits = np.array([one.limits for one in four], dn[0].dtype)
-        bits, view = np.array([one.bit for one in four], np.uint16), self._view(four[0].plane)
-        if four[0].table is None:
-            merge_kernels.add_linear_four(*dn, constants, limits, bits, *view)
+    def _add_fours(self, alike: Sequence[MergeSample], start: int, reference: float) -> None:
+        # Always as many arrays: the loop is compiled once. Those that do not count are not looked at.
+        dn = tuple(alike[min(k, len(alike) - 1)].dn for k in range(merge_kernels.MANY))
+        constants = np.array([one.constants(reference) for one in alike], np.float32)
+        limits = np.array([one.limits for one in alike], dn[0].dtype)
+        bits, view = np.array([one.bit for one in alike], np.uint16), self._view(alike[0].plane)
+        if alike[0].table is None:
+            merge_kernels.add_linear_many(dn, len(alike), start, constants, limits, bits, *view)
         else:
-            tables = tuple(one.usable for one in four)
+            tables = tuple(alike[min(k, len(alike) - 1)].usable for k in range(merge_kernels.MANY))
             exposures = np.ascontiguousarray(constants[:, 2:])
-            merge_kernels.add_table_four(*dn, tables, exposures, limits, bits, *view)
+            merge_kernels.add_table_many(dn, len(alike), start, tables, exposures, limits, bits, *view)
 
     def _add_linear_pair(self, one: MergeSample, two: MergeSample, start: int, reference: float) -> None:
         stop = start + self.first.size

@@ -31,7 +31,7 @@ def likeliest(rate, variance, frames, kappa):
 def test_the_estimate_is_the_likeliest_and_its_variance_the_curvature(rate, variance, clipped):
     """To a thirtieth of sigma and 2 % of the variance, which two steps of Newton's leave; frames in use say no more."""
     pattern = np.uint64(sum(1 << k for k in range(3) if k not in clipped))
-    found, u2, contradiction = with_censored(rate, variance, pattern, FRAMES, 0.0)
+    found, u2, contradiction = with_censored(rate, variance, pattern, FRAMES, 0, len(FRAMES), 0.0)
     best, curvature = likeliest(rate, variance, FRAMES[list(clipped)], 0.0)
     assert best - rate > 0.1 * np.sqrt(variance)  # they do say something
     assert found == pytest.approx(best, abs=np.sqrt(variance) / 30.0)
@@ -42,10 +42,10 @@ def test_the_estimate_is_the_likeliest_and_its_variance_the_curvature(rate, vari
 def test_shot_noise_makes_a_clipped_frame_say_less():
     """Noise that grows with the light, κ·x·t beside the rest: the same as that noise stated beforehand."""
     plain = FRAMES[1:2].copy()
-    found = with_censored(104.0, 4.0, np.uint64(0), FRAMES[1:2], 0.8)
+    found = with_censored(104.0, 4.0, np.uint64(0), FRAMES, 1, 2, 0.8)
     plain[0, 1] += 0.8 * 2.0 * found[0]
-    assert found[:2] == pytest.approx(with_censored(104.0, 4.0, np.uint64(0), plain, 0.0)[:2], rel=2e-3)
-    assert found[0] < with_censored(104.0, 4.0, np.uint64(0), FRAMES[1:2], 0.0)[0]
+    assert found[:2] == pytest.approx(with_censored(104.0, 4.0, np.uint64(0), plain, 0, 1, 0.0)[:2], rel=2e-3)
+    assert found[0] < with_censored(104.0, 4.0, np.uint64(0), FRAMES, 1, 2, 0.0)[0]
 
 
 @pytest.mark.parametrize(("clips_at", "heard"), [(120.0, False), (208.0, True)])
@@ -53,7 +53,7 @@ def test_a_frame_that_had_to_clip_says_nothing(clips_at, heard):
     """Where the others put the light far above its clipping level, that it clips is no news."""
     frames = FRAMES[1:2].copy()
     frames[0, 2] = clips_at
-    found, variance, _ = with_censored(105.0, 1.0, np.uint64(0), frames, 0.0)
+    found, variance, _ = with_censored(105.0, 1.0, np.uint64(0), frames, 0, len(frames), 0.0)
     assert (found > 105.0, variance != 1.0) == (heard, heard)
 
 
@@ -61,6 +61,6 @@ def test_a_frame_that_had_to_clip_says_nothing(clips_at, heard):
 def test_a_frame_that_clips_far_below_its_level_contradicts(rate, contradicts):
     """Six sigma below it, and not near black where the dark end is cut off: then the scene has changed."""
     # At 90 the frame lies 35 below its level of 215 with a noise of 7.3: 4.8 sigma.
-    found, _, said = with_censored(rate, 1.0, np.uint64(0), FRAMES[1:2], 0.0)
+    found, _, said = with_censored(rate, 1.0, np.uint64(0), FRAMES, 1, 2, 0.0)
     assert said is contradicts
     assert (found == rate) is (rate < 50.0)

@@ -100,8 +100,8 @@ def test_two_sums_are_as_good_as_all_weights(step):
         frames = np.array([[t, readout, 1e30, 1.0, 0.0] for t in exposures])
         record = np.zeros(merge_records.RECORD_SIZE)
         merge_records.fill_record(record, np.uint64(2**10 - 1), frames, kappa, np.ones(10), 1.0)
-        inverse = 1.0 / (record[merge_records.R0] + record[merge_records.R1])
-        gap = record[merge_records.G0] + record[merge_records.G1]
+        apart = record[merge_records.R0] + record[merge_records.R1]
+        inverse, gap = 1.0 / apart, apart - record[merge_records.P0] - record[merge_records.P1]
         variance = record[merge_records.A0] + record[merge_records.A1] - gap**2 * inverse
         best = 1.0 / np.sum(exposures**2 / (readout + kappa * exposures))
         assert 1.0 - 1e-9 < variance / best < 1.015
