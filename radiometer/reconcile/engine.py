@@ -36,6 +36,7 @@ from radiometer.reconcile.result import (
     Place,
     ReconcileResult,
     Repeats,
+    Series,
     Verdict,
 )
 from radiometer.reconcile.search.frame_order import FrameLight, Periodic, periodic, steadied
@@ -248,12 +249,17 @@ def examine(
     found = search(start, entries, say)
     outcome = _spared("laws of no entry", lambda: held_to_laws(found, say), failed) or found
     result = _result(outcome, entries, again, total, begun, failed, with_limits=with_limits)
-    return Reconciled(replace(result, repeats=_repeats(outcome.state, light)), outcome)
+    return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome)
 
 
-def _repeats(state: FitState, light: FrameLight) -> tuple[Repeats, ...]:
+def _repeats(state: FitState, light: FrameLight, header: CaptureHeader) -> tuple[Repeats, ...]:
     wander = (wander_of_black(state.design, state.seen), float(np.sqrt(state.comparison.wander2)))
-    return repeats_of(state.design, light.of_tiles, state.comparison.usable["mean"], state.sensitivity, wander)
+    found = repeats_of(state.design, light.of_tiles, state.comparison.usable["mean"], state.sensitivity, wander)
+
+    def as_stated(one: Series) -> Series:  # the design has a stand-in for exposures of 0 s
+        return replace(one, exposure_s=header.frames[one.frames[0]].exposure_s)
+
+    return tuple(replace(part, series=tuple(map(as_stated, part.series))) for part in found)
 
 
 def _wandering(header: CaptureHeader, rms: float) -> CaptureHeader:

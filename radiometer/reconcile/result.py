@@ -12,6 +12,8 @@ from radiometer.data.reading import finite_or_null
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 
+_CLEAR_SIGMAS: Final = 5.0  # of the tiles' scatter, from which a first frame is said to differ
+_MOST_SAID: Final = 6  # frames in a sentence
 GAP_UNIT: Final = "reduced chi-square on held-out frames"
 
 
@@ -227,7 +229,7 @@ class Repeats:
 
     Attributes:
         kind: `dark` (black level and dark current, in DN) or `lit` (light, relative).
-        scatter: Standard deviation of a frame about its series, with its standard uncertainty.
+        scatter: Standard deviation of frames of a series beyond what their tiles give by chance, with u.
         aside: Standard deviation of the wander that the fit allows for; 0 where none is needed.
         series: The series.
     """
@@ -255,11 +257,13 @@ class Repeats:
             f"{frames} {self.kind} frames in {len(self.series)} series of one setting: their {what} differs by "
             f"{self._shown(self.scatter.value, self.scatter.u)} (standard deviation) from frame to frame{aside}"
         )
-        begins = [one for one in self.series if len(one.frames) > 2 and abs(one.apart[0]) > 3.0 * one.u[0]]
-        said = [first, f"first frame of a series less the others: {self._listed(begins)}"] if begins else [first]
+        begins = [one for one in self.series if len(one.frames) > 2 and abs(one.apart[0]) > _CLEAR_SIGMAS * one.u[0]]
+        begins = sorted(begins, key=lambda one: -abs(one.apart[0]))[:_MOST_SAID]
+        said = [first] if self.scatter.u is not None and self.scatter.value > 2.0 * self.scatter.u else []
+        said += [f"first frame of a series less the others: {self._listed(begins)}"] if begins else []
         out = [(one, at) for one in self.series for at in one.standing_out]
         if out:
-            told = (f"frame {one.frames[at]} ({self._shown(one.apart[at], one.u[at])})" for one, at in out)
+            told = (f"frame {one.frames[at]} ({self._shown(one.apart[at], one.u[at])})" for one, at in out[:_MOST_SAID])
             said.append(f"beyond what the others scatter by lie: {', '.join(told)}")
         return tuple(said)
 

@@ -65,7 +65,7 @@ PERIOD_SIGNIFICANCE: Final = _row(
 )
 FRAME_SIGNIFICANCE: Final = _row(
     "FRAME_SIGNIFICANCE",
-    0.01,
+    0.001,
     "chance",
     "one of equal frames said to stick out of the others by chance",
     "series drawn at random (tests/unit/reconcile/test_repeats.py)",

@@ -20,6 +20,7 @@ from radiometer.reconcile.thresholds import FRAME_SIGNIFICANCE
 
 _OF_MEDIAN: Final = 1.2533 * 1.4826  # standard error of a median of normal values, from their median deviation
 _FEWEST: Final = 2  # degrees of freedom that tell a scatter
+_ROUNDS: Final = 4  # by which the weights of series settle
 _LIT_DN: Final = 1.0  # per unit of ln light, below which nothing is said of light
 
 Tiles = Callable[[tuple[int, ...]], Array]
@@ -70,12 +71,30 @@ def _series(design: Design, number: int, means: Array) -> Series:
 
 
 def _together(kind: str, unit: str, series: Sequence[Series], aside: float) -> Repeats:
-    """Return series of one kind with the scatter that all of them show, and the frames that stick out of it."""
-    squares = [_square(one) for one in series]
-    freedom = sum(len(one.frames) - 1 for one in series)
-    scatter = float(np.sqrt(sum(squares) / freedom))
-    shown = [replace(one, standing_out=_standing_out(one, sum(squares), freedom)) for one in series]
-    return Repeats(kind, FittedParameter(scatter, scatter / np.sqrt(2.0 * freedom), unit), aside, tuple(shown))
+    """Return series of one kind with what they scatter by beyond their tiles' chance, and the frames that stick out."""
+    own = np.array([len(one.frames) - 1.0 for one in series])
+    seen, chance = (np.array([of(one) for one in series]) for of in (_square, _chance2))
+    scatter2 = 0.0
+    for _ in range(_ROUNDS):
+        weight = own / np.maximum(chance + scatter2, 1e-30) ** 2
+        scatter2 = max(float(weight @ (seen / own - chance)) / float(weight.sum()), 0.0)
+    spread = np.sqrt(2.0 * float(weight**2 @ ((chance + scatter2) ** 2 / own))) / float(weight.sum())
+    u = spread / (2.0 * max(np.sqrt(scatter2), np.sqrt(spread / 2.0), 1e-30))
+    scaled = [_scaled(one, np.sqrt(scatter2 + noise)) for one, noise in zip(series, chance, strict=True)]
+    total = sum(_square(one) for one in scaled)
+    out = [_standing_out(one, total, int(own.sum())) for one in scaled]
+    shown = [replace(one, standing_out=at) for one, at in zip(series, out, strict=True)]
+    return Repeats(kind, FittedParameter(float(np.sqrt(scatter2)), float(u), unit), aside, tuple(shown))
+
+
+def _chance2(series: Series) -> float:
+    """Return the variance that the tiles' chance gives a frame about the mean of its series."""
+    n = len(series.frames)
+    return float(np.mean(np.square(series.u))) * (n - 1.0) / n
+
+
+def _scaled(series: Series, by: float) -> Series:
+    return replace(series, apart=tuple(apart / max(by, 1e-30) for apart in series.apart))
 
 
 def _square(series: Series) -> float:
