@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import math
 from dataclasses import replace
 from typing import Any
@@ -35,6 +36,12 @@ def figures(found: RadianceMap) -> dict[str, Any]:
     }
 
 
+def aged(**changes: Any) -> Calibration:
+    """Return the calibration as it is a hundred days after it was made, whenever that is."""
+    made = dt.datetime.now(dt.UTC) - dt.timedelta(days=100)
+    return world.calibration(**{"created": made.isoformat(), **changes})
+
+
 def of(frames: list[Frame], calibration: Calibration | None, **options: Any) -> RadianceMap:
     lens = options.pop("lens", world.LENS)
     camera = calibration.camera if calibration else world.CAMERA
@@ -48,7 +55,7 @@ def darks() -> list[Frame]:
 def eight_bits(**changes: Any) -> Calibration:
     camera = world.CAMERA.model_copy(update={"bit_depth": 8, "black_level_dn": None, "conversion_gain_e_per_dn": None})
     made = {"camera": camera, "response": world.gamma_curve(), "black_level": BlackLevel()}
-    return world.calibration(**{**made, **changes})
+    return aged(**{**made, **changes})
 
 
 DOUBTS = world.doubts(
@@ -87,22 +94,22 @@ def gone(number: int) -> list[NDArray[np.bool_]]:
 
 
 SITUATIONS = {
-    "plain": lambda: of(world.bracket(), world.calibration()),
-    "streamed": lambda: merge(iter([*darks(), *world.bracket()]), world.CAMERA, world.LENS, world.calibration()),
+    "plain": lambda: of(world.bracket(), aged()),
+    "streamed": lambda: merge(iter([*darks(), *world.bracket()]), world.CAMERA, world.LENS, aged()),
     "relative": lambda: of(world.bracket(), None),
-    "with_darks": lambda: of([*darks(), *world.bracket()], world.calibration()),
-    "two_stops": lambda: of([*world.bracket(), *world.bracket(f_number=8.0)], world.calibration()),
-    "gain": lambda: of(at_gains(), world.calibration()),
-    "all_found": lambda: of(world.bracket(gain_db=9.0), world.calibration(found=world.found())),
-    "warm": lambda: of(world.bracket(temperature_c=48.0), world.calibration(found=world.found())),
-    "flat_field": lambda: of(world.bracket(), world.calibration(flat_field=world.flat_field())),
-    "cos4": lambda: of(world.bracket(), world.calibration(), lens=world.LENS.model_copy(update={"vignetting": "cos4"})),
-    "defects": lambda: of(world.bracket(), world.calibration(defects=((9, 6), (10, 6), (9, 7), (0, 0), (29, 23)))),
-    "visitor_left": lambda: of(with_a_visitor(), world.calibration()),
-    "visitor_taken_out": lambda: of(with_a_visitor(), world.calibration(), without_ghosts=True),
-    "displaced": lambda: of(world.bracket(), world.calibration(), displacement_px=0.3),
+    "with_darks": lambda: of([*darks(), *world.bracket()], aged()),
+    "two_stops": lambda: of([*world.bracket(), *world.bracket(f_number=8.0)], aged()),
+    "gain": lambda: of(at_gains(), aged()),
+    "all_found": lambda: of(world.bracket(gain_db=9.0), aged(found=world.found())),
+    "warm": lambda: of(world.bracket(temperature_c=48.0), aged(found=world.found())),
+    "flat_field": lambda: of(world.bracket(), aged(flat_field=world.flat_field())),
+    "cos4": lambda: of(world.bracket(), aged(), lens=world.LENS.model_copy(update={"vignetting": "cos4"})),
+    "defects": lambda: of(world.bracket(), aged(defects=((9, 6), (10, 6), (9, 7), (0, 0), (29, 23)))),
+    "visitor_left": lambda: of(with_a_visitor(), aged()),
+    "visitor_taken_out": lambda: of(with_a_visitor(), aged(), without_ghosts=True),
+    "displaced": lambda: of(world.bracket(), aged(), displacement_px=0.3),
     "displaced_curve": lambda: of(world.bracket(bits=8), eight_bits(), displacement_px=0.2),
-    "absent": lambda: of(world.bracket(), world.calibration(), absent=gone(2)),
+    "absent": lambda: of(world.bracket(), aged(), absent=gone(2)),
     "curve": lambda: of(world.bracket(bits=8), eight_bits()),
     "curve_with_grain": lambda: of(
         [*world.bracket(bits=8), *world.bracket(bits=8, gain_db=6.0)[:5]],
@@ -113,13 +120,13 @@ SITUATIONS = {
         visited(world.bracket(bits=8), 180), eight_bits(noise=grainy()), without_ghosts=True
     ),
     "curve_two_frames": lambda: of(world.bracket(bits=8)[3:5], eight_bits()),
-    "long_only": lambda: of(world.bracket()[5:], world.calibration()),
-    "short_only": lambda: of(world.bracket()[:2], world.calibration()),
-    "one_frame": lambda: of(world.bracket()[3:4], world.calibration()),
-    "nine_frames": lambda: of([world.frame(110 + k, 2e-5 * 2.0**k) for k in range(9)], world.calibration()),
-    "unsteady": lambda: of(unsteady(), world.calibration()),
-    "doubts": lambda: of(world.bracket(), world.calibration(uncertainties=DOUBTS)),
-    "response": lambda: of(world.bracket(), world.calibration(spectral_response=world.bell(540.0, 60.0))),
+    "long_only": lambda: of(world.bracket()[5:], aged()),
+    "short_only": lambda: of(world.bracket()[:2], aged()),
+    "one_frame": lambda: of(world.bracket()[3:4], aged()),
+    "nine_frames": lambda: of([world.frame(110 + k, 2e-5 * 2.0**k) for k in range(9)], aged()),
+    "unsteady": lambda: of(unsteady(), aged()),
+    "doubts": lambda: of(world.bracket(), aged(uncertainties=DOUBTS)),
+    "response": lambda: of(world.bracket(), aged(spectral_response=world.bell(540.0, 60.0))),
 }
 
 
