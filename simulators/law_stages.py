@@ -54,7 +54,7 @@ LINKS: Final = {
             "1",
             _FACTOR,
             "scales the light of the source",
-            ("source_level", "timestamp_s", "temperature_C", "since_frame_s"),
+            ("source_level", "timestamp_s", "temperature_C", "since_frame_s", "frame"),
             "a lamp or its supply",
         ),
         Link(
@@ -174,7 +174,7 @@ LINKS: Final = {
             "DN",
             "signal + {law}",
             "shifts the black level, whatever the gain",
-            (*_PLACE, "exposure_s", "timestamp_s", "temperature_C", "since_frame_s"),
+            (*_PLACE, "exposure_s", "timestamp_s", "temperature_C", "since_frame_s", "frame"),
             "a clamp or a sequencer",
         ),
         Link(

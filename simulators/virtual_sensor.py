@@ -67,6 +67,7 @@ class VirtualSensor:
             since_light_s=self._since(self._last_light_s, settings),
             since_frame_s=self._since(self._last_frame_s, settings),
             frame_index=frame_index,
+            frame_numbers=(self.frames_exposed,),
             device_seed=self.device_seed,
             output_bit_depth=output_bit_depth,
         )

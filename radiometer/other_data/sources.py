@@ -53,8 +53,7 @@ class DoneCapture:
     def propose(self, folder: Path) -> Proposal | None:
         """Write the law that explains best what was left without a name as effect, test and plan, and return it.
 
-        None where everything has a name already, where light comes back every so many frames (no law of the settings
-        says that), or where no law is beyond chance.
+        None where everything has a name already, or where no law is beyond chance.
 
         Raises:
             OutputError: If a file cannot be written.
@@ -64,9 +63,7 @@ class DoneCapture:
         effects = self.result.effects
         if not any(effect.name == "unnamed" or effect.other_law is not None for effect in effects):
             return None
-        if any(effect.name == "unnamed" and effect.where == "frame" for effect in effects):
-            return None
-        found = propose_law(self._reconciled.outcome.start)
+        found = propose_law(self._reconciled.start)
         if found is not None:
             write_files(found, folder, self._source.name)
         return found

@@ -235,7 +235,11 @@ def examine(
     total = len(header.frames)
     light = FrameLight(design, read)
     seen, images = reduce_frames(design, light, (lambda done: progress(done, total)) if progress else None)
-    again = periodic(design, light, seen.common_unit, (seen.high < _CLEAR) & (seen.low < _CLEAR))
+    entries = whole_catalogue() if catalogue is None else catalogue
+    clear = (seen.high < _CLEAR) & (seen.low < _CLEAR)
+    known = any(kind.where == "frame" for kind in entries.values())  # an effect from outside, which may be just that
+    again = None if known else periodic(design, light, seen.common_unit, clear)
+    taken = None if again is None else partial(first_state, design, seen, images, given)
     if again is not None:  # a source known to differ by so much from frame to frame: no flicker is asked for beside it
         seen = steadied(design, light, seen, again)
         design = replace(design, header=_wandering(header, again.rms))
@@ -244,12 +248,11 @@ def examine(
         raise CaptureError(
             "no part of any frame is free of clipping: capture with shorter exposures and a black level above zero"
         )
-    entries = whole_catalogue() if catalogue is None else catalogue
     failed: list[str] = []
     found = search(start, entries, say)
     outcome = _spared("laws of no entry", lambda: held_to_laws(found, say), failed) or found
     result = _result(outcome, entries, again, total, begun, failed, with_limits=with_limits)
-    return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome)
+    return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome, taken)
 
 
 def _repeats(state: FitState, light: FrameLight, header: CaptureHeader) -> tuple[Repeats, ...]:

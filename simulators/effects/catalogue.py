@@ -13,13 +13,17 @@ from functools import cache
 from typing import Any, ClassVar, Final, Literal, Self, cast
 
 import numpy as np
+from scipy.special import ndtri
 
 from radiometer.data import CameraDescription
 from simulators.effects.base import Effect
 from simulators.effects.context import ExposureContext, Signal
+from simulators.effects.tile_moments import TileMoments
 
 _TOLD_RATIO: Final = 2.0  # of the longest dark exposure to the shortest
 _COMPARABLE_K: Final = 10.0  # one doubling to two of a dark current in silicon
+_PIXELS: Final = ndtri((np.arange(64) + 0.5) / 64.0)
+_NORMAL: Final = _PIXELS / _PIXELS.std()  # what pixels scatter by, in standard deviations
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,8 @@ class CatalogueEffect(Effect):
         law_along: Covariates along which the data may follow another law than its equation; by default `where`.
         neutral_at_one: Parameters that do nothing at 1, as others do at 0.
         looks_back: Whether it acts by what the frame before held (`context.previous_e`).
+        is_steep: Whether it may change within a tile as no quadratic surface does: a step, a narrow spot or wave.
+        is_sudden: Whether it jumps along the signal: each pixel's own noise decides on which side of the jump it lies.
         heated: Parameter that doubles within `doubling_K` and is stated at `reference_C`; a search states it at the
             temperature of the session that is nearest to the usual.
     """
@@ -73,6 +79,8 @@ class CatalogueEffect(Effect):
     law_along: ClassVar[tuple[str, ...]] = ()
     neutral_at_one: ClassVar[tuple[str, ...]] = ()
     looks_back: ClassVar[bool] = False
+    is_steep: ClassVar[bool] = False
+    is_sudden: ClassVar[bool] = False
     heated: ClassVar[str] = ""
 
     @classmethod
@@ -189,6 +197,19 @@ class CatalogueEffect(Effect):
     def drifts(self) -> bool:
         """Tell whether it goes with time or temperature: the first frame of a series then differs from the others."""
         return self.where in ("timestamp_s", "temperature_C")
+
+    def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
+        """Return the moments with what a steep effect does between a tile's points, a sudden one within its noise."""
+        if self.is_sudden:
+            pixels = before.mean[..., None] + np.sqrt(np.maximum(before.variance, 0.0))[..., None] * _NORMAL
+            there = self.mean(pixels.reshape(*pixels.shape[:-2], -1), context).reshape(pixels.shape)
+            return before.passed(there.mean(axis=-1), 1.0).changed(variance=there.var(axis=-1))
+        if not self.is_steep:
+            return after
+        signal = before.mean.mean(axis=-1, keepdims=True)
+        points, left = context.within_tiles(lambda at: self.mean(signal, at) - signal)
+        known = self.mean(signal, context) - signal
+        return after.changed(mean=after.mean + points - known, spatial_variance=after.spatial_variance + left)
 
     def unlike_itself(self, context: ExposureContext) -> bool:
         """Tell whether, with its parameters and these settings, the effect does what other causes do just as well."""

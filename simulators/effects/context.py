@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -148,6 +149,8 @@ class ExposureContext:
         since_frame_s: Time in s from the frame before, with light or without, to this one; infinite for the first of
             all, None where it is not known.
         frame_index: Running number of the frame in its capture; 0 for the first after a change of settings.
+        frame_numbers: Running numbers in the session, from 0, of the frames that are meant, along the last axis: one of
+            a single frame; NaN where a series has fewer than others.
         device_seed: Identity of this particular camera: its fixed patterns follow from it.
         output_bit_depth: Bits per pixel that leave the camera; None for the native depth. Until `quantisation`
             all DN (black level too) are native ones; after it they are those of the output.
@@ -168,6 +171,7 @@ class ExposureContext:
     since_light_s: Any = None
     since_frame_s: Any = None
     frame_index: int = 0
+    frame_numbers: Any = (0,)
     device_seed: int = 0
     output_bit_depth: int | None = None
     extra: dict[str, float] = field(default_factory=dict)
@@ -196,6 +200,16 @@ class ExposureContext:
             name: Name of the effect, so that two effects draw different patterns.
         """
         return np.random.default_rng((self.device_seed, zlib.crc32(name.encode())))
+
+    def within_tiles(self, change: Callable[[ExposureContext], Signal]) -> tuple[Signal, Signal | float]:
+        """Return a change of the signal at each entry, and the variance that it has within one.
+
+        Of pixels there is none; tiles overrule this.
+
+        Args:
+            change: Gives the change for a context.
+        """
+        return change(self), 0.0
 
     def frame_mean(self, signal: Signal) -> float:
         """Return the mean over the whole frame, each tile by its share."""

@@ -26,7 +26,7 @@ class DarkCurrent(Offset):
     unit_out = ELECTRONS
     before = "shot_noise"
     where = "exposure_s"
-    law_along = ("temperature_C", "exposure_s")
+    law_along = ("temperature_C",)  # what does not grow in proportion to the exposure is no current
     block = "mean"
     trials = (
         {"rate_e_per_s": 1.0, "doubling_K": 7.0},

@@ -17,6 +17,7 @@ from simulators.effects.catalogue import CatalogueEffect
 
 _CONVERGED: Final = 0.02
 _DAMPING, _LESS, _MORE, _DAMPINGS = 1e-3, 0.3, 10.0, 5
+_VARIANTS: Final = 12
 _PROFILE_POINTS: Final = 61
 _PROFILE_SPANS: Final = (0.002, 0.0002)
 
@@ -88,12 +89,12 @@ def fit_candidate(state: FitState, candidate: Candidate) -> FittedCandidate:
 
 
 def _variants(trials: Sequence[_Trial]) -> list[_Trial]:
-    """Return the best trial of each variant: starts that differ in what is not fitted must each be fitted."""
+    """Return the best trial of each variant, a dozen at most: what is not fitted is tried in all of them."""
     found: dict[tuple[object, ...], _Trial] = {}
     for trial in sorted(trials, key=lambda trial: trial.cost):
         free = {name.split("[")[0] for name in trial.effect.free()}
         found.setdefault(tuple(v for k, v in trial.effect.values().items() if k not in free), trial)
-    return list(found.values())
+    return list(found.values())[:_VARIANTS]
 
 
 def _fitted(state: FitState, start: _Trial) -> _Trial:

@@ -238,6 +238,20 @@ class Design:
         later = [list(capture.frames[1:] or capture.frames) for capture in self.captures]
         return first, np.array([float(np.mean(since[frames])) for frames in later])
 
+    @cached_property
+    def frame_numbers(self) -> tuple[Array, Array, Array]:
+        """Return the numbers in the header of each capture's frames, of its first one and of the others.
+
+        Each of shape (captures, most frames of one), NaN beyond; a lone frame stands for others too.
+        """
+        all_ = np.full((len(self.captures), int(self.frame_count.max())), np.nan)
+        for row, capture in zip(all_, self.captures, strict=True):
+            row[: len(capture.frames)] = capture.frames
+        first, later = all_.copy(), all_.copy()
+        first[:, 1:] = np.nan
+        later[self.frame_count > 1, 0] = np.nan
+        return all_, first, later
+
     def _within(self, part: slice) -> tuple[Array, Array, Array]:
         chosen = [capture.frames[part] or capture.frames for capture in self.captures]
         entries = [[self.header.frames[index].settings for index in indices] for indices in chosen]

@@ -7,6 +7,7 @@ exact for cubic shading and slopes come with them.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, cast
 
@@ -23,6 +24,12 @@ Border = Literal["nearest", "constant"]  # of a picture: it goes on, or is dark
 GAUSS_POINT: Final = 1.0 / math.sqrt(3.0)
 _DENSE: Final = 12  # points per side of a tile where light from elsewhere varies within it
 _POINTS: Final = ((-1, -1), (1, -1), (-1, 1), (1, 1))  # (x, y) signs
+_STEPS: Final = (2.0 * np.arange(_DENSE) + 1.0) / _DENSE - 1.0
+_V, _U = (axis.ravel() for axis in np.meshgrid(_STEPS, _STEPS, indexing="ij"))  # places −1 … 1 of the grid in a tile
+_PLANE: Final = np.column_stack([np.ones_like(_U), _U, _V])
+_AT_POINTS: Final = np.array([(1.0, x * GAUSS_POINT, y * GAUSS_POINT) for x, y in _POINTS])
+_TO_POINTS: Final = np.asarray(_AT_POINTS @ np.linalg.pinv(_PLANE)).T
+_SURFACE: Final = np.linalg.qr(np.column_stack([_PLANE, _U**2, _U * _V, _V**2]))[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,15 +126,12 @@ class PictureSurroundings:
 
     def _smoothed(self, pictures: list[Array]) -> Array:
         """Return values at the tiles' points that have the mean and the least-squares slopes of each tile's pixels."""
-        x, y, u, v = _dense_points(self._design)
+        x, y = _dense_points(self._design)
         cell = self._images.cell_px
         found = []
         for picture in pictures:
             values = _bilinear(picture, (x + 0.5) / cell - 0.5, (y + 0.5) / cell - 0.5)
-            rises = [values @ axis / float(axis @ axis) for axis in (u, v)]
-            signs = np.array(_POINTS, dtype=np.float64) * GAUSS_POINT
-            tilt = rises[0][:, None] * signs[:, 0] + rises[1][:, None] * signs[:, 1]
-            found.append(values.mean(axis=1)[:, None] + tilt)
+            found.append(values @ _TO_POINTS)
         return np.stack(found)
 
     def _turned(self, picture: Array) -> Array:
@@ -152,6 +156,20 @@ class TileContext(ExposureContext):
     frames: Any = 1.0
     tile_pixels: Any = 1.0
     tile_height: Any = 1.0
+    grid: FrameGeometry | None = None
+
+    def within_tiles(self, change: Callable[[ExposureContext], Signal]) -> tuple[Signal, Signal | float]:
+        """Return what a change that is steep within a tile comes to at its points, and the variance that is left.
+
+        Args:
+            change: Gives it for a context, (captures, tiles, points); here one whose points are a fine grid.
+        """
+        grid = self.grid
+        if grid is None:
+            return change(self), 0.0
+        parts = {"first_frame": self.first_frame, "later_frames": self.later_frames}
+        moved = {name: None if part is None else replace(part, geometry=grid) for name, part in parts.items()}
+        return from_grid(change(replace(self, geometry=grid, **cast(Any, moved))))
 
     def frame_mean(self, signal: Signal) -> Any:
         """Return the mean over the whole frame, shape (captures, 1, 1)."""
@@ -168,6 +186,16 @@ class TileContext(ExposureContext):
 
         own = cast(TileContext, warm(self))
         return replace(own, first_frame=warm(self.first_frame), later_frames=warm(self.later_frames))
+
+
+def from_grid(values: Signal) -> tuple[Signal, Signal]:
+    """Return what values on the grid of a tile come to at its four points, and the variance that is left.
+
+    The four values have the mean and the least-squares slopes of all; the variance is that about a quadratic surface,
+    as that of a tile's pixels is.
+    """
+    left = np.mean(values**2, axis=-1) - np.sum((values @ _SURFACE) ** 2, axis=-1) / values.shape[-1]
+    return np.asarray(values @ _TO_POINTS), np.asarray(np.maximum(left, 0.0)[..., None])
 
 
 def tile_points(design: Design) -> tuple[Array, Array]:
@@ -195,13 +223,11 @@ def rise_of(points: Signal) -> tuple[Array, Array]:
     return np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
 
 
-def _dense_points(design: Design) -> tuple[Array, Array, Array, Array]:
-    """Return image coordinates of a grid of points in each tile, (tiles, points), and their places −1 … 1 in it."""
-    steps = (2.0 * np.arange(_DENSE) + 1.0) / _DENSE - 1.0
-    v, u = (axis.ravel() for axis in np.meshgrid(steps, steps, indexing="ij"))
-    x = np.array([t.x + (t.width - 1) / 2 + 0.5 * t.width * u for t in design.tiles])
-    y = np.array([t.y + (t.height - 1) / 2 + 0.5 * t.height * v for t in design.tiles])
-    return x, y, u, v
+def _dense_points(design: Design) -> tuple[Array, Array]:
+    """Return image coordinates of a grid of points in each tile, each (tiles, points)."""
+    x = np.array([t.x + (t.width - 1) / 2 + 0.5 * t.width * _U for t in design.tiles])
+    y = np.array([t.y + (t.height - 1) / 2 + 0.5 * t.height * _V for t in design.tiles])
+    return x, y
 
 
 def tile_context(design: Design, images: PatternImages) -> TileContext:
@@ -211,19 +237,22 @@ def tile_context(design: Design, images: PatternImages) -> TileContext:
         design: Captures and tiles.
         images: Mean picture of each pattern.
     """
-    x, y = tile_points(design)
     camera, lens = design.header.camera, design.header.lens
-    geometry = FrameGeometry(
-        x[None],
-        y[None],
-        design.shape[1],
-        design.shape[0],
-        principal_point_px=lens.principal_point_px,
-        pixel_spacing_um=camera.pixel_spacing_um or camera.pixel_pitch_um or 4.5,
+    geometry, grid = (
+        FrameGeometry(
+            x[None],
+            y[None],
+            design.shape[1],
+            design.shape[0],
+            principal_point_px=lens.principal_point_px,
+            pixel_spacing_um=camera.pixel_spacing_um or camera.pixel_pitch_um or 4.5,
+        )
+        for x, y in (tile_points(design), _dense_points(design))
     )
     radiance = scene_radiance(design, images)
     peak = float(np.nanmax(radiance))
     settings = BatchSettings.of(design)
+    numbers = [table[:, None, None, :] for table in design.frame_numbers]
     context = TileContext(
         cast(Any, settings),
         geometry,
@@ -238,6 +267,8 @@ def tile_context(design: Design, images: PatternImages) -> TileContext:
         frames=design.frame_count[:, None, None],
         tile_pixels=np.array([t.width * t.height for t in design.tiles], dtype=np.float64)[None, :, None],
         tile_height=np.array([t.height for t in design.tiles], dtype=np.float64)[None, :, None],
+        frame_numbers=numbers[0],
+        grid=grid,
     )
     if not (design.frame_count > 1).any():
         return context
@@ -247,9 +278,10 @@ def tile_context(design: Design, images: PatternImages) -> TileContext:
             settings=cast(Any, settings.at(time_s, warm)),
             since_light_s=_column(since),
             since_frame_s=_column(rested),
+            frame_numbers=own,
         )
-        for (time_s, warm, since), rested in zip(
-            (design.first_frames, design.later_frames), design.since_frame_s, strict=True
+        for (time_s, warm, since), rested, own in zip(
+            (design.first_frames, design.later_frames), design.since_frame_s, numbers[1:], strict=True
         )
     )
     return replace(context, first_frame=first, later_frames=later)

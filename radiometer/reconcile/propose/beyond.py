@@ -3,9 +3,11 @@
 A search can only say names that it knows. Where its names leave something, are several, or are doubted, the hypothesis
 that the cause is another one is asked too: names that one law outdoes by far are none. A single name that leaves
 nothing is held to the laws along its own covariate: where one of them predicts better, the name is provisional, or
-none where it brings far less. A name that had to be bent to the data is provisional where a law predicts as well. A
-name by another equation than the catalogue's is not meant by all this: it brings most of what any law along its
-covariate brings.
+none where it brings far less. A name that had to be bent to the data is held so already where a law predicts as well.
+
+What is known of a name beforehand is its own equation: a table or a curve in its place would follow any law. What names
+bring is therefore what their own equations bring, without the curves that stand for no cause. A name by another
+equation than the catalogue's is not meant by this: its own brings most of what any law along its covariate brings.
 """
 
 from __future__ import annotations
@@ -14,7 +16,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
+import numpy as np
+
+from radiometer.errors import ConfigurationError
 from radiometer.reconcile.fit.covariance import scatter_of
+from radiometer.reconcile.fit.full_fit import UnfitError, included
+from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.propose.grammar import PLACES
 from radiometer.reconcile.propose.proposal import Proposal
 from radiometer.reconcile.propose.search import propose_law
@@ -23,6 +30,7 @@ from radiometer.reconcile.search.localise import significant
 from radiometer.reconcile.search.outcome import Search, Step
 from radiometer.reconcile.thresholds import NAMED_NATS, RIVAL_NATS, SMOOTH_SHARE
 from radiometer.reconcile.verdict import doubts_of, leaves_structure
+from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 
 _WHERE: Final = {"since_frame_s": "timestamp_s", "value": "signal"}  # what results call it
@@ -39,31 +47,32 @@ def held_to_laws(outcome: Search, say: Callable[[str], None] = lambda line: None
     if not effects:
         return outcome
     stays = len(effects) > 1 or leaves_structure(outcome) or bool(doubts_of(outcome))
-    law = propose_law(outcome.start, along=() if stays else own_covariates(effects[0].where))
+    law = propose_law(outcome.start, along=() if stays else own_covariates(effects[0]))
     if law is None:
         return outcome
-    named = [step.name for step in outcome.steps if step.name != "unnamed"]
-    if not predicts_better(outcome, law):
-        bent = [effect.name for effect in effects if isinstance(effect, FreeLaw)]
-        if not bent or not predicts_as_well(outcome, law):
-            return outcome
+    bent = [effect.name for effect in effects if is_bent(effect, outcome)]
+    if predicts_better(outcome, law):
+        named = [step.name for step in outcome.steps if step.name != "unnamed"]
+        said = f"{law.name}, a law that no entry holds, predicts better than {' and '.join(named)}"
+    elif bent and predicts_as_well(outcome, law):
         said = (
             f"{' and '.join(bent)} goes by no equation of its own, and {law.name}, a law of no entry, predicts as well"
         )
-        say(said)
-        return replace(outcome, remarks=(*outcome.remarks, said))
-    said = f"{law.name}, a law that no entry holds, predicts better than {' and '.join(named)}"
+    else:
+        return outcome
     say(said)
     if not brings_most(outcome, law):
         return without_names(outcome, law, f"{said} (gap {law.after.gap:.3g}), which is not named therefore")
     return replace(outcome, remarks=(*outcome.remarks, said))
 
 
-def own_covariates(where: str) -> tuple[str, ...]:
-    """Return the covariates of laws that go with what an entry goes with; a place is one of the picture."""
-    if where in ("field_radius", "screen_x", "screen_y", *PLACES):
-        return PLACES
-    return ("signal", "value") if where == "signal" else (where,)
+def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
+    """Return the covariates of laws that an entry may follow; a place of screen or lens is one of the picture."""
+    found = list[str]()
+    for where in type(effect).law_along or (effect.where,):
+        is_place = where in ("field_radius", "screen_x", "screen_y", *PLACES)
+        found += PLACES if is_place else ("signal", "value") if where == "signal" else (where,)
+    return tuple(dict.fromkeys(found))
 
 
 def predicts_better(outcome: Search, law: Proposal) -> bool:
@@ -91,19 +100,48 @@ def predicts_as_well(outcome: Search, law: Proposal) -> bool:
 def brings_most(outcome: Search, law: Proposal) -> bool:
     """Tell whether names stand though a law predicts better: it is their own law, by an equation unlike theirs.
 
-    They need to bring most of what the law brings and to leave nothing, unless the law goes with the very covariate of
-    the only name.
+    Their own equations need to bring most of what the law brings and to leave nothing, unless the law goes with the
+    very covariate of the only name.
 
     Args:
         outcome: What the search came to.
         law: The law.
     """
     base = worth(outcome.start)
-    if worth(outcome.state) - base < SMOOTH_SHARE * (worth(law.after) - base):
+    if worth(by_own_equations(outcome)) - base < SMOOTH_SHARE * (worth(law.after) - base):
         return False
     effects = outcome.state.effects
-    own = len(effects) == 1 and set(law.law.covariates) <= set(own_covariates(effects[0].where))
+    own = len(effects) == 1 and set(law.law.covariates) <= set(own_covariates(effects[0]))
     return own or not leaves_structure(outcome)
+
+
+def is_bent(effect: CatalogueEffect, outcome: Search) -> bool:
+    """Tell whether an effect took a form with parameters that its own equation has not, or a law of its own."""
+    return own_equation(effect, outcome) is not effect
+
+
+def own_equation(effect: CatalogueEffect, outcome: Search) -> CatalogueEffect:
+    """Return an effect by its own equation, at the parameters that it shares with the form that it took."""
+    own = effect.own if isinstance(effect, FreeLaw) else effect
+    plain = min(type(own).starts(outcome.start.model.context), key=lambda start: len(start.free()))
+    if set(own.free()) <= set(plain.free()):
+        return own
+    shared = (name for name in plain.free() if "[" not in name)
+    return plain.with_parameters(**{name: getattr(own, name) for name in shared})
+
+
+def by_own_equations(outcome: Search) -> FitState:
+    """Return the model with the names by their own equations, fitted anew, and no curve without a name beside them."""
+    state = outcome.state
+    if not any(is_bent(effect, outcome) for effect in state.effects) and not any(t.is_smooth for t in state.terms):
+        return state
+    plain = outcome.start
+    try:
+        for effect in state.effects:
+            plain = included(plain, own_equation(effect, outcome), far=True)
+    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # they bring what those bring that can be fitted
+        pass
+    return plain
 
 
 def without_names(outcome: Search, law: Proposal, said: str) -> Search:

@@ -10,7 +10,7 @@ from functools import cache
 from types import ModuleType
 from typing import Any, Final
 
-from radiometer.reconcile.propose.grammar import COVARIATES, FORMS, PER_FRAME, SIDE, Term
+from radiometer.reconcile.propose.grammar import COVARIATES, FORMS, PER_FRAME, PLACES, SIDE, Term
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.law_stages import LINKS, Link
 
@@ -67,6 +67,16 @@ class Law:
         """Return the number of parameters, the amplitude among them."""
         return 1 + len(self.parameters)
 
+    @property
+    def is_steep(self) -> bool:
+        """Tell whether it changes within a tile as no quadratic surface does."""
+        return any(FORMS[term.form].is_steep and set(term.covariates) & set(PLACES) for term in self.terms)
+
+    @property
+    def is_sudden(self) -> bool:
+        """Tell whether it jumps along the signal."""
+        return any(term.form == "step" and term.covariate in ("signal", "value") for term in self.terms)
+
     def formula(self) -> str:
         """Return the amplitude times the terms as it stands in the file."""
         return " * ".join([f"self.{self.amplitude}", *(_in_brackets(term) for term in self.terms)])
@@ -106,9 +116,10 @@ def effect_source(
     fixed = {term.parameter(role) for term in law.terms for role in FORMS[term.form].fixed}
     fitted = [law.amplitude, *(name for name in law.parameters if name not in fixed)]
     per_frame = any(name in PER_FRAME for name in law.covariates)
+    counted = "frame" in law.covariates  # the law itself is of all frames of a series then
     helpers = ["CatalogueEffect"]
     helpers += ["elapsed_s"] if "timestamp_s" in law.covariates else []
-    helpers += ["over_frames"] if per_frame else []
+    helpers += ["over_frames"] if per_frame and not counted else []
     lines = [
         *_docstring(sentence or "A law that was proposed.", ""),
         "",
@@ -135,6 +146,8 @@ def effect_source(
         f'    where = "{where}"',
         '    block = "mean"',
         '    also = ("slope", "first")',
+        *(["    is_steep = True"] if law.is_steep else []),
+        *(["    is_sudden = True"] if law.is_sudden else []),
         "    trials = (",
         *_trial(law, amplitude),
         *_trial(law, -amplitude, _NEAR_NOTHING),
@@ -148,8 +161,8 @@ def effect_source(
         "",
         "    def mean(self, signal: Any, context: ExposureContext) -> Any:",
         '        """Return the signal with the law."""',
-        *_mean(link, per_frame=per_frame),
-        *(_per_frame(link) if per_frame else ()),
+        *_mean(link, per_frame=per_frame and not counted),
+        *(_per_frame(link, f"self.{law.amplitude}" if counted else "") if per_frame else ()),
         *(_drifts() if per_frame else ()),
         *_usable(law),
     ]
@@ -236,16 +249,32 @@ def _mean(link: Link, *, per_frame: bool) -> list[str]:
     return [f"        law = {law}", f"        return ({link.code.format(law='law')}).astype(signal.dtype)"]
 
 
-def _per_frame(link: Link) -> list[str]:
+def _per_frame(link: Link, amplitude: str = "") -> list[str]:
+    """Return the lines of the variance by which frames of a series differ; of three and more the first does not count.
+
+    Args:
+        link: The link.
+        amplitude: Of a law that is there in some frames and not in others; empty for one of the first frame.
+    """
     times = "" if link.adds else " * signal"
+    apart = [
+        "        apart = self.law(signal, context.first_frame) - self.law(signal, context.later_frames)",
+        f"        return np.where(frames == 2.0, 0.5, 0.0) * np.square(apart{times})",
+    ]
+    some = [
+        "        few, many = self.law(signal, context), self.law(signal, context.later_frames)",
+        "        counted, law = frames - (frames > 2.0), np.where(frames > 2.0, many, few)",
+        f"        apart = law * ({amplitude} - law) * counted / np.maximum(counted - 1.0, 1.0)",
+        f"        return apart{' * np.square(signal)' if times else ''}",
+    ]
     return [
         "",
         "    def common_variance(self, signal: Any, context: ExposureContext) -> Any:",
-        '        """Return how the first frame of a series and the others differ, as a variance."""',
+        '        """Return how the frames of a series differ, as a variance; of three and more all but the first."""',
         "        if context.first_frame is None or context.later_frames is None:",
         "            return 0.0",
-        "        apart = self.law(signal, context.first_frame) - self.law(signal, context.later_frames)",
-        f'        return np.square(apart{times}) / np.asarray(getattr(context, "frames", 1.0))',
+        '        frames = np.asarray(getattr(context, "frames", 1.0))',
+        *(some if amplitude else apart),
     ]
 
 
@@ -276,19 +305,17 @@ def _usable(law: Law) -> list[str]:
 def _parameter(term: Term, role: str) -> str:
     value = round_to(term.values[role])
     name, unit = term.parameter(role), term.unit(role)
-    low, high = _bounds(role, value, unit)
+    low, high = _bounds(role, value)
     return f'    {name}: float = parameter({value!r}, "{unit}", {low!r}, {high!r}, source="fitted")'
 
 
-def _bounds(role: str, value: float, unit: str) -> tuple[float, float]:
+def _bounds(role: str, value: float) -> tuple[float, float]:
     if role in ("tau", "period", "width", "knee"):
         return round_to(value / 100.0), round_to(value * 100.0)
     if role == "power":
         return -6.0, 6.0
     if role in ("phase", "advance"):
         return -30.0, 30.0
-    if unit == "1":
-        return -_BESIDE, _BESIDE
     wide = _BESIDE * max(abs(value), 1.0)
     return round_to(value - wide), round_to(value + wide)
 

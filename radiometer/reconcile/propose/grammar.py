@@ -7,8 +7,8 @@ phases; the amplitude's unit is that of the stage.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -16,7 +16,10 @@ import numpy as np
 from radiometer.reconcile.measure.design import Array
 
 _STEPS: Final = 24  # places of a step that are tried
+_BORDERS: Final = 48  # of a border in the picture
+_FINER: Final = 12  # further places about a good one
 _PERIODS: Final = 14
+_FRAMES: Final = range(2, 13)  # from one frame to the next of its kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +61,7 @@ COVARIATES: Final = {
             "np.asarray(np.inf if context.since_frame_s is None else context.since_frame_s)",
             "the time since the last frame",
         ),
+        Covariate("frame", "frame", "1", "np.asarray(context.frame_numbers)", "the frame's running number"),
         Covariate("image_x", "x", "1", "context.geometry.x_px / side", "the column"),
         Covariate("image_y", "y", "1", "context.geometry.y_px / side", "the row"),
         Covariate("signal", "signal", "e-", "signal", "the charge"),
@@ -65,7 +69,7 @@ COVARIATES: Final = {
     )
 }
 PLACES: Final = ("image_x", "image_y")
-PER_FRAME: Final = ("since_frame_s",)  # differ between the first frame of a series and the others
+PER_FRAME: Final = ("since_frame_s", "frame")  # differ between the first frame of a series and the others
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +82,7 @@ class Form:
         roles: Parameters beside the amplitude: role and whether they have the covariate's unit.
         fixed: Roles that the fit leaves where they are, for the prediction jumps in them.
         said: Its words, with `{covariate}`.
+        is_steep: Whether it changes along a place as no quadratic surface does.
     """
 
     name: str
@@ -85,6 +90,7 @@ class Form:
     roles: tuple[tuple[str, bool], ...]
     said: str
     fixed: tuple[str, ...] = ()
+    is_steep: bool = False
 
 
 FORMS: Final = {
@@ -107,22 +113,37 @@ FORMS: Final = {
             "as an arch over {covariate}",
         ),
         Form("step", "({u} > {at})", (("at", True),), "as a step along {covariate}", ("at",)),
+        Form("border", "({u} > {at})", (("at", True),), "as a sharp step along {covariate}", ("at",), is_steep=True),
         Form(
             "edge",
             "0.5 * (1.0 + np.tanh(({u} - {at}) / {width}))",
             (("at", True), ("width", True)),
             "as a step along {covariate}",
+            is_steep=True,
         ),
         Form(
             "power", "np.maximum({u} / {reference}, 1e-12) ** {power}", (("power", False),), "as a power of {covariate}"
         ),
-        Form("decay", "np.exp(-{u} / {tau})", (("tau", True),), "fading exponentially with {covariate}"),
-        Form("rise", "np.exp(-({end} - {u}) / {tau})", (("tau", True),), "growing exponentially along {covariate}"),
+        Form("decay", "np.exp(-{u} / {tau})", (("tau", True),), "fading exponentially with {covariate}", is_steep=True),
+        Form(
+            "rise",
+            "np.exp(-({end} - {u}) / {tau})",
+            (("tau", True),),
+            "growing exponentially along {covariate}",
+            is_steep=True,
+        ),
         Form(
             "fall",
             "1.0 / (1.0 + ({u} / {knee}) ** {power})",
             (("knee", True), ("power", False)),
             "falling off beyond a knee of {covariate}",
+        ),
+        Form(
+            "every",
+            "np.sum(np.mod({u}, {period}) == {at}, axis=-1) / np.sum({u} >= 0, axis=-1)",
+            (("period", True), ("at", True)),
+            "in one frame of so many",
+            ("period", "at"),
         ),
         Form("bend", "np.maximum({u} - {knee}, 0.0)", (("knee", True),), "in proportion to {covariate} beyond a knee"),
         Form(
@@ -130,18 +151,21 @@ FORMS: Final = {
             "np.sin(2.0 * np.pi * {u} / {period} + {phase})",
             (("period", True), ("phase", False)),
             "as a wave along {covariate}",
+            is_steep=True,
         ),
         Form(
             "spot",
             "np.exp(-0.5 * (np.square(x - {at_x}) + np.square(y - {at_y})) / {width}**2)",
             (("at_x", True), ("at_y", True), ("width", True)),
             "falling off as a Gaussian from a spot of the picture",
+            is_steep=True,
         ),
         Form(
             "moving_wave",
             "np.sin(2.0 * np.pi * {u} / {period} + {advance} * np.log(exposure / {reference}) + {phase})",
             (("period", True), ("advance", False), ("phase", False)),
             "as a wave along {covariate} that moves with the exposure",
+            is_steep=True,
         ),
     )
 }
@@ -235,8 +259,9 @@ def _arch(values: Array, known: Mapping[str, Array]) -> _Made:
 def _step(values: Array, known: Mapping[str, Array]) -> _Made:
     between = 0.5 * (values[1:] + values[:-1])
     apart = np.diff(values) > 0.02 * np.ptp(values) if values.size > _STEPS else np.ones(values.size - 1, dtype=bool)
-    logarithmic = values[0] > 0 and values[-1] > 30 * values[0]
-    between = np.sqrt(values[1:] * values[:-1]) if logarithmic else between[apart] if apart.any() else between
+    positive = values[values > 0]  # dark frames hold no light at all
+    logarithmic = positive.size > 1 and positive[-1] > 30 * positive[0]
+    between = np.sqrt(positive[1:] * positive[:-1]) if logarithmic else between[apart] if apart.any() else between
     for index in np.unique(np.linspace(0, between.size - 1, _STEPS).astype(int)):
         yield {}, {"at": float(between[index])}
 
@@ -244,6 +269,28 @@ def _step(values: Array, known: Mapping[str, Array]) -> _Made:
 def _edge(values: Array, known: Mapping[str, Array]) -> _Made:
     for share in np.linspace(0.06, 0.94, 23):
         yield {}, {"at": _at(values, float(share)), "width": float(0.04 * np.ptp(values))}
+
+
+def _border(values: Array, known: Mapping[str, Array]) -> _Made:
+    for share in np.linspace(0.01, 0.99, _BORDERS):
+        yield {}, {"at": _at(values, float(share))}
+
+
+def finer(term: Term, values: Array, tried: Collection[float]) -> Iterator[Term]:
+    """Yield a step or a border at places between it and the next ones that were tried.
+
+    Args:
+        term: One that did well where it stands.
+        values: All values of its covariate.
+        tried: Places that were tried.
+    """
+    at = term.values["at"]
+    low = max((place for place in tried if place < at), default=at)
+    high = min((place for place in tried if place > at), default=at)
+    inner = np.unique(values[(values > low) & (values < high)])
+    between = np.linspace(low, high, _FINER + 2)[1:-1] if term.form == "border" else 0.5 * (inner[1:] + inner[:-1])
+    for place in between[np.unique(np.linspace(0, between.size - 1, _FINER).astype(int))] if between.size else ():
+        yield replace(term, values={"at": float(place)})
 
 
 def _power(values: Array, known: Mapping[str, Array]) -> _Made:
@@ -271,6 +318,12 @@ def _fall(values: Array, known: Mapping[str, Array]) -> _Made:
 def _bend(values: Array, known: Mapping[str, Array]) -> _Made:
     for share in (0.25, 0.5, 0.75):
         yield {}, {"knee": _at(values, share)}
+
+
+def _every(values: Array, known: Mapping[str, Array]) -> _Made:
+    for period in _FRAMES:
+        for at in range(period):
+            yield {}, {"period": float(period), "at": float(at)}
 
 
 def _sine(values: Array, known: Mapping[str, Array]) -> _Made:
@@ -308,11 +361,13 @@ _MAKERS: Final[dict[str, Callable[[Array, Mapping[str, Array]], _Made]]] = {
     "bow": _bow,
     "arch": _arch,
     "step": _step,
+    "border": _border,
     "edge": _edge,
     "power": _power,
     "decay": _decay,
     "rise": _rise,
     "fall": _fall,
+    "every": _every,
     "bend": _bend,
     "sine": _sine,
     "spot": _spot,
@@ -324,8 +379,9 @@ _ALLOWED: Final[dict[str, tuple[str, ...]]] = {
     "temperature_C": ("ramp", "line", "bow", "step"),
     "source_level": ("ramp", "step", "power", "bend"),
     "since_frame_s": ("decay", "fall"),
-    "image_x": ("ramp", "line", "bow", "arch", "edge", "decay", "rise", "sine", "spot"),
-    "image_y": ("ramp", "line", "bow", "arch", "edge", "decay", "rise", "sine", "moving_wave"),
+    "frame": ("every",),
+    "image_x": ("ramp", "line", "bow", "arch", "border", "edge", "decay", "rise", "sine", "spot"),
+    "image_y": ("ramp", "line", "bow", "arch", "border", "edge", "decay", "rise", "sine", "moving_wave"),
     "signal": ("power", "step", "bend", "sine"),
     "value": ("step", "sine"),
 }

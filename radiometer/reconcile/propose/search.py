@@ -13,6 +13,7 @@ from itertools import islice
 from typing import Any, Final
 
 import numpy as np
+from scipy.special import ndtr
 
 from radiometer.errors import MeasurementError
 from radiometer.one_thread import on_one_blas_thread
@@ -21,9 +22,9 @@ from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.full_fit import FullFits, UnfitError, contenders_of
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.model.tile_context import rise_of
+from radiometer.reconcile.model.tile_context import from_grid, rise_of
 from radiometer.reconcile.propose.effect_file import Law, effect_of, round_to
-from radiometer.reconcile.propose.grammar import PER_FRAME, PLACES, Term, terms_of
+from radiometer.reconcile.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconcile.propose.proposal import Proposal, Rival
 from radiometer.reconcile.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
@@ -33,12 +34,15 @@ _AT_ONCE: Final = 128  # columns that are projected together
 _FITTED: Final = 16  # laws that are fitted to all statistics
 _JUDGED: Final = 9
 _MULTIPLIED: Final = 5  # laws of one term that are multiplied by another
-_ALONE: Final = ("well", "range")  # what goes with the signal goes with nothing else
+_ALONE: Final = ("well", "range")  # what goes with the signal goes with nothing else, nor what comes back in turns
 _PLAIN: Final = ("digital", "optics")  # of two that no setting tells apart: what no gain amplifies, what scales light
 _SECOND: Final = ("ramp", "power", "step", "decay", "bow")
 _OF_A_KIND: Final = 2  # laws of one formula at different stages that are fitted, beyond the best
 _NEAR: Final = 0.5  # share of the best start's gain from which others of its kind are tried: means alone alias waves
 _STARTS: Final = 10
+_PLACES: Final = 60  # where a law of a sharp place starts: the means alone hardly tell rows of one tile apart
+_REFINED: Final = (("step", "border"), ("step",))  # in two turns: a border is found to half a pixel in the first
+_FINER: Final = 6  # laws of a sharp place that are refined
 _FAINT: Final = 1e-9
 
 Say = Callable[[str], None]
@@ -69,6 +73,8 @@ def propose_law(state: FitState, say: Say = lambda line: None, along: Collection
         along: Covariates to which laws are confined, of one term then; by default all, and products of two terms.
     """
     singles = screened(state, (law for law in _singles(state) if not along or set(law.covariates) <= set(along)), say)
+    for forms in _REFINED:
+        singles += screened(state, _finer(state, singles, forms), say)
     plain = {_formula(entry.law): entry.score for entry in sorted(singles, key=lambda entry: entry.score)}
     products = [
         entry
@@ -114,6 +120,20 @@ def _singles(state: FitState) -> Iterator[Law]:
                     yield Law(link.key, (term,))
 
 
+def _finer(state: FitState, singles: Sequence[Screened], forms: Collection[str]) -> Iterator[Law]:
+    """Yield the laws whose place the fit leaves where it is, between the places at which they were looked at."""
+    known, sharp = known_values(state), [entry.law for entry in sorted(singles, key=lambda e: -e.score)]
+    sharp = [law for law in sharp if _is_sharp(law) and law.terms[0].form in forms]
+    for law in sharp[:_FINER]:
+        alike = [other.terms[0].values["at"] for other in sharp if other.name == law.name]
+        yield from (Law(law.link, (term,)) for term in finer(law.terms[0], known[law.terms[0].covariate], alike))
+
+
+def _is_sharp(law: Law) -> bool:
+    """Tell whether it has a single term whose only place the fit leaves where it is."""
+    return [term.form for term in law.terms] in (["step"], ["border"])
+
+
 def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
     """Yield the best laws of one term times a term of another covariate."""
     known = known_values(state)
@@ -121,14 +141,18 @@ def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
         tilts = [term for term in terms_of(place, known) if term.form in ("ramp", "bow")]
         levels = [term for term in terms_of("source_level", known) if term.form in ("power", "step")]
         yield from (Law("scene", (tilt, level)) for tilt in tilts for level in levels)
-    for entry in _distinct((entry for entry in singles if entry.law.link not in _ALONE), _MULTIPLIED):
+    for entry in _distinct((entry for entry in singles if not _goes_alone(entry.law)), _MULTIPLIED):
         own = entry.law.terms[0]
         for name in known:
-            if name in (*own.covariates, "signal", "value") or {name, own.covariate} <= set(PLACES):
+            if name in (*own.covariates, "signal", "value", "frame") or {name, own.covariate} <= set(PLACES):
                 continue
             further = [term for term in terms_of(name, known) if term.form in _SECOND]
             for link in _links_of_product(entry.law.link, own.covariate, name):
                 yield from (Law(link, (own, term)) for term in further)
+
+
+def _goes_alone(law: Law) -> bool:
+    return law.link in _ALONE or "frame" in law.covariates
 
 
 def _links_of_product(link: str, first: str, second: str) -> tuple[str, ...]:
@@ -158,7 +182,8 @@ def _chosen(entries: Iterable[Screened]) -> list[Screened]:
         kinds.setdefault((entry.law.link, _formula(entry.law)), []).append(entry)
     taken: list[Screened] = []
     for entry, *others in kinds.values():
-        near = tuple(other for other in others if other.gain > _NEAR * entry.gain)[:_STARTS]
+        most = _PLACES if _is_sharp(entry.law) else _STARTS
+        near = tuple(other for other in others if other.gain > _NEAR * entry.gain)[:most]
         entry = replace(entry, others=near)
         alike = [other for other in taken if _formula(other.law) == _formula(entry.law)]
         if (len(alike) <= _OF_A_KIND or entry.law.link in _PLAIN) and entry.score > 0:
@@ -200,13 +225,14 @@ def known_values(state: FitState) -> dict[str, Array]:
         "signal": signal,
         "value": signal * state.prediction.gain[:, None, None],
     }
-    if context.first_frame is not None and context.later_frames is not None and design.has_timestamps:
-        first, later = (np.asarray(c.since_frame_s) for c in (context.first_frame, context.later_frames))
-        found["since_frame_s"] = np.stack([first, later])
+    parts = (context.first_frame, context.later_frames)
+    if design.has_timestamps and None not in parts:
+        found["since_frame_s"] = np.stack([np.asarray(part.since_frame_s) for part in parts if part])
     lit = design.source_level > 0  # a closed shutter is no level of the source
     if not lit.any() or not _varies(design.source_level[lit]):
         del found["source_level"]
-    return {name: np.asarray(v, dtype=np.float64) for name, v in found.items() if _varies(np.asarray(v))}
+    known = {name: np.asarray(v, dtype=np.float64) for name, v in found.items() if _varies(np.asarray(v))}
+    return known | ({} if None in parts else {"frame": np.stack([part.frame_numbers for part in parts if part])})
 
 
 def _varies(values: Array) -> bool:
@@ -233,6 +259,18 @@ def values_of(state: FitState, term: Term, known: Mapping[str, Array]) -> Array:
     """Return a term in the first frame of each capture and in the others, (2, captures, tiles, points)."""
     shape = (len(state.design.captures), len(state.design.tiles), 4)
     own = {name: known[name] for name in term.covariates}
+    if term.form == "step" and term.covariate in ("signal", "value"):
+        noise = np.sqrt(state.prediction.variance) / (
+            1.0 if term.covariate == "value" else state.prediction.gain[:, None]
+        )
+        share = ndtr((own[term.covariate] - term.values["at"]) / noise[:, :, None])  # of pixels beyond it
+        return np.broadcast_to(share, (2, *shape))
+    grid = state.model.context.grid
+    if grid is not None and FORMS[term.form].is_steep and set(term.covariates) & set(PLACES):
+        side = max(state.design.shape)
+        fine = {"image_x": grid.x_px / side, "image_y": grid.y_px / side}
+        points, _ = from_grid(term.evaluated(own | {name: fine[name] for name in own if name in fine}))
+        return np.broadcast_to(points, (2, *shape))
     parts = (term.evaluated({n: v[i] if n in PER_FRAME else v for n, v in own.items()}) for i in (0, 1))
     return np.stack([np.broadcast_to(part, shape) for part in parts])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from radiometer.reconcile.fit.state import FitState
@@ -68,7 +69,15 @@ class Reconciled:
     Attributes:
         result: The result.
         outcome: The search behind it.
+        taken: Fits the starting camera to the frames as they were taken, where the search had them with light that
+            comes back every so many of them taken out.
     """
 
     result: ReconcileResult
     outcome: Search
+    taken: Callable[[], FitState] | None = None
+
+    @property
+    def start(self) -> FitState:
+        """Return the starting camera fitted to the frames as they were taken."""
+        return self.outcome.start if self.taken is None else self.taken()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,9 +17,14 @@ from radiometer.reconcile.result import Verdict
 from radiometer.reconcile.search.outcome import Search, Step
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
+from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.display_nonuniformity import DisplayNonuniformity
 from simulators.effects.free_law import freed
 from simulators.effects.led_thermal_droop import LedThermalDroop
+from simulators.effects.mechanical_vignetting import MechanicalVignetting
+from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.psf_blur import PsfBlur
+from simulators.effects.response_nonlinearity import ResponseNonlinearity
 
 BLUR, TALK, GAIN = PsfBlur(0.3), Crosstalk(0.01), ConversionGainError(0.01)
 
@@ -34,6 +39,7 @@ class FakeState:
     terms: tuple[Any, ...] = ()
     parameters: Any = field(default_factory=lambda: SimpleNamespace(size=0))
     settings: int = 10
+    model: Any = field(default_factory=lambda: SimpleNamespace(context=None))
     held_out: Any = field(default_factory=lambda: SimpleNamespace(count=np.full(11, 1000.0)))
 
 
@@ -89,7 +95,7 @@ def test_a_single_name_that_leaves_nothing_is_asked_about_its_own_covariate(monk
     monkeypatch.setattr(beyond, "propose_law", lambda start, along=(): asked.append(along) or law(1000.0, *along))
     before = outcome(810.0, BLUR)
     told = held_to_laws(before)
-    assert asked == [own_covariates(BLUR.where)]
+    assert asked == [own_covariates(BLUR)]
     assert told.state.effects == (BLUR,)
     assert told.steps == before.steps
     assert len(told.remarks) == 1
@@ -97,30 +103,59 @@ def test_a_single_name_that_leaves_nothing_is_asked_about_its_own_covariate(monk
     assert [step.name for step in held_to_laws(outcome(790.0, BLUR)).steps] == ["unnamed"]
 
 
-@pytest.mark.parametrize(("nats", "doubted"), [(804.0, False), (806.0, True), (812.0, True)])
-def test_a_name_that_was_bent_is_doubted_where_a_law_predicts_as_well(monkeypatch, nats, doubted):
-    """Within five nats, the odds of a rival, of an effect by a law of its own; one by its equation needs eight more."""
+@pytest.mark.parametrize(
+    ("nats", "plain", "told"),
+    [
+        (804.0, 300.0, "named"),  # a law that lies behind by more than a rival may
+        (806.0, 700.0, "doubted"),
+        (806.0, 600.0, "unnamed"),  # its own equation brings three quarters of what the law does
+        (812.0, 700.0, "doubted"),
+        (900.0, 700.0, "unnamed"),  # the more a law brings, the more the equation must
+    ],
+)
+def test_a_name_that_was_bent_is_held_by_its_own_equation_to_a_law_that_predicts_as_well(
+    monkeypatch, nats, plain, told
+):
+    """Within five nats, the odds of a rival; a table follows any law, and what it brings says nothing of a name."""
+    fitted = []
     monkeypatch.setattr(beyond, "doubts_of", lambda outcome: [])
     monkeypatch.setattr(beyond, "propose_law", lambda start, along=(): law(nats, "source_level"))
-    droop = LedThermalDroop(0.05)
-    bent = freed(LedThermalDroop, ("source_level",))(0.05, law=(1.0, 2.0), at_source_level=(0.1, 1.0))
-    told = held_to_laws(outcome(810.0, bent))
-    assert told.steps[0].name == "led_thermal_droop"
-    assert bool(told.remarks) is doubted
-    assert held_to_laws(outcome(810.0, droop)).remarks == ()
+    monkeypatch.setattr(
+        beyond, "included", lambda state, effect, far: fitted.append(effect) or FakeState(plain, (effect,))
+    )
+    table = LedThermalDroop(0.05, levels=(0.1, 1.0), errors_rel=(0.01, 0.0))
+    free = freed(LedThermalDroop, ("source_level",))(0.05, law=(1.0, 2.0), at_source_level=(0.1, 1.0))
+    for bent in (table, free):
+        found = held_to_laws(outcome(810.0, bent))
+        assert found.steps[0].name == ("unnamed" if told == "unnamed" else "led_thermal_droop")
+        assert bool(found.remarks) is (told != "named")
+    assert {(e.droop_rel, e.levels, type(e)) for e in fitted} <= {(0.05, (), LedThermalDroop)}
+    assert held_to_laws(outcome(nats + 1.0, LedThermalDroop(0.05))).remarks == ()
+
+
+def test_curves_without_a_cause_are_not_counted_to_a_name(monkeypatch):
+    """What smooth terms take up beside a name is not what the name brings."""
+    monkeypatch.setattr(beyond, "included", lambda state, effect, far: FakeState(500.0, (effect,)))
+    curve = SimpleNamespace(is_smooth=True, size=0)
+    found = outcome(990.0, GAIN)
+    found = replace(found, state=replace(found.state, terms=(curve,)))
+    assert not brings_most(found, law(1000.0, GAIN.where))
+    assert brings_most(outcome(990.0, GAIN), law(1000.0, GAIN.where))
 
 
 @pytest.mark.parametrize(
-    ("where", "along"),
+    ("effect", "along"),
     [
-        ("source_level", ("source_level",)),
-        ("signal", ("signal", "value")),
-        *((where, ("image_x", "image_y")) for where in ("image_x", "image_y", "screen_x", "field_radius")),
+        (LedThermalDroop(), {"source_level"}),
+        (ResponseNonlinearity(), {"signal", "value"}),
+        (DarkCurrent(), {"temperature_C"}),  # what is not in proportion to the exposure is no current
+        *((kind(), {"image_x", "image_y"}) for kind in (DisplayNonuniformity, NaturalVignetting)),
+        (MechanicalVignetting(), {"image_x", "image_y", "f_number"}),
     ],
 )
-def test_the_covariates_of_laws_for_what_an_entry_goes_with(where, along):
+def test_the_covariates_of_laws_for_what_an_entry_goes_with(effect, along):
     """The charge and what the amplifier makes of it are one; a radius or a place of the screen is of the picture."""
-    assert own_covariates(where) == along
+    assert set(own_covariates(effect)) == along
 
 
 def test_without_a_name_no_law_is_asked(monkeypatch):

@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,10 @@ import pytest
 from radiometer.data import CameraDescription, FrameSettings
 from radiometer.reconcile.model.tile_context import TileContext
 from radiometer.reconcile.propose.effect_file import Law, effect_of, effect_source, round_to, source_of_test
-from radiometer.reconcile.propose.grammar import FORMS, Term, terms_of
+from radiometer.reconcile.propose.grammar import FORMS, Term, finer, terms_of
 from simulators.effects import registry
 from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.effects.tile_moments import TileMoments
 from simulators.law_stages import LINKS
 
 SIGNAL = 1000.0
@@ -23,6 +25,8 @@ WORKED = [
     ("arch", "image_y", {}, {"middle": 0.5, "width": 0.25}, {"image_y": 0.25}, 0.0),
     ("step", "exposure_s", {}, {"at": 0.1}, {"exposure_s": 0.2}, 1.0),
     ("step", "exposure_s", {}, {"at": 0.1}, {"exposure_s": 0.05}, 0.0),
+    ("border", "image_y", {}, {"at": 0.5}, {"image_y": 0.6}, 1.0),
+    ("every", "frame", {}, {"period": 5.0, "at": 2.0}, {"frame": [6.0, 7.0, 8.0, np.nan]}, 1.0 / 3.0),
     ("edge", "image_y", {}, {"at": 0.5, "width": 0.1}, {"image_y": 0.5}, 0.5),
     ("power", "exposure_s", {"reference": 4.0}, {"power": 0.5}, {"exposure_s": 1.0}, 0.5),
     ("decay", "since_frame_s", {}, {"tau": 3.0}, {"since_frame_s": 3.0}, math.exp(-1.0)),
@@ -61,6 +65,7 @@ KNOWN = {
     "temperature_C": np.array([20.0, 30.0, 40.0])[:, None, None],
     "source_level": np.array([0.1, 0.5, 1.0])[:, None, None],
     "since_frame_s": np.stack([np.linspace(1.0, 20.0, 8), np.full(8, 0.2)])[:, :, None, None],
+    "frame": np.arange(16.0).reshape(8, 1, 1, 2),
     "image_x": np.linspace(0.0, 1.0, 30)[None, :, None],
     "image_y": np.linspace(0.0, 0.7, 30)[None, :, None],
     "signal": np.geomspace(10.0, 9000.0, 50)[:, None, None],
@@ -130,7 +135,86 @@ def test_the_first_frame_counts_by_its_share():
     assert effect.mean(np.array([10.0]), later)[0] == pytest.approx(10.0 + lift)
     assert effect.mean(np.array([10.0]), series)[0] == pytest.approx(10.0 + 0.75 * lift)
     assert effect.drifts
-    assert float(effect.common_variance(np.array([10.0]), series)) == pytest.approx(lift**2 / 4.0)
+    assert float(effect.common_variance(np.array([10.0]), series)) == 0.0  # three others alike: the first is not asked
+    pair = replace(series, frames=2.0)
+    assert float(effect.common_variance(np.array([10.0]), pair)) == pytest.approx(np.var([0.0, lift], ddof=1))
+
+
+@pytest.mark.parametrize(
+    ("frames", "counted"), [((5, 6, 7, 8), (0, 1, 0)), ((11, 12), (0, 1)), ((6, 7, 9, 12), (1, 0, 1))]
+)
+def test_one_frame_of_five_counts_by_how_many_of_a_series_it_is(frames, counted):
+    """The mean holds its share of all frames; of three and more the first is not asked how they scatter."""
+    effect = effect_of(Law("source", (Term("every", "frame", {}, {"period": 5.0, "at": 2.0}),)), 0.04)
+    numbers = np.array(frames, dtype=float)
+    first, later = at(frame_numbers=numbers[:1]), at(frame_numbers=numbers[1:])
+    series = TileContext(
+        first.settings,
+        first.geometry,
+        first.camera,
+        frame_numbers=numbers,
+        first_frame=first,
+        later_frames=later,
+        frames=float(len(frames)),
+    )
+    light = np.array([1000.0])
+    assert effect.mean(light, series)[0] == pytest.approx(np.mean([1040.0 if n % 5 == 2 else 1000.0 for n in frames]))
+    scatter = np.var([1000.0 * (1.0 + 0.04 * hit) for hit in counted], ddof=1)
+    assert float(effect.common_variance(light, series)[0]) == pytest.approx(scatter)
+    assert effect.mean(light, at(frame_numbers=(7,)))[0] == pytest.approx(1040.0)
+    assert effect.drifts
+
+
+def test_a_border_within_a_tile_moves_its_mean_and_slope_and_spreads_its_pixels():
+    """A gain that steps in the tenth of twelve rows: what its pixels would say, but for a quadratic surface."""
+    rows, columns = np.meshgrid(np.arange(12.0), np.arange(12.0), indexing="ij")
+    made = np.where(rows > 8.5, 1050.0, 1000.0)
+    u, v = (columns - 5.5) / 6.0, (rows - 5.5) / 6.0
+    surface = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1).reshape(-1, 6)
+    left = made.ravel() - surface @ np.linalg.lstsq(surface, made.ravel(), rcond=None)[0]
+    points = np.array([(x, y) for y in (-1, 1) for x in (-1, 1)]) * 6.0 / np.sqrt(3.0) + 5.5
+    middle, grid = at(), FrameGeometry(columns.reshape(1, 1, -1), rows.reshape(1, 1, -1), 200, 100)
+    tile = TileContext(
+        middle.settings,
+        FrameGeometry(points[:, 0].reshape(1, 1, 4), points[:, 1].reshape(1, 1, 4), 200, 100),
+        middle.camera,
+        grid=grid,
+    )
+    effect = effect_of(Law("gain", (Term("border", "image_y", {}, {"at": 8.5 / 200.0}),)), 0.05)
+    after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 1000.0)), tile)
+    assert after.mean.mean() == pytest.approx(made.mean())
+    assert (after.mean[0, 0, 2] - after.mean[0, 0, 0]) * np.sqrt(3.0) / 2.0 == pytest.approx(
+        np.polyfit(v.ravel(), made.ravel(), 1)[0]
+    )
+    assert float(after.spatial_variance[0, 0, 0]) == pytest.approx(np.mean(left**2))
+
+
+@pytest.mark.parametrize("beyond", [-3.0, -0.7, 0.0, 1.2])
+def test_noise_decides_on_which_side_of_a_jump_a_pixel_lies(beyond):
+    """Of pixels that scatter by 20 DN about a limit so many lie beyond it as a normal distribution has there."""
+    effect = effect_of(Law("range", (Term("step", "value", {}, {"at": 500.0}),)), -30.0)
+    level = 500.0 + 20.0 * beyond
+    before = replace(TileMoments.exactly(np.full((1, 1, 4), level)), variance=np.full((1, 1, 4), 400.0))
+    middle = at()
+    after = effect.moments(before, TileContext(middle.settings, middle.geometry, middle.camera))
+    share = 0.5 * (1.0 + math.erf(beyond / math.sqrt(2.0)))
+    drawn = np.random.default_rng(5).normal(level, 20.0, 400_000)
+    drawn = drawn - 30.0 * (drawn > 500.0)
+    assert after.mean[0, 0, 0] == pytest.approx(level - 30.0 * share, abs=30.0 / 64)  # 64 pixels stand for all
+    assert after.variance[0, 0, 0] == pytest.approx(drawn.var(), rel=0.05)
+
+
+def test_places_of_a_step_are_tried_between_those_that_did_well():
+    """Between the next places on either side; a step lies between two values, where dark frames hold none."""
+    values = np.concatenate([[0.0], np.geomspace(10.0, 9000.0, 400)])
+    known = {"value": values}
+    places = sorted(term.values["at"] for term in terms_of("value", known) if term.form == "step")
+    assert np.ptp(np.diff(np.log(places))) < 0.5  # as many of dim light as of bright
+    step = Term("step", "value", {}, {"at": places[7]})
+    further = [term.values["at"] for term in finer(step, values, places)]
+    assert places[6] < min(further) < places[7] < max(further) < places[8]
+    gap = np.min(np.abs(np.subtract.outer(values, further)))
+    assert gap > 0.0
 
 
 def laws():

@@ -74,19 +74,17 @@ def test_the_law_holds_in_another_session(glow, tmp_path):
 
 @pytest.mark.slow
 def test_files_are_written_only_for_what_has_no_name(glow, tmp_path, monkeypatch):
-    """An unnamed rest gives effect, test and plan; where all has a name, or frames come back in turns, none."""
+    """An unnamed rest gives effect, test and plan; where all has a name none."""
     start = glow[0].before
     package = import_module("radiometer.reconcile.propose")
     monkeypatch.setattr(package, "propose_law", {start: glow[0]}.get)  # searched once is enough
     unnamed = SimpleNamespace(effects=(FoundEffect("unnamed", {}, "image_x", 2.0, 1.0),))
-    periodic = SimpleNamespace(effects=(FoundEffect("unnamed", {}, "frame", 2.0, 1.0),))
     named = SimpleNamespace(effects=(FoundEffect("dark_current", {}, "exposure_s", 2.0, 1.0),))
 
     def done(result):
-        return DoneCapture(SimpleNamespace(result=result, outcome=SimpleNamespace(start=start)), Path("first"), None)
+        return DoneCapture(SimpleNamespace(result=result, start=start), Path("first"), None)
 
     assert done(named).propose(tmp_path / "none") is None
-    assert done(periodic).propose(tmp_path / "none") is None
     assert not (tmp_path / "none").exists()
     found = done(unnamed).propose(tmp_path / "laws")
     assert found.name == "charge_rate_spot"
@@ -109,10 +107,9 @@ def test_two_amplifiers_are_told_from_shading_by_their_noise(tmp_path):
     proposal = propose_law(state)
     assert (proposal.stage, proposal.stages_alike) == ("readout", ())
     assert proposal.covariates == ("image_y",)
-    width = session.frames[0].shape[1]
-    assert proposal.parameters["at_y"].value * width == pytest.approx(
-        session.secret.drawn["row_px"], abs=5.0
-    )  # within a patch
+    side = session.frames[0].shape[1]
+    row = session.secret.drawn["row_px"]
+    assert proposal.parameters["at_y"].value * side == pytest.approx(row, abs=5.0)  # between patches nothing is seen
 
 
 @pytest.mark.slow
@@ -124,6 +121,18 @@ def test_what_a_rest_does_to_the_black_level_is_seen(tmp_path):
     assert proposal.covariates == ("since_frame_s",)
     tau = proposal.parameters["tau_rest_s"]
     assert abs(tau.value - session.secret.drawn["tau_s"]) < 4.0 * tau.u
+
+
+@pytest.mark.slow
+def test_a_lamp_that_dims_each_fifth_frame_gets_a_law_of_the_frames(tmp_path):
+    """Which frame of five, and by how much: the source's light, in frames as they were taken."""
+    state, session = state_of(tmp_path / "set", 66004, "every_fifth_dim", "flats")
+    proposal = propose_law(state)
+    assert (proposal.stage, proposal.covariates) == ("source", ("frame",))
+    assert proposal.parameters["period_frame"].value == 5.0
+    size = proposal.parameters["amplitude"]
+    assert abs(size.value + session.secret.drawn["depth"]) < 4.0 * size.u
+    assert proposal.closed > 0.95
 
 
 @pytest.mark.slow
