@@ -250,7 +250,7 @@ def examine(
         )
     failed: list[str] = []
     found = search(start, entries, say)
-    outcome = _spared("laws of no entry", lambda: held_to_laws(found, say), failed) or found
+    outcome = _spared("laws of no entry", lambda: held_to_laws(found, entries, say), failed) or found
     result = _result(outcome, entries, again, total, begun, failed, with_limits=with_limits)
     return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome, taken)
 

@@ -3,7 +3,7 @@
 A search can only say names that it knows. Where its names leave something, are several, or are doubted, the hypothesis
 that the cause is another one is asked too: names that one law outdoes by far are none. A single name that leaves
 nothing is held to the laws along its own covariate: where one of them predicts better, the name is provisional, or
-none where it brings far less. A name that had to be bent to the data is held so already where a law predicts as well.
+none where it brings far less. A name that had to be bent to the data is provisional where a law predicts as well.
 
 What is known of a name beforehand is its own equation: a table or a curve in its place would follow any law. What names
 bring is therefore what their own equations bring, without the curves that stand for no cause. A name by another
@@ -12,7 +12,7 @@ equation than the catalogue's is not meant by this: its own brings most of what 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -25,22 +25,28 @@ from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.propose.grammar import PLACES
 from radiometer.reconcile.propose.proposal import Proposal
 from radiometer.reconcile.propose.search import propose_law
-from radiometer.reconcile.search.free_laws import worth
-from radiometer.reconcile.search.localise import significant
+from radiometer.reconcile.search.free_laws import promise, worth
+from radiometer.reconcile.search.localise import localise, significant
 from radiometer.reconcile.search.outcome import Search, Step
 from radiometer.reconcile.thresholds import NAMED_NATS, RIVAL_NATS, SMOOTH_SHARE
 from radiometer.reconcile.verdict import doubts_of, leaves_structure
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 
+_FITTED: Final = 3  # looser forms that are fitted in full, the most promising first
 _WHERE: Final = {"since_frame_s": "timestamp_s", "value": "signal"}  # what results call it
 
 
-def held_to_laws(outcome: Search, say: Callable[[str], None] = lambda line: None) -> Search:
+def held_to_laws(
+    outcome: Search,
+    catalogue: Mapping[str, type[CatalogueEffect]],
+    say: Callable[[str], None] = lambda line: None,
+) -> Search:
     """Return the outcome with what laws of no entry say of its names: nothing, a doubt, or that they are none.
 
     Args:
         outcome: What the search came to.
+        catalogue: The entries, one of which may hold the law in a looser form.
         say: Told what happens.
     """
     effects = outcome.state.effects
@@ -50,20 +56,69 @@ def held_to_laws(outcome: Search, say: Callable[[str], None] = lambda line: None
     law = propose_law(outcome.start, along=() if stays else own_covariates(effects[0]))
     if law is None:
         return outcome
-    bent = [effect.name for effect in effects if is_bent(effect, outcome)]
-    if predicts_better(outcome, law):
-        named = [step.name for step in outcome.steps if step.name != "unnamed"]
-        said = f"{law.name}, a law that no entry holds, predicts better than {' and '.join(named)}"
-    elif bent and predicts_as_well(outcome, law):
+    if not predicts_better(outcome, law):
+        bent = [effect.name for effect in effects if is_bent(effect, outcome)]
+        if not bent or not predicts_as_well(outcome, law):
+            return outcome
         said = (
             f"{' and '.join(bent)} goes by no equation of its own, and {law.name}, a law of no entry, predicts as well"
         )
-    else:
-        return outcome
+        say(said)
+        return replace(outcome, remarks=(*outcome.remarks, said))
+    named = " and ".join(step.name for step in outcome.steps if step.name != "unnamed")
+    said = f"{law.name}, a law that no entry holds, predicts better than {named}"
+    if brings_most(outcome, law):
+        say(said)
+        return replace(outcome, remarks=(*outcome.remarks, said))
+    form = in_a_looser_form(outcome.start, worth(law.after) - RIVAL_NATS, catalogue)
+    if form is not None:
+        say(f"{form.effects[0].name} in a looser form does what {law.name} does, in place of {named}")
+        return by_one_form(outcome, form, law)
     say(said)
-    if not brings_most(outcome, law):
-        return without_names(outcome, law, f"{said} (gap {law.after.gap:.3g}), which is not named therefore")
-    return replace(outcome, remarks=(*outcome.remarks, said))
+    return without_names(outcome, law, f"{said} (gap {law.after.gap:.3g}), which is not named therefore")
+
+
+def in_a_looser_form(start: FitState, least: float, catalogue: Mapping[str, type[CatalogueEffect]]) -> FitState | None:
+    """Return the model with the entry of which a looser form alone does what a law does; None where none does.
+
+    A search comes to looser forms by way of the plain one. What has no plain part (a black level that ramps and is
+    nothing in the middle) it does not meet, and a law that an entry holds is none of no entry.
+
+    Args:
+        start: The starting camera fitted.
+        least: Score that the model needs.
+        catalogue: The entries.
+    """
+    context = start.model.context
+    kinds = [kind for kind in catalogue.values() if kind.usable(context)]
+    plain = [min(kind.starts(context), key=lambda entry: len(entry.free())) for kind in kinds if kind.starts(context)]
+    forms = [form for entry in plain for form in entry.loosened(context)]
+    promising = sorted(((promise(start, form), n) for n, form in enumerate(forms)), reverse=True)
+    found = list[FitState]()
+    for promised, n in promising[:_FITTED]:
+        try:
+            found += [included(start, forms[n], far=True)] if promised > 0 else []
+        except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted does nothing
+            continue
+    best = max(found, key=worth, default=None)
+    return best if best is not None and worth(best) > least else None
+
+
+def by_one_form(outcome: Search, state: FitState, law: Proposal) -> Search:
+    """Return the outcome in which one entry in a looser form stands in place of all names; it is provisional.
+
+    Args:
+        outcome: What the search came to.
+        state: The model with the entry.
+        law: The law that it is.
+    """
+    (effect,) = state.effects
+    nats, tests = state.evidence - outcome.start.evidence, localise(state)
+    step = Step(effect.name, effect.where, nats, outcome.start.gap, state.gap)
+    said = (
+        f"{effect.name} goes by a looser form of its equation, and {law.name}, a law of the grammar, predicts as well"
+    )
+    return replace(outcome, state=state, steps=(step,), left=significant(tests), tests=tests, remarks=(said,))
 
 
 def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:

@@ -153,7 +153,7 @@ def _of_one(start: FitState, alone: Sequence[CatalogueEffect]) -> Iterator[_Prom
     """Yield what free forms promise alone, the model that each is put into, and the form."""
     for effect in alone:
         for form in free_forms(start, effect):
-            yield _promise(start, form), start, form
+            yield promise(start, form), start, form
 
 
 def _in_place(start: FitState, state: FitState) -> Iterator[_Promise]:
@@ -162,11 +162,16 @@ def _in_place(start: FitState, state: FitState) -> Iterator[_Promise]:
         beside = with_terms(with_effects(state, [other for other in state.effects if other is not effect]), ())
         base = refit(beside, iterations=_FEW)
         for form in free_forms(base, effect):
-            yield base.evidence - start.evidence + _promise(base, form), base, form
+            yield base.evidence - start.evidence + promise(base, form), base, form
 
 
-def _promise(base: FitState, form: FreeLaw) -> float:
-    """Return the nats that a form would bring if it acted linearly, its parameters paid for."""
+def promise(base: FitState, form: CatalogueEffect) -> float:
+    """Return the nats that a form would bring if it acted linearly, its parameters paid for.
+
+    Args:
+        base: The model without it.
+        form: A form with a free law, or a looser one.
+    """
     try:
         followed = base.fit.followed(directions_of(base, (*base.effects, form), len(base.effects)))
     except (MeasurementError, ConfigurationError):  # what no camera does

@@ -11,10 +11,22 @@ import pytest
 
 from benchmarks._outside import two
 from benchmarks._outside.two_hidden import HIDDEN
+from radiometer.reconcile.fit.covariance import fitted_parameters
+from radiometer.reconcile.fit.descent import first_state
+from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.propose import beyond
-from radiometer.reconcile.propose.beyond import brings_most, held_to_laws, own_covariates, predicts_better
+from radiometer.reconcile.propose.beyond import (
+    brings_most,
+    held_to_laws,
+    in_a_looser_form,
+    own_covariates,
+    predicts_better,
+)
 from radiometer.reconcile.result import Verdict
+from radiometer.reconcile.search.free_laws import worth
 from radiometer.reconcile.search.outcome import Search, Step
+from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
 from simulators.effects.dark_current import DarkCurrent
@@ -27,6 +39,9 @@ from simulators.effects.psf_blur import PsfBlur
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
 
 BLUR, TALK, GAIN = PsfBlur(0.3), Crosstalk(0.01), ConversionGainError(0.01)
+
+TABLE = LedThermalDroop(0.05, levels=(0.1, 1.0), errors_rel=(0.01, 0.0))
+FREE = freed(LedThermalDroop, ("source_level",))(0.05, law=(1.0, 2.0), at_source_level=(0.1, 1.0))
 
 
 @dataclass(frozen=True)
@@ -80,7 +95,7 @@ def test_names_stand_by_what_they_bring_and_leave(found, gap, effects, along, st
 def test_the_law_is_told_and_the_names_are_not(monkeypatch):
     """All names give way to one entry at the law's place; the nearest of them and its share are told."""
     monkeypatch.setattr(beyond, "propose_law", lambda start, along=(): law(1000.0, "image_y", "exposure_s"))
-    told = held_to_laws(outcome(600.0, TALK, GAIN, gap=3.0))
+    told = held_to_laws(outcome(600.0, TALK, GAIN, gap=3.0), {})
     (step,) = told.steps
     assert told.state is told.start
     assert (step.name, step.where, step.closest) == ("unnamed", "image_y", ("crosstalk", 0.3))
@@ -94,43 +109,43 @@ def test_a_single_name_that_leaves_nothing_is_asked_about_its_own_covariate(monk
     monkeypatch.setattr(beyond, "doubts_of", lambda outcome: [])
     monkeypatch.setattr(beyond, "propose_law", lambda start, along=(): asked.append(along) or law(1000.0, *along))
     before = outcome(810.0, BLUR)
-    told = held_to_laws(before)
+    told = held_to_laws(before, {})
     assert asked == [own_covariates(BLUR)]
     assert told.state.effects == (BLUR,)
     assert told.steps == before.steps
     assert len(told.remarks) == 1
-    assert held_to_laws(outcome(995.0, BLUR)).remarks == ()
-    assert [step.name for step in held_to_laws(outcome(790.0, BLUR)).steps] == ["unnamed"]
+    assert held_to_laws(outcome(995.0, BLUR), {}).remarks == ()
+    assert [step.name for step in held_to_laws(outcome(790.0, BLUR), {}).steps] == ["unnamed"]
 
 
-@pytest.mark.parametrize(
-    ("nats", "plain", "told"),
-    [
-        (804.0, 300.0, "named"),  # a law that lies behind by more than a rival may
-        (806.0, 700.0, "doubted"),
-        (806.0, 600.0, "unnamed"),  # its own equation brings three quarters of what the law does
-        (812.0, 700.0, "doubted"),
-        (900.0, 700.0, "unnamed"),  # the more a law brings, the more the equation must
-    ],
-)
-def test_a_name_that_was_bent_is_held_by_its_own_equation_to_a_law_that_predicts_as_well(
-    monkeypatch, nats, plain, told
-):
-    """Within five nats, the odds of a rival; a table follows any law, and what it brings says nothing of a name."""
-    fitted = []
+@pytest.mark.parametrize(("nats", "doubted"), [(804.0, False), (806.0, True), (812.0, True)])
+def test_a_name_that_was_bent_is_doubted_where_a_law_predicts_as_well(monkeypatch, nats, doubted):
+    """Within five nats, the odds of a rival, of an effect by a law of its own; one by its equation needs eight more."""
     monkeypatch.setattr(beyond, "doubts_of", lambda outcome: [])
     monkeypatch.setattr(beyond, "propose_law", lambda start, along=(): law(nats, "source_level"))
-    monkeypatch.setattr(
-        beyond, "included", lambda state, effect, far: fitted.append(effect) or FakeState(plain, (effect,))
-    )
-    table = LedThermalDroop(0.05, levels=(0.1, 1.0), errors_rel=(0.01, 0.0))
-    free = freed(LedThermalDroop, ("source_level",))(0.05, law=(1.0, 2.0), at_source_level=(0.1, 1.0))
-    for bent in (table, free):
-        found = held_to_laws(outcome(810.0, bent))
-        assert found.steps[0].name == ("unnamed" if told == "unnamed" else "led_thermal_droop")
-        assert bool(found.remarks) is (told != "named")
-    assert {(e.droop_rel, e.levels, type(e)) for e in fitted} <= {(0.05, (), LedThermalDroop)}
-    assert held_to_laws(outcome(nats + 1.0, LedThermalDroop(0.05))).remarks == ()
+    for bent in (TABLE, FREE):
+        told = held_to_laws(outcome(810.0, bent), {})
+        assert told.steps[0].name == "led_thermal_droop"
+        assert bool(told.remarks) is doubted
+    assert held_to_laws(outcome(810.0, LedThermalDroop(0.05)), {}).remarks == ()
+
+
+@pytest.mark.parametrize(("plain", "stands"), [(730.0, True), (710.0, False)])
+@pytest.mark.parametrize("bent", [TABLE, FREE])
+def test_a_name_that_was_bent_brings_what_its_own_equation_brings(monkeypatch, bent, plain, stands):
+    """A table follows any law: that it brings most of what a better law does says nothing of the name."""
+    fitted = []
+
+    def included(state, effect, far):
+        fitted.append(effect)
+        return FakeState(plain, (effect,))
+
+    monkeypatch.setattr(beyond, "doubts_of", lambda outcome: [])
+    monkeypatch.setattr(beyond, "propose_law", lambda start, along=(): law(900.0, "source_level"))
+    monkeypatch.setattr(beyond, "included", included)
+    told = held_to_laws(outcome(880.0, bent), {})
+    assert [step.name for step in told.steps] == ["led_thermal_droop" if stands else "unnamed"]
+    assert [(effect.droop_rel, effect.levels) for effect in fitted] == [(0.05, ())]
 
 
 def test_curves_without_a_cause_are_not_counted_to_a_name(monkeypatch):
@@ -162,7 +177,37 @@ def test_without_a_name_no_law_is_asked(monkeypatch):
     """What has no name needs none taken away."""
     monkeypatch.setattr(beyond, "propose_law", lambda *asked: pytest.fail("asked"))
     empty = Search(FakeState(0.0), FakeState(0.0), (), (), (), ())  # type: ignore[arg-type]
-    assert held_to_laws(empty) is empty
+    assert held_to_laws(empty, {}) is empty
+
+
+def test_a_ramp_that_is_nothing_in_the_middle_is_an_offset_s_looser_form(make_capture):
+    """A black level that rises by 2 DN over the rows, −1 to 1 DN, has no plain part: its tilt is met by itself."""
+    rows = np.arange(64.0)[:, None]
+    plan = [{"t": t, "g": g, "shutter": "closed"} for t in (1e-4, 1e-2) for g in (0.0, 12.0)] * 2
+    captured = make_capture(6, extra_dn=lambda setting: 2.0 * (rows / 63.0 - 0.5), plan=plan)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    start = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    entries = {"dark_current": DarkCurrent, "black_level_offset": BlackLevelOffset}
+    found = in_a_looser_form(start, worth(start), entries)
+    told = fitted_parameters(found)["black_level_offset"]
+    per_half_side = 2.0 * 48.0 / 63.0  # the longer side has 96 pixels
+    for name, value in (("offset_dn", 0.0), ("tilt_x_dn", 0.0), ("tilt_y_dn", per_half_side)):
+        assert told[name].u is not None
+        assert abs(told[name].value - value) < 3.5 * told[name].u
+    assert in_a_looser_form(start, worth(found) + 1.0, entries) is None
+    assert in_a_looser_form(start, worth(start), {"dark_current": DarkCurrent}) is None
+
+
+def test_an_entry_that_does_what_the_law_does_stands_in_place_of_the_names(monkeypatch):
+    """One name, provisional, with what it brings and what it leaves; the names that brought too little are gone."""
+    form = FakeState(996.0, (BLUR,))
+    monkeypatch.setattr(beyond, "propose_law", lambda start, along=(): law(1000.0, "image_y"))
+    monkeypatch.setattr(beyond, "in_a_looser_form", lambda start, least, catalogue: form if least < 996.0 else None)
+    monkeypatch.setattr(beyond, "localise", lambda state: ())
+    told = held_to_laws(outcome(600.0, TALK, GAIN, gap=3.0), {})
+    assert [(step.name, step.gain_nats) for step in told.steps] == [("psf_blur", 996.0)]
+    assert told.state is form
+    assert len(told.remarks) == 1
 
 
 @pytest.mark.slow
