@@ -262,7 +262,8 @@ def _step(values: Array, known: Mapping[str, Array]) -> _Made:
     positive = values[values > 0]  # dark frames hold no light at all
     logarithmic = positive.size > 1 and positive[-1] > 30 * positive[0]
     between = np.sqrt(positive[1:] * positive[:-1]) if logarithmic else between[apart] if apart.any() else between
-    for index in np.unique(np.linspace(0, between.size - 1, _STEPS).astype(int)):
+    spread = np.searchsorted(between, np.linspace(between[0], between[-1], _STEPS))  # a few of many may lie far apart
+    for index in np.union1d(np.linspace(0, between.size - 1, _STEPS).astype(int), spread):
         yield {}, {"at": float(between[index])}
 
 
@@ -288,7 +289,9 @@ def finer(term: Term, values: Array, tried: Collection[float]) -> Iterator[Term]
     low = max((place for place in tried if place < at), default=at)
     high = min((place for place in tried if place > at), default=at)
     inner = np.unique(values[(values > low) & (values < high)])
-    between = np.linspace(low, high, _FINER + 2)[1:-1] if term.form == "border" else 0.5 * (inner[1:] + inner[:-1])
+    anywhere = term.form == "border" or term.covariate in ("signal", "value")  # noise lies between two levels
+    between = np.linspace(low, high, _FINER + 2)[1:-1] if anywhere else 0.5 * (inner[1:] + inner[:-1])
+    between = np.setdiff1d(between, list(tried))
     for place in between[np.unique(np.linspace(0, between.size - 1, _FINER).astype(int))] if between.size else ():
         yield replace(term, values={"at": float(place)})
 

@@ -1,6 +1,7 @@
 """The grammar of laws and the effects that are written of them, against figures worked out by hand."""
 
 import importlib.util
+import itertools
 import math
 from dataclasses import replace
 
@@ -205,16 +206,16 @@ def test_noise_decides_on_which_side_of_a_jump_a_pixel_lies(beyond):
 
 
 def test_places_of_a_step_are_tried_between_those_that_did_well():
-    """Between the next places on either side; a step lies between two values, where dark frames hold none."""
-    values = np.concatenate([[0.0], np.geomspace(10.0, 9000.0, 400)])
-    known = {"value": values}
-    places = sorted(term.values["at"] for term in terms_of("value", known) if term.form == "step")
-    assert np.ptp(np.diff(np.log(places))) < 0.5  # as many of dim light as of bright
-    step = Term("step", "value", {}, {"at": places[7]})
-    further = [term.values["at"] for term in finer(step, values, places)]
+    """Dim light and bright have as many places, and a few levels that lie far apart have one each."""
+    values = np.concatenate([[0.0], np.geomspace(1.0, 500.0, 150), np.linspace(600.0, 900.0, 4)])
+    places = sorted(term.values["at"] for term in terms_of("value", {"value": values}) if term.form == "step")
+    assert np.max(np.diff(np.log(places))) < 0.5
+    assert all(np.any((places > low) & (places < high)) for low, high in itertools.pairwise(values[-4:]))
+    further = [term.values["at"] for term in finer(Term("step", "value", {}, {"at": places[7]}), values, places)]
     assert places[6] < min(further) < places[7] < max(further) < places[8]
-    gap = np.min(np.abs(np.subtract.outer(values, further)))
-    assert gap > 0.0
+    levels = np.array([0.1, 0.25, 0.5, 1.0])
+    tried = [term.values["at"] for term in terms_of("source_level", {"source_level": levels}) if term.form == "step"]
+    assert list(finer(Term("step", "source_level", {}, {"at": tried[1]}), levels, tried)) == []  # all alike
 
 
 def laws():
