@@ -30,6 +30,11 @@ def opencv(make: Callable[[], object]) -> Peer:
     return recover
 
 
+def opencv_debevec(samples: int) -> Peer:
+    """Return OpenCV's CalibrateDebevec with so many pixels, which it takes from a regular grid."""
+    return opencv(lambda: cv2.createCalibrateDebevec(samples))
+
+
 def colour_hdri_debevec() -> Peer | None:
     try:
         with warnings.catch_warnings():
@@ -76,8 +81,8 @@ def failures_of(name: str) -> type[Exception]:
 
 
 def peers() -> Iterator[tuple[str, Peer]]:
-    yield "OpenCV CalibrateDebevec, 70 samples", opencv(lambda: cv2.createCalibrateDebevec(70))
-    yield "OpenCV CalibrateDebevec, 500 samples", opencv(lambda: cv2.createCalibrateDebevec(500))
+    yield "OpenCV CalibrateDebevec, 70 samples", opencv_debevec(70)
+    yield "OpenCV CalibrateDebevec, 500 samples", opencv_debevec(500)
     yield "OpenCV CalibrateRobertson", opencv(cv2.createCalibrateRobertson)
     other = colour_hdri_debevec()
     if other is not None:

@@ -1,6 +1,6 @@
 """Real photographs beside raw values of the same shots, and left-out frames in DN: this program and others.
 
-    python -m benchmarks photographs [CAMERA…]
+    python -m benchmarks.photographs [CAMERA…]
 
 Needs the real stacks in shared/data; says so and leaves where they are absent. Every program gets the same frames
 (every n-th pixel of large ones) and one stack per fit. Nothing is tuned to them: λ, times and labels are judged within
@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks._photograph_labels import Labels
 from benchmarks._photograph_sets import HIGHEST_DN, LOWEST_DN, Array, RealStack, real_stacks, stacks_folder
-from benchmarks._response_peers import failures_of, peers
+from benchmarks._response_peers import failures_of, opencv_debevec, peers
 from benchmarks._sections import write_section
 from radiometer.analysis.response.limits import find_limits
 from radiometer.analysis.response.methods import METHODS
@@ -30,6 +30,8 @@ from radiometer.errors import RadiometerError
 OURS = "radiometer auto"
 # Frames are left out one by one up to this many, then evenly chosen ones.
 _LEFT_OUT = 3
+# OpenCV's Debevec takes its samples from a grid: a few more or fewer are other pixels of the same picture.
+_SAMPLES = range(50, 131, 4)
 _PIXELS = 40_000
 # Values so near to what the frames show of black and white are no exposure of a pixel; the hat's half width in DN.
 _CLEAR_OF_BLACK, _CLEAR_OF_WHITE, _HALF_HAT = 8.0, 5.0, 121.0
@@ -44,6 +46,33 @@ class Tally:
     z: dict[str, list[float]] = field(default_factory=dict)
     left_out: dict[str, list[float]] = field(default_factory=dict)
     jackknife: dict[str, list[float]] = field(default_factory=dict)
+
+
+def of_other_samples(stack: RealStack) -> list[float]:
+    """Return rms of ln H about the raw values of OpenCV's Debevec for each number of samples; NaN where it fails."""
+    found = []
+    for samples in _SAMPLES:
+        try:
+            found.append(rms_of_truth(stack, opencv_debevec(samples)(stack.bracket))[0])
+        except failures_of("OpenCV"):
+            found.append(float("nan"))
+    return found
+
+
+def told_of_samples(by_camera: dict[str, list[list[float]]]) -> str:
+    """Return how much OpenCV's figure hangs on the number of its samples, camera by camera."""
+    if not by_camera:
+        return ""
+    parts = []
+    for camera, stacks in by_camera.items():
+        medians = 100.0 * np.nanmedian(np.array(stacks), axis=0)
+        low, middle, high = np.percentile(medians, (10, 50, 90))
+        parts.append(f"{camera} {middle:.2f} % ({low:.2f} to {high:.2f} %)")
+    return (
+        f"OpenCV's CalibrateDebevec takes its samples from a grid. With {_SAMPLES[0]} to {_SAMPLES[-1]} of them (every "
+        f"{_SAMPLES.step}th number) the median of the stacks is, as a median over the numbers and its 10 and 90 % "
+        f"points: {', '.join(parts)}."
+    )
 
 
 def programs() -> Iterator[tuple[str, Recover]]:
@@ -163,13 +192,16 @@ def table(tallies: dict[str, Tally], what: str, cameras: list[str], scale: float
     return head + "\n" + "\n".join(rows)
 
 
-def told(tallies: dict[str, Tally], cameras: list[str], with_truth: list[str], labels: Labels) -> list[str]:
+def told(
+    tallies: dict[str, Tally], cameras: list[str], with_truth: list[str], labels: Labels, of_samples: str
+) -> list[str]:
     """Return the tables of what was measured, each with its sentence."""
     return [
         "One stack (four to eighteen frames of one channel) per fit; the same frames for every program.",
         "**rms of ln H about the raw values of the same shots** (neutral patches of a chart, whose own unevenness and "
         "rounding are some 2 to 4 %; for the linear Flea3 the straight line), digital numbers 13 to 242:",
         table(tallies, "truth", with_truth, 100.0, "%") if with_truth else "No set with raw values was asked for.",
+        of_samples,
         "**Left-out frames**: mean size of the error in DN with which a frame left out of the fit is predicted "
         "(hat-weighted mean exposure of the other frames, the same for all programs):",
         table(tallies, "left_out", cameras, 1.0, "DN"),
@@ -192,16 +224,19 @@ def main() -> None:
     cameras: list[str] = []
     with_truth: list[str] = []
     runs, labels = list(programs()), Labels()
+    samples: dict[str, list[list[float]]] = {}
     stacks = real_stacks(folder, tuple(sys.argv[1:]))
     for (camera, _), scene in groupby(stacks, lambda one: (one.camera, one.scene)):
         colours = list(scene)
         for stack in colours:
             measure(stack, tallies, runs)
+            if stack.has_truth:
+                samples.setdefault(camera, []).append(of_other_samples(stack))
             print(camera, stack.name, f"{tallies[OURS].left_out[camera][-1]:.2f} DN", flush=True)
         labels.look_at(colours)
         cameras += [camera] if camera not in cameras else []
         with_truth += [camera] if colours[0].has_truth and camera not in with_truth else []
-    parts = told(tallies, cameras, with_truth, labels)
+    parts = told(tallies, cameras, with_truth, labels, told_of_samples(samples))
     print("\n\n".join(parts))
     write_section(
         "photographs", "Real photographs", "OMP_NUM_THREADS=1 python -m benchmarks photographs", "\n\n".join(parts)

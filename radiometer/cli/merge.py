@@ -174,7 +174,8 @@ def _maps(path: Path, pattern: str | None, options: _Options) -> tuple[dict[str,
 
     foreign = is_foreign(path)
     if not (foreign or path.is_dir()):
-        raise CaptureError(f"{path} does not exist or is no folder; give a capture set or a folder of photographs")
+        what = "is not a folder" if path.exists() else "does not exist"
+        raise CaptureError(f"{path} {what}; give a capture set or a folder of photographs")
     if foreign or (path / HEADER_NAME).exists():
         if options.vignetting:
             raise UsageError("--vignetting belongs to photographs; a capture set takes its calibration's flat field")
@@ -388,10 +389,11 @@ def _assumptions(picture: Picture) -> list[str]:
 
 
 def _show(report: dict[str, Any]) -> None:
+    from radiometer.data.reading import RELATIVE_UNIT
+
     out, values = console(), report["values"]
-    out.print(
-        f"{report['width']} × {report['height']} pixels, {len(report['exposures_s'])} exposures, in {report['unit']}"
-    )
+    unit = "relative values" if report["unit"] == RELATIVE_UNIT else f"in {report['unit']}"
+    out.print(f"{report['width']} × {report['height']} pixels, {len(report['exposures_s'])} exposures, {unit}")
     out.print(f"values     {values['lowest']:.4g} to {values['highest']:.4g}, median {values['median']:.4g}")
     if report["median_u_rel"] is not None:
         common = 100 * report["u_rel_common"]

@@ -84,10 +84,14 @@ def _recovered(
 
     for bracket in brackets.values():
         refuse_lying_labels(bracket)
-    curves = {}
-    for channel, estimate in zip(brackets, recover_colours_auto(list(brackets.values())), strict=True):
+    curves, found = {}, recover_colours_auto(list(brackets.values()))
+    of_colours: dict[str, list[str]] = {}
+    for channel, estimate in zip(brackets, found, strict=True):
         for text in estimate.notes:
-            say(f"{channel}: {text}")
+            of_colours.setdefault(text, []).append(channel)
+    for text, channels in of_colours.items():
+        say(f"{', '.join(channels)}: {text}")
+    for channel, estimate in zip(brackets, found, strict=True):
         parameters = {**estimate.curve.provenance.parameters, _KEY: keys[channel]}
         provenance = replace(estimate.curve.provenance, parameters=parameters)
         curves[channel] = replace(estimate.curve, provenance=provenance)

@@ -74,7 +74,8 @@ def report_html(result: ReconcileResult, frames: Sequence[FrameFinding], sentenc
             picture(
                 partial(_draw_ratios, frames=frames),
                 "What the other photographs say of each one's exposure, over its label, with U (k = 2): "
-                + ("those off the line of 1 are named." if wrong else "all lie about 1."),
+                + ("those off the line of 1 are named." if wrong else "all lie about 1.")
+                + " Within the grey band no label is called wrong: one tone curve for all pictures is no better known.",
                 (10.0, 4.2),
                 (4.0, 4.4),
             ),

@@ -428,7 +428,7 @@ class StreamingMerge:
         if calibration is None or share == 0.0:
             return ()
         light = share * float(np.mean(radiance))  # pairwise: right to parts in a million
-        unit = RADIANCE_UNIT if calibration.absolute else RELATIVE_UNIT
+        unit = RADIANCE_UNIT if calibration.absolute else "of these relative values"
         return (f"no stray light: the lens may add {light:.2g} {unit} (k = 1) to every pixel, which u does not hold",)
 
     def _exposure_offset(self) -> tuple[str, ...]:

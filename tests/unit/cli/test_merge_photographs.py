@@ -128,3 +128,28 @@ def test_frames_that_do_not_differ_give_no_response(tmp_path, capsys):
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "exposure" in error
+
+
+def test_what_holds_of_every_colour_is_said_once(tmp_path, capsys):
+    """Grey photographs at whole stops: the remark on whole stops stands in one line, with the colours it holds of."""
+    y, x = np.mgrid[:120, :160].astype(float)
+    rng = np.random.default_rng(14)
+    for k in range(4):
+        light = 20.0 * _light(x, y) * 2.0**k
+        dn = np.clip(rng.normal(light[..., None], 0.5, (120, 160, 3)), 0, 255)
+        cv2.imwrite(str(tmp_path / f"p{k}.png"), np.rint(dn).astype(np.uint8))
+    (tmp_path / "exposures.txt").write_text("".join(f"p{k}.png {2**k}\n" for k in range(4)))
+    assert run(["merge", str(tmp_path), "-o", str(tmp_path / "map.exr"), "--align", "off"]) == 0
+    said = capsys.readouterr()
+    lines = [line for line in (said.err + said.out).replace("\n ", " ").split("\n") if "whole stops apart" in line]
+    assert len(lines) == 1
+    assert lines[0].startswith("red, green, blue: ")
+    assert "pixels, 4 exposures, relative values" in said.out
+
+
+def test_a_file_in_place_of_a_folder_is_said_to_be_one(tmp_path, capsys):
+    """One photograph is no folder; a path that leads nowhere does not exist."""
+    (tmp_path / "one.txt").write_text("")
+    for name, what in (("one.txt", "is not a folder"), ("none", "does not exist")):
+        assert run(["merge", str(tmp_path / name), "-o", str(tmp_path / "map.exr")]) != 0
+        assert what in capsys.readouterr().err
