@@ -264,8 +264,8 @@ def _per_frame(link: Link, amplitude: str = "") -> list[str]:
     some = [
         "        few, many = self.law(signal, context), self.law(signal, context.later_frames)",
         "        counted, law = frames - (frames > 2.0), np.where(frames > 2.0, many, few)",
-        f"        apart = law * ({amplitude} - law) * counted / np.maximum(counted - 1.0, 1.0)",
-        f"        return apart{' * np.square(signal)' if times else ''}",
+        f"        return law * ({amplitude} - law) * counted / np.maximum(counted - 1.0, 1.0)"
+        f"{' * np.square(signal)' if times else ''}",
     ]
     return [
         "",

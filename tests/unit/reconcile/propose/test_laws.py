@@ -163,6 +163,9 @@ def test_one_frame_of_five_counts_by_how_many_of_a_series_it_is(frames, counted)
     scatter = np.var([1000.0 * (1.0 + 0.04 * hit) for hit in counted], ddof=1)
     assert float(effect.common_variance(light, series)[0]) == pytest.approx(scatter)
     assert effect.mean(light, at(frame_numbers=(7,)))[0] == pytest.approx(1040.0)
+    shift = effect_of(Law("digital", (Term("every", "frame", {}, {"period": 5.0, "at": 2.0}),)), 3.0)
+    apart = np.var([3.0 * hit for hit in counted], ddof=1)
+    assert float(shift.common_variance(light, series)) == pytest.approx(apart)
     assert effect.drifts
 
 
