@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -182,3 +184,17 @@ def test_more_sets_of_frames_than_are_kept_change_nothing():
     sorted_, mixed = merged(numbers), merged(numbers[:, order])
     for name in ("radiance", "u_radiance", "mask"):
         assert getattr(mixed, name)[0] == pytest.approx(getattr(sorted_, name)[0, order], rel=2e-6), name
+
+
+def test_what_lies_outside_the_curves_data_is_marked_on_both_sides():
+    """Data from 20 to 200 DN: marked are 10 DN, and light that a shorter frame puts above 200 DN of the longer."""
+    plain = _behind_a_curve()
+    calibration = replace(plain, response=replace(plain.response, valid_dn=(20, 200)))
+    longer = np.repeat(np.array([10, 25, 190, 198], np.uint8), 50)
+    # Half the light through the same curve; of the last a tenth too much.
+    shorter = np.rint(longer * (0.5 * np.repeat([1.0, 1.0, 1.0, 1.1], 50)) ** (1.0 / GAMMA)).astype(np.uint8)
+    frames = [Frame(dn[None, :], 8, FrameSettings(t)) for dn, t in ((shorter, 0.5), (longer, 1.0))]
+    found = merge(Bracket.from_frames(frames), calibration.camera, LENS, calibration)
+    outside = (found.mask & PixelMask.EXTRAPOLATED > 0).reshape(4, 50)
+    assert outside.all(axis=1).tolist() == [True, False, False, True]
+    assert not outside[1:3].any()
