@@ -27,7 +27,7 @@ UNITS = ("MS", "US", "S", "DB", "NM", "PCT", "KG")
 # Replies that hold a time, a version or a path.
 PASSING = re.compile(r"\d{4}-\d\d-\d\d|\d+\.\d+\.\d+|/dev/|/tmp/|uptime", re.IGNORECASE)
 GUARDS = ("Content-Security-Policy", "X-Content-Type-Options", "Cache-Control", "Access-Control-Allow-Origin")
-PASSING_KEYS = ("time", "_ms", "uptime_s", "since", "until", "counters", "temperature_C")
+PASSING_KEYS = ("time", "_ms", "uptime_s", "since", "until", "counters", "temperature_C", "session")
 LEFT_OUT = ("SYSTem:TIME", "SYSTem:DATE", "UPTime", "HELP", "MEMory", "LOG", "DIAGnostic")
 
 
