@@ -91,8 +91,21 @@ def told_by_chunks(
     if "BlackLevel" not in changed:
         return True
     # Only ever a confirmation: a camera that counts this chunk in a unit of its own must not seem stale for ever.
-    difference_dn = abs(raw.chunks["BlackLevel"] * black_level_scale - settings.black_level_dn)
-    return difference_dn <= max(_SAME_BLACK_DN, _SAME_BLACK_REL * full_scale_dn)
+    return tells_black(raw, settings.black_level_dn, black_level_scale, full_scale_dn)
+
+
+def tells_black(raw: RawFrame, black_level_dn: float, black_level_scale: float, full_scale_dn: int) -> bool:
+    """Tell whether a frame's chunk says that it was exposed under a black level.
+
+    Args:
+        raw: The frame.
+        black_level_dn: The black level in DN.
+        black_level_scale: DN of a unit of the camera's black level.
+        full_scale_dn: Highest digital number.
+    """
+    said = raw.chunks.get("BlackLevel")
+    tolerance_dn = max(_SAME_BLACK_DN, _SAME_BLACK_REL * full_scale_dn)
+    return said is not None and abs(said * black_level_scale - black_level_dn) <= tolerance_dn
 
 
 def exposure_of(raw: RawFrame, settings: CameraSettings) -> float:

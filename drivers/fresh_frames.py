@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Final
 
 from drivers.camera_opening import CameraSession
-from drivers.chunk_data import CHUNKS, changed_chunks, holds_other_settings, told_by_chunks
+from drivers.chunk_data import CHUNKS, changed_chunks, holds_other_settings, tells_black, told_by_chunks
 from drivers.frame_assembly import assemble
 from drivers.frame_stream import FrameStream, LossyLink, RawFrame, Tally
 from drivers.pixel_unpacking import pixel_format_of_code
@@ -40,12 +40,16 @@ class FreshFrames:
         self._stale = session.quirks.discard_after_change
         self._changed = frozenset(CHUNKS)
         self._longest_s = session.settings.exposure_s
+        self._former_black_dn: float | None = None
+        self._late = 0  # frames beyond the known number that may still show the black level before
 
     def next(self) -> Frame:
         """Return the next frame exposed under the settings in force. Raises DeviceTimeout or DeviceLost.
 
         Where chunks tell which settings a frame was exposed under, the first one under those in force is taken; else
         as many are thrown away as the quirk file says. A chunk that lags by a frame (aravis issue 312) costs one more.
+        A frame of the acquisition before that was late on its way makes them more than the known number: up to as many
+        again go where their chunk says the black level that was in force before.
         """
         session = self._session
         for _ in range(MAX_STALE + session.quirks.discard_after_change + 1):
@@ -54,8 +58,10 @@ class FreshFrames:
                 self._stale = max(self._stale - 1, 0)
             elif self._stale and not self._is_told(raw):
                 self._stale -= 1
+            elif self._late and self._shows_former_black(raw):
+                self._late -= 1
             else:
-                self._stale, self._longest_s = 0, session.settings.exposure_s
+                self._stale, self._late, self._longest_s = 0, 0, session.settings.exposure_s
                 pixel_bits = bit_depth_of(session.settings.pixel_format, session.quirks)
                 return assemble(raw, session.settings, session.quirks, pixel_bits, self._lens, session.temperature_c())
             self._tally.extra["stale_discarded"] += 1
@@ -76,8 +82,18 @@ class FreshFrames:
         """
         changed = changed_chunks(before, self._session.settings)
         self._changed = changed | self._changed if self._stale else changed
+        if "BlackLevel" in changed:
+            self._former_black_dn, self._late = before.black_level_dn, self._session.quirks.discard_after_change
         self._stale = self._session.quirks.discard_after_change
         self._longest_s = max(self._longest_s, before.exposure_s)
+
+    def _shows_former_black(self, raw: RawFrame) -> bool:
+        """Tell whether a frame's chunk says the black level before the change, and not the one in force."""
+        session, former_dn = self._session, self._former_black_dn
+        full_scale_dn = (1 << bit_depth_of(session.settings.pixel_format, session.quirks)) - 1
+        scale = session.black_level_scale
+        now = tells_black(raw, session.settings.black_level_dn, scale, full_scale_dn)
+        return not now and former_dn is not None and tells_black(raw, former_dn, scale, full_scale_dn)
 
     def _is_told(self, raw: RawFrame) -> bool:
         """Tell whether a frame's format and chunks confirm all that was changed; never where there are no chunks."""

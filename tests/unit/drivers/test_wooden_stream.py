@@ -280,12 +280,21 @@ def test_a_change_that_no_chunk_tells_is_waited_for_by_number(fresh):
     assert tally.extra["stale_discarded"] == 2
 
 
-@pytest.mark.parametrize(("percent", "taken"), [(0.0, 1), (2.0, 3)], ids=["confirmed", "another"])
+@pytest.mark.parametrize(("percent", "taken"), [(0.0, 1), (7.0, 3)], ids=["confirmed", "another"])
 def test_a_black_level_is_confirmed_by_its_chunk(fresh, percent, taken):
     """A chunk of the black level that was set ends the wait; one of another never makes it endless."""
     frames, _ = fresh([frame(n, NEW, BlackLevel=percent) for n in range(1, 5)], discard=2)
     frames._stale = 0
     frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
+    assert frames.next().frame_id == taken
+
+
+@pytest.mark.parametrize(("said", "taken"), [((2.0, 2.0, 2.0, 0.0), 4), ((2.0,) * 6, 5), ((7.0,) * 6, 3)])
+def test_a_late_frame_of_the_black_level_before_is_thrown_away(fresh, said, taken):
+    """Three say the old level where two are known of: the fourth is taken. As many again at most, and what says it."""
+    frames, _ = fresh([frame(n, NEW, BlackLevel=level) for n, level in enumerate(said, start=1)], discard=2)
+    frames._stale = 0
+    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))  # 2.0 percent
     assert frames.next().frame_id == taken
 
 
