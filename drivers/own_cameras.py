@@ -22,7 +22,6 @@ _LISTED: Final[dict[str, Callable[[], list[CameraIdentity]]]] = {
     "picamera": pi_library.listed_cameras,
     "gphoto2": gphoto_library.listed_cameras,
 }
-KINDS: Final = tuple(_LISTED)
 
 
 def open_own(name: str, lens: LensDescription | None = None, preset: CameraDescription | None = None) -> PlainCamera:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from radiometer.other_data.sources import Done
     from radiometer.reconcile import FoundEffect, ReconcileResult
     from radiometer.reconcile.propose import Proposal
+
+Written = TypeVar("Written")
 
 # Of larger photographs a lattice of pixels tells as much of their exposures.
 _ENOUGH_PIXELS = 1_000_000
@@ -81,25 +83,52 @@ def command(
             say=lambda line: bar.update(task, description=line),
             doubt=lambda line: note(f"{capture.name}: {line}"),
         )
+    files = _Files()
     result = done.result.written(
-        done.write_model(output, provisional=provisional) if output else None,
-        done.write_report(report) if report else None,
+        files.write(lambda: done.write_model(output, provisional=provisional)) if output else None,
+        files.write(lambda: done.write_report(report)) if report else None,
     )
-    planned = str(plan) if plan and done.write_plan(plan) else None
-    proposed = _proposed(done, propose) if propose else None
+    planned = files.write(lambda: done.write_plan(plan)) if plan else None
+    proposed = files.write(lambda: _proposed(done, propose)) if propose else None
     if proposed is not None:
         result = replace(result, extra={**result.extra, "proposal": proposed.to_mapping()})
     if json:
         print(result.to_json())
+        files.raise_first()
         return
     show_result(result)
-    if propose:
+    if propose and (proposed or not files.failed):
         _show_proposal(proposed, propose)
-    for path in (result.model, result.report, planned):
+    for path in (result.model, result.report, plan if planned else None):
         if path:
             note(f"wrote {path}")
-    if plan and not planned:
+    if planned is False:
         note(f"no {plan}: no further capture of this kind would tell more")
+    files.raise_first()
+
+
+class _Files:
+    """Writes what goes with an answer; what cannot be written is told after the answer, which is not lost by it."""
+
+    def __init__(self) -> None:
+        self.failed: list[Exception] = []
+
+    def write(self, file: Callable[[], Written]) -> Written | None:
+        """Return what writing a file gives; None where it fails."""
+        try:
+            return file()
+        except Exception as error:  # noqa: BLE001 - told by `raise_first`, once the answer is out
+            self.failed.append(error)
+            return None
+
+    def raise_first(self) -> None:
+        """Tell of the first file that could not be written.
+
+        Raises:
+            Exception: What writing it raised.
+        """
+        if self.failed:
+            raise self.failed[0]
 
 
 def _proposed(done: Done, folder: Path) -> Proposal | None:

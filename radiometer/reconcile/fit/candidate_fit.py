@@ -17,7 +17,7 @@ from simulators.effects.catalogue import CatalogueEffect
 
 _CONVERGED: Final = 0.02
 _DAMPING, _LESS, _MORE, _DAMPINGS = 1e-3, 0.3, 10.0, 5
-_VARIANTS: Final = 12
+_VARIANTS: Final = 12  # each is a whole fit: bounds the time that one name takes, the likeliest first
 _PROFILE_POINTS: Final = 61
 _PROFILE_SPANS: Final = (0.002, 0.0002)
 

@@ -19,6 +19,7 @@ from radiometer.reconcile.result import FittedParameter, Repeats, Series
 from radiometer.reconcile.thresholds import FRAME_SIGNIFICANCE
 
 _OF_MEDIAN: Final = 1.2533 * 1.4826  # standard error of a median of normal values, from their median deviation
+_FEWEST_TILES: Final = 4  # whose median deviation tells their scatter within a factor of two
 _FEWEST: Final = 2  # degrees of freedom that tell a scatter
 _ROUNDS: Final = 4  # by which the weights of series settle
 _LIT_DN: Final = 1.0  # per unit of ln light, below which nothing is said of light
@@ -46,7 +47,7 @@ def repeats_of(
             frames = design.captures[number].frames
             scale = np.ones(len(design.tiles)) if kind == "dark" else sensitivity[number]
             counts = usable[number] & (scale >= _LIT_DN)
-            if len(frames) > 1 and counts.any():
+            if len(frames) > 1 and np.count_nonzero(counts) >= _FEWEST_TILES:
                 apart = tiles_of(frames)[:, counts] / scale[counts]
                 series.append(_series(design, number, apart))
         if sum(len(one.frames) - 1 for one in series) >= _FEWEST:

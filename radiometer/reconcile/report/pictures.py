@@ -27,6 +27,7 @@ _CHANCE_SIGMAS: Final = 4.0
 _FEWEST_ROWS: Final = 3  # of the bars: one alone is not drawn as tall as the picture
 _BINS: Final = 14
 _PANELS: Final = 6
+_SMALLEST_REACH: Final = 0.01  # of an axis, in % or DN: finer than any converter tells
 _DIMMEST_DN: Final = 3.0  # below, a relative deviation of the means says nothing
 
 
@@ -50,27 +51,27 @@ def story(reconciled: Reconciled) -> str:
 
 
 def _deviations(axes: Axes, reconciled: Reconciled) -> None:
+    """Draw what each patch deviates by: relative over its light, or in DN over the settings where none has light."""
+    from matplotlib.ticker import MaxNLocator
+
     outcome = reconciled.outcome
-    drawn = ((outcome.start, BEFORE, "simulated before"), (outcome.state, AFTER, "simulated after"))
-    for state, colour, words in drawn:
-        light, deviation = _relative(state)
+    states = ((outcome.start, BEFORE, "simulated before"), (outcome.state, AFTER, "simulated after"))
+    lit = any(_relative(state)[0].size for state, _, _ in states)
+    drawn = [(*(_relative(state) if lit else _absolute(state)), colour, words) for state, colour, words in states]
+    for x, deviation, colour, words in drawn:
         axes.plot(
-            light,
-            100.0 * deviation,
-            ".",
-            ms=4,
-            alpha=0.4,
-            color=colour,
-            label=words,
-            markeredgewidth=0,
-            rasterized=True,
-        )
+            x, deviation, ".", ms=4, alpha=0.4, color=colour, label=words, markeredgewidth=0, rasterized=True
+        )  # fmt: skip
     axes.axhline(0.0, color=SEEN, lw=1.2, label="measured = simulated")
-    _, first = _relative(outcome.start)
-    reach = 100.0 * max(float(np.quantile(np.abs(first), 0.99)), 1e-4) if first.size else 1.0
+    first = next((deviation for _, deviation, _, _ in drawn if deviation.size), np.ones(1))
+    reach = max(float(np.quantile(np.abs(first), 0.99)), _SMALLEST_REACH)
     axes.set_ylim(-1.3 * reach, 1.3 * reach)
-    axes.set_xscale("log")
-    dress(axes, "simulated signal above black in DN", "measured − simulated in %")
+    if lit:
+        axes.set_xscale("log")
+        dress(axes, "simulated signal above black in DN", "measured − simulated in %")
+    else:
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        dress(axes, "setting in the order taken (none has light)", "measured − simulated in DN")
     shown = axes.legend(fontsize=9, markerscale=3, framealpha=0.85, edgecolor="none")
     for handle in shown.legend_handles:
         if handle is not None:
@@ -78,10 +79,18 @@ def _deviations(axes: Axes, reconciled: Reconciled) -> None:
 
 
 def _relative(state: FitState) -> tuple[Array, Array]:
-    """Return what light adds to the means in DN, and their relative deviation from it, where both say something."""
+    """Return what light adds to the means in DN, and their deviation in % of it, where both say something."""
     light = state.sensitivity  # d(mean)/d(ln light)
     usable = state.comparison.usable["mean"] & (light > _DIMMEST_DN)
-    return light[usable], ((state.seen.mean - state.prediction.mean) / np.where(light > 0, light, 1.0))[usable]
+    return light[usable], 100.0 * (state.seen.mean - state.prediction.mean)[usable] / light[usable]
+
+
+def _absolute(state: FitState) -> tuple[Array, Array]:
+    """Return the setting of each mean, counted from 1, its patches side by side, and its deviation in DN."""
+    usable = state.comparison.usable["mean"]
+    settings, patches = usable.shape
+    place = np.arange(1.0, settings + 1.0)[:, None] + np.linspace(-0.35, 0.35, patches)
+    return place[usable], (state.seen.mean - state.prediction.mean)[usable]
 
 
 def _steps(axes: Axes, reconciled: Reconciled) -> None:

@@ -93,14 +93,19 @@ class Mended:
     Attributes:
         state: The fitted model.
         name: The name.
-        nats: By how much the held-out log density lies above that of the start.
+        beside: The model without that name.
         rivals: Other entries that leave nothing by a law of theirs either.
     """
 
     state: FitState
     name: str
-    nats: float
+    beside: FitState
     rivals: tuple[CatalogueEffect, ...] = ()
+
+    @property
+    def nats(self) -> float:
+        """Return by how much the name by its free law raises the held-out log density."""
+        return self.state.evidence - self.beside.evidence
 
     @property
     def form(self) -> CatalogueEffect:
@@ -111,7 +116,6 @@ class Mended:
 def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEffect]) -> Mended | None:
     """Return the model with one name by a free law that does better than all that was found; None for none.
 
-
     Args:
         start: The model without any name.
         state: What was found; structure stays in it.
@@ -119,7 +123,7 @@ def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEff
     """
     most, found = worth(state), list[Mended]()
     for promises in (_of_one(start, alone), _in_place(start, state)):
-        found += [mended for mended in _tried(start, promises) if worth(mended.state) > most]
+        found += [mended for mended in _tried(promises) if worth(mended.state) > most]
         if any(not is_misfit(mended.state) for mended in found):
             break
     if not found:
@@ -138,13 +142,13 @@ def worth(state: FitState) -> float:
 _Promise = tuple[float, FitState, FreeLaw]
 
 
-def _tried(start: FitState, promises: Iterator[_Promise]) -> Iterator[Mended]:
+def _tried(promises: Iterator[_Promise]) -> Iterator[Mended]:
     """Yield the models of the most promising forms, one for each name."""
     tried = set[str]()
     for _, base, form in sorted(promises, key=lambda entry: -entry[0]):
         if form.name not in tried and len(tried) < _FITTED:
             tried.add(form.name)
-            mended = _fitted(start, base, form)
+            mended = _fitted(base, form)
             if mended is not None:
                 yield mended
 
@@ -179,7 +183,7 @@ def promise(base: FitState, form: CatalogueEffect) -> float:
     return base.fit.score(slice(0, base.comparison.size), followed)[0] / 2.0 - PARAMETER_NATS * len(form.free())
 
 
-def _fitted(start: FitState, base: FitState, form: FreeLaw) -> Mended | None:
+def _fitted(base: FitState, form: FreeLaw) -> Mended | None:
     """Return the model with a form, fitted in full; None where the plain law is far from what it comes to."""
     try:
         state = included(base, form, far=True)
@@ -189,4 +193,4 @@ def _fitted(start: FitState, base: FitState, form: FreeLaw) -> Mended | None:
     brought, whole = plain.evidence - base.evidence, state.evidence - base.evidence
     if brought < LAW_SHARE * whole:
         return None
-    return Mended(state, form.name, state.evidence - start.evidence)
+    return Mended(state, form.name, base)

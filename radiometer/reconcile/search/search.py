@@ -109,7 +109,7 @@ def _mended(start: FitState, state: FitState, tests: tuple[Disagreement, ...], r
     mended, dropped = pruned(found.state, run.say)
     run.steps = []
     for effect in sorted(mended.effects, key=lambda effect: effect.name == found.name):
-        step = Step(effect.name, effect.where, found.nats, start.gap, mended.gap, found.rivals)
+        step = Step(effect.name, effect.where, found.nats, found.beside.gap, mended.gap, found.rivals)
         run.steps.append(step if effect.name == found.name else old[effect.name])
     run.refused |= set(dropped)
     return mended

@@ -15,8 +15,17 @@ TILE_DN = 0.02  # scatter of a tile's mean by its pixels
 SERIES, FRAMES = 6, 5
 
 
-def _told(apart_dn: np.ndarray, *, light_dn: float = 0.0, seed: int = 1) -> tuple[Repeats, ...]:
-    """Return what is told of series of frames that lie so far from 1000 DN (dark) or from a light, each."""
+def _told(
+    apart_dn: np.ndarray, *, light_dn: float = 0.0, seed: int = 1, tiles: int | None = None
+) -> tuple[Repeats, ...]:
+    """Return what is told of series of frames that lie so far from 1000 DN (dark) or from a light, each.
+
+    Args:
+        apart_dn: (series, frames) how far.
+        light_dn: The light, 0 for a closed shutter.
+        seed: Of the tiles' scatter.
+        tiles: How many tiles count, all by default.
+    """
     lit = light_dn > 0.0
     entries = tuple(
         FrameEntry.of(
@@ -30,7 +39,8 @@ def _told(apart_dn: np.ndarray, *, light_dn: float = 0.0, seed: int = 1) -> tupl
     means = 1000.0 + apart_dn.ravel()[:, None] + rng.normal(0.0, TILE_DN, (apart_dn.size, len(design.tiles)))
     shape = (len(design.captures), len(design.tiles))
     sensitivity = np.full(shape, light_dn)
-    return repeats_of(design, lambda f: means[list(f)], np.ones(shape, np.bool_), sensitivity, (0.1, 0.1))
+    usable = np.broadcast_to(np.arange(shape[1]) < (shape[1] if tiles is None else tiles), shape)
+    return repeats_of(design, lambda f: means[list(f)], usable, sensitivity, (0.1, 0.1))
 
 
 def test_the_scatter_of_dark_frames_is_told_in_dn() -> None:
@@ -94,3 +104,21 @@ def test_what_is_told_stands_in_json() -> None:
     assert told["fitted_aside"] == 0.1
     assert [len(one["frames"]) for one in told["series"]] == [FRAMES] * SERIES
     assert told["said"][0].startswith(f"{SERIES * FRAMES} dark frames in {SERIES} series")
+
+
+@pytest.mark.parametrize("tiles", [1, 3])
+def test_frames_of_too_few_tiles_tell_nothing(tiles: int) -> None:
+    """One tile has no scatter to say how well a frame's offset is known: nothing is said, and never ± 0."""
+    apart = np.random.default_rng(4).normal(0.0, 0.4, (SERIES, FRAMES))
+    assert _told(apart, tiles=tiles) == ()
+
+
+def test_four_tiles_tell_a_frame_with_a_u() -> None:
+    """Of four tiles a frame 3 DN off is told within five of its u, and the u is that of tiles of 0.02 DN."""
+    apart = np.zeros((SERIES, FRAMES))
+    apart[2, 0] = 3.0
+    (dark,) = _told(apart, tiles=4)
+    u = np.array([u for one in dark.series for u in one.u])
+    assert (u > 0).all()
+    assert np.median(u) == pytest.approx(1.2533 * TILE_DN * np.sqrt(FRAMES / (FRAMES - 1)) / np.sqrt(4), rel=0.5)
+    assert dark.series[2].apart[0] == pytest.approx(3.0, abs=0.1)

@@ -5,11 +5,15 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from radiometer.reconcile.engine import Reconciled, examine, whole_catalogue
-from radiometer.reconcile.measure.reduce import frame_reader
+from radiometer.reconcile.fit.descent import first_state
+from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.report.html import outcome, report_html
+from radiometer.reconcile.report.pictures import _absolute, _relative
 from radiometer.reconcile.report.words import along, axis_label, seen_in
 from radiometer.reconcile.result import FoundEffect, Verdict
 from radiometer.reporting.numbers import rounded
@@ -115,3 +119,32 @@ def test_every_entry_has_words_for_where_it_shows(kind):
     assert seen_in(kind.block) != kind.block
     assert "_" not in along(kind.where)
     assert axis_label(kind.where)[0]
+
+
+@pytest.mark.parametrize("settings", [1, 3])
+def test_frames_without_light_are_reported_in_dn(make_capture, settings):
+    """Darks alone have no light to be relative to: the opening picture is in DN over the settings, also of one."""
+    plan = [{"t": t, "shutter": "closed"} for t in (1e-4, 1e-2, 1.0)[:settings]]
+    captured = make_capture(7, plan=plan)
+    entries = {"black_level_offset": whole_catalogue()["black_level_offset"]}
+    found = examine(
+        captured.header, frame_reader(captured.frames), captured.frames[0].shape, catalogue=entries, with_limits=False
+    )
+    page = report_html(found, "darks")
+    assert "class='outcome'" in page
+    x, dn = _absolute(found.outcome.start)
+    assert np.array_equal(np.unique(np.round(x)), np.arange(1, settings + 1))
+    assert np.max(np.abs(dn)) < 1.0  # of means of 1.4 DN / √(pixels and frames)
+    assert _relative(found.outcome.start)[0].size == 0
+
+
+def test_deviations_are_told_in_percent_of_the_light(make_capture):
+    """Means 1 % above what is simulated lie at 1 %, and those of dark frames are left out."""
+    captured = make_capture(8, plan=[{"t": 1e-3}, {"t": 3e-3}, {"t": 1e-3, "shutter": "closed"}])
+    design = Design.of(captured.header, captured.frames[0].shape)
+    state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    brighter = replace(state.seen, mean=state.prediction.mean + 0.01 * state.sensitivity)
+    light, percent = _relative(replace(state, seen=brighter))
+    assert percent == pytest.approx(1.0)
+    assert light.min() > 3.0
+    assert light.size <= 2 * len(design.tiles)
