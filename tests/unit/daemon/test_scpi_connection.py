@@ -1,0 +1,582 @@
+"""One SCPI connection on a socket that is none, in virtual time: framing, patience, rates, order, and who must go."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Coroutine
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from radiometer.daemon.limits import Limits, TokenBucket, parse_networks
+from radiometer.daemon.metrics import Metrics
+from radiometer.daemon.places import Places
+from radiometer.daemon.scpi import server as module
+from radiometer.daemon.scpi.errors import ScpiError
+from radiometer.daemon.scpi.server import ScpiConnection, ScpiServer
+from radiometer.daemon.scpi.status import Status
+from tests.unit.daemon.virtual_time import run
+
+LIMITS = Limits(
+    scpi_connections=3,
+    line_bytes=64,
+    messages_waiting=4,
+    messages_per_s=1000.0,
+    reply_bytes_waiting=100,
+    stuck_s=30.0,
+    idle_s=1000.0,
+    vetting_s=0.5,
+)
+
+
+class Wire(asyncio.Transport):
+    """A transport that keeps what is done to it."""
+
+    def __init__(self, peer: Any = ("127.0.0.1", 5), family: int = socket.AF_INET) -> None:
+        super().__init__()
+        self.peer, self.family = peer, family
+        self.sent: list[bytes] = []
+        self.options: list[tuple[int, ...]] = []
+        self.aborted = self.closed = self.paused = False
+        self.high: int | None = None
+
+    def get_extra_info(self, name: str, default: Any = None) -> Any:
+        one = SimpleNamespace(family=self.family, setsockopt=lambda *option: self.options.append(option))
+        return {"peername": self.peer, "socket": one}.get(name, default)
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        self.high = high
+
+    def write(self, data: Any) -> None:
+        self.sent.append(bytes(data))
+
+    def abort(self) -> None:
+        self.aborted = True
+
+    def close(self) -> None:
+        self.closed = True
+
+    def is_closing(self) -> bool:
+        return self.aborted or self.closed
+
+    def pause_reading(self) -> None:
+        self.paused = True
+
+    def resume_reading(self) -> None:
+        self.paused = False
+
+
+class Scripted:
+    """A session that keeps its messages: `?x` replies x, `wait` waits for an event, `bug` has one."""
+
+    def __init__(self, station: Any, table: Any) -> None:
+        self.heard: list[str] = []
+        self.at: list[float] = []
+        self.status = Status()
+        self.event = asyncio.Event()
+        self.closed = self.told = 0
+
+    def execute(self, message: str) -> str | Coroutine[Any, Any, str | None] | None:
+        self.heard.append(message)
+        self.at.append(asyncio.get_running_loop().time())
+        if message.startswith("bug"):
+            raise ValueError("no such thing")
+        if message.startswith("wait"):
+            return self._wait(message)
+        return message[1:] if message.startswith("?") else None
+
+    async def _wait(self, message: str) -> str | None:
+        await self.event.wait()
+        if "bug" in message:
+            raise KeyError("gone")
+        return "waited"
+
+    def state_changed(self) -> None:
+        self.told += 1
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+@pytest.fixture(autouse=True)
+def _scripted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "Session", Scripted)
+
+
+def server(limits: Limits = LIMITS, allow: Any = ()) -> ScpiServer:
+    """Return a server that listens nowhere, its clocks those of the loop."""
+    made = ScpiServer(SimpleNamespace(metrics=Metrics(), on_change=[]), limits=limits, allow=allow)  # type: ignore[arg-type]
+    made.places = Places(limits.scpi_connections, idle_s=60.0, clock=asyncio.get_running_loop().time)
+    return made
+
+
+def client(of: ScpiServer, peer: Any = ("127.0.0.1", 5), **changes: Any) -> tuple[ScpiConnection, Wire, Scripted]:
+    """Return a connection that was just made, its wire and its session."""
+    wire, connection = Wire(peer, **changes), ScpiConnection(of)
+    connection._bucket = TokenBucket(of.limits.messages_per_s, clock=asyncio.get_running_loop().time)
+    connection.connection_made(wire)
+    return connection, wire, connection.session  # type: ignore[return-value]
+
+
+def refused(of: ScpiServer, reason: str) -> float:
+    """Return how many were refused for a reason."""
+    return of.station.metrics.refused.labels("scpi", reason)._value.get()
+
+
+def errors(session: Scripted) -> list[str]:
+    """Return the entries of a session's error queue."""
+    return [session.status.next_error() for _ in range(session.status.error_count)]
+
+
+def test_messages_are_cut_at_line_feeds_and_answered_in_order():
+    """A carriage return before the line feed is no part of a message; what is not ended waits; Latin-1 both ways."""
+
+    async def story() -> None:
+        of = server()
+        connection, wire, session = client(of)
+        connection.data_received(b"?a\n\xb5\r\n?b")
+        assert session.heard == ["?a", "µ"]
+        connection.data_received(b"c\xe9\n")
+        assert session.heard == ["?a", "µ", "?bcé"]
+        assert wire.sent == [b"a\n", b"bc\xe9\n"]
+        assert of.served._value.get() == 3
+        connection._send("€")  # not in Latin-1
+        assert wire.sent[-1] == b"?\n"
+
+    run(story())
+
+
+def test_a_line_feed_inside_a_block_is_data_however_it_comes():
+    """The message runs once the whole block and its line feed are there; then the next is cut as ever."""
+
+    async def story() -> None:
+        connection, _, session = client(server())
+        for part in (b"X #15", b"a\nb", b"\nc\n?2\n"):
+            connection.data_received(part)
+        assert session.heard == ["X #15a\nb\nc", "?2"]
+        connection.data_received(b"X #19abc\ndefgh\n'#19' \n")
+        assert session.heard[2:] == ["X #19abc\ndefgh", "'#19' "]
+
+    run(story())
+
+
+@pytest.mark.parametrize(("length", "taken"), [(64, True), (65, False)])
+def test_a_line_may_have_just_so_many_bytes(length, taken):
+    """One byte beyond the limit is an overrun (-363) that tells the limit; the next message is fine."""
+
+    async def story() -> None:
+        connection, wire, session = client(server())
+        connection.data_received(b"X" * length + b"\n?next\n")
+        assert session.heard == (["X" * length] if taken else []) + ["?next"]
+        assert errors(session) == ([] if taken else ['-363,"Input buffer overrun;a message may have 64 bytes"'])
+        assert not wire.aborted
+
+    run(story())
+
+
+def test_a_block_beyond_the_line_s_length_is_cut_at_its_line_feeds():
+    """A stated length that no message may have does not make the server wait for it."""
+
+    async def story() -> None:
+        connection, _, session = client(server())
+        connection.data_received(b"X #3900abc\n?next\n")
+        assert session.heard == ["X #3900abc", "?next"]
+
+    run(story())
+
+
+def test_a_line_without_end_is_one_error_and_sixteen_times_the_limit_at_most():
+    """What comes after the limit is thrown away up to the line feed; beyond 16 times it the client goes."""
+
+    async def story() -> None:
+        of = server()
+        connection, wire, session = client(of)
+        for _ in range(5):
+            connection.data_received(b"Y" * 65)
+        connection.data_received(b"Y\n?next\n")
+        assert session.heard == ["?next"]
+        assert len(errors(session)) == 1
+        connection.data_received(b"Z" * 65)
+        connection.data_received(b"Z" * (16 * 64 - 65))
+        assert not wire.aborted
+        connection.data_received(b"Z" * 65)
+        assert wire.aborted
+        assert refused(of, "dropped") == 1
+        assert len(errors(session)) == 1
+        connection.data_received(b"\n?late\n")
+        assert session.heard == ["?next"]
+
+    run(story())
+
+
+def test_reading_pauses_while_too_many_messages_wait_and_goes_on_at_half():
+    """Four may wait beside the one that is served; a command that waits holds up those behind it, not their order."""
+
+    async def story() -> None:
+        of = server()
+        connection, wire, session = client(of)
+        connection.data_received(b"wait\n")
+        assert of.places._places[connection].busy
+        for number in range(4):
+            connection.data_received(b"?%d\n" % number)
+        assert not wire.paused
+        connection.data_received(b"?4\n")
+        assert wire.paused
+        assert session.heard == ["wait"]
+        session.event.set()
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert not of.places._places[connection].busy
+        assert of.places.is_known(connection)
+        assert wire.sent == [b"waited\n", *(b"%d\n" % n for n in range(5))]
+        assert not wire.paused
+
+    run(story())
+
+
+def test_reading_stays_paused_while_more_than_half_wait():
+    """Of five that wait behind two slow ones, three are more than half of four and two are not."""
+
+    async def story() -> None:
+        connection, wire, session = client(server())
+        connection.data_received(b"wait\n?1\nwait\nx\ny\nz\n")
+        assert wire.paused
+        session.event.set()
+        for _ in range(3):
+            await asyncio.sleep(0)
+        session.event.clear()
+        assert session.heard[:3] == ["wait", "?1", "wait"]
+        session.event.set()
+        await asyncio.sleep(0.01)
+        assert not wire.paused
+        assert session.heard[3:] == ["x", "y", "z"]
+
+    run(story())
+
+
+def test_a_fast_client_is_slowed_to_its_rate_and_loses_nothing():
+    """Eight a second: eight at once, then one every eighth of a second."""
+
+    async def story() -> None:
+        connection, _, session = client(server(Limits(messages_per_s=8.0)))
+        begun = asyncio.get_running_loop().time()
+        connection.data_received(b"x\n" * 12)
+        assert len(session.heard) == 8
+        await asyncio.sleep(10.0)
+        assert [at - begun for at in session.at] == [*[0.0] * 8, 0.125, 0.25, 0.375, 0.5]
+
+    run(story())
+
+
+def test_after_thirty_two_messages_others_have_a_turn():
+    """A client that sends a hundred at once does not hold up another's one."""
+
+    async def story() -> None:
+        of = server(Limits(vetting_s=0.0))
+        (one, _, busy), (other, _, quick) = client(of), client(of)
+        one.data_received(b"x\n" * 100)
+        assert len(busy.heard) == 32
+        other.data_received(b"y\n")
+        assert quick.heard == ["y"]
+        await asyncio.sleep(0)
+        assert len(busy.heard) == 64
+        await asyncio.sleep(0.001)
+        assert len(busy.heard) == 100
+
+    run(story())
+
+
+def test_what_lights_waits_until_lines_of_http_would_have_come():
+    """Half a second after the first bytes, not after the connection; what follows it waits behind it; then no more."""
+
+    async def story() -> None:
+        connection, _, session = client(server())
+        await asyncio.sleep(2.0)
+        begun = asyncio.get_running_loop().time()
+        connection.data_received(b"OUTP:ALL OFF\nSoUr:LED1:LEV 1\n?x\n")
+        assert session.heard == ["OUTP:ALL OFF"]
+        await asyncio.sleep(0.3)
+        connection.data_received(b"?y\n")
+        await asyncio.sleep(0.7)
+        assert session.heard[1:] == ["SoUr:LED1:LEV 1", "?x", "?y"]
+        assert [round(at - begun, 6) for at in session.at] == [0.0, 0.5, 0.5, 0.5]
+        connection.data_received(b"SOUR:LED1:LEV 0\n")
+        assert len(session.heard) == 5
+
+    run(story())
+
+
+def test_a_web_page_is_hung_up_on_before_anything_lights():
+    """Its light waits when the line of HTTP comes: neither that nor what waits is executed, and it is counted."""
+
+    async def story() -> None:
+        of = server()
+        connection, wire, session = client(of)
+        connection.data_received(b"SOUR:LED1:LEV 1\n")
+        connection.data_received(b"Host: x\n*RST\n")
+        assert wire.aborted
+        assert refused(of, "not scpi") == 1
+        await asyncio.sleep(5.0)
+        assert session.heard == []
+        connection.data_received(b"*RST\n")
+        assert session.heard == []
+
+    run(story())
+
+
+def test_a_line_that_was_begun_must_be_ended_in_time():
+    """Thirty seconds from its first byte, however many bytes follow; the next line has its own."""
+
+    async def story() -> None:
+        of = server()
+        connection, wire, _ = client(of)
+        connection.data_received(b"*I")
+        await asyncio.sleep(29.0)
+        connection.data_received(b"DN\n")
+        await asyncio.sleep(100.0)
+        assert not wire.aborted
+        connection.data_received(b"*I")
+        await asyncio.sleep(20.0)
+        connection.data_received(b"D")
+        await asyncio.sleep(9.9)
+        assert not wire.aborted
+        await asyncio.sleep(0.2)
+        assert wire.aborted
+        assert refused(of, "dropped") == 1
+
+    run(story())
+
+
+def test_a_line_that_is_thrown_away_must_end_in_time_as_well():
+    """The buffer is empty then; the line is not ended for that."""
+
+    async def story() -> None:
+        connection, wire, _ = client(server())
+        connection.data_received(b"Y" * 65)
+        await asyncio.sleep(29.9)
+        assert not wire.aborted
+        await asyncio.sleep(0.2)
+        assert wire.aborted
+
+    run(story())
+
+
+def test_who_takes_no_replies_is_served_no_more_and_dropped_in_the_end():
+    """While its replies wait nothing is executed; once they are taken all goes on, and an unended line has its time."""
+
+    async def story() -> None:
+        connection, wire, session = client(server())
+        assert wire.high == 100
+        connection.pause_writing()
+        connection.data_received(b"?a\n?b\n*I")
+        assert session.heard == []
+        await asyncio.sleep(29.0)
+        connection.resume_writing()
+        assert session.heard == ["?a", "?b"]
+        await asyncio.sleep(29.0)
+        assert not wire.aborted
+        await asyncio.sleep(1.1)
+        assert wire.aborted
+        other, cut, _ = client(server())
+        other.pause_writing()
+        await asyncio.sleep(29.9)
+        assert not cut.aborted
+        await asyncio.sleep(0.2)
+        assert cut.aborted
+
+    run(story())
+
+
+def test_an_idle_session_is_warned_once_and_ended():
+    """At nine tenths of the time one entry that says both times, then the end; a word in between begins it anew."""
+
+    async def story() -> None:
+        of = server()
+        connection, wire, session = client(of)
+        await asyncio.sleep(500.0)
+        connection.data_received(b"x\n")
+        await asyncio.sleep(899.0)
+        assert session.status.error_count == 0
+        await asyncio.sleep(2.0)
+        told = "this session has sent nothing for 900 s and is ended after 1000 s"
+        assert errors(session) == [f'-200,"Execution error;{told}"']
+        connection.data_received(b"x\n")
+        await asyncio.sleep(950.0)
+        assert len(errors(session)) == 1
+        assert not wire.aborted
+        await asyncio.sleep(49.0)
+        assert not wire.aborted
+        await asyncio.sleep(2.0)
+        assert wire.aborted
+        assert errors(session) == []
+        assert refused(of, "dropped") == 1
+
+    run(story())
+
+
+def test_a_session_that_waits_for_its_measurement_is_not_idle():
+    """It is warned, and ended only when it has sent nothing and waits for nothing."""
+
+    async def story() -> None:
+        connection, wire, session = client(server())
+        connection.data_received(b"wait\n")
+        await asyncio.sleep(5000.0)
+        assert not wire.aborted
+        session.event.set()
+        await asyncio.sleep(20.0)
+        assert wire.aborted
+
+    run(story())
+
+
+def test_a_client_that_is_gone_leaves_nothing():
+    """Its place, timers, task and session end; what waited is not executed."""
+
+    async def story() -> None:
+        of = server()
+        connection, wire, session = client(of)
+        connection.data_received(b"wait\n?a\n*I")
+        task = connection._task
+        await asyncio.sleep(0)
+        connection.connection_lost(None)
+        await asyncio.sleep(5000.0)
+        assert task is not None
+        assert task.cancelled()
+        assert session.closed == 1
+        assert (len(of.connections), len(of.places)) == (0, 0)
+        assert session.heard == ["wait"]
+        assert not wire.aborted
+        assert session.status.error_count == 0
+
+    run(story())
+
+
+def test_a_bug_in_a_command_is_that_client_s_error_alone():
+    """Raised at once or later, it is entered as -310 by its kind; the next message runs."""
+
+    async def story() -> None:
+        connection, wire, session = client(server())
+        session.event.set()
+        connection.data_received(b"bug\nwait bug\n?after\n")
+        await asyncio.sleep(0.01)
+        assert errors(session) == ['-310,"System error;ValueError"', '-310,"System error;KeyError"']
+        assert wire.sent == [b"after\n"]
+
+    run(story())
+
+
+def test_only_a_reply_makes_a_client_known():
+    """Silence and commands without a reply do not; one that waits is busy until it is answered."""
+
+    async def story() -> None:
+        of = server()
+        connection, _, _ = client(of)
+        connection.data_received(b"x\n")
+        assert not of.places.is_known(connection)
+        connection.data_received(b"?x\n")
+        assert of.places.is_known(connection)
+
+    run(story())
+
+
+def test_who_may_not_connect_is_cut_off_and_counted():
+    """An address that is not listed; beyond the list loopback and Unix sockets are always taken."""
+
+    async def story() -> None:
+        of = server(allow=parse_networks(["10.1.0.0/16"]))
+        _, wire, session = client(of, ("10.2.0.1", 9))
+        assert wire.aborted
+        assert session is None
+        assert refused(of, "not on the allow-list") == 1
+        for peer in (("10.1.2.3", 9), ("127.0.0.1", 9)):
+            assert client(of, peer)[2] is not None
+        assert len(of.connections) == 2
+        connection, wire, _ = client(server(), "", family=socket.AF_UNIX)
+        assert connection.session is not None
+        assert wire.options == []
+        assert client(server())[1].options == [(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)]
+
+    run(story())
+
+
+def test_one_address_holds_no_more_than_its_part():
+    """A quarter of the places, and one at least; loopback is not counted."""
+
+    async def story() -> None:
+        of = server(allow=parse_networks(["10.0.0.0/8"]))
+        assert client(of, ("10.0.0.1", 1))[2] is not None
+        assert client(of, ("10.0.0.1", 2))[2] is None
+        assert refused(of, "too many connections of one address") == 1
+        assert client(of, ("10.0.0.2", 3))[2] is not None
+
+    run(story())
+
+
+def test_who_never_made_sense_makes_room():
+    """With all places held, one that was silent for a second goes; a busy or known one stays; else none is let in."""
+
+    async def story() -> None:
+        of = server()
+        first, known, silent = client(of), client(of), client(of)
+        first[0].data_received(b"?x\n")
+        known[0].data_received(b"wait\n")
+        assert client(of)[2] is None
+        assert refused(of, "too many connections") == 1
+        await asyncio.sleep(1.5)
+        assert client(of)[2] is not None
+        assert silent[1].aborted
+        assert refused(of, "dropped") == 1
+        assert silent[0] not in of.connections
+        assert not first[1].aborted
+        assert not known[1].aborted
+
+    run(story())
+
+
+def test_a_known_client_that_was_idle_for_a_minute_makes_room():
+    """Sixty seconds, not less; of several the one that is idle longest."""
+
+    async def story() -> None:
+        of = server()
+        several = [client(of) for _ in range(3)]
+        for connection, _, _ in several:
+            connection.data_received(b"?x\n")
+            await asyncio.sleep(10.0)
+        await asyncio.sleep(29.0)  # 59 s after the first
+        assert client(of)[2] is None
+        await asyncio.sleep(1.5)
+        assert client(of)[2] is not None
+        assert [wire.aborted for _, wire, _ in several] == [True, False, False]
+
+    run(story())
+
+
+def test_every_session_hears_of_a_change():
+    """The station tells the server, the server each session; one that left hears nothing; connections are counted."""
+
+    async def story() -> None:
+        of = server()
+        (one, _, hears), (_, _, too) = client(of), client(of)
+        assert b'radiometer_connections{interface="scpi"} 2.0' in of.station.metrics.render()
+        of.station.on_change[0]()
+        one.connection_lost(None)
+        of.station.on_change[0]()
+        assert (hears.told, too.told) == (1, 2)
+        await of.close()
+        assert next(iter(of.connections))._transport.closed  # type: ignore[union-attr]
+
+    run(story())
+
+
+def test_the_queue_of_errors_has_thirty_two_places():
+    """The last becomes -350 (SCPI-99, 21.8.2: Queue overflow), the oldest stay, and each is taken once."""
+    status = Status()
+    for number in range(33):
+        status.push(ScpiError(-222, str(number)))
+    taken = [status.next_error() for _ in range(33)]
+    assert taken[0] == '-222,"Data out of range;0"'
+    assert taken[30] == '-222,"Data out of range;30"'
+    assert taken[31:] == ['-350,"Queue overflow"', '0,"No error"']
