@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks._daemon import write_small_bench
@@ -17,7 +18,7 @@ from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.keeper import KeeperTimes
 from radiometer.daemon.service import ServiceOptions
 from radiometer.devices import ChannelMode, ChannelState, CurrentRange, DriveLevel
-from radiometer.errors import DeviceError
+from radiometer.errors import DeviceError, RadiometerError
 
 FIXED = MeasurementSettings(patch=None, auto_exposure=False, exposure_s=1e-3, gain_db=6.0)
 
@@ -36,6 +37,65 @@ def test_a_measurement_is_taken_at_its_own_gain_and_exposure(tmp_path: Path) -> 
     assert instrument.self_test() == []
     assert instrument.calibration_summary == {}
     assert instrument.reload_calibration() == "no calibration in use"
+    instrument.close()
+
+
+def test_what_the_bench_says_of_itself(tmp_path: Path) -> None:
+    """Before it was open, while it is, and after: limits, identity, counters, the patch, temperature, errors."""
+    instrument = BenchInstrument(write_small_bench(tmp_path), uncalibrated=True)
+    with pytest.raises(DeviceError, match="has not been open yet, so its limits are not known"):
+        _ = instrument.limits
+    assert instrument.identity.model == "camera not seen yet"
+    assert instrument.late_at is None
+    instrument.open()
+    limits = instrument.limits
+    assert instrument.identity.model != "camera not seen yet"
+    report = instrument.check()
+    assert report.temperature_c is None
+    assert report.counters["frames"] == 0
+    measured = instrument.measure(replace(FIXED, auto_exposure=True, gain_db=0.0))
+    assert len(measured.reading.exposures_s) == len(measured.frames) > 1
+    assert instrument.check().counters["frames"] > 1
+    assert instrument.check().temperature_c is not None
+    instrument.close()
+    assert instrument.limits == limits
+    with pytest.raises(DeviceError, match="not open"):
+        instrument.check()
+
+
+def test_a_wavelength_without_meaning_is_refused_before_a_frame_is_taken() -> None:
+    """Where the calibration would need it: 5 nm is no light."""
+    instrument = BenchInstrument()
+    instrument.open()
+    assert instrument.calibration_summary["source"]
+    with pytest.raises(RadiometerError, match="5"):
+        instrument.measure(replace(FIXED, gain_db=0.0, wavelength_nm=5.0))
+    assert instrument.check().counters["frames"] == 0
+    instrument.close()
+
+
+def test_a_self_test_tells_what_is_implausible(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame without noise, and one whose darkest pixel lies beyond twice the black level; settings come back."""
+    instrument = BenchInstrument(write_small_bench(tmp_path), uncalibrated=True)
+    instrument.open()
+    camera = instrument._opened()
+    before = camera.settings
+    black = before.black_level_dn
+    assert black
+    asked = []
+
+    def capture(count: int = 1) -> list[Any]:
+        asked.append(camera.settings.exposure_s)
+        return [SimpleNamespace(dn=frames.pop(0))]
+
+    monkeypatch.setattr(camera, "capture", capture)
+    twice = int(2 * black)
+    frames = [np.array([[5, 5]]), np.array([[twice, twice + 9]]), np.array([[twice + 1, twice + 9]])]
+    assert instrument.self_test() == ["every pixel reads 5 DN at the shortest exposure: no noise, no signal"]
+    assert instrument.self_test() == []
+    assert instrument.self_test() == [f"the darkest pixel reads {twice + 1} DN where the black level is {black:g} DN"]
+    assert asked == [camera.capabilities.exposure_s[0]] * 3
+    assert camera.settings == before
     instrument.close()
 
 
