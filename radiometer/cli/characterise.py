@@ -150,10 +150,11 @@ def _with_radiance(subject: Subject, path: Path, region: Patch | None, radiance:
     if radiance is None:
         return subject
     from radiometer.analysis.characterise.photon_flux import photon_flux
-    from radiometer.data import CaptureSet, PatchDescription
+    from radiometer.data import PatchDescription
+    from radiometer.importing import open_capture
 
-    header = CaptureSet.read(path).header
-    height, width = CaptureSet.read(path).read_frame(0).shape
+    capture = open_capture(path)
+    header, (height, width) = capture.header, capture.read_frame(0).shape
     fluxes = []
     for where in subject.regions:
         x, y, w, h = (where.x, where.y, where.width, where.height) if where else (0, 0, width, height)

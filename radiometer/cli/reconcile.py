@@ -165,7 +165,15 @@ def _show_plan(capture: Path, model_path: Path | None, without: tuple[str, ...],
     from simulators.camera_model import CameraModel
 
     entries = {name: kind for name, kind in whole_catalogue().items() if name not in without}
-    found = plan_of(capture, CameraModel.read(model_path) if model_path else None, catalogue=entries)
+    model = CameraModel.read(model_path) if model_path else None
+    with progress_bar(shown=not json) as bar:
+        task = bar.add_task("reading frames", total=None)
+
+        def progress(count: int, total: int) -> None:
+            what = "asking what they can separate" if count == total else "reading frames"
+            bar.update(task, completed=count, total=total, description=what)
+
+        found = plan_of(capture, model, catalogue=entries, progress=progress)
     if json:
         print(text.dumps(found.to_mapping(), ensure_ascii=False))
         return

@@ -184,9 +184,10 @@ class CaptureSet:
             raise CaptureError(f"{path} is not a folder; a capture set is a folder that holds {HEADER_NAME}")
         header_path = path / HEADER_NAME
         if not header_path.exists():
-            raise CaptureError(
-                f"{path} holds no {HEADER_NAME}: the capture was not finished (it is written last); capture it again"
-            )
+            said = f"{path} holds no {HEADER_NAME}"
+            if (path / "frames").is_dir():
+                raise CaptureError(f"{said}: the capture was not finished (it is written last); capture it again")
+            raise CaptureError(f"{said}, nor other frames that are read here: it is no capture set")
         header = _checked_header(header_path)
         if not header.frames:
             raise CaptureError(

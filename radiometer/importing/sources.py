@@ -109,7 +109,7 @@ def open_capture(path: Path, options: ImportOptions | None = None) -> CaptureSet
     Raises:
         CaptureError: If there is nothing to read, a named file is unreadable, or several cameras are mixed.
     """
-    if not is_foreign(path):
+    if not is_foreign(path) and not path.is_file():
         return CaptureSet.read(path)
     if path.is_file() and is_statistics_table(path):
         raise CaptureError(

@@ -12,8 +12,9 @@ from typing import Any, Final, TypeVar
 import numpy as np
 import structlog
 
-from radiometer.data import CaptureHeader, CaptureSet, Frame
+from radiometer.data import CaptureHeader, Frame
 from radiometer.errors import CaptureError
+from radiometer.importing import open_capture
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconcile.advice.limits import limits
 from radiometer.reconcile.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
@@ -172,7 +173,7 @@ def reconcile_capture(
     """Return the same for a capture set on disk; one frame is in memory at a time.
 
     Args:
-        path: The capture set's folder.
+        path: A capture set's folder, or files that `radiometer.importing` reads as one (FITS, raw TIFF, EMVA 1288).
         model: The camera as it is believed to be.
         catalogue: Effects to try.
         progress: Called with frames done and frames in all.
@@ -181,7 +182,7 @@ def reconcile_capture(
     Raises:
         CaptureError: If the capture set is unfinished or inconsistent.
     """
-    captured = CaptureSet.read(path)
+    captured = open_capture(path)
     shape = captured.read_frame(0).shape
     return examine(captured.header, captured.read_frame, shape, model, catalogue=catalogue, progress=progress, say=say)
 
@@ -192,23 +193,26 @@ def plan_of(
     model: CameraModel | None = None,
     *,
     catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
+    progress: Progress | None = None,
 ) -> Separability:
     """Return what the captures of a set can tell apart, whatever they showed.
 
     The nuisances alone (responsivity, radiances) are fitted to the frames.
 
     Args:
-        path: The capture set's folder.
+        path: A capture set's folder, or files that `radiometer.importing` reads as one (FITS, raw TIFF, EMVA 1288).
         model: The camera as it is believed to be.
         catalogue: Effects to ask about.
+        progress: Called with frames done and frames in all.
 
     Raises:
         CaptureError: If the capture set is unfinished or inconsistent.
     """
-    captured = CaptureSet.read(path)
+    captured = open_capture(path)
     header, given = _adopted(captured.header, model)
-    design = Design.of(header, captured.read_frame(0).shape)
-    start = first_state(design, *reduce_frames(design, captured.read_frame), given)
+    design, total = Design.of(header, captured.read_frame(0).shape), len(header.frames)
+    read = reduce_frames(design, captured.read_frame, (lambda done: progress(done, total)) if progress else None)
+    start = first_state(design, *read, given)
     return separability(start, whole_catalogue() if catalogue is None else catalogue)
 
 

@@ -89,8 +89,8 @@ def read_subject(path: Path, region: Patch | None = None) -> Subject:
     descriptor = find_descriptor(path) if path.is_file() or not (path / "capture.yaml").exists() else None
     if descriptor is not None:
         return _of_descriptor(descriptor, region)
-    if path.is_file() and not is_foreign(path):
-        return _of_descriptor(path, region)
+    if path.is_file() and path.suffix.lower() == ".txt" and not is_foreign(path):
+        return _of_descriptor(path, region)  # which says what line is not understood
     return subject_of_capture(open_capture(path), region)
 
 

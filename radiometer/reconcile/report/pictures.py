@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from radiometer.reconcile.fit.comparison import FAMILY
 from radiometer.reconcile.fit.covariates import covariates
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
+from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.report.words import AXES, axis_label
 from radiometer.reconcile.result import Verdict
 from radiometer.reconcile.search.outcome import Reconciled
@@ -127,20 +129,18 @@ def effect_plot(state: FitState, effect: CatalogueEffect, u_rel: float | None) -
         u_rel: Relative standard uncertainty of its main parameter; None where it has none.
 
     Returns:
-        The picture; None where the covariate does not vary.
+        The picture; None where the covariate does not vary, or no entry of the statistic counts.
     """
     axis = covariates(state.model, state.prediction).get(effect.where)
     if axis is None:
         return None
     others = tuple(one for one in state.effects if one is not effect)
-    cut = state.comparison.cuts[effect.block]
-    shape = STATISTICS[effect.block].shape(state.design)
-    without = state.comparison.residual(state.predicted_with(others))[cut].reshape(shape)
-    within = state.comparison.residual(state.prediction)[cut].reshape(shape)
-    usable = state.comparison.usable[effect.block]
-    value = np.broadcast_to(_fitting(axis.value, len(shape)), shape)[usable]
-    x, seen, u = _binned(effect.where, value, without[usable])
-    _, curve, _ = _binned(effect.where, value, (without - within)[usable])
+    value, without = _left(state, axis.value, effect.block, state.predicted_with(others))
+    if not value.size:
+        return None
+    _, within = _left(state, axis.value, effect.block, state.prediction)
+    x, seen, u = _binned(effect.where, value, without)
+    _, curve, _ = _binned(effect.where, value, without - within)
 
     def draw(figure: Figure, narrow: bool) -> None:
         axes = figure.subplots()
@@ -167,12 +167,10 @@ def unnamed_plot(state: FitState, where: str, block: str) -> str | None:
         The picture; None where the covariate does not vary.
     """
     axis = covariates(state.model, state.prediction).get(where)
-    if axis is None or block not in state.comparison.cuts:
+    value, left = (np.zeros(0),) * 2 if axis is None else _left(state, axis.value, block, state.prediction)
+    if not value.size:
         return None
-    shape = STATISTICS[block].shape(state.design)
-    usable = state.comparison.usable[block]
-    left = state.comparison.residual(state.prediction)[state.comparison.cuts[block]].reshape(shape)[usable]
-    x, seen, u = _binned(where, np.broadcast_to(_fitting(axis.value, len(shape)), shape)[usable], left)
+    x, seen, u = _binned(where, value, left)
 
     def draw(figure: Figure, narrow: bool) -> None:
         axes = figure.subplots()
@@ -182,6 +180,18 @@ def unnamed_plot(state: FitState, where: str, block: str) -> str | None:
         _along(axes, where, f"{block}: residual in σ")
 
     return picture(draw, "What no known effect explains, along what it follows, with k = 1 bars.", _WIDE, _NARROW)
+
+
+def _left(state: FitState, value: Array, block: str, prediction: Prediction) -> tuple[Array, Array]:
+    """Return a covariate's values and standardised residuals of a statistic, in all of its directions, where usable."""
+    residual = state.comparison.residual(prediction)
+    values, left = [np.zeros(0)], [np.zeros(0)]
+    for name, cut in state.comparison.cuts.items():
+        if block in (name, FAMILY[name]):
+            shape, usable = STATISTICS[name].shape(state.design), state.comparison.usable[name]
+            values.append(np.broadcast_to(_fitting(value, len(shape)), shape)[usable])
+            left.append(residual[cut].reshape(shape)[usable])
+    return np.concatenate(values), np.concatenate(left)
 
 
 def _fitting(value: Array, dimensions: int) -> Array:

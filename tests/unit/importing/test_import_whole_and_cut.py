@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 
 import numpy as np
 import pytest
@@ -92,6 +93,30 @@ def test_a_file_cut_anywhere_is_one_line(kind, write_fits, write_raw_tiff, said,
         assert "defect" not in err
         assert len(err.strip().splitlines()) == 1, err
         assert not out.exists()
+
+
+def test_a_plan_is_told_of_files_where_they_lie(write_fits, said):
+    """`reconcile --plan-only` takes FITS files as `reconcile` does: darks of one exposure tell no source's warm-up."""
+    rng = np.random.default_rng(3)
+    for index in range(4):
+        dark = np.round(rng.normal(300.0, 8.0, (40, 60))).astype(np.uint16)
+        folder = write_fits(f"s/{index}.fits", dark, EXPTIME=1.0, IMAGETYP="dark", CCD_TEMP=1.5).parent
+    code, out, err = said("reconcile", folder, "--plan-only", "--json")
+    assert (code, err) == (0, "")
+    assert {"source_warmup_drift", "prnu", "veiling_glare"} <= set(json.loads(out)["blind"])
+
+
+@pytest.mark.parametrize("command", ["characterise", "reconcile"])
+def test_what_is_no_picture_is_refused_in_words(command, tmp_path, said):
+    """A spreadsheet, and a folder of them, are told apart from a capture that was not finished."""
+    book = tmp_path / "book.xls"
+    book.write_bytes(b"\xd0\xcf\x11\xe0" * 400)
+    code, _, err = said(command, book)
+    assert (code, "codec" in err) == (1, False)
+    assert "FITS" in err
+    code, _, err = said(command, tmp_path)
+    assert (code, "not finished" in err) == (1, False)
+    assert "holds n" in err  # neither … nor photographs, or no capture.yaml nor other frames
 
 
 def refused(path):

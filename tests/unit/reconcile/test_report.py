@@ -10,13 +10,16 @@ import pytest
 
 from radiometer.reconcile.engine import Reconciled, examine, whole_catalogue
 from radiometer.reconcile.fit.descent import first_state
+from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.report.html import outcome, report_html
-from radiometer.reconcile.report.pictures import _absolute, _relative
+from radiometer.reconcile.report.pictures import _absolute, _left, _relative, effect_plot, unnamed_plot
 from radiometer.reconcile.report.words import along, axis_label, seen_in
 from radiometer.reconcile.result import FoundEffect, Verdict
 from radiometer.reporting.numbers import rounded
+from simulators.effects.black_level_offset import BlackLevelOffset
+from simulators.effects.crosstalk import Crosstalk
 from tests.roundtrip.generator.session import make_session
 from tests.system.report_checks import assert_reports_hold
 from tests.unit.reporting.test_page import HOSTILE
@@ -148,3 +151,30 @@ def test_deviations_are_told_in_percent_of_the_light(make_capture):
     assert percent == pytest.approx(1.0)
     assert light.min() > 3.0
     assert light.size <= 2 * len(design.tiles)
+
+
+@pytest.fixture(scope="module")
+def lit_and_dark(make_capture) -> FitState:
+    """Return the fitted start of a session with patches of many levels, gains, temperatures and dark frames."""
+    captured = make_capture(9)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+
+
+@pytest.mark.parametrize("name", sorted(whole_catalogue()))
+def test_every_entry_s_statistic_can_be_drawn(lit_and_dark, name):
+    """What shows an entry is drawn from one statistic, or from both directions of it: never from none."""
+    kind = whole_catalogue()[name]
+    values, left = _left(lit_and_dark, np.ones((1, 1)), kind.block, lit_and_dark.prediction)
+    assert values.size == left.size > 0
+    assert np.sqrt(np.mean(left**2)) < 1.5  # nothing is missing: noise alone
+
+
+@pytest.mark.parametrize("kind", [Crosstalk, BlackLevelOffset])
+def test_what_an_entry_does_is_drawn_with_and_without_a_band(lit_and_dark, kind):
+    """Also of an entry that shows in two directions at once, such as charge that goes to neighbours."""
+    effect = kind()
+    state = with_effects(lit_and_dark, [effect])
+    assert "what is left without it" in str(effect_plot(state, effect, 0.1))
+    assert unnamed_plot(state, "signal", kind.block)
+    assert unnamed_plot(state, "signal", "no such statistic") is None
