@@ -194,6 +194,11 @@ class CatalogueEffect(Effect):
         return 0.0
 
     @property
+    def grows(self) -> bool:
+        """Tell whether it grows from nothing with its first parameter: a limit of the signal and a step do not."""
+        return not (self.is_stepwise or self.saturates)
+
+    @property
     def drifts(self) -> bool:
         """Tell whether it goes with time or temperature: the first frame of a series then differs from the others."""
         return self.where in ("timestamp_s", "temperature_C")

@@ -1,9 +1,9 @@
 """Which entries a plan cannot tell apart: asked of the captures that were taken, not of what they showed.
 
 An entry changes the expected statistics in some direction; others change them in the directions of their starts and of
-their parameters there. What of the first no others follow, nuisances and all other effects moving too, is what these
-captures would show of the difference, in units of χ². Where that is less than rivals may differ by, the two names stand
-together, whichever of them the data were fitted with.
+their parameters there. What follows the first for the most part, nuisances and all other effects moving too, is fitted
+to its noiseless statistics. What is left of them is what these captures would show of the difference, in units of χ².
+Where that is less than rivals may differ by, the two names stand together, whichever of them the data were fitted with.
 
 Source: local identifiability by the Fisher information, T. J. Rothenberg, Econometrica 39 (1971) 577, over starts that
 span the range of an entry.
@@ -11,6 +11,7 @@ span the range of an entry.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
@@ -18,7 +19,9 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.errors import ConfigurationError, MeasurementError
+from radiometer.reconcile.advice.limits import SIGMAS
 from radiometer.reconcile.advice.next_capture import tells_apart
+from radiometer.reconcile.advice.sizes import Asked, mildest
 from radiometer.reconcile.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconcile.fit.comparison import Comparison
 from radiometer.reconcile.fit.descent import refit
@@ -30,17 +33,22 @@ from radiometer.reconcile.thresholds import PARAMETER_NATS, RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
 
 _STARTS: Final = 6  # of an entry, spread over all that it has
-_ASKED_CHI2: Final = 400.0  # the size at which a plan is asked about an entry: twenty sigma, whatever is usual
-_LARGEST_FACTOR: Final = 1000.0  # times the size of its start, beyond which the entry would be absurd
-_ABSORBED: Final = 1e-6  # share of what an entry changes that the nuisances must leave
+_LARGEST_FACTOR: Final = 1000.0  # times the size of its start, beyond which an entry would be absurd
+# The size at which a plan is asked about an entry: twenty sigma, whatever is usual; five where it comes no farther.
+_ASKED: Final = (Asked(20.0**2, _LARGEST_FACTOR), Asked(SIGMAS**2, _LARGEST_FACTOR))
 _REACH: Final = 2.0  # scales by which a parameter may leave its start: beyond, its derivative there is another effect
 _WORTH_A_FIT: Final = 0.5  # share of another's χ² that an entry must follow at its start to be fitted in its place
+_FITTED: Final = 3  # forms of an entry that a fit begins from
 _DIRECTION: Final = 1e-6  # share of a column that the others of its entry must leave
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Form:
-    """One start of an entry, and where its columns stand: what it changes, and what its parameters do there."""
+    """One start of an entry, and where its columns stand: what it changes, and what its parameters do there.
+
+    The first column of what grows from nothing may be taken at any size; a limit or a step is there as it is or not at
+    all, and its first parameter moves it as the others do.
+    """
 
     effect: CatalogueEffect
     columns: slice
@@ -54,13 +62,11 @@ class Directions:
         state: The model that they are added to.
         forms: Starts of each entry by name.
         products: Inner products of all columns, freed of what nuisances and other effects explain.
-        whole: Squares of the columns before that.
     """
 
     state: FitState
     forms: Mapping[str, tuple[_Form, ...]]
     products: Array
-    whole: Array
 
     @classmethod
     def of(cls, state: FitState, entries: Mapping[str, Sequence[CatalogueEffect]]) -> Directions:
@@ -81,10 +87,10 @@ class Directions:
                     at += own.shape[1]
             forms[name] = tuple(found)
         if not columns:
-            return cls(state, forms, np.zeros((0, 0)), np.zeros(0))
+            return cls(state, forms, np.zeros((0, 0)))
         moved, part = state.fit.followed_with_half(np.hstack(columns))
         products = np.asarray(moved.T @ moved - part.T @ part)
-        return cls(state, forms, products, np.sum(np.square(moved), axis=0))
+        return cls(state, forms, products)
 
     def shown(self, form: _Form) -> float:
         """Return the χ² by which a start shows."""
@@ -94,39 +100,50 @@ class Directions:
         """Return the χ² of a start that another entry, about one of its own starts, does not follow, and how much of
         that start it takes."""
         whole = self.shown(target)
-        left, taken = self._least(target, other.columns)
+        left, taken = self._least(target, other)
         if taken[0] <= 0 or np.max(np.abs(taken[1:]), initial=0.0) > _REACH * taken[0]:  # another form than it can take
-            left, taken = self._least(target, slice(other.columns.start, other.columns.start + 1))
+            alone = replace(other, columns=slice(other.columns.start, other.columns.start + 1))
+            left, taken = self._least(target, alone)
         return (left, float(taken[0])) if taken[0] > 0 else (whole, 0.0)
 
-    def _least(self, target: _Form, own: slice) -> tuple[float, Array]:
-        """Return the χ² of a start that columns do not follow at best, and how much of each they take."""
-        gram, right = self.products[own, own], self.products[own, target.columns.start]
-        lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
-        kept = values > _DIRECTION
-        along = (vectors[:, kept].T @ (right / lengths)) / np.sqrt(values[kept])
-        taken = (vectors[:, kept] @ (along / np.sqrt(values[kept]))) / lengths
-        return max(self.shown(target) - float(along @ along), 0.0), np.asarray(taken)
+    def _least(self, target: _Form, other: _Form) -> tuple[float, Array]:
+        """Return the χ² of a start that columns of another do not follow at best, and how much of each they take."""
+        own, first, at = other.columns, other.columns.start, target.columns.start
+        right, whole = self.products[own, at], self.shown(target)
+        if other.effect.grows:
+            return _followed(self.products[own, own], right, whole)
+        beyond = max(whole - 2.0 * float(self.products[first, at]) + float(self.products[first, first]), 0.0)
+        moved = (right - self.products[own, first])[1:]
+        left, taken = _followed(self.products[own, own][1:, 1:], moved, beyond)
+        return left, np.concatenate([[1.0], taken])
 
-    def is_seen(self, form: _Form) -> bool:
-        """Tell whether a start shows at any size that is not absurd, and is more than the nuisances."""
-        shown = self.shown(form)
-        asked = _ASKED_CHI2 / _LARGEST_FACTOR**2
-        return shown > max(_ABSORBED * float(self.whole[form.columns.start]), asked)
-
-    def followed_by(self, target: _Form, name: str, times_chi2: float = 1.0) -> CatalogueEffect | None:
-        """Return an entry at the size that cannot be told from another's start; None where all can.
+    def near(self, target: _Form, name: str) -> tuple[CatalogueEffect, ...]:
+        """Return the forms of an entry that follow another's start for the most part, at their size, the best first.
 
         Args:
             target: The other's start.
             name: The entry.
-            times_chi2: How many times the χ² of that start is asked about.
         """
         rated = [(*self.left(target, form), form) for form in self.forms[name]]
-        paid = [(times_chi2 * left + _paid(target.effect, form.effect), amount, form) for left, amount, form in rated]
-        least, amount, form = min(paid, key=lambda entry: entry[0], default=(np.inf, 0.0, None))
-        return _times(form.effect, amount) if form is not None and least < 2.0 * RIVAL_NATS else None
+        follow = [entry for entry in rated if entry[0] < (1.0 - _WORTH_A_FIT) * self.shown(target)]
+        sized = (_times(form.effect, amount) for _, amount, form in sorted(follow, key=lambda entry: entry[0]))
+        return tuple(dict.fromkeys(sized))
+
+
+def _followed(gram: Array, right: Array, whole: float) -> tuple[float, Array]:
+    """Return what columns leave of a χ² at best, and how much of each they take.
+
+    Args:
+        gram: Inner products of the columns.
+        right: Their products with what is to be followed.
+        whole: Its χ².
+    """
+    lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
+    kept = values > _DIRECTION
+    along = (vectors[:, kept].T @ (right / lengths)) / np.sqrt(values[kept])
+    taken = (vectors[:, kept] @ (along / np.sqrt(values[kept]))) / lengths
+    return max(whole - float(along @ along), 0.0), np.asarray(taken)
 
 
 def _paid(target: CatalogueEffect, other: CatalogueEffect) -> float:
@@ -135,18 +152,19 @@ def _paid(target: CatalogueEffect, other: CatalogueEffect) -> float:
 
 
 def _times(effect: CatalogueEffect, amount: float) -> CatalogueEffect:
-    """Return an effect with its first parameter times an amount, within its bounds."""
+    """Return an effect with its first parameter times an amount, within its bounds; a limit or a step as it is."""
     names = effect.free()
-    if not names or "[" in names[0]:
+    if not effect.grows or not names or "[" in names[0]:
         return effect
     power = 0.5 if effect.acts_by_square else 1.0
     return effect.resized(amount**power, about=effect.neutral(names[0]))
 
 
 def _columns(state: FitState, start: CatalogueEffect) -> Array | None:
-    """Return what a start changes, and what its parameters but the first (its amount) do there; None for nothing."""
+    """Return what a start changes and what its parameters do there, but for an amount; None where it does nothing."""
+    first = 1 if start.grows else 0
     try:
-        own = directions_of(state, (*state.effects, start), len(state.effects), first=1)
+        own = directions_of(state, (*state.effects, start), len(state.effects), first)
     except (MeasurementError, ConfigurationError):  # what no camera does is no likeness
         return None
     return own if own[:, 0].any() else None
@@ -171,7 +189,7 @@ def inseparable(
     if not directions.forms[chosen.name]:
         return ()
     (target,) = directions.forms[chosen.name]
-    found = (directions.followed_by(target, name) or _fitted_like(directions, target, name) for name in kinds)
+    found = (fitted_like(directions, target, name) for name in kinds)
     return tuple(effect for effect in found if effect is not None)
 
 
@@ -210,27 +228,24 @@ def left_by_fit(exact: FitState, truth: CatalogueEffect, start: Candidate) -> tu
     return max(foreign.cost - own.cost, 0.0) + _paid(truth, fitted), fitted
 
 
-def _fitted_like(directions: Directions, target: _Form, name: str, times_chi2: float = 1.0) -> CatalogueEffect | None:
-    """Return an entry that fits the noiseless data of a large effect, where derivatives at its start reach not so far.
+def fitted_like(directions: Directions, target: _Form, name: str) -> CatalogueEffect | None:
+    """Return an entry that fits the noiseless data of another's start; None where these captures tell the two apart.
 
-    Only what follows it for the most part at its start is fitted.
+    Derivatives tell where an entry may be the other. They do not reach far enough to tell that it is: a change that is
+    a small difference of large ones, or bends, is no such sum. Only what follows for the most part is fitted.
 
     Args:
         directions: Of the starts of all entries.
-        target: The effect's start.
+        target: The other's start.
         name: The entry.
-        times_chi2: How many times the χ² of that start is asked about.
     """
-    whole, size = directions.shown(target), float(np.sqrt(times_chi2))
-    rated = sorted(((*directions.left(target, form), form) for form in directions.forms[name]), key=lambda r: r[0])
-    near = [_times(form.effect, amount * size) for left, amount, form in rated if left < (1.0 - _WORTH_A_FIT) * whole]
-    if not near:
-        return None
-    start = Candidate(near[0], times_chi2 * whole, max(len(near[0].free()), 1), others=tuple(near[1:2]))
-    truth = _times(target.effect, size)
-    left, effect = left_by_fit(noiseless(directions.state, truth), truth, start)
-    alike = left < 2.0 * RIVAL_NATS and not effect.unlike_itself(directions.state.model.context)
-    return effect if alike else None
+    exact, context = noiseless(directions.state, target.effect), directions.state.model.context
+    for near in directions.near(target, name)[:_FITTED]:  # a limit that hardly acts shows no way to where it would
+        start = Candidate(near, directions.shown(target), max(len(near.free()), 1))
+        left, effect = left_by_fit(exact, target.effect, start)
+        if left < 2.0 * RIVAL_NATS and not effect.unlike_itself(context):
+            return effect
+    return None
 
 
 def _spread(starts: Sequence[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
@@ -284,35 +299,32 @@ def separability(
         catalogue: All entries.
         every: List a set once for each of its names, without captures, instead of once in all.
     """
-    directions, seen = _asked(state, catalogue)
+    seen = asked_sizes(state, catalogue)
     blind = tuple(sorted(set(catalogue) - set(seen)))
-    return Separability(tuple(_together(state, directions, seen, every=every)), blind)
+    return Separability(tuple(_together(state, seen, every=every)), blind)
 
 
 def asked_sizes(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> dict[str, CatalogueEffect]:
-    """Return the entries that show, by name, at the size of twenty sigma at which a plan is asked about them."""
-    directions, seen = _asked(state, catalogue)
-    amount = {name: np.sqrt(_ASKED_CHI2 / directions.shown(form)) for name, form in seen.items()}
-    return {name: _times(form.effect, float(amount[name])) for name, form in seen.items()}
+    """Return the entries that show, by name, at the size at which a plan is asked about them.
+
+    That is the first of their starts, the likeliest first, that stands out by twenty sigma where it has that size; of
+    what does so nowhere the first that stands out by five.
+    """
+    starts = {name: _spread(kind.starts(state.model.context)) for name, kind in catalogue.items()}
+    found: dict[str, CatalogueEffect] = {}
+    for asked, turn in itertools.product(_ASKED, range(max(map(len, starts.values()), default=0))):
+        left = [several[turn] for name, several in starts.items() if name not in found and turn < len(several)]
+        found |= {name: near.effect for name, near in mildest(state, left, asked).items()}
+    return {name: found[name] for name in catalogue if name in found}
 
 
-def _asked(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> tuple[Directions, dict[str, _Form]]:
-    context = state.model.context
-    directions = Directions.of(state, {n: _spread(kind.starts(context)) for n, kind in catalogue.items()})
-    first = {n: next((f for f in forms if directions.is_seen(f)), None) for n, forms in directions.forms.items()}
-    return directions, {name: form for name, form in first.items() if form is not None}
-
-
-def _together(state: FitState, directions: Directions, seen: Mapping[str, _Form], *, every: bool) -> Iterator[Together]:
-    told = set[frozenset[str]]()
-    for name, target in seen.items():
-        times = _ASKED_CHI2 / directions.shown(target)
-        followed = (
-            directions.followed_by(target, other, times) or _fitted_like(directions, target, other, times)
-            for other in seen
-            if other != name
-        )
-        others = [effect for effect in followed if effect is not None]
+def _together(state: FitState, seen: Mapping[str, CatalogueEffect], *, every: bool) -> Iterator[Together]:
+    told, context = set[frozenset[str]](), state.model.context
+    directions = Directions.of(state, {n: (own, *_spread(type(own).starts(context))) for n, own in seen.items()})
+    for name in seen:
+        target = directions.forms[name][0]
+        alike = (fitted_like(directions, target, other) for other in seen if other != name)
+        others = [effect for effect in alike if effect is not None]
         names = frozenset({name, *(effect.name for effect in others)})
         if others and (every or names not in told):
             told.add(names)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiometer.reconcile import engine
-from radiometer.reconcile.advice.limits import _Grown, _Search
+from radiometer.reconcile.advice.sizes import Asked, Grown, _Search
 from radiometer.reconcile.fit.descent import first_state, refit
 from radiometer.reconcile.fit.state import with_effects
 from radiometer.reconcile.measure.design import Design
@@ -53,6 +53,6 @@ def test_fit_holds_a_parameter_though_a_term_before_it_falls_to_nothing(make_cap
 def test_an_entry_that_shows_at_no_size_at_all_has_no_limit_to_look_for() -> None:
     """A label that other wrong labels stand beside shows even where it is right: the search ends."""
     right = ExposureLabelError(1e-3, 1.0, 0.0, 1.0, (2e-3,), (0.1,), (0.0,), (1.0,))
-    near = _Grown(right, "ratio", "1", 1e5)
+    near = Grown(right, "ratio", "1", 1e5, Asked(25.0, 50.0))
     assert near.size == 0.0
     assert _Search(0.5, near, above=near).next_look() is None

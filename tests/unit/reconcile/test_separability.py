@@ -16,6 +16,7 @@ from radiometer.data import CaptureSetWriter
 from radiometer.reconcile.advice.separability import (
     Directions,
     asked_sizes,
+    fitted_like,
     inseparable,
     left_by_fit,
     noiseless,
@@ -27,9 +28,14 @@ from radiometer.reconcile.fit.descent import first_state, refit
 from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from simulators.effects.adc_saturation import AdcSaturation
 from simulators.effects.ambient_light_leak import AmbientLightLeak
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.full_well_saturation import FullWellSaturation
+from simulators.effects.mains_ripple import MainsRipple
+from simulators.effects.psf_blur import PsfBlur
+from simulators.effects.series_settling import SeriesSettling
 from simulators.effects.veiling_glare import VeilingGlare
 
 BRACKET = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 8) for _ in range(2)]
@@ -131,13 +137,60 @@ def test_entry_is_asked_about_from_whichever_start_shows(plain: FitState) -> Non
     assert asked["ambient_light_leak"].values()["irradiance_w_m2"] > 1e-9
 
 
+def _brought(state: FitState, effect: CatalogueEffect) -> float:
+    """Return the χ² by which an effect stands out of its own noiseless data, all nuisances refitted without it."""
+    exact = noiseless(state, effect)
+    return refit(exact).cost - refit(with_effects(exact, [effect])).cost
+
+
+@pytest.mark.parametrize("kind", [ExposureTimeOffset, PsfBlur, VeilingGlare])
+def test_entry_is_asked_about_at_twenty_sigma(plain: FitState, kind: type[CatalogueEffect]) -> None:
+    """What is asked about leaves 400 of χ² where it is not fitted, whether it grows in proportion or as a square."""
+    effect = asked_sizes(plain, {kind.name: kind})[kind.name]
+    assert _brought(plain, effect) == pytest.approx(400.0, rel=0.15)  # looked for to a tenth of ln χ²
+
+
+def test_limit_of_the_signal_is_asked_about_where_it_ends_light(plain: FitState) -> None:
+    """A converter that ends at half its codes cannot be made larger or smaller: it is asked about as it is, or a later
+    one that the frames show."""
+    effect = asked_sizes(plain, {"adc_saturation": AdcSaturation})["adc_saturation"]
+    assert effect in AdcSaturation.starts(plain.model.context)
+    assert _brought(plain, effect) > 400.0
+
+
+def test_limit_is_followed_by_another_whole_and_not_in_part(plain: FitState) -> None:
+    """Half of what a limit ends is no limit: a lower well than another leaves the square of what it takes away more."""
+    own = FullWellSaturation(6000.0)
+    lower = FullWellSaturation(4500.0)
+    directions = Directions.of(plain, {"own": (own,), "lower": (lower,)})
+    (target,), (other,) = directions.forms["own"], directions.forms["lower"]
+    assert directions.left(target, target) == pytest.approx((0.0, 1.0), abs=1e-6 * directions.shown(target))
+    alone = replace(other, columns=slice(other.columns.start, other.columns.start + 1))
+    changed, less = (plain.predicted_with((effect,)) for effect in (own, lower))
+    apart = plain.comparison.residual(changed) - plain.comparison.residual(less)
+    followed = plain.pad(apart[:, None])
+    moved, part = plain.fit.followed_with_half(followed)
+    expected = float(np.sum(moved**2) - np.sum(part**2))
+    assert directions.left(target, alone) == pytest.approx((expected, 1.0), rel=1e-6)
+
+
+def test_likeness_by_derivatives_is_held_to_a_fit(plain: FitState) -> None:
+    """A lamp that settles within a series is, as a small difference of large changes, what mains do to frames; no such
+    lamp does it."""
+    shaken = asked_sizes(plain, {"mains_ripple": MainsRipple})["mains_ripple"]
+    settling = SeriesSettling.starts(plain.model.context)
+    directions = Directions.of(plain, {"mains_ripple": (shaken,), "series_settling": settling})
+    (target,) = directions.forms["mains_ripple"]
+    assert min(directions.left(target, form)[0] for form in directions.forms["series_settling"]) < 10.0
+    assert fitted_like(directions, target, "series_settling") is None
+
+
 @pytest.mark.parametrize("itself", [True, False])
 def test_entry_that_has_turned_into_another_is_no_rival(
     plain: FitState, monkeypatch: pytest.MonkeyPatch, itself: bool
 ) -> None:
     """Light from the room fits a veil of 30 % only by a fit; it is a rival there unless it acts as others would."""
     monkeypatch.setattr(AmbientLightLeak, "unlike_itself", lambda self, context: not itself)
-    monkeypatch.setattr(Directions, "followed_by", lambda self, target, name, times_chi2=1.0: None)
     state = with_effects(plain, [VeilingGlare(0.3)])
     rivals = inseparable(state, state.effects[0], {"ambient_light_leak": AmbientLightLeak})
     assert [rival.name for rival in rivals] == (["ambient_light_leak"] if itself else [])
