@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from radiometer.reconcile.advice.sizes import Asked, Grown, main_parameter, mildest
+from radiometer.reconcile.advice.sizes import SHOWN, Asked, Grown, main_parameter, mildest
 from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.result import Limit
 from radiometer.reconcile.statistics import partly_at_the_top
 from simulators.effects.catalogue import CatalogueEffect
 
-SIGMAS: Final = 5.0
 _LARGEST_FACTOR: Final = 50.0  # times the typical size, beyond which the effect would be absurd
-_ASKED: Final = Asked(SIGMAS**2, _LARGEST_FACTOR)
+_ASKED: Final = Asked(SHOWN, _LARGEST_FACTOR)
 _ABSOLUTE_LIGHT: Final = "W m-2"  # has no scale where no radiance is known: the responsivity takes any
 
 

@@ -19,9 +19,8 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.errors import ConfigurationError, MeasurementError
-from radiometer.reconcile.advice.limits import SIGMAS
 from radiometer.reconcile.advice.next_capture import tells_apart
-from radiometer.reconcile.advice.sizes import Asked, mildest
+from radiometer.reconcile.advice.sizes import SHOWN, Asked, mildest
 from radiometer.reconcile.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconcile.fit.comparison import Comparison
 from radiometer.reconcile.fit.descent import refit
@@ -35,7 +34,7 @@ from simulators.effects.catalogue import CatalogueEffect
 _STARTS: Final = 6  # of an entry, spread over all that it has
 _LARGEST_FACTOR: Final = 1000.0  # times the size of its start, beyond which an entry would be absurd
 # The size at which a plan is asked about an entry: twenty sigma, whatever is usual; five where it comes no farther.
-_ASKED: Final = (Asked(20.0**2, _LARGEST_FACTOR), Asked(SIGMAS**2, _LARGEST_FACTOR))
+_ASKED: Final = (Asked(20.0**2, _LARGEST_FACTOR), Asked(SHOWN, _LARGEST_FACTOR))
 _REACH: Final = 2.0  # scales by which a parameter may leave its start: beyond, its derivative there is another effect
 _WORTH_A_FIT: Final = 0.5  # share of another's χ² that an entry must follow at its start to be fitted in its place
 _FITTED: Final = 3  # forms of an entry that a fit begins from

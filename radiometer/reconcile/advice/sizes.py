@@ -18,6 +18,7 @@ from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.search.screening import AT_ONCE, change_of
 from simulators.effects.catalogue import CatalogueEffect
 
+SHOWN: Final = 5.0**2  # χ² of what stands out: five sigma
 _BLIND: Final = 1e-6  # share of a change that must survive the nuisances
 _LOOKS: Final = 12
 _STRIDE: Final = 30.0  # largest factor from one look to the next
