@@ -91,7 +91,10 @@ class SettingOutOfRange(DeviceError, ValueError):
             high,
             unit,
         )
-        super().__init__(f"{device}: {name} {value:g} {unit} is out of range; allowed is {low:g} to {high:g} {unit}")
+        of_unit = f" {unit}" if unit else ""
+        super().__init__(
+            f"{device}: {name} {value:g}{of_unit} is out of range; allowed is {low:g} to {high:g}{of_unit}"
+        )
 
 
 class UnsafeStimulus(DeviceError):
