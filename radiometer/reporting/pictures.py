@@ -24,6 +24,7 @@ BEFORE: Final = "#b03a2e"  # what was before, what is out of bounds
 MARK: Final = "#9a5b00"  # what is pointed out
 DIMMED: Final = "#8a8a8a"  # what is not claimed
 RULE: Final = "#555555"  # lines that something is held against
+_FEW_DECADES: Final = 1.0 / 3.0  # below, labels of a logarithmic axis run into each other and tell no ratio
 _NARROW_PX: Final = 640
 _SMALLEST_PT: Final = 9.0
 
@@ -59,16 +60,20 @@ def shortened(text: str, most: int) -> str:
 
 
 def dress(axes: Axes, x: str, y: str, title: str = "") -> None:
-    """Give axes their labels, a faint grid and no box."""
+    """Give axes their labels, a faint grid and no box; logarithms of less than a third of a decade are none."""
     from matplotlib.ticker import NullFormatter
 
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     if title:
         axes.set_title(title, fontsize=_SMALLEST_PT + 1, loc="left", fontweight="bold")
-    for side in (axes.xaxis, axes.yaxis):
-        if side.get_scale() == "log" and abs(np.diff(np.log10(side.get_view_interval()))[0]) > 1.0:
-            side.set_minor_formatter(NullFormatter())
+    for side, to_scale in ((axes.xaxis, axes.set_xscale), (axes.yaxis, axes.set_yscale)):
+        if side.get_scale() == "log":
+            decades = abs(np.diff(np.log10(side.get_view_interval()))[0])
+            if decades < _FEW_DECADES:
+                to_scale("linear")
+            elif decades > 1.0:
+                side.set_minor_formatter(NullFormatter())
     axes.grid(visible=True, color="#dddddd", lw=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)

@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ElementTree
 from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 
 from radiometer.reporting.numbers import rounded, unit_text, with_u
 from radiometer.reporting.page import escaped, folded, heading, listed, page, paragraph, prose, section, table
@@ -115,3 +116,17 @@ def test_a_long_name_is_shortened():
     """The last of so many characters tells that there were more."""
     assert shortened("abcdef", 6) == "abcdef"
     assert shortened("abcdefg", 6) == "abcde…"
+
+
+@pytest.mark.parametrize(("last", "scale"), [(1.06, "linear"), (2.0, "linear"), (2.5, "log"), (300.0, "log")])
+def test_logarithms_of_less_than_a_third_of_a_decade_are_none(last, scale):
+    """From 26 200 to 27 700 DN labels of a logarithmic axis would run into each other; from 1 to 2.5 they do not."""
+    axes = Figure().subplots()
+    axes.plot([1.0, last], [1.0, last])
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(1.0, last)
+    axes.set_ylim(1.0, last)
+    dress(axes, "x", "y")
+    assert (axes.get_xscale(), axes.get_yscale()) == (scale, scale)
+    assert axes.get_xlim() == (1.0, last)
