@@ -49,8 +49,8 @@ def by_camera(frames: Iterable[FoundFrame]) -> dict[str, list[FoundFrame]]:
 
 def _titles(keys: Sequence[tuple[Any, ...]]) -> list[str]:
     """Return a short unique name for each camera: the parts in which they differ."""
-    if len(keys) == 1:
-        return ["camera"]
+    if len(keys) <= 1:
+        return ["camera"] * len(keys)
     differing = [i for i in range(len(keys[0]) - 1) if len({key[i] for key in keys}) > 1]
     words = ["-".join(str(key[i]) for i in differing if key[i] is not None) or "camera" for key in keys]
     clean = ["".join(c if c.isalnum() or c in "-_." else "_" for c in word) for word in words]

@@ -106,6 +106,18 @@ def test_a_plan_is_told_of_files_where_they_lie(write_fits, said):
     assert {"source_warmup_drift", "prnu", "veiling_glare"} <= set(json.loads(out)["blind"])
 
 
+def test_several_files_of_which_none_is_read_are_one_line(tmp_path, said):
+    """Named alone or together, by `import` or met by `passport` in an archive."""
+    for name in ("a.csv", "b.fits"):
+        (tmp_path / name).write_text("luminance,f_number\n1,2\n")
+    code, _, err = said("import", tmp_path / "a.csv", tmp_path / "b.fits", "-o", tmp_path / "out")
+    assert code == 1
+    assert "a.csv: not FITS or TIFF" in err
+    assert "(and 1 more)" in err
+    code, _, err = said("passport", tmp_path)
+    assert (code, "holds no capture set" in err) == (1, True)
+
+
 @pytest.mark.parametrize("command", ["characterise", "reconcile"])
 def test_what_is_no_picture_is_refused_in_words(command, tmp_path, said):
     """A spreadsheet, and a folder of them, are told apart from a capture that was not finished."""
