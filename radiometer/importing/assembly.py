@@ -18,6 +18,8 @@ from radiometer.importing.found import FoundFrame, ImportOptions
 from radiometer.importing.record import ImportRecord, doubts_about, named, taken_from
 
 _LOOKED_AT: Final = 4  # frames whose codes are looked at for padding and clipping
+_FEWEST_CODES: Final = 10  # different ones: all even by chance once in a thousand
+_CODES_FROM: Final = 65_536  # pixels of a frame that show its codes
 _FEWEST_CLIPPED: Final = 4
 _CAMERA_KEYS: Final = (
     "vendor", "model", "serial", "unit", "band", "wavelength_nm", "binning", "pixel_pitch_um",
@@ -165,7 +167,7 @@ class _Codes:
         bits = 0
         for dn in pixels:
             bits |= int(np.bitwise_or.reduce(dn, axis=None))
-        step = bits & -bits if bits else 1
+        step = bits & -bits if _tells_step(pixels, bits) else 1
         container = 8 * max(dn.dtype.itemsize for dn in pixels)
         depth, doubts = (stated, []) if stated else _converter_bits(pixels, container, looked)
         if step > 1 and not stated:
@@ -178,6 +180,16 @@ class _Codes:
             top = options.full_scale or 0.0
             doubts.append(f"{looked[0].stored} values were taken with the stated full scale of {top:g}")
         return cls(depth, step, tuple(doubts))
+
+
+def _tells_step(pixels: Sequence[DigitalNumbers], bits: int) -> bool:
+    """Tell whether the codes are many enough to be multiples of more than 1 by no chance."""
+    if bits == 0 or bits & 1:
+        return False
+    codes = set[int]()
+    for dn in pixels:
+        codes.update(np.unique(dn.ravel()[:: max(dn.size // _CODES_FROM, 1)]).tolist())
+    return len(codes) >= _FEWEST_CODES
 
 
 def _converter_bits(

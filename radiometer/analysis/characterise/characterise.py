@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from radiometer.analysis.characterise.dark_figures import gain_from_darks, typical_dark_current
-from radiometer.analysis.characterise.dark_signal import DarkSignal, by_temperature, dark_signal
+from radiometer.analysis.characterise.dark_signal import DarkSignal, by_temperature, dark_signal, hidden_noise
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
 from radiometer.analysis.characterise.inconsistent import contradicting_darks, contradicting_steps
 from radiometer.analysis.characterise.linearity import linearity
@@ -20,7 +19,6 @@ from radiometer.analysis.characterise.partial import (
 )
 from radiometer.analysis.characterise.photon_transfer import (
     CLIPPED_SHARE,
-    SMALLEST_VARIANCE_DN2,
     PhotonTransfer,
     photon_transfer,
 )
@@ -223,15 +221,10 @@ class _Work:
                 lambda top, black, k: (top - black) / k, "e-", saturation.plateau_dn, dark.mean_dn, K
             )
         sat_dn = Quantity(saturation.linear_signal_dn, saturation.u_linear_signal_dn, "DN")
-        found = sensitivity_figures(K, dark.variance_dn2, sat_dn, eta, self.subject.camera.code_step_dn or 1)
-        if dark.quantisation_limited:
-            # All that is known is that the noise lies between 0 and this bound: a rectangular distribution.
-            bound = found["sigma_d"].value
-            found["sigma_d"] = Quantity(bound / 2, bound / math.sqrt(12), "e-")
-            notes.append(
-                f"the dark noise is below {SMALLEST_VARIANCE_DN2} DN², where rounding hides it: sigma_d lies somewhere "
-                f"between 0 and {bound:.3g} e-; raise the gain to measure it"
-            )
+        step_dn, hidden = self.subject.camera.code_step_dn or 1, dark.quantisation_limited
+        found = sensitivity_figures(K, dark.variance_dn2, sat_dn, eta, step_dn, is_bound=hidden)
+        if hidden:
+            notes.append(hidden_noise(step_dn))
         if not saturation.reached:
             notes.append(
                 "saturation was not reached: saturation capacity, SNR_max, DR and linearity are left out or hold up to "

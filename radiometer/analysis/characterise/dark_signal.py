@@ -24,7 +24,7 @@ class DarkSignal:
         mean_line: Mean in DN over exposure in s; None where all darks have one exposure.
         variance_line: Temporal variance in DN² over exposure in s; None where all darks have one exposure.
         mean_dn: Mean at exposure 0 with standard uncertainty in DN.
-        variance_dn2: Temporal variance at exposure 0 in DN².
+        variance_dn2: Temporal variance at exposure 0 in DN²; where rounding hides the noise, the most that it can be.
         temperature_c: Mean sensor temperature; None where unknown.
         quantisation_limited: The variance is below 0.24 DN², where rounding hides the noise.
     """
@@ -62,15 +62,28 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
     variance_line, variance = _variance([d for d in dark if d.has_noise])
     smallest = SMALLEST_VARIANCE_DN2 * step_dn**2
     limited = variance.value < smallest
-    floor = max(variance.value, smallest)
+    if limited:  # all that is known is a bound; over [0, bound] the root mean square distance from it is bound/√3
+        variance = Quantity(smallest, smallest / math.sqrt(3.0), "DN^2")
     known = [d.settings.temperature_c for d in dark if d.settings.temperature_c is not None]
     return DarkSignal(
         mean_line,
         variance_line,
         mean,
-        Quantity(floor, variance.u, "DN^2"),
+        variance,
         float(np.mean(known)) if known else None,
         limited,
+    )
+
+
+def hidden_noise(step_dn: int = 1) -> str:
+    """Return in words that rounding hides the temporal noise of dark frames.
+
+    Args:
+        step_dn: Distance between codes in DN.
+    """
+    return (
+        f"the dark noise is below {SMALLEST_VARIANCE_DN2 * step_dn**2:g} DN², where rounding hides it: sigma_y_dark is "
+        "the most that it can be; raise the gain to measure it"
     )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from radiometer.analysis.characterise.dark_figures import gain_from_darks, typical_dark_current
-from radiometer.analysis.characterise.dark_signal import by_temperature, dark_signal
+from radiometer.analysis.characterise.dark_signal import by_temperature, dark_signal, hidden_noise
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
 from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, prnu
 from radiometer.analysis.characterise.photon_transfer import (
@@ -212,8 +212,11 @@ def _dark_figures(
         figures["sigma_y_dark"] = Quantity(
             math.sqrt(signal.variance_dn2.value), signal.variance_dn2.u / 2 / math.sqrt(signal.variance_dn2.value), "DN"
         )
+        if signal.quantisation_limited:
+            notes.append(hidden_noise(step_dn))
         if K is not None:
-            found = sensitivity_figures(K, signal.variance_dn2, None, None, step_dn)
+            hidden = signal.quantisation_limited
+            found = sensitivity_figures(K, signal.variance_dn2, None, None, step_dn, is_bound=hidden)
             figures |= {name: found[name] for name in ("sigma_d", "mu_e_min")}
             if signal.mean_line is not None:
                 line = signal.mean_line

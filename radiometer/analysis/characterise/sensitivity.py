@@ -49,6 +49,8 @@ def sensitivity_figures(
     saturation_dn: Quantity | None,
     eta_percent: Quantity | None,
     step_dn: int = 1,
+    *,
+    is_bound: bool = False,
 ) -> dict[str, Quantity]:
     """Return σ_y.dark, σ_d, thresholds, saturation capacities, SNR_max and dynamic range.
 
@@ -58,6 +60,7 @@ def sensitivity_figures(
         saturation_dn: Signal at saturation in DN; None where unknown, and then nothing follows from it.
         eta_percent: Quantum efficiency in %; None where unknown.
         step_dn: Distance between codes in DN, whose rounding adds step²/12.
+        is_bound: The dark variance is a bound only: rounding hides the noise.
 
     Source: EMVA Standard 1288, release 4.0, sections 6.6 and 6.7.
     """
@@ -66,6 +69,9 @@ def sensitivity_figures(
         "sigma_d": propagated(lambda var, k: sigma_d(var, k, step_dn), "e-", dark_variance, K),
         "mu_e_min": propagated(_threshold_e, "e-", dark_variance, K),
     }
+    if is_bound:  # σ_d lies anywhere between 0 and this: a rectangular distribution
+        bound = figures["sigma_d"].value
+        figures["sigma_d"] = Quantity(bound / 2.0, bound / math.sqrt(12.0), "e-")
     if saturation_dn is not None:
         figures |= _saturation_figures(K, dark_variance, saturation_dn)
     if eta_percent is not None:

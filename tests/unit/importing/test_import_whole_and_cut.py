@@ -118,6 +118,15 @@ def test_several_files_of_which_none_is_read_are_one_line(tmp_path, said):
     assert (code, "holds no capture set" in err) == (1, True)
 
 
+@pytest.mark.parametrize(("codes", "step"), [(1, None), (9, None), (10, 16), (400, 16)])
+def test_few_codes_tell_no_padding(codes, step, write_fits):
+    """Frames of 1000 everywhere are multiples of 8 by chance; ten different multiples of 16 are 12 bits in 16."""
+    values = np.resize(16 * (60 + np.arange(codes)), (40, 60)).astype(np.uint16)
+    capture = open_capture(write_fits("a.fits", values, EXPTIME=1.0))
+    assert (capture.header.camera.model_extra or {}).get("code_step_dn", capture.header.camera.code_step_dn) == step
+    assert any("padded" in line for line in imported_of(capture).doubts) == (step is not None)
+
+
 @pytest.mark.parametrize("command", ["characterise", "reconcile"])
 def test_what_is_no_picture_is_refused_in_words(command, tmp_path, said):
     """A spreadsheet, and a folder of them, are told apart from a capture that was not finished."""

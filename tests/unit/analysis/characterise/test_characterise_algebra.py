@@ -86,6 +86,28 @@ def test_where_rounding_hides_the_dark_noise_the_line_is_free():
     assert len(found.used) == 13
 
 
+@pytest.mark.parametrize("step_dn", [1, 8])
+def test_noise_that_rounding_hides_is_a_bound_as_wide_as_itself(step_dn):
+    """Frames that do not differ say that σ² is at most 0.24 steps² (EMVA 1288, 6.7), not that it is known to 1e-9."""
+    found = dark_signal([group(100.0, 0.0, dark=True)], step_dn)
+    assert found.quantisation_limited
+    assert found.variance_dn2.value == pytest.approx(0.24 * step_dn**2)
+    assert found.variance_dn2.u == pytest.approx(0.24 * step_dn**2 / np.sqrt(3.0))
+    figures = sensitivity_figures(Quantity(0.5, 0.0, "DN/e-"), found.variance_dn2, None, None, step_dn, is_bound=True)
+    most = np.sqrt(0.24 - 1.0 / 12.0) * step_dn / 0.5
+    assert figures["sigma_d"].value == pytest.approx(most / 2.0)
+    assert figures["sigma_d"].u == pytest.approx(most / np.sqrt(12.0))
+    assert figures["sigma_y_dark"].u > 0.25 * figures["sigma_y_dark"].value
+
+
+def test_darks_alone_say_that_rounding_hides_their_noise():
+    """Also where there is no light: the figure stands with a u of its own size and a note."""
+    result = characterise(subject(), [group(100.0, 0.05, t, dark=True) for t in (1.0, 2.0)])
+    assert result.figures["sigma_y_dark"].value == pytest.approx(np.sqrt(0.24))
+    assert result.figures["sigma_y_dark"].u > 0.1
+    assert any("below 0.24 DN²" in note for note in result.notes)
+
+
 def test_scatter_beyond_what_is_stated_widens_a_line():
     """u of slope and intercept are those of the residuals, as an ordinary regression has them."""
     x, y = np.arange(6.0), np.array([0.0, 1.2, 1.9, 3.1, 3.8, 5.1])
