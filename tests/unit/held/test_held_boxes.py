@@ -8,10 +8,11 @@ from zlib import crc32
 import numpy as np
 import pytest
 
+from drivers.light_box_answers import read_capabilities, read_flash, read_identity, read_state, read_status
 from drivers.light_box_clock import BoxClock, ClockSample
 from radiometer.acquire.light_levels import LevelSurvey, SpectralCorrection
 from radiometer.devices.light_box import ChannelCapabilities, ChannelMode, ChannelState, CurrentRange, DriveLevel
-from radiometer.errors import UnsafeStimulus
+from radiometer.errors import DeviceError, UnsafeStimulus
 from simulators.light_box import LightBoxTwin
 from tests.unit.acquire.test_light_levels import reading
 from tests.unit.held.figures import moved
@@ -170,5 +171,43 @@ def test_a_survey_of_levels_is_as_it_was():
     """Which levels are lit for how long in what order, the waits between, and the calibration that comes of them."""
     box = TiringBox()
     survey = LevelSurvey(box, box.measure, box.wait, np.random.default_rng(1), points_per_decade=2.0)
+    steps: list[str] = []
+    survey.progress = lambda channel, done, of: steps.append(f"{channel} {done} of {of}")
     made = survey.survey("spot", SpectralCorrection(1.05, 0.02))
-    assert not moved("boxes/survey", {"made": made.model_dump(mode="json"), "done": box.done}, rel=1e-7)
+    told = {"made": made.model_dump(mode="json"), "done": box.done, "progress": steps}
+    assert not moved("boxes/survey", told, rel=1e-7)
+
+
+# What a box may answer to HI, CH, RB, ST and FS: right, and each field missing, strange or of another kind.
+ANSWERS = {
+    "HI": ("radiometer-light-box", "2", "1.4", "LB-7", "6"),
+    "CH": ("spot", "460", "4096", "977", "65535", "30000", "2000", "1"),
+    "RB": ("S", "H", "30000", "4096", "1500"),
+    "ST": ("11987", "-52", "3", "4", "5", "W", "1", "0"),
+    "FS": ("2", "5400"),
+}
+READERS = {
+    "HI": lambda fields: read_identity("ttyX", fields),
+    "CH": lambda fields: read_capabilities("ttyX", fields),
+    "RB": lambda fields: read_state("ttyX", "spot", 2000, fields),
+    "ST": lambda fields: read_status("ttyX", fields),
+    "FS": lambda fields: read_flash("ttyX", fields),
+}
+
+
+@pytest.mark.parametrize("verb", ANSWERS)
+def test_answers_of_a_box_are_read_as_they_were(verb):
+    """Every field in its unit; a field too few, too many, or without sense is told with the way out."""
+    good, told = ANSWERS[verb], {}
+    tried = {"good": good, "one less": good[:-1], "one more": (*good, "0"), "nothing": ()}
+    tried |= {
+        f"field {k} is {word!r}": (*good[:k], word, *good[k + 1 :])
+        for k in range(len(good))
+        for word in ("x", "-1", "0")
+    }
+    for name, fields in tried.items():
+        try:
+            told[name] = str(READERS[verb](fields))
+        except DeviceError as error:
+            told[name] = f"{type(error).__name__}: {error}"
+    assert not moved(f"boxes/answers_{verb}", told)

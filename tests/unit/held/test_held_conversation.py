@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import json
 import re
 from collections.abc import Coroutine
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import aiohttp
+import numpy as np
+import pytest
+from PIL import Image
 
+from radiometer.daemon.http.picture import composite, render
 from radiometer.daemon.http.server import HttpServer
+from radiometer.daemon.instrument import Measurement
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.scpi.command import Command
 from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, short_form
 from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
+from radiometer.data import Frame, FrameSettings, Patch, Quantity, Reading
 from tests.patience import within
 from tests.unit.daemon.conftest import QUICK, FakeBox, FakeInstrument
-from tests.unit.held.figures import moved
+from tests.unit.held.figures import digest, moved
 
 TABLE = command_table()
 UNITS = ("MS", "US", "S", "DB", "NM", "PCT", "KG")
@@ -218,6 +226,24 @@ GET /frame.png?width=32
 GET /frame.png?width=0
 GET /status
 GET /readings?limit=2
+POST /patches {"name": "main", "limits": {"low": 1.0, "high": 5.0}}
+POST /patches {"name": "main", "limits": {"low": 5.0, "high": 1.0}}
+POST /patches {"name": "main", "limits": {"low": 1.0, "high": 5.0, "hysteresis_rel": 0.7}}
+POST /patches {"name": "nobody", "limits": {"low": 1.0}}
+POST /measure {}
+POST /measure {}
+GET /status
+POST /patches {"name": "lamp", "patch": {"x": 1, "y": 2, "width": 3, "height": 4}, "limits": {"high": 2.0}}
+POST /patches {"name": "lamp", "patch": {"x": 2, "y": 2, "width": 3, "height": 4}}
+POST /patches {"name": "out", "patch": {"x": 60, "y": 2, "width": 30, "height": 4}}
+POST /patches {"name": "lamp"}
+GET /trend?stream=patch%20lamp
+GET /trend?points=9
+GET /trend?points=5001
+GET /events?limit=2
+POST /patches/delete {"name": "lamp"}
+GET /events
+GET /metrics
 """
 
 
@@ -228,6 +254,12 @@ def lasting(value: Any) -> Any:
     if isinstance(value, list):
         return [lasting(one) for one in value]
     return "passing" if isinstance(value, str) and PASSING.search(value) else value
+
+
+def figures_of(text: str) -> list[str]:
+    """Return the lines of Prometheus's text that tell our figures, without what counts time, frames or requests."""
+    ours = [line for line in text.splitlines() if line.startswith("radiometer_")]
+    return [line for line in ours if not re.search("seconds|_created|frames|requests|missing|queue", line)]
 
 
 async def test_the_web_server_answers_as_it_did(tmp_path):
@@ -250,8 +282,34 @@ async def test_the_web_server_answers_as_it_did(tmp_path):
                     answer = lasting(json.loads(content))
                 elif kind == "text/csv":
                     answer = len(content.splitlines())
+                elif path == "/metrics":
+                    answer = sorted(figures_of(content.decode()))
                 guards = sum(key in reply.headers for key in GUARDS)
                 told[f"{number} {line}"] = [reply.status, kind, guards, answer]
     await server.close()
     await station.stop()
     assert not moved("web", told)
+
+
+@pytest.mark.parametrize("colours", ["inferno", "grey", "red"])
+def test_pictures_are_as_they_were(colours):
+    """Of two exposures, one clipped: by a curve and without, on either scale; the bar is held but for its letters."""
+    rows, columns = np.indices((48, 64))
+    light = 10.0 ** (3.5 * columns / 64.0) * (1.0 + 0.1 * (rows > 20))
+    frames = tuple(
+        Frame(np.clip(np.rint(light * t + 16.0), 0, 255).astype(np.uint8), 8, FrameSettings(t, black_level_dn=black))
+        for t, black in ((0.1, 16.0), (1.0, 16.0))
+    )
+    darker = tuple(replace(frame, dn=(frame.dn // 3 + 20).astype(np.uint8)) for frame in frames[:1])
+    curve = FakeInstrument().response
+    told: dict[str, Any] = {}
+    for name, taken, response in (("plain", frames, None), ("by a curve", frames, curve), ("narrow", darker, None)):
+        reading = Reading(Quantity(3.0, 0.01, "W sr-1 m-2"), Patch(20, 10, 8, 8), "4711")
+        picture = composite(Measurement(reading, taken), response, 7)
+        told[name] = {"radiance": digest(picture.radiance), "clipped": digest(picture.clipped), "unit": picture.unit}
+        for scale, width in (("auto", 64), ("log", 90), ("linear", 128)):
+            content, headers = render(picture, width=width, scale=scale, colours=colours, bar=scale != "log")
+            shown = np.asarray(Image.open(io.BytesIO(content)))
+            kept = shown[:, : width + (30 if scale != "log" else 0)]
+            told[name][scale] = {"size": list(shown.shape), "pixels": digest(kept[34:]), **headers}
+    assert not moved(f"pictures/{colours}", told, rel=1e-4)
