@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from radiometer.reconcile.fit.comparison import Comparison
 from radiometer.reconcile.fit.linear import RowBlock
 from radiometer.reconcile.measure.design import Array, Design
-from radiometer.reconcile.model.tile_model import Nuisance, TileModel
+from radiometer.reconcile.model.tile_model import Nuisance, TileModel, Trace
 from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.statistics import STATISTICS
 
@@ -43,18 +43,22 @@ class Change:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Here:
-    """The point at which derivatives are taken: a model and its nuisances, with what they predict and leave."""
+    """The point at which derivatives are taken: a model with its nuisances as it ran, and the whitened residual."""
 
     model: TileModel
     comparison: Comparison
-    nuisance: Nuisance
-    base: Prediction
+    trace: Trace
     residual: Array
+
+    @property
+    def nuisance(self) -> Nuisance:
+        """Return the nuisances."""
+        return self.trace.nuisance
 
     def change(self, moved: Nuisance, step: float) -> Change:
         """Return the finite difference to other nuisances that lie a step away."""
-        there = self.model.predict(moved)
-        return Change((there.mean - self.base.mean) / step, (self.comparison.residual(there) - self.residual) / step)
+        there, base = self.model.predict(moved, self.trace), self.trace.prediction
+        return Change((there.mean - base.mean) / step, (self.comparison.residual(there) - self.residual) / step)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -90,12 +90,12 @@ class FitState:
 
     def predicted_with(self, effects: Sequence[CatalogueEffect]) -> Prediction:
         """Return the expected statistics with other effects, nuisances as they are."""
-        return self.model.predict_again(self.trace, effects)
+        return self.model.with_effects(effects).predict(self.trace.nuisance, self.trace)
 
     @cached_property
     def sensitivity(self) -> Array:
         """Return d(mean)/d(log light) in DN, (captures, tiles)."""
-        return light_response(self.model, self.nuisance, self.prediction)[0]
+        return light_response(self.model, self.trace)[0]
 
     @cached_property
     def term_columns(self) -> Array:
@@ -148,7 +148,7 @@ class FitState:
 
     @cached_property
     def _nuisance_derivatives(self) -> tuple[Array, RowBlock]:
-        here = Here(self.model, self.comparison, self.nuisance, self.prediction, self.plain_residual)
+        here = Here(self.model, self.comparison, self.trace, self.plain_residual)
         return self.layout.derivatives(here, self.values)
 
     @cached_property
@@ -251,7 +251,7 @@ def reweighted(state: FitState) -> FitState:
         *error_of_borders(state.comparison.usable["edge"]),
     )
     terms = (*smooth, *(LinearTerm.of(error) for error in errors))
-    floors = form_floors(state.model, state.nuisance, state.prediction)
+    floors = form_floors(state.model, state.trace)
     mask = state.comparison.usable
     again = weighted(state.seen, state.model, state.layout, state.values, terms, tau, floors, mask, state.trace)
     found = replace(again, weights=np.concatenate([kept, np.zeros(sum(t.size for t in terms) - kept.size)]))
@@ -298,17 +298,17 @@ def weighted(
     """
     design = model.design
     trace = trace or model.trace(layout.unpack(design, values))
-    nuisance, prediction = trace.nuisance, trace.prediction
-    sensitivity, response = light_response(model, nuisance, prediction)
+    prediction = trace.prediction
+    sensitivity, response = light_response(model, trace)
     flicker = relative_flicker(prediction) * (prediction.common_variance.max(axis=1) > 0)
     bands = (relative_bands(prediction), prediction.band_frequency)
     repeatability = Repeatability(tau, flicker, prediction.row_variance, *bands)
     mask = usable if isinstance(usable, dict) else usable_entries(design, seen, prediction)
-    darkness = darkness_of(model, nuisance, prediction, seen)
+    darkness = darkness_of(model, trace, seen)
     comparison = compare(design, seen, prediction, sensitivity, repeatability, response, floors, mask, darkness)
     weights = np.zeros(sum(term.size for term in terms))
     state = FitState(seen, model, layout, values, terms, weights, comparison, tau)
-    vars(state).update({"trace": trace, "sensitivity": sensitivity})
+    vars(state).update({"nuisance": trace.nuisance, "trace": trace, "sensitivity": sensitivity})
     return state
 
 

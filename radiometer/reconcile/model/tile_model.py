@@ -87,60 +87,66 @@ class TileModel:
         """Return the model of the same captures, all of them so much warmer."""
         return replace(self, context=self.context.warmed(kelvin))
 
-    def predict(self, nuisance: Nuisance) -> Prediction:
-        """Return the expected statistics."""
-        return self.trace(nuisance).prediction
-
-    def trace(self, nuisance: Nuisance) -> Trace:
-        """Return the expected statistics with the moments between the links of the chain."""
-        return self._walked(nuisance, self.links(nuisance), (self._scene(nuisance),))
-
-    def predict_again(self, trace: Trace, effects: Sequence[CatalogueEffect]) -> Prediction:
-        """Return the statistics expected with other effects, from the first link on that differs.
+    def predict(self, nuisance: Nuisance, like: Trace | None = None) -> Prediction:
+        """Return the expected statistics.
 
         Args:
-            trace: The chain as it ran with this model's effects.
-            effects: The effects to have instead.
+            nuisance: The nuisances.
+            like: The chain as it ran for the same captures with other effects or nuisances; only what comes behind the
+                first step that differs is worked out.
         """
-        old, new = self.effects, tuple(effects)
-        shared = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(old, new, strict=False)))
-        places = [place_for(effect, trace.links) for effect in (*old[shared:], *new[shared:])]
-        if not places:
-            return trace.prediction
-        model = self.with_effects(new)
-        return model._walked(trace.nuisance, trace.links, trace.between[: 1 + min(places)]).prediction
+        return self.trace(nuisance, like).prediction
 
-    # ---- the chain, link by link ---------------------------------------------------------------------------
+    def trace(self, nuisance: Nuisance, like: Trace | None = None) -> Trace:
+        """Return the expected statistics with the moments between the steps of the chain."""
+        links = self.links(nuisance, like)
+        chain, begun = self._chain(links), tuple[TileMoments, ...]()
+        if like is not None and like.shows(nuisance):
+            shared = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(like.chain, chain, strict=False)))
+            if shared == len(chain) == len(like.chain):
+                return like
+            begun = like.passed[: 1 + shared]
+        return self._walked(nuisance, links, chain, begun or (self._scene(nuisance),))
 
-    def links(self, nuisance: Nuisance) -> tuple[Effect, ...]:
-        """Return the links of the declared camera; effects act in front of the link that `place_for` gives."""
+    # ---- the chain, step by step ---------------------------------------------------------------------------
+
+    def links(self, nuisance: Nuisance, like: Trace | None = None) -> tuple[Effect, ...]:
+        """Return the links of the declared camera; effects act in front of the link that `place_for` gives.
+
+        Where a chain is known, its links that are as they were are the very ones.
+        """
+        if like is not None and nuisance.off is like.nuisance.off:
+            return like.links
         header = self.design.header
         ends = header.camera.full_well_e is not None and not self.passes_well
-        return undeclared_chain(header.camera, header.lens, nuisance.off, ends_in_well=ends)
+        links = undeclared_chain(header.camera, header.lens, nuisance.off, ends_in_well=ends)
+        known = {} if like is None else {type(link): link for link in like.links}
+        return tuple(_as_known(link, known.get(type(link))) for link in links)
 
-    def _walked(self, nuisance: Nuisance, links: tuple[Effect, ...], between: tuple[TileMoments, ...]) -> Trace:
-        """Return the chain walked on from the last of the moments in front of the first links."""
-        looks_back = any(effect.looks_back for effect in (*self.given, *self.effects))
-        model = self._looking_back(nuisance) if looks_back else self
-        beside, passed = model._beside(links), list(between)
-        for place in range(len(between) - 1, len(links) + 1):
-            passed.append(model._through((*beside[place], *links[place : place + 1]), passed[-1]))
-        light, gain = passed[1 + _first(links, ELECTRONS)].mean, self._gain(links, passed)
-        return Trace(nuisance, links, tuple(passed), model._summary(passed[-1], light, gain))
-
-    def _beside(self, links: tuple[Effect, ...]) -> dict[int, list[CatalogueEffect]]:
-        """Return the effects that act in front of each link, in the order of their stages."""
-        found: dict[int, list[CatalogueEffect]] = defaultdict(list)
+    def _chain(self, links: tuple[Effect, ...]) -> tuple[Effect, ...]:
+        """Return all steps in the order of the light: what acts in front of each link, by its stage, and the link."""
+        beside: dict[int, list[Effect]] = defaultdict(list)
         for effect in sorted((*self.given, *self.effects), key=in_order):
-            found[place_for(effect, links)].append(effect)
-        return found
+            beside[place_for(effect, links)].append(effect)
+        return tuple(step for place in range(len(links) + 1) for step in (*beside[place], *links[place : place + 1]))
 
-    def _through(self, effects: Sequence[Effect], moments: TileMoments) -> TileMoments:
-        for effect in effects:
-            after = effect.moments(moments, self.context)
-            assert isinstance(after, TileMoments)
-            moments = after
-        return moments
+    def _walked(
+        self, nuisance: Nuisance, links: tuple[Effect, ...], chain: tuple[Effect, ...], begun: tuple[TileMoments, ...]
+    ) -> Trace:
+        """Return the chain walked on from the last of the moments in front of its first steps."""
+        ahead = chain[len(begun) - 1 :]
+        looks_back = any(isinstance(step, CatalogueEffect) and step.looks_back for step in ahead)
+        model, passed = self._looking_back(nuisance) if looks_back else self, list(begun)
+        for step in ahead:
+            passed.append(model._through(step, passed[-1]))
+        light = _in_front(passed, links, chain, 1 + _first(links, ELECTRONS)).mean
+        gain = self._gain(links, _in_front(passed, links, chain, _first(links, DIGITAL_NUMBER)))
+        return Trace(nuisance, links, chain, tuple(passed), model._summary(passed[-1], light, gain))
+
+    def _through(self, step: Effect, moments: TileMoments) -> TileMoments:
+        after = step.moments(moments, self.context)
+        assert isinstance(after, TileMoments)
+        return after
 
     def _scene(self, nuisance: Nuisance) -> TileMoments:
         scene = (self.radiance * np.exp(nuisance.log_radiance))[self.design.pattern_index]
@@ -148,10 +154,10 @@ class TileModel:
         points = tilt_of(slopes[:, 0], slopes[:, 1]) if nuisance.slope.any() else 1.0
         return TileMoments.exactly(scene[:, :, None] * np.ones(4) * points)
 
-    def _gain(self, links: tuple[Effect, ...], passed: Sequence[TileMoments]) -> Array:
+    def _gain(self, links: tuple[Effect, ...], moments: TileMoments) -> Array:
         """Return DN per electron, (captures,)."""
-        at = _first(links, DIGITAL_NUMBER)
-        gain = np.asarray(links[at].slope(passed[at].mean, self.context), dtype=np.float64)
+        converter = links[_first(links, DIGITAL_NUMBER)]
+        gain = np.asarray(converter.slope(moments.mean, self.context), dtype=np.float64)
         return np.asarray(np.broadcast_to(gain, (len(self.design.captures), 1, 1))[:, 0, 0])
 
     def _looking_back(self, nuisance: Nuisance) -> TileModel:
@@ -161,10 +167,11 @@ class TileModel:
             effects=tuple(effect for effect in self.effects if not effect.looks_back),
             given=tuple(effect for effect in self.given if not effect.looks_back),
         )
-        links = self.links(nuisance)
-        beside, moments = ahead._beside(links), self._scene(nuisance)
-        for place in range(1 + _first(links, ELECTRONS)):
-            moments = ahead._through((*beside[place], links[place]), moments)
+        links, moments = self.links(nuisance), self._scene(nuisance)
+        for step in ahead._chain(links):
+            moments = ahead._through(step, moments)
+            if step.unit_out == ELECTRONS:
+                break
         signal = moments.mean.mean(axis=2)
         order = np.argsort([capture.frames[0] for capture in self.design.captures])
         before = np.zeros_like(signal)
@@ -240,14 +247,40 @@ class Trace:
     Attributes:
         nuisance: The nuisances.
         links: The links of the declared camera.
-        between: Moments in front of each link and of what acts before it, and behind the last.
+        chain: These and the effects, in the order of the light.
+        passed: Moments in front of each step of the chain, and behind the last.
         prediction: The expected statistics.
     """
 
     nuisance: Nuisance
     links: tuple[Effect, ...]
-    between: tuple[TileMoments, ...]
+    chain: tuple[Effect, ...]
+    passed: tuple[TileMoments, ...]
     prediction: Prediction
+
+    def in_front(self, place: int) -> TileMoments:
+        """Return the moments in front of a link and of what acts before it."""
+        return _in_front(self.passed, self.links, self.chain, place)
+
+    def shows(self, nuisance: Nuisance) -> bool:
+        """Tell whether the scene is that of these nuisances."""
+        return nuisance.log_radiance is self.nuisance.log_radiance and nuisance.slope is self.nuisance.slope
+
+
+def _in_front(
+    passed: Sequence[TileMoments], links: Sequence[Effect], chain: Sequence[Effect], place: int
+) -> TileMoments:
+    if not place:
+        return passed[0]
+    return passed[1 + next(at for at, step in enumerate(chain) if step is links[place - 1])]
+
+
+def _as_known(link: Effect, known: Effect | None) -> Effect:
+    """Return the known link of its kind where it is as that one, else the link."""
+    if known is None:
+        return link
+    pairs = ((getattr(link, name), getattr(known, name)) for name in link.values())
+    return known if all(a is b or (type(a) is type(b) is not np.ndarray and a == b) for a, b in pairs) else link
 
 
 def _first(links: Sequence[Effect], unit: str) -> int:

@@ -62,7 +62,7 @@ def _freed(effect: CatalogueEffect, at: Mapping[str, tuple[float, ...]]) -> Free
 
 def _knots(state: FitState, effect: CatalogueEffect, axis: str, count: int) -> tuple[float, ...]:
     """Return where so many knots lie along a covariate; each of few levels is one, none where it does not vary."""
-    before = state.trace.between[place_for(effect, state.trace.links)]
+    before = state.trace.in_front(place_for(effect, state.trace.links))
     values = axis_values(effect, axis, before.mean, state.model.context)
     if values is None:
         return ()
@@ -123,7 +123,7 @@ def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEff
     """
     most, found = worth(state), list[Mended]()
     for promises in (_of_one(start, alone), _in_place(start, state)):
-        found += [mended for mended in _tried(promises) if worth(mended.state) > most]
+        found += _tried(promises, most)
         if any(not is_misfit(mended.state) for mended in found):
             break
     if not found:
@@ -142,13 +142,13 @@ def worth(state: FitState) -> float:
 _Promise = tuple[float, FitState, FreeLaw]
 
 
-def _tried(promises: Iterator[_Promise]) -> Iterator[Mended]:
-    """Yield the models of the most promising forms, one for each name."""
+def _tried(promises: Iterator[_Promise], most: float) -> Iterator[Mended]:
+    """Yield the models of the most promising forms, one for each name, that are worth more than what was found."""
     tried = set[str]()
     for _, base, form in sorted(promises, key=lambda entry: -entry[0]):
         if form.name not in tried and len(tried) < _FITTED:
             tried.add(form.name)
-            mended = _fitted(base, form)
+            mended = _fitted(base, form, most)
             if mended is not None:
                 yield mended
 
@@ -183,10 +183,15 @@ def promise(base: FitState, form: CatalogueEffect) -> float:
     return base.fit.score(slice(0, base.comparison.size), followed)[0] / 2.0 - PARAMETER_NATS * len(form.free())
 
 
-def _fitted(base: FitState, form: FreeLaw) -> Mended | None:
-    """Return the model with a form, fitted in full; None where the plain law is far from what it comes to."""
+def _fitted(base: FitState, form: FreeLaw, most: float) -> Mended | None:
+    """Return the model with a form, fitted in full; None where its plain law is far from what it comes to.
+
+    None too where it is not worth more than `most`; how far its plain law comes is not asked then.
+    """
     try:
         state = included(base, form, far=True)
+        if worth(state) <= most:
+            return None
         plain = included(base, form.own, far=True)
     except (UnfitError, np.linalg.LinAlgError, ConfigurationError):
         return None
