@@ -202,9 +202,9 @@ class Noiseless(Comparison):
 
     offset: Array = field(default_factory=lambda: np.zeros(0))
 
-    def residual(self, prediction: Prediction) -> Array:
-        """Return expected minus predicted, whitened."""
-        return super().residual(prediction) - self.offset
+    def residuals(self, predictions: Sequence[Prediction]) -> Array:
+        """Return expected minus predicted, whitened, (entries, predictions)."""
+        return super().residuals(predictions) - self.offset[:, None]
 
 
 def noiseless(state: FitState, effect: CatalogueEffect) -> FitState:

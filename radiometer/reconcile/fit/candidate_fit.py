@@ -13,6 +13,7 @@ from radiometer.reconcile.fit.held_out import leave_one_group_out
 from radiometer.reconcile.fit.linear import descended
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
+from radiometer.reconcile.prediction import Prediction
 from simulators.effects.catalogue import CatalogueEffect
 
 _CONVERGED: Final = 0.02
@@ -103,9 +104,10 @@ def _fitted(state: FitState, start: _Trial) -> _Trial:
 
     def trials(trial: _Trial) -> Iterator[_Trial]:
         nonlocal damping
-        damping, columns = damping * _LESS, trial.columns(state)
+        damping = damping * _LESS
+        normal, right = trial.normal(state)
         for _ in range(_DAMPINGS):
-            further = trial.stepped(state, columns, damping)
+            further = trial.stepped(state, normal, right, damping)
             if further is not None:
                 yield further
             damping = max(damping * _MORE, _DAMPING)
@@ -116,7 +118,9 @@ def _fitted(state: FitState, start: _Trial) -> _Trial:
 @dataclass(frozen=True, eq=False)
 class _Trial:
     effect: CatalogueEffect
+    predicted: Prediction
     residual: Array
+    half: Array  # what the nuisances and earlier effects take up of it: L⁻¹·Jᵀ·residual
     cost: float
 
     @classmethod
@@ -124,24 +128,30 @@ class _Trial:
         """Return the trial of an effect: its residual, and its χ² after the nuisances followed."""
         predicted = state.predicted_with((*state.effects, effect))
         data = state.comparison.residual(predicted) - state.term_residual
-        fit = state.fit
-        residual = fit.followed(np.concatenate([data, state.residual[data.size :]]))
-        pulled = fit.half(fit.pull(residual))
-        return cls(effect, residual, float(residual @ residual - pulled @ pulled))
+        whole = np.concatenate([data, state.residual[data.size :]])
+        residual, half = state.fit.followed_with_half(whole)
+        return cls(effect, predicted, residual, half, float(residual @ residual - half @ half))
 
     def columns(self, state: FitState) -> Array:
         """Return −d(residual)/d(scaled parameter), prior rows included."""
-        own = state.parameters_of((self.effect,))
-        return -own.differences(lambda effects: _Trial.of(state, effects[0]).residual, self.residual)
+        return state.fit.followed(self._moves(state))
 
-    def stepped(self, state: FitState, columns: Array, damping: float) -> _Trial | None:
+    def _moves(self, state: FitState) -> Array:
+        """Return the same with followers that stand still."""
+
+        def moved_by(several: Sequence[Sequence[CatalogueEffect]]) -> Array:
+            return state.moved_by(self.predicted, [(*state.effects, *own) for own in several])
+
+        return state.pad(state.parameters_of((self.effect,)).differences(moved_by))
+
+    def normal(self, state: FitState) -> tuple[Array, Array]:
+        """Return AᵀA and Aᵀ·residual for the columns A freed of what the nuisances and earlier effects take up."""
+        columns, part = state.fit.followed_with_half(self._moves(state))
+        return columns.T @ columns - part.T @ part, columns.T @ self.residual - part.T @ self.half
+
+    def stepped(self, state: FitState, normal: Array, right: Array, damping: float) -> _Trial | None:
         """Return the trial after one damped Gauss–Newton step; None where the step is no number."""
         own = state.parameters_of((self.effect,))
-        fit = state.fit
-        part = fit.half(fit.pull(columns))
-        pulled = fit.half(fit.pull(self.residual))
-        normal = columns.T @ columns - part.T @ part
-        right = columns.T @ self.residual - part.T @ pulled
         lifted = normal + np.diag(damping * np.diag(normal) + 1e-9 * max(float(np.trace(normal)), 1e-12))
         step = np.linalg.solve(lifted, right)
         if not np.isfinite(step).all():

@@ -7,7 +7,7 @@ prediction under test, so that two models compared on one `Comparison` differ in
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -98,8 +98,23 @@ class Comparison:
 
     def residual(self, prediction: Prediction) -> Array:
         """Return measured minus predicted, whitened; 0 where an entry does not count."""
-        pieces = [self._residual_of(name, prediction).ravel() for name in STATISTICS]
-        return np.concatenate(pieces)
+        return self.residuals((prediction,))[:, 0]
+
+    def residuals(self, predictions: Sequence[Prediction]) -> Array:
+        """Return the same of several predictions, which costs little more than one, (entries, predictions)."""
+        left = ((name, self._compared(name)[..., None] - self._expected(name, predictions)) for name in STATISTICS)
+        return np.concatenate([self._weighed(name, values).reshape(-1, len(predictions)) for name, values in left])
+
+    def changes(self, base: Prediction, predictions: Sequence[Prediction]) -> Array:
+        """Return by how much the residuals of predictions differ from that of one, (entries, predictions).
+
+        It is exactly 0 where they expect the same.
+        """
+        if not predictions:
+            return np.zeros((self.size, 0))
+        expected = ((name, self._expected(name, (base, *predictions))) for name in STATISTICS)
+        moved = ((name, values[..., :1] - values[..., 1:]) for name, values in expected)
+        return np.concatenate([self._weighed(name, values).reshape(-1, len(predictions)) for name, values in moved])
 
     def whiten(self, block: str, values: Array) -> Array:
         """Return raw changes of a block (axes as the block, more may follow) in whitened units."""
@@ -155,21 +170,37 @@ class Comparison:
         """Return the scores of the bands where nothing is predicted to move the rows."""
         return self.band_scores(np.zeros_like(self.seen.bands_of_rows), np.zeros(len(self.design.captures)))
 
-    def _residual_of(self, name: str, prediction: Prediction) -> Array:
-        """Return measured minus predicted of one statistic, whitened; 0 where an entry does not count."""
+    def _weighed(self, name: str, values: Array) -> Array:
+        """Return what a statistic differs by in whitened units; lone scores have unit variance as they are."""
+        is_lone = STATISTICS[name].scale is Scale.SCORE and name not in self.whiteners
+        return values if is_lone else self.whiten(name, values)
+
+    def _compared(self, name: str) -> Array:
+        """Return what was measured, on the scale on which it is compared; of scores 0, for they hold it already."""
         scale = STATISTICS[name].scale
         if scale is Scale.SCORE:
-            scores = self._common(prediction) if name == "common" else self._bands(prediction)
-            return self.whiten(name, scores) if name in self.whiteners else scores
-        if scale is Scale.LOGARITHM:
-            return self.whiten(name, self._log_seen[name] - np.log(np.maximum(getattr(prediction, name), 1e-12)))
-        if scale is Scale.LINES:
-            return self.whiten(name, self._log_seen[name] - np.log(self._excess(name, prediction)))
+            return np.zeros(self.usable[name].shape)
         if scale is Scale.ROOT:
-            expected = _FALSE_OUTLIERS + np.maximum(getattr(prediction, name), 0.0)
-            return self.whiten(name, 2.0 * (np.sqrt(getattr(self.seen, name) + 0.375) - np.sqrt(expected + 0.375)))
-        expected = self._comb(prediction) if scale is Scale.COMB else getattr(prediction, name)
-        return self.whiten(name, self._seen[name] - expected)
+            return np.asarray(2.0 * np.sqrt(getattr(self.seen, name) + 0.375))
+        return self._log_seen[name] if name in self._log_seen else self._seen[name]
+
+    def _expected(self, name: str, predictions: Sequence[Prediction]) -> Array:
+        """Return the same of what is expected; the predictions are the last axis."""
+        scale = STATISTICS[name].scale
+        if scale is Scale.SCORE:
+            of_one = self._common if name == "common" else self._bands
+            return -np.stack([of_one(prediction) for prediction in predictions], axis=-1)
+        if scale is Scale.LINES:
+            return np.log(np.stack([self._excess(name, prediction) for prediction in predictions], axis=-1))
+        if scale is Scale.COMB:
+            combs = np.stack([self._comb(prediction) for prediction in predictions], axis=-1)
+            return np.broadcast_to(combs, (*self.usable[name].shape, len(predictions)))
+        expected = np.stack([getattr(prediction, name) for prediction in predictions], axis=-1)
+        if scale is Scale.LOGARITHM:
+            return np.asarray(np.log(np.maximum(expected, 1e-12)))
+        if scale is Scale.ROOT:
+            return np.asarray(2.0 * np.sqrt(_FALSE_OUTLIERS + np.maximum(expected, 0.0) + 0.375))
+        return expected
 
     @cached_property
     def _seen(self) -> dict[str, Array]:

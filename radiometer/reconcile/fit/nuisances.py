@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -43,22 +44,20 @@ class Change:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Here:
-    """The point at which derivatives are taken: a model with its nuisances as it ran, and the whitened residual."""
+    """The point at which derivatives are taken: a model with its nuisances as it ran."""
 
     model: TileModel
     comparison: Comparison
     trace: Trace
-    residual: Array
 
-    @property
-    def nuisance(self) -> Nuisance:
-        """Return the nuisances."""
-        return self.trace.nuisance
-
-    def change(self, moved: Nuisance, step: float) -> Change:
-        """Return the finite difference to other nuisances that lie a step away."""
-        there, base = self.model.predict(moved, self.trace), self.trace.prediction
-        return Change((there.mean - base.mean) / step, (self.comparison.residual(there) - self.residual) / step)
+    def changes(self, moves: Sequence[tuple[Nuisance, float]]) -> list[Change]:
+        """Return the finite differences to other nuisances, each of which lies a step away."""
+        base, there = self.trace.prediction, [self.model.predict(moved, self.trace) for moved, _ in moves]
+        changed = self.comparison.changes(base, there).T
+        return [
+            Change((found.mean - base.mean) / step, residual / step)
+            for found, residual, (_, step) in zip(there, changed, moves, strict=True)
+        ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,22 +159,31 @@ class NuisanceLayout:
             (entries, parameters), what lies beyond the last row being zero, and the rows that follow.
         """
         matrix = np.zeros((self._rows(here.comparison), self.size))
+        light, *others = here.changes([*self._moves(here.trace.nuisance)])
         for column, name in enumerate(self.scalars):
-            step = _SCALAR_STEP.get(name, _STEP)
-            shifted = {name: getattr(here.nuisance.off, name) + step}
-            if name == "log_gain":
-                shifted["log_responsivity"] = here.nuisance.off.log_responsivity - step
-            matrix[:, column] = -here.change(here.nuisance.with_off(**shifted), step).residual[: matrix.shape[0]]
+            matrix[:, column] = -others[column].residual[: matrix.shape[0]]
             if name == "log_responsivity":
                 _only_means(matrix, here.comparison, column)
-        light = here.change(replace(here.nuisance, log_radiance=here.nuisance.log_radiance + _STEP), _STEP)
         self._spread(matrix, here.comparison, light, self._radiances.start, _TILE_ROWS)
         if self.patterns:
             matrix[:, self._radiances] *= self._light(values)[1].ravel()
             matrix[:, self._common] = self._summed(matrix[:, self._radiances])
         if self.free_scene:
-            self._scene_columns(matrix, here)
+            self._scene_columns(matrix, here.comparison, *others[len(self.scalars) :])
         return matrix, self._followers(here.comparison, light, values)
+
+    def _moves(self, at: Nuisance) -> Iterator[tuple[Nuisance, float]]:
+        """Yield the nuisances a step away, and the step: of all light, each scalar, and all rises and textures."""
+        yield replace(at, log_radiance=at.log_radiance + _STEP), _STEP
+        for name in self.scalars:
+            step = _SCALAR_STEP.get(name, _STEP)
+            shifted = {name: getattr(at.off, name) + step}
+            if name == "log_gain":
+                shifted["log_responsivity"] = at.off.log_responsivity - step
+            yield at.with_off(**shifted), step
+        if self.free_scene:
+            yield replace(at, slope=at.slope + _SLOPE_STEP), _SLOPE_STEP
+            yield at.with_off(texture=at.off.texture + _TEXTURE_STEP), _TEXTURE_STEP
 
     def _followers(self, comparison: Comparison, light: Change, values: Array) -> RowBlock:
         matrix = np.zeros((comparison.size, self.size))
@@ -214,18 +222,16 @@ class NuisanceLayout:
             return comparison.size
         return int(max(comparison.cuts[block].stop for block in _TILE_ROWS))
 
-    def _scene_columns(self, matrix: Array, here: Here) -> None:
+    def _scene_columns(self, matrix: Array, comparison: Comparison, slopes: Change, texture: Change) -> None:
         """Write the columns of the rises, each of which shows in a statistic of its own, and of the texture."""
         start = self._common.stop
-        change = here.change(replace(here.nuisance, slope=here.nuisance.slope + _SLOPE_STEP), _SLOPE_STEP)
         for number, pattern in enumerate(self.patterns):
             for axis, name in enumerate(("slope_x", "slope_y")):
                 first = start + (2 * number + axis) * self.tiles
-                self._spread(matrix, here.comparison, change, first, (name,), only=pattern)
+                self._spread(matrix, comparison, slopes, first, (name,), only=pattern)
         first = start + 2 * len(self.patterns) * self.tiles
-        change = here.change(here.nuisance.with_off(texture=here.nuisance.off.texture + _TEXTURE_STEP), _TEXTURE_STEP)
         for pattern in self.patterns:
-            self._spread(matrix, here.comparison, change, first, ("spatial",), only=pattern)
+            self._spread(matrix, comparison, texture, first, ("spatial",), only=pattern)
 
     def _spread(
         self,

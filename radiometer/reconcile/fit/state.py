@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
@@ -148,7 +148,7 @@ class FitState:
 
     @cached_property
     def _nuisance_derivatives(self) -> tuple[Array, RowBlock]:
-        here = Here(self.model, self.comparison, self.trace, self.plain_residual)
+        here = Here(self.model, self.comparison, self.trace)
         return self.layout.derivatives(here, self.values)
 
     @cached_property
@@ -163,10 +163,18 @@ class FitState:
     def effect_jacobian(self) -> Array:
         """Return −d(residual)/d(scaled effect parameter), prior rows (zero) included."""
 
-        def residual_of(effects: tuple[CatalogueEffect, ...]) -> Array:
-            return self.comparison.residual(self.predicted_with(effects))
+        return self.pad(self.parameters.differences(partial(self.moved_by, self.prediction)))
 
-        return self.pad(-self.parameters.differences(residual_of, self.plain_residual))
+    def moved_by(self, base: Prediction, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
+        """Return what sets of effects change of the whitened prediction of the data, (entries, sets).
+
+        Nuisances stay as they are.
+
+        Args:
+            base: Prediction that they are held against.
+            several: Effects to have instead of the model's.
+        """
+        return -self.comparison.changes(base, [self.predicted_with(effects) for effects in several])
 
     @cached_property
     def fit(self) -> LinearFit:

@@ -92,26 +92,23 @@ class EffectParameters:
 
     def differences(
         self,
-        statistics_of: Callable[[tuple[CatalogueEffect, ...]], Array],
-        at: Array,
+        changes_of: Callable[[Sequence[tuple[CatalogueEffect, ...]]], Array],
         share: float = _STEP,
         only: Sequence[int] | None = None,
     ) -> Array:
         """Return d(statistics)/d(scaled parameter) by one-sided steps within the bounds, (entries, parameters).
 
         Args:
-            statistics_of: Gives (entries,) statistics for effects.
-            at: The same for the parameters as they are.
+            changes_of: Gives what statistics of several sets of effects differ by from those of these, (entries, sets).
             share: Step in units of the scales.
             only: Positions of the parameters that are moved; by default all are.
         """
-        values, found = self.values, []
-        for index in range(self.size) if only is None else only:
-            step = share if values[index] + share * self.scale[index] <= self.high[index] else -share
-            moved = values.copy()
-            moved[index] += step * self.scale[index]
-            found.append((statistics_of(self.replaced(moved)) - at) / step)
-        return np.stack(found, axis=1) if found else np.zeros((at.size, 0))
+        index = np.arange(self.size) if only is None else np.array(only, dtype=np.intp)
+        values, scale = self.values, self.scale[index]
+        steps = np.where(values[index] + share * scale <= self.high[index], share, -share)
+        moved = np.tile(values, (index.size, 1))
+        moved[np.arange(index.size), index] += steps * scale
+        return changes_of([self.replaced(one) for one in moved]) / steps
 
 
 def _changed(effect: CatalogueEffect, values: dict[str, Any]) -> CatalogueEffect:

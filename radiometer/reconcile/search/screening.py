@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from typing import Final
 
@@ -14,6 +15,7 @@ from radiometer.reconcile.fit.candidate_fit import Candidate
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.measure.seen import COMB_PERIODS, CaptureStatistics
+from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.search.starts import StartPool
 from radiometer.reconcile.statistics import seen_step
 from simulators.effects.catalogue import CatalogueEffect
@@ -83,18 +85,22 @@ def _best(candidates: Sequence[Candidate]) -> list[Candidate]:
     return [replace(ranked[0], others=tuple(others[1:]))] if ranked else []
 
 
-def change_of(state: FitState, effects: Sequence[CatalogueEffect]) -> Array:
-    """Return what a set of effects changes in the whitened data residual (minus the residual's change).
+def changes_with(state: FitState, base: Prediction, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
+    """Return what sets of effects change in the whitened data residual (minus the residual's change), (entries, sets).
+
+    Args:
+        state: The fitted model.
+        base: Prediction that they are held against.
+        several: The sets.
 
     Raises:
-        MeasurementError: If the prediction with them is not finite.
+        MeasurementError: If the prediction with one of them is not finite.
     """
-    moved = state.predicted_with(effects)
-    changed = state.comparison.residual(moved)
-    if not np.isfinite(changed).all():
-        names = ", ".join(effect.name for effect in effects)
+    changed = state.moved_by(base, several)
+    for number in np.flatnonzero(~np.isfinite(changed).all(axis=0))[:1].tolist():
+        names = ", ".join(effect.name for effect in several[number])
         raise MeasurementError(f"the prediction with {names} is not finite; report this with the capture set")
-    return np.asarray(state.plain_residual - changed)
+    return changed
 
 
 def changes_of(state: FitState, effects: Sequence[CatalogueEffect]) -> Array:
@@ -103,7 +109,7 @@ def changes_of(state: FitState, effects: Sequence[CatalogueEffect]) -> Array:
     Raises:
         MeasurementError: If the prediction with one of them is not finite.
     """
-    return np.stack([change_of(state, (*state.effects, effect)) for effect in effects], axis=1)
+    return changes_with(state, state.prediction, [(*state.effects, effect) for effect in effects])
 
 
 def _rigid(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate]:
@@ -175,7 +181,7 @@ def directions_of(state: FitState, effects: Sequence[CatalogueEffect], index: in
     Returns:
         (entries, 1 + parameters).
     """
-    at, own = change_of(state, effects), state.parameters_of(effects)
+    at, own = changes_with(state, state.prediction, [effects])[:, 0], state.parameters_of(effects)
     only = own.of_effect(index)[first:]
-    moves = own.differences(lambda changed: change_of(state, changed), at, _FAR_STEP, only)
+    moves = own.differences(partial(changes_with, state, state.predicted_with(effects)), _FAR_STEP, only)
     return np.column_stack([at, moves])
