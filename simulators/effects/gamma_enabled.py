@@ -17,6 +17,7 @@ _FAR_NODES, _FAR_WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
 _FAR_OFF: Final = (_FAR_NODES, _FAR_WEIGHTS / np.sum(_FAR_WEIGHTS))
 _CORNER: Final = 6.0  # sigmas from it within which its steps are needed; the nodes beyond reach 4.5
 _LEAST_DN2: Final = 1e-6
+_AT_ONCE: Final = 512  # values whose quadrature a processor's nearest memory holds
 
 
 @dataclass(frozen=True)
@@ -64,10 +65,12 @@ class GammaEnabled(CatalogueEffect):
         return cast(Signal, self._bent(signal, black, room).astype(signal.dtype))
 
     def _bent(self, signal: Any, black: Any, room: Any) -> Any:
-        share = np.abs(signal - black) / room if self.above_black else np.maximum(signal / room, 0.0)
-        bent = np.where(share > self.toe, share ** (1.0 / self.gamma), share * self._lift())
-        turned = np.where(signal < black, -bent, bent) if self.above_black else bent
-        return black + room * turned
+        off = signal - black
+        share = np.abs(off) / room if self.above_black else np.maximum(signal / room, 0.0)
+        bent = share ** (1.0 / self.gamma)
+        if self.toe:
+            bent = np.where(share > self.toe, bent, share * self._lift())
+        return black + room * (np.copysign(bent, off) if self.above_black else bent)
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
         """Return d(mean)/d(signal)."""
@@ -98,11 +101,15 @@ class GammaEnabled(CatalogueEffect):
         off = np.abs(middle - black)
         close = np.minimum(off, np.abs(off - self.toe * room)) < _CORNER * sigma
         for some, (nodes, weights) in ((close, _ABOUT_CORNER), (~close, _FAR_OFF)):
-            if some.any():
-                at, spread = middle[some], sigma[some]
-                bent = self._bent(at + nodes[:, None] * spread, black[some], room[some])
+            of_some = np.empty((3, np.count_nonzero(some)))
+            given = (middle[some], sigma[some], black[some], room[some])
+            for first in range(0, of_some.shape[1], _AT_ONCE):
+                part = slice(first, first + _AT_ONCE)
+                at, spread, *reach = (values[part] for values in given)
+                bent = self._bent(at + nodes[:, None] * spread, *reach)
                 after = weights @ bent
-                found[:, some] = after, weights @ (bent - after) ** 2, (weights * nodes) @ bent / spread
+                of_some[:, part] = after, weights @ (bent - after) ** 2, (weights * nodes) @ bent / spread
+            found[:, some] = of_some
         return found[0], found[1], found[2]
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:

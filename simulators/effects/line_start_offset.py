@@ -14,6 +14,10 @@ from simulators.effects.context import ExposureContext
 from simulators.effects.tile_moments import TileMoments
 
 _STRIPS: Final = 64  # of a tile, for the law may fall within few pixels
+_PLACES: Final = (2.0 * np.arange(_STRIPS) + 1.0) / _STRIPS - 1.0  # their middles, −1 to 1
+_SURFACE: Final = np.linalg.qr(np.vander(_PLACES, 3, increasing=True))[
+    0
+]  # what a quadratic surface may be along a tile
 _GAUSS: Final = 1.0 / math.sqrt(3.0)
 
 
@@ -56,8 +60,7 @@ class LineStartOffset(Offset):
         at = self._in_strips(context)
         if at is None:
             return self._law(along)
-        u = _places()
-        mean, rise = at.mean(axis=-1, keepdims=True), (at @ u / float(u @ u))[..., None]
+        mean, rise = at.mean(axis=-1, keepdims=True), (at @ _PLACES / float(_PLACES @ _PLACES))[..., None]
         side = np.sign(along - along.mean(axis=-1, keepdims=True))
         return mean + _GAUSS * rise * side
 
@@ -66,9 +69,7 @@ class LineStartOffset(Offset):
         at = self._in_strips(context)
         if at is None:
             return after
-        u = _places()
-        surface, _ = np.linalg.qr(np.stack([np.ones_like(u), u, u * u], axis=1))
-        left = at - (at @ surface) @ surface.T
+        left = at - (at @ _SURFACE) @ _SURFACE.T
         columns = np.mean(np.square(left), axis=-1, keepdims=True).mean(axis=-2, keepdims=True)
         return after.changed(fixed_column_variance=before.fixed_column_variance + columns)
 
@@ -89,9 +90,4 @@ class LineStartOffset(Offset):
         half = 0.5 * getattr(context, "tile_pixels", 1.0) / height / context.geometry.sensor_width
         reach = half / _STRIPS / self.decay_share  # half a strip: the mean of exp over ±r is sinh(r)/r
         middle = self._read_share(context).mean(axis=-1, keepdims=True)
-        return self._law(middle + half * _places()) * np.sinh(reach) / reach
-
-
-def _places() -> Any:
-    """Return the middles of a tile's strips, −1 to 1."""
-    return (2.0 * np.arange(_STRIPS) + 1.0) / _STRIPS - 1.0
+        return self._law(middle + half * _PLACES) * np.sinh(reach) / reach

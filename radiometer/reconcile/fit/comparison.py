@@ -394,11 +394,11 @@ def _common_bands(design: Design, seen: CaptureStatistics, prediction: Predictio
 
 def _steady_wander2(plain: Comparison, base: Prediction) -> float:
     """Return the relative variance by which the source wanders from frame to frame, whatever the exposure."""
-    tried = (0.0, *np.geomspace(1e-9, 1e-3, _WANDERS).tolist())
-    deviances = np.array([replace(plain, wander2=wander2).common_deviances(base) for wander2 in tried])
+    tried = np.array((0.0, *np.geomspace(1e-9, 1e-3, _WANDERS)))
+    deviances = plain.deviances_of_flicker(plain.flicker_of(base) + tried[:, None], base.row_variance)
     lit = plain.usable["common"] & ~plain.design.closed & (plain.design.source_level > 0)
     declared = plain.design.header.source.reproducibility_u_rel
-    return steady_wander2(np.asarray(tried), deviances[:, lit], plain.design.exposure_s[lit], declared)
+    return steady_wander2(tried, deviances[:, lit], plain.design.exposure_s[lit], declared)
 
 
 def _cuts(design: Design) -> dict[str, slice]:

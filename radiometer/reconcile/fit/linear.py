@@ -34,23 +34,19 @@ class RowBlock:
     values: Array
 
     @classmethod
-    def of(cls, *matrices: Array, below: Array | None = None, first: int = 0) -> RowBlock:
-        """Return the block of matrices side by side, their missing rows zero, and of one below from row `first` on."""
-        there = np.zeros(max(matrix.shape[0] for matrix in matrices), np.bool_)
-        for matrix in matrices:
-            there[: matrix.shape[0]] |= matrix.any(axis=1)
-        rows = np.flatnonzero(there)
-        more = 0 if below is None else below.shape[0]
-        values = np.zeros((rows.size + more, sum(matrix.shape[1] for matrix in matrices)))
-        at = 0
-        for matrix in matrices:
-            held = rows[rows < matrix.shape[0]]  # rising: the first ones
-            values[: held.size, at : at + matrix.shape[1]] = matrix[held]
-            at += matrix.shape[1]
-        if below is None:
-            return cls(rows, values)
+    def of(cls, matrix: Array) -> RowBlock:
+        """Return the block of a matrix."""
+        rows = np.flatnonzero(matrix.any(axis=1))
+        return cls(rows, matrix[rows])
+
+    def beside(self, matrix: Array, below: Array) -> RowBlock:
+        """Return the block with a matrix of all rows beside it, and one of further rows below both."""
+        rows = np.union1d(self.rows, np.flatnonzero(matrix.any(axis=1)))
+        values = np.zeros((rows.size + below.shape[0], below.shape[1]))
+        values[np.searchsorted(rows, self.rows), : self.columns] = self.values
+        values[: rows.size, self.columns :] = matrix[rows]
         values[rows.size :] = below
-        return cls(np.concatenate([rows, first + np.arange(more)]), values)
+        return RowBlock(np.concatenate([rows, matrix.shape[0] + np.arange(below.shape[0])]), values)
 
     @property
     def columns(self) -> int:

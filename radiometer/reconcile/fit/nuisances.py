@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -146,7 +146,7 @@ class NuisanceLayout:
         known["log_responsivity"] -= known.get("log_gain", 0.0)
         return replace(start, log_radiance=radiance, slope=slope).with_off(texture=texture, **known)
 
-    def derivatives(self, here: Here, values: Array) -> tuple[Array, RowBlock]:
+    def derivatives(self, here: Here, values: Array) -> tuple[RowBlock, RowBlock]:
         """Return −d(residual)/d(parameter): of what tells the light, and of the variances as far as they follow it.
 
         The latter do not say how much light there is (see `_only_means`), but the light says how large they are.
@@ -156,21 +156,39 @@ class NuisanceLayout:
             values: The parameters there.
 
         Returns:
-            (entries, parameters), what lies beyond the last row being zero, and the rows that follow.
+            (entries, parameters) of the former, and of the latter.
         """
-        matrix = np.zeros((self._rows(here.comparison), self.size))
         light, *others = here.changes([*self._moves(here.trace.nuisance)])
-        for column, name in enumerate(self.scalars):
-            matrix[:, column] = -others[column].residual[: matrix.shape[0]]
-            if name == "log_responsivity":
-                _only_means(matrix, here.comparison, column)
-        self._spread(matrix, here.comparison, light, self._radiances.start, _TILE_ROWS)
+        scalars, scene = others[: len(self.scalars)], others[len(self.scalars) :]
+        alone = np.stack([-change.residual for change in scalars], axis=1)
+        _only_means(alone, here.comparison, self.scalars.index("log_responsivity"))
+        shows = [(light, _TILE_ROWS), *zip(scene, (("slope_x", "slope_y"), ("spatial",)), strict=False)]
+        rows = np.flatnonzero(alone.any(axis=1) | _moved_rows(here.comparison, shows))
+        tiles = _TileColumns(here.comparison, rows, self.size, self.patterns)
+        tiles.matrix[:, : len(scalars)] = alone[rows]
+        tiles.write(light, self._radiances.start, _TILE_ROWS)
+        self._share(tiles.matrix, values)
+        start = self._common.stop
+        for number, pattern in enumerate(self.patterns if scene else ()):
+            for axis, name in enumerate(("slope_x", "slope_y")):
+                tiles.write(scene[0], start + (2 * number + axis) * self.tiles, (name,), only=pattern)
+            tiles.write(scene[1], start + 2 * len(self.patterns) * self.tiles, ("spatial",), only=pattern)
+        return RowBlock(rows, tiles.matrix), self._followers(here.comparison, light, values)
+
+    def _share(self, matrix: Array, values: Array) -> None:
+        """Turn columns of the light of each patch into those of its own error, and write those of shared ones."""
         if self.patterns:
             matrix[:, self._radiances] *= self._light(values)[1].ravel()
             matrix[:, self._common] = self._summed(matrix[:, self._radiances])
-        if self.free_scene:
-            self._scene_columns(matrix, here.comparison, *others[len(self.scalars) :])
-        return matrix, self._followers(here.comparison, light, values)
+
+    def _followers(self, comparison: Comparison, light: Change, values: Array) -> RowBlock:
+        rows = np.flatnonzero(_moved_rows(comparison, [(light, _FOLLOWING)]))
+        tiles = _TileColumns(comparison, rows, self.size, self.patterns)
+        tiles.write(light, self._radiances.start, _FOLLOWING)
+        if self.patterns and "log_gain" not in self.scalars:
+            tiles.matrix[:, 0] = tiles.matrix[:, self._radiances].sum(axis=1)
+        self._share(tiles.matrix, values)
+        return RowBlock(rows, tiles.matrix)
 
     def _moves(self, at: Nuisance) -> Iterator[tuple[Nuisance, float]]:
         """Yield the nuisances a step away, and the step: of all light, each scalar, and all rises and textures."""
@@ -184,22 +202,6 @@ class NuisanceLayout:
         if self.free_scene:
             yield replace(at, slope=at.slope + _SLOPE_STEP), _SLOPE_STEP
             yield at.with_off(texture=at.off.texture + _TEXTURE_STEP), _TEXTURE_STEP
-
-    def _followers(self, comparison: Comparison, light: Change, values: Array) -> RowBlock:
-        matrix = np.zeros((comparison.size, self.size))
-        if not self.patterns:
-            return RowBlock.of(matrix[:0])
-        self._spread(matrix, comparison, light, self._radiances.start, _FOLLOWING)
-        cuts = [comparison.cuts[block] for block in _FOLLOWING]
-        first = min(cut.start for cut in cuts)
-        matrix = matrix[first : max(cut.stop for cut in cuts)]
-        own = matrix[:, self._radiances]
-        if "log_gain" not in self.scalars:
-            matrix[:, 0] = own.sum(axis=1)
-        own *= self._light(values)[1].ravel()
-        matrix[:, self._common] = self._summed(own)
-        block = RowBlock.of(matrix)
-        return RowBlock(first + block.rows, block.values)
 
     def _light(self, values: Array) -> tuple[Array, Array]:
         """Return ln of the factor on each patch's radiance, and its derivative, (patterns, tiles).
@@ -216,53 +218,59 @@ class NuisanceLayout:
         factor, slope = _light_factor(np.where(stated, relative, 0.0))
         return np.where(stated, np.log(factor), relative), np.where(stated, slope / factor, 1.0)
 
-    def _rows(self, comparison: Comparison) -> int:
-        """Return how many of the first entries can change at all: of known scenes the means and slopes alone."""
-        if self.free_scene or len(self.scalars) > 1:
-            return comparison.size
-        return int(max(comparison.cuts[block].stop for block in _TILE_ROWS))
 
-    def _scene_columns(self, matrix: Array, comparison: Comparison, slopes: Change, texture: Change) -> None:
-        """Write the columns of the rises, each of which shows in a statistic of its own, and of the texture."""
-        start = self._common.stop
-        for number, pattern in enumerate(self.patterns):
-            for axis, name in enumerate(("slope_x", "slope_y")):
-                first = start + (2 * number + axis) * self.tiles
-                self._spread(matrix, comparison, slopes, first, (name,), only=pattern)
-        first = start + 2 * len(self.patterns) * self.tiles
-        for pattern in self.patterns:
-            self._spread(matrix, comparison, texture, first, ("spatial",), only=pattern)
+class _TileColumns:
+    """Columns of the tiles (and patterns), zero but in some rows.
 
-    def _spread(
-        self,
-        matrix: Array,
-        comparison: Comparison,
-        change: Change,
-        first: int,
-        blocks: tuple[str, ...],
-        only: int | None = None,
+    Attributes:
+        matrix: (rows, parameters).
+    """
+
+    def __init__(
+        self, comparison: Comparison, rows: NDArray[np.intp], parameters: int, patterns: tuple[int, ...]
     ) -> None:
-        """Write the change of each tile into the column of that tile (and pattern)."""
-        position = {pattern: number for number, pattern in enumerate(self.patterns)}
-        pattern_of = comparison.design.pattern_index
-        chosen = [
-            c for c in range(pattern_of.size) if pattern_of[c] in position and (only is None or pattern_of[c] == only)
-        ]
-        captures = np.array(chosen, dtype=np.intp)
-        tiles = np.arange(self.tiles)
-        offset = np.array([0 if only is not None else position[pattern_of[c]] * self.tiles for c in chosen], np.intp)
-        own = first + offset[:, None] + tiles
+        self.matrix = np.zeros((rows.size, parameters))
+        self._comparison, self._patterns = comparison, patterns
+        self._place = np.full(comparison.size, -1, dtype=np.intp)
+        self._place[rows] = np.arange(rows.size)
+
+    def write(self, change: Change, first: int, blocks: tuple[str, ...], only: int | None = None) -> None:
+        """Write the change of each tile into the column of that tile (and pattern).
+
+        Args:
+            change: What changes.
+            first: The first of those columns.
+            blocks: Statistics of which it is written.
+            only: The only pattern whose captures count; by default each has columns of its own.
+        """
+        comparison = self._comparison
+        pattern_of, tiles = comparison.design.pattern_index, np.arange(len(comparison.design.tiles))
+        captures = np.flatnonzero(np.isin(pattern_of, self._patterns if only is None else (only,)))
+        number = np.searchsorted(self._patterns, pattern_of[captures]) if only is None else np.zeros_like(captures)
+        own = first + number[:, None] * tiles.size + tiles
         for block in blocks:
             cut = comparison.cuts[block]
-            rows = cut.start + captures[:, None] * self.tiles + tiles
+            rows = self._place[cut.start + captures[:, None] * tiles.size + tiles]
             if block == "mean":
                 means = np.where(comparison.usable["mean"], change.mean, 0.0)
                 values = comparison.whiteners["mean"][captures] * means[captures][:, None, :]
-                matrix[rows[:, :, None], own[:, None, :]] += values
+                there = rows[:, 0] >= 0
+                self.matrix[rows[there][:, :, None], own[there][:, None, :]] += values[there]
                 continue
-            values = -change.residual[cut].reshape(-1, self.tiles)
-            if values.any():
-                matrix[rows, own] += values[captures]
+            there = rows >= 0
+            self.matrix[rows[there], own[there]] -= change.residual[cut].reshape(-1, tiles.size)[captures][there]
+
+
+def _moved_rows(comparison: Comparison, shows: Iterable[tuple[Change, tuple[str, ...]]]) -> NDArray[np.bool_]:
+    """Tell which entries changes move, each in its own statistics; means of one capture are whitened together."""
+    moved = np.zeros(comparison.size, np.bool_)
+    for change, blocks in shows:
+        for block in blocks:
+            cut = comparison.cuts[block]
+            moved[cut] |= change.residual[cut] != 0
+            if block == "mean":
+                moved[cut] |= np.repeat((change.mean != 0).any(axis=1), change.mean.shape[1])
+    return moved
 
 
 _TILE_ROWS: Final = tuple(name for name, row in STATISTICS.items() if row.tells_light)

@@ -147,7 +147,7 @@ class FitState:
         return max(1.0, self.cost / max(int(self.comparison.counts().sum()), 1))
 
     @cached_property
-    def _nuisance_derivatives(self) -> tuple[Array, RowBlock]:
+    def _nuisance_derivatives(self) -> tuple[RowBlock, RowBlock]:
         here = Here(self.model, self.comparison, self.trace)
         return self.layout.derivatives(here, self.values)
 
@@ -157,7 +157,7 @@ class FitState:
         data = self._nuisance_derivatives[0]
         prior = np.concatenate([self.layout.prior, self._term_prior])
         _, priors = prior_rows(prior, np.zeros(prior.size))
-        return RowBlock.of(data, self.term_columns, below=priors, first=self.comparison.size)
+        return data.beside(self.term_columns, priors)
 
     @cached_property
     def effect_jacobian(self) -> Array:

@@ -106,16 +106,16 @@ def test_more_effects_stand_beside_those_before(seed):
 def test_a_block_keeps_the_rows_that_hold_something(seed, below):
     """Columns side by side, missing rows nought, priors below: the matrix itself, with nought where nothing stood."""
     rng = np.random.default_rng(seed)
-    one, two = rng.standard_normal((12, 2)), rng.standard_normal((20, 3))
-    one[3:7], two[3:9] = 0.0, 0.0
+    one, two = rng.standard_normal((30, 2)), rng.standard_normal((30, 3))
+    one[3:7], two[3:9], one[12:], two[20:] = 0.0, 0.0, 0.0, 0.0
     priors = rng.standard_normal((below, 5))
-    block = RowBlock.of(one, two, below=priors, first=30)
-    whole = np.zeros((30 + below, 5))
-    whole[:12, :2], whole[:20, 2:], whole[30:] = one, two, priors
+    block = RowBlock.of(one).beside(two, priors)
+    whole = np.block([[one, two], [priors]])
     rebuilt = np.zeros_like(whole)
     rebuilt[block.rows] = block.values
     assert np.array_equal(rebuilt, whole)
     assert np.all(np.diff(block.rows) > 0)
+    assert block.rows.size == 30 - 4 - 10 + below
     assert block.columns == 5
     assert block.normal == pytest.approx(whole.T @ whole)
     assert block.factor @ block.factor.T == pytest.approx(whole.T @ whole, rel=1e-6)
