@@ -178,11 +178,7 @@ class Effect(ABC):
         """
         mean = before.mean
         after = before.passed(self.mean(mean, context), self.slope(mean, context))
-        added = {
-            "variance": self.variance(mean, context),
-            "spatial_variance": self.spatial_variance(mean, context),
-            "common_variance": self.common_variance(mean, context),
-        }
+        added = {name: getattr(self, name)(mean, context) for name in _added_by(type(self))}
         more = {name: getattr(after, name) + v for name, v in added.items() if not isinstance(v, float) or v}
         if not (isinstance(after, TileMoments) and isinstance(before, TileMoments)):
             return after.changed(**more)
@@ -200,6 +196,12 @@ class Effect(ABC):
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with what the effect does to the other statistics of a tile; nothing by default."""
         return after
+
+
+@cache
+def _added_by(kind: type[Effect]) -> tuple[str, ...]:
+    """Return the variances that an effect adds to, by name: those that it says anything about."""
+    return tuple(name for name in Moments.squared if getattr(kind, name) is not getattr(Effect, name))
 
 
 @cache

@@ -14,9 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.reconcile.chances import deviances
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
+from radiometer.reconcile.measure.row_bands import RowBins, wave_power
 from radiometer.reconcile.noise.shared_errors import mixing_of_bands, relative_bands
 from simulators.effects.catalogue import CatalogueEffect, Scaling
 from simulators.effects.tile_moments import TileMoments
@@ -156,39 +156,50 @@ def _of_bands(state: FitState, starts: Starts) -> Starts:
 
 @dataclass(frozen=True, slots=True)
 class _Rated:
-    """A wave of its likeliest size: the deviance of the bands under it, and its periods per row."""
+    """A wave at its likeliest size, a factor on its start's: the deviance of the bands, and its periods per row."""
 
     deviance: float
-    wave: CatalogueEffect
+    start: CatalogueEffect
+    size: float
     per_row: float
+
+    @property
+    def wave(self) -> CatalogueEffect:
+        """Return the wave of that size."""
+        return self.start.resized(self.size)
 
 
 class _WaveRater:
+    """Rates waves by the bands that count, (entries,), of the captures that have any."""
+
     def __init__(self, state: FitState) -> None:
-        self._comparison, self._context = state.comparison, state.model.context
-        self._captures, self._rows = len(state.design.captures), state.design.shape[0]
-        prediction, seen = state.prediction, state.comparison.seen
-        here = self._comparison.band_power(relative_bands(prediction), prediction.band_frequency)
+        comparison, prediction, seen = state.comparison, state.prediction, state.comparison.seen
+        here = comparison.band_power(relative_bands(prediction), prediction.band_frequency)
         mixed = mixing_of_bands(prediction, state.design) if prediction.mixed_x.any() else 0.0
-        self._steady = 1.0 + prediction.row_variance[:, None] * seen.bands_of_rows + here + mixed
-        self._mask = self._comparison.usable["bands"]
-        self._more = float(np.sum(np.where(self._mask, np.maximum(seen.bands - self._steady, 0.0), 0.0)))
+        mask = comparison.usable["bands"]
+        self._captures = mask.any(axis=1)
+        self._there = np.nonzero(mask[self._captures])
+        self._steady = (1.0 + prediction.row_variance[:, None] * seen.bands_of_rows + here + mixed)[mask]
+        self._seen, self._dof = seen.bands[mask], np.broadcast_to(comparison.band_freedom, mask.shape)[mask]
+        self._more = float(np.sum(np.maximum(self._seen - self._steady, 0.0)))
+        self._bins, self._basis = RowBins.of(state.design), seen.bands_basis[self._captures]
+        self._context, self._rows = state.model.context, state.design.shape[0]
+        self._one = TileMoments.exactly(np.ones((self._captures.size, 1, 1)))
         self._waves: dict[float, Array] = {}
-        self.nothing = self._deviance(self._steady)
+        self.nothing = float(self._deviances(self._steady))
 
     def sized(self, start: CatalogueEffect) -> _Rated:
         """Return a wave of the size that has the least deviance."""
-        one = TileMoments.exactly(np.ones((self._captures, 1, 1)))
-        after = start.tile(one, one, self._context)
+        after = start.tile(self._one, self._one, self._context)
         per_row = after.band_frequency
         if per_row not in self._waves:
-            self._waves[per_row] = self._comparison.band_power(np.ones(self._captures), per_row)
-        variance = np.broadcast_to(after.band_variance, (self._captures, 1, 1))[:, :, 0]
-        added = variance * self._waves[per_row]
-        whole = self._more / max(float(np.sum(np.where(self._mask, added, 0.0))), 1e-30)
-        rated = [(self._deviance(self._steady + scale * whole * added), scale * whole) for scale in _SCALES.tolist()]
-        least, scale = min(rated)
-        return _Rated(least, start.resized(float(np.sqrt(scale))), per_row)
+            self._waves[per_row] = wave_power(self._bins, self._basis, per_row)[0][self._there]
+        variance = np.broadcast_to(after.band_variance, (self._captures.size, 1, 1))[self._captures, 0, 0]
+        added = variance[self._there[0]] * self._waves[per_row]
+        scales = _SCALES * self._more / max(float(np.sum(added)), 1e-30)
+        deviances = self._deviances(self._steady + scales[:, None] * added)
+        best = int(np.argmin(deviances))
+        return _Rated(float(deviances[best]), start, float(np.sqrt(scales[best])), per_row)
 
     def refined(self, rated: _Rated) -> _Rated:
         """Return the likeliest wave about one: each turn of what the entry calls nearby, twice."""
@@ -197,6 +208,6 @@ class _WaveRater:
             rated = min((rated, *nearby), key=lambda entry: entry.deviance)
         return rated
 
-    def _deviance(self, expected: Array) -> float:
-        comparison = self._comparison
-        return float(np.sum(deviances(comparison.seen.bands, expected, comparison.band_freedom, self._mask)))
+    def _deviances(self, expected: Array) -> Array:
+        """Return −2·ln of the likelihood under expected ratios, (…, entries), but for a constant."""
+        return np.asarray(np.sum(self._dof * (self._seen / expected + np.log(expected)), axis=-1))

@@ -157,3 +157,33 @@ def test_moments_are_changed_as_by_their_constructor() -> None:
     assert (before.comb_step, after.comb_step) == (1.0, 4.0)
     with pytest.raises(dataclasses.FrozenInstanceError):
         before.changed(comb_step=4.0).comb_step = 2.0  # type: ignore[misc]
+
+
+def test_chain_goes_on_from_the_first_step_that_differs(plain: FitState) -> None:
+    """What comes behind that step is the same as of a chain that runs anew, and steps in front of it are not run."""
+    curved = with_effects(plain, (ExposureTimeOffset(4e-6), ResponseNonlinearity(0.01), Prnu(0.01)))
+    here, model = curved.trace, curved.model
+    stronger = (curved.effects[0], ResponseNonlinearity(0.02), curved.effects[2])
+    nuisance = here.nuisance.with_off(log_responsivity=here.nuisance.off.log_responsivity + 0.01)
+    for other, moved in ((model.with_effects(stronger), here.nuisance), (model, nuisance)):
+        again, anew = other.trace(moved, here), other.trace(moved)
+        kept = sum(a is b for a, b in zip(again.passed, here.passed, strict=True))
+        assert 3 < kept < len(here.passed)
+        assert all(
+            np.array_equal(getattr(again.prediction, f), getattr(anew.prediction, f)) for f in ("mean", "spatial")
+        )
+        assert not np.array_equal(again.prediction.mean, here.prediction.mean)
+    assert model.trace(here.nuisance, here) is here
+
+
+def test_predictions_are_compared_with_one_another_as_with_the_data(plain: FitState) -> None:
+    """Residuals of several predictions at once are those of each; what they expect alike differs by nothing at all."""
+    several = [plain.predicted_with((effect,)) for effect in (ExposureTimeOffset(4e-6), Prnu(0.01))]
+    alone = np.stack([plain.comparison.residual(one) for one in several], axis=1)
+    assert plain.comparison.residuals(several) == pytest.approx(alone, abs=1e-12)
+    changes = plain.comparison.changes(plain.prediction, several)
+    assert changes == pytest.approx(alone - plain.plain_residual[:, None], abs=1e-9)
+    mean, spatial = (plain.comparison.cuts[name] for name in ("mean", "spatial"))
+    assert changes[mean, 0].any()
+    assert not changes[mean, 1].any()
+    assert changes[spatial, 1].any()
