@@ -28,9 +28,10 @@ from simulators.effects.catalogue import CatalogueEffect
 
 # What of a state was worked out and hangs on the model and the nuisances alone, whatever is frozen or fitted.
 _OF_THE_MODEL: Final = ("nuisance", "trace", "prediction", "sensitivity", "parameters")
+_OF_THE_DATA: Final = (*_OF_THE_MODEL, "plain_residual", "_nuisance_derivatives", "_effect_derivatives")  # and weights
 _OF_THE_POINT: Final = (
-    *_OF_THE_MODEL, "term_columns", "plain_residual", "data_residual", "term_residual", "residual", "misfit",
-    "_nuisance_derivatives", "nuisance_jacobian", "effect_jacobian", "groups",
+    *_OF_THE_DATA, "term_columns", "data_residual", "term_residual", "residual", "misfit",
+    "nuisance_jacobian", "effect_jacobian", "groups",
 )  # fmt: skip
 
 
@@ -163,7 +164,11 @@ class FitState:
     def effect_jacobian(self) -> Array:
         """Return −d(residual)/d(scaled effect parameter), prior rows (zero) included."""
 
-        return self.pad(self.parameters.differences(partial(self.moved_by, self.prediction)))
+        return self.pad(self._effect_derivatives)
+
+    @cached_property
+    def _effect_derivatives(self) -> Array:
+        return self.parameters.differences(partial(self.moved_by, self.prediction))
 
     def moved_by(self, base: Prediction, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
         """Return what sets of effects change of the whitened prediction of the data, (entries, sets).
@@ -191,9 +196,7 @@ class FitState:
 
     def with_frozen(self, held: frozenset[int]) -> FitState:
         """Return the state with these parameters frozen; what does not hang on that is kept."""
-        other = replace(self, frozen=held)
-        vars(other).update({name: known for name, known in vars(self).items() if name in _OF_THE_POINT})
-        return other
+        return _knowing(replace(self, frozen=held), self, _OF_THE_POINT)
 
     def effect_step(self, step: Array) -> Array:
         """Return the effects' part of a step of the whole fit, 0 for parameters that are frozen."""
@@ -263,7 +266,12 @@ def reweighted(state: FitState) -> FitState:
     mask = state.comparison.usable
     again = weighted(state.seen, state.model, state.layout, state.values, terms, tau, floors, mask, state.trace)
     found = replace(again, weights=np.concatenate([kept, np.zeros(sum(t.size for t in terms) - kept.size)]))
-    vars(found).update({name: known for name, known in vars(again).items() if name in _OF_THE_MODEL})
+    return _knowing(found, again, _OF_THE_MODEL)
+
+
+def _knowing(found: FitState, state: FitState, names: Sequence[str]) -> FitState:
+    """Return a state with what was worked out of another one and is the same for it."""
+    vars(found).update({name: known for name, known in vars(state).items() if name in names})
     return found
 
 
@@ -272,7 +280,7 @@ def with_terms(state: FitState, terms: Sequence[LinearTerm]) -> FitState:
     realised = tuple(term for term in state.terms if not term.is_smooth)
     everything = (*terms, *realised)
     weights = np.zeros(sum(term.size for term in everything))
-    return replace(state, terms=everything, weights=weights, held_columns=None)
+    return _knowing(replace(state, terms=everything, weights=weights, held_columns=None), state, _OF_THE_DATA)
 
 
 def with_effects(state: FitState, effects: Sequence[CatalogueEffect]) -> FitState:
