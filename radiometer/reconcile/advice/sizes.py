@@ -15,7 +15,7 @@ import numpy as np
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.search.screening import AT_ONCE, change_of
+from radiometer.reconcile.search.screening import AT_ONCE, changes_of
 from simulators.effects.catalogue import CatalogueEffect
 
 SHOWN: Final = 5.0**2  # χ² of what stands out: five sigma
@@ -191,7 +191,7 @@ def _information(state: FitState, effects: Sequence[CatalogueEffect]) -> list[fl
 def _change(state: FitState, effect: CatalogueEffect) -> Array:
     """Return what a further effect changes; nothing where no camera does what it would at that size."""
     try:
-        return change_of(state, (*state.effects, effect))
+        return changes_of(state, [effect])[:, 0]
     except (MeasurementError, ConfigurationError):
         return np.zeros(state.comparison.size)
 
