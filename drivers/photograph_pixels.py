@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
+from radiometer.data.decoding import decoded
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.guards import refuse_large_picture
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
@@ -144,10 +145,7 @@ def _decode_lossless(path: Path) -> Any:
     if content[:4].tobytes() == b"\x89PNG" and b"IEND" not in content[-16:].tobytes():
         raise CaptureError(f"{path}: the PNG is truncated (no closing chunk); copy it again")
     refuse_large_picture(path, content.tobytes())
-    try:
-        image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
-    except cv2.error:
-        image = None
+    image = decoded(content)
     if image is None:
         raise CaptureError(f"{path}: not a readable PNG or TIFF (damaged or truncated); copy it again")
     return cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2RGB) if image.ndim == 3 and image.shape[2] >= 3 else image

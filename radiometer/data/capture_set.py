@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol, Self
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from radiometer.data.bracket import Bracket
@@ -20,6 +18,7 @@ from radiometer.data.capture_header import (
     PatchDescription,
     SourceDescription,
 )
+from radiometer.data.decoding import decoded
 from radiometer.data.frame import MASKED_PIXELS, DigitalNumbers, Frame, FrameSettings
 from radiometer.data.guards import refuse_large_picture
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
@@ -294,7 +293,7 @@ def read_digital_numbers(path: Path) -> DigitalNumbers:
         raise CaptureError(f"cannot read frame {path}: {error.strerror or error}") from error
     _refuse_truncated(path, head=content[:8].tobytes(), tail=content[-16:].tobytes())
     refuse_large_picture(path, content.tobytes())
-    image = _decoded(content)
+    image = decoded(content)
     if image is None:
         raise CaptureError(f"{path}: not a readable PNG or TIFF (damaged or truncated); capture it again")
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
@@ -303,14 +302,6 @@ def read_digital_numbers(path: Path) -> DigitalNumbers:
         )
     numbers: DigitalNumbers = image
     return numbers
-
-
-def _decoded(content: NDArray[np.uint8]) -> Any:
-    """Return what a picture file holds; None where it cannot be decoded."""
-    try:
-        return cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
-    except cv2.error:
-        return None
 
 
 def _refuse_truncated(path: Path, *, head: bytes, tail: bytes) -> None:

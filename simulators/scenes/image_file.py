@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from radiometer.data import PatchDescription, SourceDescription
+from radiometer.data.decoding import decoded
 from radiometer.data.guards import refuse_large_picture, refuse_size
 from radiometer.data.validation import ConfigSection
 from radiometer.errors import CaptureError, ConfigurationError, MissingLibrary
@@ -77,7 +78,8 @@ def _read_relative(path: Path) -> NDArray[np.float32]:
 def _decode(path: Path) -> NDArray[np.generic] | None:
     content = np.fromfile(path, np.uint8)
     refuse_large_picture(path, content.tobytes())
-    return cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+    picture: NDArray[np.generic] | None = decoded(content)
+    return picture
 
 
 def _exr(path: Path) -> NDArray[np.generic]:
