@@ -24,9 +24,10 @@ from radiometer.daemon.http.requests import MeasureBody, SettingsBody, read_quer
 from radiometer.daemon.http.route import QUERIES, STATION, QueryParameter
 from radiometer.daemon.hub import Event, Hub
 from radiometer.daemon.instrument import Measurement
+from radiometer.daemon.journal_reader import ReadingFilter
 from radiometer.daemon.station import Station
 from radiometer.data import Frame, FrameSettings, Patch, Quantity, Reading, ResponseCurve
-from radiometer.errors import UsageError
+from radiometer.errors import InputError, UsageError
 
 KNOWN = (
     QueryParameter("limit", "integer", ""),
@@ -352,3 +353,35 @@ def test_what_lies_at_black_is_dim_and_not_a_thousand() -> None:
     assert composite(measured((0, 0.01, 0.0), dn=dn), None, 3).radiance[6, 6] == pytest.approx(2e-6)
     dark = replace(measured((64, 0.01, 0.0)), reading=Reading(Quantity(0.0, 0.1, "1"), Patch(0, 0, 4, 4), "1"))
     assert composite(dark, None, 3).radiance[0, 0] == pytest.approx(1e-3 / 0.01)
+
+
+async def test_an_export_that_breaks_off_is_no_whole_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A client that has half of it sees the connection end: nothing that was cut may pass for all there is."""
+    for error in (TimeoutError(), ConnectionError(), InputError("the journal is gone")):
+        aborted, sent = list[int](), list[str]()
+        transport = SimpleNamespace(abort=lambda aborted=aborted: aborted.append(1))
+        request = SimpleNamespace(method="GET", transport=transport)
+        pieces: list[Any] = [['{"sequence": 1}'], error]
+
+        async def piece(*_: Any, pieces: list[Any] = pieces) -> list[str]:
+            found = pieces.pop(0)
+            if isinstance(found, Exception):
+                raise found
+            return found
+
+        async def write(response: Any, text: str, sent: list[str] = sent) -> None:
+            sent.append(text)
+
+        async def prepare(self: Any, request: Any) -> None:
+            return None
+
+        monkeypatch.setattr(readings, "_piece", piece)
+        monkeypatch.setattr(readings, "_write", write)
+        monkeypatch.setattr("aiohttp.web.StreamResponse.prepare", prepare)
+        wanted = ReadingFilter(limit=1, stream="")
+        await readings._send_all(request, None, wanted, "jsonl")  # type: ignore[arg-type]
+        assert sent == ['{"sequence": 1}\n']
+        assert aborted == [1]
+        request.transport = None
+        pieces[:] = [[], error]
+        await readings._send_all(request, None, wanted, "jsonl")  # type: ignore[arg-type]

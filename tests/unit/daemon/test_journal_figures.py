@@ -16,7 +16,7 @@ from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, Trend
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.timestamps import iso_time
 from radiometer.data import Contribution, Flag, Quantity, Reading
-from radiometer.errors import InputError
+from radiometer.errors import InputError, OutputError
 
 Make = Callable[..., Reading]
 MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
@@ -217,3 +217,39 @@ def test_deletion_takes_whole_old_minutes_of_the_trend(tmp_path: Path, make_read
     with Journal(tmp_path / "j.sqlite") as journal:
         assert journal.drop_older(BASE_US + 60_000_000) == 3
     assert [row[4] for row in day(reader, "", 1)] == [1, 1]
+
+
+async def test_a_journal_that_is_locked_is_an_alarm_and_no_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It goes by the journal's name and says why; what is wrong with the file itself ends the daemon."""
+    journal, alarms = Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None)
+    writer = JournalWriter(journal, alarms, lambda *_: None)
+
+    def locked() -> None:
+        raise JournalError("the journal is locked")
+
+    monkeypatch.setattr(journal, "open", locked)
+    await writer.open()
+    assert [(alarm.name, alarm.message) for alarm in alarms.active] == [("journal", "the journal is locked")]
+
+    def damaged() -> None:
+        raise OutputError("the journal is damaged")
+
+    monkeypatch.setattr(journal, "open", damaged)
+    with pytest.raises(OutputError, match="damaged"):
+        await writer.open()
+    await writer.close()
+
+
+def test_a_journal_that_is_closed_lets_go_of_its_file(tmp_path: Path, make_reading: Make) -> None:
+    """The connection is closed, another daemon may open it; closing twice does nothing."""
+    journal = Journal(tmp_path / "j.sqlite")
+    journal.open()
+    journal.append([make_reading()])
+    connection = journal._connection
+    assert connection is not None
+    journal.close()
+    journal.close()
+    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+        connection.execute("SELECT 1")
+    with Journal(tmp_path / "j.sqlite") as other:
+        assert [reading.sequence for reading in other.append([make_reading()])] == [2]

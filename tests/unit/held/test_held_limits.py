@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 import yaml
+from pydantic import BaseModel
 
 from radiometer.acquire.exposure_plan import ExposurePlan, exposure_ladder, repeats_for
+from radiometer.analysis.signal.model import signal_model
 from radiometer.analysis.signal.photometry import retinal_illuminance_td
 from radiometer.analysis.signal.situation import (
     common_u_rel,
@@ -33,12 +36,12 @@ from radiometer.daemon.http.requests import LightBody, LimitsBody, MeasureBody, 
 from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.station import Station
-from radiometer.data import CameraDescription, CaptureHeader, LensDescription, Patch, Scale
+from radiometer.data import CameraDescription, CaptureHeader, LensDescription, Patch, Scale, calibration_sections
 from radiometer.data.guards import DEEPEST_NESTING, refuse_deep_yaml, refuse_large_picture
-from radiometer.errors import RadiometerError
+from radiometer.errors import CaptureError, RadiometerError
 from tests.unit.daemon.conftest import QUICK, FakeBox, FakeInstrument
 from tests.unit.held import world
-from tests.unit.held.figures import moved
+from tests.unit.held.figures import digest, moved
 
 
 def outcome_of(work: Callable[[], Any]) -> Any:
@@ -101,6 +104,21 @@ def test_pictures_are_refused_from_the_size_they_were():
     for name, content in {"cut": png(9, 9, 8, 0)[:25], "nothing": b"", "TIFF cut": tiff("<", 9, 9, 1, 8)[:20]}.items():
         told[name] = outcome_of(lambda content=content: refuse_large_picture(Path("a"), content))
     assert not moved("limits/pictures", told)
+
+
+def test_a_head_that_was_cut_anywhere_is_left_to_its_decoder():
+    """As long as a size's last byte is missing none is guessed and nothing breaks; from that byte on it is refused."""
+    heads = {
+        png(90_000, 90_000, 16, 2): 8 + 8 + 10, tiff(">", 60_000, 60_000, 1, 8): 8 + 2 + 4 * 12 - 2,
+        tiff("<", 60_000, 60_000, 3, 16): 8 + 2 + 4 * 12 + 2, exr(90_000, 90_000): 8 + 17 + 4 + 16,
+        hdr(90_000, 90_000): len(hdr(90_000, 90_000)),
+    }  # fmt: skip
+    for whole, needed in heads.items():
+        for length in range(needed):
+            refuse_large_picture(Path("a"), whole[:length])
+        for length in range(needed, len(whole) + 1):
+            with pytest.raises(CaptureError, match="MB decoded"):
+                refuse_large_picture(Path("a"), whole[:length])
 
 
 def test_yaml_is_refused_from_the_depth_it_was():
@@ -207,6 +225,15 @@ def test_spectra_are_taken_and_refused_as_they_were(tmp_path, monkeypatch):
     assert not moved("limits/spectra", told, rel=1e-7)
 
 
+def model_of(model: Any) -> dict[str, Any]:
+    """Return the arrays and numbers of a signal model."""
+    return {
+        field.name: digest(value) if isinstance(value, np.ndarray) else value
+        for field in fields(model)
+        if isinstance(value := getattr(model, field.name), np.ndarray | bool | int | float)
+    }
+
+
 def test_what_a_situation_adds_to_u_is_as_it_was():
     """f-numbers, transmittances and focus unlike at calibration; spectra unlike it, known and unknown responses."""
     plain = world.calibration()
@@ -240,6 +267,11 @@ def test_what_a_situation_adds_to_u_is_as_it_was():
     for name, one in {"calibrated": stated, "none": None}.items():
         told[f"common, {name}"] = outcome_of(
             lambda one=one: common_u_rel(situation_of(one, world.CAMERA, world.LENS), one)
+        )
+    eight = world.CAMERA.model_copy(update={"bit_depth": 8})
+    for black_dn in (0.0, 3.0, 240.0, 252.0):
+        told[f"curve above {black_dn:g} DN"] = outcome_of(
+            lambda black_dn=black_dn: model_of(signal_model(eight, world.gamma_curve(), plain.noise, black_dn, 0.003))
         )
     other = CameraDescription(bit_depth=12, serial="8", model="another")
     told["another camera"] = outcome_of(lambda: situation_of(stated, other, world.LENS).scale)
@@ -295,6 +327,8 @@ def test_what_files_and_requests_may_hold_is_as_it_was():
     """Names, kinds, defaults and bounds of every field of captures, light boxes and the bodies of requests."""
     kinds = (CaptureHeader, LightBoxConfig, Scale, NamedPatchBody, NameBody, RemarkBody, PatchBody, LimitsBody)
     kinds += (MeasureBody, LightBody)
+    sections = (one for one in vars(calibration_sections).values() if isinstance(one, type))
+    kinds += tuple(one for one in sections if issubclass(one, BaseModel) and one.model_fields)
 
     def bare(value: Any) -> Any:
         if isinstance(value, dict):

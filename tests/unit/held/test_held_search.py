@@ -21,9 +21,15 @@ from radiometer.data import (
 )
 from radiometer.reconcile import engine
 from radiometer.reconcile.engine import whole_catalogue
-from radiometer.reconcile.measure.reduce import frame_reader
+from radiometer.reconcile.fit.descent import first_state
+from radiometer.reconcile.fit.state import FitState
+from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconcile.search.free_laws import free_forms, promise
+from radiometer.reconcile.search.localise import global_p_value, localise, places, significant
 from radiometer.reconcile.search.outcome import Reconciled
-from tests.unit.held.figures import FITS, moved
+from radiometer.reconcile.search.screening import screen
+from tests.unit.held.figures import FITS, digest, moved
 
 HEIGHT, WIDTH, SIDE = 36, 48, 12  # tiles of 12 × 12
 TILES = (HEIGHT // SIDE) * (WIDTH // SIDE)
@@ -153,3 +159,71 @@ def test_a_search_is_as_it_was(hidden):
     for passing in ("provenance", "seconds"):
         told.pop(passing, None)
     assert not moved(f"search/{hidden.replace(' ', '_')}", told | {"said": list(said)}, rel=100 * FITS)
+
+
+@cache
+def started(hidden: str) -> FitState:
+    header, frames = session(hidden)
+    design = Design.of(header, frames[0].dn.shape)
+    return first_state(design, *reduce_frames(design, frame_reader(frames)))
+
+
+FREED = (
+    "exposure_time_offset",
+    "response_nonlinearity",
+    "natural_vignetting",
+    "veiling_glare",
+    "dark_current",
+    "reciprocity_failure",
+    "fnumber_tstop_error",
+)
+
+
+SEEN = (
+    "exposure_time_offset",
+    "reciprocity_failure",
+    "black_level_offset",
+    "prnu",
+    "excess_read_noise",
+    "gamma_enabled",
+)
+
+
+@pytest.mark.parametrize("name", FREED)
+def test_laws_are_freed_as_they_were(name):
+    """Along which covariates, with which knots; what each form does to a signal, its slope, draws and statistics."""
+    state = started("offset")
+    context, kind = state.model.context, whole_catalogue()[name]
+    own = kind.starts(context)[0]
+    captures, tiles = state.prediction.mean.shape
+    signal = np.linspace(5.0, 9000.0, captures * tiles).reshape(captures, tiles, 1)
+    told: dict[str, Any] = {}
+    for number, form in enumerate(free_forms(state, own)):
+        size = len(form.law_names())
+        bent = form.with_parameters(law=tuple(0.7 + 0.6 * k / size for k in range(size)))
+        told[f"{number} along {', '.join(form.axes)}"] = {
+            "values": form.values(), "free": list(bent.free()), "promises": promise(state, form),
+            "weight": digest(bent.weight(signal, context) + 0.0 * signal),
+            "mean": digest(bent.mean(signal, context)),
+            "left": digest(state.comparison.residual(state.predicted_with((bent,)))),
+            "slope": digest(bent.slope(signal, context) + 0.0 * signal),
+            "sample": digest(bent.sample(signal, context, np.random.default_rng(3))),
+        }  # fmt: skip
+    assert not moved(f"search/freed_{name}", told, rel=10 * FITS)
+
+
+def test_what_a_search_looks_at_is_as_it_was():
+    """What each entry of the catalogue would explain at first sight, the tests, the places, the global chance."""
+    state = started("offset")
+    tests = localise(state)
+    told: dict[str, Any] = {
+        "screened": [
+            [one.effect.name, one.gain, one.parameters, one.flexible, one.tries, len(one.others)]
+            for one in screen(state, {name: whole_catalogue()[name] for name in SEEN})
+        ],
+        "places": [[one.block, one.where, one.form, one.chi2, one.rank] for one in places(state, 5)],
+        "global p": global_p_value(state, tests),
+        "tests": len(tests),
+        "significant": len(significant(tests)),
+    }
+    assert not moved("search/first_sight", told, rel=10 * FITS)

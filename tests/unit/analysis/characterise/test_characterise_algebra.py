@@ -475,3 +475,30 @@ def test_a_region_lies_in_a_patch_where_all_its_pixels_do():
         if width and height:
             own = {(a, b) for a in range(x, x + width) for b in range(y, y + height)}
             assert _inside(Patch(x, y, width, height), outer) is (own <= pixels)
+
+
+def test_degrees_of_freedom_are_those_of_frames_and_pixels():
+    """(L − 1)·(N − 1), one at least; a variance is known to √(2/ν) of itself, a mean to σ/√(L·N), rounding included."""
+    few = GroupStatistics(FrameSettings(1.0), 3, 5, 100.0, 8.0, 2.0, 0.0)
+    assert few.degrees_of_freedom == 8.0
+    assert few.u_variance_dn2 == pytest.approx(8.0 * math.sqrt(2.0 / 8.0))
+    assert few.u_mean_dn == pytest.approx(math.sqrt(8.0 / 15.0))
+    one = GroupStatistics(FrameSettings(1.0), 1, 5, 100.0, 0.0, 2.0, 0.0)
+    assert (one.has_noise, few.has_noise) == (False, True)
+    assert one.degrees_of_freedom == 1.0
+    assert one.u_mean_dn == pytest.approx(math.sqrt(2.0 / 5.0))
+    still = GroupStatistics(FrameSettings(1.0), 2, 50, 100.0, 0.0, 2.0, 0.0)
+    assert still.u_mean_dn == pytest.approx(math.sqrt(1.0 / 12.0 / 100.0))
+
+
+def test_a_line_through_one_light_tells_no_linearity():
+    """Two lights and four steps between 5 and 95 % are the fewest."""
+    dark = group(BLACK_DN, 40.0, dark=True)
+
+    def found(*lights: float):
+        bright = [group(BLACK_DN + 1000.0 * (1 + k), 100.0, photons=p) for k, p in enumerate(lights)]
+        return linearity(make_steps(bright, [dark]), 6000.0)
+
+    assert found(2000.0, 2000.0, 2000.0, 2000.0) is None
+    assert found(2000.0, 4000.0, 6000.0) is None
+    assert found(2000.0, 2000.0, 4000.0, 4000.0) is not None

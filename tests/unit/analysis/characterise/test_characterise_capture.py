@@ -14,6 +14,7 @@ from radiometer.analysis.characterise import EmvaDescriptor, characterise, read_
 from radiometer.analysis.characterise.emva_export import export_descriptor
 from radiometer.analysis.characterise.report import datasheet, meaning
 from radiometer.analysis.characterise.subject import Subject
+from radiometer.analysis.characterise.symbols import SYMBOLS
 from radiometer.data import CameraDescription, CaptureSet, FrameSettings, LensDescription, Patch, Quantity
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.devices import CameraPreset
@@ -321,6 +322,10 @@ def test_the_report_tells_where_the_camera_stops_being_the_noise(capture: Captur
 def test_without_a_gain_the_report_says_so_and_what_to_take(capture: CaptureSet) -> None:
     """No K in the sentence, no photon transfer, and the captures that would tell it."""
     result = characterise(subject_of_capture(capture))
+    whole = datasheet(result)
+    shown = [symbol.meaning for name, symbol in SYMBOLS.items() if name in result.figures]
+    assert len(shown) > 10
+    assert [meaning for meaning in shown if f">{meaning}<" not in whole] == []
     figures = {name: q for name, q in result.figures.items() if name not in ("K", "K_dark")}
     page = datasheet(replace(result, figures=figures))
     assert "class='outcome'>These frames tell no gain" in page

@@ -15,7 +15,7 @@ from radiometer.analysis.response.jackknife import jackknife
 from radiometer.analysis.response.labels import _longest_rise
 from radiometer.analysis.response.limits import ValueLimits, find_limits
 from radiometer.analysis.response.pixel_noise import _of_residuals
-from radiometer.analysis.response.samples import gather_samples
+from radiometer.analysis.response.samples import _edge_scatter, gather_samples
 from radiometer.analysis.response.unseen import unseen_factor
 from radiometer.analysis.response.weights import group_residual, slope_at, value_at
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
@@ -194,3 +194,24 @@ def test_the_noise_of_residuals_is_what_the_mean_leaves(samples):
     drawn = rng.standard_normal((100_000, rows.size)) * np.sqrt(variance[rows])
     residual = drawn - (drawn @ share[rows])[:, None]
     assert found == pytest.approx(residual.var(axis=0), rel=0.03)
+
+
+def test_pixels_at_edges_scatter_so_many_times_as_much_as_others():
+    """Σ dn² / n − (Σ dn / n)² of either, their ratio's median over what is clear of clipping, black and few pixels."""
+    rng = np.random.default_rng(6)
+    spread = {0: 2.0, 1: 5.0}
+    sums = {0: np.zeros((4, 2, 3)), 1: np.zeros((4, 2, 3))}
+    expected = []
+    for frame in range(2):
+        for group in range(3):
+            of = {k: 100.0 + 10.0 * group + spread[k] * rng.standard_normal(400) for k in (0, 1)}
+            for k, dn in of.items():
+                sums[k][:, frame, group] = dn.size, dn.sum(), (dn**2).sum(), 0.0
+            expected.append(of[1].var() / of[0].var())
+    assert _edge_scatter(sums[0], sums[1]) == pytest.approx(np.median(expected))
+    clipped = {k: one.copy() for k, one in sums.items()}
+    clipped[1][3, 0] = 1.0  # a pixel of each group of the first frame
+    clipped[0][0, 1, 0] = 3.0  # hardly a pixel
+    assert _edge_scatter(clipped[0], clipped[1]) == pytest.approx(np.median(expected[4:]))
+    clipped[1][3] = 1.0
+    assert _edge_scatter(clipped[0], clipped[1]) == 1.0
