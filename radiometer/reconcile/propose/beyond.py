@@ -25,15 +25,14 @@ from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.propose.grammar import PLACES
 from radiometer.reconcile.propose.proposal import Proposal
 from radiometer.reconcile.propose.search import propose_law
-from radiometer.reconcile.search.free_laws import promise, worth
+from radiometer.reconcile.search.free_laws import in_a_looser_form, worth
 from radiometer.reconcile.search.localise import localise, significant
 from radiometer.reconcile.search.outcome import Search, Step
 from radiometer.reconcile.thresholds import NAMED_NATS, RIVAL_NATS, SMOOTH_SHARE
-from radiometer.reconcile.verdict import doubts_of, leaves_structure
+from radiometer.reconcile.verdict import acting_as_others, doubts_of, leaves_structure
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 
-_FITTED: Final = 3  # looser forms that are fitted in full, the most promising first
 _WHERE: Final = {"since_frame_s": "timestamp_s", "value": "signal"}  # what results call it
 
 
@@ -76,32 +75,6 @@ def held_to_laws(
         return by_one_form(outcome, form, law)
     say(said)
     return without_names(outcome, law, f"{said} (gap {law.after.gap:.3g}), which is not named therefore")
-
-
-def in_a_looser_form(start: FitState, least: float, catalogue: Mapping[str, type[CatalogueEffect]]) -> FitState | None:
-    """Return the model with the entry of which a looser form alone does what a law does; None where none does.
-
-    A search comes to looser forms by way of the plain one. What has no plain part (a black level that ramps and is
-    nothing in the middle) it does not meet, and a law that an entry holds is none of no entry.
-
-    Args:
-        start: The starting camera fitted.
-        least: Score that the model needs.
-        catalogue: The entries.
-    """
-    context = start.model.context
-    kinds = [kind for kind in catalogue.values() if kind.usable(context)]
-    plain = [min(kind.starts(context), key=lambda entry: len(entry.free())) for kind in kinds if kind.starts(context)]
-    forms = [form for entry in plain for form in entry.loosened(context)]
-    promising = sorted(((promise(start, form), n) for n, form in enumerate(forms)), reverse=True)
-    found = list[FitState]()
-    for promised, n in promising[:_FITTED]:
-        try:
-            found += [included(start, forms[n], far=True)] if promised > 0 else []
-        except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted does nothing
-            continue
-    best = max(found, key=worth, default=None)
-    return best if best is not None and worth(best) > least else None
 
 
 def by_one_form(outcome: Search, state: FitState, law: Proposal) -> Search:
@@ -156,12 +129,14 @@ def brings_most(outcome: Search, law: Proposal) -> bool:
     """Tell whether names stand though a law predicts better: it is their own law, by an equation unlike theirs.
 
     Their own equations need to bring most of what the law brings and to leave nothing, unless the law goes with the
-    very covariate of the only name.
+    very covariate of the only name. One that acts as other causes would has brought nothing of its own.
 
     Args:
         outcome: What the search came to.
         law: The law.
     """
+    if acting_as_others(outcome.state):
+        return False
     base = worth(outcome.start)
     if worth(by_own_equations(outcome)) - base < SMOOTH_SHARE * (worth(law.after) - base):
         return False

@@ -1,4 +1,8 @@
-"""One name by a law of its own in place of several that only mend a wrong equation.
+"""One name by a looser form, or by a law of its own, in place of several that only mend a wrong equation.
+
+A search adds what helps most, one name after the other, and comes to a looser form only by way of the plain one. A
+cause that the plain form does not meet well is then told as several that mend each other (wings of stray light as a
+display's gamma with a fall-off). Of models that predict as well the one of a single cause is told.
 
 Where structure stays in the end, the names that were found may be one cause by another law than the catalogue's. Each
 entry's change is then tried times a free curve along its own covariates (`simulators/effects/free_law.py`), alone from
@@ -31,6 +35,7 @@ _KNOTS: Final = (5, 9)
 _OF_TWO: Final = 6  # of the first of two covariates
 _LEVELS: Final = 6  # of a covariate, each of which is a knot
 _FITTED: Final = 3  # forms that are fitted in full, the most promising first
+_LOOSER: Final = 2  # times that the best entry alone is made looser
 _FEW: Final = 6  # iterations that tell how the others do alone
 
 
@@ -111,6 +116,60 @@ class Mended:
     def form(self) -> CatalogueEffect:
         """Return the effect with its free law."""
         return next(effect for effect in self.state.effects if effect.name == self.name)
+
+
+def in_a_looser_form(start: FitState, least: float, catalogue: Mapping[str, type[CatalogueEffect]]) -> FitState | None:
+    """Return the model with the entry of which a looser form alone does what others do; None where none does.
+
+    What has no plain part (a black level that ramps and is nothing in the middle) a search does not meet.
+
+    Args:
+        start: The starting camera fitted.
+        least: Score that the model needs.
+        catalogue: The entries.
+    """
+    context, best = start.model.context, list[FitState]()
+    several = [kind.starts(context) for kind in catalogue.values() if kind.usable(context)]
+    plain = [min(starts, key=lambda entry: len(entry.free())) for starts in several if starts]
+    for _ in range(_LOOSER):  # each time from the best so far
+        forms = [form for entry in plain for form in entry.loosened(context)]
+        promising = sorted(((promise(start, form), n) for n, form in enumerate(forms)), reverse=True)[:_FITTED]
+        fitted = (_alone(start, forms[n]) for promised, n in promising if promised > 0)
+        better = max((state for state in fitted if state is not None), key=rated, default=None)
+        if better is None or (best and rated(better) <= rated(best[-1])):
+            break
+        best.append(better)
+        plain = list(better.effects)
+    return best[-1] if best and rated(best[-1]) > least else None
+
+
+def _alone(start: FitState, form: CatalogueEffect) -> FitState | None:
+    """Return the model with a form alone; None where it cannot be fitted."""
+    try:
+        return included(start, form, far=True)
+    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted does nothing
+        return None
+
+
+def in_place_of_all(
+    start: FitState, state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]
+) -> FitState | None:
+    """Return the model with one entry in a looser form that predicts better than several names; None where none does.
+
+    Args:
+        start: The starting camera fitted.
+        state: What was found: names, and curves without a name.
+        catalogue: The entries.
+    """
+    curves = sum(term.is_smooth for term in state.terms)
+    if not state.effects or len(state.effects) + curves < 2:
+        return None
+    return in_a_looser_form(start, rated(state), catalogue)
+
+
+def rated(state: FitState) -> float:
+    """Return the score of a model with the prior odds of its names."""
+    return worth(state) + sum(effect.log_prior_odds for effect in state.effects)
 
 
 def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEffect]) -> Mended | None:

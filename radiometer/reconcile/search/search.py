@@ -13,7 +13,7 @@ from radiometer.reconcile.fit.covariance import is_far, is_misfit, scatter_of
 from radiometer.reconcile.fit.descent import refit
 from radiometer.reconcile.fit.full_fit import FullFits, UnfitError, contenders_of
 from radiometer.reconcile.fit.state import FitState, reweighted, with_terms
-from radiometer.reconcile.search.free_laws import by_a_free_law, worth
+from radiometer.reconcile.search.free_laws import by_a_free_law, in_place_of_all, worth
 from radiometer.reconcile.search.localise import Disagreement, departing, localise, significant, smooth_term
 from radiometer.reconcile.search.moves import Loosened, better, loosened, pruned, simpler
 from radiometer.reconcile.search.outcome import Search, Step
@@ -38,7 +38,7 @@ _FITTED: Final = 7  # candidates that are fitted in each step
 _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _SMOOTHS_TRIED: Final = 4
 _NEAR_FORM: Final = 0.5
-_AFTER_A_LAW: Final = 3  # further steps beside a law that was freed
+_AFTER_A_LAW: Final = 3  # further steps beside one form or law in place of all
 
 
 @dataclass(slots=True)
@@ -63,8 +63,11 @@ def search(
     """
     run, first = _Run(catalogue, say), localise(start)
     state, tests = _stepped(start, first, run, MOST_STEPS)
-    if (mended := _mended(start, state, tests, run)) is not None:
-        state, tests, steps = mended, localise(mended), list(run.steps)
+    for change in (_as_one, _mended):
+        changed = change(start, state, tests, run)
+        if changed is None:
+            continue
+        state, tests, steps = changed, localise(changed), list(run.steps)
         further, later = _stepped(state, tests, run, _AFTER_A_LAW)
         if worth(further) > worth(state):
             state, tests = further, later
@@ -93,6 +96,17 @@ def _stepped(
         state = _joined(state, run)
         tests = localise(state)
     return state, tests
+
+
+def _as_one(start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
+    """Return the model with one entry in a looser form in place of several names, where it predicts better."""
+    found = in_place_of_all(start, state, run.catalogue)
+    if found is None:
+        return None
+    (effect,) = found.effects
+    run.say(f"{effect.name} in a looser form in place of all: gap {state.gap:.3f} → {found.gap:.3f}")
+    run.steps = [Step(effect.name, effect.where, found.evidence - start.evidence, start.gap, found.gap)]
+    return found
 
 
 def _mended(start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
