@@ -45,6 +45,7 @@ class RollingShutterBanding(CatalogueEffect):
         "row_time_s",
     )
     settles = "frames at the shortest exposure in rolling mode"
+    essential = ("row_time_s",)  # without it whole frames flicker, whatever shakes them
     modulation: float = parameter(0.0, "1", 0.0, 3.0, source="engineering prior; refined on a real rig")
     frequency_hz: float = parameter(100.0, "Hz", 20.0, 100000.0, source="engineering prior; refined on a real rig")
     row_time_s: float = parameter(2e-05, "s", 1e-07, 0.01, source="time from one row to the next")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
 from radiometer.reconcile.result import FittedParameter
 from radiometer.reconcile.search.localise import Disagreement, departing
 from radiometer.reconcile.search.outcome import Step
@@ -13,6 +15,7 @@ from simulators.effects.crosstalk import Crosstalk
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.psf_blur import PsfBlur
+from simulators.effects.rolling_shutter_banding import RollingShutterBanding
 from simulators.effects.stray_light_kernel import StrayLightKernel
 
 BLUR_AND_GAIN = (PsfBlur(0.3), ConversionGainError(0.01))
@@ -71,6 +74,14 @@ def test_scatter_of_any_width_lacks_its_essential() -> None:
 
     assert without_essential(wing, fitted(0.3)) == ["stray_light_kernel"]
     assert without_essential(wing, fitted(0.1)) == []
+
+
+@pytest.mark.parametrize(("u_s", "doubted"), [(1e-5, True), (1e-6, False)])
+def test_bands_without_a_time_from_row_to_row_are_any_flicker(u_s: float, doubted: bool) -> None:
+    """What comes from the rolling shutter is the wave along the rows: light that shakes whole frames has none."""
+    bands = RollingShutterBanding(0.02, 200.0, 2e-5)
+    fitted = {"rolling_shutter_banding": {"row_time_s": FittedParameter(2e-5, u_s, "s")}}
+    assert bool(without_essential((bands,), fitted)) is doubted
 
 
 def test_little_evidence_that_another_entry_claims_is_contested() -> None:

@@ -12,7 +12,8 @@ import pytest
 from benchmarks._outside import two
 from benchmarks._outside.two_hidden import HIDDEN
 from radiometer.reconcile.fit.covariance import fitted_parameters
-from radiometer.reconcile.fit.descent import first_state
+from radiometer.reconcile.fit.descent import first_state, refit
+from radiometer.reconcile.fit.state import with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.propose import beyond
@@ -24,13 +25,14 @@ from radiometer.reconcile.propose.beyond import (
     predicts_better,
 )
 from radiometer.reconcile.result import Verdict
-from radiometer.reconcile.search.free_laws import worth
+from radiometer.reconcile.search.free_laws import in_place_of_all, worth
 from radiometer.reconcile.search.outcome import Search, Step
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.display_nonuniformity import DisplayNonuniformity
+from simulators.effects.dsnu import Dsnu
 from simulators.effects.free_law import freed
 from simulators.effects.led_thermal_droop import LedThermalDroop
 from simulators.effects.mechanical_vignetting import MechanicalVignetting
@@ -90,6 +92,13 @@ def test_a_law_needs_the_odds_of_a_name(found, better):
 def test_names_stand_by_what_they_bring_and_leave(found, gap, effects, along, stands):
     """Names that bring most of what a law does stand where they leave nothing, or where the law is their own."""
     assert brings_most(outcome(found, *effects, gap=gap), law(1000.0, along)) is stands
+
+
+@pytest.mark.parametrize("itself", [True, False])
+def test_a_name_that_acts_as_other_causes_would_does_not_stand_against_a_better_law(monkeypatch, itself):
+    """What anything else would do as well is no evidence of its name, whatever it brings along its own covariate."""
+    monkeypatch.setattr(ConversionGainError, "unlike_itself", lambda self, context: not itself)
+    assert brings_most(outcome(990.0, GAIN), law(1000.0, GAIN.where)) is itself
 
 
 def test_the_law_is_told_and_the_names_are_not(monkeypatch):
@@ -180,13 +189,18 @@ def test_without_a_name_no_law_is_asked(monkeypatch):
     assert held_to_laws(empty, {}) is empty
 
 
-def test_a_ramp_that_is_nothing_in_the_middle_is_an_offset_s_looser_form(make_capture):
-    """A black level that rises by 2 DN over the rows, −1 to 1 DN, has no plain part: its tilt is met by itself."""
+def ramp(make_capture):
+    """Return the starting camera fitted to darks whose black level rises by 2 DN over the rows, −1 to 1 DN."""
     rows = np.arange(64.0)[:, None]
     plan = [{"t": t, "g": g, "shutter": "closed"} for t in (1e-4, 1e-2) for g in (0.0, 12.0)] * 2
     captured = make_capture(6, extra_dn=lambda setting: 2.0 * (rows / 63.0 - 0.5), plan=plan)
     design = Design.of(captured.header, captured.frames[0].shape)
-    start = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+
+
+def test_a_ramp_that_is_nothing_in_the_middle_is_an_offset_s_looser_form(make_capture):
+    """A black level that rises over the rows, −1 to 1 DN, has no plain part: its tilt is met by itself."""
+    start = ramp(make_capture)
     entries = {"dark_current": DarkCurrent, "black_level_offset": BlackLevelOffset}
     found = in_a_looser_form(start, worth(start), entries)
     told = fitted_parameters(found)["black_level_offset"]
@@ -196,6 +210,29 @@ def test_a_ramp_that_is_nothing_in_the_middle_is_an_offset_s_looser_form(make_ca
         assert abs(told[name].value - value) < 3.5 * told[name].u
     assert in_a_looser_form(start, worth(found) + 1.0, entries) is None
     assert in_a_looser_form(start, worth(start), {"dark_current": DarkCurrent}) is None
+
+
+def test_of_models_that_predict_as_well_the_one_of_a_single_cause_is_told(make_capture):
+    """A ramp stands in place of two names that do not explain it, of the ramp beside an idle name, and of no single
+    name."""
+    start, entries = ramp(make_capture), {"black_level_offset": BlackLevelOffset}
+    tilted = in_a_looser_form(start, worth(start), entries)
+    one, idle = refit(with_effects(start, [DarkCurrent(2.0)])), Dsnu(0.01)
+    for several in ([DarkCurrent(2.0), idle], [idle, *tilted.effects]):
+        found = in_place_of_all(start, refit(with_effects(start, several)), entries)
+        assert [effect.name for effect in found.effects] == ["black_level_offset"]
+        assert found.evidence == pytest.approx(tilted.evidence)
+    assert in_place_of_all(start, one, entries) is None
+    assert in_place_of_all(start, start, entries) is None
+
+
+@pytest.mark.parametrize(("odds", "taken"), [(0.0, True), (-1e9, False)])
+def test_a_single_cause_needs_the_odds_of_its_name(make_capture, monkeypatch, odds, taken):
+    """An entry that is not expected beforehand pays for it against several names."""
+    start, entries = ramp(make_capture), {"black_level_offset": BlackLevelOffset}
+    monkeypatch.setattr(BlackLevelOffset, "log_prior_odds", odds)
+    several = refit(with_effects(start, [DarkCurrent(2.0), Dsnu(0.01)]))
+    assert (in_place_of_all(start, several, entries) is not None) is taken
 
 
 def test_an_entry_that_does_what_the_law_does_stands_in_place_of_the_names(monkeypatch):
