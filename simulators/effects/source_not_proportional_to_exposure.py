@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
+from scipy.special import gamma, gammainc
 
 from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
+_STRAIGHT, _SLOW = 2.0, 0.6  # stretches from which a fit begins
 _SETTLED: Final = 0.5  # of the shortest exposure: the exponential part is 13 % then, the rest a constant and a time
 
 
 @dataclass(frozen=True)
 class SourceNotProportionalToExposure(Scaling):
     """Weakens light that lasts longer: H' = H·(1 − a·(1 − (τ/t)·(1 − e^(−t/τ)))); a below 0 is a slow turn-on.
+
+    The light sags as a·(1 − e^(−(t/τ)^β)): at once and ever more slowly for β below 1, along a straight line that
+    ends for β above it. Its mean over the exposure is then a·(1 − Γ(1 + 1/β)·P(1/β, (t/τ)^β)·τ/t), P the regularised
+    incomplete gamma function; for β = 1 that is the equation above.
 
     Source: a LED flashed for the exposure; Printalyzer issue 14 saw a log-like decay.
     """
@@ -46,11 +52,33 @@ class SourceNotProportionalToExposure(Scaling):
     settles = "one exposure at several source levels, or a photodiode on the source"
     droop_rel: float = parameter(0.0, "1", -5.0, 0.95, source="engineering prior; refined on a real rig")
     tau_s: float = parameter(0.01, "s", 1e-06, 100.0, source="time constant of the droop")
+    stretch: float = parameter(1.0, "1", 0.2, 5.0, source="1 is an exponential; heat that spreads gives a half")
 
     def factor(self, context: ExposureContext) -> Any:
         """Return mean light over the exposure against light at its start."""
         x = np.asarray(context.settings.exposure_s) / self.tau_s
-        return 1.0 - self.droop_rel * (1.0 + np.expm1(-x) / x)
+        if self.stretch == 1.0:
+            return 1.0 - self.droop_rel * (1.0 + np.expm1(-x) / x)
+        order = 1.0 / self.stretch
+        return 1.0 - self.droop_rel * (1.0 - gamma(1.0 + order) * gammainc(order, x**self.stretch) / x)
+
+    @classmethod
+    def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return sags along a line that ends, of either sign, and slow ones."""
+        return tuple(
+            cls(droop, tau_s, stretch)
+            for droop in (0.02, -0.02)
+            for tau_s in (0.0003, 0.001, 0.01)
+            for stretch in (_STRAIGHT, _SLOW)
+        )
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the same with a stretch of its own, to either side of an exponential."""
+        return () if self.stretch != 1.0 else tuple(self.with_parameters(stretch=at) for at in (_STRAIGHT, _SLOW))
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: the stretch only where it is no exponential."""
+        return self.fitted if self.stretch == 1.0 else (*self.fitted, "stretch")
 
     def unlike_itself(self, context: ExposureContext) -> bool:
         """Tell whether the source settles within the shortest exposure: a wrong exposure time looks the same."""

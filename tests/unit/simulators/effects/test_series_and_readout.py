@@ -27,6 +27,7 @@ from simulators.effects.line_start_offset import LineStartOffset
 from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.readout_dark_charge import ReadoutDarkCharge
 from simulators.effects.series_settling import SeriesSettling
+from simulators.effects.source_not_proportional_to_exposure import SourceNotProportionalToExposure
 from simulators.effects.stray_light_kernel import StrayLightKernel
 from simulators.effects.tile_moments import Moments, TileMoments
 
@@ -333,3 +334,24 @@ def test_a_gain_error_says_what_was_stated_and_what_the_noise_tells() -> None:
     assert said == "gain: stated 2.06 e-/DN, the noise says 1.932 ± 0.0031"
     assert found.remark(camera, {"error_rel": None}) == ""
     assert found.remark(CameraDescription(bit_depth=16), {"error_rel": 0.0017}) == ""
+
+
+@pytest.mark.parametrize("stretch", [0.6, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("exposure_s", [0.0002, 0.001, 0.02])
+def test_light_of_a_sagging_lamp_is_its_mean_over_the_exposure(stretch: float, exposure_s: float) -> None:
+    """A lamp that sags as 1 − a·(1 − exp(−(t/τ)^β)) gives its mean over the exposure, here summed in small steps."""
+    effect = SourceNotProportionalToExposure(0.05, 0.001, stretch)
+    times = (np.arange(200_000) + 0.5) / 200_000 * exposure_s
+    light = 1.0 - 0.05 * -np.expm1(-((times / 0.001) ** stretch))
+    assert effect.factor(_context(exposure_s=exposure_s)) == pytest.approx(float(light.mean()), abs=1e-7)
+
+
+def test_a_sag_is_freed_to_either_side_of_an_exponential() -> None:
+    """A straight sag and a slow one, with the size and time that were fitted and one parameter more to pay for."""
+    plain = SourceNotProportionalToExposure(0.03, 0.002)
+    forms = plain.loosened(_context())
+    assert plain.free() == ("droop_rel", "tau_s")
+    assert {form.free() for form in forms} == {("droop_rel", "tau_s", "stretch")}
+    assert {(form.droop_rel, form.tau_s) for form in forms} == {(0.03, 0.002)}
+    assert min(form.stretch for form in forms) < 1.0 < max(form.stretch for form in forms)
+    assert forms[0].loosened(_context()) == ()
