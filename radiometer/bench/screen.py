@@ -20,6 +20,7 @@ from radiometer.bench.cameras import SIMULATED, preset_path
 from radiometer.bench.config import BenchConfig, SimulatedCameraConfig, read_bench
 from radiometer.bench.instrument import Instrument, central_patch
 from radiometer.data import Calibration, Patch, Reading
+from radiometer.data.storage import read_text
 from radiometer.devices import Camera, CameraPreset, CameraSettings, Display
 from radiometer.errors import ConfigurationError, InputError, UsageError
 from radiometer.screen.checks import Flicker, Uniformity, judge_flicker
@@ -131,10 +132,7 @@ def primaries_of(display: str, channels: Sequence[str], primaries: str | None) -
 
 
 def _measured_primaries(path: Path) -> dict[str, Light]:
-    try:
-        lines = [line.replace(";", ",") for line in path.read_text("utf-8").splitlines() if line.strip()]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read the primaries {path}: {error}") from error
+    lines = [line.replace(";", ",") for line in read_text(path).splitlines() if line.strip()]
     rows = [line.split(",") for line in lines if not line.startswith("#")]
     try:
         table = np.array(rows[1:], dtype=np.float64)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data.provenance import Provenance
-from radiometer.data.storage import dump_yaml, read_yaml, write_text_atomic
+from radiometer.data.storage import dump_yaml, read_text, read_yaml, write_text_atomic
 from radiometer.errors import InputError
 
 FORMAT = "radiometer-response/1"
@@ -135,11 +135,7 @@ class ResponseCurve:
         """
         if path.suffix.lower() != ".csv":
             return cls.from_mapping(read_yaml(path), str(path))
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"cannot read {path}: {error}") from error
-        return _from_csv(text, path)
+        return _from_csv(read_text(path), path)
 
 
 def _from_csv(text: str, path: Path) -> ResponseCurve:

@@ -78,6 +78,20 @@ def dump_yaml(mapping: Mapping[str, Any]) -> str:
     )
 
 
+def read_text(path: Path) -> str:
+    """Return what a text file holds, without the mark that some editors put before it.
+
+    Raises:
+        InputError: If the file is missing, unreadable, or not text in UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not a text file (byte {error.start} is not UTF-8)") from error
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the mapping that a YAML file holds.
 
@@ -87,11 +101,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MOST_YAML_BYTES:
             raise InputError(f"{path}: larger than the {MOST_YAML_BYTES / 1e6:.0f} MB of YAML that are read")
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path} is not a text file (byte {error.start} is not UTF-8)") from error
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    text = read_text(path)
     try:
         refuse_deep_yaml(text, str(path))
         content = yaml.load(text, Loader=_Loader)

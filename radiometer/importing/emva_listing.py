@@ -7,6 +7,7 @@ from pathlib import Path, PureWindowsPath
 from typing import Final
 
 from radiometer.data.guards import is_file
+from radiometer.data.storage import read_text
 from radiometer.errors import InputError
 
 DESCRIPTOR_NAME: Final = "EMVA1288_Data.txt"
@@ -47,10 +48,7 @@ class EmvaListing:
         Raises:
             InputError: If a line is not understood, there is no image, or one is missing; the message gives the line.
         """
-        try:
-            lines = path.read_text(encoding="utf-8", errors="strict").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"cannot read {path}: {error}") from error
+        lines = read_text(path).splitlines()
         parser = _Parser(path)
         for number, line in enumerate(lines, 1):
             words = line.split()

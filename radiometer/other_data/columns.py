@@ -11,6 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Final
 
+from radiometer.data.storage import read_text
 from radiometer.errors import InputError
 
 _SEPARATORS: Final = ",;\t"
@@ -64,10 +65,7 @@ def read_table(path: Path, needs: str) -> TextTable:
     Raises:
         InputError: If it cannot be read, or holds no table.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read {path}: {error}") from error
+    lines = read_text(path).splitlines()
     content = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
     if not content:
         raise InputError(f"{path} is empty; it needs {needs}")

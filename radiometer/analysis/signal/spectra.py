@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.signal.display_types import primary_spectrum
+from radiometer.data.storage import read_text
 from radiometer.errors import InputError
 from radiometer.units import BOLTZMANN_J_K, PLANCK_J_S, SPEED_OF_LIGHT_M_S
 
@@ -155,10 +156,7 @@ def spectrum_from_csv(path: Path) -> Spectrum:
     Raises:
         InputError: If the file cannot be read, or its numbers are no spectrum.
     """
-    try:
-        lines = path.read_text("utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read the spectrum {path}: {error}") from error
+    lines = read_text(path).splitlines()
     rows = [line.replace(";", ",").split(",")[:2] for line in lines if line.strip() and not line.startswith("#")]
     if rows and not _is_number(rows[0][0]):
         rows = rows[1:]

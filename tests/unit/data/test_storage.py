@@ -7,7 +7,8 @@ import errno
 import pytest
 
 from radiometer.data import storage
-from radiometer.errors import OutputError
+from radiometer.data.storage import read_text
+from radiometer.errors import InputError, OutputError
 
 
 def test_a_full_disk_leaves_the_old_file_whole(tmp_path, monkeypatch):
@@ -42,3 +43,15 @@ def test_an_exception_of_the_writer_leaves_nothing(tmp_path):
     with pytest.raises(KeyError):
         fail()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_text_is_read_without_an_editor_s_mark(tmp_path):
+    """A byte order mark is no part of the first word; what is no text is told by the place of its first wrong byte."""
+    path = tmp_path / "t.csv"
+    path.write_bytes(b"\xef\xbb\xbfwavelength_nm,W\n")
+    assert read_text(path) == "wavelength_nm,W\n"
+    path.write_bytes(b"abc\xff")
+    with pytest.raises(InputError, match=r"is not a text file \(byte 3 is not UTF-8\)"):
+        read_text(path)
+    with pytest.raises(InputError, match=r"cannot read .*no\.csv: No such file"):
+        read_text(tmp_path / "no.csv")
