@@ -78,7 +78,7 @@ def of_curve(curve: ResponseCurve) -> dict[str, Any]:
 
 
 # Every method once on plain frames, and those that search longest on two stacks in which they have something to find.
-TRIED = [*((name, "eight_bits") for name in METHODS), ("auto", "fog"), ("mitsunaga1999", "eight_bits_wrong_times")]
+TRIED = [*((name, "eight_bits") for name in METHODS)]
 TRIED += [("debevec1997", "fog"), ("linear_spline", "twelve_bits"), ("auto", "eight_bits_wrong_times")]
 
 

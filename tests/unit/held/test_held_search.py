@@ -92,8 +92,6 @@ def session(hidden: str) -> tuple[CaptureHeader, list[Frame]]:
                 wave = np.cos(2.0 * np.pi * 3.0 * rows / HEIGHT + rng.uniform(0.0, 2.0 * np.pi))
                 light = light * (1.0 + 0.1 * np.sinc(100.0 * t) * wave)
             expected = np.minimum(light * t, 20_000.0)
-            if "law" in hidden:  # no power and no polynomial: a share that is lost between two signals
-                expected = expected * (1.0 - 0.04 * np.exp(-0.5 * (np.log(np.maximum(expected, 1.0) / 900.0)) ** 2))
             expected = expected + 2.0 ** ((warm - 25.0) / 7.0) * s["t"]
             charge = np.minimum(rng.poisson(expected), 10_500) + rng.normal(0.0, 2.4, scene.shape)
             if "rows" in hidden:
@@ -128,7 +126,6 @@ SEARCHES = {
     "nothing": ("exposure_time_offset", "veiling_glare", "excess_read_noise"),
     "offset without patches": ("exposure_time_offset", "veiling_glare"),
     "curved offset": ("exposure_time_offset", "shutter_dead_time"),
-    "offset": ("exposure_time_offset", "reciprocity_failure", "veiling_glare"),
     "offset and veil": ("exposure_time_offset", "veiling_glare", "black_level_offset"),
     "quantum": ("exposure_quantisation", "exposure_time_offset"),
     "cone": ("natural_vignetting", "fnumber_tstop_error", "angle_dependence"),
@@ -136,7 +133,6 @@ SEARCHES = {
     "flicker": ("mains_ripple", "pwm_flicker"),
     "wave": ("rolling_shutter_banding", "row_temporal_noise"),
     "rows": ("row_temporal_noise", "excess_read_noise"),
-    "law": ("response_nonlinearity", "reciprocity_failure"),
 }
 
 
