@@ -175,7 +175,8 @@ def _least_of_draws(state: FitState, bases: Sequence[Basis]) -> Array:
     lengths = np.where(lengths > 0, lengths, 1.0)
     covariance = covariance / np.outer(lengths, lengths)
     values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    # The symmetric root is the one that rounding does not turn where eigenvalues are equal.
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     drawn = root @ np.random.default_rng(_DRAWN_WITH).standard_normal((root.shape[1], _DRAWS))
     least = np.zeros(_DRAWS)
     for place in places:
