@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from radiometer.daemon.scpi.errors import MESSAGES, ScpiError
+from radiometer.daemon.scpi.lexer import split_message
 from radiometer.daemon.scpi.status import Register, Status
 
 WORDS = st.integers(0, 0x7FFF)
@@ -104,3 +105,12 @@ def test_clearing_spares_what_is_enabled_and_presetting_what_has_happened():
     status.clear()
     assert (status.operation.event, status.questionable.event, status.event_status, status.error_count) == (0, 0, 0, 0)
     assert (status.operation.condition, status.operation.enable, status.event_enable) == (3, 5, 60)
+
+
+@pytest.mark.parametrize("message", ["SENS:EXP #\u00b2ab", "SENS:EXP #1\u00b2ab", "SENS:EXP #\u00b912"])
+def test_only_digits_of_ascii_count_a_block(message):
+    """A raised two of Latin-1 is a digit to Python, and no number: the block is refused (-161), nothing breaks."""
+    units, error = split_message(message)
+    assert units == ()
+    assert error is not None
+    assert error.number == -161
