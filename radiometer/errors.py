@@ -92,9 +92,14 @@ class SettingOutOfRange(DeviceError, ValueError):
             unit,
         )
         of_unit = f" {unit}" if unit else ""
-        super().__init__(
-            f"{device}: {name} {value:g}{of_unit} is out of range; allowed is {low:g} to {high:g}{of_unit}"
-        )
+        asked = _apart(value, low, high)
+        super().__init__(f"{device}: {name} {asked}{of_unit} is out of range; allowed is {low:g} to {high:g}{of_unit}")
+
+
+def _apart(value: float, *limits: float) -> str:
+    """Return a value with as many digits as tell it from each limit."""
+    told = (f"{value:.{digits}g}" for digits in (6, 9, 12, 17))
+    return next((text for text in told if all(float(text) != float(f"{limit:g}") for limit in limits)), f"{value!r}")
 
 
 class UnsafeStimulus(DeviceError):

@@ -181,6 +181,8 @@ class ScpiConnection(asyncio.Protocol):
             outcome = self._run(self._messages.popleft())
             if isinstance(outcome, Coroutine):
                 self._task = asyncio.create_task(self._wait(outcome))
+                # A client may be gone before the task takes its first step.
+                self._task.add_done_callback(lambda _, begun=outcome: begun.close())  # type: ignore[misc]
                 break
             self._send(outcome)
         else:

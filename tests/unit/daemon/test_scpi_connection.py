@@ -580,3 +580,24 @@ def test_the_queue_of_errors_has_thirty_two_places():
     assert taken[0] == '-222,"Data out of range;0"'
     assert taken[30] == '-222,"Data out of range;30"'
     assert taken[31:] == ['-350,"Queue overflow"', '0,"No error"']
+
+
+def test_a_client_that_leaves_before_its_command_begins_leaves_no_work_behind(monkeypatch):
+    """What the command would have done is closed, not forgotten unawaited."""
+    begun: list[Any] = []
+    execute = Scripted.execute
+
+    def kept(session: Scripted, message: str) -> Any:
+        begun.append(execute(session, message))
+        return begun[-1]
+
+    monkeypatch.setattr(Scripted, "execute", kept)
+
+    async def story() -> None:
+        connection, _, _ = client(server())
+        connection.data_received(b"wait\n")
+        connection.connection_lost(None)
+        await asyncio.sleep(0.1)
+
+    run(story())
+    assert [coroutine.cr_frame for coroutine in begun] == [None]
