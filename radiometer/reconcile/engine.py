@@ -261,7 +261,8 @@ def examine(
 
 def _repeats(state: FitState, light: FrameLight, header: CaptureHeader) -> tuple[Repeats, ...]:
     wander = (wander_of_black(state.design, state.seen), float(np.sqrt(state.comparison.wander2)))
-    found = repeats_of(state.design, light.of_tiles, state.comparison.usable["mean"], state.sensitivity, wander)
+    usable, first = state.comparison.usable["mean"], state.prediction.first
+    found = repeats_of(state.design, light.of_tiles, usable, state.sensitivity, first, wander)
 
     def as_stated(one: Series) -> Series:  # the design has a stand-in for exposures of 0 s
         return replace(one, exposure_s=header.frames[one.frames[0]].exposure_s)

@@ -28,7 +28,12 @@ Tiles = Callable[[tuple[int, ...]], Array]
 
 
 def repeats_of(
-    design: Design, tiles_of: Tiles, usable: NDArray[np.bool_], sensitivity: Array, wander: Sequence[float]
+    design: Design,
+    tiles_of: Tiles,
+    usable: NDArray[np.bool_],
+    sensitivity: Array,
+    first: Array,
+    wander: Sequence[float],
 ) -> tuple[Repeats, ...]:
     """Return what frames of one setting differ by: dark ones in DN, lit ones relative to their light.
 
@@ -37,6 +42,7 @@ def repeats_of(
         tiles_of: Gives the mean of each tile in frames at positions of the header, (frames, tiles) in DN.
         usable: (captures, tiles) which means count.
         sensitivity: (captures, tiles) d(mean)/d(log light) in DN.
+        first: (captures, tiles) what the model has a first frame above the others by, in DN: it is taken off.
         wander: What the weights of the model hold of it, of dark frames in DN and of lit ones relative.
     """
     dark = design.closed | ~(design.source_level > 0)
@@ -48,8 +54,9 @@ def repeats_of(
             scale = np.ones(len(design.tiles)) if kind == "dark" else sensitivity[number]
             counts = usable[number] & (scale >= _LIT_DN)
             if len(frames) > 1 and np.count_nonzero(counts) >= _FEWEST_TILES:
-                apart = tiles_of(frames)[:, counts] / scale[counts]
-                series.append(_series(design, number, apart))
+                means = np.array(tiles_of(frames)[:, counts])
+                means[0] -= first[number, counts]
+                series.append(_series(design, number, means / scale[counts]))
         if sum(len(one.frames) - 1 for one in series) >= _FEWEST:
             found.append(_together(kind, unit, series, aside))
     return tuple(found)

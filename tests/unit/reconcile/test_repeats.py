@@ -16,7 +16,7 @@ SERIES, FRAMES = 6, 5
 
 
 def _told(
-    apart_dn: np.ndarray, *, light_dn: float = 0.0, seed: int = 1, tiles: int | None = None
+    apart_dn: np.ndarray, *, light_dn: float = 0.0, seed: int = 1, tiles: int | None = None, first_dn: float = 0.0
 ) -> tuple[Repeats, ...]:
     """Return what is told of series of frames that lie so far from 1000 DN (dark) or from a light, each.
 
@@ -25,6 +25,7 @@ def _told(
         light_dn: The light, 0 for a closed shutter.
         seed: Of the tiles' scatter.
         tiles: How many tiles count, all by default.
+        first_dn: What the model has every first frame above the others by.
     """
     lit = light_dn > 0.0
     entries = tuple(
@@ -40,7 +41,7 @@ def _told(
     shape = (len(design.captures), len(design.tiles))
     sensitivity = np.full(shape, light_dn)
     usable = np.broadcast_to(np.arange(shape[1]) < (shape[1] if tiles is None else tiles), shape)
-    return repeats_of(design, lambda f: means[list(f)], usable, sensitivity, (0.1, 0.1))
+    return repeats_of(design, lambda f: means[list(f)], usable, sensitivity, np.full(shape, first_dn), (0.1, 0.1))
 
 
 def test_the_scatter_of_dark_frames_is_told_in_dn() -> None:
@@ -94,7 +95,7 @@ def test_single_frames_tell_nothing() -> None:
     design = Design.of(CaptureHeader(camera=CameraDescription(bit_depth=16), frames=entries), SIZE)
     shape = (len(design.captures), len(design.tiles))
     usable, nothing = np.ones(shape, np.bool_), np.zeros(shape)
-    assert repeats_of(design, lambda f: np.zeros((len(f), shape[1])), usable, nothing, (0.0, 0.0)) == ()
+    assert repeats_of(design, lambda f: np.zeros((len(f), shape[1])), usable, nothing, nothing, (0.0, 0.0)) == ()
 
 
 def test_what_is_told_stands_in_json() -> None:
@@ -122,3 +123,16 @@ def test_four_tiles_tell_a_frame_with_a_u() -> None:
     assert (u > 0).all()
     assert np.median(u) == pytest.approx(1.2533 * TILE_DN * np.sqrt(FRAMES / (FRAMES - 1)) / np.sqrt(4), rel=0.5)
     assert dark.series[2].apart[0] == pytest.approx(3.0, abs=0.1)
+
+
+@pytest.mark.parametrize("light_dn", [0.0, 400.0])
+def test_what_the_model_says_of_first_frames_is_taken_off(light_dn: float) -> None:
+    """First frames 3 DN above the others stick out of no series where an effect of 3 DN is named for it."""
+    apart = np.zeros((SERIES, FRAMES))
+    apart[:, 0] = 3.0
+    (known,) = _told(apart, light_dn=light_dn, first_dn=3.0)
+    (unknown,) = _told(apart, light_dn=light_dn)
+    unit = 1.0 if light_dn == 0.0 else light_dn
+    assert [one.apart[0] * unit for one in unknown.series] == pytest.approx([3.0] * SERIES, abs=0.05)
+    assert [one.apart[0] * unit for one in known.series] == pytest.approx([0.0] * SERIES, abs=0.05)
+    assert known.scatter.value * unit < 0.02
