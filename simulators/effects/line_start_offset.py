@@ -15,9 +15,7 @@ from simulators.effects.tile_moments import TileMoments
 
 _STRIPS: Final = 64  # of a tile, for the law may fall within few pixels
 _PLACES: Final = (2.0 * np.arange(_STRIPS) + 1.0) / _STRIPS - 1.0  # their middles, −1 to 1
-_SURFACE: Final = np.linalg.qr(np.vander(_PLACES, 3, increasing=True))[
-    0
-]  # what a quadratic surface may be along a tile
+_SURFACE, _ = np.linalg.qr(np.vander(_PLACES, 3, increasing=True))  # what a quadratic surface may be along a tile
 _GAUSS: Final = 1.0 / math.sqrt(3.0)
 
 
