@@ -124,7 +124,7 @@ def test_every_entry_has_words_for_where_it_shows(kind):
     assert axis_label(kind.where)[0]
 
 
-@pytest.mark.parametrize("settings", [1, 3])
+@pytest.mark.parametrize("settings", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_frames_without_light_are_reported_in_dn(make_capture, settings):
     """Darks alone have no light to be relative to: the opening picture is in DN over the settings, also of one."""
     plan = [{"t": t, "shutter": "closed"} for t in (1e-4, 1e-2, 1.0)[:settings]]
@@ -170,7 +170,7 @@ def test_every_entry_s_statistic_can_be_drawn(lit_and_dark, name):
     assert np.sqrt(np.mean(left**2)) < 1.5  # nothing is missing: noise alone
 
 
-@pytest.mark.parametrize("kind", [Crosstalk, BlackLevelOffset])
+@pytest.mark.parametrize("kind", [Crosstalk, pytest.param(BlackLevelOffset, marks=pytest.mark.slow)])
 def test_what_an_entry_does_is_drawn_with_and_without_a_band(lit_and_dark, kind):
     """Also of an entry that shows in two directions at once, such as charge that goes to neighbours."""
     effect = kind()
