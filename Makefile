@@ -37,7 +37,7 @@ FAST_TESTS = -m "not slow and not long and $(NO_OTHERS)" tests/unit tests/style
 test: $(VENV)/.ready-test  ## Run the tests, all but the round trips, soaks and studies of `make test-slow`
 	$(RUN_TESTS) -m "not long and $(NO_OTHERS)"
 
-test-fast: $(VENV)/.ready-test  ## Run what needs no process, no browser and no real time (about a minute)
+test-fast: $(VENV)/.ready-test  ## Run what needs no process, no browser and no real time (a minute and a half)
 	$(RUN_TESTS) $(FAST_TESTS)
 
 test-slow: $(VENV)/.ready-test  ## Run the round trips, soaks, studies of coverage and documents followed word by word
