@@ -118,8 +118,8 @@ class Grown:
         """Return this or another limit, whichever is the milder effect."""
         if other is None:
             return self
-        mildest = max if self.effect.saturates else min
-        return mildest(other, self, key=lambda grown: abs(grown.size))
+        choose = max if self.effect.saturates else min
+        return choose(other, self, key=lambda one: abs(one.size))
 
     def times(self, factor: float) -> CatalogueEffect | None:
         """Return the effect with its size times a factor; None beyond the parameter's bounds."""

@@ -7,7 +7,7 @@ import pytest
 import tifffile
 from cv2.utils import logging
 
-from radiometer.data.decoding import decoded
+from radiometer.data.decoding import _quiet, decoded
 
 
 def _tiff(path):
@@ -35,3 +35,15 @@ def test_a_program_s_own_level_of_remarks_stays(tmp_path):
     before = logging.setLogLevel(logging.LOG_LEVEL_INFO)
     decoded(_tiff(tmp_path / "a.tif")[1])
     assert logging.setLogLevel(before) == logging.LOG_LEVEL_INFO
+
+
+def test_threads_that_decode_at_once_leave_the_level_as_it_was():
+    """Whichever comes in or goes out first: the level that was set before all of them is there again."""
+    before = logging.getLogLevel()
+    first, second = _quiet(), _quiet()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert logging.getLogLevel() == logging.LOG_LEVEL_ERROR
+    second.__exit__(None, None, None)
+    assert logging.getLogLevel() == before != logging.LOG_LEVEL_ERROR

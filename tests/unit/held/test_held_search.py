@@ -10,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 
 from radiometer.data import (
-    CameraDescription,
     CaptureHeader,
     Frame,
     FrameEntry,
@@ -30,21 +29,11 @@ from radiometer.reconcile.search.localise import global_p_value, localise, place
 from radiometer.reconcile.search.outcome import Reconciled
 from radiometer.reconcile.search.screening import screen
 from tests.unit.held.figures import FITS, digest, moved
+from tests.unit.held.test_held_reconcile import CAMERA
 
 HEIGHT, WIDTH, SIDE = 36, 48, 12  # tiles of 12 × 12
 TILES = (HEIGHT // SIDE) * (WIDTH // SIDE)
 LEVELS = np.geomspace(0.02, 1.0, TILES)[np.random.default_rng(5).permutation(TILES)]
-CAMERA = CameraDescription(
-    bit_depth=12,
-    pixel_pitch_um=4.5,
-    conversion_gain_e_per_dn=2.6,
-    read_noise_e=2.4,
-    full_well_e=10_500.0,
-    dark_current_e_per_s=1.0,
-    dark_current_reference_C=25.0,
-    black_level_dn=64.0,
-    quantum_efficiency=0.62,
-)
 Image = NDArray[np.float64]
 
 
