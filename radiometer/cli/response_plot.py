@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from radiometer.analysis.response.estimate import ResponseEstimate
 from radiometer.data.storage import write_bytes_atomic
@@ -35,6 +34,8 @@ def draw_responses(estimates: Sequence[ResponseEstimate], path: Path) -> None:
         OutputError: If the file cannot be written.
         UsageError: If its ending is no picture form.
     """
+    from matplotlib.figure import Figure  # half a second, and few responses are drawn
+
     check_plot_name(path)
     figure = Figure(figsize=(7.2, 6.4), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
