@@ -262,6 +262,13 @@ def figures_of(text: str) -> list[str]:
     return [line for line in ours if not re.search("seconds|_created|frames|requests|missing|queue", line)]
 
 
+async def settled(station: Station) -> None:
+    """Return once the journal holds every event and patch: what is asked next is answered from the file."""
+    async with asyncio.timeout(within(20.0)):
+        while station.writer._events or station.writer._kept_patches:
+            await asyncio.sleep(0.001)
+
+
 async def test_the_web_server_answers_as_it_did(tmp_path):
     """Status, kind and body of every request of a fixed visit; numbers that count seconds or bytes left out."""
     station = Station(FakeInstrument(), Journal(tmp_path / "journal.sqlite"), box=FakeBox(), times=QUICK)
@@ -274,6 +281,7 @@ async def test_the_web_server_answers_as_it_did(tmp_path):
     async with aiohttp.ClientSession() as client:
         for number, line in enumerate(VISIT.split("\n")[1:-1]):
             method, path, *body = line.split(" ", 2)
+            await settled(station)
             async with client.request(method, base + path, json=json.loads(body[0]) if body else None) as reply:
                 content = await reply.read()
                 kind = reply.content_type
