@@ -13,6 +13,7 @@ the cones' late decay; and S3 is the slope itself, not the change of slope.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -84,7 +85,7 @@ class BranchModel:
         """Tell whether nonlinear parameters make sense for these times: breaks inside, in order, settled cones."""
         first, last = float(time_min[0]), float(time_min[-1])
         tau, breaks = nonlinear[0], nonlinear[1:]
-        inside = all(first < b < last for b in breaks) and all(np.diff(breaks) > 0)
+        inside = all(first < b < last for b in breaks) and all(early < late for early, late in pairwise(breaks))
         slowest = 2.0 * (last - first) if not len(breaks) else breaks[0]
         return bool(0.01 * (last - first) < tau < slowest and inside)
 

@@ -126,6 +126,7 @@ def fit_terms(pixels: SinglePixels, terms: Array) -> TermsFit:
         pixels: The pixels.
         terms: What a unit amplitude of each makes of the variance of every row; the third is noise in DN².
     """
+    terms = np.asfortranarray(terms)  # few columns of many rows: each in one piece
     samples, rounding = pixels.samples, _ROUNDING_DN2 * pixels.slope**2
     hat = hat_weight(samples.dn, samples.limits) ** 2 + 1e-6
     amplitudes = np.zeros(terms.shape[1])
