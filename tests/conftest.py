@@ -73,6 +73,14 @@ def laws_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "held_to_laws", lambda found, say: found)
 
 
+@pytest.fixture
+def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave figures as they are drawn, without a picture of them: for those who read the words beside."""
+    from matplotlib.figure import Figure
+
+    monkeypatch.setattr(Figure, "savefig", lambda figure, stream, **_: stream.write(b"<svg/>"))
+
+
 # What waits for real devices, ports or processes in real time is not run beside itself.
 REAL_TIME = ("tests/contract", "tests/protocol")
 # What takes long to make and serves all files of a folder: the compiled firmware.

@@ -29,6 +29,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 LISTS = Path(__file__).parent
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, where PyYAML has it
 COPIED = (
     "radiometer",
     "drivers",
@@ -94,7 +95,7 @@ def read_mutants(areas: list[str]) -> Iterator[Mutant]:
     for path in sorted(LISTS.glob("*.yaml")):
         if areas and path.stem not in areas:
             continue
-        listed: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
+        listed: dict[str, Any] = yaml.load(path.read_text(encoding="utf-8"), Loader=_LOADER)
         for entry in listed["mutants"]:
             tests = tuple(entry.get("tests", listed["tests"]))
             texts = (entry["file"], entry["old"], entry["new"], entry["why"])

@@ -32,6 +32,7 @@ def broken() -> AdaptationFit:
     return _fit()
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_the_break_is_said_with_its_interval(broken):
     """Break and S2 with half their 95 % intervals, which hold the true ones."""
     page = report_html(broken, "eye")

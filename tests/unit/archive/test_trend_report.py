@@ -105,6 +105,7 @@ def test_recalibration_is_asked_for_when_the_drift_equals_the_stated_uncertainty
     assert f"lamp: in {months:.2g} months the drift is as large" in advice([trend])[0]
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_gaps_are_found_and_break_the_line():
     """One pause of 30 days among daily readings is one gap; the model's line is not drawn through it."""
     days = np.concatenate([np.arange(40.0), np.arange(70.0, 110.0)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from functools import cache
 from typing import Any
 
@@ -132,6 +133,7 @@ def reconciled(hidden: str) -> tuple[Reconciled, tuple[str, ...]]:
     said: list[str] = []
     with pytest.MonkeyPatch.context() as patched:  # laws of no entry are another search, and three quarters of the time
         patched.setattr(engine, "held_to_laws", lambda *_: None)
+        patched.setattr(sys.modules[localise.__module__], "_DRAWS", 100)  # the chance that they count is not held here
         found = engine.examine(header, frame_reader(frames), frames[0].dn.shape, catalogue=entries, say=said.append)
     return found, tuple(said)
 

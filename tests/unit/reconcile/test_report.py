@@ -124,6 +124,7 @@ def test_every_entry_has_words_for_where_it_shows(kind):
     assert axis_label(kind.where)[0]
 
 
+@pytest.mark.usefixtures("unrendered")
 @pytest.mark.parametrize("settings", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_frames_without_light_are_reported_in_dn(make_capture, settings):
     """Darks alone have no light to be relative to: the opening picture is in DN over the settings, also of one."""

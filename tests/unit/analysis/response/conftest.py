@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -80,21 +81,33 @@ class StackMaker:
         seed: int = 1,
         time_errors: dict[int, float] | None = None,
     ) -> Bracket:
-        rng = np.random.default_rng(seed)
-        height, width = shape
-        y, x = np.mgrid[:height, :width]
-        log_radiance = -6.2 * x / width + 0.4 * np.sin(7 * y / height) + 0.2 * rng.standard_normal(shape)
-        result = []
-        for index in range(frames):
-            relative = ratio ** (index - 1.5) * (time_errors or {}).get(index, 1.0)
-            electrons = rng.poisson(np.minimum(np.exp(log_radiance) * relative, 50.0) * full_well_e)
-            exposure = np.clip((electrons + 2.5 * rng.standard_normal(shape)) / full_well_e, 0.0, 1.0)
-            numbers = np.round(RESPONSES[response](exposure) * (2**bit_depth - 1))
-            stored = numbers.astype(np.uint8 if bit_depth <= 8 else np.uint16)
-            result.append(
-                Frame(stored, bit_depth, FrameSettings(1e-3 * ratio**index), extra={"file": f"{index:04}.png"})
-            )
-        return Bracket.from_frames(result, origin="simulated")
+        return _stack(response, bit_depth, frames, shape, ratio, full_well_e, seed, tuple((time_errors or {}).items()))
+
+
+@cache
+def _stack(
+    response: str,
+    bit_depth: int,
+    frames: int,
+    shape: tuple[int, int],
+    ratio: float,
+    full_well_e: float,
+    seed: int,
+    time_errors: tuple[tuple[int, float], ...],
+) -> Bracket:
+    rng = np.random.default_rng(seed)
+    height, width = shape
+    y, x = np.mgrid[:height, :width]
+    log_radiance = -6.2 * x / width + 0.4 * np.sin(7 * y / height) + 0.2 * rng.standard_normal(shape)
+    result = []
+    for index in range(frames):
+        relative = ratio ** (index - 1.5) * dict(time_errors).get(index, 1.0)
+        electrons = rng.poisson(np.minimum(np.exp(log_radiance) * relative, 50.0) * full_well_e)
+        exposure = np.clip((electrons + 2.5 * rng.standard_normal(shape)) / full_well_e, 0.0, 1.0)
+        numbers = np.round(RESPONSES[response](exposure) * (2**bit_depth - 1))
+        stored = numbers.astype(np.uint8 if bit_depth <= 8 else np.uint16)
+        result.append(Frame(stored, bit_depth, FrameSettings(1e-3 * ratio**index), extra={"file": f"{index:04}.png"}))
+    return Bracket.from_frames(result, origin="simulated")
 
 
 @pytest.fixture(scope="session")
@@ -107,6 +120,7 @@ def make_stack() -> StackMaker:
 def true_log_exposure() -> Callable[[str, int], NDArray[np.float64]]:
     """Return the function (response, bit depth) -> ln H at every digital number, gauge 0 in the middle."""
 
+    @cache
     def values(response: str, bit_depth: int) -> NDArray[np.float64]:
         full_scale = 2**bit_depth - 1
         exposure = np.concatenate([[0.0], np.logspace(-8, 0, 400_001)])

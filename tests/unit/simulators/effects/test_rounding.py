@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from radiometer.data import CameraDescription, FrameSettings
 from simulators.effects.base import Moments
@@ -71,6 +73,12 @@ def _tiles(mean: float, noise: float, shared: float) -> TileMoments:
     return replace(before, variance=np.full((1, 1, 1), noise**2), neighbour_x=np.full((1, 1, 1), shared * noise**2))
 
 
+@cache
+def _drawn() -> list[NDArray[np.float64]]:
+    """Return two million triples of standard normal numbers."""
+    return list(np.random.default_rng(11).standard_normal((3, 2_000_000)))
+
+
 @pytest.mark.parametrize(
     ("mean", "noise", "step"),
     [
@@ -86,9 +94,8 @@ def _tiles(mean: float, noise: float, shared: float) -> TileMoments:
 def test_neighbours_share_what_the_codes_leave_of_it(mean: float, noise: float, step: int) -> None:
     """The covariance of neighbours behind rounding, and behind a coarse step, is that of two million rounded pairs."""
     share = 0.1
-    rng = np.random.default_rng(11)
-    common = np.sqrt(share) * rng.standard_normal(2_000_000)
-    pair = [mean + noise * (common + np.sqrt(1.0 - share) * rng.standard_normal(common.size)) for _ in range(2)]
+    common, *own = _drawn()
+    pair = [mean + noise * (np.sqrt(share) * common + np.sqrt(1.0 - share) * one) for one in own]
     codes = [step * np.floor(np.rint(values) / step) for values in pair]
     products = (codes[0] - codes[0].mean()) * (codes[1] - codes[1].mean())
     after = rounded(_tiles(mean, noise, share))
