@@ -1,11 +1,12 @@
-"""The one decorator that compiles the merge's inner loops."""
+"""The decorators that compile the merge's inner loops."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numba
+from numba.core.compiler import Compiler
 
 ResultT = TypeVar("ResultT")
 
@@ -15,7 +16,34 @@ def compiled(function: Callable[..., ResultT]) -> Callable[..., ResultT]:
 
     Where neither place can be written (a read-only installation without a home), it is compiled anew in each process.
     """
-    options = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+    return _compiled(function)
+
+
+def compiled_apart(function: Callable[..., ResultT]) -> Callable[..., ResultT]:
+    """Compile a loop as `compiled` does whose arrays share no memory, which the caller answers for.
+
+    Values from places that only the pixel tells are then looked up many at a time. Of arrays that might overlap LLVM
+    asks beforehand whether they do, but knows no bounds of such places, and goes pixel by pixel.
+    """
+    return _compiled(function, pipeline_class=_ApartCompiler)
+
+
+def compiled_within(function: Callable[..., ResultT]) -> Callable[..., ResultT]:
+    """Compile a function as `compiled` does, always as a part of the loops that call it: a call ends many at a time."""
+    return _compiled(function, forceinline=True)
+
+
+class _ApartCompiler(Compiler):  # type: ignore[misc]
+    """numba's compiler, told that no array given as an argument overlaps another."""
+
+    def define_pipelines(self) -> Any:
+        """Return numba's own steps."""
+        self.state.flags.noalias = True
+        return super().define_pipelines()
+
+
+def _compiled(function: Callable[..., ResultT], **more: Any) -> Callable[..., ResultT]:
+    options = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}, **more}
     try:
         done: Callable[..., ResultT] = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # numba found no place for its cache

@@ -17,7 +17,14 @@ from radiometer.analysis.merge.finish import finish
 from radiometer.analysis.merge.frames import FrameTerms, frame_terms
 from radiometer.analysis.merge.ghosts import find_strays
 from radiometer.analysis.merge.parts import BLOCK_PIXELS, block_size, blocks, on_all_cores
-from radiometer.analysis.merge.sums import FRAMES_PER_PLANE, Images, MergeSample, MergeSums, ScratchSums
+from radiometer.analysis.merge.sums import (
+    FRAMES_PER_PLANE,
+    Images,
+    MergeSample,
+    MergeSums,
+    ScratchSums,
+    merge_passes,
+)
 from radiometer.analysis.merge.tables import merge_tables
 from radiometer.analysis.patch.outside import frame_u_rel
 from radiometer.analysis.signal.found_effects import corrected_settings, temperature_factor
@@ -153,7 +160,7 @@ class StreamingMerge:
     def _merged(self, batch: list[MergeSample]) -> Images:
         """Return radiance, uncertainty and mask, flat, from the sums so far and a last batch."""
         (height, width), tables = self._known_shape(), merge_tables(self._terms, self._situation.model)
-        reference, frames, sums = self._terms[0].exposure, len(self._terms), self._sums
+        passes, sums = merge_passes(batch, self._terms[0].exposure), self._sums
         if sums is not None or self._finished:
             sums = self._known_sums()
             images = sums.first, sums.second, sums.mask
@@ -169,10 +176,10 @@ class StreamingMerge:
                 kept = idle.pop()
             except IndexError:  # asked first, another thread might take the last between question and answer
                 kept = tables.kept()
-            room = sums or ScratchSums.of(images, block_size(width), frames)
+            room = sums or ScratchSums.of(images, block_size(width), len(self._terms))
             for begin, end in blocks(start, stop, width):
                 part = room.part(begin, end)
-                part.add(batch, begin, reference)
+                part.add(passes, begin)
                 # The sums make room for the result.
                 image = self._factor(begin, end - begin), part.first, part.second
                 patterns = part.patterns()
@@ -297,7 +304,7 @@ class StreamingMerge:
         sums = MergeSums.zeros(pixels.size)
         sums.make_room(len(samples))
         terms = [one.terms for one in samples]
-        sums.add(samples, 0, terms[0].exposure)
+        sums.add(merge_passes(samples, terms[0].exposure), 0)
         tables = merge_tables(terms, self._situation.model)
         place = self._factor_at(pixels)
         place = place * np.float32(self._terms[0].exposure / terms[0].exposure)
@@ -322,9 +329,9 @@ class StreamingMerge:
 
     def _take_in(self) -> None:
         """Add the frames of the batch to the sums and release them."""
-        sums, reference = self._known_sums(), self._terms[0].exposure
-        batch, self._pending = self._pending, []
-        on_all_cores(self._known_shape(), lambda start, stop: sums.part(start, stop).add(batch, start, reference))
+        sums, passes = self._known_sums(), merge_passes(self._pending, self._terms[0].exposure)
+        self._pending = []
+        on_all_cores(self._known_shape(), lambda start, stop: sums.part(start, stop).add(passes, start))
 
     def _sample(self, frame: Frame) -> MergeSample:
         if len(self._terms) == MOST_FRAMES:

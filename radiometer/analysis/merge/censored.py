@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from radiometer.analysis.merge.records import CENSORED_SIGMA, CONTRADICTION_SIGMA, NEAREST, NEXT
-from radiometer.compiled import compiled
+from radiometer.compiled import compiled, compiled_apart, compiled_within
 
 # The hazard is read off straight lines, right to 1e-6, which is quicker than exp and erfc for every such pixel.
 _TABLE_END, _TABLE_STEPS = 8.0, 4096
@@ -27,14 +27,42 @@ def _hazard(z: float) -> float:
 _HAZARD = np.array([_hazard(step / _PER_SIGMA - CENSORED_SIGMA) for step in range(_TABLE_STEPS + 1)])
 
 
-@compiled
+@compiled_within
 def hazard(z: float) -> float:  # pragma: no cover (compiled)
-    """Return φ(z)/(1 − Φ(z)) to 1e-6 for z at or above −CENSORED_SIGMA."""
+    """Return φ(z)/(1 − Φ(z)) to 1e-6 for z at or above −CENSORED_SIGMA; below, some number."""
     place = (z + CENSORED_SIGMA) * _PER_SIGMA
-    if place >= _TABLE_STEPS:
-        return z + 1.0 / z - 2.0 / z**3  # its asymptotic series, right to 3e-4 and better beyond
-    low = int(place)
-    return float(_HAZARD[low] + (place - low) * (_HAZARD[low + 1] - _HAZARD[low]))
+    low = np.uint64(min(max(place, 0.0), _TABLE_STEPS - 1.0))
+    rise = _HAZARD[low] + (place - low) * (_HAZARD[low + np.uint64(1)] - _HAZARD[low])
+    # Beyond the table its asymptotic series, right to 3e-4 and better.
+    return float(rise if place < _TABLE_STEPS else z + 1.0 / z - 2.0 / z**3)
+
+
+@compiled_within
+def heard(
+    estimate: float, rate: float, variance: float, t: float, c: float, clips_at: float, kappa: float
+) -> tuple[float, float, bool]:  # pragma: no cover (compiled)
+    """Return what a frame that clipped adds to the score and to the information, and whether it contradicts the others.
+
+    Args:
+        estimate: Rate at which it is asked.
+        rate: Estimate from the frames that did not clip.
+        variance: Its variance.
+        t: Relative exposure of the frame.
+        c: Variance of its x without light.
+        clips_at: Its x at clipping.
+        kappa: Shot noise variance per unit of x.
+    """
+    expected = max(estimate, 0.0) * t
+    noise, below = c + kappa * expected, clips_at - expected
+    had_to_clip = (below < 0.0) & (below * below >= CENSORED_SIGMA**2 * noise)
+    gap = clips_at - rate * t
+    # Far below clipping: it was cut off at the black end, or the scene has changed.
+    far = (gap > 0.0) & (gap * gap > CONTRADICTION_SIGMA**2 * (noise + t * t * variance))
+    per_sigma = 1.0 / math.sqrt(noise)
+    z = below * per_sigma
+    rise = 0.0 if had_to_clip | far else hazard(z)
+    information = t * t * rise * (rise - z) * (per_sigma * per_sigma)
+    return t * rise * per_sigma, information, far & (not had_to_clip) & (expected > 0.1 * clips_at)
 
 
 @compiled
@@ -59,24 +87,41 @@ def with_censored(
         for i in range(begin, end):
             if (pattern >> np.uint64(i)) & np.uint64(1):
                 continue
-            t, clips_at = frames[i, 0], frames[i, 2]
-            expected = max(estimate, 0.0) * t
-            noise, below = frames[i, 1] + kappa * expected, clips_at - expected
-            if below < 0.0 and below * below >= CENSORED_SIGMA**2 * noise:
-                continue  # it had to clip
-            gap = clips_at - rate * t
-            if gap > 0.0 and gap * gap > CONTRADICTION_SIGMA**2 * (noise + t * t * variance):
-                # Far below clipping: it was cut off at the black end, or the scene has changed.
-                contradiction = contradiction or expected > 0.1 * clips_at
-                continue
-            per_sigma = 1.0 / math.sqrt(noise)
-            z = below * per_sigma
-            rise = hazard(z)
-            score += t * rise * per_sigma
-            total += t * t * rise * (rise - z) * (per_sigma * per_sigma)
+            t, c, clips_at = frames[i, 0], frames[i, 1], frames[i, 2]
+            rise, sharper, contradicts = heard(estimate, rate, variance, t, c, clips_at, kappa)
+            score, total, contradiction = score + rise, total + sharper, contradiction | contradicts
         estimate += score / total
         information = total
     return estimate, 1.0 / information, contradiction
+
+
+@compiled_apart
+def hear_nearest(
+    rates: Any, variances: Any, slots: Any, records: Any, frames: Any, kappa: float, contradictions: Any
+) -> None:  # pragma: no cover (compiled)
+    """Do as `with_censored` does for a run of pixels that one frame only has something to say of: many at a time.
+
+    Args:
+        rates: Estimates from the frames that did not clip; overwritten.
+        variances: Their variances; overwritten.
+        slots: Places of the records, unsigned.
+        records: As of `records.fill_record`; the frame is their NEAREST.
+        frames: Likewise.
+        kappa: Shot noise variance per unit of x.
+        contradictions: Whether the frame contradicts the others, written.
+    """
+    for j in range(slots.size):
+        frame = np.uint64(records[slots[j], NEAREST])
+        t, c, clips_at = frames[frame, 0], frames[frame, 1], frames[frame, 2]
+        rate, variance = rates[j], variances[j]
+        from_others = 1.0 / variance
+        rise, sharper, before = heard(rate, rate, variance, t, c, clips_at, kappa)
+        estimate = rate + rise / (from_others + sharper)
+        rise, sharper, after = heard(estimate, rate, variance, t, c, clips_at, kappa)
+        information = from_others + sharper
+        rates[j] = estimate + ((rate - estimate) * from_others + rise) / information
+        variances[j] = 1.0 / information
+        contradictions[j] = np.uint8(before | after)
 
 
 @compiled

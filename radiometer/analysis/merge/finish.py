@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from radiometer.analysis.merge.censored import near_clipping
+from radiometer.analysis.merge.censored import hear_nearest, near_clipping
 from radiometer.analysis.merge.moments import (
     FIRST_LEVEL,
     SHARE,
@@ -30,6 +30,7 @@ from radiometer.analysis.merge.records import (
     INV2,
     LONGEST,
     NEAR,
+    NEXT,
     P0,
     P1,
     PLENTY,
@@ -43,7 +44,7 @@ from radiometer.analysis.merge.records import (
     scatter_limit,
 )
 from radiometer.analysis.merge.straight import ONLY_NEAR_CLIPPING, marks, straight, straight_curved
-from radiometer.compiled import compiled
+from radiometer.compiled import compiled, compiled_apart
 from radiometer.data.radiance_map import PixelMask
 
 SATURATED = np.uint8(PixelMask.SATURATED)
@@ -88,7 +89,7 @@ def finish(
         second: Σt·x, float32; may be `u_radiance` itself.
         squares: Σx², float32.
         bits: Frames used in each pixel, unsigned.
-        mask: Clipping seen in each pixel; overwritten by PixelMask bits.
+        mask: Whether a frame was clipped at white in each pixel; overwritten by PixelMask bits.
         known: Sets of frames that `records` and `levels` hold something of; as is the rest, kept from block to block.
         records: As of `fill_record`, shape (sets, RECORD_SIZE); their number is a power of 2.
         levels: As in `moments.at_level`, shape (sets, levels, 4); of no size for a linear sensor.
@@ -107,7 +108,8 @@ def finish(
         u_radiance: Written.
     """
     rates, variances = np.empty(_RUN), np.empty(_RUN)
-    slots, doubtful = np.empty(_RUN, np.int64), np.empty(_RUN, np.uint8)
+    slots, doubtful = np.empty(_RUN, np.uint16), np.empty(_RUN, np.uint8)
+    waiting = np.empty(_RUN, np.uint16), np.empty(_RUN, np.uint16), np.empty((2, _RUN)), np.empty(_RUN, np.uint8)
     start, dark = 0, bool(np.any(frames[:, 4] > 0.0))
     while start < bits.size:
         end = min(start + _RUN, bits.size)
@@ -117,6 +119,7 @@ def finish(
         these, seen = bits[start:end], mask[start:end]
         if quantisation is None:
             straight(*sums, these, slots, records, dark, rates, variances, seen, doubtful)
+            _hear_nearest(rates, variances, seen, slots, doubtful[:count], waiting, records, frames, kappa)
         else:
             straight_curved(
                 *sums,
@@ -167,6 +170,51 @@ def finish(
 
 
 @compiled
+def _hear_nearest(
+    rates: Any,
+    variances: Any,
+    mask: Any,
+    slots: Any,
+    doubtful: Any,
+    waiting: Any,
+    records: Any,
+    frames: Any,
+    kappa: float,
+) -> None:  # pragma: no cover (compiled)
+    """Hear the clipped frame nearest to a pixel where only that one has something to say; doubtful no more.
+
+    Args:
+        rates: Overwritten there; so are `variances`, `mask` and `doubtful`.
+        variances: Likewise.
+        mask: Likewise.
+        slots: Places of the records.
+        doubtful: As written by `straight`.
+        waiting: Room for such pixels: their places, slots, rates and variances, and whether frames contradict.
+        records: As of `fill_record`.
+        frames: Likewise.
+        kappa: Shot noise variance per unit of x.
+    """
+    places, places_of_records, estimates, contradictions = waiting
+    near = 0
+    for i in range(doubtful.size):  # a step of 0 or 1: no processor foresees which pixel is near
+        places[near] = i
+        near += doubtful[i] == ONLY_NEAR_CLIPPING
+    count = 0
+    for j in range(near):
+        i = places[j]
+        if rates[i] >= records[slots[i], NEXT]:
+            places[count], places_of_records[count] = i, slots[i]
+            estimates[0, count], estimates[1, count] = rates[i], variances[i]
+            count += 1
+    heard, their_variances = estimates[0, :count], estimates[1, :count]
+    hear_nearest(heard, their_variances, places_of_records[:count], records, frames, kappa, contradictions)
+    for j in range(count):
+        i = places[j]
+        rates[i], variances[i], doubtful[i] = heard[j], their_variances[j], 0
+        mask[i] = marks(heard[j], their_variances[j]) | (INCONSISTENT if contradictions[j] else np.uint8(0))
+
+
+@compiled
 def _find_sets(
     bits: Any, slots: Any, known: Any, records: Any, levels: Any, frames: Any, kappa: float, gains: Any, top: float
 ) -> int:  # pragma: no cover (compiled)
@@ -175,6 +223,8 @@ def _find_sets(
     Records are filled in where they were not; one that is in the way of the first pixel is given up for it, one that
     earlier pixels of the run may need is not.
     """
+    if _at_home(bits, known, slots):
+        return int(bits.size)
     last, shift = np.uint64(known.size - 1), np.uint64(32)
     for i in range(bits.size):
         pattern = np.uint64(bits[i])
@@ -189,6 +239,18 @@ def _find_sets(
                 levels[place] = 0.0
         slots[i] = place
     return int(bits.size)
+
+
+@compiled_apart
+def _at_home(bits: Any, known: Any, slots: Any) -> bool:  # pragma: no cover (compiled)
+    """Write the first place where each pixel's set of frames may be kept; tell whether all are kept there."""
+    last, shift, elsewhere = np.uint64(known.size - 1), np.uint64(32), np.uint64(0)
+    for i in range(bits.size):
+        pattern = np.uint64(bits[i])
+        place = ((pattern * _HASH) >> shift) & last
+        slots[i] = place
+        elsewhere |= (known[place] ^ pattern) if pattern != 0 else np.uint64(0)
+    return bool(elsewhere == 0)
 
 
 @compiled

@@ -1,7 +1,8 @@
 """Compiled inner loops of the merge: samples into sums, as each frame arrives.
 
 All arrays are one-dimensional and contiguous: a block of whole rows. The functions hold no lock, so that a thread
-per core can work on a block each. Compiled code is kept on disk beside this module.
+per core can work on a block each. Compiled code is kept on disk beside this module. Of clipping only white is marked:
+where no frame is of use and none was white, all were black.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from radiometer.compiled import compiled
 from radiometer.data.radiance_map import PixelMask
 
 CLIPPED_HIGH = np.uint8(PixelMask.SATURATED)
-CLIPPED_LOW = np.uint8(PixelMask.BELOW_NOISE)
 MANY = 16  # frames that go through one call; those of one plane of bits
 _RUN = 4096  # pixels: their sums and four frames of 16 bits are read from a core's nearest caches
 
@@ -50,7 +50,7 @@ def add_linear(
         second: Σt·x, float32, added to.
         squares: Σx², float32, added to.
         bits: Frames used in each pixel, added to.
-        mask: Clipping seen in each pixel, added to.
+        mask: Whether a frame was clipped at white in each pixel, added to.
     """
     for i in range(dn.size):
         number = dn[i]
@@ -60,7 +60,7 @@ def add_linear(
         second[i] += exposure * x
         squares[i] += x * x
         bits[i] |= bit if used else bits.dtype.type(0)
-        mask[i] |= CLIPPED_HIGH if number >= high else (CLIPPED_LOW if number < low else np.uint8(0))
+        mask[i] |= CLIPPED_HIGH if number >= high else np.uint8(0)
 
 
 @compiled
@@ -88,7 +88,7 @@ def add_linear_pair(
         second: Σt·x, float32, added to.
         squares: Σx², float32, added to.
         bits: Frames used in each pixel, added to.
-        mask: Clipping seen in each pixel, added to.
+        mask: Whether a frame was clipped at white in each pixel, added to.
     """
     offset_a, inverse_a, exposure_a, weight_a = constants[0]
     offset_b, inverse_b, exposure_b, weight_b = constants[1]
@@ -104,9 +104,7 @@ def add_linear_pair(
         second[i] = (second[i] + exposure_a * x_a) + exposure_b * x_b
         squares[i] = (squares[i] + x_a * x_a) + x_b * x_b
         bits[i] |= (bit_a if used_a else none) | (bit_b if used_b else none)
-        seen_a = CLIPPED_HIGH if a >= high_a else (CLIPPED_LOW if a < low_a else np.uint8(0))
-        seen_b = CLIPPED_HIGH if b >= high_b else (CLIPPED_LOW if b < low_b else np.uint8(0))
-        mask[i] |= seen_a | seen_b
+        mask[i] |= CLIPPED_HIGH if (a >= high_a) | (b >= high_b) else np.uint8(0)
 
 
 @compiled
@@ -138,7 +136,7 @@ def add_linear_four(
         second: Σt·x, float32, added to.
         squares: Σx², float32, added to.
         bits: Frames used in each pixel, added to.
-        mask: Clipping seen in each pixel, added to.
+        mask: Whether a frame was clipped at white in each pixel, added to.
     """
     offset_a, inverse_a, exposure_a, weight_a = constants[0]
     offset_b, inverse_b, exposure_b, weight_b = constants[1]
@@ -194,7 +192,7 @@ def add_table_four(
         second: Σt·x, float32, added to.
         squares: Σx², float32, added to.
         bits: Frames used in each pixel, added to.
-        mask: Clipping seen in each pixel, added to.
+        mask: Whether a frame was clipped at white in each pixel, added to.
     """
     exposure_a, weight_a = constants[0]
     exposure_b, weight_b = constants[1]
@@ -229,8 +227,7 @@ def _mark_four(
     for i in range(dn_a.size):
         a, b, c, d = dn_a[i], dn_b[i], dn_c[i], dn_d[i]
         clipped = (a >= high_a) | (b >= high_b) | (c >= high_c) | (d >= high_d)
-        black = (a < low_a) | (b < low_b) | (c < low_c) | (d < low_d)
-        mask[i] |= (CLIPPED_HIGH if clipped else nothing) | (CLIPPED_LOW if black else nothing)
+        mask[i] |= CLIPPED_HIGH if clipped else nothing
 
 
 @compiled
@@ -260,7 +257,7 @@ def add_linear_many(
         second: Σt·x, float32, added to.
         squares: Σx², float32, added to.
         bits: Frames used in each pixel, added to.
-        mask: Clipping seen in each pixel, added to.
+        mask: Whether a frame was clipped at white in each pixel, added to.
     """
     for low in range(0, first.size, _RUN):
         high = min(low + _RUN, first.size)
@@ -328,16 +325,14 @@ def add_table(
         second: Σt·x, float32, added to.
         squares: Σx², float32, added to.
         bits: Frames used in each pixel, added to.
-        mask: Clipping seen in each pixel, added to.
+        mask: Whether a frame was clipped at white in each pixel, added to.
     """
     step = 1 if dark.size > 1 else 0
     for i in range(dn.size):
         number = dn[i]
         if number >= high:
             mask[i] |= CLIPPED_HIGH
-        elif number < low:
-            mask[i] |= CLIPPED_LOW
-        else:
+        elif number >= low:
             x = table[number] - dark[i * step]
             first[i] += weight * x
             second[i] += exposure * x

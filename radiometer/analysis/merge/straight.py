@@ -28,7 +28,7 @@ from radiometer.analysis.merge.records import (
     ROOT,
     S2,
 )
-from radiometer.compiled import compiled
+from radiometer.compiled import compiled, compiled_apart
 from radiometer.data.radiance_map import PixelMask
 
 NOISE_FLOOR_SIGMA = 2.0
@@ -45,7 +45,7 @@ def marks(rate: float, variance: float) -> Any:  # pragma: no cover (compiled)
     return _BELOW_NOISE if below else np.uint8(0)
 
 
-@compiled
+@compiled_apart
 def straight(
     first: Any,
     second: Any,
@@ -66,7 +66,7 @@ def straight(
         second: Σt·x, float32.
         squares: Σx², float32.
         bits: Frames used in each pixel.
-        slots: Place of their record.
+        slots: Place of their record, unsigned.
         records: As of `fill_record`, shape (sets, RECORD_SIZE).
         dark: Whether the frames have a common uncertainty of the dark level.
         rates: Written.

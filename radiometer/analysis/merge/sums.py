@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -102,7 +102,7 @@ class MergeSums:
         first: Σt^0.35·x, float32.
         second: Σt·x, float32.
         squares: Σx², float32.
-        mask: Clipping seen so far, uint8.
+        mask: Whether a frame was clipped at white so far, as PixelMask bit, uint8.
         planes: Bits of the frames used, uint16, a plane for every 16 frames.
     """
 
@@ -138,65 +138,97 @@ class MergeSums:
             bits |= plane.astype(np.uint64) << np.uint64(number * FRAMES_PER_PLANE)
         return bits
 
-    def add(self, samples: Sequence[MergeSample], start: int, reference: float) -> None:
+    def add(self, passes: Sequence[MergePass], start: int) -> None:
         """Add the pixels of frames from `start` on, as many as there are sums.
 
         Args:
-            samples: The frames.
+            passes: The frames, as of `merge_passes`.
             start: First pixel of the frames that the sums are of.
-            reference: Exposure that exposures are counted in.
         """
-        waiting = list(samples)
-        while waiting:
-            one = waiting[0]
-            alike = list(itertools.takewhile(one.is_like, waiting[:FRAMES_PER_PLANE]))
-            if len(alike) >= _AT_ONCE:
-                alike = alike[: len(alike) // _AT_ONCE * _AT_ONCE]
-                self._add_fours(alike, start, reference)
-            elif len(alike) > 1 and one.table is None:
-                alike = alike[:2]
-                self._add_linear_pair(alike[0], alike[1], start, reference)
-            else:
-                alike = [one]
-                self._add_one(one, start, reference)
-            waiting = waiting[len(alike) :]
+        for one in passes:
+            one(self, start)
 
-    def _add_fours(self, alike: Sequence[MergeSample], start: int, reference: float) -> None:
-        # Always as many arrays: the loop is compiled once. Those that do not count are not looked at.
-        dn = tuple(alike[min(k, len(alike) - 1)].dn for k in range(merge_kernels.MANY))
-        constants = np.array([one.constants(reference) for one in alike], np.float32)
-        limits = np.array([one.limits for one in alike], dn[0].dtype)
-        bits, view = np.array([one.bit for one in alike], np.uint16), self._view(alike[0].plane)
-        if alike[0].table is None:
-            merge_kernels.add_linear_many(dn, len(alike), start, constants, limits, bits, *view)
+    def view(self, plane: int) -> tuple[NDArray[Any], ...]:
+        """Return the sums in the order of the compiled loops, with one plane of bits."""
+        return self.first, self.second, self.squares, self.planes[plane], self.mask
+
+
+MergePass = Callable[[MergeSums, int], None]
+
+
+def merge_passes(samples: Sequence[MergeSample], reference: float) -> list[MergePass]:
+    """Return the passes over the sums that take frames in, as few as can be.
+
+    What the compiled loops are given of the frames is made once, not for every block of pixels anew.
+
+    Args:
+        samples: The frames.
+        reference: Exposure that exposures are counted in.
+    """
+    passes, waiting = [], list(samples)
+    while waiting:
+        one = waiting[0]
+        alike = list(itertools.takewhile(one.is_like, waiting[:FRAMES_PER_PLANE]))
+        if len(alike) >= _AT_ONCE:
+            alike = alike[: len(alike) // _AT_ONCE * _AT_ONCE]
+            passes.append(_fours(alike, reference))
+        elif len(alike) > 1 and one.table is None:
+            alike = alike[:2]
+            passes.append(_linear_pair(alike[0], alike[1], reference))
         else:
-            tables = tuple(alike[min(k, len(alike) - 1)].usable for k in range(merge_kernels.MANY))
-            exposures = np.ascontiguousarray(constants[:, 2:])
-            merge_kernels.add_table_many(dn, len(alike), start, tables, exposures, limits, bits, *view)
+            alike = [one]
+            passes.append(_single(one, reference))
+        waiting = waiting[len(alike) :]
+    return passes
 
-    def _add_linear_pair(self, one: MergeSample, two: MergeSample, start: int, reference: float) -> None:
-        stop = start + self.first.size
-        constants = np.array([one.constants(reference), two.constants(reference)], np.float32)
-        limits = np.array([one.limits, two.limits], one.dn.dtype)
-        bits = np.array([one.bit, two.bit], np.uint16)
-        merge_kernels.add_linear_pair(
-            one.dn[start:stop], two.dn[start:stop], constants, limits, bits, *self._view(one.plane)
+
+def _fours(alike: Sequence[MergeSample], reference: float) -> MergePass:
+    # Always as many arrays: the loop is compiled once. Those that do not count are not looked at.
+    dn, count, plane = (
+        tuple(alike[min(k, len(alike) - 1)].dn for k in range(merge_kernels.MANY)),
+        len(alike),
+        alike[0].plane,
+    )
+    constants = np.array([one.constants(reference) for one in alike], np.float32)
+    limits, bits = np.array([one.limits for one in alike], dn[0].dtype), np.array([one.bit for one in alike], np.uint16)
+    if alike[0].table is None:
+        return lambda sums, start: merge_kernels.add_linear_many(
+            dn, count, start, constants, limits, bits, *sums.view(plane)
         )
+    tables = tuple(alike[min(k, count - 1)].usable for k in range(merge_kernels.MANY))
+    exposures = np.ascontiguousarray(constants[:, 2:])
+    return lambda sums, start: merge_kernels.add_table_many(
+        dn, count, start, tables, exposures, limits, bits, *sums.view(plane)
+    )
 
-    def _add_one(self, one: MergeSample, start: int, reference: float) -> None:
-        stop = start + self.first.size
-        dn, view = one.dn[start:stop], self._view(one.plane)
-        low, high = (one.dn.dtype.type(limit) for limit in one.limits)
-        offset, inverse, exposure, weight = (np.float32(value) for value in one.constants(reference))
-        bit = np.uint16(one.bit)
+
+def _linear_pair(one: MergeSample, two: MergeSample, reference: float) -> MergePass:
+    constants = np.array([one.constants(reference), two.constants(reference)], np.float32)
+    limits = np.array([one.limits, two.limits], one.dn.dtype)
+    bits = np.array([one.bit, two.bit], np.uint16)
+
+    def add(sums: MergeSums, start: int) -> None:
+        here = slice(start, start + sums.first.size)
+        merge_kernels.add_linear_pair(one.dn[here], two.dn[here], constants, limits, bits, *sums.view(one.plane))
+
+    return add
+
+
+def _single(one: MergeSample, reference: float) -> MergePass:
+    low, high = (one.dn.dtype.type(limit) for limit in one.limits)
+    offset, inverse, exposure, weight = (np.float32(value) for value in one.constants(reference))
+    bit = np.uint16(one.bit)
+
+    def add(sums: MergeSums, start: int) -> None:
+        here = slice(start, start + sums.first.size)
+        dn, view = one.dn[here], sums.view(one.plane)
         if one.table is None:
             merge_kernels.add_linear(dn, offset, inverse, low, high, exposure, weight, bit, *view)
         else:
-            dark = one.terms.dark if one.terms.dark.size == 1 else one.terms.dark[start:stop]
+            dark = one.terms.dark if one.terms.dark.size == 1 else one.terms.dark[here]
             merge_kernels.add_table(dn, one.table, dark, low, high, exposure, weight, bit, *view)
 
-    def _view(self, plane: int) -> tuple[NDArray[Any], ...]:
-        return self.first, self.second, self.squares, self.planes[plane], self.mask
+    return add
 
 
 @dataclass(frozen=True, slots=True, eq=False)
