@@ -23,9 +23,13 @@ def waves():
     return 0.28, 2.0 * math.pi / length * np.cos(angle), 2.0 * math.pi / length * np.sin(angle), phase
 
 
-def _radiance(waves, x, y):
+def _radiance(waves, place):
+    """Return the scene at the pixels of a photograph: a wave's phase is a sum of a row's part and a column's."""
     amplitude, kx, ky, phase = waves
-    return np.exp(sum(amplitude * np.sin(a * x + b * y + c) for a, b, c in zip(kx, ky, phase, strict=True)))
+    (a, b), (c, d) = place[:, :2]
+    of_rows = np.exp(1j * ((kx * c + ky * d) * (np.arange(HEIGHT)[:, None] - place[1, 2]) + phase))
+    of_columns = np.exp(1j * (kx * a + ky * b) * (np.arange(WIDTH)[:, None] - place[0, 2]))
+    return np.exp(amplitude * (of_rows @ of_columns.T).imag)
 
 
 def _place(shift, degrees):
@@ -37,10 +41,7 @@ def _place(shift, degrees):
 
 def _photograph(waves, place, seconds, rng=None):
     """Return what a camera with a tone curve makes of the scene from its place: x_scene = Rᵀ(x − d)."""
-    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float)
-    dx, dy = x - place[0, 2], y - place[1, 2]
-    (a, b), (c, d) = place[:, :2]
-    light = _radiance(waves, a * dx + c * dy, b * dx + d * dy) * seconds * 25.0
+    light = _radiance(waves, place) * seconds * 25.0
     electrons = light if rng is None else rng.poisson(light)
     dn = 255.0 * (electrons / 1500.0) ** 0.45 + (0.0 if rng is None else rng.normal(0.0, 0.5, light.shape))
     return Frame(np.clip(np.rint(dn), 0, 255).astype(np.uint8), 8, FrameSettings(float(seconds)))
