@@ -2,11 +2,11 @@
 
     python -m benchmarks reconcile_propose --sets 24 --first-seed 1000 [--find 4]
 
-The outsiders of generators 2 and 3 are hidden one by one, in random order. Told are: whether the stage is right (or
-stands among those that the law's rivals have), whether a true covariate is there, and what share of the excess the
-written effect file closes in another session of the rig, its parameters as written. The excess is what the gap lies
-above that of the same session with nothing hidden. With --find the effect file is given to a reconciliation of a third
-session, the first so many times. A stopped run tells its part.
+The outsiders of generators 2 and 3, or with --own those of the tests' own, are hidden one by one, in random order. Told
+are: whether the stage is right (or stands among those that the law's rivals have), whether a true covariate is there,
+and what share of the excess the written effect file closes in another session of the rig, its parameters as written.
+The excess is what the gap lies above that of the same session with nothing hidden. With --find the effect file is given
+to a reconciliation of a third session, the first so many times. A stopped run tells its part.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import _own_outsiders as own_generator
 from benchmarks._outside.judge import PLACES
-from benchmarks._outside.session import Secret, Session
+from benchmarks._outside.session import Hidden, Secret, Session
 from benchmarks._sections import write_section
-from benchmarks.reconcile_outsiders import GENERATORS, session_of
+from benchmarks.reconcile_outsiders import GENERATORS
 from radiometer.data import CaptureSet
 from radiometer.reconcile.engine import reconcile_capture, whole_catalogue
 from radiometer.reconcile.fit.descent import first_state
@@ -37,8 +38,17 @@ from radiometer.reconcile.propose.effect_file import effect_class, effect_of, ro
 from simulators.effects.catalogue import CatalogueEffect
 
 RESULTS = Path("out") / "reconcile_propose.jsonl"
+OWN: dict[int, tuple[Any, dict[str, Hidden]]] = {1: (own_generator, own_generator.HIDDEN)}
+MAKERS = OWN | GENERATORS
 FRESH = (1, 3, 4, 5)  # further sessions: a gap's chance is some hundredths, and so is the excess of a faint outsider
 OTHER = {"idle_s": "since_frame_s", "signal": "value"}
+
+
+def hiding(generator: int, name: str | None, seed: int, plan: str | None = None, again: int = 0) -> Session:
+    """Return a session of a rig in which an outsider is hidden, or nothing for None."""
+    module, hidden = MAKERS[generator]
+    session: Session = module.make(seed, None if name is None else hidden[name], plan, again=again)
+    return session
 
 
 def state_of(session: Session, given: tuple[CatalogueEffect, ...] = ()) -> FitState:
@@ -52,7 +62,7 @@ def state_of(session: Session, given: tuple[CatalogueEffect, ...] = ()) -> FitSt
 def run(generator: int, name: str, seed: int, *, find: bool) -> dict[str, Any]:
     """Return what was proposed for one outsider and how it did in other sessions."""
     begun = time.process_time()
-    session = session_of(generator, "outsider", seed, name)
+    session = hiding(generator, name, seed)
     secret, plan = session.secret, session.secret.plan
     proposal = propose_law(state_of(session))
     told = {"generator": generator, "name": name, "seed": seed, "plan": plan, "stage": secret.stage}
@@ -80,8 +90,8 @@ def gaps_in(
     again: int, generator: int, name: str, seed: int, plan: str, effect: CatalogueEffect
 ) -> tuple[float, float, float]:
     """Return the gaps of another session of a rig: with nothing hidden, as it is, and with the effect as written."""
-    fresh = session_of(generator, "outsider", seed, name, plan, again=again)
-    bare = GENERATORS[generator][0].make(seed, None, plan, again=again)
+    fresh = hiding(generator, name, seed, plan, again)
+    bare = hiding(generator, None, seed, plan, again)
     return state_of(bare).gap, state_of(fresh).gap, state_of(fresh, (effect,)).gap
 
 
@@ -94,7 +104,7 @@ def is_along(proposal: Proposal, secret: Secret) -> bool:
 def found_again(generator: int, name: str, seed: int, plan: str, proposal: Proposal) -> list[str]:
     """Return the names that a reconciliation of a third session gives when it knows the proposed effect too."""
     kind = effect_class(proposal.law, proposal.amplitude)
-    third = session_of(generator, "outsider", seed, name, plan, again=2)
+    third = hiding(generator, name, seed, plan, again=2)
     with tempfile.TemporaryDirectory() as folder:
         path = third.write(Path(folder) / "set")
         done = reconcile_capture(path, catalogue={**whole_catalogue(), kind.name: kind})
@@ -139,11 +149,13 @@ def main() -> None:
     parser.add_argument("--sets", type=int, default=23, help="sessions in all; each outsider comes as often")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--find", type=int, default=0, help="so many of them are looked for in a third session too")
+    parser.add_argument("--own", action="store_true", help="the outsiders of the tests' own generator instead")
     parser.add_argument("--without", action="append", default=[], help="outsiders to leave out")
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks.md")
     options = parser.parse_args()
-    names = [(g, n) for g, (_, table) in GENERATORS.items() for n, h in table.items() if h.kind == "outsider"]
+    makers = OWN if options.own else GENERATORS
+    names = [(g, n) for g, (_, table) in makers.items() for n, h in table.items() if h.kind == "outsider"]
     names = [entry for entry in names if entry[1] not in options.without]
     order = np.random.default_rng(options.first_seed).permutation(max(options.sets, len(names)))[: options.sets]
     lines = options.results.read_text(encoding="utf-8").splitlines() if options.results.exists() else []
@@ -168,7 +180,10 @@ def main() -> None:
     print(f"\n{body}")
     if options.write and results:
         asked = f"python -m benchmarks reconcile_propose --sets {options.sets} --first-seed {options.first_seed}"
-        write_section("reconcile_propose", "Reconcile: laws proposed for what no entry explains", asked, body)
+        place, title = "reconcile_propose", "Reconcile: laws proposed for what no entry explains"
+        if options.own:
+            asked, place, title = f"{asked} --own", f"{place}_own", f"{title}, of the own generator"
+        write_section(place, title, asked, body)
 
 
 if __name__ == "__main__":

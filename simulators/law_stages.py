@@ -78,7 +78,7 @@ LINKS: Final = {
             "1",
             _FACTOR,
             "scales the light on the sensor",
-            _PLACE,
+            (*_PLACE, "f_number"),
             "dust, a coating or a window in front of the sensor",
         ),
         Link(
@@ -90,7 +90,7 @@ LINKS: Final = {
             "W m-2",
             "signal + {law}",
             "adds light while the shutter is open",
-            _PLACE,
+            (*_PLACE, "timestamp_s"),
             "light that leaks in",
         ),
         Link(
@@ -150,7 +150,7 @@ LINKS: Final = {
             "1",
             _FACTOR,
             "scales what the amplifier gives",
-            (*_PLACE, "temperature_C"),
+            (*_PLACE, "temperature_C", "timestamp_s", "gain_db"),
             "a second amplifier or a reference that steps",
         ),
         Link(
@@ -174,7 +174,7 @@ LINKS: Final = {
             "DN",
             "signal + {law}",
             "shifts the black level, whatever the gain",
-            (*_PLACE, "exposure_s", "timestamp_s", "temperature_C", "since_frame_s", "frame"),
+            (*_PLACE, "exposure_s", "gain_db", "timestamp_s", "temperature_C", "since_frame_s", "frame"),
             "a clamp or a sequencer",
         ),
         Link(

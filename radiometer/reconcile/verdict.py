@@ -63,6 +63,7 @@ def doubts_of(outcome: Search) -> list[str]:
         f"{name} fits by its further terms alone: what makes it {name} is within three uncertainties of zero"
         for name in without_essential(effects, fitted_parameters(state))
     ]
+    said += [f"{told}: less than that cause ever does, something else acts so" for told in below_least(effects)]
     said += [
         f"{name} acts with these parameters as other causes would: nothing is its own"
         for name in acting_as_others(state)
@@ -350,6 +351,16 @@ def without_essential(
         if any(entry.u is not None and abs(entry.value) < ESSENTIAL_SIGMAS * entry.u for entry in shown):
             found.append(effect.name)
     return found
+
+
+def below_least(effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return names with a parameter that lies nearer to what does nothing than it does where they are the cause."""
+    return [
+        f"{effect.name} with {name} = {getattr(effect, name):.6g}"
+        for effect in effects
+        for name, least in effect.least.items()
+        if abs(getattr(effect, name) - effect.neutral(name)) < least
+    ]
 
 
 def faint_beside_others(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:

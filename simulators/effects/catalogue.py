@@ -10,6 +10,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from types import MappingProxyType
 from typing import Any, ClassVar, Final, Literal, Self, cast
 
 import numpy as np
@@ -54,6 +55,7 @@ class CatalogueEffect(Effect):
         looks_back: Whether it acts by what the frame before held (`context.previous_e`).
         is_steep: Whether it may change within a tile as no quadratic surface does: a step, a narrow spot or wave.
         is_sudden: Whether it jumps along the signal: each pixel's own noise decides on which side of the jump it lies.
+        least: How far from the value that does nothing a parameter lies at least where this is the cause, by its name.
         heated: Parameter that doubles within `doubling_K` and is stated at `reference_C`; a search states it at the
             temperature of the session that is nearest to the usual.
     """
@@ -81,6 +83,7 @@ class CatalogueEffect(Effect):
     looks_back: ClassVar[bool] = False
     is_steep: ClassVar[bool] = False
     is_sudden: ClassVar[bool] = False
+    least: ClassVar[Mapping[str, float]] = MappingProxyType({})
     heated: ClassVar[str] = ""
 
     @classmethod

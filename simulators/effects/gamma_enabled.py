@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Final, Self, cast
 
 import numpy as np
@@ -52,6 +53,7 @@ class GammaEnabled(CatalogueEffect):
         {"gamma": 0.9, "above_black": 1.0},
     )
     fitted = ("gamma",)
+    least = MappingProxyType({"gamma": 0.005})  # a setting, in steps of a hundredth where cameras tell them
     settles = "the same digital number reached at two gains"
     gamma: float = parameter(1.0, "1", 0.2, 5.0, source="engineering prior; refined on a real rig")
 

@@ -43,7 +43,7 @@ class Covariate:
     @property
     def suffix(self) -> str:
         """Return the suffix of a parameter in its unit."""
-        return {"1": "", "°C": "_c", "e-": "_e", "DN": "_dn"}.get(self.unit, f"_{self.unit}")
+        return {"1": "", "°C": "_c", "e-": "_e", "DN": "_dn", "dB": "_db"}.get(self.unit, f"_{self.unit}")
 
 
 SIDE: Final = "side = max(context.geometry.sensor_width, context.geometry.sensor_height)"
@@ -54,6 +54,8 @@ COVARIATES: Final = {
         Covariate("timestamp_s", "time", "s", "np.asarray(elapsed_s(context))", "the time"),
         Covariate("temperature_C", "warm", "°C", "np.asarray(context.settings.temperature_c)", "the temperature"),
         Covariate("source_level", "level", "1", "np.asarray(context.settings.source_level)", "the source's level"),
+        Covariate("gain_db", "gain", "dB", "np.asarray(context.settings.gain_db)", "the gain"),
+        Covariate("f_number", "stop", "1", "np.asarray(context.settings.f_number)", "the f-number"),
         Covariate(
             "since_frame_s",
             "rest",
@@ -134,7 +136,7 @@ FORMS: Final = {
         ),
         Form(
             "fall",
-            "1.0 / (1.0 + ({u} / {knee}) ** {power})",
+            "1.0 / (1.0 + np.maximum({u} / {knee}, 1e-12) ** {power})",
             (("knee", True), ("power", False)),
             "falling off beyond a knee of {covariate}",
         ),
@@ -378,13 +380,15 @@ _MAKERS: Final[dict[str, Callable[[Array, Mapping[str, Array]], _Made]]] = {
 }
 _ALLOWED: Final[dict[str, tuple[str, ...]]] = {
     "exposure_s": ("power", "step", "decay", "fall"),
-    "timestamp_s": ("ramp", "line", "decay", "sine"),
+    "timestamp_s": ("ramp", "line", "decay", "fall", "sine"),
     "temperature_C": ("ramp", "line", "bow", "step"),
     "source_level": ("ramp", "step", "power", "bend"),
+    "gain_db": ("ramp", "step"),
+    "f_number": ("power", "step"),
     "since_frame_s": ("decay", "fall"),
     "frame": ("every",),
     "image_x": ("ramp", "line", "bow", "arch", "border", "edge", "decay", "rise", "sine", "spot"),
     "image_y": ("ramp", "line", "bow", "arch", "border", "edge", "decay", "rise", "sine", "moving_wave"),
     "signal": ("power", "step", "bend", "sine"),
-    "value": ("step", "sine"),
+    "value": ("step", "bend", "sine"),
 }

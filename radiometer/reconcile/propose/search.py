@@ -219,6 +219,8 @@ def known_values(state: FitState) -> dict[str, Array]:
         "exposure_s": settings.exposure_s,
         "timestamp_s": settings.timestamp_s,
         "temperature_C": settings.temperature_c,
+        "gain_db": settings.gain_db,
+        "f_number": settings.f_number,
         "source_level": settings.source_level,
         "image_x": context.geometry.x_px / side,
         "image_y": context.geometry.y_px / side,

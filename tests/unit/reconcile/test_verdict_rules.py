@@ -116,6 +116,16 @@ def test_an_essential_parameter_is_three_uncertainties_from_nothing(value, u, la
     assert (verdict.without_essential((effect,), fitted) == ["entry"]) is lacking
 
 
+@pytest.mark.parametrize(
+    ("gamma", "told"),
+    [(1.0051, False), (1.0049, True), (0.9949, False), (0.9951, True), (1.0004, True), (2.2, False), (0.45, False)],
+)
+def test_a_gamma_nearer_to_one_than_any_setting(gamma, told):
+    """Cameras tell gamma in hundredths: what bends by less than half of one is something else, and the name a guess."""
+    said = verdict.below_least((BLUR, GammaEnabled(gamma), GAIN))
+    assert said == ([f"gamma_enabled with gamma = {gamma:.6g}"] if told else [])
+
+
 def test_the_share_that_a_basis_explains():
     """1 for the basis itself, about 0 for noise: each term costs one value."""
     x = np.linspace(-1.0, 1.0, 400)

@@ -64,6 +64,8 @@ KNOWN = {
     "exposure_s": np.geomspace(1e-4, 1e-2, 8)[:, None, None],
     "timestamp_s": np.linspace(0.0, 300.0, 8)[:, None, None],
     "temperature_C": np.array([20.0, 30.0, 40.0])[:, None, None],
+    "gain_db": np.array([0.0, 6.0, 12.0])[:, None, None],
+    "f_number": np.array([2.8, 4.0, 8.0])[:, None, None],
     "source_level": np.array([0.1, 0.5, 1.0])[:, None, None],
     "since_frame_s": np.stack([np.linspace(1.0, 20.0, 8), np.full(8, 0.2)])[:, :, None, None],
     "frame": np.arange(16.0).reshape(8, 1, 1, 2),

@@ -1,0 +1,140 @@
+"""`radiometer reconcile` on sessions that other people's simulators develop: ESA's Pyxel and GalSim.
+
+    python -m benchmarks peer_sensors --python OTHER/bin/python --sets 42 --first-seed 100
+
+OTHER is an environment with pyxel-sim, galsim, opencv-python-headless and pyyaml, of which this project needs no part;
+without it the benchmark says so and stops. Cases come in random order, each as often. Every run is one line of the
+results file; what stands there is not run again. A blind set is one whose seeds were never looked at in development.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from benchmarks._sections import write_section
+from radiometer.reconcile import reconcile_capture
+
+MAKER = Path(__file__).parent / "_peers" / "make.py"
+RESULTS = Path("out") / "peer_sensors.jsonl"
+
+
+def cases_of(python: str) -> list[str]:
+    """Return the names of the cases. Raises OSError or CalledProcessError where the peers are not installed."""
+    told = subprocess.run([python, str(MAKER), "--cases"], check=True, capture_output=True, text=True)
+    return told.stdout.split()
+
+
+def run(python: str, case: str, seed: int) -> dict[str, Any]:
+    """Return what is said of one session and whether it is right; a crash is an answer too."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "session"
+        subprocess.run([python, str(MAKER), case, str(seed), str(path)], check=True, capture_output=True, text=True)
+        truth = yaml.safe_load(path.with_name("session.truth.yaml").read_text(encoding="utf-8"))
+        kept = {"seed": seed, **truth}
+        begun = time.process_time()
+        try:
+            told = reconcile_capture(path).result.to_mapping()
+        except Exception as error:  # noqa: BLE001  (a crash of the finder is a failed run, not the end of the benchmark)
+            return kept | {"error": f"{type(error).__name__}: {error}"}
+    said = [{key: effect[key] for key in ("name", "where", "alternatives", "parameters")} for effect in told["effects"]]
+    return kept | {
+        "verdict": told["verdict"],
+        "said": said,
+        "gap": [told["gap"]["before"], told["gap"]["after"]],
+        "cpu_s": round(time.process_time() - begun, 1),
+    }
+
+
+def judged(result: dict[str, Any]) -> str:
+    """Return one word.
+
+    silent: nothing hidden, nothing said. missed: something hidden, nothing said. exact: right names and nothing else,
+    and sure; provisional: the same with a doubt. rival: a right name stands only among alternatives. beside: a right
+    name with more beside it, not sure of it all. place: no name that is right, none told as sure. wrong: a name that is
+    not right, and sure of it.
+    """
+    right, said, sure = set(result["right"]), result["said"], result["verdict"] == "effects_found"
+    if not said:
+        return "silent" if result["kind"] == "null" else "missed"
+    names = {entry["name"] for entry in said}
+    strange = [e for e in said if e["name"] != "unnamed" and not right & {e["name"], *e["alternatives"]}]
+    if strange:
+        return "wrong" if sure else "beside" if right & names else "place"
+    if names <= right:
+        return "exact" if sure else "provisional"
+    return "beside" if right & names else "place" if names == {"unnamed"} else "rival"
+
+
+def page(results: Sequence[dict[str, Any]]) -> str:
+    """Return what was said case by case, in Markdown."""
+    lines = ["| case | sessions | judged | said |", "|---|---|---|---|"]
+    for case in sorted({result["case"] for result in results}):
+        own = [result for result in results if result["case"] == case]
+        words = [judged(result) if "said" in result else "error" for result in own]
+        counts = ", ".join(f"{word} {words.count(word)}" for word in dict.fromkeys(words))
+        said = dict.fromkeys(
+            " + ".join(entry["name"] for entry in result["said"]) or "nothing" for result in own if "said" in result
+        )
+        lines.append(f"| {case} ({own[0]['kind']}) | {len(own)} | {counts} | {'; '.join(said)} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks peer_sensors", description=__doc__)
+    parser.add_argument("--python", default="", help="interpreter that has pyxel-sim and galsim")
+    parser.add_argument("--sets", type=int, default=21, help="sessions in all; each case comes as often")
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="cases, by comma")
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks.md")
+    options = parser.parse_args()
+    try:
+        names = cases_of(options.python or sys.executable)
+    except (OSError, subprocess.CalledProcessError):
+        print("skipped: no interpreter with pyxel-sim and galsim (--python); see benchmarks/_peers/make.py")
+        return
+    names = [name for name in names if not options.only or name in options.only.split(",")]
+    order = np.random.default_rng(options.first_seed).permutation(max(options.sets, len(names)))[: options.sets]
+    lines = options.results.read_text(encoding="utf-8").splitlines() if options.results.exists() else []
+    done = {(r["case"], r["seed"]): r for r in map(json.loads, lines)}
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    options.results.parent.mkdir(parents=True, exist_ok=True)
+    results: list[dict[str, Any]] = []
+    try:
+        for number in order.tolist():
+            case, seed = names[number % len(names)], options.first_seed + number
+            if (case, seed) not in done:
+                done[case, seed] = run(options.python or sys.executable, case, seed)
+                with options.results.open("a", encoding="utf-8") as out:
+                    out.write(json.dumps(done[case, seed]) + "\n")
+            results.append(done[case, seed])
+            told = results[-1]
+            word = judged(told) if "said" in told else told["error"]
+            shown = [e["name"] for e in told.get("said", ())]
+            print(
+                f"{len(results)}/{len(order)} {case} {seed}: {word}; {told.get('verdict')} {shown} {told['drawn']}",
+                flush=True,
+            )
+    except KeyboardInterrupt:
+        print(f"stopped after {len(results)} of {len(order)}", file=sys.stderr)
+    body = page(results)
+    print(f"\n{body}")
+    if options.write and results:
+        asked = f"python -m benchmarks peer_sensors --sets {options.sets} --first-seed {options.first_seed}"
+        write_section("peer_sensors", "Reconcile: sessions developed by Pyxel and GalSim", asked, body)
+
+
+if __name__ == "__main__":
+    main()
