@@ -14,6 +14,8 @@ from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.errors import CaptureError
 from radiometer.importing import is_foreign, open_capture
 
+_NAMED = 4  # folders that a message names
+
 
 def open_brackets(
     path: Path,
@@ -57,7 +59,7 @@ def open_brackets(
     if not any(path.iterdir()):
         raise CaptureError(f"{path} is empty; give a capture set or a folder of photographs")
     if not image_files(path) and find_list(path) is None:
-        raise CaptureError(f"{path} holds neither {HEADER_NAME} nor photographs; give a capture set or photographs")
+        raise CaptureError(f"{path} holds neither {HEADER_NAME} nor photographs; {_instead(path)}")
     return read_photographs(
         path, channel, report=report, speeds=speeds, most_pixels=most_pixels, interpolated=interpolated
     )
@@ -107,3 +109,12 @@ def _origin(capture: CaptureSet, pattern: str, level: float, count: int) -> str:
 
 def _named(frame: Frame, file: str) -> Frame:
     return replace(frame, extra={**frame.extra, "file": file})
+
+
+def _instead(path: Path) -> str:
+    """Return what to give in place of a folder that holds nothing itself: those of its folders that do, by name."""
+    inner = sorted(p for p in path.iterdir() if p.is_dir() and ((p / HEADER_NAME).exists() or image_files(p)))
+    if not inner:
+        return "give a capture set or photographs"
+    named = ", ".join(one.name for one in inner[:_NAMED]) + (" …" if len(inner) > _NAMED else "")
+    return f"they lie in folders of it ({named}): give one of these"

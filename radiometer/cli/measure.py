@@ -59,6 +59,9 @@ def command(
     align: Annotated[
         str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")
     ] = "auto",
+    linear: Annotated[
+        bool, typer.Option("--linear", help="Uncalibrated photographs are linear above black (raw files always are).")
+    ] = False,
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
     f_number: Annotated[float | None, typer.Option(help=F_NUMBER_HELP)] = None,
     spectrum: Annotated[str | None, typer.Option(help="Spectrum assumed for the luminance.")] = None,
@@ -85,11 +88,24 @@ def command(
     if calibration and uncalibrated:
         raise UsageError("--calibration and --uncalibrated exclude each other")
     wanted = parse_patch(patch) if patch else None
-    if photographs is not None or measured_iso:
+    if photographs is not None or measured_iso or linear:
         if photographs is None or camera or bench:
-            raise UsageError("--photographs takes the place of --camera and --bench; --measured-iso belongs to it")
+            raise UsageError(
+                "--photographs takes the place of --camera and --bench; --measured-iso and --linear belong to it"
+            )
+        if linear and calibration:
+            raise UsageError("--linear belongs to photographs without a calibration, which knows the camera's response")
         reading, situation, alignment = _photographed(
-            photographs, wanted, calibration, channel, measured_iso, spectrum, f_number, align, relative=uncalibrated
+            photographs,
+            wanted,
+            calibration,
+            channel,
+            measured_iso,
+            spectrum,
+            f_number,
+            align,
+            relative=uncalibrated,
+            linear=linear,
         )
         drawn = _distribution(situation, reading) if monte_carlo else None
         said = reading.provenance
@@ -139,13 +155,17 @@ def _photographed(
     align: str,
     *,
     relative: bool,
+    linear: bool,
 ) -> tuple[Reading, PatchSituation, str | None]:
     """Return the reading of a patch in a folder of photographs, what it was made from, and how the frames lay."""
     from radiometer.analysis.patch.reading import patch_situation, read_patch
     from radiometer.bench.sources import open_brackets
     from radiometer.cli.iso_record import with_iso_in_reading
     from radiometer.cli.photograph_alignment import in_one_place
+    from radiometer.cli.photograph_response import told_by_themselves
     from radiometer.data import Calibration, CameraDescription, LensDescription
+    from radiometer.data.capture_set import HEADER_NAME
+    from radiometer.importing import is_foreign
 
     if patch is None or channel == "each":
         raise UsageError("--photographs needs --patch X,Y,W,H, and one channel: luminance, red, green or blue")
@@ -157,7 +177,9 @@ def _photographed(
     bracket = placed.without_absent()
     camera = known.camera if known else CameraDescription(bit_depth=bracket.bit_depth)
     lens = LensDescription()
-    if known is not None and spectrum is not None:
+    if known is None and not (is_foreign(path) or (path / HEADER_NAME).exists()):
+        known, bracket = told_by_themselves(bracket, placed.common[0], camera, lens, note, linear=linear)
+    elif known is not None and spectrum is not None:
         known = replace(known, spectrum=spectrum)
     reading = read_patch(bracket, patch, known, camera, lens, spectrum_stated=spectrum is not None)
     situation = patch_situation(bracket, patch, known, camera, lens, spectrum_stated=spectrum is not None)

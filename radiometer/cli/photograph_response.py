@@ -75,6 +75,30 @@ def recovered_curves(
     return {channel: curve for channel, curve in curves.items() if curve is not None}, list(files.values())
 
 
+def told_by_themselves(
+    bracket: Bracket, common: Bracket, camera: Any, lens: Any, say: Callable[[str], None], *, linear: bool
+) -> tuple[Calibration, Bracket]:
+    """Return a calibration without a scale as photographs show it, and the photographs with the times as found.
+
+    Args:
+        bracket: The photographs.
+        common: The part of them that all show.
+        camera: Description of the camera.
+        lens: Description of the lens.
+        say: Takes what a user should know.
+        linear: Whether they are linear above black; camera raw files always are.
+
+    Raises:
+        MeasurementError: If the photographs hold no response.
+    """
+    if linear or all("raw" in frame.extra for frame in bracket):
+        return relative_calibration(bracket, None, camera, lens)[0], bracket
+    channel = _channel(bracket)
+    curve = _recovered({channel: common.thinned(ENOUGH_PIXELS)}, {channel: ""}, say)[channel]
+    timed = with_found_times(bracket, curve)
+    return relative_calibration(timed, curve, camera, lens)[0], timed
+
+
 def _recovered(
     brackets: Mapping[str, Bracket], keys: Mapping[str, str], say: Callable[[str], None]
 ) -> dict[str, ResponseCurve]:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
-from radiometer.analysis.response.labels import frame_name
+from radiometer.analysis.response.labels import frame_name, refuse_falling_brightness
 from radiometer.analysis.response.left_out import others_gap, prediction_error_dn
 from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
@@ -111,6 +111,7 @@ def reconcile_photographs(
         others = [plane for one in other_colours for plane in _plane(one)]
         judged = _judge(Plane(samples, start), others, _exact_log_times(bracket))
     except (MeasurementError, InputError) as error:
+        refuse_falling_brightness(bracket)
         raise CaptureError(
             f"the photographs hardly overlap: no part of the scene is well exposed in two of them ({error})"
         ) from error

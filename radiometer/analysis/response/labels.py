@@ -34,16 +34,32 @@ def refuse_lying_labels(bracket: Bracket) -> None:
     if not liars:
         return
     where = bracket.origin or "bracket"
-    if len(honest) <= max(1, len(bracket) // 3):
-        raise CaptureError(
-            f"{where}: the pictures get darker as the stated exposure grows; the times are wrong throughout "
-            "(a list of 1/t instead of t looks like this)"
-        )
+    _refuse_falling(where, len(honest), len(bracket))
     named = "; ".join(_accusation(bracket, index, rise, honest) for index in liars[:3])
     raise CaptureError(
         f"{where}: brightness does not rise with the stated exposure: {named}; "
         "correct that exposure time or leave the frame out"
     )
+
+
+def refuse_falling_brightness(bracket: Bracket) -> None:
+    """Refuse a bracket whose pictures get darker throughout as the stated exposure grows.
+
+    Args:
+        bracket: Frames sorted by their stated exposure.
+
+    Raises:
+        CaptureError: If hardly any frame is brighter than one of a shorter stated exposure.
+    """
+    _refuse_falling(bracket.origin or "bracket", len(_longest_rise(_pairwise_rise(bracket))), len(bracket))
+
+
+def _refuse_falling(where: str, rising: int, count: int) -> None:
+    if rising <= max(1, count // 3) < count:
+        raise CaptureError(
+            f"{where}: the pictures get darker as the stated exposure grows; the times are wrong throughout "
+            "(a list of 1/t instead of t looks like this)"
+        )
 
 
 def _refuse_equal_frames(bracket: Bracket) -> None:

@@ -94,7 +94,7 @@ def test_a_patch_of_photographs_from_the_hand_is_read_where_it_is(folder, tmp_pa
     """A patch on a steep flank reads the same as the scene there, relative to another patch; unaligned it does not."""
 
     def read(patch, *words):
-        arguments = ["--photographs", str(folder), "--uncalibrated", "--patch", patch, "--json", *words]
+        arguments = ["--photographs", str(folder), "--uncalibrated", "--linear", "--patch", patch, "--json", *words]
         assert run(["measure", *arguments]) == 0
         return json.loads(capsys.readouterr().out)
 

@@ -1,0 +1,90 @@
+"""`radiometer measure --photographs` without a calibration: through the response that they tell themselves."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from radiometer.cli.main import run
+
+TIMES = (0.004, 0.01, 0.025, 0.0625, 0.15)
+LIGHT = np.geomspace(0.4, 200.0, 12)  # fields of a chart, one beside the other
+
+
+@pytest.fixture
+def chart(tmp_path):
+    """Return a folder of photographs of a chart, stored as the root of the light: M = 255·√(H/2) and noise of 1 DN."""
+    rng = np.random.default_rng(31)
+    y, x = np.mgrid[:144, :192]
+    fields = LIGHT[(x // 48) + 4 * (y // 48)]
+    for k, seconds in enumerate(TIMES):
+        dn = 255.0 * np.sqrt(fields * seconds / 2.0) + rng.normal(0.0, 1.0, fields.shape)
+        Image.fromarray(np.clip(np.rint(dn), 0, 255).astype(np.uint8)).save(tmp_path / f"p{k}.png")
+    (tmp_path / "exposures.txt").write_text("".join(f"p{k}.png {s}\n" for k, s in enumerate(TIMES)))
+    return tmp_path
+
+
+def _read(folder, field, *words):
+    patch = f"{48 * (field % 4) + 12},{48 * (field // 4) + 12},24,24"
+    command = ["measure", "--photographs", str(folder), "--uncalibrated", "--patch", patch, "--align", "off"]
+    return run([*command, "--json", *words])
+
+
+def test_the_response_of_photographs_is_recovered_for_a_patch(chart, capsys):
+    """A field 3.1 times as bright as another reads so to k = 2 of what both state; taken as linear it reads 1.76."""
+    found = []
+    for field in (6, 8):
+        assert _read(chart, field) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    value, u = ([one["radiance"][name] for one in found] for name in ("value", "u"))
+    u_ratio = math.hypot(u[0] / value[0], u[1] / value[1])
+    assert value[1] / value[0] == pytest.approx(LIGHT[8] / LIGHT[6], rel=2.0 * u_ratio)
+    assert u_ratio < 0.2
+    for one in found:
+        assert "uncalibrated" in one["flags"]
+        assert "flicker" not in one["flags"]
+
+
+def test_one_photograph_holds_no_response(chart, capsys):
+    """One exposure of an unknown response is refused; --linear takes the numbers as they are, a root apart."""
+    (chart / "exposures.txt").write_text("p2.png 0.025\n")
+    assert _read(chart, 6) == 1
+    assert "at least two different ones" in capsys.readouterr().err
+    values = []
+    for field in (6, 8):
+        assert _read(chart, field, "--linear") == 0
+        values.append(json.loads(capsys.readouterr().out)["radiance"]["value"])
+    assert values[1] / values[0] == pytest.approx(math.sqrt(LIGHT[8] / LIGHT[6]), rel=0.005)
+
+
+@pytest.mark.parametrize("words", [["--linear"], ["--linear", "--photographs", ".", "--calibration", "none.yaml"]])
+def test_linear_belongs_to_uncalibrated_photographs(words, capsys):
+    """With a camera, or with a calibration that knows the response, --linear is misuse."""
+    assert run(["measure", *words]) == 2
+    assert "--linear" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["response", "merge", "reconcile"])
+def test_folders_of_photographs_within_a_folder_are_named(chart, tmp_path, capsys, command):
+    """A folder of folders holds no photographs itself: those of its folders that do are said."""
+    for name in ("before", "after"):
+        (tmp_path / "day" / name).mkdir(parents=True)
+        for file in ("p0.png", "p1.png"):
+            (tmp_path / "day" / name / file).write_bytes((chart / file).read_bytes())
+    (tmp_path / "day" / "notes").mkdir()
+    words = ["-o", str(tmp_path / "map.exr")] if command == "merge" else []
+    assert run([command, str(tmp_path / "day"), *words]) == 1
+    assert "in folders of it (after, before): give one of these" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("command", ["response", "merge", "reconcile"])
+def test_times_written_as_their_inverse_are_said_to_be_wrong_throughout(chart, tmp_path, capsys, command):
+    """A list of 1/t in place of t: every command says that, not that the photographs hardly overlap."""
+    (chart / "exposures.txt").write_text("".join(f"p{k}.png {1.0 / s}\n" for k, s in enumerate(TIMES)))
+    words = ["-o", str(tmp_path / "map.exr")] if command == "merge" else []
+    assert run([command, str(chart), *words]) == 1
+    assert "the times are wrong throughout" in " ".join(capsys.readouterr().err.split())
