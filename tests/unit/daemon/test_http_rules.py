@@ -174,3 +174,60 @@ async def test_every_reply_carries_the_headers_that_keep_the_page_whole(station:
     assert "frame-ancestors 'none'" in _HEADERS["Content-Security-Policy"]
     assert "script-src 'self'" in _HEADERS["Content-Security-Policy"]
     await server.close()
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "message"),
+    [
+        (KeyError("secret"), 500, "unexpected error; the daemon's log has the particulars"),
+        (TimeoutError(), 504, "no reading within the deadline"), (TimeoutError("late"), 504, "late"),
+        (DeviceLost("gone"), 503, "gone"), (MeasurementError("dark"), 422, "dark"),
+    ],
+)  # fmt: skip
+async def test_what_a_measurement_ends_in_is_said_as_json(
+    station: Station, monkeypatch: pytest.MonkeyPatch, error: Exception, status: int, message: str
+) -> None:
+    """Our own errors in their words, a bug without them; with the headers of every reply, and the next is served."""
+
+    async def failing(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(station, "measure", failing)
+    server = HttpServer(station, limits=Limits(http_requests_per_s=1e4))
+    base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
+    async with aiohttp.ClientSession() as session:
+        async with session.post(f"{base}/measure", json={}) as reply:
+            assert (reply.status, await reply.json()) == (status, {"error": {"status": status, "message": message}})
+            assert {name: reply.headers.get(name) for name in _HEADERS} == _HEADERS
+        async with session.get(f"{base}/status") as reply:
+            assert reply.status == 200
+    await server.close()
+
+
+async def test_a_newcomer_waits_for_its_turn_and_is_refused_after_fifty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """New connections of this machine share one rate: the sixth waits as long as is said; not for ever."""
+    now, waited = [0.0], list[float]()
+
+    async def sleep(seconds: float) -> None:
+        waited.append(seconds)
+        now[0] += seconds * passes
+
+    monkeypatch.setattr(security, "TokenBucket", lambda per_s: real(per_s, lambda: now[0]))
+    monkeypatch.setattr(security.asyncio, "sleep", sleep)
+    rates: Any = _Rates(5.0, Unknown())  # type: ignore[arg-type]
+    passes = 1.0
+    newcomers = [SimpleNamespace(remote="127.0.0.1", protocol=number) for number in range(8)]
+    assert [await rates.admits(one) for one in newcomers[:5]] == [True] * 5
+    assert waited == []
+    assert await rates.admits(newcomers[5])
+    assert waited[0] == pytest.approx(0.2)
+    passes, before = 0.0, len(waited)
+    assert not await rates.admits(newcomers[6])
+    assert len(waited) - before == 50
+
+
+class Unknown:
+    """No connection is known."""
+
+    def is_known(self, protocol: Any) -> bool:
+        return False

@@ -84,6 +84,10 @@ def session(hidden: str = "") -> tuple[CaptureHeader, list[Frame]]:
             expected = scene * 10_500.0 * light * seconds / 6e-3 * (not s.get("closed"))
             expected = expected + 2.0 ** ((temperature - 25.0) / 7.0) * s["t"]
             charge = np.minimum(rng.poisson(expected), 10_500) + rng.normal(0.0, 2.4, expected.shape)
+            if hidden == "spots":  # pixels of their own, more of them where it is dark for long; a dead one, a column
+                charge[::11, ::13] += 900.0 + 4000.0 * s["t"]
+                charge[7, 30] = 0.0
+                charge[:, 50] += 40.0
             dn = np.clip(np.floor(64.5 + charge * 10 ** (s.get("g", 0.0) / 20) / 2.6), 0, 4095).astype(np.uint16)
             settings = FrameSettings(
                 s["t"], s.get("g", 0.0), s.get("N", 4.0), 64.0, round(temperature, 2), 2.5 * (3 * number + repeat + 1),
@@ -213,7 +217,8 @@ def test_an_entry_is_as_it_was(name):
     assert not moved(f"effects/{name}", told, rel=1e-6)
 
 
-KINDS = ("", "flats", "unknown")  # patches of known radiance, none at all, patches of unknown radiance
+# Patches of known radiance, none at all, patches of unknown radiance, pixels that stand out.
+KINDS = ("", "flats", "unknown", "spots")
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -13,6 +13,7 @@ from radiometer.reconcile.fit.covariance import _jackknife
 from radiometer.reconcile.fit.covariates import Covariate
 from radiometer.reconcile.fit.held_out import Groups, leave_one_group_out
 from radiometer.reconcile.fit.linear import LinearFit, RowBlock, cholesky
+from radiometer.reconcile.fit.nuisances import _light_factor
 
 seeds = st.integers(0, 10**6)
 quick = settings(max_examples=30, deadline=None)
@@ -181,3 +182,16 @@ def test_waves_begin_with_half_a_turn():
     assert basis[[0, 100, 200], 0, 0] == pytest.approx([1.0, 0.0, -1.0], abs=1e-12)
     for number, wave in enumerate(basis[:, 0].T, 1):
         assert np.count_nonzero(np.diff(np.sign(wave[np.abs(wave) > 1e-9]))) == number
+
+
+def test_the_factor_of_light_stays_above_nought_with_the_slope_that_is_told():
+    """1 + x from −0.5 to 1 and rising beyond, e-folding over what is left there: 0.5/e at −1, 2·e at 3, no jump."""
+    relative = np.array([-3.0, -1.0, -0.5001, -0.4999, 0.0, 0.7, 0.9999, 1.0001, 3.0])
+    factor, slope = _light_factor(relative)
+    assert factor[[1, 4, 5, 8]] == pytest.approx([0.5 * np.exp(-1.0), 1.0, 1.7, 2.0 * np.exp(1.0)])
+    assert np.all(factor > 0.0)
+    step = 1e-6
+    (above, _), (below, _) = _light_factor(relative + step), _light_factor(relative - step)
+    assert slope == pytest.approx((above - below) / (2.0 * step), rel=1e-5)
+    assert factor[2] == pytest.approx(factor[3], abs=3e-4)
+    assert factor[6] == pytest.approx(factor[7], abs=3e-4)

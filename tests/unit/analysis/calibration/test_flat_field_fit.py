@@ -7,11 +7,27 @@ import json
 import numpy as np
 import pytest
 
-from radiometer.analysis.calibration.flat_field import _Tiles, _without_outliers, fit_flat_field
+from radiometer.analysis.calibration.flat_field import (
+    _TILES_ACROSS,
+    _focal_length_px,
+    _Tiles,
+    _tiles,
+    _without_outliers,
+    fit_flat_field,
+)
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.patch.reading import read_patch
 from radiometer.cli.main import run
-from radiometer.data import Bracket, Calibration, CaptureSetWriter, Patch, RadianceMap
+from radiometer.data import (
+    Bracket,
+    Calibration,
+    CameraDescription,
+    CaptureSetWriter,
+    LensDescription,
+    Patch,
+    PixelMask,
+    RadianceMap,
+)
 from radiometer.errors import CalibrationError, MeasurementError
 
 SHAPE = (120, 160)
@@ -181,3 +197,34 @@ def test_outliers_stay_where_too_few_tiles_would_be_left(across, left):
     middle = np.full(2, 0.5 * (across - 1))
     tiles = _without_outliers(_Tiles(x, y, value, np.full(x.size, 1e-4)), middle, float(across), None)
     assert tiles.value.size == left
+
+
+def test_a_tile_is_the_mean_of_its_sound_pixels_where_they_lie():
+    """Of a plane each tile tells the plane at its own place, whatever is masked; of less than half it is none."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    plane, rng = 7.0 + 0.03 * x + 0.011 * y, np.random.default_rng(3)
+    mask = np.where(rng.random(SHAPE) < 0.2, PixelMask.SATURATED, 0).astype(np.uint8)
+    mask |= np.where(rng.random(SHAPE) < 0.1, PixelMask.EXTRAPOLATED, 0).astype(np.uint8)  # sound
+    mask[:30, :40] = PixelMask.DEFECTIVE
+    u = np.full(SHAPE, 0.05, np.float32)
+    even = RadianceMap(np.where(mask & PixelMask.SATURATED, 99.0, plane).astype(np.float32), u, mask, "relative")
+    found = _tiles(even)
+    assert found.value == pytest.approx(7.0 + 0.03 * found.x + 0.011 * found.y, rel=1e-5)
+    assert not np.any((found.x < 36) & (found.y < 26))
+    sound, side = (0.05 / found.u) ** 2, min(SHAPE) // _TILES_ACROSS
+    assert sound == pytest.approx(np.round(sound), rel=1e-4)
+    assert 0.5 * side**2 <= round(sound.min()) < round(sound.max()) <= side**2
+    assert np.mean(sound) == pytest.approx(0.8 * side**2, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("focal_mm", "pitch_um", "spacing_um", "expected"),
+    [(16.0, 4.5, None, 16e3 / 4.5), (16.0, 4.5, 9.0, 16e3 / 9.0), (None, 4.5, None, None), (16.0, None, None, None),
+     (None, None, None, None)],
+)  # fmt: skip
+def test_a_focal_length_in_pixels_needs_both(focal_mm, pitch_um, spacing_um, expected):
+    """Millimetres over the distance of pixels, that of the binned ones where it differs; unknown without either."""
+    camera = CameraDescription(bit_depth=12, pixel_pitch_um=pitch_um, pixel_spacing_um=spacing_um)
+    assert _focal_length_px(camera, LensDescription(focal_length_mm=focal_mm)) == (
+        None if expected is None else pytest.approx(expected)
+    )

@@ -252,8 +252,8 @@ def test_photons_of_a_surface():
     )
     source = SourceDescription(wavelength_nm=555.0, reproducibility_u_rel=0.01)
 
-    def of(x):
-        patch = PatchDescription(name="p", x=x, y=0, width=1, height=1, radiance_W_per_sr_m2=0.5, u_rel=0.03)
+    def of(x, width=1):
+        patch = PatchDescription(name="p", x=x, y=0, width=width, height=1, radiance_W_per_sr_m2=0.5, u_rel=0.03)
         found = photon_flux(patch, "default", camera, lens, source, None, (101, 101))
         assert found is not None
         return found
@@ -262,6 +262,8 @@ def test_photons_of_a_surface():
     energy = 6.62607015e-34 * 299_792_458.0 / 555e-9
     assert middle.per_s == pytest.approx(0.5 * math.pi / (4 * 4.0**2) * 1e-10 / energy, rel=1e-3)
     assert corner.per_s / middle.per_s == pytest.approx(0.25, rel=0.02)  # 45°
+    columns = [of(x).per_s for x in range(101)]
+    assert of(0, 101).per_s == pytest.approx(np.mean(columns), rel=1e-9)  # a patch has the mean of its pixels
     assert middle.u_rel == pytest.approx(math.sqrt(0.03**2 + 0.02**2 + 0.01**2))
 
 

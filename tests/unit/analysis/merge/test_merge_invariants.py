@@ -40,10 +40,10 @@ CALIBRATION = Calibration(
 seeds = st.integers(min_value=0, max_value=2**31)
 
 
-def frames(seed, times, shape=(12, 16)):
-    """Return frames of a scene whose noise is that of the calibration."""
+def frames(seed, times, shape=(12, 16), brightest_e=2000.0):
+    """Return frames of a scene whose noise is that of the calibration; above 20 000 e⁻/s all of half a second clip."""
     rng = np.random.default_rng(seed)
-    rate_e = np.exp(rng.uniform(np.log(50.0), np.log(2000.0), shape))
+    rate_e = np.exp(rng.uniform(np.log(50.0), np.log(brightest_e), shape))
     found = []
     for time in times:
         electrons = rng.poisson(rate_e * time) + NOISE.read_noise_e * rng.standard_normal(shape)
@@ -57,10 +57,10 @@ def merged(several):
 
 
 @settings(max_examples=15, deadline=None)
-@given(seeds, st.permutations(range(4)))
-def test_the_order_of_frames_changes_nothing(seed, order):
-    """Values, uncertainties and mask are those of the frames, in whatever order these come."""
-    several = frames(seed, (0.5, 1.0, 2.0, 4.0))
+@given(seeds, st.permutations(range(4)), st.sampled_from([2000.0, 60_000.0]))
+def test_the_order_of_frames_changes_nothing(seed, order, brightest_e):
+    """Values, uncertainties and mask are those of the frames, in whatever order these come, clipped or not."""
+    several = frames(seed, (0.5, 1.0, 2.0, 4.0), brightest_e=brightest_e)
     one, other = merged(several), merged([several[k] for k in order])
     assert np.allclose(other.radiance, one.radiance, rtol=1e-4, atol=0.0)
     assert np.allclose(other.u_radiance, one.u_radiance, rtol=1e-4, atol=0.0)
@@ -79,10 +79,10 @@ def test_a_frame_that_clips_everywhere_adds_nothing(seed):
 
 
 @settings(max_examples=15, deadline=None)
-@given(seeds, st.floats(min_value=0.01, max_value=100.0))
-def test_values_scale_with_the_inverse_of_all_times(seed, factor):
-    """The same numbers from times longer by a factor are that much less light, u included."""
-    several = frames(seed, (0.5, 1.0, 2.0))
+@given(seeds, st.floats(min_value=0.01, max_value=100.0), st.sampled_from([2000.0, 60_000.0]))
+def test_values_scale_with_the_inverse_of_all_times(seed, factor, brightest_e):
+    """The same numbers from times longer by a factor are that much less light, u included; clipped ones, too."""
+    several = frames(seed, (0.5, 1.0, 2.0), brightest_e=brightest_e)
     longer = [replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s * factor)) for f in several]
     one, other = merged(several), merged(longer)
     assert np.allclose(other.radiance * factor, one.radiance, rtol=1e-4, atol=0.0)
