@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers import light_box
-from radiometer.adaptation.journal import Journal
+from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.outcome import Outcome
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
 from radiometer.adaptation.run import run_test
@@ -51,7 +51,7 @@ def visit(protocol: AdaptationProtocol, eye: Eye, seed: int, habits: Habits | No
     with (
         tempfile.TemporaryDirectory(dir=memory) as folder,
         open_box_stage(protocol, BoxRequest("sim", seed=seed)) as (stage, checks),
-        Journal(Path(folder) / "visit.jsonl", relive=True) as journal,
+        RunJournal(Path(folder) / "visit.jsonl", relive=True) as journal,
     ):
         pupil_mm = protocol.bleach.pupil_mm or eye.pupil_mm
         observer = Observer(replace(eye, pupil_mm=pupil_mm), habits or Habits(), np.random.default_rng([seed, 1]))

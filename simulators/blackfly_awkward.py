@@ -24,7 +24,7 @@ from simulators import awkward_features as awkward
 from simulators import blackfly_features as registers
 from simulators.aravis_fake_device import FakeGigeDevice
 from simulators.awkward_features import awkward_features
-from simulators.blackfly_gige import BlackflyGige, Picture
+from simulators.blackfly_gige import BlackflyGige, SentPicture
 from simulators.blackfly_pictures import PictureRequest, PictureSource
 from simulators.blackfly_registers import is_acquiring, processed, read_request
 from simulators.genicam_document import Feature
@@ -100,7 +100,7 @@ class AwkwardBlackfly(BlackflyGige):
         self._pipeline.appendleft(picture.made_under)  # it was never read out
         self._pipeline.pop()
 
-    def _picture(self, device: FakeGigeDevice) -> Picture:
+    def _picture(self, device: FakeGigeDevice) -> SentPicture:
         asked = _read_request(device)
         self._pipeline.append(asked[0])
         held = self._pipeline.popleft()
@@ -112,9 +112,9 @@ class AwkwardBlackfly(BlackflyGige):
             self.failure = error
             dn = np.zeros((request.height, request.width), np.uint16)
         shifted = dn.astype(np.uint16) << np.uint16(16 - _ADC_BITS) if format_name == "Mono16" else dn
-        return Picture(asked, pack_pixels(shifted, format_name), float(dn.mean()), request)
+        return SentPicture(asked, pack_pixels(shifted, format_name), float(dn.mean()), request)
 
-    def _send(self, device: FakeGigeDevice, picture: Picture) -> None:
+    def _send(self, device: FakeGigeDevice, picture: SentPicture) -> None:
         sender, made_under, wire = self._sender, picture.made_under, WIRE_FORMATS[picture.asked[1]]
         to = (socket.inet_ntoa(struct.pack(">I", device.read_word(awkward.STREAM_ADDRESS))),
               device.read_word(awkward.STREAM_PORT) & 0xFFFF)  # fmt: skip

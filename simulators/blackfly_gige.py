@@ -38,7 +38,7 @@ INFO_TEXT: Final = "simulated by radiometer"  # DeviceManufacturerInfo, by which
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class SentPicture:
     """A picture ready to be sent: the registers at the time, its bytes, and the settings that it was made under."""
 
     asked: tuple[PictureRequest, str]
@@ -84,8 +84,8 @@ class BlackflyGige:
         self._device: FakeGigeDevice | None = None
         self._worker: threading.Thread | None = None
         self._closing, self._sent = threading.Event(), threading.Event()
-        self._ready: Picture | None = None
-        self._last: Picture | None = None
+        self._ready: SentPicture | None = None
+        self._last: SentPicture | None = None
         self.frames_sent = 0
         self.failure: RadiometerError | None = None
 
@@ -242,18 +242,18 @@ class BlackflyGige:
             period_s = max(period_s, 1 / device.read_float(registers.FRAME_RATE_HZ))
         return period_s
 
-    def _picture(self, device: FakeGigeDevice) -> Picture:
+    def _picture(self, device: FakeGigeDevice) -> SentPicture:
         """Return the next picture; a blank one where the model fails (see `failure`)."""
         asked = read_request(device)
         request, format_name = asked
         size = request.width * request.height * WIRE_FORMATS[format_name].bits_per_pixel // 8
         try:
             dn = processed(device, self._source(request), request)
-            return Picture(asked, pack_pixels(dn, format_name)[:size], float(dn.mean()), request)
+            return SentPicture(asked, pack_pixels(dn, format_name)[:size], float(dn.mean()), request)
         except RadiometerError as error:
             self.failure = error
             _LOG.error("no picture", serial=self._serial, reason=str(error))
-            return Picture(asked, bytes(size), 0.0, request)
+            return SentPicture(asked, bytes(size), 0.0, request)
 
     def _payload(self) -> bytes:
         """Return the bytes of the picture that is being sent; runs in the device's own thread."""

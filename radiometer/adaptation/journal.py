@@ -18,7 +18,7 @@ CHECK: Final = "check"
 Event = dict[str, Any]
 
 
-class Journal:
+class RunJournal:
     """An append-only file of JSON lines, each flushed when it is written.
 
     Args:

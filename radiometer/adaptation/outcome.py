@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
-from radiometer.adaptation.journal import Event, Journal
+from radiometer.adaptation.journal import Event, RunJournal
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.adaptation.reliability import BLANK, Reliability
 from radiometer.errors import InputError
@@ -84,13 +84,13 @@ class Outcome:
         return "\n".join([*said, ",".join(names), *rows]) + "\n"
 
 
-def counting_trials(journal: Journal) -> list[Event]:
+def counting_trials(journal: RunJournal) -> list[Event]:
     """Return the trials that count: all but those whose press turned out to be the long one that asks for a pause."""
     void = {event["voids"] for event in journal.of_kind("pause")} - {None}
     return [trial for trial in journal.of_kind("trial") if trial["sequence"] not in void]
 
 
-def outcome_of(journal: Journal, verdict: Verdict, protocol: AdaptationProtocol) -> Outcome:
+def outcome_of(journal: RunJournal, verdict: Verdict, protocol: AdaptationProtocol) -> Outcome:
     """Return the outcome of a journal's trials; too many false presses overrule any other verdict.
 
     Raises:

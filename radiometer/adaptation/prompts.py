@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from radiometer.adaptation.journal import Event, Journal
+from radiometer.adaptation.journal import Event, RunJournal
 
 
 def prompts_after(event: Event) -> tuple[str, ...]:
@@ -36,7 +36,7 @@ class Prompter:
         sound: Told every prompt, as an event of kind "prompt".
     """
 
-    journal: Journal
+    journal: RunJournal
     sound: Callable[[Event], None]
 
     def after(self, event: Event) -> None:

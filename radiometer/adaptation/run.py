@@ -16,7 +16,7 @@ import numpy as np
 
 from radiometer.adaptation.checks import Check
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import FORMAT, REFUSED, Event, Journal
+from radiometer.adaptation.journal import FORMAT, REFUSED, Event, RunJournal
 from radiometer.adaptation.methods import Method, begin
 from radiometer.adaptation.outcome import Outcome, Verdict, counting_trials, outcome_of, too_many_false
 from radiometer.adaptation.protocol import AdaptationProtocol, LimitsMethod, SteadyBleach
@@ -36,7 +36,7 @@ LOOK_S: Final = 0.5  # how often a rest looks whether a pause is asked for, or a
 def run_test(
     protocol: AdaptationProtocol,
     stage: Stage,
-    journal: Journal,
+    journal: RunJournal,
     *,
     subject: str,
     seed: int = 0,
@@ -77,7 +77,7 @@ def run_test(
 class _Run:
     protocol: AdaptationProtocol
     stage: Stage
-    journal: Journal
+    journal: RunJournal
     subject: str
     seed: int
     watch: Watcher

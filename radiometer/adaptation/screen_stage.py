@@ -11,7 +11,7 @@ from radiometer.adaptation.protocol import AdaptationProtocol, SteadyBleach
 from radiometer.adaptation.screen_levels import SpotLevels, field_code, mark_code
 from radiometer.errors import ConfigurationError, UsageError
 from radiometer.screen.calibration import ScreenCalibration
-from radiometer.screen.stimulus import Blink, Code, Hold, Picture, Shape, StimulusScreen, Viewing, in_codes
+from radiometer.screen.stimulus import Blink, Code, Hold, ScreenPicture, Shape, StimulusScreen, Viewing, in_codes
 
 # Reaction times by browser, keyboard or touch screen come out too long by tens of ms that differ from machine to
 # machine: Pronk et al. 2020, Behavior Research Methods 52, 1371. A rectangle from 0 to 0.1 s stands for it.
@@ -42,8 +42,8 @@ class ScreenStage:
     eye: str = "right"
     levels: SpotLevels = field(init=False)
     _zero_s: float = field(default=0.0, init=False)
-    _bleach: Picture = field(init=False)
-    _rest: Picture = field(init=False)
+    _bleach: ScreenPicture = field(init=False)
+    _rest: ScreenPicture = field(init=False)
     _spot: Shape = field(init=False)
     _blind_spot: Shape | None = field(default=None, init=False)
     _held: tuple[float, float] = field(default=(0.0, 0.0), init=False)
@@ -64,8 +64,8 @@ class ScreenStage:
         shown = self.viewing.ellipse(-half, mark.size_deg, red)
         self._spot = self.viewing.ellipse(half, spot.size_deg, self.levels.rgb(-1))
         self.viewing.require_room((shown, self._spot), self.screen.size)
-        self._bleach = Picture(field_code(self.calibration, bleach.luminance_cd_m2, self.protocol.name))
-        self._rest = Picture(shapes=(shown,))
+        self._bleach = ScreenPicture(field_code(self.calibration, bleach.luminance_cd_m2, self.protocol.name))
+        self._rest = ScreenPicture(shapes=(shown,))
         self._blind_spot = self._in_blind_spot(side)
         self._zero_s = self.clock()
 
@@ -149,7 +149,7 @@ class ScreenStage:
         lit = self._rest
         if log10_level is not None:
             rgb = self.levels.rgb(self.levels.nearest(log10_level))
-            lit = Picture(shapes=(*self._rest.shapes, in_codes(self._spot, rgb)))
+            lit = ScreenPicture(shapes=(*self._rest.shapes, in_codes(self._spot, rgb)))
         return self._blink_once(lit)
 
     @property
@@ -166,9 +166,9 @@ class ScreenStage:
         """
         if self._blind_spot is None:
             raise UsageError(self._why_unchecked())
-        return self._blink_once(Picture(shapes=(*self._rest.shapes, self._blind_spot)))
+        return self._blink_once(ScreenPicture(shapes=(*self._rest.shapes, self._blind_spot)))
 
-    def _blink_once(self, lit: Picture) -> list[float]:
+    def _blink_once(self, lit: ScreenPicture) -> list[float]:
         spot = self.protocol.spot
         seen = self._last = self.screen.blink(lit, self._rest, spot.on_s, spot.cycle_s)
         self._note(seen.hold)

@@ -21,7 +21,7 @@ from radiometer.bench.screen import BROWSER, SIMULATED_DISPLAYS, START_TIMEOUT_S
 from radiometer.devices import DisplayPatch
 from radiometer.errors import ConfigurationError, UsageError
 from radiometer.screen.calibration import ScreenCalibration
-from radiometer.screen.stimulus import Blink, Code, Hold, Picture, Rest, Shape, StimulusScreen, Viewing
+from radiometer.screen.stimulus import Blink, Code, Hold, Rest, ScreenPicture, Shape, StimulusScreen, Viewing
 from simulators.displays import DISPLAYS, SimulatedDisplay
 from simulators.eye_kinetics import Eye
 from simulators.observer import Habits, Observer, ObserverAtScreen
@@ -53,19 +53,19 @@ class ObservedScreen:
     viewing: Viewing
     seed: int = 0
     eye: str = "right"
-    _shown: Picture = field(default_factory=Picture)
+    _shown: ScreenPicture = field(default_factory=ScreenPicture)
 
     @property
     def size(self) -> tuple[int, int]:
         """Return width and height of the screen in pixels."""
         return _SIMULATED_SIZE
 
-    def show(self, picture: Picture) -> None:
+    def show(self, picture: ScreenPicture) -> None:
         """Show a picture. Raises DeviceError, SettingOutOfRange."""
         self._shown = picture
         self.watcher.display.show(DisplayPatch(_drive(picture.field)))
 
-    def blink(self, lit: Picture, rest: Picture, on_s: float, cycle_s: float) -> Blink:
+    def blink(self, lit: ScreenPicture, rest: ScreenPicture, on_s: float, cycle_s: float) -> Blink:
         """Let the subject see what `lit` has beyond `rest`."""
         spots = [shape for shape in lit.shapes if shape not in rest.shapes]
         rgb = _drive(spots[0].rgb) if spots else (0.0, 0.0, 0.0)
@@ -158,7 +158,7 @@ def open_screen_stage(
             raise UsageError("a simulated subject sees simulated displays only: --display lcd, pwm_lcd or oled")
         with _browser(port, announce) as screen:
             viewing = _viewing(protocol, known, None)
-            screen.show(Picture())  # nothing but black while the room is looked at
+            screen.show(ScreenPicture())  # nothing but black while the room is looked at
             yield ScreenStage(screen, known, reached, viewing, time.monotonic, time.time, eye), checks
     elif display in SIMULATED_DISPLAYS:
         watcher = _watcher(display, subject, protocol.spot.filter_density)

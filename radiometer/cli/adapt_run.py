@@ -80,7 +80,7 @@ def run(
     before the next one happens. Exit code 1 where the run cannot be fitted.
     """
     from radiometer.adaptation.controls import Controls
-    from radiometer.adaptation.journal import Journal
+    from radiometer.adaptation.journal import RunJournal
     from radiometer.adaptation.protocol import read_protocol
     from radiometer.adaptation.run import run_test
     from radiometer.adaptation.run_facts import facts_of
@@ -102,7 +102,7 @@ def run(
     )
     with (
         _stage(chosen, box_request, _Screen(screen, display, port, eye)) as (stage, checks),
-        Journal(file, relive=box == SIMULATED) as journal,
+        RunJournal(file, relive=box == SIMULATED) as journal,
     ):
         if file.stat().st_size and not json:
             note(f"{file} holds a run: taking it up")

@@ -15,7 +15,7 @@ from radiometer.cli.console import note
 
 if TYPE_CHECKING:
     from radiometer.adaptation.controls import Controls
-    from radiometer.adaptation.journal import Event, Journal
+    from radiometer.adaptation.journal import Event, RunJournal
     from radiometer.adaptation.stage import Stage
 
 Watcher = Callable[["Event"], None]
@@ -41,7 +41,7 @@ class Watching:
 
 
 @contextmanager
-def watchers(wanted: Watching, stage: Stage, journal: Journal, controls: Controls) -> Iterator[Watcher]:
+def watchers(wanted: Watching, stage: Stage, journal: RunJournal, controls: Controls) -> Iterator[Watcher]:
     """Yield what is told every event while the block runs. Raises DeviceInUse where the page's port is taken."""
     with ExitStack() as stack:
         tellers: list[Watcher] = []
@@ -63,7 +63,7 @@ def watchers(wanted: Watching, stage: Stage, journal: Journal, controls: Control
 
 
 @contextmanager
-def _page(wanted: Watching, stage: Stage, journal: Journal, controls: Controls) -> Iterator[Watcher]:
+def _page(wanted: Watching, stage: Stage, journal: RunJournal, controls: Controls) -> Iterator[Watcher]:
     from radiometer.adaptation.live_page import LivePage, replayed
     from radiometer.adaptation.stage import DescribedStage
     from radiometer.bench.box_holder import darken_held
@@ -79,7 +79,7 @@ def _page(wanted: Watching, stage: Stage, journal: Journal, controls: Controls) 
         yield page.tell
 
 
-def _with_prompts(journal: Journal, tell: Watcher, *, bell: bool) -> Watcher:
+def _with_prompts(journal: RunJournal, tell: Watcher, *, bell: bool) -> Watcher:
     from radiometer.adaptation.prompts import Prompter
 
     def sound(event: Event) -> None:

@@ -18,7 +18,7 @@ from radiometer.cli.photograph_alignment import ALIGN_CHOICES
 from radiometer.errors import CaptureError, UsageError
 
 if TYPE_CHECKING:
-    from radiometer.analysis.exports.maps import Picture
+    from radiometer.analysis.exports.maps import MapPicture
     from radiometer.data import Bracket, Calibration, CaptureSet, FlatField, Frame, RadianceMap, ResponseCurve
     from radiometer.data.iso_speeds import IsoSpeeds
 
@@ -69,7 +69,7 @@ def command(
     photographs is recovered from them where none is given, and kept beside the first file written. How far they lie
     apart by parts of a pixel is told with its uncertainty, and counts where the picture changes.
     """
-    from radiometer.analysis.exports.maps import Picture, in_luminance, writer_for
+    from radiometer.analysis.exports.maps import MapPicture, in_luminance, writer_for
     from radiometer.analysis.signal.spectra import spectrum as spectrum_of
 
     if not out:
@@ -104,7 +104,7 @@ def command(
     if luminance:
         chosen = spectrum_of(spectrum or (known.spectrum if known else "equal_energy"))
         maps = {name: in_luminance(found, chosen) for name, found in maps.items()}
-    picture = Picture(maps, bounds)
+    picture = MapPicture(maps, bounds)
     for file, write in writers:
         write(file, picture)
     report = {**_report(picture, out), "responses": [str(file) for file in beside.responses]}
@@ -343,7 +343,7 @@ def _of_channel(curves: dict[str, ResponseCurve], channel: str) -> ResponseCurve
     return curves.get(channel) or next(iter(curves.values()), None)
 
 
-def _report(picture: Picture, out: list[Path]) -> dict[str, Any]:
+def _report(picture: MapPicture, out: list[Path]) -> dict[str, Any]:
     import numpy as np
 
     from radiometer.data import PixelMask
@@ -380,7 +380,7 @@ def _displacement(px: float, u_px: float) -> str:
     return f"displaced by {px:.{decimals}f} ± {u_px:.{decimals}f} pixels (k = 1), in u where the picture changes"
 
 
-def _assumptions(picture: Picture) -> list[str]:
+def _assumptions(picture: MapPicture) -> list[str]:
     """Return what was assumed; what not all channels share stands with its channel."""
     by_channel = {name: one.provenance.assumptions for name, one in picture.maps.items()}
     shared = [text for text in picture.first.provenance.assumptions if all(text in one for one in by_channel.values())]

@@ -15,7 +15,7 @@ from radiometer.errors import DeviceError, UsageError
 
 if TYPE_CHECKING:
     from radiometer.acquire.exposure_plan import ExposurePlan
-    from radiometer.analysis.quality.procedures import Procedure, Step
+    from radiometer.analysis.quality.procedures import Procedure, ProcedureStep
     from radiometer.analysis.quality.session import Datasheet
     from radiometer.bench.config import BenchConfig
     from radiometer.data import Calibration, Patch, PatchDescription
@@ -100,8 +100,8 @@ def take(
             _take(session / wanted.name / step.name, wanted, device, config, repeat, darks)
 
 
-def _chosen(wanted: Procedure, names: list[str] | None) -> list[Step]:
-    from radiometer.analysis.quality.procedures import Step
+def _chosen(wanted: Procedure, names: list[str] | None) -> list[ProcedureStep]:
+    from radiometer.analysis.quality.procedures import ProcedureStep
 
     if not names:
         return list(wanted.steps)
@@ -109,7 +109,7 @@ def _chosen(wanted: Procedure, names: list[str] | None) -> list[Step]:
     unknown = [name for name in names if name not in known]
     if any("/" in name or name.startswith(".") for name in unknown) or (unknown and not wanted.more):
         raise UsageError(f"{unknown[0]!r} is no step of {wanted.name}; there are {', '.join(known)}")
-    return [known.get(name) or Step(name, f"as for the others, at {name}") for name in names]
+    return [known.get(name) or ProcedureStep(name, f"as for the others, at {name}") for name in names]
 
 
 def _described(patch: Patch) -> PatchDescription:

@@ -12,7 +12,7 @@ from typing import Final
 import structlog
 
 from radiometer.daemon.alarms import Alarms
-from radiometer.daemon.instrument import Instrument, Measurement, MeasurementSettings, Origin
+from radiometer.daemon.instrument import Measurement, MeasurementSettings, Origin, ServedInstrument
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.keeper import DeviceKeeper
 from radiometer.data import Patch, Reading
@@ -47,7 +47,7 @@ class Acquisition:
 
     def __init__(
         self,
-        instrument: Instrument,
+        instrument: ServedInstrument,
         keeper: DeviceKeeper,
         writer: JournalWriter,
         alarms: Alarms,

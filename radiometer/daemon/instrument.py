@@ -90,7 +90,7 @@ class Measurement:
         return by_exposure[0] if by_exposure else None
 
 
-class Instrument(Protocol):
+class ServedInstrument(Protocol):
     """A camera with its calibration, used from one thread at a time. Every call has a deadline of its own."""
 
     @property

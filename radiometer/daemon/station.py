@@ -16,7 +16,14 @@ from radiometer.daemon.acquisition import Acquisition
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.clock_watch import ClockWatch, Jump
 from radiometer.daemon.hub import Event, Hub
-from radiometer.daemon.instrument import DeviceReport, Instrument, LightSource, Measurement, MeasurementSettings, Origin
+from radiometer.daemon.instrument import (
+    DeviceReport,
+    LightSource,
+    Measurement,
+    MeasurementSettings,
+    Origin,
+    ServedInstrument,
+)
 from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.keeper import DeviceKeeper, DeviceState, KeeperTimes
@@ -49,7 +56,7 @@ class Station:
 
     def __init__(
         self,
-        instrument: Instrument,
+        instrument: ServedInstrument,
         journal: Journal,
         *,
         box: LightSource | None = None,

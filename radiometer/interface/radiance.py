@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.exports.maps import Picture, writer_for
+from radiometer.analysis.exports.maps import MapPicture, writer_for
 from radiometer.analysis.merge.bracket import merge as merge_bracket
 from radiometer.data import BlackLevel, Bracket, Calibration, PixelMask, RadianceMap, Scale, SensorNoise
 from radiometer.data.drawing import new_axes, picture
@@ -71,7 +71,7 @@ class Radiance:
     def write(self, path: PathLike) -> None:
         """Write .exr, .hdr, .tiff or .png by the ending. Raises UsageError for another, OutputError if it fails."""
         target = Path(path)
-        writer_for(target)(target, Picture({"mono": self.map}))
+        writer_for(target)(target, MapPicture({"mono": self.map}))
 
     def to_xarray(self) -> xarray.Dataset:
         """Return an xarray.Dataset with `radiance`, its two uncertainties and `mask`: units and flags as in CF.

@@ -8,7 +8,7 @@ from typing import Any, Final
 from radiometer.screen.browser_page import BrowserPage, require_shown
 from radiometer.screen.loopback import Darken, nothing_to_darken
 from radiometer.screen.page_server import PageServer
-from radiometer.screen.stimulus import Blink, Hold, Picture, Rest, Shape
+from radiometer.screen.stimulus import Blink, Hold, Rest, ScreenPicture, Shape
 
 _MARGIN_S: Final = 5.0  # what an answer may take beyond the time that it was asked to wait
 
@@ -42,12 +42,12 @@ class BrowserStimulus(BrowserPage):
         seen = self._server.conditions
         return int(seen.get("width", 0)), int(seen.get("height", 0))
 
-    def show(self, picture: Picture) -> None:
+    def show(self, picture: ScreenPicture) -> None:
         """Show a picture and return once it is painted. Raises DeviceTimeout, DeviceLost, DeviceError."""
         seen = self._ask({"kind": "show", "field": picture.field, "rest": _shapes(picture)}, _MARGIN_S)["seen"]
         _compare(picture, seen)
 
-    def blink(self, lit: Picture, rest: Picture, on_s: float, cycle_s: float) -> Blink:
+    def blink(self, lit: ScreenPicture, rest: ScreenPicture, on_s: float, cycle_s: float) -> Blink:
         """Show `lit`, then `rest`, timed by the page. Raises DeviceTimeout, DeviceLost, DeviceError."""
         order = {"kind": "blink", "field": lit.field, "lit": _shapes(lit), "rest": _shapes(rest)}
         answer = self._ask({**order, "on_ms": 1e3 * on_s, "cycle_ms": 1e3 * cycle_s}, cycle_s + _MARGIN_S)
@@ -70,7 +70,7 @@ def _hold(answer: dict[str, Any]) -> Hold:
     return Hold(1e-3 * float(answer["held_ms"]), 1e-3 * float(answer["held_ago_ms"]))
 
 
-def _shapes(picture: Picture) -> list[dict[str, Any]]:
+def _shapes(picture: ScreenPicture) -> list[dict[str, Any]]:
     return [_mapping(shape) for shape in picture.shapes]
 
 
@@ -78,5 +78,5 @@ def _mapping(shape: Shape) -> dict[str, Any]:
     return {"x": shape.x, "y": shape.y, "width": shape.width, "height": shape.height, "rgb": list(shape.rgb)}
 
 
-def _compare(picture: Picture, seen: list[list[int]]) -> None:
+def _compare(picture: ScreenPicture, seen: list[list[int]]) -> None:
     require_shown(seen, [list(picture.field), *(list(shape.rgb) for shape in picture.shapes)])

@@ -24,7 +24,7 @@ Purpose = Literal["level", "white", "black"]
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ScreenStep:
     """One patch to be shown and read.
 
     Attributes:
@@ -72,7 +72,7 @@ def parse_levels(text: str, bits: int = 8) -> tuple[int, ...]:
 
 def make_plan(
     levels: tuple[int, ...], channels: tuple[str, ...], rng: np.random.Generator, *, bits: int = 8
-) -> list[Step]:
+) -> list[ScreenStep]:
     """Return all levels of all channels in random order, white and black references before, after and between.
 
     Raises:
@@ -81,9 +81,9 @@ def make_plan(
     unknown = sorted(set(channels) - set(CHANNELS))
     if unknown:
         raise UsageError(f"channel {unknown[0]!r} is unknown; choose from {', '.join(CHANNELS)}")
-    steps = [Step(channel, level) for channel in channels for level in levels]
-    references = [Step("grey", 2**bits - 1, "white"), Step("grey", 0, "black")]
-    plan: list[Step] = []
+    steps = [ScreenStep(channel, level) for channel in channels for level in levels]
+    references = [ScreenStep("grey", 2**bits - 1, "white"), ScreenStep("grey", 0, "black")]
+    plan: list[ScreenStep] = []
     for number, position in enumerate(rng.permutation(len(steps))):
         if number % REFERENCE_EVERY == 0:
             plan += references

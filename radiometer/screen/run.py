@@ -15,7 +15,7 @@ from radiometer.errors import MeasurementError
 from radiometer.screen.calibration import ChannelCurve
 from radiometer.screen.drift import Drift
 from radiometer.screen.meter import Meter, ScreenReading
-from radiometer.screen.plan import Step
+from radiometer.screen.plan import ScreenStep
 
 LEAST_CONTRAST: Final = 1.5  # white over black; a screen in a lit room still has more
 
@@ -33,7 +33,7 @@ class Light:
 class Measured:
     """A step with its readings."""
 
-    step: Step
+    step: ScreenStep
     readings: tuple[ScreenReading, ...]
 
     @property
@@ -51,13 +51,13 @@ class Measured:
         )
 
 
-Progress = Callable[[int, int, Step], None]
+Progress = Callable[[int, int, ScreenStep], None]
 
 
 def measure_steps(
     display: Display,
     meter: Meter,
-    plan: Sequence[Step],
+    plan: Sequence[ScreenStep],
     *,
     repeats: int = 1,
     patch_size: float = 1.0,

@@ -32,7 +32,7 @@ class Shape:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class ScreenPicture:
     """A uniform field with shapes on it, the last in front."""
 
     field: Code = BLACK
@@ -77,11 +77,11 @@ class Rest:
 class StimulusScreen(Protocol):
     """A screen before a subject, with a button."""
 
-    def show(self, picture: Picture) -> None:
+    def show(self, picture: ScreenPicture) -> None:
         """Show a picture and return once it is on screen. Raises DeviceError."""
         ...
 
-    def blink(self, lit: Picture, rest: Picture, on_s: float, cycle_s: float) -> Blink:
+    def blink(self, lit: ScreenPicture, rest: ScreenPicture, on_s: float, cycle_s: float) -> Blink:
         """Show `lit` for a time, then `rest` until the cycle is over; return what was pressed. Raises DeviceError."""
         ...
 

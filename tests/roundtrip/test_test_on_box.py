@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation
-from radiometer.adaptation.journal import Journal
+from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, SteadyBleach, read_protocol
 from radiometer.adaptation.run import run_test
@@ -45,10 +45,10 @@ def protocol(minutes: float, *, bleach_s: float = 150.0, **spot: Any) -> Adaptat
 
 def run(
     path: Path, wanted: AdaptationProtocol, subject: str | None = "steady", preset: Path | None = None
-) -> tuple[Outcome, Journal]:
+) -> tuple[Outcome, RunJournal]:
     """Run a test on the simulated box."""
     request = BoxRequest("sim", subject=subject, seed=4, preset=preset)
-    with open_box_stage(wanted, request) as (stage, checks), Journal(path, relive=True) as journal:
+    with open_box_stage(wanted, request) as (stage, checks), RunJournal(path, relive=True) as journal:
         return run_test(wanted, stage, journal, subject="A1", seed=5, checks=checks), journal
 
 
@@ -181,7 +181,7 @@ def test_flashes_beyond_the_box_are_refused_before_the_first(tmp_path: Path) -> 
     wanted = protocol(5.0).model_copy(update={"bleach": flash})
     with (
         open_box_stage(wanted, BoxRequest("sim")) as (stage, checks),
-        Journal(tmp_path / "j", relive=True) as journal,
+        RunJournal(tmp_path / "j", relive=True) as journal,
     ):
         with pytest.raises(RadiometerError, match="takes 13 flashes, the box fires 8 in a row"):
             run_test(wanted, stage, journal, subject="A1", checks=checks)

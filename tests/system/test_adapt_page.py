@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import Event, Journal
+from radiometer.adaptation.journal import Event, RunJournal
 from radiometer.adaptation.live_page import LivePage
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import read_protocol
@@ -176,7 +176,7 @@ async def test_pause_and_stop_on_the_page_stand_in_the_journal(tmp_path: Path, b
             time.sleep(0.1 if event["kind"] == "trial" else 0.0)
 
         def run() -> Outcome:
-            with Journal(tmp_path / "j") as journal:
+            with RunJournal(tmp_path / "j") as journal:
                 return run_test(protocol, stage, journal, subject="S1", watch=watch, controls=controls)
 
         await browser.command("Page.navigate", url=page.url)
@@ -191,7 +191,7 @@ async def test_pause_and_stop_on_the_page_stand_in_the_journal(tmp_path: Path, b
         outcome = await running
         await _wait_for_text(browser, "phase", "Over: stopped")
     assert outcome.verdict is Verdict.STOPPED
-    with Journal(tmp_path / "j") as journal:
+    with RunJournal(tmp_path / "j") as journal:
         asked = [
             (event["kind"], event["by"]) for event in journal.events if event["kind"] in ("pause", "resume", "stop")
         ]

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiometer.adaptation.journal import Event, Journal
+from radiometer.adaptation.journal import Event, RunJournal
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.run import run_test
@@ -29,7 +29,7 @@ from radiometer.errors import CalibrationError, ConfigurationError, DeviceLost, 
 from radiometer.screen.browser_stimulus import BrowserStimulus
 from radiometer.screen.calibration import ScreenCalibration
 from radiometer.screen.calibration_run import Options, calibrate_screen
-from radiometer.screen.stimulus import Picture, Viewing
+from radiometer.screen.stimulus import ScreenPicture, Viewing
 from simulators.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
 from simulators.observer import PRIMARY_NM, Habits, Observer
 from tests.patience import within
@@ -56,7 +56,7 @@ def _run(file: Path, journal: Path, *, subject: str = "steady", dies_after: int 
 
     with (
         open_screen_stage(read_protocol("screen-only"), file, display="oled", subject=subject, seed=7) as opened,
-        Journal(journal) as open_journal,
+        RunJournal(journal) as open_journal,
     ):
         stage, _ = opened  # the age of the calibration is left out: it is another in every run
         return run_test(stage.protocol, stage, open_journal, subject="S1", seed=7, watch=watch)
@@ -104,7 +104,7 @@ def test_filter_before_an_lcd_lets_the_curve_go_on(tmp_path: Path) -> None:
         protocol = protocol.model_copy(update={"spot": protocol.spot.model_copy(update={"filter_density": density})})
         with (
             open_screen_stage(protocol, file, display="lcd", subject="steady", seed=7) as (stage, _),
-            Journal(tmp_path / f"j{density}") as journal,
+            RunJournal(tmp_path / f"j{density}") as journal,
         ):
             outcome = run_test(stage.protocol, stage, journal, subject="S1", seed=7)
         lowest.append(stage.protocol.spot.lowest_log10)
@@ -199,11 +199,11 @@ async def test_browser_shows_exactly_the_codes_asked_for(shown: tuple[BrowserSti
     waiting = await browser.picture()
     assert waiting[..., 0].max() > 50
     assert waiting[..., 1:].max() == 0  # what is read before the test, in the dark room, is red alone
-    await asyncio.to_thread(screen.show, Picture((187, 187, 187)))
+    await asyncio.to_thread(screen.show, ScreenPicture((187, 187, 187)))
     assert np.unique(await browser.picture()).tolist() == [187]
     for code in (1, 2, 37, 128, 255):
         spot = VIEWING.ellipse(4.0, 1.5, (0, 0, code))
-        await asyncio.to_thread(screen.show, Picture(shapes=(MARK, spot)))
+        await asyncio.to_thread(screen.show, ScreenPicture(shapes=(MARK, spot)))
         picture = await browser.picture()
         height, width = picture.shape[:2]
         at = [picture[height // 2, round(width / 2 + shape.x)].tolist() for shape in (MARK, spot)]
@@ -226,7 +226,7 @@ async def _tapping(browser: Browser) -> None:
 async def test_browser_blinks_and_records_the_key(shown: tuple[BrowserStimulus, Browser]) -> None:
     """Presses during a blink come back from its onset, none is invented; a key held down is told as a hold."""
     screen, browser = shown
-    lit, rest = Picture(shapes=(MARK, VIEWING.ellipse(4.0, 1.5, (0, 0, 90)))), Picture(shapes=(MARK,))
+    lit, rest = ScreenPicture(shapes=(MARK, VIEWING.ellipse(4.0, 1.5, (0, 0, 90)))), ScreenPicture(shapes=(MARK,))
     await asyncio.to_thread(screen.show, rest)
     quiet = await asyncio.to_thread(screen.blink, lit, rest, 0.3, 0.6)
     assert quiet.presses_s == ()
@@ -267,7 +267,7 @@ async def test_short_run_in_a_browser_is_journalled_with_its_presses(
     stage = ScreenStage(screen, known, protocol, VIEWING, time.monotonic, wall_clock=time.time)
 
     def run() -> Outcome:
-        with Journal(tmp_path / "j") as journal:
+        with RunJournal(tmp_path / "j") as journal:
             return run_test(protocol, stage, journal, subject="S1")
 
     tapping = asyncio.create_task(_tapping(browser))
@@ -275,7 +275,7 @@ async def test_short_run_in_a_browser_is_journalled_with_its_presses(
     tapping.cancel()
     with contextlib.suppress(asyncio.CancelledError):
         await tapping
-    with Journal(tmp_path / "j") as journal:
+    with RunJournal(tmp_path / "j") as journal:
         assert [event["kind"] for event in journal.events[:5]] == ["start", "stage", "bleach", "dark", "blink"]
         assert journal.events[-1]["verdict"] == outcome.verdict
         assert any(blink["presses_s"] for blink in journal.of_kind("blink"))

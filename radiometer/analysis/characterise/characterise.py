@@ -25,7 +25,7 @@ from radiometer.analysis.characterise.photon_transfer import (
 from radiometer.analysis.characterise.result import Characterisation
 from radiometer.analysis.characterise.saturation import Saturation, find_saturation
 from radiometer.analysis.characterise.sensitivity import propagated, responsivity, sensitivity_figures
-from radiometer.analysis.characterise.steps import Step, make_steps
+from radiometer.analysis.characterise.steps import SignalStep, make_steps
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import Provenance, Quantity
 from radiometer.errors import MeasurementError
@@ -109,7 +109,7 @@ class _AtGain:
     """The steps and the photon transfer of one gain; steps and saturation are those of the main region."""
 
     gain_db: float
-    steps: tuple[Step, ...]
+    steps: tuple[SignalStep, ...]
     saturation: Saturation
     transfer: PhotonTransfer
     bright: tuple[GroupStatistics, ...]

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
-from radiometer.analysis.characterise.steps import Step
+from radiometer.analysis.characterise.steps import SignalStep
 
 _NEIGHBOURS: Final = 2  # on either side
 _FEWEST: Final = 6
@@ -20,7 +20,7 @@ _OFF_OF_TOP: Final = 0.01  # of the largest signal: less is offset
 _AGREE_SHARE: Final = 1 / 3  # of its distance: how far the neighbours may lie from each other
 
 
-def contradicting_steps(steps: Sequence[Step]) -> list[tuple[Step, str]]:
+def contradicting_steps(steps: Sequence[SignalStep]) -> list[tuple[SignalStep, str]]:
     """Return bright steps whose signal over light lies far off that of their neighbours in light, with a line each.
 
     A step is off where its signal differs by more than 10 %, ten of its standard uncertainties and 1 % of the largest

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from radiometer.analysis.characterise.steps import Step
+from radiometer.analysis.characterise.steps import SignalStep
 from radiometer.data import Quantity
 
 _LOWEST_SHARE, _HIGHEST_SHARE = 0.05, 0.95
@@ -33,7 +33,7 @@ class Linearity:
     deviations: tuple[tuple[float, float, float], ...]
 
 
-def linearity(steps: Sequence[Step], saturation_dn: float) -> Linearity | None:
+def linearity(steps: Sequence[SignalStep], saturation_dn: float) -> Linearity | None:
     """Return the linearity error between 5 % and 95 % of saturation; None with fewer than four steps there.
 
     The line a·x + b minimises the relative deviations, as the standard has it.

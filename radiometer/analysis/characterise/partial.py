@@ -19,7 +19,7 @@ from radiometer.analysis.characterise.photon_transfer import (
 )
 from radiometer.analysis.characterise.result import Characterisation
 from radiometer.analysis.characterise.sensitivity import sensitivity_figures
-from radiometer.analysis.characterise.steps import Step, make_steps
+from radiometer.analysis.characterise.steps import SignalStep, make_steps
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import Provenance, Quantity
 from radiometer.errors import MeasurementError
@@ -140,7 +140,7 @@ def _temperature(groups: Sequence[GroupStatistics]) -> float | None:
 
 def _photon_transfer(
     lit: Sequence[GroupStatistics], dark: Sequence[GroupStatistics], notes: list[str]
-) -> tuple[list[Step], PhotonTransfer | None, Quantity | None]:
+) -> tuple[list[SignalStep], PhotonTransfer | None, Quantity | None]:
     if not lit:
         return [], None, None
     if any(d.has_noise for d in dark):
@@ -162,10 +162,10 @@ def _photon_transfer(
 
 def _without_darks(
     lit: Sequence[GroupStatistics], notes: list[str]
-) -> tuple[list[Step], PhotonTransfer | None, Quantity | None]:
+) -> tuple[list[SignalStep], PhotonTransfer | None, Quantity | None]:
     """Return K from a free line of variance over mean: the black level falls out of its slope."""
     steps = [
-        Step(b, b.settings.exposure_s if b.photons is None else b.photons, 0.0, 0.0, 0.0, 0.0)
+        SignalStep(b, b.settings.exposure_s if b.photons is None else b.photons, 0.0, 0.0, 0.0, 0.0)
         for b in sorted(lit, key=lambda b: b.mean_dn)
     ]
     top = max(steps, key=lambda s: s.bright.variance_dn2)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from radiometer.analysis.characterise.line_fit import Line, curve_u, fit_line
-from radiometer.analysis.characterise.steps import Step
+from radiometer.analysis.characterise.steps import SignalStep
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
 
@@ -37,12 +37,12 @@ class PhotonTransfer:
 
     K: Quantity
     line: Line
-    used: tuple[Step, ...]
+    used: tuple[SignalStep, ...]
     rounded: bool = False
     bend_u: float = 0.0
 
 
-def photon_transfer(steps: Sequence[Step], saturation_dn: float, *, free: bool = False) -> PhotonTransfer:
+def photon_transfer(steps: Sequence[SignalStep], saturation_dn: float, *, free: bool = False) -> PhotonTransfer:
     """Return K, the slope of σ_y² − σ_y.dark² over μ_y − μ_y.dark from zero to 70 % of saturation.
 
     Each variance is weighted by its predicted uncertainty σ²·√(2/ν) (σ² from a first unweighted fit, so that
@@ -86,7 +86,7 @@ def photon_transfer(steps: Sequence[Step], saturation_dn: float, *, free: bool =
     return PhotonTransfer(Quantity(slope, math.hypot(line.u_slope, bend_u), "DN/e-"), line, used, rounded, bend_u)
 
 
-def transfer_of_few(steps: Sequence[Step]) -> Quantity | None:
+def transfer_of_few(steps: Sequence[SignalStep]) -> Quantity | None:
     """Return K in DN/e- from one or two levels of light, whose photon transfer nobody can see bend; None without any.
 
     The mean of σ_y² − σ_y.dark² over μ_y − μ_y.dark, weighted by noise; its uncertainty holds 2 % for the unseen bend.
@@ -106,7 +106,7 @@ def transfer_of_few(steps: Sequence[Step]) -> Quantity | None:
     return Quantity(K, math.hypot(float(np.sum(u**-2)) ** -0.5, spread, UNSEEN_CURVE_U_REL * K), "DN/e-")
 
 
-def _lies_in_range(step: Step, saturation_dn: float, *, rounded: bool) -> bool:
+def _lies_in_range(step: SignalStep, saturation_dn: float, *, rounded: bool) -> bool:
     if step.bright.clipped_share > CLIPPED_SHARE or step.bright.floor_share > _FLOOR_SHARE:
         return False
     if not 0 < step.signal_dn <= USED_SHARE * saturation_dn:
@@ -114,7 +114,7 @@ def _lies_in_range(step: Step, saturation_dn: float, *, rounded: bool) -> bool:
     return not rounded or step.bright.variance_dn2 >= _BLURRED_VARIANCE_DN2
 
 
-def _predicted_u(step: Step, slope: float) -> float:
+def _predicted_u(step: SignalStep, slope: float) -> float:
     """Return the uncertainty of a step's variance difference that a given K predicts, errors of the signal included."""
     total = slope * step.signal_dn + max(step.dark_variance_dn2, 1 / 12)
     u_bright = total * math.sqrt(2.0 / step.bright.degrees_of_freedom)

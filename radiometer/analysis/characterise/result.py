@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from radiometer.analysis.characterise.linearity import Linearity
 from radiometer.analysis.characterise.photon_transfer import PhotonTransfer
-from radiometer.analysis.characterise.steps import Step
+from radiometer.analysis.characterise.steps import SignalStep
 from radiometer.data import CameraDescription, Provenance, Quantity
 from radiometer.units import gain_factor
 
@@ -38,7 +38,7 @@ class Characterisation:
     figures: Mapping[str, Quantity]
     gains: Mapping[float, Quantity]
     transfer: PhotonTransfer | None
-    steps: tuple[Step, ...]
+    steps: tuple[SignalStep, ...]
     dark_points: tuple[tuple[float, float, float, float | None], ...]
     linearity: Linearity | None
     notes: tuple[str, ...]
@@ -120,7 +120,7 @@ def _finite(quantity: Quantity) -> dict[str, Any]:
     }
 
 
-def _step(step: Step, K: Quantity | None) -> dict[str, float | None]:
+def _step(step: SignalStep, K: Quantity | None) -> dict[str, float | None]:
     """Return one bright step: settings, signal, variance and signal-to-noise ratio."""
     variance = step.bright.variance_dn2
     return {

@@ -10,7 +10,7 @@ import numpy as np
 
 from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.analysis.characterise.photon_transfer import CLIPPED_SHARE
-from radiometer.analysis.characterise.steps import Step
+from radiometer.analysis.characterise.steps import SignalStep
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
 
@@ -43,7 +43,7 @@ class Saturation:
     plateau_dn: Quantity | None = None
 
 
-def find_saturation(steps: Sequence[Step]) -> Saturation:
+def find_saturation(steps: Sequence[SignalStep]) -> Saturation:
     """Return the saturation point of one region's steps by rising light.
 
     Raises:
@@ -72,14 +72,14 @@ def find_saturation(steps: Sequence[Step]) -> Saturation:
     )
 
 
-def _plateau(last: Step, largest_variance: float) -> Quantity | None:
+def _plateau(last: SignalStep, largest_variance: float) -> Quantity | None:
     """Return the mean of the last step where its variance has collapsed."""
     if last.bright.variance_dn2 > _COLLAPSED_SHARE * largest_variance:
         return None
     return Quantity(last.bright.mean_dn, last.bright.u_mean_dn, "DN")
 
 
-def _spacing_u(steps: Sequence[Step], top: int) -> float:
+def _spacing_u(steps: Sequence[SignalStep], top: int) -> float:
     """Return the uncertainty of a largest value that is known to lie between two steps only, taken as rectangular.
 
     The steps whose variance may be the largest within twice their uncertainties all count, and so do the gaps beside
@@ -93,7 +93,7 @@ def _spacing_u(steps: Sequence[Step], top: int) -> float:
     return max(above - steps[top].light, steps[top].light - below) / math.sqrt(3)
 
 
-def _slope_below(steps: Sequence[Step], signal_dn: float) -> tuple[float, float]:
+def _slope_below(steps: Sequence[SignalStep], signal_dn: float) -> tuple[float, float]:
     used = [s for s in steps if 0 < s.signal_dn <= 0.7 * signal_dn] or list(steps[:1])
     line = fit_line(
         [s.light for s in used], [s.signal_dn for s in used], [s.u_signal_dn for s in used], through_origin=True

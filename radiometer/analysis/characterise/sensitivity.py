@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 
 from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.analysis.characterise.saturation import Saturation
-from radiometer.analysis.characterise.steps import Step
+from radiometer.analysis.characterise.steps import SignalStep
 from radiometer.data import Quantity
 
 
-def responsivity(steps: Sequence[Step], saturation: Saturation, photons_u_rel: float) -> Quantity:
+def responsivity(steps: Sequence[SignalStep], saturation: Saturation, photons_u_rel: float) -> Quantity:
     """Return R, the slope of signal over photons up to 70 % of saturation, in DN per photon.
 
     Args:

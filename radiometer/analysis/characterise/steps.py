@@ -17,7 +17,7 @@ _SAME_TEMPERATURE_K = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class SignalStep:
     """One bright setting in one region beside its dark one.
 
     Attributes:
@@ -52,7 +52,7 @@ class Step:
         return self.bright.variance_dn2 - self.dark_variance_dn2
 
 
-def make_steps(bright: Sequence[GroupStatistics], dark: Sequence[GroupStatistics]) -> list[Step]:
+def make_steps(bright: Sequence[GroupStatistics], dark: Sequence[GroupStatistics]) -> list[SignalStep]:
     """Return the bright groups with the dark signal of their exposure, by rising light.
 
     The dark group of the same exposure, gain, region and temperature is used; where there is none, a line through
@@ -68,7 +68,7 @@ def make_steps(bright: Sequence[GroupStatistics], dark: Sequence[GroupStatistics
     return sorted((_step(group, dark) for group in bright), key=lambda step: (step.bright.region, step.light))
 
 
-def _step(group: GroupStatistics, dark: Sequence[GroupStatistics]) -> Step:
+def _step(group: GroupStatistics, dark: Sequence[GroupStatistics]) -> SignalStep:
     fitting = [d for d in dark if d.region == group.region and d.has_noise and _same_temperature(d, group)]
     if not fitting:
         raise MeasurementError(
@@ -81,8 +81,8 @@ def _step(group: GroupStatistics, dark: Sequence[GroupStatistics]) -> Step:
     same = [d for d in fitting if math.isclose(d.settings.exposure_s, exposure, rel_tol=_SAME_EXPOSURE_REL)]
     if same:
         one = same[0]
-        return Step(group, light, one.mean_dn, one.u_mean_dn, one.variance_dn2, one.u_variance_dn2)
-    return Step(
+        return SignalStep(group, light, one.mean_dn, one.u_mean_dn, one.variance_dn2, one.u_variance_dn2)
+    return SignalStep(
         group,
         light,
         *_from_line(fitting, exposure, [(d.mean_dn, d.u_mean_dn) for d in fitting]),

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 import radiometer
-from radiometer.analysis.exports.maps import Picture
+from radiometer.analysis.exports.maps import MapPicture
 from radiometer.errors import MissingLibrary, OutputError
 
 
-def write_exr(path: Path, picture: Picture) -> None:
+def write_exr(path: Path, picture: MapPicture) -> None:
     """Write a picture as OpenEXR.
 
     Channels are Y (or R, G, B) for the values, Y.u (R.u, …) for their standard uncertainty, both 32-bit floating
@@ -57,7 +57,7 @@ def write_exr(path: Path, picture: Picture) -> None:
         Path(temporary).unlink(missing_ok=True)
 
 
-def _channels(picture: Picture) -> dict[str, Any]:
+def _channels(picture: MapPicture) -> dict[str, Any]:
     names = {"red": "R", "green": "G", "blue": "B"} if picture.is_colour else {next(iter(picture.maps)): "Y"}
     channels: dict[str, Any] = {}
     for name, letter in names.items():

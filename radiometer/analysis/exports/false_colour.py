@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import radiometer
-from radiometer.analysis.exports.maps import Picture
+from radiometer.analysis.exports.maps import MapPicture
 from radiometer.data import PixelMask
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT
 from radiometer.data.storage import write_bytes_atomic
@@ -21,7 +21,7 @@ _CLIPPED_COLOUR: Final = "#ff40ff"
 _MOST_DECADES: Final = 6.0
 
 
-def write_false_colour(path: Path, picture: Picture) -> None:
+def write_false_colour(path: Path, picture: MapPicture) -> None:
     """Write a map as PNG in false colours on a logarithmic scale, with a scale bar.
 
     What clips everywhere is magenta, what never rises above the noise is black. Of a colour picture the green
@@ -63,7 +63,7 @@ def write_false_colour(path: Path, picture: Picture) -> None:
     write_bytes_atomic(path, stream.getvalue())
 
 
-def _bounds(picture: Picture) -> tuple[float, float]:
+def _bounds(picture: MapPicture) -> tuple[float, float]:
     if picture.bounds is not None:
         low, high = picture.bounds
         if not 0.0 < low < high:

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import radiometer
-from radiometer.analysis.exports.maps import Picture
+from radiometer.analysis.exports.maps import MapPicture
 from radiometer.data.storage import write_bytes_atomic
 
 
-def write_hdr(path: Path, picture: Picture) -> None:
+def write_hdr(path: Path, picture: MapPicture) -> None:
     """Write a picture as .hdr; values in its unit, EXPOSURE 1, negative values as 0.
 
     The form keeps no uncertainty and resolves 0.4 %; it holds no path and no user name.

@@ -15,7 +15,7 @@ from radiometer.errors import UsageError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class MapPicture:
     """One grey or three colour maps of one scene in one unit.
 
     Attributes:
@@ -42,7 +42,7 @@ class Picture:
         return self.first.unit
 
 
-Writer = Callable[[Path, Picture], None]
+Writer = Callable[[Path, MapPicture], None]
 
 
 def in_luminance(found: RadianceMap, spectrum: Spectrum) -> RadianceMap:
@@ -72,25 +72,25 @@ def writer_for(path: Path) -> Writer:
     return writer
 
 
-def _hdr(path: Path, picture: Picture) -> None:
+def _hdr(path: Path, picture: MapPicture) -> None:
     from radiometer.analysis.exports.hdr import write_hdr
 
     write_hdr(path, picture)
 
 
-def _exr(path: Path, picture: Picture) -> None:
+def _exr(path: Path, picture: MapPicture) -> None:
     from radiometer.analysis.exports.exr import write_exr
 
     write_exr(path, picture)
 
 
-def _tiff(path: Path, picture: Picture) -> None:
+def _tiff(path: Path, picture: MapPicture) -> None:
     from radiometer.analysis.exports.tiff import write_tiff
 
     write_tiff(path, picture)
 
 
-def _png(path: Path, picture: Picture) -> None:
+def _png(path: Path, picture: MapPicture) -> None:
     from radiometer.analysis.exports.false_colour import write_false_colour
 
     write_false_colour(path, picture)

@@ -12,11 +12,11 @@ import tifffile
 from numpy.typing import NDArray
 
 import radiometer
-from radiometer.analysis.exports.maps import Picture
+from radiometer.analysis.exports.maps import MapPicture
 from radiometer.data.storage import write_bytes_atomic
 
 
-def write_tiff(path: Path, picture: Picture) -> None:
+def write_tiff(path: Path, picture: MapPicture) -> None:
     """Write a picture as TIFF of three pages: values and standard uncertainty as float32, mask bits as uint8.
 
     Each page's description is JSON with the quantity and the unit.

@@ -12,7 +12,7 @@ IMAGING: Final = "CIE 244"
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ProcedureStep:
     """One capture of a procedure.
 
     Attributes:
@@ -45,7 +45,7 @@ class Procedure:
     title: str
     definition: str
     source: str
-    steps: tuple[Step, ...] = ()
+    steps: tuple[ProcedureStep, ...] = ()
     more: str = ""
     exposures: Exposures = "patch"
 
@@ -64,7 +64,7 @@ PROCEDURES: Final = (
         "linearity",
         "f3 = max |(Y/X)·(X_max/Y_max) − 1|, X the exposure time before a steady source, signals of 2 % of Y_max up",
         STANDARD,
-        (Step("ladder", "a steady, even source over the patch, so dim that full scale takes 50 ms or more"),),
+        (ProcedureStep("ladder", "a steady, even source over the patch, so dim that full scale takes 50 ms or more"),),
         exposures="ladder",
     ),
     Procedure(
@@ -74,8 +74,10 @@ PROCEDURES: Final = (
         "f6 = |Y(T₂)/Y(T₁) − 1|·10 K/|T₂ − T₁|, T as the camera reports it",
         STANDARD,
         (
-            Step("cool", "the camera as cool as it will be used, at rest there; a steady source over the patch"),
-            Step("warm", "the camera at least 10 K warmer; the source as before"),
+            ProcedureStep(
+                "cool", "the camera as cool as it will be used, at rest there; a steady source over the patch"
+            ),
+            ProcedureStep("warm", "the camera at least 10 K warmer; the source as before"),
         ),
     ),
     Procedure(
@@ -85,8 +87,8 @@ PROCEDURES: Final = (
         "f7 = |Y(modulated)/Y(steady) − 1| at one mean radiance, the worst of the frequencies",
         STANDARD,
         (
-            Step("steady", "a steady source over the patch"),
-            Step("100Hz", "the same source modulated at 100 Hz, its mean unchanged"),
+            ProcedureStep("steady", "a steady source over the patch"),
+            ProcedureStep("100Hz", "the same source modulated at 100 Hz, its mean unchanged"),
         ),
         more="further frequencies by name, such as 240Hz",
     ),
@@ -97,7 +99,9 @@ PROCEDURES: Final = (
         "f8 = (Y_max − Y_min)/(Y_max + Y_min) before linearly polarised light, from Y = Y₀·(1 + f8·cos 2(φ − φ₀))",
         STANDARD,
         tuple(
-            Step(f"{angle}", f"the camera turned to {angle}° about its axis, the patch on linearly polarised light")
+            ProcedureStep(
+                f"{angle}", f"the camera turned to {angle}° about its axis, the patch on linearly polarised light"
+            )
             for angle in (0, 45, 90, 135)
         ),
         more="further angles by their number of degrees",
@@ -109,8 +113,8 @@ PROCEDURES: Final = (
         "f11 = max |Y(range)/Y(first range) − 1| before one steady source",
         STANDARD,
         (
-            Step("0dB", "a steady source over the patch; gain 0 dB"),
-            Step("12dB", "the same source; gain 12 dB (key camera.gain_db of the bench)"),
+            ProcedureStep("0dB", "a steady source over the patch; gain 0 dB"),
+            ProcedureStep("12dB", "the same source; gain 12 dB (key camera.gain_db of the bench)"),
         ),
         more="further gains or stops by name; the first in order of steps is the reference",
     ),
@@ -121,8 +125,8 @@ PROCEDURES: Final = (
         "f12 = |Y(near)/Y(far) − 1| before an even source that fills the view at both distances",
         STANDARD,
         (
-            Step("far", "an even source, the lens focused as at calibration"),
-            Step("near", "the same source, the lens focused as near as it will be used"),
+            ProcedureStep("far", "an even source, the lens focused as at calibration"),
+            ProcedureStep("near", "the same source, the lens focused as near as it will be used"),
         ),
     ),
     Procedure(
@@ -131,7 +135,7 @@ PROCEDURES: Final = (
         "uniformity over the picture",
         "1 − L_min/L_max of the means of 10 × 10 tiles before an even source, the calibration's flat field applied",
         IMAGING,
-        (Step("even", "an even source (sphere, diffuser before the lens) over the whole picture"),),
+        (ProcedureStep("even", "an even source (sphere, diffuser before the lens) over the whole picture"),),
         exposures="scene",
     ),
     Procedure(
@@ -140,7 +144,7 @@ PROCEDURES: Final = (
         "edge",
         "distance in pixels over which a sharp edge rises from 10 to 90 %",
         f"{IMAGING}; ISO 12233",
-        (Step("edge", "one straight, sharp, slightly slanted edge, dark beside bright, through the patch"),),
+        (ProcedureStep("edge", "one straight, sharp, slightly slanted edge, dark beside bright, through the patch"),),
     ),
     Procedure(
         "smear",
@@ -149,7 +153,7 @@ PROCEDURES: Final = (
         "signal in the columns of an overexposed source over that of the columns beside, relative to the source's, "
         "for a source of a tenth of the picture's height",
         IMAGING,
-        (Step("source", "a small, very bright source in the patch, all else dark"),),
+        (ProcedureStep("source", "a small, very bright source in the patch, all else dark"),),
         exposures="overexposed",
     ),
     Procedure(
@@ -159,9 +163,9 @@ PROCEDURES: Final = (
         "max |Y(diameter)/Y(largest diameter) − 1| at one radiance",
         f"{STANDARD}; {IMAGING}",
         (
-            Step("2", "an even round source of 2 (degrees, or any unit) around the patch, all else dark"),
-            Step("5", "the same radiance, 5 across"),
-            Step("20", "the same radiance, 20 across"),
+            ProcedureStep("2", "an even round source of 2 (degrees, or any unit) around the patch, all else dark"),
+            ProcedureStep("5", "the same radiance, 5 across"),
+            ProcedureStep("20", "the same radiance, 20 across"),
         ),
         more="further diameters by their number",
     ),
@@ -172,8 +176,8 @@ PROCEDURES: Final = (
         "VGI = Y(black)/Y(white) at one place: a black patch in a white surround over that white",
         "ISO 9358, black patch method",
         (
-            Step("white", "an even white over the whole view"),
-            Step("black", "a black patch (light trap) over the patch, the white all around it"),
+            ProcedureStep("white", "an even white over the whole view"),
+            ProcedureStep("black", "a black patch (light trap) over the patch, the white all around it"),
         ),
     ),
 )

@@ -33,7 +33,7 @@ _PERCENTILES: Final = (0.5, 99.8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class ServedPicture:
     """Radiance of every pixel as far as the frames tell.
 
     Attributes:
@@ -49,7 +49,7 @@ class Picture:
     sequence: int
 
 
-def composite(measurement: Measurement, response: ResponseCurve | None, sequence: int) -> Picture:
+def composite(measurement: Measurement, response: ResponseCurve | None, sequence: int) -> ServedPicture:
     """Return the picture of a measurement, scaled so that the patch has the radiance that was read there.
 
     Every pixel is taken from the longest exposure in which it does not clip. Only the patch is measured; elsewhere lens
@@ -63,7 +63,7 @@ def composite(measurement: Measurement, response: ResponseCurve | None, sequence
     reading = measurement.reading
     level = float(np.mean(signal[reading.patch.slices]))
     scale = reading.radiance.value / level if level > 0 and reading.radiance.value > 0 else 1.0
-    return Picture(np.asarray(signal * scale, dtype=np.float32), clipped, reading.radiance.unit, sequence)
+    return ServedPicture(np.asarray(signal * scale, dtype=np.float32), clipped, reading.radiance.unit, sequence)
 
 
 def _signal(frame: Frame, response: ResponseCurve | None) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -78,7 +78,7 @@ def _signal(frame: Frame, response: ResponseCurve | None) -> tuple[NDArray[np.fl
     return per_s.astype(np.float32, copy=False), clipped
 
 
-def render(picture: Picture, *, width: int, scale: str, colours: str, bar: bool) -> tuple[bytes, dict[str, str]]:
+def render(picture: ServedPicture, *, width: int, scale: str, colours: str, bar: bool) -> tuple[bytes, dict[str, str]]:
     """Return the PNG and headers that tell its scale.
 
     Args:
@@ -157,9 +157,9 @@ class PictureCache:
 
     def __init__(self) -> None:
         self._source: Measurement | None = None
-        self._picture: Picture | None = None
+        self._picture: ServedPicture | None = None
 
-    def get(self, measurement: Measurement, response: ResponseCurve | None, sequence: int) -> Picture:
+    def get(self, measurement: Measurement, response: ResponseCurve | None, sequence: int) -> ServedPicture:
         """Return the picture of a measurement."""
         if self._picture is None or self._source is not measurement:
             self._picture, self._source = composite(measurement, response, sequence), measurement

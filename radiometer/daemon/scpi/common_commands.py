@@ -7,7 +7,7 @@ from typing import Final
 import radiometer
 from radiometer.daemon.scpi.command import Call, Command, Outcome
 from radiometer.daemon.scpi.errors import ScpiError
-from radiometer.daemon.scpi.parameters import Limits, Number
+from radiometer.daemon.scpi.parameters import Number, ParameterLimits
 from radiometer.daemon.scpi.session import when_done
 from radiometer.daemon.station import Station
 from radiometer.errors import RadiometerError
@@ -15,8 +15,8 @@ from radiometer.errors import RadiometerError
 GROUP: Final = "Common commands"
 
 
-def _byte(station: Station) -> Limits:
-    return Limits(0, 255, 0)
+def _byte(station: Station) -> ParameterLimits:
+    return ParameterLimits(0, 255, 0)
 
 
 def _identity(call: Call) -> str:

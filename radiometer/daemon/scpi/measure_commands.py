@@ -10,7 +10,7 @@ from typing import Final
 from radiometer.daemon.scpi import formats
 from radiometer.daemon.scpi.command import Call, Command, Handler, Outcome
 from radiometer.daemon.scpi.errors import ScpiError, scpi_error
-from radiometer.daemon.scpi.parameters import Boolean, Choice, Limits, Number
+from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, ParameterLimits
 from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.station import EVERY_LIMITS_S, Station
 from radiometer.data import Patch, Reading
@@ -20,16 +20,16 @@ _DEFAULT_PERIOD_S: Final = 1.0
 ELEMENTS: Final = ("READing", "UNCertainty", "EXPanded", "COVerage", "TIME", "SEQuence", "FLAGs")
 
 
-def _width(station: Station) -> Limits:
-    return Limits(0, station.instrument.limits.width, 0)
+def _width(station: Station) -> ParameterLimits:
+    return ParameterLimits(0, station.instrument.limits.width, 0)
 
 
-def _height(station: Station) -> Limits:
-    return Limits(0, station.instrument.limits.height, 0)
+def _height(station: Station) -> ParameterLimits:
+    return ParameterLimits(0, station.instrument.limits.height, 0)
 
 
-def _period(station: Station) -> Limits:
-    return Limits(*EVERY_LIMITS_S, _DEFAULT_PERIOD_S)
+def _period(station: Station) -> ParameterLimits:
+    return ParameterLimits(*EVERY_LIMITS_S, _DEFAULT_PERIOD_S)
 
 
 PATCH_PARAMETERS: Final = (

@@ -44,7 +44,7 @@ def short_form(word: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ParameterLimits:
     """Lowest, highest and default value."""
 
     low: float
@@ -66,7 +66,7 @@ class Number:
 
     name: str
     unit: str
-    limits: Callable[[Station], Limits]
+    limits: Callable[[Station], ParameterLimits]
     integer: bool = False
     also: tuple[str, ...] = ()
 

@@ -11,7 +11,7 @@ from radiometer.daemon.scpi.command import Call, Command, Handler, Outcome
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.measure_commands import GROUP as MEASURING
 from radiometer.daemon.scpi.measure_commands import PATCH_PARAMETERS, patch_from
-from radiometer.daemon.scpi.parameters import Boolean, Choice, Limits, Number, Text
+from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, ParameterLimits, Text
 from radiometer.daemon.station import WAVELENGTH_LIMITS_NM, Station
 from radiometer.data import Patch
 
@@ -21,33 +21,33 @@ SOURCE: Final = "Light source"
 _ANY_LIMIT: Final = Choice("limit", ("MINimum", "MAXimum", "DEFault"))
 
 
-def _exposure(station: Station) -> Limits:
+def _exposure(station: Station) -> ParameterLimits:
     low, high = station.instrument.limits.exposure_s
-    return Limits(low, high, min(max(0.01, low), high))
+    return ParameterLimits(low, high, min(max(0.01, low), high))
 
 
-def _gain(station: Station) -> Limits:
+def _gain(station: Station) -> ParameterLimits:
     low, high = station.instrument.limits.gain_db
-    return Limits(low, high, min(max(0.0, low), high))
+    return ParameterLimits(low, high, min(max(0.0, low), high))
 
 
-def _wavelength(station: Station) -> Limits:
-    return Limits(*WAVELENGTH_LIMITS_NM, 550.0)
+def _wavelength(station: Station) -> ParameterLimits:
+    return ParameterLimits(*WAVELENGTH_LIMITS_NM, 550.0)
 
 
-def _level(station: Station) -> Limits:
-    return Limits(0.0, 1.0, 0.0)
+def _level(station: Station) -> ParameterLimits:
+    return ParameterLimits(0.0, 1.0, 0.0)
 
 
-def _bound(station: Station) -> Limits:
-    return Limits(-1e30, 1e30, 0.0)
+def _bound(station: Station) -> ParameterLimits:
+    return ParameterLimits(-1e30, 1e30, 0.0)
 
 
-def _hysteresis(station: Station) -> Limits:
-    return Limits(0.0, 0.5, DEFAULT_HYSTERESIS_REL)
+def _hysteresis(station: Station) -> ParameterLimits:
+    return ParameterLimits(0.0, 0.5, DEFAULT_HYSTERESIS_REL)
 
 
-def _asked(limits: Callable[[Station], Limits], now: Callable[[Station], str]) -> Handler:
+def _asked(limits: Callable[[Station], ParameterLimits], now: Callable[[Station], str]) -> Handler:
     """Return a query handler: the value in force, or the limit that was asked for."""
 
     def handler(call: Call) -> str:

@@ -12,7 +12,7 @@ from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.scpi import formats
 from radiometer.daemon.scpi.command import Call, Command, Handler, Outcome
 from radiometer.daemon.scpi.errors import ScpiError
-from radiometer.daemon.scpi.parameters import Choice, Limits, Number
+from radiometer.daemon.scpi.parameters import Choice, Number, ParameterLimits
 from radiometer.daemon.station import Station
 from radiometer.data import Frame
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 STATUS: Final = "Status"
 SYSTEM: Final = "System"
 TRACE: Final = "Pictures, curves and history"
-_HISTORY_LIMITS: Final = Limits(1, 10_000, 100)
+_HISTORY_LIMITS: Final = ParameterLimits(1, 10_000, 100)
 
 
-def _word16(station: Station) -> Limits:
-    return Limits(0, 65535, 0)
+def _word16(station: Station) -> ParameterLimits:
+    return ParameterLimits(0, 65535, 0)
 
 
-def _history(station: Station) -> Limits:
+def _history(station: Station) -> ParameterLimits:
     return _HISTORY_LIMITS
 
 

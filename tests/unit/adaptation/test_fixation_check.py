@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from radiometer.adaptation.journal import Journal
+from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.prompts import prompts_after
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
@@ -50,8 +50,8 @@ def short() -> AdaptationProtocol:
     return whole.model_copy(update={"end": whole.end.model_copy(update={"duration_min": 25.0})})
 
 
-def _run(path: Path, stage: ScriptedStage) -> tuple[Outcome, Journal]:
-    with Journal(path) as journal:
+def _run(path: Path, stage: ScriptedStage) -> tuple[Outcome, RunJournal]:
+    with RunJournal(path) as journal:
         return run_test(stage.protocol, stage, journal, subject="A1", seed=3, eye="left"), journal
 
 

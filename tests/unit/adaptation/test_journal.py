@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from radiometer.adaptation.journal import Journal, read_events
+from radiometer.adaptation.journal import RunJournal, read_events
 from radiometer.errors import InputError
 
 
 def test_events_read_back_in_order(tmp_path: Path) -> None:
     """What was written is what is read, numbered."""
-    with Journal(tmp_path / "j") as journal:
+    with RunJournal(tmp_path / "j") as journal:
         journal.write("start", 0.0, subject="A")
         journal.write("trial", 1.5, threshold=-1.0)
     events = list(read_events(tmp_path / "j"))
@@ -24,11 +24,11 @@ def test_events_read_back_in_order(tmp_path: Path) -> None:
 def test_half_written_line_is_cut_and_the_next_event_follows(tmp_path: Path) -> None:
     """A crash in the middle of a write costs that event only."""
     file = tmp_path / "j"
-    with Journal(file) as journal:
+    with RunJournal(file) as journal:
         journal.write("start", 0.0)
         journal.write("trial", 1.0)
     file.write_bytes(file.read_bytes()[:-7])
-    with Journal(file) as journal:
+    with RunJournal(file) as journal:
         assert len(journal.events) == 1
         journal.write("trial", 2.0)
     assert [e["time_s"] for e in read_events(file)] == [0.0, 2.0]
@@ -47,7 +47,7 @@ def test_an_event_is_on_the_disk_unless_it_need_not_last(tmp_path: Path, monkeyp
     """Without a word each event waits for the disk; one that need not last only leaves the program."""
     synced: list[int] = []
     monkeypatch.setattr(os, "fsync", synced.append)
-    with Journal(tmp_path / "j") as journal:
+    with RunJournal(tmp_path / "j") as journal:
         journal.write("start", 0.0)
         after_start = len(synced)
         journal.write("blink", 1.0, lasting=False)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.adaptation.journal import Event, Journal
+from radiometer.adaptation.journal import Event, RunJournal
 from radiometer.adaptation.live import LiveState, running_fit
 from radiometer.adaptation.prompts import Prompter, prompts_after
 from radiometer.adaptation.protocol import read_protocol
@@ -129,7 +129,7 @@ def test_prompts_follow_the_phases() -> None:
 def test_prompts_that_a_crash_left_out_are_given_once(tmp_path: Path, given: int) -> None:
     """With none, one or both of two prompts in the journal, taking it up leaves both there, in order."""
     heard: list[Event] = []
-    with Journal(tmp_path / "j") as journal:
+    with RunJournal(tmp_path / "j") as journal:
         journal.write("dark", 120.0, steady=True)
         for say in ("dark", "mark")[:given]:
             journal.write("prompt", 120.0, say=say)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import Event, Journal
+from radiometer.adaptation.journal import Event, RunJournal
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
 from radiometer.adaptation.run import run_test
@@ -30,8 +30,8 @@ def stage(protocol: AdaptationProtocol) -> ScriptedStage:
     return ScriptedStage(eye, protocol)
 
 
-def _run(path: Path, stage: ScriptedStage, controls: Controls | None = None) -> tuple[Outcome, Journal]:
-    with Journal(path) as journal:
+def _run(path: Path, stage: ScriptedStage, controls: Controls | None = None) -> tuple[Outcome, RunJournal]:
+    with RunJournal(path) as journal:
         return run_test(stage.protocol, stage, journal, subject="A1", seed=3, controls=controls), journal
 
 
@@ -170,7 +170,7 @@ def test_operators_wishes_are_lived_through_again(tmp_path: Path, stage: Scripte
     whole = (tmp_path / "whole").read_bytes()
     (tmp_path / "cut").write_bytes(whole if stopped else whole[: whole.index(b'"resume"') + 2000])
     again = ScriptedStage(eye, stage.protocol)
-    with Journal(tmp_path / "cut", relive=True) as journal:
+    with RunJournal(tmp_path / "cut", relive=True) as journal:
         run_test(again.protocol, again, journal, subject="A1", seed=3)
     assert (tmp_path / "cut").read_bytes() == whole
 
@@ -185,7 +185,7 @@ def test_run_that_died_in_a_pause_goes_on_when_lived_through_again(tmp_path: Pat
     cut = whole[: whole.index(b"\n", whole.index(b'"pause"')) + 1]
     (tmp_path / "cut").write_bytes(cut)
     again = ScriptedStage(eye, stage.protocol)
-    with Journal(tmp_path / "cut", relive=True) as journal:
+    with RunJournal(tmp_path / "cut", relive=True) as journal:
         outcome = run_test(again.protocol, again, journal, subject="A1", seed=3)
     assert outcome.verdict is Verdict.COMPLETE
     assert (tmp_path / "cut").read_bytes().startswith(cut)

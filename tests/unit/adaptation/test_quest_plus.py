@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from radiometer.adaptation.journal import Journal
+from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import AdaptationProtocol, QuestPlusMethod, Spot, read_protocol
 from radiometer.adaptation.quest_plus import QuestPlusSearch
@@ -83,7 +83,7 @@ def protocol(monkeypatch: pytest.MonkeyPatch) -> AdaptationProtocol:
 
 
 def _run(path: Path, stage: ScriptedStage) -> Outcome:
-    with Journal(path) as journal:
+    with RunJournal(path) as journal:
         return run_test(stage.protocol, stage, journal, subject="A1", seed=3)
 
 

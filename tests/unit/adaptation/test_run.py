@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from radiometer.adaptation.checks import Finding, judge_room
-from radiometer.adaptation.journal import Journal
+from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
 from radiometer.adaptation.run import _why_fruitless, run_test
@@ -26,7 +26,7 @@ def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _run(tmp_path: Path, stage: ScriptedStage, name: str = "j") -> Outcome:
-    with Journal(tmp_path / name) as journal:
+    with RunJournal(tmp_path / name) as journal:
         return run_test(stage.protocol, stage, journal, subject="A1", seed=3)
 
 
@@ -125,7 +125,7 @@ def test_journal_of_another_subject_is_refused(tmp_path: Path, classic: Adaptati
     """No two subjects in one file."""
     stage = ScriptedStage(eye, classic)
     _run(tmp_path, stage)
-    with Journal(tmp_path / "j") as journal, pytest.raises(UsageError, match="belongs to subject 'A1'"):
+    with RunJournal(tmp_path / "j") as journal, pytest.raises(UsageError, match="belongs to subject 'A1'"):
         run_test(classic, ScriptedStage(eye, classic), journal, subject="B2", seed=3)
 
 
@@ -133,19 +133,19 @@ def test_refused_check_is_journalled_and_keeps_the_bleach_away(tmp_path: Path, c
     """Nobody is dazzled for nothing, and the journal says why; the next try begins with the checks again."""
     stage = ScriptedStage(eye, classic)
     findings = [Finding("check", {"what": "safety"}), judge_room(0.5, 0.01, classic)]
-    with Journal(tmp_path / "j") as journal, pytest.raises(MeasurementError, match=r"\(0\.5 ± 0\.02\) cd/m²"):
+    with RunJournal(tmp_path / "j") as journal, pytest.raises(MeasurementError, match=r"\(0\.5 ± 0\.02\) cd/m²"):
         run_test(classic, stage, journal, subject="A1", seed=3, checks=[partial(lambda f: f, f) for f in findings])
     assert stage.time == 0.0
     assert [event["kind"] for event in journal.events] == ["start", "check", "room", "refused"]
     _run(tmp_path, stage)
-    with Journal(tmp_path / "j") as journal:
+    with RunJournal(tmp_path / "j") as journal:
         assert [event["kind"] for event in journal.events[4:6]] == ["bleach", "dark"]
 
 
 def test_catches_are_about_a_tenth_of_all_trials(tmp_path: Path, classic: AdaptationProtocol) -> None:
     """Their number is binomial with the protocol's share (4 sigmas)."""
     _run(tmp_path, ScriptedStage(eye, classic))
-    with Journal(tmp_path / "j") as journal:
+    with RunJournal(tmp_path / "j") as journal:
         trials = journal.of_kind("trial")
     share, n = np.mean([t["catch"] for t in trials]), len(trials)
     assert share == pytest.approx(0.1, abs=4 * math.sqrt(0.1 * 0.9 / n))

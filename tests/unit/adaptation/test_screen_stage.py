@@ -13,7 +13,7 @@ from radiometer.adaptation.screen_levels import SpotLevels, field_code, mark_cod
 from radiometer.adaptation.screen_stage import ScreenStage
 from radiometer.errors import ConfigurationError, UsageError
 from radiometer.screen.calibration import LUMINANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
-from radiometer.screen.stimulus import Blink, Hold, Picture, Rest, Viewing
+from radiometer.screen.stimulus import Blink, Hold, Rest, ScreenPicture, Viewing
 
 BLACK, WHITE = 3e-4, 0.7  # radiance of black and white in W/sr/m2
 EFFICACIES = {"grey": (320.0, 750.0), "red": (200.0, 60.0), "blue": (90.0, 1000.0)}
@@ -37,15 +37,15 @@ class RecordingScreen:
 
     def __init__(self) -> None:
         self.time, self.size = 50.0, (1920, 1080)
-        self.shown: list[Picture] = []
-        self.blinks: list[tuple[Picture, Picture, float, float]] = []
+        self.shown: list[ScreenPicture] = []
+        self.blinks: list[tuple[ScreenPicture, ScreenPicture, float, float]] = []
         self.presses: tuple[float, ...] = ()
         self.hold = Hold()
 
-    def show(self, picture: Picture) -> None:
+    def show(self, picture: ScreenPicture) -> None:
         self.shown.append(picture)
 
-    def blink(self, lit: Picture, rest: Picture, on_s: float, cycle_s: float) -> Blink:
+    def blink(self, lit: ScreenPicture, rest: ScreenPicture, on_s: float, cycle_s: float) -> Blink:
         self.blinks.append((lit, rest, on_s, cycle_s))
         self.time += cycle_s
         return Blink(self.presses, self.hold, on_s, 1 / 60, 1 / 60)

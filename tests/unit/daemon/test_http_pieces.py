@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from radiometer.daemon.http import readings
 from radiometer.daemon.http.control import show_health, show_response
 from radiometer.daemon.http.patches import show_trend
-from radiometer.daemon.http.picture import Picture, PictureCache, coloured, composite, render
+from radiometer.daemon.http.picture import PictureCache, ServedPicture, coloured, composite, render
 from radiometer.daemon.http.requests import MeasureBody, SettingsBody, read_query
 from radiometer.daemon.http.route import QUERIES, STATION, QueryParameter
 from radiometer.daemon.hub import Event, Hub
@@ -227,7 +227,7 @@ def test_a_picture_goes_through_the_curve_in_use() -> None:
 def test_the_scale_of_a_picture_is_told(scale: str, said: str) -> None:
     """From the half-per-cent dimmest to the 0.2 % brightest; a factor of 100 is drawn in logarithms by itself."""
     radiance = np.geomspace(1.0, 100.0, 64 * 64).reshape(64, 64).astype(np.float32)
-    picture = Picture(radiance, np.zeros((64, 64), bool), "W", 5)
+    picture = ServedPicture(radiance, np.zeros((64, 64), bool), "W", 5)
     image, headers = render(picture, width=64, scale=scale, colours="grey", bar=False)
     kind, low, high = headers["Radiometer-Scale"].split(",")
     assert kind == said
@@ -242,7 +242,7 @@ def test_clipped_pixels_stand_out_in_every_map() -> None:
     """In a colour that no map has; in the red map, for a dark room, as a hatching of red and black."""
     clipped = np.zeros((64, 64), bool)
     clipped[:32] = True
-    picture = Picture(np.full((64, 64), 5.0, np.float32), clipped, "W", 5)
+    picture = ServedPicture(np.full((64, 64), 5.0, np.float32), clipped, "W", 5)
     for colours, expected in (
         ("grey", {(64, 224, 255)}),
         ("inferno", {(64, 224, 255)}),
@@ -333,7 +333,7 @@ def test_the_frame_shown_is_the_longest_in_which_less_than_a_thousandth_clips(cl
 @pytest.mark.parametrize("height", [60, 200])
 def test_the_bar_runs_from_its_brightest_at_the_top_to_its_end(height: int) -> None:
     """34 pixels, or a quarter, from the top, and 14, or half, from the bottom; beyond it there is background."""
-    picture = Picture(np.linspace(1.0, 2.0, height * 100, dtype=np.float32).reshape(height, 100),
+    picture = ServedPicture(np.linspace(1.0, 2.0, height * 100, dtype=np.float32).reshape(height, 100),
                       np.zeros((height, 100), bool), "W sr-1 m-2", 3)  # fmt: skip
     page, _ = render(picture, width=100, scale="linear", colours="grey", bar=True)
     pixels = np.asarray(Image.open(io.BytesIO(page)).convert("L")).astype(int)

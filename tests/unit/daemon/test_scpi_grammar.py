@@ -17,7 +17,7 @@ from radiometer.daemon.limits import TokenBucket
 from radiometer.daemon.scpi import formats
 from radiometer.daemon.scpi.errors import ScpiError, scpi_error
 from radiometer.daemon.scpi.lexer import Argument, Kind, split_message
-from radiometer.daemon.scpi.parameters import _MULTIPLIERS, Boolean, Choice, Limits, Number, Text
+from radiometer.daemon.scpi.parameters import _MULTIPLIERS, Boolean, Choice, Number, ParameterLimits, Text
 from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.scpi.status import QUEUE_LENGTH, Register, Status
 from radiometer.daemon.scpi.table import command_table
@@ -33,7 +33,7 @@ from radiometer.errors import (
 )
 
 TABLE = command_table()
-WIDE = Limits(-1e30, 1e30, 7.0)
+WIDE = ParameterLimits(-1e30, 1e30, 7.0)
 # IEEE 488.2, 7.7.3, and SCPI-99, volume 1, 7.7.2: what a suffix multiplies by, in s, nm and dB.
 UNITS = {
     "S": {"": "1", "S": "1", "MS": "1e-3", "US": "1e-6", "NS": "1e-9", "MIN": "60"},
@@ -55,7 +55,7 @@ def read(parameter: Any, text: str) -> Any:
     return parameter.read(argument, None)
 
 
-def number(unit: str = "", limits: Limits = WIDE, **more: Any) -> Number:
+def number(unit: str = "", limits: ParameterLimits = WIDE, **more: Any) -> Number:
     return Number("value", unit, lambda station: limits, **more)
 
 
@@ -99,7 +99,7 @@ def test_hexadecimal_octal_and_binary_are_whole_numbers(value: int) -> None:
 def test_limits_hold_on_both_sides(low: float, span: float, value: float) -> None:
     """Inside is taken, outside refused (−222); MIN, MAX and DEF are the limits and the default."""
     low, high = abs(low), abs(low) + span
-    bounded = number(limits=Limits(low, high, low))
+    bounded = number(limits=ParameterLimits(low, high, low))
     if low * (1 + 1e-6) < value < high * (1 - 1e-6):
         assert read(bounded, repr(value)) == value
     elif value < low * (1 - 1e-6) - 1e-12 or value > high * (1 + 1e-6):
@@ -131,7 +131,7 @@ def test_words_choices_texts_and_switches() -> None:
         with pytest.raises(ScpiError, match="-104"):
             read(Text("name"), wrong)
     assert read(number(integer=True), "2.6") == 3
-    assert math.isclose(read(number("PCT", Limits(0.0, 1.0, 0.0)), "100 PCT"), 1.0)
+    assert math.isclose(read(number("PCT", ParameterLimits(0.0, 1.0, 0.0)), "100 PCT"), 1.0)
 
 
 @settings(max_examples=80)

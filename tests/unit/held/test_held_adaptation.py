@@ -15,7 +15,7 @@ import pytest
 from radiometer.adaptation.box_stage import BoxLights, BoxStage
 from radiometer.adaptation.break_evidence import earliest_visible_break
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import Event, Journal
+from radiometer.adaptation.journal import Event, RunJournal
 from radiometer.adaptation.live import LiveState, running_fit
 from radiometer.adaptation.prompts import Prompter
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
@@ -220,7 +220,7 @@ def test_a_run_is_journalled_as_it_was(name, tmp_path, monkeypatch):
     before(stage, controls)
     sounds: list[str] = []
     phases: list[str] = []
-    with Journal(tmp_path / "j") as journal:
+    with RunJournal(tmp_path / "j") as journal:
         prompter = Prompter(journal, lambda event: sounds.append(f"{event['time_s']:g} {event['say']}"))
 
         def watch(event: Event) -> None:
@@ -259,7 +259,7 @@ def test_a_run_is_taken_up_after_a_crash_as_it_was(tmp_path, monkeypatch):
             stage = Placed(tells_fast, protocol)
             stage.unix = None if unix is None else unix + 150.0 * attempt
             stage.dies_after = 200.0 + 60.0 * attempt if attempt < 2 else 1e9
-            with Journal(path) as journal:
+            with RunJournal(path) as journal:
                 try:
                     run_test(protocol, stage, journal, subject="A1", seed=5)
                 except DeviceLost as lost:
@@ -270,22 +270,22 @@ def test_a_run_is_taken_up_after_a_crash_as_it_was(tmp_path, monkeypatch):
     path = tmp_path / "simulated"
     rows = path.read_text().splitlines(keepends=True)
     path.write_text("".join(rows[:40]) + rows[40][:10])  # a line that was not finished
-    with Journal(path, relive=True) as journal:
+    with RunJournal(path, relive=True) as journal:
         run_test(protocol, Placed(tells_fast, protocol), journal, subject="A1", seed=5)
         told["lived through again"] = [line(event) for event in journal.of_kind("trial")]
     for name, changes in {"another subject": {"subject": "B"}, "another seed": {"seed": 6}}.items():
-        with Journal(path, relive=name == "another seed") as journal:
+        with RunJournal(path, relive=name == "another seed") as journal:
             asked = {"subject": "A1", "seed": 5, **changes}
             said = outcome_of(lambda journal=journal, asked=asked: run_test(
                 protocol, Placed(tells_fast, protocol), journal, **asked
             ))  # fmt: skip
             told[name] = str(said).replace(str(tmp_path), "")
     path.write_text('{"sequence": 0}\n{"sequence": 2}\n')
-    told["out of order"] = str(outcome_of(lambda: Journal(path).events)).replace(str(tmp_path), "")
+    told["out of order"] = str(outcome_of(lambda: RunJournal(path).events)).replace(str(tmp_path), "")
     path.write_text('{"sequence": 0}\nnonsense\n')
-    told["damaged"] = str(outcome_of(lambda: Journal(path).events)).replace(str(tmp_path), "")
-    told["a folder"] = str(outcome_of(lambda: Journal(tmp_path).events)).replace(str(tmp_path), "")
-    told["not open"] = str(outcome_of(lambda: Journal(tmp_path / "n").write("x", 0.0))).replace(str(tmp_path), "")
+    told["damaged"] = str(outcome_of(lambda: RunJournal(path).events)).replace(str(tmp_path), "")
+    told["a folder"] = str(outcome_of(lambda: RunJournal(tmp_path).events)).replace(str(tmp_path), "")
+    told["not open"] = str(outcome_of(lambda: RunJournal(tmp_path / "n").write("x", 0.0))).replace(str(tmp_path), "")
     assert not moved("adaptation/taken_up", told)
 
 

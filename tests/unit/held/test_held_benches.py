@@ -27,7 +27,7 @@ from radiometer.acquire.reach import assess_reach
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
 from radiometer.adaptation.bleach import bleached_fraction, bleached_range, pupil_diameter_mm, retinal_exposure_for
 from radiometer.adaptation.checks import judge_room
-from radiometer.adaptation.journal import Journal
+from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.method_bias import method_bias
 from radiometer.adaptation.methods import begin
 from radiometer.adaptation.protocol import read_protocol
@@ -262,7 +262,7 @@ def test_methods_are_as_they_were():
 def test_a_run_is_as_it_was(name, tmp_path, monkeypatch):
     """Thresholds, catches and verdict of a whole run with an eye of fixed habits."""
     monkeypatch.setattr(os, "fsync", lambda handle: None)
-    with Journal(tmp_path / "j") as journal:
+    with RunJournal(tmp_path / "j") as journal:
         ended = run_test(read_protocol(name), ScriptedStage(eye, read_protocol(name)), journal, subject="A1", seed=3)
         kinds: dict[str, int] = {}
         for event in journal.of_kind("trial") + journal.of_kind("blink") + journal.of_kind("threshold"):

@@ -10,7 +10,7 @@ from radiometer.errors import MeasurementError
 from radiometer.screen.checks import Uniformity, additivity, judge_flicker, wait_until_steady
 from radiometer.screen.drift import Drift
 from radiometer.screen.meter import ScreenReading
-from radiometer.screen.plan import Step, make_plan
+from radiometer.screen.plan import ScreenStep, make_plan
 from radiometer.screen.run import Light, Measured, curves_of, measure_steps
 
 
@@ -33,9 +33,10 @@ class _Warming:
 
 def test_linear_drift_is_taken_out_to_rounding() -> None:
     """A level measured while the lamp fades linearly comes out as at its mean output."""
-    whites = [Measured(Step("grey", 255, "white"), (_reading(1 - 0.001 * t, t),)) for t in (0.0, 10.0, 20.0)]
+    whites = [Measured(ScreenStep("grey", 255, "white"), (_reading(1 - 0.001 * t, t),)) for t in (0.0, 10.0, 20.0)]
     levels = [
-        Measured(Step("grey", n), (_reading(n / 255 * (1 - 0.001 * t), t),)) for n, t in ((0, 2), (128, 7), (255, 15))
+        Measured(ScreenStep("grey", n), (_reading(n / 255 * (1 - 0.001 * t), t),))
+        for n, t in ((0, 2), (128, 7), (255, 15))
     ]
     curves, drift = curves_of([*whites, *levels], {"grey": Light(320, 700, "x")})
     assert curves["grey"].radiance == pytest.approx((0.0, 128 / 255 * 0.99, 0.99), rel=1e-12)
@@ -95,9 +96,9 @@ def test_additivity_takes_the_black_out() -> None:
 
 def test_black_that_is_not_seen_becomes_a_limit() -> None:
     """Black readings around zero give a detection limit of three standard uncertainties of their mean."""
-    whites = [Measured(Step("grey", 255, "white"), (_reading(1.0, t),)) for t in (0.0, 10.0)]
-    blacks = [Measured(Step("grey", 0, "black"), (_reading(v, 1.0, u=1e-3),)) for v in (1e-4, -1e-4)]
-    levels = [Measured(Step("grey", n), (_reading(n / 255, 2.0, u=1e-3),)) for n in (0, 128, 255)]
+    whites = [Measured(ScreenStep("grey", 255, "white"), (_reading(1.0, t),)) for t in (0.0, 10.0)]
+    blacks = [Measured(ScreenStep("grey", 0, "black"), (_reading(v, 1.0, u=1e-3),)) for v in (1e-4, -1e-4)]
+    levels = [Measured(ScreenStep("grey", n), (_reading(n / 255, 2.0, u=1e-3),)) for n in (0, 128, 255)]
     curve = curves_of([*whites, *blacks, *levels], {"grey": Light(320, 700, "x")})[0]["grey"]
     assert curve.detection_limit == pytest.approx(3 * 1e-3 / np.sqrt(3))
     assert curve.radiance_is_lost(0)
@@ -107,7 +108,7 @@ def test_black_that_is_not_seen_becomes_a_limit() -> None:
 def test_without_references_there_is_no_curve() -> None:
     """The drift must be known."""
     with pytest.raises(MeasurementError, match="white references"):
-        curves_of([Measured(Step("grey", 0), (_reading(0.0),))], {})
+        curves_of([Measured(ScreenStep("grey", 0), (_reading(0.0),))], {})
 
 
 def test_camera_that_looks_elsewhere_is_found_out_at_once() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from radiometer.errors import UsageError
-from radiometer.screen.plan import QUICK_LEVELS, REFERENCE_EVERY, Step, make_plan, parse_levels
+from radiometer.screen.plan import QUICK_LEVELS, REFERENCE_EVERY, ScreenStep, make_plan, parse_levels
 
 
 @pytest.mark.parametrize(
@@ -57,4 +57,4 @@ def test_unknown_channel_is_refused() -> None:
 
 def test_step_shows_its_primary_alone() -> None:
     """Level 51 of blue is a fifth of blue's drive and nothing else."""
-    assert Step("blue", 51).patch().rgb == (0.0, 0.0, 0.2)
+    assert ScreenStep("blue", 51).patch().rgb == (0.0, 0.0, 0.2)

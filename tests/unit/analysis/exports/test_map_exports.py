@@ -14,7 +14,7 @@ import tifffile
 from PIL import Image
 
 from radiometer.analysis.exports.hdr import rgbe
-from radiometer.analysis.exports.maps import WRITERS, Picture, in_luminance, writer_for
+from radiometer.analysis.exports.maps import WRITERS, MapPicture, in_luminance, writer_for
 from radiometer.analysis.signal.spectra import spectrum
 from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter, PixelMask, RadianceMap, ResponseCurve
@@ -43,7 +43,7 @@ def colour(grey):
 def test_exr_carries_value_uncertainty_mask_and_unit(grey, tmp_path):
     """All in 32 bits, exactly."""
     told = replace(grey, not_in_u=("no stray light", "no offset"))
-    writer_for(tmp_path / "map.exr")(tmp_path / "map.exr", Picture({"mono": told}))
+    writer_for(tmp_path / "map.exr")(tmp_path / "map.exr", MapPicture({"mono": told}))
     file = OpenEXR.File(str(tmp_path / "map.exr"), separate_channels=True)
     channels = {name: channel.pixels for name, channel in file.channels().items()}
     np.testing.assert_array_equal(channels["Y"], grey.radiance)
@@ -55,7 +55,7 @@ def test_exr_carries_value_uncertainty_mask_and_unit(grey, tmp_path):
 
 def test_tiff_carries_value_uncertainty_mask_and_unit(grey, tmp_path):
     """One page each; the description of each is JSON."""
-    writer_for(tmp_path / "map.tiff")(tmp_path / "map.tiff", Picture({"mono": grey}))
+    writer_for(tmp_path / "map.tiff")(tmp_path / "map.tiff", MapPicture({"mono": grey}))
     with tifffile.TiffFile(tmp_path / "map.tiff") as tiff:
         value, u, mask = (page.asarray() for page in tiff.pages)
         facts = [json.loads(page.description) for page in tiff.pages]
@@ -68,7 +68,7 @@ def test_tiff_carries_value_uncertainty_mask_and_unit(grey, tmp_path):
 
 def test_hdr_is_read_back_by_opencv_to_its_resolution(grey, tmp_path):
     """Half a step of an 8-bit mantissa is 0.4 % at worst; what is negative becomes 0."""
-    writer_for(tmp_path / "map.hdr")(tmp_path / "map.hdr", Picture({"mono": grey}))
+    writer_for(tmp_path / "map.hdr")(tmp_path / "map.hdr", MapPicture({"mono": grey}))
     back = cv2.imread(str(tmp_path / "map.hdr"), cv2.IMREAD_UNCHANGED)
     assert back[0, 0].tolist() == [0.0, 0.0, 0.0]
     np.testing.assert_allclose(back[..., 1].ravel()[1:], grey.radiance.ravel()[1:], rtol=1 / 256)
@@ -77,7 +77,7 @@ def test_hdr_is_read_back_by_opencv_to_its_resolution(grey, tmp_path):
 
 def test_hdr_states_exposure_once_at_the_line_s_beginning(grey, tmp_path):
     """As Radiance's readers demand."""
-    writer_for(tmp_path / "map.hdr")(tmp_path / "map.hdr", Picture({"mono": grey}))
+    writer_for(tmp_path / "map.hdr")(tmp_path / "map.hdr", MapPicture({"mono": grey}))
     header = (tmp_path / "map.hdr").read_bytes().split(b"\n\n")[0].decode()
     lines = header.splitlines()
     assert lines[0] == "#?RADIANCE"
@@ -95,7 +95,7 @@ def test_hdr_mantissas_never_overflow():
 def test_colours_keep_their_order(colour, tmp_path, ending):
     """Red, green and blue come back as 1 : 2 : 3."""
     path = tmp_path / f"map{ending}"
-    writer_for(path)(path, Picture(colour))
+    writer_for(path)(path, MapPicture(colour))
     if ending == ".exr":
         channels = OpenEXR.File(str(path), separate_channels=True).channels()
         values = [float(channels[name].pixels[3, 3]) for name in "RGB"]
@@ -110,7 +110,7 @@ def test_colours_keep_their_order(colour, tmp_path, ending):
 def test_no_header_holds_a_path_or_a_user_name(grey, tmp_path, ending):
     """Files are handed on; they must not tell where they were made."""
     path = tmp_path / f"map{ending}"
-    writer_for(path)(path, Picture({"mono": grey}))
+    writer_for(path)(path, MapPicture({"mono": grey}))
     content = path.read_bytes()
     assert str(tmp_path).encode() not in content
     if len(getpass.getuser()) > 3:
@@ -121,7 +121,7 @@ def test_no_header_holds_a_path_or_a_user_name(grey, tmp_path, ending):
 def test_false_colours_grow_with_radiance_and_mark_what_clips(grey, tmp_path):
     """Brightness of the colours rises with the value; the clipped pixel is magenta."""
     path = tmp_path / "map.png"
-    writer_for(path)(path, Picture({"mono": grey}, (1e-3, 1e3)))
+    writer_for(path)(path, MapPicture({"mono": grey}, (1e-3, 1e3)))
     image = np.asarray(Image.open(path).convert("RGB")).astype(int)
     magenta = np.all(np.abs(image - [255, 64, 255]) < 8, axis=-1)
     assert magenta.sum() > 100
@@ -133,14 +133,14 @@ def test_false_colours_grow_with_radiance_and_mark_what_clips(grey, tmp_path):
 def test_a_wrong_scale_is_refused(grey, tmp_path, bounds):
     """The bounds must be above 0 and in order."""
     with pytest.raises(UsageError, match="0 < low < high"):
-        writer_for(tmp_path / "a.png")(tmp_path / "a.png", Picture({"mono": grey}, bounds))
+        writer_for(tmp_path / "a.png")(tmp_path / "a.png", MapPicture({"mono": grey}, bounds))
 
 
 def test_darkness_cannot_be_coloured(grey, tmp_path):
     """A map without light is refused rather than drawn as something."""
     dark = RadianceMap(-np.abs(grey.radiance), grey.u_radiance, grey.mask)
     with pytest.raises(MeasurementError, match="no pixel shows light"):
-        writer_for(tmp_path / "a.png")(tmp_path / "a.png", Picture({"mono": dark}))
+        writer_for(tmp_path / "a.png")(tmp_path / "a.png", MapPicture({"mono": dark}))
 
 
 def test_luminance_scales_value_and_uncertainty(grey):
@@ -162,7 +162,7 @@ def test_an_unwritable_place_is_an_output_error(grey, tmp_path, ending):
     """Not a traceback."""
     path = tmp_path / "nowhere" / f"map{ending}"
     with pytest.raises(OutputError, match="nowhere"):
-        writer_for(path)(path, Picture({"mono": grey}))
+        writer_for(path)(path, MapPicture({"mono": grey}))
 
 
 @pytest.fixture
