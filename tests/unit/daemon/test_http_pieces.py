@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from radiometer.daemon.http import readings
 from radiometer.daemon.http.control import show_health, show_response
 from radiometer.daemon.http.patches import show_trend
-from radiometer.daemon.http.picture import PictureCache, ServedPicture, coloured, composite, render
+from radiometer.daemon.http.picture import PictureCache, ServedPicture, _with_bar, coloured, composite, render
 from radiometer.daemon.http.requests import MeasureBody, SettingsBody, read_query
 from radiometer.daemon.http.route import QUERIES, STATION, QueryParameter
 from radiometer.daemon.hub import Event, Hub
@@ -385,3 +385,20 @@ async def test_an_export_that_breaks_off_is_no_whole_table(monkeypatch: pytest.M
         request.transport = None
         pieces[:] = [[], error]
         await readings._send_all(request, None, wanted, "jsonl")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("height", "ticks"), [(100, 3), (240, 6)])
+@pytest.mark.parametrize("colours", ["inferno", "red"])
+def test_every_tick_of_the_bar_has_its_number(height: int, ticks: int, colours: str) -> None:
+    """A stroke beside the ramp and ink right of it at each value; between two ticks there is none, the unit above."""
+    canvas = Image.new("RGB", (60, height))
+    bar = np.asarray(_with_bar(canvas, 1.0, 100.0, logarithmic=True, unit="DN", colours=colours), np.int64)[:, 60:]
+    ink = bar[..., 0] > 60
+    top, bottom = min(34, height // 4), height - 14
+    places = np.linspace(bottom, top, ticks)
+    for y in places:
+        assert ink[round(y) - 1 : round(y) + 2, 33:37].any()
+        assert ink[round(y) - 6 : round(y) + 7, 42:].any()
+    between = np.rint((places[1:] + places[:-1]) / 2).astype(int)
+    assert not ink[between, 33:].any()
+    assert ink[8:22, 14:32].any()

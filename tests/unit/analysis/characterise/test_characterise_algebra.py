@@ -22,7 +22,7 @@ from radiometer.analysis.characterise.nonuniformity import dsnu, prnu
 from radiometer.analysis.characterise.partial import _of_masked_rows, bent, disagreeing_gains
 from radiometer.analysis.characterise.photon_flux import PhotonFlux, photon_flux
 from radiometer.analysis.characterise.photon_transfer import photon_transfer
-from radiometer.analysis.characterise.report import outcome
+from radiometer.analysis.characterise.report import _straightness, outcome
 from radiometer.analysis.characterise.report_plots import _signal
 from radiometer.analysis.characterise.saturation import find_saturation
 from radiometer.analysis.characterise.sensitivity import responsivity, sensitivity_figures
@@ -504,3 +504,20 @@ def test_a_line_through_one_light_tells_no_linearity():
     assert found(2000.0, 2000.0, 2000.0, 2000.0) is None
     assert found(2000.0, 4000.0, 6000.0) is None
     assert found(2000.0, 2000.0, 4000.0, 4000.0) is not None
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "u", "said"),
+    [
+        (-3.0, 1.0, 0.2, "off by −3.00 to 1.00 %, each ± 0.40 %): recover"),
+        (-1.0, 3.0, 0.2, "off by −1.00 to 3.00 %, each ± 0.40 %): recover"),
+        (-0.39, 0.1, 0.2, "off by"),
+        (-0.41, 0.1, 0.2, "recover its response"),
+    ],
+)
+def test_straightness_is_judged_by_the_farther_end(low, high, u, said):
+    """Beyond twice its u on either side a response is asked for, within it none; of nothing known nothing is said."""
+    text = _straightness(Quantity(low, u, "%"), Quantity(high, u, "%"))
+    assert said.replace("−", "-") in text.replace("−", "-")
+    assert ("recover" in text) is (max(-low, high) > 2.0 * u)
+    assert _straightness(None, Quantity(high, u, "%")) == "" == _straightness(Quantity(low, u, "%"), None)
