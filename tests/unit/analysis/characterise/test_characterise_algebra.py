@@ -14,6 +14,8 @@ from radiometer.analysis.characterise import characterise, report_plots
 from radiometer.analysis.characterise.dark_figures import typical_dark_current, typical_rates
 from radiometer.analysis.characterise.dark_signal import dark_signal
 from radiometer.analysis.characterise.dark_transfer import _halves_u
+from radiometer.analysis.characterise.emva_export import _photons
+from radiometer.analysis.characterise.frame_groups import FrameGroup
 from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
 from radiometer.analysis.characterise.inconsistent import contradicting_darks
 from radiometer.analysis.characterise.line_fit import fit_line
@@ -24,7 +26,7 @@ from radiometer.analysis.characterise.photon_flux import PhotonFlux, photon_flux
 from radiometer.analysis.characterise.photon_transfer import photon_transfer
 from radiometer.analysis.characterise.report import _straightness, outcome
 from radiometer.analysis.characterise.report_plots import _signal
-from radiometer.analysis.characterise.saturation import find_saturation
+from radiometer.analysis.characterise.saturation import _spacing_u, find_saturation
 from radiometer.analysis.characterise.sensitivity import responsivity, sensitivity_figures
 from radiometer.analysis.characterise.spatial_split import NoiseLeft, SpatialSplit, split_spatial_variance
 from radiometer.analysis.characterise.steps import make_steps
@@ -521,3 +523,33 @@ def test_straightness_is_judged_by_the_farther_end(low, high, u, said):
     assert said.replace("−", "-") in text.replace("−", "-")
     assert ("recover" in text) is (max(-low, high) > 2.0 * u)
     assert _straightness(None, Quantity(high, u, "%")) == "" == _straightness(Quantity(low, u, "%"), None)
+
+
+def test_where_a_largest_value_lies_is_known_between_its_neighbours():
+    """The steps that may hold it, by their variances' u, and the gap beside them, as a rectangle; at an end, too."""
+
+    def u(variances, top, **more):
+        lights = (100.0, 200.0, 400.0, 500.0, 900.0)
+        bright = [group(BLACK_DN + x, v, photons=x, **more) for x, v in zip(lights, variances, strict=True)]
+        return _spacing_u(make_steps(bright, [group(BLACK_DN, 40.0, dark=True)]), top) * math.sqrt(3.0)
+
+    assert u((10.0, 20.0, 40.0, 20.0, 10.0), 2) == pytest.approx(200.0)  # from 200 to 500
+    assert u((10.0, 20.0, 40.0, 40.0, 10.0), 2) == pytest.approx(500.0)  # 500 as likely: up to 900
+    assert u((10.0, 40.0, 40.0, 20.0, 10.0), 2) == pytest.approx(300.0)  # 200 as likely: down to 100
+    assert u((10.0, 20.0, 20.0, 20.0, 40.0), 4) == pytest.approx(400.0)
+    assert u((40.0, 20.0, 20.0, 20.0, 10.0), 0) == pytest.approx(100.0)
+    assert u((10.0, 20.0, 40.0, 30.0, 10.0), 2, pixels=8) == pytest.approx(500.0)  # variances known to a half
+
+
+def test_photons_of_an_export_are_those_stated_else_of_the_largest_region():
+    """A group's own number stands first, then the flux of the largest region; without either there is none."""
+    large, small = PhotonFlux(3000.0, 0.01), PhotonFlux(7.0, 0.01)
+    regions = (Patch(0, 0, 2, 2), Patch(4, 4, 5, 5))
+
+    def photons(stated, fluxes):
+        own = FrameGroup(FrameSettings(0.01, source_level=0.5), (), stated)
+        return _photons(Subject("a", CameraDescription(bit_depth=12), LensDescription(), (own,), regions, fluxes), own)
+
+    assert photons(123.0, (small, large)) == 123.0
+    assert photons(None, (small, large)) == pytest.approx(15.0)
+    assert photons(None, (small, None)) == 0.0
