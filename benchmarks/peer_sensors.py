@@ -1,10 +1,12 @@
 """`radiometer reconcile` on sessions that other people's simulators develop: ESA's Pyxel and GalSim.
 
     python -m benchmarks peer_sensors --python OTHER/bin/python --sets 42 --first-seed 100
+    python -m benchmarks peer_sensors --python OTHER/bin/python --sets 24 --first-seed 300 --figures
 
 OTHER is an environment with pyxel-sim, galsim, opencv-python-headless and pyyaml, of which this project needs no part;
 without it the benchmark says so and stops. Cases come in random order, each as often. Every run is one line of the
 results file; what stands there is not run again. A blind set is one whose seeds were never looked at in development.
+With --figures the EMVA 1288 figures of `radiometer characterise` are held against what the peers were given.
 """
 
 from __future__ import annotations
@@ -28,6 +30,14 @@ from radiometer.reconcile import reconcile_capture
 
 MAKER = Path(__file__).parent / "_peers" / "make.py"
 RESULTS = Path("out") / "peer_sensors.jsonl"
+FIGURES = {  # of characterise, with what they ought to be by header and truth, and the cases that show them
+    "K": (lambda camera, drawn: 1.0 / camera["conversion_gain_e_per_dn"], ("null", "prnu", "dark_simple")),
+    "sigma_d": (lambda camera, drawn: camera["read_noise_e"], ("null", "prnu", "dark_simple")),
+    "mu_y_dark": (lambda camera, drawn: camera["black_level_dn"], ("null", "prnu", "dark_simple")),
+    "eta": (lambda camera, drawn: 100.0 * camera["quantum_efficiency"], ("null", "prnu", "dark_simple")),
+    "PRNU_pixel": (lambda camera, drawn: 100.0 * drawn["sigma_rel"], ("prnu",)),
+    "mu_I_mean": (lambda camera, drawn: drawn["rate_e_per_s"], ("dark_simple",)),
+}
 
 
 def cases_of(python: str) -> list[str]:
@@ -55,6 +65,39 @@ def run(python: str, case: str, seed: int) -> dict[str, Any]:
         "gap": [told["gap"]["before"], told["gap"]["after"]],
         "cpu_s": round(time.process_time() - begun, 1),
     }
+
+
+def pulls_of(python: str, case: str, seed: int) -> dict[str, list[float]]:
+    """Return value, standard uncertainty and truth of each figure that a session shows."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "session"
+        subprocess.run([python, str(MAKER), case, str(seed), str(path)], check=True, capture_output=True, text=True)
+        drawn = yaml.safe_load(path.with_name("session.truth.yaml").read_text(encoding="utf-8"))["drawn"]
+        camera = yaml.safe_load((path / "capture.yaml").read_text(encoding="utf-8"))["camera"]
+        asked = [sys.executable, "-m", "radiometer", "characterise", str(path), "--json"]
+        told = json.loads(subprocess.run(asked, check=True, capture_output=True, text=True).stdout)["emva1288"][
+            "figures"
+        ]
+    return {
+        name: [told[name]["value"], told[name]["u"], truth(camera, drawn)]
+        for name, (truth, cases) in FIGURES.items()
+        if case in cases
+    }
+
+
+def page_of_figures(results: Sequence[dict[str, list[float]]]) -> str:
+    """Return how far the figures lie from the truth, in Markdown."""
+    lines = [
+        "| figure | sessions | rms of (value - truth)/u | within 2 u | value over truth, mean |",
+        "|---|---|---|---|---|",
+    ]
+    for name in FIGURES:
+        own = np.array([result[name] for result in results if name in result])
+        if own.size:
+            pulls = (own[:, 0] - own[:, 2]) / own[:, 1]
+            rms, ratio = float(np.sqrt(np.mean(pulls**2))), float(np.mean(own[:, 0] / own[:, 2]))
+            lines.append(f"| {name} | {pulls.size} | {rms:.2f} | {np.sum(np.abs(pulls) <= 2)} | {ratio:.4f} |")
+    return "\n".join(lines)
 
 
 def judged(result: dict[str, Any]) -> str:
@@ -96,6 +139,7 @@ def main() -> None:
     parser.add_argument("--python", default="", help="interpreter that has pyxel-sim and galsim")
     parser.add_argument("--sets", type=int, default=21, help="sessions in all; each case comes as often")
     parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--figures", action="store_true", help="the figures of characterise instead")
     parser.add_argument("--only", default="", help="cases, by comma")
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks.md")
@@ -104,6 +148,11 @@ def main() -> None:
         names = cases_of(options.python or sys.executable)
     except (OSError, subprocess.CalledProcessError):
         print("skipped: no interpreter with pyxel-sim and galsim (--python); see benchmarks/_peers/make.py")
+        return
+    if options.figures:
+        seeds = range(options.first_seed, options.first_seed + options.sets)
+        cases = ("null", "prnu", "dark_simple")
+        print(page_of_figures([pulls_of(options.python, cases[seed % len(cases)], seed) for seed in seeds]))
         return
     names = [name for name in names if not options.only or name in options.only.split(",")]
     order = np.random.default_rng(options.first_seed).permutation(max(options.sets, len(names)))[: options.sets]
