@@ -60,7 +60,7 @@ def doubts_of(outcome: Search) -> list[str]:
         f"{name} is only the likelier of two, the other predicts better" for name in outdone(outcome.steps, effects)
     ]
     said += [
-        f"{name} fits by its further terms alone: what makes it {name} is within three uncertainties of zero"
+        f"{name} fits by its further terms alone: what makes it {name} is within three uncertainties of nothing"
         for name in without_essential(effects, fitted_parameters(state))
     ]
     said += [f"{told}: less than that cause ever does, something else acts so" for told in below_least(effects)]
@@ -338,7 +338,9 @@ def outdone(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[s
 def without_essential(
     effects: Sequence[CatalogueEffect], parameters: Mapping[str, Mapping[str, FittedParameter]]
 ) -> list[str]:
-    """Return the names of effects of which an essential parameter lies within three standard uncertainties of zero.
+    """Return the names of effects of which an essential parameter lies within three standard uncertainties of nothing.
+
+    Where an effect names none, the one that it is fitted by first is its size.
 
     Args:
         effects: The effects of the model.
@@ -347,8 +349,9 @@ def without_essential(
     found = []
     for effect in effects:
         fitted = parameters[effect.name]
-        shown = (fitted[name] for name in effect.essential if name in fitted)
-        if any(entry.u is not None and abs(entry.value) < ESSENTIAL_SIGMAS * entry.u for entry in shown):
+        sizes = ((name, fitted[name]) for name in effect.essential or effect.fitted[:1] if name in fitted)
+        away = ((abs(size.value - effect.neutral(name)), size.u) for name, size in sizes)
+        if any(u is not None and far < ESSENTIAL_SIGMAS * u for far, u in away):
             found.append(effect.name)
     return found
 

@@ -48,16 +48,17 @@ def test_name_that_something_else_outdoes_is_doubted() -> None:
 
 
 def test_fall_off_without_its_oblique_part_lacks_its_essential() -> None:
-    """A fall-off that only the term beside the cos⁴ law carries is no natural vignetting; other entries need none."""
+    """A fall-off that only the term beside the cos⁴ law carries is no natural vignetting; of others the size counts."""
     lens, late = NaturalVignetting(0.001, 0.02), ExposureTimeOffset(2e-6)
 
-    def fitted(strength: float) -> dict[str, dict[str, FittedParameter]]:
-        k4, offset = FittedParameter(0.02, 0.002, "1"), FittedParameter(2e-6, 1e-6, "s")
+    def fitted(strength: float, u_s: float = 5e-7) -> dict[str, dict[str, FittedParameter]]:
+        k4, offset = FittedParameter(0.02, 0.002, "1"), FittedParameter(2e-6, u_s, "s")
         lens_values = {"strength": FittedParameter(strength, 0.001, "1"), "k4": k4}
         return {"natural_vignetting": lens_values, "exposure_time_offset": {"offset_s": offset}}
 
     assert without_essential((lens, late), fitted(0.001)) == ["natural_vignetting"]
     assert without_essential((lens, late), fitted(0.01)) == []
+    assert without_essential((lens, late), fitted(0.01, 1e-6)) == ["exposure_time_offset"]
 
 
 def test_scatter_of_any_width_lacks_its_essential() -> None:

@@ -110,10 +110,14 @@ def test_a_name_beside_an_unknown_cause_that_brings_four_fifths(nats, told):
     [(2.9, 1.0, True), (3.1, 1.0, False), (-3.1, 1.0, False), (-2.9, 1.0, True), (0.1, None, False)],
 )
 def test_an_essential_parameter_is_three_uncertainties_from_nothing(value, u, lacking):
-    """On either side of zero; one that was not fitted says nothing."""
-    effect: Any = SimpleNamespace(name="entry", essential=("strength",))
+    """On either side of nothing, be it 0 or 1; one that was not fitted says nothing. Without any the first counts."""
     fitted = {"entry": {"strength": FittedParameter(value, u, "1"), "other": FittedParameter(0.0, 1.0, "1")}}
-    assert (verdict.without_essential((effect,), fitted) == ["entry"]) is lacking
+    for essential, parameters in ((("strength",), ("other",)), ((), ("strength", "other"))):
+        effect: Any = SimpleNamespace(name="entry", essential=essential, fitted=parameters, neutral=lambda name: 0.0)
+        assert (verdict.without_essential((effect,), fitted) == ["entry"]) is lacking
+    at_one: Any = SimpleNamespace(name="entry", essential=(), fitted=("strength",), neutral=lambda name: 1.0)
+    moved = {"entry": {"strength": FittedParameter(value + 1.0, u, "1")}}
+    assert (verdict.without_essential((at_one,), moved) == ["entry"]) is lacking
 
 
 @pytest.mark.parametrize(
