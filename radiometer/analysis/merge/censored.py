@@ -60,9 +60,11 @@ def heard(
     far = (gap > 0.0) & (gap * gap > CONTRADICTION_SIGMA**2 * (noise + t * t * variance))
     per_sigma = 1.0 / math.sqrt(noise)
     z = below * per_sigma
-    rise = 0.0 if had_to_clip | far else hazard(z)
-    information = t * t * rise * (rise - z) * (per_sigma * per_sigma)
-    return t * rise * per_sigma, information, far & (not had_to_clip) & (expected > 0.1 * clips_at)
+    silent = had_to_clip | far
+    rise = hazard(z)
+    score = 0.0 if silent else t * rise * per_sigma
+    information = 0.0 if silent else t * t * rise * (rise - z) * (per_sigma * per_sigma)
+    return score, information, far & (not had_to_clip) & (expected > 0.1 * clips_at)
 
 
 @compiled

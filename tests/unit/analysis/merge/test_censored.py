@@ -82,3 +82,11 @@ def test_many_pixels_at_a_time_hear_their_nearest_frame():
     assert np.allclose(np.column_stack([heard, their_variances, contradictions]), singly, rtol=1e-12, atol=1e-12)
     assert {bool(one) for one in contradictions} == {True, False}
     assert 20 < np.count_nonzero(heard > rates) < rates.size - 20
+
+
+def test_a_frame_without_noise_in_the_dark_is_heard_or_passed_over_in_numbers():
+    """No read noise and no light: a frame far above contradicts or says nothing, and no value is lost to 0 times ∞."""
+    frames = np.array([[1.0, 0.0, 40.0, 1.0, 0.0], [4.0, 0.0, 40.0, 1.0, 0.0]])
+    for rate in (-0.3, 0.0):
+        found = with_censored(rate, 0.2, np.uint64(0b01), frames, 0, 2, 0.3)
+        assert found == (rate, pytest.approx(0.2, rel=1e-12), False)
