@@ -7,9 +7,14 @@ import sys
 import traceback
 from pathlib import Path
 from types import TracebackType
+from typing import Final
 
 import structlog
 from structlog.typing import EventDict, WrappedLogger
+
+# Libraries that write lines of their own about a damaged file; what is wrong with it is said in one line of ours.
+_TALKATIVE: Final = ("tifffile",)
+_UNHEARD: Final = logging.NullHandler()
 
 
 class StandardErrorLogger:
@@ -46,8 +51,14 @@ def _raised(given: object) -> tuple[type[BaseException] | None, BaseException | 
 
 
 def configure_logging(verbosity: int = 0) -> None:
-    """Show events from WARNING (0), INFO (1) or DEBUG (2 and above) on standard error; the last with tracebacks."""
+    """Show events from WARNING (0), INFO (1) or DEBUG (2 and above) on standard error.
+
+    The last comes with tracebacks, and with what libraries say of files.
+    """
     level = {0: logging.WARNING, 1: logging.INFO}.get(verbosity, logging.DEBUG)
+    for name in _TALKATIVE:
+        library = logging.getLogger(name)
+        (library.removeHandler if level == logging.DEBUG else library.addHandler)(_UNHEARD)
     structlog.configure(
         wrapper_class=structlog.make_filtering_bound_logger(level),
         logger_factory=lambda *_: StandardErrorLogger(),
