@@ -36,6 +36,7 @@ class VirtualSensor:
         self.seed, self.device_seed = seed, device_seed
         self.frames_exposed = 0
         self._previous_e: Signal | None = None
+        self._past = FadingPast()
         self._last_light_s: float | None = None
         self._last_frame_s: float | None = None
         self._rendered: tuple[Scene, str, SceneImage] | None = None
@@ -64,6 +65,7 @@ class VirtualSensor:
             code=None if image.code is None else _binned(np.asarray(image.code), binning),
             peak_radiance=image.peak_radiance,
             previous_e=self._fitting_previous(geometry),
+            past=self._past.at(settings.timestamp_s, geometry.shape),
             since_light_s=self._since(self._last_light_s, settings),
             since_frame_s=self._since(self._last_frame_s, settings),
             frame_index=frame_index,
@@ -73,6 +75,7 @@ class VirtualSensor:
         )
         exposed = self.model.sample(_binned(image.radiance, binning), context, (self.seed, self.frames_exposed))
         self._previous_e = exposed.electrons
+        self._past.add(exposed.electrons, settings.timestamp_s)
         self.frames_exposed += 1
         self._last_frame_s = settings.timestamp_s
         if not settings.is_dark and settings.source_level > 0:
@@ -109,6 +112,36 @@ class VirtualSensor:
     def _fitting_previous(self, geometry: FrameGeometry) -> Signal | None:
         previous = self._previous_e
         return previous if previous is not None and previous.shape == geometry.shape else None
+
+
+class FadingPast:
+    """What earlier frames held, added up for each time constant that was asked for: one picture for each of them.
+
+    It counts from the first frame on for which an effect asks.
+    """
+
+    def __init__(self) -> None:
+        self._now_s, self._last_s, self._shape = 0.0, 0.0, tuple[int, ...]()
+        self._faded: dict[float, Signal] = {}
+
+    def at(self, now_s: float | None, shape: tuple[int, ...]) -> FadingPast | None:
+        """Return the past as a frame of this time and shape sees it; None without a time. Another shape forgets it."""
+        if shape != self._shape:
+            self._shape, self._faded = shape, {}
+        self._now_s = self._now_s if now_s is None else now_s
+        return None if now_s is None else self
+
+    def faded(self, tau_s: float) -> Signal:
+        """Return the sum of what earlier frames held, each times exp(−age/τ)."""
+        known = self._faded.setdefault(tau_s, np.zeros(self._shape))
+        return np.asarray(known * np.exp(-(self._now_s - self._last_s) / tau_s))
+
+    def add(self, held_e: Signal, now_s: float | None) -> None:
+        """Take up the frame that was exposed; one without a time is forgotten."""
+        if now_s is None or held_e.shape != self._shape:
+            return
+        self._faded = {tau_s: self.faded(tau_s) + held_e for tau_s in self._faded}
+        self._last_s = now_s
 
 
 def _binned(image: Signal, binning: int) -> Signal:

@@ -6,7 +6,7 @@ import math
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,6 +132,14 @@ class FrameGeometry:
         return self.y_px / max(self.sensor_height - 1, 1)
 
 
+class Past(Protocol):
+    """What earlier frames held."""
+
+    def faded(self, tau_s: float) -> Signal:
+        """Return the sum of what all earlier frames held in electrons, each times exp(−age/τ)."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ExposureContext:
     """One frame as the effects see it.
@@ -145,6 +153,7 @@ class ExposureContext:
         code: Display drive 0 to 1 of what each pixel looks at; None where the scene is no display.
         peak_radiance: Radiance at drive 1 and source level 1 in W·sr⁻¹·m⁻².
         previous_e: Electrons that the previous frame held at the end of the well stage; None for the first frame.
+        past: What all earlier frames held, and when; None where the times of frames are not known.
         since_light_s: Time in s from the last frame with light to this one; None where none came before or is known.
         since_frame_s: Time in s from the frame before, with light or without, to this one; infinite for the first of
             all, None where it is not known.
@@ -168,6 +177,7 @@ class ExposureContext:
     code: Signal | None = None
     peak_radiance: float = 1.0
     previous_e: Signal | None = None
+    past: Past | None = None
     since_light_s: Any = None
     since_frame_s: Any = None
     frame_index: int = 0

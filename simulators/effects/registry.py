@@ -78,6 +78,7 @@ from simulators.effects.quantum_efficiency_temperature import QuantumEfficiencyT
 from simulators.effects.read_noise import ReadNoise
 from simulators.effects.readout_dark_charge import ReadoutDarkCharge
 from simulators.effects.reciprocity_failure import ReciprocityFailure
+from simulators.effects.residual_charge import ResidualCharge
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from simulators.effects.rolling_shutter_banding import RollingShutterBanding
 from simulators.effects.row_pattern import RowPattern
@@ -149,6 +150,7 @@ EFFECTS: Final[dict[str, type[Effect]]] = {
     "read_noise": ReadNoise,
     "readout_dark_charge": ReadoutDarkCharge,
     "reciprocity_failure": ReciprocityFailure,
+    "residual_charge": ResidualCharge,
     "response_nonlinearity": ResponseNonlinearity,
     "rolling_shutter_banding": RollingShutterBanding,
     "row_pattern": RowPattern,

@@ -16,6 +16,7 @@ PARAMETERS = {
     "readout_dark_charge": ("doubling_K", "doubling_K"),
     "line_start_offset": ("decay_share", "decay_share"),
     "correlated_read_noise": ("sigma_e", "sigma_e"),
+    "residual_charge": ("share", "share"),
 }
 
 
@@ -23,7 +24,7 @@ PARAMETERS = {
 def test_it_is_named_with_its_size(
     hidden_session: Callable[..., Session], name: str, request: pytest.FixtureRequest
 ) -> None:
-    """A jumping lamp, unsettled first frames and lines, charge gathered in readout: named alone, within four u."""
+    """A jumping lamp, unsettled first frames and lines, charge of readout or of traps: named alone, within four u."""
     if name != "lamp_step":
         request.getfixturevalue("laws_left_out")
     session = hidden_session(name, camera_seed=5101)

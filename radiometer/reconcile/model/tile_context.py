@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.pattern_images import PatternImages
+from radiometer.reconcile.model.past import CapturesPast, FrameTimes, Part
 from simulators.effects.context import ExposureContext, FrameGeometry, Signal
 from simulators.undeclared import completed
 
@@ -157,6 +158,7 @@ class TileContext(ExposureContext):
     tile_pixels: Any = 1.0
     tile_height: Any = 1.0
     grid: FrameGeometry | None = None
+    times: FrameTimes | None = None
 
     def within_tiles(self, change: Callable[[ExposureContext], Signal]) -> tuple[Signal, Signal | float]:
         """Return what a change that is steep within a tile comes to at its points, and the variance that is left.
@@ -174,6 +176,18 @@ class TileContext(ExposureContext):
     def frame_mean(self, signal: Signal) -> Any:
         """Return the mean over the whole frame, shape (captures, 1, 1)."""
         return self.surroundings.frame_mean(signal) if self.surroundings else signal.mean(axis=(1, 2), keepdims=True)
+
+    def remembering(self, held_e: Array) -> TileContext:
+        """Return the context with what the frames of each capture held, (captures, tiles) in electrons."""
+        times = self.times
+        if times is None:
+            return self
+
+        def seen(context: ExposureContext | None, part: Part) -> ExposureContext | None:
+            return None if context is None else replace(context, past=CapturesPast(times, held_e, part))
+
+        first, later = seen(self.first_frame, "first"), seen(self.later_frames, "later")
+        return replace(self, past=CapturesPast(times, held_e), first_frame=first, later_frames=later)
 
     def warmed(self, kelvin: float) -> TileContext:
         """Return the context of captures that are so much warmer."""
@@ -269,6 +283,7 @@ def tile_context(design: Design, images: PatternImages) -> TileContext:
         tile_height=np.array([t.height for t in design.tiles], dtype=np.float64)[None, :, None],
         frame_numbers=numbers[0],
         grid=grid,
+        times=FrameTimes.of(design),
     )
     if not (design.frame_count > 1).any():
         return context

@@ -176,7 +176,8 @@ class TileModel:
         order = np.argsort([capture.frames[0] for capture in self.design.captures])
         before = np.zeros_like(signal)
         before[order[1:]] = signal[order[:-1]]
-        return replace(self, context=replace(self.context, previous_e=before[:, :, None]))
+        context = replace(self.context, previous_e=before[:, :, None])
+        return replace(self, context=context.remembering(signal))
 
     # ---- from moments at points to statistics of tiles -----------------------------------------------------
 

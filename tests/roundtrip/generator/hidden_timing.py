@@ -93,3 +93,20 @@ def source_not_proportional_to_exposure(world: World, rng: np.random.Generator, 
 
     world.lamp.append(flash)
     return {"excess": excess, "settle_s": settle_s}
+
+
+@entry("residual_charge", "previous_frame", "frame", "timestamp_s", "exposure_s", plan="afterglow")
+def residual_charge(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Catch half a percent of each frame's charge in traps that empty within minutes, frame by frame."""
+    share, tau_s = 0.005 * scale, float(rng.uniform(40.0, 150.0))
+    held = {"time_s": math.inf, "charge": np.zeros(world.shape)}
+
+    def let_go(expected: np.ndarray, rate: np.ndarray, shot: Shot, before: np.ndarray) -> np.ndarray:
+        waited = shot.time_s - held["time_s"]
+        caught = held["charge"] + share * before if waited > 0 else np.zeros(world.shape)  # a session begins anew
+        held["charge"] = caught * math.exp(-max(waited, 0.0) / tau_s)
+        held["time_s"] = shot.time_s
+        return expected + held["charge"] * -math.expm1(-shot.setting.exposure_s / tau_s)
+
+    world.electrons.append(let_go)
+    return {"share": share, "tau_s": tau_s}

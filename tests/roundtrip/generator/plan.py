@@ -139,6 +139,13 @@ def bracket(rng: np.random.Generator, *, repeats: int = 2, with_darks: bool = Tr
     return [everything[i] for i in rng.permutation(len(everything))]
 
 
+def afterglow(rng: np.random.Generator) -> list[Setting]:
+    """Return a bracket, and thrice a bright capture with a row of long dark ones behind it, in this order."""
+    row = [REFERENCE, *(Setting(t, closed=True) for t in (2.0, 2.0, 4.0, 2.0, 4.0, 2.0))]
+    start = [Setting(t, closed=True) for t in (41e-6, 1.0, 4.0)]
+    return start + bracket(rng, with_darks=False) + 3 * row
+
+
 def short(rng: np.random.Generator) -> list[Setting]:
     """Return 25 captures for frames of many pixels: every covariate is moved, none of them finely."""
     exposures = [Setting(t) for t in (41e-6, 113e-6, 311e-6, 523e-6, 877e-6, 1.151e-3)]

@@ -96,8 +96,8 @@ def make_session(
         scale: Size of the effects in units of the smallest realistic; None: drawn evenly from 1 to 2.
         factor: Further factor on the size.
         rig: Numbers of the rig.
-        plan: Name (rich, colours, printed, bracket, bracket_no_darks, darks, short), a function, or None: what the
-            effects need.
+        plan: Name (rich, colours, printed, bracket, bracket_no_darks, darks, afterglow, short), a function, or None:
+            what the effects need.
         known_patches: State the patches' radiances; otherwise they are null.
         frames: Frames per capture.
     """
@@ -126,6 +126,7 @@ def settings_of(plan: str | Callable[[np.random.Generator], list[Setting]], seed
         "bracket": lambda: plans.bracket(rng),
         "bracket_no_darks": lambda: plans.bracket(rng, with_darks=False),
         "darks": lambda: plans.dark_only(rng),
+        "afterglow": lambda: plans.afterglow(rng),
         "short": lambda: plans.short(rng),
     }
     return named[plan]()
