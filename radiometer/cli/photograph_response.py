@@ -155,7 +155,7 @@ def relative_calibration(
     from radiometer.analysis.response.pixel_noise import sensor_noise
     from radiometer.data import BlackLevel, Calibration, Scale, SensorNoise
 
-    black_dn = bracket.frames[0].settings.black_level_dn or 0.0
+    black_dn = _black_dn(bracket, curve)
     displacement = displacement_of(bracket, curve)
     if displacement is None:
         noise = SensorNoise.of(camera)  # too little overlap to tell: typical figures, said to be assumed
@@ -174,6 +174,14 @@ def relative_calibration(
         black_level=BlackLevel(dn=black_dn),
     )
     return known, displacement
+
+
+def _black_dn(bracket: Bracket, curve: ResponseCurve | None) -> float:
+    """Return the black level as the photographs state it, else as their response has it: a film's fog is black."""
+    from radiometer.analysis.response.curves import black_of_curve
+
+    stated = bracket.frames[0].settings.black_level_dn
+    return stated or (black_of_curve(curve) if curve is not None else 0.0)
 
 
 def displacement_of(bracket: Bracket, curve: ResponseCurve | None) -> Displacement | None:

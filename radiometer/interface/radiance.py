@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.exports.maps import MapPicture, writer_for
 from radiometer.analysis.merge.bracket import merge as merge_bracket
+from radiometer.analysis.response.curves import black_of_curve
 from radiometer.data import BlackLevel, Bracket, Calibration, PixelMask, RadianceMap, Scale, SensorNoise
 from radiometer.data.drawing import new_axes, picture
 from radiometer.errors import MissingLibrary, UsageError
@@ -213,14 +214,14 @@ def merge(
 
 
 def _without_scale(response: Response, stack: Stack, bracket: Bracket) -> Calibration:
-    black = bracket.frames[0].settings.black_level_dn
+    stated = (bracket.frames[0].settings.black_level_dn, stack.camera.black_level_dn, black_of_curve(response.curve))
     return Calibration(
         camera=stack.camera,
         lens=stack.lens,
         scale=Scale(value=1.0, u_rel=0.0, method="relative"),
         response=response.curve,
         noise=SensorNoise.of(stack.camera),
-        black_level=BlackLevel(dn=(stack.camera.black_level_dn or 0.0) if black is None else black),
+        black_level=BlackLevel(dn=next(black for black in stated if black is not None)),
     )
 
 

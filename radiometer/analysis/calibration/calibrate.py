@@ -11,6 +11,7 @@ from typing import Literal
 from radiometer.analysis.calibration.absolute import MeterSettings, scale_from_meter, scale_from_radiance
 from radiometer.analysis.patch.contributions import budget_terms
 from radiometer.analysis.patch.reading import patch_situation, read_patch
+from radiometer.analysis.response.curves import black_of_curve
 from radiometer.analysis.signal.lens import lens_factor_sr
 from radiometer.analysis.signal.model import signal_model
 from radiometer.analysis.signal.spectra import spectrum
@@ -76,7 +77,7 @@ def unscaled_calibration(
         lens: The lens it is used with.
         response: Response curve; None takes the sensor as linear above black.
         spectrum_name: Spectrum that the scale will hold for.
-        black_dn: Black level in DN; None takes the camera description's, or 0.
+        black_dn: Black level in DN; None takes the camera description's, or what the response was recovered with.
         validity_days: Days until readings are flagged `stale_calibration`.
         flat_field: Sensitivity over the picture; the scale then holds on the optical axis.
 
@@ -86,6 +87,8 @@ def unscaled_calibration(
     """
     spectrum(spectrum_name)
     black = camera.black_level_dn if black_dn is None else black_dn
+    if black is None and response is not None:
+        black = black_of_curve(response)
     return Calibration(
         camera=camera,
         lens=lens,

@@ -48,7 +48,7 @@ def heard(
         rate: Estimate from the frames that did not clip.
         variance: Its variance.
         t: Relative exposure of the frame.
-        c: Variance of its x without light.
+        c: Variance of its x at clipping but for shot noise.
         clips_at: Its x at clipping.
         kappa: Shot noise variance per unit of x.
     """
@@ -89,7 +89,7 @@ def with_censored(
         for i in range(begin, end):
             if (pattern >> np.uint64(i)) & np.uint64(1):
                 continue
-            t, c, clips_at = frames[i, 0], frames[i, 1], frames[i, 2]
+            t, c, clips_at = frames[i, 0], frames[i, 5], frames[i, 2]
             rise, sharper, contradicts = heard(estimate, rate, variance, t, c, clips_at, kappa)
             score, total, contradiction = score + rise, total + sharper, contradiction | contradicts
         estimate += score / total
@@ -114,7 +114,7 @@ def hear_nearest(
     """
     for j in range(slots.size):
         frame = np.uint64(records[slots[j], NEAREST])
-        t, c, clips_at = frames[frame, 0], frames[frame, 1], frames[frame, 2]
+        t, c, clips_at = frames[frame, 0], frames[frame, 5], frames[frame, 2]
         rate, variance = rates[j], variances[j]
         from_others = 1.0 / variance
         rise, sharper, before = heard(rate, rate, variance, t, c, clips_at, kappa)

@@ -85,7 +85,8 @@ def fill_record(
     Args:
         record: float64, shape (RECORD_SIZE,), overwritten.
         pattern: Bits of the frames used.
-        frames: float64, shape (n, 5): t, c, x at clipping, its sigma there, common uncertainty of the dark level.
+        frames: float64, shape (n, 6): t, c, x at clipping, its sigma there, common uncertainty of the dark level, and
+            what c is at clipping.
         kappa: Shot noise variance per unit of x.
         gains: Gain factor of every frame.
         top: x of the curve's end; of no meaning for a linear sensor.

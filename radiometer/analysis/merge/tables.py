@@ -82,17 +82,28 @@ def merge_tables(terms: Sequence[FrameTerms], model: SignalModel) -> MergeTables
         model: Signal model of the camera.
     """
     reference = terms[0].exposure
-    frames = np.array([[o.exposure / reference, o.variance, o.clips_at, o.sigma_clip, o.u_dark] for o in terms])
+    kappa = 1.0 / model.electrons_per_unit
+    frames = np.array(
+        [
+            [o.exposure / reference, o.variance, o.clips_at, o.sigma_clip, o.u_dark, _at_clipping(o, kappa, model)]
+            for o in terms
+        ]
+    )
     agreement = _AGREEMENT_ASSUMED_REL if model.noise.assumed else _AGREEMENT_REL
     lower_bound = float((frames[:, 2] / frames[:, 0]).max())
     darkest = float((model.table(terms[0].settings)[1] - model.table(terms[0].settings)[0]) / frames[:, 0].max())
     return MergeTables(
         frames,
-        1.0 / model.electrons_per_unit,
+        kappa,
         np.array([lower_bound, darkest, agreement]),
         np.array([one.gain for one in terms]),
         *_root_tables(model),
     )
+
+
+def _at_clipping(one: FrameTerms, kappa: float, model: SignalModel) -> float:
+    """Return the variance of x at clipping but for its shot noise: behind a curve what arises there as well."""
+    return one.variance if model.linear else max(one.sigma_clip**2 - kappa * one.clips_at, one.variance)
 
 
 def _root_tables(model: SignalModel) -> tuple[Array | None, Array | None, float, Array]:

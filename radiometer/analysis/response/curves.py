@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 _UNDETERMINED_U = 0.05
 # The gauge makes u vanish at the middle: levelling takes no value for better known than this part of the median.
 _LEVEL_FLOOR = 0.3
+BLACK_KEY = "black_dn"  # in a curve's parameters
 # Signal in DN that stands for black itself: the middle of what rounds to it.
 _AT_BLACK_DN = 0.5
 
@@ -54,6 +55,7 @@ def finished_curve(
     u = np.hypot(u_log_exposure, np.abs(inside - log_exposure))
     determined = _determined(u, valid_dn)
     u = np.where((np.arange(u.size) < determined[0]) | (np.arange(u.size) > determined[1]), np.inf, u)
+    found = {**({BLACK_KEY: float(black_dn)} if black_dn > 0.0 else {}), **(parameters or {})}
     middle = inside.size // 2
     if not determined[0] <= middle <= determined[1]:
         u[determined[0] : determined[1] + 1] = np.hypot(
@@ -64,8 +66,14 @@ def finished_curve(
         u,
         valid_dn=determined,
         channel=channel,
-        provenance=Provenance(method, assumptions=assumptions, parameters=parameters or {}),
+        provenance=Provenance(method, assumptions=assumptions, parameters=found),
     )
+
+
+def black_of_curve(curve: ResponseCurve) -> float:
+    """Return the digital number of no light that frames showed when their response was recovered; 0 where none did."""
+    black_dn = curve.provenance.parameters.get(BLACK_KEY, 0.0)
+    return float(black_dn) if isinstance(black_dn, int | float) else 0.0
 
 
 def rising(log_exposure: Array, u: Array, valid_dn: tuple[int, int], black_dn: float = 0.0) -> Array:

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image
 
 from radiometer.cli.main import run
@@ -59,6 +60,41 @@ def test_one_photograph_holds_no_response(chart, capsys):
         assert _read(chart, field, "--linear") == 0
         values.append(json.loads(capsys.readouterr().out)["radiance"]["value"])
     assert values[1] / values[0] == pytest.approx(math.sqrt(LIGHT[8] / LIGHT[6]), rel=0.005)
+
+
+@pytest.fixture
+def film(tmp_path):
+    """Return photographs of the chart on film: fog at 20 DN in every frame, above it the root of the light."""
+    rng = np.random.default_rng(32)
+    times = [5e-6 * 4.0**k for k in range(9)]
+    y, x = np.mgrid[:144, :192]
+    fields = LIGHT[(x // 48) + 4 * (y // 48)]
+    for k, seconds in enumerate(times):
+        dn = 20.0 + 215.0 * np.sqrt(fields * seconds / 2.0) + rng.normal(0.0, 1.0, fields.shape)
+        Image.fromarray(np.clip(np.rint(dn), 0, 255).astype(np.uint8)).save(tmp_path / f"p{k}.png")
+    (tmp_path / "exposures.txt").write_text("".join(f"p{k}.png {s}\n" for k, s in enumerate(times)))
+    return tmp_path
+
+
+def test_the_fog_of_a_film_is_black(film, tmp_path, capsys):
+    """Short frames show the fog, not light: fields 5.4 times apart read so, in a patch as in a map.
+
+    Taken for light, the fog of the shortest frame is tens of thousands of times as bright as the darker field.
+    """
+    found = []
+    for field in (1, 4):
+        assert _read(film, field) == 0
+        found.append(json.loads(capsys.readouterr().out))
+        assert "flicker" not in found[-1]["flags"]
+    value = [one["radiance"]["value"] for one in found]
+    # Black is known to half a DN, 5 % of what the darker field shows at best; there is no stray light.
+    assert value[1] / value[0] == pytest.approx(LIGHT[4] / LIGHT[1], rel=0.1)
+    assert run(["merge", str(film), "--align", "off", "-o", str(tmp_path / "map.tiff")]) == 0
+    capsys.readouterr()
+    radiance = tifffile.imread(tmp_path / "map.tiff", key=0).astype(float)
+    dark, bright = radiance[12:36, 60:84].mean(), radiance[60:84, 12:36].mean()
+    assert bright / dark == pytest.approx(value[1] / value[0], rel=0.1)
+    assert np.isfinite(radiance).all()
 
 
 @pytest.mark.parametrize("words", [["--linear"], ["--linear", "--photographs", ".", "--calibration", "none.yaml"]])

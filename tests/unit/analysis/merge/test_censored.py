@@ -10,8 +10,10 @@ from scipy.stats import norm
 from radiometer.analysis.merge.censored import hear_nearest, with_censored
 from radiometer.analysis.merge.records import NEAREST, RECORD_SIZE
 
-# Exposure, noise variance and clipping level of each frame, as `fill_record` has them.
-FRAMES = np.array([[1.0, 25.0, 4000.0, 1.0, 0.0], [2.0, 49.0, 215.0, 1.0, 0.0], [3.0, 64.0, 312.0, 1.0, 0.0]])
+# Exposure, noise variance and clipping level of each frame, as `fill_record` has them, with the noise at clipping last.
+FRAMES = np.array(
+    [[1.0, 25.0, 4000.0, 1.0, 0.0, 25.0], [2.0, 49.0, 215.0, 1.0, 0.0, 49.0], [3.0, 64.0, 312.0, 1.0, 0.0, 64.0]]
+)
 
 
 def likeliest(rate, variance, frames, kappa):
@@ -44,7 +46,7 @@ def test_shot_noise_makes_a_clipped_frame_say_less():
     """Noise that grows with the light, κ·x·t beside the rest: the same as that noise stated beforehand."""
     plain = FRAMES[1:2].copy()
     found = with_censored(104.0, 4.0, np.uint64(0), FRAMES, 1, 2, 0.8)
-    plain[0, 1] += 0.8 * 2.0 * found[0]
+    plain[0, 5] += 0.8 * 2.0 * found[0]
     assert found[:2] == pytest.approx(with_censored(104.0, 4.0, np.uint64(0), plain, 0, 1, 0.0)[:2], rel=2e-3)
     assert found[0] < with_censored(104.0, 4.0, np.uint64(0), FRAMES, 1, 2, 0.0)[0]
 
@@ -86,7 +88,20 @@ def test_many_pixels_at_a_time_hear_their_nearest_frame():
 
 def test_a_frame_without_noise_in_the_dark_is_heard_or_passed_over_in_numbers():
     """No read noise and no light: a frame far above contradicts or says nothing, and no value is lost to 0 times ∞."""
-    frames = np.array([[1.0, 0.0, 40.0, 1.0, 0.0], [4.0, 0.0, 40.0, 1.0, 0.0]])
+    frames = np.array([[1.0, 0.0, 40.0, 1.0, 0.0, 0.0], [4.0, 0.0, 40.0, 1.0, 0.0, 0.0]])
     for rate in (-0.3, 0.0):
         found = with_censored(rate, 0.2, np.uint64(0b01), frames, 0, 2, 0.3)
         assert found == (rate, pytest.approx(0.2, rel=1e-12), False)
+
+
+def test_noise_that_arises_behind_the_curve_counts_at_clipping():
+    """No read noise and no light behind a curve: a much longer clipped frame may raise the value, in numbers.
+
+    Its only noise is that of the codes at clipping; the estimate lies 2 u below 0, its u times the exposure far above
+    the clipping level.
+    """
+    frames = np.array([[1.0, 0.0, 4.6, 0.0, 0.0, 0.0], [1e4, 0.0, 4.6, 1.3e-2, 0.0, 1.7e-4]])
+    value, variance, contradiction = with_censored(-2e-3, 1e-6, np.uint64(0b01), frames, 0, 2, 4e-7)
+    assert -2e-3 < value < 4.6e-4 + 2e-3
+    assert 0.0 < variance < 1e-6
+    assert not contradiction
