@@ -10,6 +10,7 @@ import pytest
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.merge.frames import frame_terms
 from radiometer.analysis.merge.sums import MergeSample, MergeSums, merge_passes
+from radiometer.analysis.merge.tables import merge_tables
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
     BlackLevel,
@@ -82,6 +83,20 @@ def test_several_frames_at_a_time_are_the_same_sums(bits, curved, count):
     assert np.array_equal(together.patterns(), singly.patterns())
     white = (numbers >= samples[0].limits[1]).any(axis=0)
     assert np.array_equal(together.mask, np.where(white, PixelMask.SATURATED, 0))
+
+
+@pytest.mark.parametrize("curved", [True, False])
+def test_noise_at_clipping_is_all_that_arises_there(curved):
+    """Variance of x at clipping less the shot noise there: behind a curve the noise of its codes as well."""
+    calibration = _behind_a_curve() if curved else _calibration(12)
+    samples = _samples(calibration, np.zeros((2, 4), int), 8 if curved else 12)
+    model = situation_of(calibration, calibration.camera, LENS).model
+    terms = [one.terms for one in samples]
+    frames = merge_tables(terms, model).frames
+    clips_at = frames[:, 2]
+    there = [float(model.variance(x, FrameSettings(1.0))) for x in clips_at]
+    assert frames[:, 5] == pytest.approx(there - clips_at / model.electrons_per_unit, rel=1e-6)
+    assert np.all(frames[:, 5] > frames[:, 1]) == curved
 
 
 def test_a_block_leaves_nothing_to_the_next():
