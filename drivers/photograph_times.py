@@ -15,6 +15,8 @@ from radiometer.errors import CaptureError
 from radiometer.units import exact_exposure_s, exact_f_number
 
 _LONGEST_NUMBER: Final = 40
+_LONGEST_NAME: Final = 255  # bytes; file systems refuse to look for longer ones
+_GAP: Final = re.compile(r"[,;\s]+")
 _HUGE_POWER: Final = re.compile(r"[eE][+-]?0*\d{3}")
 
 LIST_NAMES: Final = ("exposures.txt", "exposures.csv", "image_list.txt")
@@ -126,7 +128,7 @@ def read_list(path: Path) -> dict[str, PhotographSettings]:
         raise CaptureError(f"cannot read {path}: {error}") from error
     reciprocal, found = False, {}
     for number, line in enumerate(lines, start=1):
-        words = re.split(r"[,;\s]+", line.strip().strip("#").strip())
+        words = _words(line.strip().strip("#").strip(), path.parent)
         if not words[0]:
             continue
         if line.lstrip().startswith("#") or (number == 1 and _is_heading(words)):
@@ -136,6 +138,15 @@ def read_list(path: Path) -> dict[str, PhotographSettings]:
     if not found:
         raise CaptureError(f"{path}: names no photograph; write one line per file: `name seconds`")
     return found
+
+
+def _words(line: str, folder: Path) -> list[str]:
+    """Return a line's name and what follows; a name has blanks where a photograph of that name lies in the folder."""
+    for gap in _GAP.finditer(line):
+        name = line[: gap.start()].strip("\"'")
+        if len(name.encode()) <= _LONGEST_NAME and (folder / name).is_file():
+            return [name, *_GAP.split(line[gap.end() :])]
+    return _GAP.split(line)
 
 
 def _is_heading(words: list[str]) -> bool:

@@ -374,6 +374,8 @@ def _report(picture: MapPicture, out: list[Path]) -> dict[str, Any]:
 
 def _displacement(px: float, u_px: float) -> str:
     """Return how far the frames lie apart, in words."""
+    if not px and not u_px:  # none of the pixels asked says anything of it
+        return "no displacement shows, nor would any have: these frames cannot tell"
     if not px:
         return f"no displacement shows; less than some {u_px:.1g} pixels would not have shown, and is not in u"
     decimals = max(0, 1 - math.floor(math.log10(u_px)))  # two digits of the uncertainty

@@ -10,6 +10,7 @@ import pytest
 import tifffile
 
 from radiometer.cli.main import run
+from radiometer.cli.merge import _displacement
 
 TIMES = (1.0, 2.0, 4.0, 8.0)
 SHIFTS = ((0.0, 0.0), (3.0, -2.0), (0.0, 0.0), (-4.0, 1.0))
@@ -151,3 +152,16 @@ def test_a_file_in_place_of_a_folder_is_said_to_be_one(tmp_path, capsys):
     for name, what in (("one.txt", "is not a folder"), ("none", "does not exist")):
         assert run(["merge", str(tmp_path / name), "-o", str(tmp_path / "map.exr")]) != 0
         assert what in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("px", "u_px", "said"),
+    [
+        (0.0, 0.2, "less than some 0.2 pixels"),
+        (0.0, 0.0, "these frames cannot tell"),
+        (0.31, 0.15, "0.31 ± 0.15 pixels"),
+    ],
+)
+def test_a_displacement_that_frames_cannot_tell_is_not_said_to_be_known_to_nothing(px, u_px, said):
+    """A bound of 0 pixels is no bound; others are told with as many digits as are known."""
+    assert said in _displacement(px, u_px)

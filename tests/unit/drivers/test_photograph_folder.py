@@ -34,6 +34,15 @@ def test_list_gives_times_with_fractions(tmp_path):
     assert times == {"a.png": 1 / 125, "b.png": 0.5, "c.png": 2.0}
 
 
+def test_names_with_blanks_are_those_of_files_that_lie_there(tmp_path):
+    """A blank belongs to a name where a file of that name lies beside the list; quotes around it do not."""
+    for name in ("day 1.png", "day 2, noon.png", "c.png"):
+        _grey(tmp_path, name, 100)
+    (tmp_path / "exposures.csv").write_text('day 1.png,1/125\n"day 2, noon.png" 0.5\nc.png, 2\n')
+    times = {name: known.exposure_s for name, known in read_list(tmp_path / "exposures.csv").items()}
+    assert times == {"day 1.png": 1 / 125, "day 2, noon.png": 0.5, "c.png": 2.0}
+
+
 def test_list_of_shutter_speeds_is_inverted(tmp_path):
     """Where the heading says that the second column is 1/t, its reciprocal is the time."""
     (tmp_path / "image_list.txt").write_text("# Filename 1/shutter_speed f/stop\na.png 0.25 8\n")
