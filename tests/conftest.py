@@ -106,6 +106,13 @@ def pytest_collection() -> Iterator[object]:
         gc.enable()
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish() -> None:
+    """Look once for what was dropped with an error; pytest looks ten times more, then at what was made since."""
+    gc.collect()
+    gc.freeze()
+
+
 def together(test: str) -> str:
     """Return the name of those tests that stay in one worker with this one: its file, or the folder that shares."""
     file = test.partition("::")[0]
