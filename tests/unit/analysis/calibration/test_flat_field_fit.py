@@ -199,21 +199,24 @@ def test_outliers_stay_where_too_few_tiles_would_be_left(across, left):
     assert tiles.value.size == left
 
 
-def test_a_tile_is_the_mean_of_its_sound_pixels_where_they_lie():
+@pytest.mark.parametrize("shape", [SHAPE, (161, 125)], ids=["wide", "high"])
+def test_a_tile_is_the_mean_of_its_sound_pixels_where_they_lie(shape):
     """Of a plane each tile tells the plane at its own place, whatever is masked; of less than half it is none."""
-    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
     plane, rng = 0.07 + 3e-4 * x + 1.1e-4 * y, np.random.default_rng(3)
-    mask = np.where(rng.random(SHAPE) < 0.2, PixelMask.SATURATED, 0).astype(np.uint8)
-    mask |= np.where(rng.random(SHAPE) < 0.1, PixelMask.EXTRAPOLATED, 0).astype(np.uint8)  # sound
+    mask = np.where(rng.random(shape) < 0.2, PixelMask.SATURATED, 0).astype(np.uint8)
+    mask |= np.where(rng.random(shape) < 0.1, PixelMask.EXTRAPOLATED, 0).astype(np.uint8)  # sound
     mask[:30, :40] = PixelMask.DEFECTIVE
-    u = np.full(SHAPE, 0.05, np.float32)
+    u = np.full(shape, 0.05, np.float32)
     even = RadianceMap(np.where(mask & PixelMask.SATURATED, 99.0, plane).astype(np.float32), u, mask, "relative")
     found = _tiles(even)
     assert found.value == pytest.approx(0.07 + 3e-4 * found.x + 1.1e-4 * found.y, rel=1e-5)
     assert not np.any((found.x < 36) & (found.y < 26))
-    sound, side = (0.05 / found.u) ** 2, min(SHAPE) // _TILES_ACROSS
+    sound, side = (0.05 / found.u) ** 2, min(shape) // _TILES_ACROSS
     assert sound == pytest.approx(np.round(sound), rel=1e-4)
     assert 0.5 * side**2 <= round(sound.min()) < round(sound.max()) <= side**2
+    assert found.x.max() > shape[1] - 2 * side
+    assert found.y.max() > shape[0] - 2 * side
     assert np.mean(sound) == pytest.approx(0.8 * side**2, rel=0.05)
 
 
