@@ -13,7 +13,7 @@ from radiometer.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from radiometer.analysis.response.displacement import Displacement
-    from radiometer.data import Bracket, Calibration, RadianceMap, ResponseCurve
+    from radiometer.data import Bracket, Calibration, RadianceMap, ResponseCurve, SensorNoise
 
 # Enough for a response; larger photographs are read on a lattice for it.
 ENOUGH_PIXELS = 1_000_000
@@ -160,11 +160,10 @@ def relative_calibration(
     if displacement is None:
         noise = SensorNoise.of(camera)  # too little overlap to tell: typical figures, said to be assumed
     else:
-        line = curve or _straight_line(bracket.bit_depth, black_dn)
+        line = curve or _straight_line(bracket, black_dn)
         noise = sensor_noise(displacement.noise, line, black_dn)
         if curve is None:
-            # A linear sensor clips at its full well, which the frames do not show below the converter's end.
-            noise = replace(noise, full_well_e=_BEYOND_THE_CONVERTER * noise.full_well_e)
+            noise = replace(noise, full_well_e=_full_well(bracket, black_dn, noise))
     known = Calibration(
         camera=camera,
         lens=lens,
@@ -198,7 +197,7 @@ def displacement_of(bracket: Bracket, curve: ResponseCurve | None) -> Displaceme
         return None
     black_dn = bracket.frames[0].settings.black_level_dn or 0.0
     try:
-        return find_displacement(bracket, curve or _straight_line(bracket.bit_depth, black_dn))
+        return find_displacement(bracket, curve or _straight_line(bracket, black_dn))
     except MeasurementError:
         return None
 
@@ -219,17 +218,40 @@ def with_displacement_told(found: RadianceMap, displacement: Displacement | None
     return replace(found, provenance=origin)
 
 
-def _straight_line(bit_depth: int, black_dn: float) -> ResponseCurve:
+def _full_well(bracket: Bracket, black_dn: float, noise: SensorNoise) -> float:
+    """Return the full well in e⁻ of a linear sensor: where its numbers end, or beyond the converter's end."""
+    from radiometer.analysis.signal.model import USABLE_FULL_WELL
+
+    white = _white_dn(bracket)
+    if white < bracket.frames[0].full_scale_dn:  # such as 12 bits in files of 16
+        return (white - black_dn) * noise.conversion_gain_e_per_dn / USABLE_FULL_WELL
+    return _BEYOND_THE_CONVERTER * noise.full_well_e
+
+
+def _white_dn(bracket: Bracket) -> int:
+    """Return the digital number at which photographs clip: full scale, or what many pixels gather at below it."""
+    from radiometer.analysis.response.limits import find_limits
+    from radiometer.errors import MeasurementError
+
+    try:
+        return find_limits([bracket]).saturated_dn
+    except MeasurementError:  # nothing but black and white
+        return bracket.frames[0].full_scale_dn
+
+
+def _straight_line(bracket: Bracket, black_dn: float) -> ResponseCurve:
     """Return the response of a linear sensor."""
     import numpy as np
 
     from radiometer.data import ResponseCurve
 
-    size = 1 << bit_depth
+    size = 1 << bracket.bit_depth
     signal = np.arange(size) - black_dn
     g = np.where(signal > 0, np.log(np.maximum(signal, 1e-9) / (size // 2 - black_dn)), -np.inf)
     lowest = int(np.ceil(black_dn)) + max(3, size // 256)
-    return ResponseCurve(g, np.where(signal > 0, 0.0, np.inf), valid_dn=(lowest, size - 2))
+    return ResponseCurve(
+        g, np.where(signal > 0, 0.0, np.inf), valid_dn=(lowest, max(_white_dn(bracket) - 1, lowest + 1))
+    )
 
 
 def _channel(bracket: Bracket) -> str:

@@ -12,7 +12,7 @@ from radiometer.errors import CalibrationError
 from radiometer.units import gain_factor
 
 # A full well is where charge stops; linearity and the datasheet's figure end a little before.
-_USABLE_FULL_WELL = 0.97
+USABLE_FULL_WELL = 0.97
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +58,7 @@ class SignalModel:
         if not (self.linear and self.saturation_known):
             return float(self.full_scale_dn)
         black = self.black_of(settings)
-        well = black + _USABLE_FULL_WELL * self.noise.full_well_e * self.noise.gain_dn_per_e(settings.gain_db)
+        well = black + USABLE_FULL_WELL * self.noise.full_well_e * self.noise.gain_dn_per_e(settings.gain_db)
         return float(min(self.full_scale_dn, well))
 
     def black_of(self, settings: FrameSettings) -> float:
