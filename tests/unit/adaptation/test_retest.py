@@ -90,6 +90,10 @@ def test_both_visits_uncertainties_join_in_their_difference() -> None:
     assert alone.visits.tolist() == [[8.0, 9.0]]
     assert alone.u_fits == pytest.approx(0.5)
     assert both.u_fits == pytest.approx(math.sqrt((0.25 + 1.0) / 2))
+    assert both.agreement is None  # two differences have no limits worth the name, three have
+    (three,) = compare_visits([one, other, (visit(8.0, 0.3), visit(11.0, 0.4))])
+    assert three.agreement is not None
+    assert (three.agreement.mean.value, three.agreement.sd) == pytest.approx((5.0 / 3.0, math.sqrt(4.0 / 3.0)))
 
 
 @pytest.mark.slow

@@ -19,7 +19,15 @@ from pydantic import ValidationError
 from radiometer.daemon.http import readings
 from radiometer.daemon.http.control import show_health, show_response
 from radiometer.daemon.http.patches import show_trend
-from radiometer.daemon.http.picture import PictureCache, ServedPicture, _with_bar, coloured, composite, render
+from radiometer.daemon.http.picture import (
+    PictureCache,
+    ServedPicture,
+    _with_bar,
+    beside_bar,
+    coloured,
+    composite,
+    render,
+)
 from radiometer.daemon.http.requests import MeasureBody, SettingsBody, read_query
 from radiometer.daemon.http.route import QUERIES, STATION, QueryParameter
 from radiometer.daemon.hub import Event, Hub
@@ -344,6 +352,13 @@ def test_the_bar_runs_from_its_brightest_at_the_top_to_its_end(height: int) -> N
     assert np.all(np.diff(bar[top:bottom]) <= 0)
     assert bar[bottom - 1] < 20
     assert len(set(bar[bottom:].tolist())) == 1
+
+
+def test_the_numbers_beside_the_bar_are_those_of_its_scale() -> None:
+    """Half way up stands the geometric mean of a logarithmic bar's ends, of a linear one's the arithmetic mean."""
+    places = np.array([0.0, 0.5, 1.0])
+    assert beside_bar(1.0, 100.0, places, logarithmic=True) == pytest.approx([1.0, 10.0, 100.0])
+    assert beside_bar(1.0, 100.0, places, logarithmic=False) == pytest.approx([1.0, 50.5, 100.0])
 
 
 def test_what_lies_at_black_is_dim_and_not_a_thousand() -> None:
