@@ -152,6 +152,12 @@ FAINT_NATS: Final = _row(
 ESSENTIAL_SIGMAS: Final = _row(
     "ESSENTIAL_SIGMAS", 3.0, "sigma", "an entry that fits by its further terms alone, its essential one being nothing"
 )
+TESTED_NATS: Final = _row(
+    "TESTED_NATS",
+    100.0,
+    "nats",
+    "a size that is not told apart from its form, believed though its law is hardly tested: from here it is, to a tenth",
+)
 BOUND_CHI2: Final = _row(
     "BOUND_CHI2", 9.0, "χ²", "an entry bent to what it is not: what the end of a range brings over the usual value"
 )

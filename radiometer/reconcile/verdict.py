@@ -27,6 +27,7 @@ from radiometer.reconcile.thresholds import (
     ESSENTIAL_SIGMAS,
     FAINT_NATS,
     SMOOTH_SHARE,
+    TESTED_NATS,
 )
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
@@ -61,7 +62,7 @@ def doubts_of(outcome: Search) -> list[str]:
     ]
     said += [
         f"{name} fits by its further terms alone: what makes it {name} is within three uncertainties of nothing"
-        for name in without_essential(effects, fitted_parameters(state))
+        for name in without_essential(outcome.steps, effects, fitted_parameters(state))
     ]
     said += [f"{told}: less than that cause ever does, something else acts so" for told in below_least(effects)]
     said += [
@@ -336,19 +337,26 @@ def outdone(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[s
 
 
 def without_essential(
-    effects: Sequence[CatalogueEffect], parameters: Mapping[str, Mapping[str, FittedParameter]]
+    steps: Sequence[Step],
+    effects: Sequence[CatalogueEffect],
+    parameters: Mapping[str, Mapping[str, FittedParameter]],
 ) -> list[str]:
     """Return the names of effects of which an essential parameter lies within three standard uncertainties of nothing.
 
-    Where an effect names none, the one that it is fitted by first is its size.
+    Where an effect names none, the one that it is fitted by first is its size. A size that is not told apart from the
+    form (a fall along a line, of any depth and as slow) doubts the name only where little else tests its law.
 
     Args:
+        steps: What was added, in order.
         effects: The effects of the model.
         parameters: Their fitted parameters by effect and name.
     """
+    gains = {step.name: step.gain_nats for step in steps}
     found = []
     for effect in effects:
         fitted = parameters[effect.name]
+        if not effect.essential and gains.get(effect.name, 0.0) >= TESTED_NATS:
+            continue
         sizes = ((name, fitted[name]) for name in effect.essential or effect.fitted[:1] if name in fitted)
         away = ((abs(size.value - effect.neutral(name)), size.u) for name, size in sizes)
         if any(u is not None and far < ESSENTIAL_SIGMAS * u for far, u in away):

@@ -114,10 +114,10 @@ def test_an_essential_parameter_is_three_uncertainties_from_nothing(value, u, la
     fitted = {"entry": {"strength": FittedParameter(value, u, "1"), "other": FittedParameter(0.0, 1.0, "1")}}
     for essential, parameters in ((("strength",), ("other",)), ((), ("strength", "other"))):
         effect: Any = SimpleNamespace(name="entry", essential=essential, fitted=parameters, neutral=lambda name: 0.0)
-        assert (verdict.without_essential((effect,), fitted) == ["entry"]) is lacking
+        assert (verdict.without_essential([], (effect,), fitted) == ["entry"]) is lacking
     at_one: Any = SimpleNamespace(name="entry", essential=(), fitted=("strength",), neutral=lambda name: 1.0)
     moved = {"entry": {"strength": FittedParameter(value + 1.0, u, "1")}}
-    assert (verdict.without_essential((at_one,), moved) == ["entry"]) is lacking
+    assert (verdict.without_essential([], (at_one,), moved) == ["entry"]) is lacking
 
 
 @pytest.mark.parametrize(
