@@ -27,8 +27,8 @@ PLACES = {  # stage and covariates, read off the equations in tests/roundtrip/ge
     "amplifier_glow": ("charge", ("image_xy", "exposure_s")),
     "gain_noise": ("readout", ("signal",)),
     "dark_top": ("digital", ("image_y",)),
-    "brightness_limiter": ("scene", ("pattern",)),
-    "smear": ("charge", ("image_x", "signal")),
+    "brightness_limiter": ("scene", ("picture_mean",)),
+    "smear": ("charge", ("column_light",)),
     "two_slopes": ("digital", ("signal",)),
 }
 HIDDEN = {

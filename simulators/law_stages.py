@@ -21,6 +21,8 @@ class Link:
         said: What it does, as the head of a sentence.
         covariates: What it may go with by itself.
         like: What kind of cause acts so.
+        goes_with: What it goes with by its kind, whatever its law.
+        is_noise: Whether the law is the standard deviation of a noise, `code` being that noise at 1 sigma.
     """
 
     key: str
@@ -33,6 +35,8 @@ class Link:
     said: str
     covariates: tuple[str, ...]
     like: str
+    goes_with: tuple[str, ...] = ()
+    is_noise: bool = False
 
     @property
     def adds(self) -> bool:
@@ -66,8 +70,8 @@ LINKS: Final = {
             "1",
             _FACTOR,
             "scales the light of the scene",
-            (),
-            "a screen whose light is spread unevenly as it is driven",
+            ("picture_mean",),
+            "a screen whose light goes with how it is driven",
         ),
         Link(
             "optics",
@@ -104,6 +108,7 @@ LINKS: Final = {
             "lets light in for longer",
             _PLACE,
             "a shutter that opens unevenly",
+            ("exposure_s",),
         ),
         Link(
             "charge_rate",
@@ -116,6 +121,7 @@ LINKS: Final = {
             "adds charge in proportion to exposure",
             (*_PLACE, "temperature_C"),
             "the glow of an amplifier or heat beside the sensor",
+            ("exposure_s",),
         ),
         Link(
             "charge",
@@ -128,6 +134,18 @@ LINKS: Final = {
             "adds charge",
             ("exposure_s",),
             "traps that fill or empty",
+        ),
+        Link(
+            "transfer",
+            "charge",
+            "ELECTRONS",
+            "ELECTRONS",
+            "shot_noise",
+            "s",
+            "signal + {law}",
+            "adds charge for as long as a frame is shifted out, whatever the exposure",
+            ("column_light",),
+            "light that falls on charge on its way",
         ),
         Link(
             "well",
@@ -188,6 +206,33 @@ LINKS: Final = {
             "shifts the amplified signal",
             ("value",),
             "a converter of several ranges",
+        ),
+        Link(
+            "tremble",
+            "readout",
+            "READOUT",
+            "DIGITAL_NUMBER",
+            "black_level",
+            "1",
+            "signal * {law}",
+            "lets the amplification of each pixel tremble from frame to frame",
+            ("gain_db", "temperature_C"),
+            "a reference voltage with noise of its own",
+            ("signal",),
+            is_noise=True,
+        ),
+        Link(
+            "hiss",
+            "readout",
+            "READOUT",
+            "DIGITAL_NUMBER",
+            "black_level",
+            "DN",
+            "{law}",
+            "adds noise",
+            (*_PLACE, "exposure_s", "gain_db", "temperature_C"),
+            "an amplifier or converter that is noisier there",
+            is_noise=True,
         ),
     )
 }

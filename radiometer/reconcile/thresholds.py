@@ -156,7 +156,7 @@ TESTED_NATS: Final = _row(
     "TESTED_NATS",
     100.0,
     "nats",
-    "a size that is not told apart from its form, believed though its law is hardly tested: from here it is, to a tenth",
+    "a size not told apart from its form, believed though its law is hardly tested: from here it is, to a tenth",
 )
 BOUND_CHI2: Final = _row(
     "BOUND_CHI2", 9.0, "χ²", "an entry bent to what it is not: what the end of a range brings over the usual value"

@@ -19,6 +19,10 @@ class Surroundings(Protocol):
         """Return the mean over the whole frame."""
         ...
 
+    def column_mean(self, signal: Signal) -> Signal:
+        """Return the mean over the whole column of each entry."""
+        ...
+
     def spread(self, signal: Signal, radius_fraction: float, beyond: float = 1.0) -> Signal:
         """Return the signal spread by a Gaussian whose sigma is a fraction of the frame's longer side.
 
@@ -40,6 +44,10 @@ class ImageSurroundings:
     def frame_mean(self, signal: Signal) -> float:
         """Return the mean over the whole frame."""
         return self._context.frame_mean(signal)
+
+    def column_mean(self, signal: Signal) -> Signal:
+        """Return the mean over each column, shape (1, width)."""
+        return cast(Signal, signal.mean(axis=0, keepdims=True))
 
     def spread(self, signal: Signal, radius_fraction: float, beyond: float = 1.0) -> Signal:
         """Return the signal spread by a Gaussian; beyond the border it goes on at a share of what it is there."""
@@ -71,3 +79,14 @@ def surroundings_of(context: ExposureContext) -> Surroundings:
     """Return the surroundings that a context knows of (tiles), or those computed from its image."""
     known: Any = getattr(context, "surroundings", None)
     return cast(Surroundings, known) if known is not None else ImageSurroundings(context)
+
+
+def picture_mean(radiance: Signal, context: ExposureContext) -> Any:
+    """Return the mean of the picture over the brightest of its scene, whatever the level of the source."""
+    level = np.maximum(np.asarray(context.settings.source_level), 1e-9)  # none in darks, where nothing shows
+    return surroundings_of(context).frame_mean(radiance) / (context.peak_radiance * level)
+
+
+def column_light(charge_e: Signal, context: ExposureContext) -> Any:
+    """Return the mean rate in e-/s of the column of each entry."""
+    return surroundings_of(context).column_mean(charge_e) / np.asarray(context.settings.exposure_s)

@@ -216,7 +216,17 @@ def test_nothing_names_a_package_registry():
 
 
 RECONCILE = [path for path in SOURCES if name_of(path).startswith("radiometer/reconcile/")]
-COMMON = {"__init__", "base", "catalogue", "context", "free_law", "registry", "rounding", "tile_moments"}
+COMMON = {
+    "__init__",
+    "base",
+    "catalogue",
+    "context",
+    "free_law",
+    "registry",
+    "rounding",
+    "surroundings",
+    "tile_moments",
+}
 EFFECT_FILES = {path.stem for path in (ROOT / "simulators" / "effects").glob("*.py")} - COMMON
 # Settings and figures of the camera's description that have the name of a link of the ideal chain.
 SETTINGS = {"source_level", "quantum_efficiency", "shutter", "lens"}

@@ -81,10 +81,19 @@ class PictureSurroundings:
         self._norm = np.maximum(self._tiles.mean(axis=(1, 2)), 1e-30)
         self._mean = np.array([images.picture(p).mean() for p in range(len(design.patterns))]) / self._norm
         self._reflected: dict[float, Array] = {}
+        self._columns: Array | None = None
 
     def frame_mean(self, signal: Signal) -> Signal:
         """Return the mean over the whole frame, shape (captures, 1, 1)."""
         return np.asarray(self._level(signal) * self._mean[self._design.pattern_index][:, None, None])
+
+    def column_mean(self, signal: Signal) -> Signal:
+        """Return the mean over the whole column of each point."""
+        if self._columns is None:
+            pictures = [self._images.picture(p) for p in range(len(self._design.patterns))]
+            means = [np.broadcast_to(picture.mean(axis=0), picture.shape) for picture in pictures]
+            self._columns = self._smoothed(means)
+        return self._relative(signal, self._columns)
 
     def spread(self, signal: Signal, radius_fraction: float, beyond: float = 1.0) -> Signal:
         """Return the signal at each tile spread over a fraction of the frame's longer side.

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -32,8 +31,6 @@ from radiometer.reconcile.thresholds import NAMED_NATS, RIVAL_NATS, SMOOTH_SHARE
 from radiometer.reconcile.verdict import acting_as_others, doubts_of, leaves_structure
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
-
-_WHERE: Final = {"since_frame_s": "timestamp_s", "value": "signal"}  # what results call it
 
 
 def held_to_laws(
@@ -182,12 +179,11 @@ def without_names(outcome: Search, law: Proposal, said: str) -> Search:
         law: The law that explains more.
         said: What is said of it.
     """
-    where = next(iter(law.law.covariates), "signal")
     named = [step for step in outcome.steps if step.name != "unnamed"]
     nearest = max(named, key=lambda step: step.gain_nats)
     step = Step(
         "unnamed",
-        _WHERE.get(where, where),
+        law.law.where,
         law.nats,
         outcome.start.gap,
         law.after.gap,

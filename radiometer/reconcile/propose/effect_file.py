@@ -10,8 +10,11 @@ from functools import cache
 from types import ModuleType
 from typing import Any, Final
 
-from radiometer.reconcile.propose.grammar import COVARIATES, FORMS, PER_FRAME, PLACES, SIDE, Term
+import numpy as np
+
+from radiometer.reconcile.propose.grammar import COVARIATES, FORMS, OF_THE_PICTURE, PER_FRAME, PLACES, SIDE, WHERE, Term
 from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.context import ExposureContext
 from simulators.law_stages import LINKS, Link
 
 _AMPLITUDES: Final = {
@@ -22,6 +25,11 @@ _AMPLITUDES: Final = {
     "DN": "amplitude_dn",
     "W m-2": "amplitude_w_m2",
 }
+_STATISTICS: Final = {
+    False: ('    block = "mean"', '    also = ("slope", "first")'),
+    True: ('    block = "variance"', "    acts_by_square = True"),
+}
+SETTINGS: Final = ("exposure_s", "gain_db", "f_number", "temperature_c", "timestamp_s", "source_level")
 _WIDTH: Final = 118
 _NEAR_NOTHING: Final = 0.05
 _WIDEST: Final = 1e3  # times a fitted value: the range of an amplitude
@@ -50,6 +58,17 @@ class Law:
         """Return what it goes with, each once; the exposure too where the link goes with it."""
         own = [name for term in self.terms for name in term.covariates]
         return tuple(dict.fromkeys(own))
+
+    @property
+    def shown(self) -> str:
+        """Return the moment of a pixel that it changes."""
+        return "variance" if LINKS[self.link].is_noise else "mean"
+
+    @property
+    def where(self) -> str:
+        """Return the covariate that it is listed under."""
+        first = next(iter((*self.covariates, *LINKS[self.link].goes_with)), "signal")
+        return WHERE.get(first, first)
 
     @property
     def name(self) -> str:
@@ -99,7 +118,6 @@ def effect_source(
     law: Law,
     amplitude: float,
     *,
-    where: str,
     sentence: str = "",
     source: str = "a law proposed by radiometer reconcile",
 ) -> str:
@@ -108,7 +126,6 @@ def effect_source(
     Args:
         law: The law at its parameters.
         amplitude: Its amplitude; trials start there and at its negative.
-        where: The covariate that it is listed under.
         sentence: What it does, for its docstring.
         source: Where its values come from.
     """
@@ -119,7 +136,7 @@ def effect_source(
     counted = "frame" in law.covariates  # the law itself is of all frames of a series then
     helpers = ["CatalogueEffect"]
     helpers += ["elapsed_s"] if "timestamp_s" in law.covariates else []
-    helpers += ["over_frames"] if per_frame and not counted else []
+    helpers += ["over_frames"] if per_frame and not counted and not link.is_noise else []
     lines = [
         *_docstring(sentence or "A law that was proposed.", ""),
         "",
@@ -132,6 +149,7 @@ def effect_source(
         f"from simulators.effects.base import {link.unit_signal}, Stage, parameter",
         f"from simulators.effects.catalogue import {', '.join(helpers)}",
         "from simulators.effects.context import ExposureContext",
+        *_surroundings(law),
         "",
         "",
         "@dataclass(frozen=True)",
@@ -143,9 +161,8 @@ def effect_source(
         f"    unit_in = {link.unit_signal}",
         f"    unit_out = {link.unit_signal}",
         *([f'    before = "{link.before}"'] if link.before else []),
-        f'    where = "{where}"',
-        '    block = "mean"',
-        '    also = ("slope", "first")',
+        f'    where = "{law.where}"',
+        *_STATISTICS[link.is_noise],
         *(["    is_steep = True"] if law.is_steep else []),
         *(["    is_sudden = True"] if law.is_sudden else []),
         "    trials = (",
@@ -159,14 +176,16 @@ def effect_source(
         "",
         *_law_lines(law, link),
         "",
-        "    def mean(self, signal: Any, context: ExposureContext) -> Any:",
-        '        """Return the signal with the law."""',
-        *_mean(link, per_frame=per_frame and not counted),
-        *(_per_frame(link, f"self.{law.amplitude}" if counted else "") if per_frame else ()),
-        *(_drifts() if per_frame else ()),
+        *(_noise(link) if link.is_noise else _acting(law, link)),
         *_usable(law),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _surroundings(law: Law) -> list[str]:
+    """Return the import of what a law of the whole picture looks up."""
+    needed = sorted(set(law.covariates) & set(OF_THE_PICTURE))
+    return [f"from simulators.effects.surroundings import {', '.join(needed)}"] if needed else []
 
 
 def _docstring(first: str, indent: str, further: str = "") -> list[str]:
@@ -225,7 +244,7 @@ def _closes_last(code: str) -> bool:
 
 def _uses_numpy(law: Law, *, per_frame: bool) -> bool:
     text = "".join([*_law_lines(law, LINKS[law.link]), LINKS[law.link].code])
-    return per_frame or "np." in text
+    return per_frame or LINKS[law.link].is_noise or "np." in text
 
 
 def class_name(law: Law) -> str:
@@ -244,27 +263,63 @@ def _said_law(law: Law) -> str:
     return f"{link.said[0].upper()}{link.said[1:]}: {link.code.format(law=plain).replace('np.', '')}."
 
 
-def _mean(link: Link, *, per_frame: bool) -> list[str]:
-    law = "over_frames(lambda frame: self.law(signal, frame), context)" if per_frame else "self.law(signal, context)"
-    return [f"        law = {law}", f"        return ({link.code.format(law='law')}).astype(signal.dtype)"]
+def _acting(law: Law, link: Link) -> list[str]:
+    """Return the methods of a law of the light, the charge or the signal."""
+    per_frame = any(name in PER_FRAME for name in law.covariates)
+    counted = "frame" in law.covariates  # the law itself is of all frames of a series then
+    own = "self.law(signal, context)"
+    over = "over_frames(lambda frame: self.law(signal, frame), context)"
+    return [
+        "    def mean(self, signal: Any, context: ExposureContext) -> Any:",
+        '        """Return the signal with the law."""',
+        f"        law = {over if per_frame and not counted else own}",
+        f"        return ({link.code.format(law='law')}).astype(signal.dtype)",
+        *(_per_frame(link, law) if per_frame else ()),
+        *(_drifts() if per_frame else ()),
+    ]
 
 
-def _per_frame(link: Link, amplitude: str = "") -> list[str]:
+def _noise(link: Link) -> list[str]:
+    """Return the methods of a law that is the standard deviation of a noise."""
+    return [
+        "    def mean(self, signal: Any, context: ExposureContext) -> Any:",
+        '        """Return the signal as it is."""',
+        "        return signal",
+        "",
+        "    def slope(self, signal: Any, context: ExposureContext) -> float:",
+        '        """Return 1."""',
+        "        return 1.0",
+        "",
+        "    def variance(self, signal: Any, context: ExposureContext) -> Any:",
+        '        """Return the variance that it adds, in DN²."""',
+        "        law = self.law(signal, context)",
+        f"        return np.square({link.code.format(law='law')})",
+        "",
+        "    def sample(self, signal: Any, context: ExposureContext, rng: np.random.Generator) -> Any:",
+        '        """Return the signal with the noise on it."""',
+        "        noise = np.sqrt(self.variance(signal, context)) * rng.standard_normal(signal.shape)",
+        "        return (signal + noise).astype(signal.dtype)",
+    ]
+
+
+def _per_frame(link: Link, law: Law) -> list[str]:
     """Return the lines of the variance by which frames of a series differ; of three and more the first does not count.
 
-    Args:
-        link: The link.
-        amplitude: Of a law that is there in some frames and not in others; empty for one of the first frame.
+    What goes with the time goes on among the others, evenly where they follow each other evenly; what goes with the
+    rest before a frame is the same for all of them, and of laws by the frame's number some have it and others not.
     """
     times = "" if link.adds else " * signal"
+    goes_on = "timestamp_s" in law.covariates
+    others = "np.maximum(frames - 1.0, 0.0) / (3.0 * frames)" if goes_on else "0.0"
     apart = [
+        f"        share = np.where(frames == 2.0, 0.5, {others})",
         "        apart = self.law(signal, context.first_frame) - self.law(signal, context.later_frames)",
-        f"        return np.where(frames == 2.0, 0.5, 0.0) * np.square(apart{times})",
+        f"        return share * np.square(apart{times})",
     ]
     some = [
         "        few, many = self.law(signal, context), self.law(signal, context.later_frames)",
         "        counted, law = frames - (frames > 2.0), np.where(frames > 2.0, many, few)",
-        f"        return law * ({amplitude} - law) * counted / np.maximum(counted - 1.0, 1.0)"
+        f"        return law * (self.{law.amplitude} - law) * counted / np.maximum(counted - 1.0, 1.0)"
         f"{' * np.square(signal)' if times else ''}",
     ]
     return [
@@ -274,7 +329,7 @@ def _per_frame(link: Link, amplitude: str = "") -> list[str]:
         "        if context.first_frame is None or context.later_frames is None:",
         "            return 0.0",
         '        frames = np.asarray(getattr(context, "frames", 1.0))',
-        *(some if amplitude else apart),
+        *(some if "frame" in law.covariates else apart),
     ]
 
 
@@ -330,7 +385,7 @@ _NEEDED: Final[dict[str, ModuleType]] = {}
 
 def effect_class(law: Law, amplitude: float) -> type[CatalogueEffect]:
     """Return the class that the file of a law defines; laws that differ in values alone may have one of their own."""
-    return _class_of(effect_source(law, amplitude, where=(law.covariates or ("signal",))[0]), class_name(law))
+    return _class_of(effect_source(law, amplitude), class_name(law))
 
 
 @cache
@@ -350,6 +405,12 @@ def effect_of(law: Law, amplitude: float) -> CatalogueEffect:
     )
 
 
+def acted(law: Law, amplitude: float, signal: float, context: ExposureContext) -> float:
+    """Return what a written test holds a law to at a pixel: the signal behind it, of a noise the variance it adds."""
+    found = getattr(effect_of(law, amplitude), law.shown)(np.array([signal]), context)
+    return float(np.ravel(found)[0])
+
+
 def source_of_test(
     law: Law,
     amplitude: float,
@@ -363,15 +424,14 @@ def source_of_test(
         law: The law at its parameters.
         amplitude: Its amplitude.
         file_name: Name of the effect file beside the test.
-        context: Settings of the frame: exposure_s, gain_db, temperature_c, timestamp_s, source_level, since_frame_s,
-            and width and height of the sensor.
-        values: Column, row, signal in front of it and signal behind it.
+        context: Settings of the frame: those of SETTINGS, since_frame_s, and width and height of the sensor.
+        values: Column, row, signal in front of it and what `acted` makes of it.
     """
-    keys = ("exposure_s", "gain_db", "temperature_c", "timestamp_s", "source_level")
-    given = "\n".join(f"        {key}={context[key]!r}," for key in keys)
+    given = "\n".join(f"        {key}={context[key]!r}," for key in SETTINGS)
     found = {law.amplitude: round_to(amplitude)} | {name: round_to(value) for name, value in law.parameters.items()}
     parameters = "\n".join(f'    "{name}": {value!r},' for name, value in found.items())
     rows = "\n".join(f"    {tuple(round_to(float(v), 10) for v in row)!r}," for row in values)
+    nothing = "0.0" if LINKS[law.link].is_noise else "before"
     return f'''"""The law `{law.name}` gives what it was proposed with."""
 
 from pathlib import Path
@@ -387,7 +447,7 @@ register_file(Path(__file__).with_name("{file_name}"))
 FOUND = {{
 {parameters}
 }}
-# column, row, signal before, signal after
+# column, row, signal before, {law.shown} after
 VALUES = [
 {rows}
 ]
@@ -405,14 +465,14 @@ def context_at(column, row):
 
 @pytest.mark.parametrize(("column", "row", "before", "after"), VALUES)
 def test_the_law_gives_what_was_found(column, row, before, after):
-    """The signal behind the effect is the one that the proposal was made with."""
-    found = make_effect("{law.name}", FOUND).mean(np.array([before]), context_at(column, row))
-    assert found[0] == pytest.approx(after, rel=1e-6)
+    """What the effect makes of the signal is what the proposal was made with."""
+    found = make_effect("{law.name}", FOUND).{law.shown}(np.array([before]), context_at(column, row))
+    assert np.ravel(found)[0] == pytest.approx(after, rel=1e-6)
 
 
 @pytest.mark.parametrize(("column", "row", "before", "after"), VALUES)
 def test_without_its_amplitude_it_does_nothing(column, row, before, after):
     """An amplitude of 0 leaves the signal as it is."""
     nothing = make_effect("{law.name}", FOUND | {{"{law.amplitude}": 0.0}})
-    assert nothing.mean(np.array([before]), context_at(column, row))[0] == before
+    assert np.ravel(nothing.{law.shown}(np.array([before]), context_at(column, row)))[0] == {nothing}
 '''

@@ -13,7 +13,7 @@ from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import OutputError
 from radiometer.reconcile.advice.next_capture import FORMAT as PLAN_FORMAT
 from radiometer.reconcile.fit.state import FitState
-from radiometer.reconcile.propose.effect_file import effect_of, round_to, source_of_test
+from radiometer.reconcile.propose.effect_file import SETTINGS, acted, round_to, source_of_test
 from radiometer.reconcile.propose.proposal import Proposal
 from radiometer.reconcile.propose.refuting import refuting_frames
 from simulators.effects.context import ExposureContext, FrameGeometry
@@ -45,7 +45,6 @@ def write_files(proposal: Proposal, folder: Path, origin: str) -> tuple[Path, ..
 def _test(proposal: Proposal, file_name: str) -> str:
     height, width = proposal.before.design.shape
     context = _test_context(proposal.before, width, height)
-    one = effect_of(proposal.law, round_to(proposal.amplitude))
     rows = []
     for column, row, signal in (
         (0.0, 0.0, 100.0),
@@ -53,7 +52,7 @@ def _test(proposal: Proposal, file_name: str) -> str:
         (width - 1.0, height - 1.0, 50.0),
     ):
         at = _exposure_context(context, column, row)
-        rows.append((column, row, signal, float(np.ravel(one.mean(np.array([signal]), at))[0])))
+        rows.append((column, row, signal, acted(proposal.law, round_to(proposal.amplitude), signal, at)))
     return source_of_test(proposal.law, proposal.amplitude, file_name, context, rows)
 
 
@@ -69,6 +68,7 @@ def _test_context(state: FitState, width: int, height: int) -> dict[str, Any]:
     return {
         "exposure_s": float(np.max(design.exposure_s)),
         "gain_db": float(np.max(design.gain_db)),
+        "f_number": float(np.min(design.f_number)),
         "temperature_c": float(np.nanmax(warm)) if np.isfinite(warm).any() else 25.0,
         "timestamp_s": float(np.median(design.timestamp_s)),
         "source_level": 1.0,
@@ -79,7 +79,6 @@ def _test_context(state: FitState, width: int, height: int) -> dict[str, Any]:
 
 
 def _exposure_context(known: Mapping[str, Any], column: float, row: float) -> ExposureContext:
-    keys = ("exposure_s", "gain_db", "temperature_c", "timestamp_s", "source_level")
-    settings = FrameSettings(**{key: known[key] for key in keys})
+    settings = FrameSettings(**{key: known[key] for key in SETTINGS})
     geometry = FrameGeometry(np.array([column]), np.array([row]), known["width"], known["height"])
     return ExposureContext(settings, geometry, CameraDescription(bit_depth=16), since_frame_s=known["since_frame_s"])

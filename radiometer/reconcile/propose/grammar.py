@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -19,6 +20,7 @@ _STEPS: Final = 24  # places of a step that are tried
 _BORDERS: Final = 48  # of a border in the picture
 _FINER: Final = 12  # further places about a good one
 _PERIODS: Final = 14
+_FEW: Final = range(3, 10)  # values of a setting of which some may be picked
 _FRAMES: Final = range(2, 13)  # from one frame to the next of its kind
 
 
@@ -43,7 +45,9 @@ class Covariate:
     @property
     def suffix(self) -> str:
         """Return the suffix of a parameter in its unit."""
-        return {"1": "", "°C": "_c", "e-": "_e", "DN": "_dn", "dB": "_db"}.get(self.unit, f"_{self.unit}")
+        return {"1": "", "°C": "_c", "e-": "_e", "e- s-1": "_e_per_s", "DN": "_dn", "dB": "_db"}.get(
+            self.unit, f"_{self.unit}"
+        )
 
 
 SIDE: Final = "side = max(context.geometry.sensor_width, context.geometry.sensor_height)"
@@ -66,12 +70,37 @@ COVARIATES: Final = {
         Covariate("frame", "frame", "1", "np.asarray(context.frame_numbers)", "the frame's running number"),
         Covariate("image_x", "x", "1", "context.geometry.x_px / side", "the column"),
         Covariate("image_y", "y", "1", "context.geometry.y_px / side", "the row"),
+        Covariate(
+            "picture_mean",
+            "picture",
+            "1",
+            "picture_mean(signal, context)",
+            "the mean of the picture",
+        ),
+        Covariate(
+            "column_light",
+            "column",
+            "e- s-1",
+            "column_light(signal, context)",
+            "the mean light of the column",
+        ),
         Covariate("signal", "signal", "e-", "signal", "the charge"),
         Covariate("value", "value", "DN", "signal", "the amplified signal"),
     )
 }
 PLACES: Final = ("image_x", "image_y")
-PER_FRAME: Final = ("since_frame_s", "frame")  # differ between the first frame of a series and the others
+OF_THE_PICTURE: Final = ("picture_mean", "column_light")
+WHERE: Final = {  # what results call a covariate that they do not know by its own name
+    "since_frame_s": "timestamp_s",
+    "value": "signal",
+    "picture_mean": "patch_level",
+    "column_light": "image_x",
+}
+PER_FRAME: Final = (
+    "since_frame_s",
+    "frame",
+    "timestamp_s",
+)  # differ between the first frame of a series and the others
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +127,7 @@ class Form:
 FORMS: Final = {
     entry.name: entry
     for entry in (
+        Form("proportion", "{u}", (), "in proportion to {covariate}"),
         Form("ramp", "({u} - {reference})", (), "as a straight line along {covariate}"),
         Form(
             "line", "({u} - {zero})", (("zero", True),), "as a straight line along {covariate} from where it is nothing"
@@ -113,6 +143,14 @@ FORMS: Final = {
             "(1.0 - np.square(({u} - {middle}) / {width}))",
             (("middle", True), ("width", True)),
             "as an arch over {covariate}",
+        ),
+        Form("one", "np.isclose({u}, {at}, 1e-3)", (("at", True),), "at one value of {covariate}", ("at",)),
+        Form(
+            "two",
+            "(np.isclose({u}, {at}, 1e-3) | np.isclose({u}, {other}, 1e-3))",
+            (("at", True), ("other", True)),
+            "at two values of {covariate}",
+            ("at", "other"),
         ),
         Form("step", "({u} > {at})", (("at", True),), "as a step along {covariate}", ("at",)),
         Form("border", "({u} > {at})", (("at", True),), "as a sharp step along {covariate}", ("at",), is_steep=True),
@@ -247,6 +285,20 @@ def _line(values: Array, known: Mapping[str, Array]) -> _Made:
         yield {}, {"zero": _at(values, share)}
 
 
+def _proportion(values: Array, known: Mapping[str, Array]) -> _Made:
+    yield {}, {}
+
+
+def _one(values: Array, known: Mapping[str, Array]) -> _Made:
+    for value in values if values.size in _FEW else ():
+        yield {}, {"at": float(value)}
+
+
+def _two(values: Array, known: Mapping[str, Array]) -> _Made:
+    for value, other in combinations(values, 2) if values.size in _FEW else ():
+        yield {}, {"at": float(value), "other": float(other)}
+
+
 def _bow(values: Array, known: Mapping[str, Array]) -> _Made:
     for share in (0.3, 0.5, 0.7):
         yield {}, {"middle": _at(values, share)}
@@ -361,10 +413,13 @@ def _at(values: Array, share: float) -> float:
 
 
 _MAKERS: Final[dict[str, Callable[[Array, Mapping[str, Array]], _Made]]] = {
+    "proportion": _proportion,
     "ramp": _ramp,
     "line": _line,
     "bow": _bow,
     "arch": _arch,
+    "one": _one,
+    "two": _two,
     "step": _step,
     "border": _border,
     "edge": _edge,
@@ -383,8 +438,10 @@ _ALLOWED: Final[dict[str, tuple[str, ...]]] = {
     "timestamp_s": ("ramp", "line", "decay", "fall", "sine"),
     "temperature_C": ("ramp", "line", "bow", "step"),
     "source_level": ("ramp", "step", "power", "bend"),
-    "gain_db": ("ramp", "step"),
-    "f_number": ("power", "step"),
+    "gain_db": ("ramp", "step", "one", "two"),
+    "f_number": ("power", "step", "one", "two"),
+    "picture_mean": ("ramp", "power"),
+    "column_light": ("proportion",),
     "since_frame_s": ("decay", "fall"),
     "frame": ("every",),
     "image_x": ("ramp", "line", "bow", "arch", "border", "edge", "decay", "rise", "sine", "spot"),

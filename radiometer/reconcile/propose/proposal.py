@@ -69,9 +69,8 @@ class Proposal:
 
     @property
     def covariates(self) -> tuple[str, ...]:
-        """Return what it goes with; the exposure too where its stage does."""
-        timed = ("exposure_s",) if self.law.link in ("charge_rate", "shutter") else ()
-        return tuple(dict.fromkeys((*self.law.covariates, *timed)))
+        """Return what it goes with; what its stage goes with too."""
+        return tuple(dict.fromkeys((*self.law.covariates, *LINKS[self.law.link].goes_with)))
 
     @property
     def closed(self) -> float:
@@ -83,16 +82,14 @@ class Proposal:
         """Return in one sentence what it does and what kind of cause acts so."""
         link = LINKS[self.law.link]
         forms = [_said(term, self.before.design.shape) for term in self.law.terms]
-        return f"{link.said}, {' and '.join(forms)}: like {link.like}"
+        return f"{', '.join([link.said, *filter(None, [' and '.join(forms)])])}: like {link.like}"
 
     def source(self, origin: str) -> str:
         """Return the text of the effect file."""
         said = self.sentence()
-        where = self.law.covariates[0] if self.law.covariates else "signal"
         return effect_source(
             self.law,
             self.amplitude,
-            where={"since_frame_s": "timestamp_s", "value": "signal"}.get(where, where),
             sentence=f"{said[0].upper()}{said[1:]}.",
             source=f"proposed by radiometer reconcile from {origin}",
         )

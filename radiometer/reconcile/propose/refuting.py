@@ -8,6 +8,7 @@ import numpy as np
 
 from radiometer.reconcile.advice.capture_pool import FRAMES, CapturePool
 from radiometer.reconcile.propose.proposal import Proposal
+from simulators.law_stages import LINKS
 
 _CAPTURES: Final = 3
 _SHOWS_CHI2: Final = 9.0
@@ -23,7 +24,9 @@ def refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]
     with_law, without = pool.predicted(proposal.after), pool.predicted(proposal.before)
     worth = np.nan_to_num(pool.separation(with_law, without))
     worth = np.where(pool.is_new, worth, 0.5 * worth)
-    apart = with_law.mean - without.mean
+    is_noise = LINKS[proposal.law.link].is_noise
+    apart = np.sqrt(with_law.variance) - np.sqrt(without.variance) if is_noise else with_law.mean - without.mean
+    does = "scatters by" if is_noise else "lies"
     frames, reasons = list[dict[str, Any]](), list[str]()
     for index in np.argsort(-worth)[:_CAPTURES].tolist():
         if worth[index] < _SHOWS_CHI2 and frames:
@@ -34,7 +37,7 @@ def refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]
         frames.append(shown | {"repeat": FRAMES})
         reasons.append(
             f"{frame.exposure_s:.3g} s at {frame.gain_db:g} dB, source level {frame.source_level:g}, shutter "
-            f"{frame.shutter}: with {proposal.name} patch {pool.design.tiles[tile].name} lies "
+            f"{frame.shutter}: with {proposal.name} patch {pool.design.tiles[tile].name} {does} "
             f"{apart[index, tile]:+.3g} DN beside the camera without it; it is refuted where that is not seen"
         )
     return frames, reasons

@@ -26,10 +26,14 @@ from radiometer.reconcile.model.tile_context import from_grid, rise_of
 from radiometer.reconcile.propose.effect_file import Law, effect_of, round_to
 from radiometer.reconcile.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconcile.propose.proposal import Proposal, Rival
+from radiometer.reconcile.search.screening import best_start
 from radiometer.reconcile.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.surroundings import column_light, picture_mean
 from simulators.law_stages import LINKS
 
+_NOISES: Final = {"1": (0.002, 0.01), "DN": (0.5, 3.0)}  # standard deviations that laws of noise start from, by unit
+_OF_NOISE: Final = ("power", "step")  # forms that are nowhere below 0
 _AT_ONCE: Final = 128  # columns that are projected together
 _FITTED: Final = 16  # laws that are fitted to all statistics
 _JUDGED: Final = 9
@@ -82,7 +86,7 @@ def propose_law(state: FitState, say: Say = lambda line: None, along: Collection
         if entry.score > plain.get(_formula(entry.law)[:1], 0.0) + NAMED_NATS
     ]
     fits = FullFits(state)
-    judged = _judged(fits, _chosen([*singles, *products]), say)
+    judged = _judged(fits, _chosen([*singles, *products, *_noises(state, along)]), say)
     if not judged:
         return None
     best = _plainest(judged)
@@ -110,7 +114,7 @@ def propose_law(state: FitState, say: Say = lambda line: None, along: Collection
 def _singles(state: FitState) -> Iterator[Law]:
     known = known_values(state)
     terms = {name: tuple(terms_of(name, known)) for name in known}
-    for link in LINKS.values():
+    for link in (link for link in LINKS.values() if not link.is_noise):
         for name in link.covariates:
             for term in terms.get(name, ()):
                 from_zero = (
@@ -118,6 +122,21 @@ def _singles(state: FitState) -> Iterator[Law]:
                 )  # the responsivity is free beside a factor
                 if not from_zero and all(covariate in known for covariate in term.covariates):
                     yield Law(link.key, (term,))
+
+
+def _noises(state: FitState, along: Collection[str]) -> list[Screened]:
+    """Return the laws of noise with the χ² that each would explain, the likeliest start of each alone."""
+    known, found = known_values(state), list[Screened]()
+    for link in (link for link in LINKS.values() if link.is_noise):
+        terms = [term for name in link.covariates if name in known for term in terms_of(name, known)]
+        laws = [Law(link.key, (term,)) for term in terms if term.form in _OF_NOISE]
+        for law in [*([Law(link.key)] if link.goes_with else []), *laws]:
+            if along and not {*law.covariates, *link.goes_with} <= set(along):
+                continue
+            start = best_start(state, [effect_of(law, size) for size in _NOISES[link.unit]])
+            if start is not None:
+                found.append(Screened(law, float(start.effect.values()[law.amplitude]), start.gain))
+    return found
 
 
 def _finer(state: FitState, singles: Sequence[Screened], forms: Collection[str]) -> Iterator[Law]:
@@ -197,7 +216,7 @@ def _chosen(entries: Iterable[Screened]) -> list[Screened]:
 def screened(state: FitState, laws: Iterable[Law], say: Say = lambda line: None) -> list[Screened]:
     """Return the laws with the amplitude and the χ² that the tile means alone give them, nuisances following."""
     known = known_values(state)
-    response = {link: _response(state, link) for link in LINKS}
+    response = {key: _response(state, key) for key, link in LINKS.items() if not link.is_noise}
     waiting, found, laws = [], list[Screened](), iter(laws)
     while waiting := list(islice(laws, _AT_ONCE // 2)):
         pairs = [_features(state, law, known, response[law.link]) for law in waiting]
@@ -217,7 +236,7 @@ def known_values(state: FitState) -> dict[str, Array]:
     signal = state.prediction.signal[:, :, None]
     found = {
         "exposure_s": settings.exposure_s,
-        "timestamp_s": settings.timestamp_s,
+        "timestamp_s": np.stack([settings.timestamp_s] * 2),
         "temperature_C": settings.temperature_c,
         "gain_db": settings.gain_db,
         "f_number": settings.f_number,
@@ -226,13 +245,18 @@ def known_values(state: FitState) -> dict[str, Array]:
         "image_y": context.geometry.y_px / side,
         "signal": signal,
         "value": signal * state.prediction.gain[:, None, None],
+        "column_light": column_light(np.repeat(signal, 4, axis=2), context),
     }
     parts = (context.first_frame, context.later_frames)
     if design.has_timestamps and None not in parts:
+        found["timestamp_s"] = np.stack([np.asarray(part.settings.timestamp_s) for part in parts if part])
         found["since_frame_s"] = np.stack([np.asarray(part.since_frame_s) for part in parts if part])
     lit = design.source_level > 0  # a closed shutter is no level of the source
     if not lit.any() or not _varies(design.source_level[lit]):
         del found["source_level"]
+    shown = picture_mean(state.model.radiance[design.pattern_index][:, :, None] * settings.source_level, context)
+    if lit.any() and _varies(shown[lit]):
+        found["picture_mean"] = shown
     known = {name: np.asarray(v, dtype=np.float64) for name, v in found.items() if _varies(np.asarray(v))}
     return known | ({} if None in parts else {"frame": np.stack([part.frame_numbers for part in parts if part])})
 

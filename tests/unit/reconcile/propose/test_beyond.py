@@ -67,7 +67,7 @@ def outcome(nats: float, *effects: Any, gap: float = 1.0) -> Search:
 
 
 def law(nats: float, *along: str) -> Any:
-    told = SimpleNamespace(covariates=along)
+    told = SimpleNamespace(covariates=along, where=along[0] if along else "signal")
     return SimpleNamespace(name="a_law", law=told, nats=nats, after=FakeState(nats, gap=1.0))
 
 

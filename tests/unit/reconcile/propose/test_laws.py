@@ -10,11 +10,11 @@ import pytest
 
 from radiometer.data import CameraDescription, FrameSettings
 from radiometer.reconcile.model.tile_context import TileContext
-from radiometer.reconcile.propose.effect_file import Law, effect_of, effect_source, round_to, source_of_test
+from radiometer.reconcile.propose.effect_file import Law, acted, effect_of, effect_source, round_to, source_of_test
 from radiometer.reconcile.propose.grammar import FORMS, Term, finer, terms_of
 from simulators.effects import registry
 from simulators.effects.context import ExposureContext, FrameGeometry
-from simulators.effects.tile_moments import TileMoments
+from simulators.effects.tile_moments import Moments, TileMoments
 from simulators.law_stages import LINKS
 
 SIGNAL = 1000.0
@@ -22,6 +22,12 @@ SIGNAL = 1000.0
 WORKED = [
     ("ramp", "image_x", {"reference": 0.4}, {}, {"image_x": 0.9}, 0.5),
     ("line", "image_y", {}, {"zero": 0.1}, {"image_y": 0.4}, 0.3),
+    ("proportion", "column_light", {}, {}, {"column_light": 370.0}, 370.0),
+    ("one", "f_number", {}, {"at": 4.0}, {"f_number": 4.0}, 1.0),
+    ("one", "f_number", {}, {"at": 4.0}, {"f_number": 5.6}, 0.0),
+    ("two", "f_number", {}, {"at": 4.0, "other": 8.0}, {"f_number": 8.001}, 1.0),
+    ("two", "f_number", {}, {"at": 4.0, "other": 8.0}, {"f_number": 4.0}, 1.0),
+    ("two", "f_number", {}, {"at": 4.0, "other": 8.0}, {"f_number": 5.6}, 0.0),
     ("bow", "temperature_C", {}, {"middle": 30.0}, {"temperature_C": 26.0}, 16.0),
     ("arch", "image_y", {}, {"middle": 0.5, "width": 0.25}, {"image_y": 0.25}, 0.0),
     ("step", "exposure_s", {}, {"at": 0.1}, {"exposure_s": 0.2}, 1.0),
@@ -59,10 +65,15 @@ ACTS = {
     "analog": 1020.0,
     "digital": 1002.0,
     "range": 1002.0,
+    "transfer": 1000.002,
+    "tremble": 1000.0,
+    "hiss": 1000.0,
 }
 KNOWN = {
     "exposure_s": np.geomspace(1e-4, 1e-2, 8)[:, None, None],
-    "timestamp_s": np.linspace(0.0, 300.0, 8)[:, None, None],
+    "timestamp_s": np.stack([np.linspace(0.0, 300.0, 8)] * 2)[:, :, None, None],
+    "picture_mean": np.array([0.1, 0.3, 0.8])[:, None, None],
+    "column_light": np.geomspace(1e3, 1e6, 50)[:, None, None],
     "temperature_C": np.array([20.0, 30.0, 40.0])[:, None, None],
     "gain_db": np.array([0.0, 6.0, 12.0])[:, None, None],
     "f_number": np.array([2.8, 4.0, 8.0])[:, None, None],
@@ -141,6 +152,68 @@ def test_the_first_frame_counts_by_its_share():
     assert float(effect.common_variance(np.array([10.0]), series)) == 0.0  # three others alike: the first is not asked
     pair = replace(series, frames=2.0)
     assert float(effect.common_variance(np.array([10.0]), pair)) == pytest.approx(np.var([0.0, lift], ddof=1))
+
+
+@pytest.mark.parametrize("frames", [2, 3, 5])
+def test_a_series_goes_on_with_the_time(frames):
+    """Frames 2 s apart under a black level that rises by 0.5 DN/s: their mean, and how those scatter that count."""
+    effect = effect_of(Law("digital", (Term("ramp", "timestamp_s", {"reference": 0.0}, {}),)), 0.5)
+    times = 10.0 + 2.0 * np.arange(frames)
+
+    def taken(time_s):
+        there = at()
+        return replace(there, settings=replace(there.settings, timestamp_s=time_s))
+
+    first, later = taken(times[0]), taken(float(times[1:].mean()))
+    series = TileContext(
+        first.settings, first.geometry, first.camera, first_frame=first, later_frames=later, frames=float(frames)
+    )
+    levels = 100.0 + 0.5 * times
+    assert effect.mean(np.array([100.0]), series)[0] == pytest.approx(levels.mean())
+    counted = levels if frames == 2 else levels[1:]
+    assert float(effect.common_variance(np.array([100.0]), series)) == pytest.approx(counted.var(ddof=1))
+    assert effect.drifts
+
+
+def test_a_noise_that_goes_with_the_signal():
+    """An amplification that trembles by 0.4 %: 16 DN² at 1000 DN, no mean, and drawn as it says."""
+    effect = effect_of(Law("tremble"), 0.004)
+    signal = np.full(200_000, 1000.0)
+    assert effect.variance(signal, at())[0] == pytest.approx(16.0)
+    drawn = effect.sample(signal, at(), np.random.default_rng(7))
+    assert np.std(drawn) == pytest.approx(4.0, rel=0.01)
+    assert np.mean(drawn) == pytest.approx(1000.0, abs=0.03)
+    before = Moments(np.array([1000.0]), np.array([9.0]), np.array([0.0]), np.array([0.0]))
+    after = effect.moments(before, at())
+    assert (after.mean[0], after.variance[0]) == (1000.0, pytest.approx(25.0))
+    assert (effect.block, effect.acts_by_square, effect.where) == ("variance", True, "signal")
+
+
+def test_a_noise_beyond_a_temperature():
+    """3 DN of noise where it is warmer than 25 °C, none below."""
+    effect = effect_of(Law("hiss", (Term("step", "temperature_C", {}, {"at": 25.0}),)), 3.0)
+    assert np.ravel(effect.variance(np.array([50.0]), at()))[0] == pytest.approx(9.0)
+    cold = replace(at(), settings=replace(at().settings, temperature_c=20.0))
+    assert np.ravel(effect.variance(np.array([50.0]), cold))[0] == 0.0
+    assert acted(Law("hiss", (Term("step", "temperature_C", {}, {"at": 25.0}),)), 3.0, 50.0, at()) == pytest.approx(9.0)
+
+
+def test_charge_on_its_way_collects_the_light_of_its_column():
+    """Columns of 1000 and 3000 e-/s on average, 2 ms on the way: 2 and 6 e- beside what the exposure gave."""
+    settings = FrameSettings(exposure_s=0.5)
+    image = ExposureContext(settings, FrameGeometry.of_image(2, 3), CameraDescription(bit_depth=12))
+    light = np.array([[500.0, 1500.0], [0.0, 3000.0], [1000.0, 0.0]])
+    effect = effect_of(Law("transfer", (Term("proportion", "column_light", {}, {}),)), 2e-3)
+    assert effect.mean(light, image) == pytest.approx(light + np.array([[2.0, 6.0]]))
+
+
+def test_a_screen_that_dims_with_its_picture():
+    """A picture of 40 % of the brightest on average, at half its level: 6 % per unit beyond 0.2 are 1.2 %."""
+    settings = FrameSettings(exposure_s=0.5, source_level=0.5)
+    image = ExposureContext(settings, FrameGeometry.of_image(2, 1), CameraDescription(bit_depth=12), peak_radiance=10.0)
+    shown = np.array([[1.0, 3.0]])  # of 5 at this level
+    effect = effect_of(Law("scene", (Term("ramp", "picture_mean", {"reference": 0.2}, {}),)), -0.06)
+    assert effect.mean(shown, image) == pytest.approx(shown * (1.0 - 0.06 * 0.2))
 
 
 @pytest.mark.parametrize(
@@ -241,7 +314,7 @@ def test_every_law_makes_a_readable_file():
         "Adds charge in proportion to exposure, falling off as a Gaussian from the lower left corner: like a glow."
     )
     for law in laws():
-        text = effect_source(law, 0.5, where="image_x", sentence=sentence)
+        text = effect_source(law, 0.5, sentence=sentence)
         assert max(map(len, text.splitlines())) <= 120, law.name
         assert f'name = "{law.name}"' in text
         assert effect_of(law, 0.5).name == law.name
@@ -251,11 +324,11 @@ def test_the_written_test_passes_and_dies_with_the_law(tmp_path):
     """The test beside an effect file holds for it, and fails once a term of the formula has another sign."""
     law = Law("optics", (Term("sine", "image_x", {}, {"period": 0.3, "phase": 0.7}),))
     keys = {"exposure_s": 0.5, "gain_db": 20.0, "temperature_c": 30.0, "timestamp_s": 2.0, "source_level": 0.75}
-    keys |= {"since_frame_s": 1.0, "width": 200, "height": 100}
+    keys |= {"f_number": 4.0, "since_frame_s": 1.0, "width": 200, "height": 100}
     after = float(effect_of(law, round_to(0.02)).mean(np.array([SIGNAL]), at(30.0, 4.0))[0])
     text = source_of_test(law, 0.02, f"{law.name}.py", keys, [(30.0, 4.0, SIGNAL, after)])
     good, bad = tmp_path / "good", tmp_path / "bad"
-    for folder, source in ((good, effect_source(law, 0.02, where="image_x")), (bad, wrong(law))):
+    for folder, source in ((good, effect_source(law, 0.02)), (bad, wrong(law))):
         folder.mkdir()
         (folder / f"{law.name}.py").write_text(source)
         (folder / f"test_{law.name}.py").write_text(text)
@@ -267,7 +340,7 @@ def test_the_written_test_passes_and_dies_with_the_law(tmp_path):
 
 def wrong(law):
     """Return the effect file of a law with its phase turned about."""
-    return effect_source(law, 0.02, where="image_x").replace("+ self.phase_x", "- self.phase_x")
+    return effect_source(law, 0.02).replace("+ self.phase_x", "- self.phase_x")
 
 
 def run(path):
