@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,8 +13,8 @@ from radiometer.data.bracket import Bracket
 from radiometer.data.frame import Frame
 from radiometer.errors import MeasurementError
 
-# A clipping level gathers whatever lies beyond it: its count stands out from its neighbours by this factor.
-_PILE_UP = 8.0
+# A clipping level gathers whatever lies beyond it: its count stands out from so many neighbours by this factor.
+_PILE_UP, _NEIGHBOURS = 8.0, 8
 # Fog and knees hold still while the exposure grows: over this many frames, by this factor in all, to this share of full
 # scale, with this share of the picture in the peak.
 _STILL_FRAMES, _STILL_GROWTH, _STILL_SHARE, _PEAK_SHARE = 3, 3.0, 1.0 / 128.0, 0.05
@@ -38,8 +39,8 @@ def find_limits(brackets: Sequence[Bracket]) -> ValueLimits:
     """Return the black and saturation level of brackets taken with one camera.
 
     Saturation is full scale, or lower where the highest value that occurs gathers far more pixels than those just
-    below it (a sensor or film that saturates before the converter does). Black is 0, the stated black level, or
-    the lowest value in the same way. Besides, a value at which much of the shortest frames stands still while their
+    below it (a sensor or film that saturates before the converter does), with those below it that do so too (noise
+    behind the clipping). Black is 0, the stated black level, or the lowest value in the same way. Besides, a value at which much of the shortest frames stands still while their
     exposure grows is black (the fog of a film, a black level that nobody stated), and one of the longest is white.
 
     Raises:
@@ -91,17 +92,25 @@ def _common_peak(frames: Sequence[Frame], full_scale: int) -> int | None:
 
 
 def _ceiling(histogram: NDArray[np.int64]) -> int:
+    """Return the lowest of the values that pile up below the highest one; full scale where none does."""
     top = int(np.flatnonzero(histogram)[-1])
-    neighbours = histogram[max(top - 8, 0) : top]
-    piled = neighbours.size > 0 and histogram[top] > _PILE_UP * max(float(neighbours.mean()), 1.0)
-    return top if piled else histogram.size - 1
+    # What is noisy behind the clipping (a scan, a compressed picture) gathers at several values, not at one.
+    piled = itertools.takewhile(lambda value: _piles_up(histogram, value, -1), range(top, 0, -1))
+    return min(piled, default=histogram.size - 1)
 
 
 def _floor(histogram: NDArray[np.int64]) -> int:
+    """Return the highest of the values that pile up above the lowest one; 0 where none does."""
     bottom = int(np.flatnonzero(histogram)[0])
-    neighbours = histogram[bottom + 1 : bottom + 9]
-    piled = neighbours.size > 0 and histogram[bottom] > _PILE_UP * max(float(neighbours.mean()), 1.0)
-    return bottom if piled else 0
+    piled = itertools.takewhile(lambda value: _piles_up(histogram, value, 1), range(bottom, histogram.size - 1))
+    return max(piled, default=0)
+
+
+def _piles_up(histogram: NDArray[np.int64], value: int, inwards: int) -> bool:
+    """Tell whether far more pixels have a value than those next to it on the inner side, +1 or -1."""
+    ends = sorted((value + inwards, value + _NEIGHBOURS * inwards))
+    neighbours = histogram[max(ends[0], 0) : ends[1] + 1]
+    return bool(neighbours.size) and bool(histogram[value] > _PILE_UP * max(float(neighbours.mean()), 1.0))
 
 
 def _all_clipped(histogram: NDArray[np.int64], full_scale: int) -> str:

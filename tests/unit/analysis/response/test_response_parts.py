@@ -14,9 +14,10 @@ from radiometer.analysis.response.left_out import prediction_error_dn
 from radiometer.analysis.response.limits import ValueLimits, find_limits
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise
 from radiometer.analysis.response.noise_shift import mean_exposure_dn
+from radiometer.analysis.response.pixel_noise import pixel_noise
 from radiometer.analysis.response.samples import gather_samples
 from radiometer.analysis.response.weights import row_variance
-from radiometer.data import Bracket, Frame, FrameSettings
+from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
 
 
 def test_saturation_below_full_scale_is_found(make_stack):
@@ -30,6 +31,33 @@ def test_unclipped_frames_keep_full_scale():
     ramp = np.arange(40, 200, dtype=np.uint8)[None, :].repeat(50, axis=0)
     frames = [Frame(ramp, 8, FrameSettings(t)) for t in (1.0, 2.0)]
     assert find_limits([Bracket.from_frames(frames)]).saturated_dn == 255
+
+def _noisy_behind_the_clipping(sigma_dn, seed=5):
+    """Return frames of a linear sensor that clips at black and white before noise of `sigma_dn` is added to it."""
+    rng = np.random.default_rng(seed)
+    light = np.exp(rng.uniform(-9.0, 2.0, (120, 160)))
+    frames = []
+    for time in 2.0 ** np.arange(6):
+        clipped = 255.0 * np.clip(0.05 * time * light - 0.01, 0.0, 1.0)
+        stored = np.clip(np.rint(clipped + rng.normal(0.0, sigma_dn, light.shape)), 0, 255).astype(np.uint8)
+        frames.append(Frame(stored, 8, FrameSettings(float(time))))
+    return Bracket.from_frames(frames)
+
+
+@pytest.mark.parametrize(("sigma_dn", "black_dn", "saturated_dn"), [(0.0, 0, 255), (0.6, 1, 254)])
+def test_noise_behind_the_clipping_is_black_and_white_with_it(sigma_dn, black_dn, saturated_dn):
+    """What was clipped and got noise afterwards lies at several values: the next one too is no light."""
+    limits = find_limits([_noisy_behind_the_clipping(sigma_dn)])
+    assert (limits.black_dn, limits.saturated_dn) == (black_dn, saturated_dn)
+
+
+def test_white_that_is_noisy_does_not_pass_for_the_noise_of_pixels():
+    """Noise of 0.6 DN behind the clipping is found to 5 %: some thousand residuals tell it to 2 % (it was found as 62 DN)."""
+    bracket = _noisy_behind_the_clipping(0.6)
+    limits = find_limits([bracket])
+    g = np.log(np.maximum(np.arange(256) / 255.0 + 0.01, 1e-9))
+    curve = ResponseCurve(g, np.zeros(256), valid_dn=(limits.black_dn + 3, limits.saturated_dn - 1))
+    assert pixel_noise(bracket, curve).digital == pytest.approx(0.36, rel=0.1)
 
 
 def test_every_pixel_counts_once_per_frame_where_it_does_not_clip(make_stack):
