@@ -20,6 +20,7 @@ from radiometer.errors import CaptureError
 CHANNELS: Final = ("red", "green", "blue")
 IMAGE_SUFFIXES: Final = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 _LUMA: Final = (0.299, 0.587, 0.114)  # ITU-R BT.601
+_PNG_START: Final = b"\x89PNG"
 _JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
 
 
@@ -93,7 +94,7 @@ def read_photograph(path: Path, most_pixels: int | None = None, *, interpolated:
     suffix = path.suffix.lower()
     if suffix in RAW_SUFFIXES:
         return _read_raw(path, most_pixels, interpolated=interpolated)
-    if suffix in _JPEG_SUFFIXES:
+    if suffix in _JPEG_SUFFIXES and not _is_png(path):
         values, shape = _decode_jpeg(path, most_pixels)
     else:
         values = _decode_lossless(path)
@@ -142,13 +143,42 @@ def _decode_lossless(path: Path) -> Any:
     except OSError as error:
         raise CaptureError(f"cannot read {path}: {error.strerror or error}") from error
     # Decoders fill the missing rows of a truncated PNG with zeros and say nothing.
-    if content[:4].tobytes() == b"\x89PNG" and b"IEND" not in content[-16:].tobytes():
+    if content[:4].tobytes() == _PNG_START and b"IEND" not in content[-16:].tobytes():
         raise CaptureError(f"{path}: the PNG is truncated (no closing chunk); copy it again")
     refuse_large_picture(path, content.tobytes())
     image = decoded(content)
     if image is None:
         raise CaptureError(f"{path}: not a readable PNG or TIFF (damaged or truncated); copy it again")
+    if _has_palette(path):
+        return _of_palette(path, image)
     return cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2RGB) if image.ndim == 3 and image.shape[2] >= 3 else image
+
+
+def _is_png(path: Path) -> bool:
+    """Tell whether a file is a PNG whatever its name: read as a JPEG, 16 bits would be cut down to 8."""
+    try:
+        with path.open("rb") as file:
+            return file.read(4) == _PNG_START
+    except OSError:
+        return False  # said where it is read
+
+
+def _has_palette(path: Path) -> bool:
+    try:
+        with Image.open(path) as image:
+            return image.mode == "P"
+    except (OSError, UnidentifiedImageError, SyntaxError, ValueError):
+        return False  # OpenCV has read it: no form that holds a palette
+
+
+def _of_palette(path: Path, image: Any) -> Any:
+    """Return the grey values of a picture with a palette of greys, such as monochrome cameras' programs write."""
+    if image.ndim == 3 and bool(np.all(image[..., :3] == image[..., :1])):
+        return np.ascontiguousarray(image[..., 0])
+    raise CaptureError(
+        f"{path}: its colours are numbers in a palette, of 256 at most: false colours, or reduced from what the camera "
+        "stored; take the camera's own file (one that was only packed can be saved as RGB without a palette)"
+    )
 
 
 def _read_raw(path: Path, most_pixels: int | None = None, *, interpolated: bool = False) -> Photograph:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from cv2.utils import logging
 from numpy.typing import NDArray
 
+_PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+_AROUND_DATA: Final = 12  # length, type and check sum of a chunk
 _COUNTED = threading.Lock()
 _levels: list[int] = []  # OpenCV's own before each decoding that is under way: the level is one for all threads
 
@@ -20,9 +22,29 @@ def decoded(content: NDArray[np.uint8]) -> Any:
     """Return the picture in a file's bytes, as its own type, colours as blue, green, red; None where there is none."""
     with _quiet():
         try:
-            return cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+            return cv2.imdecode(_without_remarks(content), cv2.IMREAD_UNCHANGED) if content.size else None
         except cv2.error:
             return None
+
+
+def _without_remarks(content: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a PNG's bytes without its chunks that are no part of the picture; what is no whole PNG as it is.
+
+    libpng writes what it finds wrong with a colour profile straight to standard error, past OpenCV's level.
+
+    Source: PNG specification, third edition, 5.2 to 5.4: length, type, data and check sum of every chunk; one whose
+        type begins with a small letter is not needed for the picture, but tRNS, which adds a channel.
+    """
+    whole = content.tobytes()
+    if not whole.startswith(_PNG_SIGNATURE):
+        return content
+    kept, at = [_PNG_SIGNATURE], len(_PNG_SIGNATURE)
+    while at + _AROUND_DATA <= len(whole):
+        end = at + _AROUND_DATA + int.from_bytes(whole[at : at + 4], "big")
+        if not whole[at + 4 : at + 5].islower() or whole[at + 4 : at + 8] == b"tRNS":
+            kept.append(whole[at:end])
+        at = end
+    return np.frombuffer(b"".join(kept), np.uint8) if at == len(whole) else content
 
 
 @contextmanager

@@ -40,8 +40,9 @@ def find_limits(brackets: Sequence[Bracket]) -> ValueLimits:
 
     Saturation is full scale, or lower where the highest value that occurs gathers far more pixels than those just
     below it (a sensor or film that saturates before the converter does), with those below it that do so too (noise
-    behind the clipping). Black is 0, the stated black level, or the lowest value in the same way. Besides, a value at which much of the shortest frames stands still while their
-    exposure grows is black (the fog of a film, a black level that nobody stated), and one of the longest is white.
+    behind the clipping). Black is 0, the stated black level, or the lowest value in the same way. Besides, a value at
+    which much of the shortest frames stands still while their exposure grows is black (the fog of a film, a black
+    level that nobody stated), and one of the longest is white.
 
     Raises:
         MeasurementError: If every value of every frame is clipped.

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import io
+import struct
+import zlib
+
+import cv2
 import numpy as np
 import pytest
 import tifffile
 from cv2.utils import logging
+from PIL import Image
 
-from radiometer.data.decoding import _quiet, decoded
+from radiometer.data.decoding import _quiet, _without_remarks, decoded
 
 
 def _tiff(path):
@@ -22,6 +28,40 @@ def test_codes_come_back_and_nothing_is_said(tmp_path, capfd):
     codes, content = _tiff(tmp_path / "a.tif")
     assert np.array_equal(decoded(content), codes)
     assert capfd.readouterr().err == ""
+
+
+def _png(codes, *chunks):
+    """Return a PNG's bytes with further chunks after its header."""
+    content = cv2.imencode(".png", codes)[1].tobytes()
+    parts = [
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+    ]
+    return np.frombuffer(content[:33] + b"".join(parts) + content[33:], np.uint8)
+
+
+def test_a_colour_profile_that_is_wrong_is_no_remark(capfd):
+    """A profile of five bytes, which PNG's own library complains of, leaves picture and standard error alone."""
+    codes = np.arange(72, dtype=np.uint16).reshape(4, 6, 3) * 900
+    content = _png(codes, (b"iCCP", b"a\0\0" + zlib.compress(b"short")))
+    assert np.array_equal(decoded(content), codes)
+    assert capfd.readouterr().err == ""
+
+
+def test_what_belongs_to_the_picture_of_a_png_stays():
+    """The palette, and which of its colours is transparent, are no remarks: they come back as written."""
+    image, written = Image.fromarray(np.array([[0, 1], [1, 2]], np.uint8), "P"), io.BytesIO()
+    image.putpalette([10, 20, 30, 40, 50, 60, 70, 80, 90])
+    image.save(written, "png", transparency=1)
+    found = decoded(np.frombuffer(written.getvalue(), np.uint8))
+    assert found[..., :3].tolist() == [[[30, 20, 10], [60, 50, 40]], [[60, 50, 40], [90, 80, 70]]]
+    assert found[..., 3].tolist() == [[255, 0], [0, 255]]
+
+
+@pytest.mark.parametrize("end", [-4, 40, 12])
+def test_a_png_that_is_cut_off_goes_to_the_decoder_as_it_is(end):
+    """Chunks that end beyond the file are not left out, nor is anything before them."""
+    content = _png(np.zeros((4, 4), np.uint8), (b"tEXt", b"Comment\0nothing"))[:end]
+    assert np.array_equal(_without_remarks(content), content)
 
 
 @pytest.mark.parametrize("end", [0, 1, 60])

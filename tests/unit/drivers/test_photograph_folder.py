@@ -120,6 +120,35 @@ def test_sixteen_bit_files_keep_their_values(tmp_path):
     assert {int(f.dn[0, 0]) for f in bracket} == {40_000}
 
 
+def test_a_palette_of_greys_is_grey(tmp_path):
+    """Numbers of a palette stand for its greys: a ramp upside down comes back as its greys, in one channel."""
+    numbers = np.arange(192, dtype=np.uint8).reshape(12, 16)
+    image = Image.fromarray(numbers, "P")
+    image.putpalette([grey for number in range(256) for grey in [255 - number] * 3])
+    for name in ("a.png", "b.tif"):
+        image.save(tmp_path / name)
+    (tmp_path / "exposures.txt").write_text("a.png 1\nb.tif 2\n")
+    (bracket,) = read_photographs(tmp_path, "each")
+    for frame in bracket:
+        assert np.array_equal(frame.dn, 255 - numbers)
+
+
+def test_a_png_called_a_jpeg_keeps_its_sixteen_bits(tmp_path):
+    """What a file is, not how it is called, says how its values are read."""
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((8, 8), 40_000, np.uint16))
+    (tmp_path / "a.png").rename(tmp_path / "a.jpg")
+    (tmp_path / "exposures.txt").write_text("a.jpg 1\n")
+    (bracket,) = read_photographs(tmp_path)
+    assert (bracket.bit_depth, int(bracket.frames[0].dn[0, 0])) == (16, 40_000)
+
+
+def _palette_of_colours(folder: Path) -> None:
+    _grey(folder, "a.png", 100)
+    image = Image.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8), "P")
+    image.putpalette([(number * k) % 256 for number in range(256) for k in (1, 2, 3)])
+    image.save(folder / "b.png")
+
+
 def _mixed_sizes(folder: Path) -> None:
     _grey(folder, "a.png", 100)
     _grey(folder, "b.png", 200, shape=(24, 30))
@@ -148,6 +177,7 @@ def _not_an_image(folder: Path) -> None:
         (_mixed_depths, "b.png has 16 bits"),
         (_truncated, r"b\.png: the PNG is truncated"),
         (_not_an_image, r"b\.png: not a readable PNG"),
+        (_palette_of_colours, r"b\.png: its colours are numbers in a palette"),
     ],
 )
 def test_unusable_files_are_named(tmp_path, make, message):

@@ -32,6 +32,7 @@ def test_unclipped_frames_keep_full_scale():
     frames = [Frame(ramp, 8, FrameSettings(t)) for t in (1.0, 2.0)]
     assert find_limits([Bracket.from_frames(frames)]).saturated_dn == 255
 
+
 def _noisy_behind_the_clipping(sigma_dn, seed=5):
     """Return frames of a linear sensor that clips at black and white before noise of `sigma_dn` is added to it."""
     rng = np.random.default_rng(seed)
@@ -52,7 +53,7 @@ def test_noise_behind_the_clipping_is_black_and_white_with_it(sigma_dn, black_dn
 
 
 def test_white_that_is_noisy_does_not_pass_for_the_noise_of_pixels():
-    """Noise of 0.6 DN behind the clipping is found to 5 %: some thousand residuals tell it to 2 % (it was found as 62 DN)."""
+    """Noise of 0.6 DN behind the clipping is found to 5 %: some thousand residuals tell it to 2 %."""
     bracket = _noisy_behind_the_clipping(0.6)
     limits = find_limits([bracket])
     g = np.log(np.maximum(np.arange(256) / 255.0 + 0.01, 1e-9))
