@@ -231,7 +231,7 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
     from radiometer.bench.sources import open_brackets
     from radiometer.cli.console import note
     from radiometer.cli.photograph_alignment import in_one_place
-    from radiometer.cli.photograph_response import curves_of, recovered_curves, with_found_times
+    from radiometer.cli.photograph_response import curves_of, linear_doubt, recovered_curves, with_found_times
 
     curves, calibration = curves_of(options.responses, 8), options.calibration
     by_colour = not calibration and not set(curves) - {"red", "green", "blue"}
@@ -253,12 +253,22 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
     if not (calibration or curves or raw or options.linear):
         curves, files = recovered_curves(placed.common, options.beside, note)
         brackets = [with_found_times(b, curves[str(b.frames[0].extra.get("channel", "mono"))]) for b in brackets]
+    asked = placed.common if options.linear and not (calibration or raw) else []
+    doubts = {str(b.frames[0].extra.get("channel", "mono")): doubt for b in asked if (doubt := linear_doubt(b))}
+    for name, doubt in doubts.items():
+        note(f"{name}: {doubt}")
     several = [with_f_number(bracket, options.f_number) for bracket in brackets]
     flat, falloff = _falloff(path, several[0], options)
     maps: dict[str, RadianceMap] = {}
     for bracket in several:
         maps |= _merged(bracket, calibration, curves, placed.absent, flat, without_ghosts=options.without_ghosts)
+    maps = {name: _with_assumption(found, doubts.get(name)) for name, found in maps.items()}
     return maps, _Beside(tuple(files), placed.sentence, falloff)
+
+
+def _with_assumption(found: RadianceMap, text: str | None) -> RadianceMap:
+    origin = found.provenance
+    return replace(found, provenance=replace(origin, assumptions=(*origin.assumptions, text))) if text else found
 
 
 def _falloff(path: Path, bracket: Bracket, options: _Options) -> tuple[FlatField | None, str | None]:

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 ENOUGH_PIXELS = 1_000_000
 _KEY = "photographs_sha256"
 _BEYOND_THE_CONVERTER = 1.1
+# A power of growth with exposure that differs from 1 by more is no linear camera's: seven sets of JPEG and film have
+# 0.41 to 0.69, the linear Flea3 0.96 to 1.00.
+_NOT_LINEAR = 0.1
+_JPEG_SUFFIXES = frozenset({".jpg", ".jpeg"})
 _UNDISPLACED = "frames lie in one place to parts of a pixel: too few pixels show in two of them to tell"
 
 
@@ -91,12 +95,34 @@ def told_by_themselves(
     Raises:
         MeasurementError: If the photographs hold no response.
     """
-    if linear or all("raw" in frame.extra for frame in bracket):
+    raw = all("raw" in frame.extra for frame in bracket)
+    if linear and not raw and (doubt := linear_doubt(common)):
+        say(doubt)
+    if linear or raw:
         return relative_calibration(bracket, None, camera, lens)[0], bracket
     channel = _channel(bracket)
     curve = _recovered({channel: common.thinned(ENOUGH_PIXELS)}, {channel: ""}, say)[channel]
     timed = with_found_times(bracket, curve)
     return relative_calibration(timed, curve, camera, lens)[0], timed
+
+
+def linear_doubt(bracket: Bracket) -> str | None:
+    """Return what speaks against photographs that are said to be linear; None where nothing does.
+
+    Args:
+        bracket: The photographs.
+    """
+    from radiometer.analysis.response.proportion import growth_power
+
+    power = growth_power(bracket, bracket.frames[0].settings.black_level_dn or 0.0)
+    if power is not None and abs(power - 1.0) > _NOT_LINEAR:
+        return (
+            f"said to be linear, yet twice the exposure makes numbers {2.0**power:.2f} times as large: a curve as of "
+            "most pictures, a black level that is not stated, or wrong times; without --linear a curve is recovered"
+        )
+    if power is None and all(Path(str(f.extra.get("file", ""))).suffix.lower() in _JPEG_SUFFIXES for f in bracket):
+        return "said to be linear, yet cameras write JPEG through a curve, and no two of these show the same pixels"
+    return None
 
 
 def _recovered(

@@ -135,6 +135,38 @@ def test_sixteen_bit_pictures_are_linear_where_that_is_said(tmp_path, capsys, en
     _agrees(tmp_path / "map.tiff", radiance)
 
 
+@pytest.mark.parametrize(("gamma", "grows"), [(1.0, None), (2.2, "1.37")])
+def test_photographs_that_are_not_linear_are_told_of(tmp_path, capsys, gamma, grows):
+    """Behind a gamma of 1/2.2 twice the exposure makes numbers 2^(1/2.2) as large: said beside map and in it."""
+    rng, folder = np.random.default_rng(6), tmp_path / "p"
+    radiance = _scene(rng)
+    folder.mkdir()
+    for seconds in TIMES:
+        dn = 255.0 * np.clip(radiance * seconds / 60.0, 0.0, 1.0) ** (1.0 / gamma) + rng.normal(
+            0.0, 0.3, radiance.shape
+        )
+        cv2.imwrite(str(folder / f"t{seconds:g}.png"), np.clip(np.rint(dn), 0, 255).astype(np.uint8))
+    (folder / "exposures.txt").write_text("".join(f"t{s:g}.png {s}\n" for s in TIMES))
+    assert run(["merge", str(folder), "--linear", "-o", str(tmp_path / "map.exr"), "--json"]) == 0
+    said = capsys.readouterr()
+    doubts = [text for text in json.loads(said.out)["assumptions"] if "said to be linear" in text]
+    assert [f"numbers {grows} times" in text for text in doubts] == ([] if grows is None else [True])
+    assert ("mono: said to be linear" in said.err) == (grows is not None)
+    assert run(["measure", "--photographs", str(folder), "--linear", "--uncalibrated", "--patch", "2,2,20,20"]) == 0
+    assert ("said to be linear" in capsys.readouterr().err) == (grows is not None)
+
+
+def test_jpeg_files_that_cannot_tell_are_told_of(tmp_path, capsys):
+    """Of two JPEG files without a pixel in common no growth is known: that JPEG is not linear is said all the same."""
+    folder, rng = tmp_path / "p", np.random.default_rng(7)
+    folder.mkdir()
+    cv2.imwrite(str(folder / "a.jpg"), rng.normal(120.0, 9.0, (48, 64)).astype(np.uint8))
+    cv2.imwrite(str(folder / "b.jpg"), np.full((48, 64), 255, np.uint8))
+    (folder / "exposures.txt").write_text("a.jpg 1\nb.jpg 64\n")
+    assert run(["merge", str(folder), "--linear", "-o", str(tmp_path / "map.exr")]) == 0
+    assert "cameras write JPEG through a curve" in capsys.readouterr().err
+
+
 def test_linear_photographs_take_no_response(tmp_path, capsys):
     """--linear beside --response is misuse, said in one line."""
     words = ["merge", str(tmp_path), "--linear", "--response", "c.csv", "-o", str(tmp_path / "a.exr")]
