@@ -71,6 +71,7 @@ def command(
     """
     from radiometer.analysis.exports.maps import MapPicture, in_luminance, writer_for
     from radiometer.analysis.signal.spectra import spectrum as spectrum_of
+    from radiometer.data.storage import refuse_unwritable
 
     if not out:
         raise UsageError("-o FILE is missing: name a file that ends in .exr, .hdr, .tiff or .png")
@@ -83,6 +84,8 @@ def command(
     if lens and vignetting != "lensfun":
         raise UsageError("--lens names the lens for --vignetting lensfun")
     writers = [(file, writer_for(file)) for file in out]
+    for file in out:
+        refuse_unwritable(file)
     bounds = parse_bounds(scale, "--scale") if scale else None
     known = _calibration(calibration)
     speeds = parse_iso_speeds(measured_iso, known)

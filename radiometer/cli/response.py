@@ -25,7 +25,8 @@ from radiometer.cli.iso_record import with_iso_speeds
 from radiometer.cli.response_plot import check_plot_name, draw_responses
 from radiometer.data import Bracket
 from radiometer.data.iso_speeds import IsoSpeeds
-from radiometer.errors import MeasurementError, OutputError, UsageError
+from radiometer.data.storage import refuse_unwritable
+from radiometer.errors import MeasurementError, UsageError
 
 _CURVE_SUFFIXES = (".csv", ".yaml", ".yml", *CURVE_SUFFIXES)
 _METHOD_HELP = f"Method: {', '.join(METHODS)}, or all."
@@ -133,10 +134,8 @@ def _check_targets(output: Path | None, picture: Path | None) -> None:
     if picture is not None:
         check_plot_name(picture)
     for target in (output, picture):
-        if target is not None and target.is_dir():
-            raise OutputError(f"cannot write {target}: it is a folder")
-        if target is not None and not target.parent.is_dir():
-            raise OutputError(f"cannot write {target}: the folder {target.parent} does not exist")
+        if target is not None:
+            refuse_unwritable(target)
 
 
 def _read(paths: Sequence[Path], channel: str, speeds: IsoSpeeds) -> dict[str, list[Bracket]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final
@@ -22,7 +23,8 @@ def decoded(content: NDArray[np.uint8]) -> Any:
     """Return the picture in a file's bytes, as its own type, colours as blue, green, red; None where there is none."""
     with _quiet():
         try:
-            return cv2.imdecode(_without_remarks(content), cv2.IMREAD_UNCHANGED) if content.size else None
+            picture = _without_remarks(content)
+            return cv2.imdecode(picture, cv2.IMREAD_UNCHANGED) if picture.size else None
         except cv2.error:
             return None
 
@@ -30,10 +32,11 @@ def decoded(content: NDArray[np.uint8]) -> Any:
 def _without_remarks(content: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a PNG's bytes without its chunks that are no part of the picture; what is no whole PNG as it is.
 
-    libpng writes what it finds wrong with a colour profile straight to standard error, past OpenCV's level.
+    None are left where a check sum is wrong. libpng writes what it finds wrong straight to standard error, past
+    OpenCV's level: of a damaged picture, and of colour profiles that nobody asked for.
 
-    Source: PNG specification, third edition, 5.2 to 5.4: length, type, data and check sum of every chunk; one whose
-        type begins with a small letter is not needed for the picture, but tRNS, which adds a channel.
+    Source: PNG specification, third edition, 5.2 to 5.5: length, type, data and check sum (of type and data) of every
+        chunk; one whose type begins with a small letter is not needed for the picture, but tRNS, which adds a channel.
     """
     whole = content.tobytes()
     if not whole.startswith(_PNG_SIGNATURE):
@@ -42,6 +45,8 @@ def _without_remarks(content: NDArray[np.uint8]) -> NDArray[np.uint8]:
     while at + _AROUND_DATA <= len(whole):
         end = at + _AROUND_DATA + int.from_bytes(whole[at : at + 4], "big")
         if not whole[at + 4 : at + 5].islower() or whole[at + 4 : at + 8] == b"tRNS":
+            if zlib.crc32(whole[at + 4 : end - 4]) != int.from_bytes(whole[end - 4 : end], "big"):
+                return np.empty(0, np.uint8)
             kept.append(whole[at:end])
         at = end
     return np.frombuffer(b"".join(kept), np.uint8) if at == len(whole) else content

@@ -47,6 +47,23 @@ def atomic_file(path: Path, *, binary: bool = False) -> Iterator[IO[Any]]:
         Path(temporary).unlink(missing_ok=True)
 
 
+def refuse_unwritable(path: Path) -> None:
+    """Refuse a file that cannot be written, before the work whose result it is to hold.
+
+    Args:
+        path: The file.
+
+    Raises:
+        OutputError: If it is a folder, or its own folder is missing or takes no files.
+    """
+    if path.is_dir():
+        raise OutputError(f"cannot write {path}: it is a folder")
+    if not path.parent.is_dir():
+        raise OutputError(f"cannot write {path}: the folder {path.parent} does not exist")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise OutputError(f"cannot write {path}: the folder {path.parent} takes no files (permission denied)")
+
+
 def write_bytes_atomic(path: Path, content: bytes) -> None:
     """Write bytes so that the file is either whole or absent."""
     with atomic_file(path, binary=True) as stream:

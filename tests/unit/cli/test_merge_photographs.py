@@ -165,3 +165,9 @@ def test_a_file_in_place_of_a_folder_is_said_to_be_one(tmp_path, capsys):
 def test_a_displacement_that_frames_cannot_tell_is_not_said_to_be_known_to_nothing(px, u_px, said):
     """A bound of 0 pixels is no bound; others are told with as many digits as are known."""
     assert said in _displacement(px, u_px)
+
+
+def test_a_map_that_cannot_be_written_is_refused_before_anything_is_read(tmp_path, capsys):
+    """The folder of the map is missing: said at once, also where the photographs are missing too."""
+    assert run(["merge", str(tmp_path / "none"), "-o", str(tmp_path / "absent" / "map.exr")]) == 1
+    assert "absent does not exist" in capsys.readouterr().err

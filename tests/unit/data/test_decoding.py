@@ -57,6 +57,23 @@ def test_what_belongs_to_the_picture_of_a_png_stays():
     assert found[..., 3].tolist() == [[255, 0], [0, 255]]
 
 
+@pytest.mark.parametrize("place", [36, -30])
+def test_a_damaged_png_is_none_and_nothing_is_said(place, capfd):
+    """One wrong bit in the picture's data is told by its check sum, not by the library on standard error."""
+    content = _png(np.random.default_rng(1).integers(0, 256, (9, 9), np.uint8)).copy()
+    content[place] ^= 4
+    assert decoded(content) is None
+    assert capfd.readouterr().err == ""
+
+
+def test_damage_in_a_remark_alone_costs_no_picture():
+    """A comment whose check sum is wrong is left out with the others."""
+    codes = np.arange(20, dtype=np.uint8).reshape(4, 5)
+    content = _png(codes, (b"tEXt", b"Comment\0nothing")).copy()
+    content[33 + 8] ^= 1
+    assert np.array_equal(decoded(content), codes)
+
+
 @pytest.mark.parametrize("end", [-4, 40, 12])
 def test_a_png_that_is_cut_off_goes_to_the_decoder_as_it_is(end):
     """Chunks that end beyond the file are not left out, nor is anything before them."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 
 import pytest
 
@@ -30,6 +31,18 @@ def test_an_unwritable_place_is_named(tmp_path):
     """The message says which file and why."""
     with pytest.raises(OutputError, match=r"cannot write .*absent/x: No such file"):
         storage.write_text_atomic(tmp_path / "absent" / "x", "text")
+
+
+def test_what_cannot_be_written_is_refused_before_the_work(tmp_path, monkeypatch):
+    """A folder, a file in a folder that is not there, and one that takes no files; a file that can be is not."""
+    storage.refuse_unwritable(tmp_path / "map.exr")
+    with pytest.raises(OutputError, match="it is a folder"):
+        storage.refuse_unwritable(tmp_path)
+    with pytest.raises(OutputError, match=r"the folder .*absent does not exist"):
+        storage.refuse_unwritable(tmp_path / "absent" / "map.exr")
+    monkeypatch.setattr(storage.os, "access", lambda folder, mode: (folder, mode) != (tmp_path, os.W_OK | os.X_OK))
+    with pytest.raises(OutputError, match="takes no files"):
+        storage.refuse_unwritable(tmp_path / "map.exr")
 
 
 def test_an_exception_of_the_writer_leaves_nothing(tmp_path):
