@@ -15,6 +15,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from radiometer.cli.logging_setup import configure_logging
+from tests import side_by_side
 from tests.patience import queue
 
 PROJECT_ROOT = Path(__file__).resolve().parents[1]
@@ -119,6 +120,20 @@ def together(test: str) -> str:
     if file.startswith(REAL_TIME):
         return "real time"
     return next((folder for folder in TOGETHER if file.startswith(folder)), file)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Take the number of processes that share one collection."""
+    parser.addoption("--cores", type=int, choices=(1, 2), default=1, help="run tests in so many processes, forked")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop(session: pytest.Session) -> object:
+    """Run the tests in two processes where that is asked for, those that share fixtures in one of them."""
+    options = session.config.option
+    if options.cores == 1 or options.collectonly or session.testsfailed:
+        return None
+    return side_by_side.run(session, together)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -55,6 +55,16 @@ def test_a_jump_is_told_once(by_us: int, said: str) -> None:
     assert said in str(jump)
 
 
+@pytest.mark.parametrize(
+    ("by_us", "said"),
+    [(-45_600_000, "back by 46 s"), (119_400_000, "forward by 119 s"), (119_600_000, "forward by 2 min"),
+     (7_199_000_000, "forward by 120 min"), (-9_000_000_000, "back by 2.5 h"), (172_800_000_000, "forward by 2 d")],
+)  # fmt: skip
+def test_a_jump_is_said_in_the_largest_unit_it_holds_twice(by_us: int, said: str) -> None:
+    """In whole seconds; minutes, hours and days from two of them on."""
+    assert f"{said}, from 2026-06-01T00:00:00Z" in str(Jump(START_US, START_US + by_us))
+
+
 def test_what_a_time_service_does_is_no_jump() -> None:
     """Half a second per hour, for a day, is followed without a word."""
     clocks, told = Clocks(), list[Jump]()

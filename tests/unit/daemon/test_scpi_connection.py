@@ -148,6 +148,29 @@ def test_messages_are_cut_at_line_feeds_and_answered_in_order():
     run(story())
 
 
+def test_a_client_that_takes_its_replies_again_in_time_is_not_held_to_what_it_had_begun_before():
+    """A line begun at 0 s has 30 s; replies not taken from 10 to 20 s, whatever is begun has 30 s from then on."""
+
+    async def story() -> None:
+        connection, wire, session = client(server())
+        connection.data_received(b"?be")
+        await asyncio.sleep(10.0)
+        connection.pause_writing()
+        await asyncio.sleep(10.0)
+        connection.resume_writing()
+        await asyncio.sleep(29.0)
+        assert not wire.aborted
+        connection.data_received(b"gun\n")
+        assert session.heard == ["?begun"]
+        await asyncio.sleep(40.0)
+        assert not wire.aborted
+        connection.data_received(b"?ag")
+        await asyncio.sleep(31.0)
+        assert wire.aborted
+
+    run(story())
+
+
 def test_a_line_feed_inside_a_block_is_data_however_it_comes():
     """The message runs once the whole block and its line feed are there; then the next is cut as ever."""
 

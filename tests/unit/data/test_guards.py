@@ -16,7 +16,14 @@ import tifffile
 
 from radiometer.cli.main import run
 from radiometer.data.capture_set import read_digital_numbers
-from radiometer.data.guards import MOST_PICTURE_BYTES, refuse_deep_yaml, refuse_large_picture, refuse_size, safe_name
+from radiometer.data.guards import (
+    MOST_PICTURE_BYTES,
+    is_file,
+    refuse_deep_yaml,
+    refuse_large_picture,
+    refuse_size,
+    safe_name,
+)
 from radiometer.data.storage import read_yaml
 from radiometer.errors import CaptureError, ConfigurationError, InputError, MissingLibrary, UsageError
 from simulators.scenes.image_file import ImageScene
@@ -190,3 +197,19 @@ def test_no_damaged_file_takes_more_than_a_gigabyte_or_ends_the_reader(tmp_path:
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-3000:]
     kinds = ("png", "tif", "jpg", "yaml", "hdr", "npy", "m", "rsp", "csv", "json", "xmp", "txt")
     assert [kind for kind in kinds if f".{kind}: " not in done.stdout] == []
+
+
+def test_what_can_be_no_file_is_none(tmp_path: Path) -> None:
+    """A file is; a folder, what is not there, a name too long for any disk and one with a zero in it are not."""
+    (tmp_path / "a").write_bytes(b"")
+    names = ("a", ".", "b", "c" * 5000, "a\0")
+    assert [is_file(tmp_path / name) for name in names] == [True, False, False, False, False]
+
+
+@pytest.mark.parametrize(("colour", "channels"), [(0, 1), (2, 3), (3, 1), (4, 2), (6, 4)])
+def test_a_png_is_as_large_as_its_colours_make_it(tmp_path: Path, colour: int, channels: int) -> None:
+    """Grey, colour, palette, grey and colour with transparency, one byte each: 400 MB are read, a column more is not."""
+    columns = MOST_PICTURE_BYTES // (1000 * channels)
+    refuse_large_picture(tmp_path / "a", _png(columns, 1000, 8, colour))
+    with pytest.raises(CaptureError, match=f"1000 × {columns + 1} × {channels} values"):
+        refuse_large_picture(tmp_path / "a", _png(columns + 1, 1000, 8, colour))

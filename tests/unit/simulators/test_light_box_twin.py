@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from zlib import crc32
+
 import pytest
 
 from simulators.light_box import LightBoxTwin
@@ -66,3 +68,29 @@ def test_the_last_sixteen_events_can_be_asked_for() -> None:
         twin.add_event("BT", str(number % 2), 100.0 + number)
     assert commands.run("TM").endswith(" 15")
     assert [commands.run(f"EV {number:02X}").split()[0] for number in range(4, 22)] == ["ER"] * 2 + ["OK"] * 16
+
+
+def test_a_box_counts_how_often_it_went_dark_by_itself() -> None:
+    """Once for a channel's energy (47e6 units at 235 a ms: 200 s), once for the held button, once for a silent host."""
+    twin, commands = greeted()
+
+    def speak(number: int, text: str, time_s: float) -> str:
+        body = f"#{number % 256:02X} {text}".encode()
+        twin.receive(body + f"*{crc32(body):08X}\n".encode(), time_s)
+        return twin.emitted[-1].line[4:-10].decode()
+
+    def darkened(number: int, time_s: float) -> str:
+        return speak(number, "ST", time_s).split()[5]
+
+    assert speak(0, "HI 2", 0.01).startswith("OK")
+    assert speak(1, "SL 0 H 59904", 0.02).startswith("OK")
+    counts = [darkened(2 + step, 0.5 * (1 + step)) for step in range(402)]
+    assert counts == ["0"] * 400 + ["1"] * 2
+    assert speak(1, "SL 5 H 100", 201.1).startswith("OK")
+    twin.press(201.2)
+    assert darkened(2, 201.3) == "1"
+    counts = [darkened(3 + step, 201.5 + 0.5 * step) for step in range(14)]
+    assert counts == sorted(counts)
+    assert counts[-1] == "2"
+    twin.advance(220.0)
+    assert commands.run("ST").split()[5:] == ["3", "P", "1", "0"]

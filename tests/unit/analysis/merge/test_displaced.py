@@ -88,6 +88,20 @@ def test_displaced_frames_do_not_contradict_each_other():
     assert np.mean(known.mask & doubt > 0) < 0.005
 
 
+def test_what_displacement_explains_is_as_sure_as_its_neighbours():
+    """A pixel whose frames disagree within noise and displacement has the u of those beside it in its column."""
+    bracket = _bracket(np.random.default_rng(3), [0.3, -0.3, 0.3, -0.3])
+    plain = merge(bracket, CAMERA, LENS, _calibration())
+    known = merge(bracket, CAMERA, LENS, _calibration(), displacement_px=0.3)
+    excused = (plain.mask & ~known.mask & PixelMask.INCONSISTENT) > 0
+    halves = [k for k in range(72, 124) if 20 <= excused[:, k].sum() <= SHAPE[0] - 15]
+    ratios = [np.median(known.u_radiance[excused[:, k], k]) / np.median(known.u_radiance[~excused[:, k], k])
+              for k in halves]  # fmt: skip
+    assert len(ratios) > 10
+    assert min(ratios) > 0.98
+    assert max(ratios) < 1.1
+
+
 def test_what_displacement_does_not_explain_stays_a_ghost():
     """A lamp that one frame alone shows is left out of it as before."""
     frames = list(_bracket(np.random.default_rng(4), np.zeros(4)))
