@@ -51,6 +51,7 @@ from radiometer.data import (
     RadianceMap,
     SourceDescription,
 )
+from radiometer.errors import UsageError
 from tests.unit.held import world
 from tests.unit.held.figures import digest, moved
 
@@ -193,10 +194,42 @@ def test_scales_are_as_they_were():
         "meter": by_meter.model_dump(mode="json"),
         "meter of unknown constant": unknown.model_dump(mode="json"),
         "ratio": [ratio.value, ratio.u],
-        "assumptions": len(made.provenance.assumptions),
+        "assumptions": list(made.provenance.assumptions),
         "parameters": made.provenance.parameters,
     }
+    curved = unscaled_calibration(
+        world.CAMERA.model_copy(update={"bit_depth": 8, "black_level_dn": None, "read_noise_e": None}),
+        world.LENS.model_copy(update={"transmittance": None, "transmittance_u_rel": None}),
+        world.gamma_curve(),
+        "led_b4",
+        validity_days=30.0,
+    )
+    curved = replace(curved, found=world.found(), uncertainties=world.doubts(efficacy_u_rel=0.07))
+    read = MeterReading(12.4, MeterSettings(1 / 60, 5.6, 100.0), 120.0)
+    unread = scaled_calibration(curved, scale_by_meter(curved, read), ("a", "b"))
+    told["by a meter, through a curve"] = {
+        "scale": unread.scale.model_dump(mode="json"),
+        "black": unread.black_level.dn,
+        "days": unread.validity_days,
+        "method": unread.provenance.method,
+        "inputs": list(unread.provenance.inputs),
+        "assumptions": list(unread.provenance.assumptions),
+        "parameters": unread.provenance.parameters,
+    }
     assert not moved("analyses/scales", told, rel=1e-7)
+
+
+@pytest.mark.parametrize("dn", [64.0, 4095.0, 63.0, 5000.0])
+def test_a_meter_s_pixel_value_lies_between_black_and_full_scale(dn):
+    """Neither end is a level that light can be told by."""
+    base = unscaled_calibration(world.CAMERA, world.LENS, None, "cie_a")
+    settings = MeterSettings(1 / 60, 5.6, 100.0)
+    with pytest.raises(UsageError, match="above 64 and below 4095 DN"):
+        scale_by_meter(base, MeterReading(12.4, settings, dn))
+    inside = [scale_by_meter(base, MeterReading(12.4, settings, at)).value for at in (64.5, 65.0, 2080.0, 4094.5)]
+    assert [one * (at - 64.0) for one, at in zip(inside, (64.5, 65.0, 2080.0, 4094.5), strict=True)] == pytest.approx(
+        [inside[1]] * 4, rel=2e-3
+    )
 
 
 @pytest.mark.parametrize("fit_centre", [True, False])
@@ -213,6 +246,43 @@ def test_a_flat_field_is_as_it_was(fit_centre):
     found = fit_flat_field(even, world.CAMERA, lens, source_u_rel=0.002, fit_centre=fit_centre)
     told = found.model_dump(mode="json") | {"at": digest(found.at(columns, rows))}
     assert not moved(f"analyses/flat_field_{fit_centre}", told, rel=1e-4)
+
+
+def falling(shape: tuple[int, int], k2: float, k4: float, k6: float, focal_px: float) -> RadianceMap:
+    """Return an even source behind a lens whose axis lies a little up and to the left, with dust and dead pixels."""
+    rows, columns = np.indices(shape, dtype=float)
+    rho2 = ((columns - 0.45 * shape[1]) ** 2 + (rows - 0.53 * shape[0]) ** 2) / (0.25 * (shape[0] ** 2 + shape[1] ** 2))
+    truth = 3.0 * (1.0 + k2 * rho2 + k4 * rho2**2 + k6 * rho2**3)
+    truth = truth / (1.0 + rho2 * 0.25 * (shape[0] ** 2 + shape[1] ** 2) / focal_px**2) ** 2
+    value = truth * (1.0 + 0.003 * np.random.default_rng([9, *shape]).standard_normal(shape))
+    value[shape[0] // 5 : shape[0] // 5 + 8, shape[1] // 3 : shape[1] // 3 + 8] *= 0.8  # dust
+    mask = np.zeros(shape, np.uint8)
+    mask[::9, ::7], mask[-6:, :9], mask[:5, -5:] = 8, 1, 16
+    value[40:44, 40:44] = -0.1  # dark
+    return RadianceMap(value.astype(np.float32), np.full(shape, 0.008, np.float32), mask, "relative")
+
+
+FLATS: dict[str, Any] = {
+    "wide": ((70, 130), -0.15, 0.02, -0.01, 300.0, {}),
+    "high": ((170, 66), -0.1, 0.0, 0.0, 400.0, {}),
+    "none": ((100, 100), 0.0, 0.0, 0.0, 250.0, {}),
+    "unknown focal length": ((96, 128), -0.12, -0.05, 0.0, 1e9, {"focal_length_mm": None}),
+    "stated point": ((96, 128), -0.12, 0.05, 0.0, 500.0, {"principal_point_px": (58.0, 51.0)}),
+}
+
+
+def test_flat_fields_of_other_pictures_are_as_they_were():
+    """Wide and high, with and without a polynomial, a focal length and a point that is stated."""
+    told: dict[str, Any] = {}
+    for name, (shape, k2, k4, k6, focal_px, lens) in FLATS.items():
+        even = falling(shape, k2, k4, k6, focal_px)
+        glass = world.LENS.model_copy(update={"focal_length_mm": focal_px * 4.5e-3, **lens})
+        for centred in (True, False):
+            found = fit_flat_field(even, world.CAMERA, glass, fit_centre=centred)
+            told[f"{name}, {'fitted' if centred else 'given'} point"] = found.model_dump(mode="json") | {
+                "corners": [float(found.at(np.array(x), np.array(y))) for x in (0.0, shape[1]) for y in (0.0, shape[0])]
+            }
+    assert not moved("analyses/flat_fields", told, rel=1e-4)
 
 
 def step(name: str, value: float, *, u: float = 0.004, temperature_c: float | None = 25.0) -> StepSignal:

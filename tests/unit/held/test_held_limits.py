@@ -36,7 +36,15 @@ from radiometer.daemon.http.requests import LightBody, LimitsBody, MeasureBody, 
 from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.station import Station
-from radiometer.data import CameraDescription, CaptureHeader, LensDescription, Patch, Scale, calibration_sections
+from radiometer.data import (
+    CameraDescription,
+    CaptureHeader,
+    LensDescription,
+    Patch,
+    Scale,
+    calibration,
+    calibration_sections,
+)
 from radiometer.data.guards import DEEPEST_NESTING, refuse_deep_yaml, refuse_large_picture
 from radiometer.errors import CaptureError, RadiometerError
 from tests.unit.daemon.conftest import QUICK, FakeBox, FakeInstrument
@@ -327,6 +335,7 @@ def test_what_files_and_requests_may_hold_is_as_it_was():
     """Names, kinds, defaults and bounds of every field of captures, light boxes and the bodies of requests."""
     kinds = (CaptureHeader, LightBoxConfig, Scale, NamedPatchBody, NameBody, RemarkBody, PatchBody, LimitsBody)
     kinds += (MeasureBody, LightBody)
+    kinds += (vars(calibration)["_CalibrationFile"],)
     sections = (one for one in vars(calibration_sections).values() if isinstance(one, type))
     kinds += tuple(one for one in sections if issubclass(one, BaseModel) and one.model_fields)
 

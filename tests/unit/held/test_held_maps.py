@@ -119,6 +119,22 @@ SITUATIONS = {
     "curve_with_a_visitor": lambda: of(
         visited(world.bracket(bits=8), 180), eight_bits(noise=grainy()), without_ghosts=True
     ),
+    "curve_with_a_visitor_left": lambda: of(visited(world.bracket(bits=8), 180), eight_bits(noise=grainy())),
+    "curve_with_one_in_the_short": lambda: of(
+        visited([world.frame(k, 3e-5 * 3.0**k, bits=8) for k in range(5, -1, -1)], 245), eight_bits()
+    ),
+    "curve_of_darkness": lambda: of(
+        [world.frame(300 + k, 2e-6 * 2.0**k, bits=8) for k in range(4)], eight_bits(), displacement_px=0.4
+    ),
+    "unsteady_curve": lambda: of(
+        [
+            world.frame(310 + k, 1e-4 * 2.0 ** (k // 2), bits=8, radiance=world.scene() * (1 + 0.15 * (k % 2)))
+            for k in range(6)
+        ],
+        eight_bits(),
+        displacement_px=0.5,
+    ),
+    "displaced_visitor": lambda: of(with_a_visitor(), aged(), without_ghosts=True, displacement_px=0.6),
     "curve_two_frames": lambda: of(world.bracket(bits=8)[3:5], eight_bits()),
     "long_only": lambda: of(world.bracket()[5:], aged()),
     "short_only": lambda: of(world.bracket()[:2], aged()),

@@ -217,6 +217,45 @@ def test_an_entry_is_as_it_was(name):
     assert not moved(f"effects/{name}", told, rel=1e-6)
 
 
+# What meets in one statistic: lines that stay and lines that come and go, waves, trends, patterns and noise of pixels.
+TOGETHER = (
+    ("row_temporal_noise", "row_pattern"),
+    ("row_temporal_noise", "rolling_shutter_banding"),
+    ("row_temporal_noise", "row_pattern", "column_pattern", "rolling_shutter_banding"),
+    ("row_pattern", "column_pattern", "prnu", "dsnu"),
+    ("mains_ripple", "source_warmup_drift"),
+    ("correlated_read_noise", "crosstalk", "brighter_fatter"),
+    ("image_lag", "hot_pixels", "dark_current_nonuniformity"),
+    ("exposure_time_offset", "response_nonlinearity", "veiling_glare", "gain_step_error"),
+)
+
+
+@pytest.mark.parametrize("kind", ["", "flats", "unknown"])
+@pytest.mark.parametrize("names", TOGETHER, ids=" + ".join)
+def test_entries_together_are_as_they_were(names, kind):
+    """What several of them do to every predicted statistic, how it is weighted, and what they share."""
+    state = start(kind)
+    context = state.model.context
+    effects = tuple(with_all_terms(whole_catalogue()[name]) for name in names)
+    effects = tuple(
+        one if one.free() else whole_catalogue()[name].starts(context)[-1]
+        for one, name in zip(effects, names, strict=True)
+    )
+    there = reweighted(with_effects(state, effects))
+    told = {
+        "predicted": fields(state.predicted_with(effects)),
+        "tau": there.tau,
+        "misfit": there.misfit,
+        "values": [one.values() for one in effects],
+        "left": digest(there.plain_residual),
+        "by statistic": {n: d for n, d in blocks(there, there.plain_residual).items() if d[2]},
+        "deviation": {n: digest(v) for n, v in there.comparison.deviation.items()},
+        "shared": {n: digest(w) for n, w in there.comparison.whiteners.items()},
+        "columns": digest(there.term_columns),
+    }
+    assert not moved(f"reconcile/together_{'_'.join(names)}_{kind or 'known'}", told, rel=1e-5)
+
+
 # Patches of known radiance, none at all, patches of unknown radiance, pixels that stand out.
 KINDS = ("", "flats", "unknown", "spots")
 
