@@ -29,6 +29,7 @@ from radiometer.reconcile.fit.full_fit import accepted
 from radiometer.reconcile.fit.state import FitState, reweighted, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconcile.noise.shared_errors import chances_of_rows
 from radiometer.reconcile.search.localise import localise
 from radiometer.reconcile.statistics import STATISTICS
 from simulators.camera_model import CameraModel
@@ -255,6 +256,11 @@ def test_entries_together_are_as_they_were(names, kind):
     }
     if "row_temporal_noise" in names and not kind:  # what their rows' chance variance does to what is fitted
         found = fitted_parameters(there)
+        compared = there.comparison
+        told["rows"] = {
+            error.name: {"by bin": digest(error.variance)} | {n: fields(part) for n, part in error.parts.items()}
+            for error in chances_of_rows(compared.design, compared.seen, there.prediction, compared.band_freedom)
+        }
         told["u"] = {k: {n: fields(one) for n, one in group.items()} for k, group in found.items()}
     assert not moved(f"reconcile/together_{'_'.join(names)}_{kind or 'known'}", told, rel=1e-5)
 
