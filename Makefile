@@ -29,16 +29,19 @@ help:  ## List the targets
 measure: $(VENV)/.ready-run  ## Read the radiance of a screen patch on the simulated bench
 	$(BIN)/radiometer measure --budget
 
-# Two workers, each with its own core; tests that share fixtures, or that run in real time, stay in one of them.
-RUN_TESTS = PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTEST) -n 2
+# Two workers, each with its own core; tests that share fixtures, or that run in real time, stay in one of them. The
+# fast ones run in two processes that were collected once (tests/side_by_side.py).
+ONE_THREAD = PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
+RUN_TESTS = $(ONE_THREAD) $(PYTEST) -n 2
+RUN_FAST  = $(ONE_THREAD) $(PYTEST) --cores=2
 NO_OTHERS = not bench and not soak and not hardware
 FAST_TESTS = -m "not slow and not long and $(NO_OTHERS)" tests/unit tests/style
 
 test: $(VENV)/.ready-test  ## Run the tests, all but the round trips, soaks and studies of `make test-slow`
 	$(RUN_TESTS) -m "not long and $(NO_OTHERS)"
 
-test-fast: $(VENV)/.ready-test  ## Run what needs no process, no browser and no real time (a minute and a half)
-	$(RUN_TESTS) $(FAST_TESTS)
+test-fast: $(VENV)/.ready-test  ## Run what needs no process, no browser and no real time (about a minute)
+	$(RUN_FAST) $(FAST_TESTS)
 
 test-slow: $(VENV)/.ready-test  ## Run the round trips, soaks, studies of coverage and documents followed word by word
 	$(RUN_TESTS) -m "long and $(NO_OTHERS)"
@@ -71,11 +74,11 @@ coverage: $(VENV)/.ready-test  ## Run the whole suite and show which branches it
 
 # Two loops that do nothing but take the processor, as a busy machine does; another order each time.
 RUNS  ?= 10
-TESTS ?= $(FAST_TESTS)
+TESTS ?=
 shake: $(VENV)/.ready-test  ## Run the fast tests in ten orders under two busy loops (RUNS=n, TESTS="tests/protocol")
 	@for k in 1 2; do (while :; do :; done) & busy="$$busy $$!"; done; trap "kill $$busy" EXIT; failed=0; \
 	for run in $$(seq 1 $(RUNS)); do echo "run $$run of $(RUNS)"; \
-	  $(RUN_TESTS) -q --randomly-seed=$$run $(TESTS) \
+	  $(if $(TESTS),$(RUN_TESTS),$(RUN_FAST)) -q --randomly-seed=$$run $(or $(TESTS),$(FAST_TESTS)) \
 	    || failed=$$((failed + 1)); \
 	done; echo "$$failed of $(RUNS) runs failed"; [ $$failed = 0 ]
 

@@ -80,7 +80,7 @@ class Reader:
 
 
 def run_groups(
-    session: pytest.Session, groups: list[list[pytest.Item]], taken: int, between: Callable[[], None]
+    session: pytest.Session, groups: list[list[pytest.Item]], taken: int, between: Callable[[], object]
 ) -> None:
     """Run one group after the other as their turn comes, as pytest's own loop does.
 
@@ -113,6 +113,7 @@ def forked(session: pytest.Session, groups: list[list[pytest.Item]], taken: int,
 
     Both share the file that holds what tests print until the forked one has opened another.
     """
+    parent = os.getpid()
     ready, say = os.pipe()
     child = os.fork()
     if child:
@@ -131,7 +132,7 @@ def forked(session: pytest.Session, groups: list[list[pytest.Item]], taken: int,
         plugins.register(Teller(session.config, stream))
         os.write(say, b".")
         with contextlib.suppress(session.Failed):
-            run_groups(session, groups, taken, lambda: None)
+            run_groups(session, groups, taken, lambda: os.getppid() == parent or os._exit(1))
         code = 0
     finally:
         stream.flush()
@@ -161,7 +162,7 @@ def run(session: pytest.Session, group_of: Callable[[str], str]) -> bool:
         finally:
             os.close(taken)
     if status:
-        raise session.Failed(f"the second process of tests ended with {os.waitstatus_to_exitcode(status)}")
+        session.shouldfail = f"the second process of tests ended with {os.waitstatus_to_exitcode(status)}"
     if session.shouldfail:
         raise session.Failed(session.shouldfail)
     return True

@@ -1,0 +1,73 @@
+"""Tests in two processes are told as those of one, whatever becomes of them."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.patience import within
+
+pytestmark = pytest.mark.slow  # starts processes
+
+CONFTEST = "from tests.conftest import pytest_addoption, pytest_runtestloop\n"
+FINE = """
+import pytest
+@pytest.mark.parametrize("k", range(4))
+def test_fine(k, tmp_path): (tmp_path / "a").write_text("")
+"""
+FAULTY = """
+import pytest
+def test_faulty():
+    print("said before")
+    assert 1 == 2
+def test_skipped():
+    pytest.skip("for a reason")
+"""
+LATE = """
+import os, time
+def test_late(): time.sleep(0.2)
+"""
+DEADLY = """
+import os, signal
+def test_deadly():
+    if os.environ["FIRST"] != str(os.getpid()):
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def ran(folder: Path, files: dict[str, str], *words: str) -> tuple[int, str]:
+    """Return how pytest ends in a folder with these files of tests, in two processes, and what it says."""
+    for name, text in {"conftest.py": CONFTEST, **files}.items():
+        (folder / name).write_text(text)
+    root = Path(__file__).resolve().parents[2]
+    first = "import os, sys, pytest; os.environ['FIRST'] = str(os.getpid()); sys.exit(pytest.main(sys.argv[1:]))"
+    command = [sys.executable, "-c", first, "-q", "-p", "no:cacheprovider", "-p", "no:randomly", "--cores=2", *words]
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    done = subprocess.run(
+        [*command, str(folder)], cwd=folder, env=environment, capture_output=True, text=True, timeout=within(60.0)
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_every_test_is_run_once_and_told(tmp_path: Path) -> None:
+    """Passed, failed with what it printed, and skipped ones of both processes are counted; one failure is code 1."""
+    files = {f"test_{name}.py": text for name, text in zip("abcdef", [FINE, LATE, FAULTY] * 2, strict=True)}
+    code, said = ran(tmp_path, files)
+    assert code == 1
+    assert re.search(r"2 failed, 10 passed, 2 skipped", said), said
+    assert said.count("said before") == 4  # as it stands in the source, and as it was said
+    assert sorted(re.findall(r"FAILED (test_\w+)\.py", said)) == ["test_c", "test_f"]
+    assert ran(tmp_path, dict.fromkeys(("test_c.py", "test_f.py"), FINE))[0] == 0
+
+
+def test_a_process_that_dies_is_a_failure(tmp_path: Path) -> None:
+    """Where the second process is killed no success is told, though every test that was told of passed."""
+    code, said = ran(tmp_path, {f"test_{k}.py": DEADLY + LATE for k in range(6)})
+    assert code == 1
+    assert "the second process of tests ended with -9" in said
+    assert "failed" not in said.splitlines()[-1]
