@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -343,7 +344,9 @@ def _spared(what: str, work: Callable[[], _T], failed: list[str]) -> _T | None:
     try:
         return work()
     except Exception as error:  # noqa: BLE001  (whatever it is: minutes of fitting are not thrown away for a hint)
-        _log.exception("advice failed", what=what)
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        _log.error("advice failed", what=what, error=repr(error), at=f"{Path(at.filename).name}:{at.lineno}")
+        _log.debug("advice failed", trace=traceback.format_exc())
         failed.append(f"{what} could not be worked out ({type(error).__name__}: {error}); the rest stands")
         return None
 

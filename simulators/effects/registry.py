@@ -44,6 +44,7 @@ from simulators.effects.display_black_leak import DisplayBlackLeak
 from simulators.effects.display_gamma_error import DisplayGammaError
 from simulators.effects.display_nonuniformity import DisplayNonuniformity
 from simulators.effects.dsnu import Dsnu
+from simulators.effects.event_offset import EventOffset
 from simulators.effects.excess_read_noise import ExcessReadNoise
 from simulators.effects.exposure_label_error import ExposureLabelError
 from simulators.effects.exposure_quantisation import ExposureQuantisation
@@ -117,6 +118,7 @@ EFFECTS: Final[dict[str, type[Effect]]] = {
     "display_gamma_error": DisplayGammaError,
     "display_nonuniformity": DisplayNonuniformity,
     "dsnu": Dsnu,
+    "event_offset": EventOffset,
     "excess_read_noise": ExcessReadNoise,
     "exposure_label_error": ExposureLabelError,
     "exposure_quantisation": ExposureQuantisation,

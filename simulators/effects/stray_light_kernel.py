@@ -14,6 +14,7 @@ from simulators.effects.surroundings import surroundings_of
 from simulators.effects.tile_moments import TileMoments
 
 _WIDTHS: Final = (0.02, 0.04, 0.08, 0.16, 0.32)  # as fractions of the longer side
+_MOST: Final = 0.5  # of the light that any lens scatters
 _BEYOND: Final = 0.5  # of the light at the border
 _LITTLE: Final = 0.005  # of the light, at each width
 
@@ -46,7 +47,7 @@ class StrayLightKernel(CatalogueEffect):
     settles = "one bright patch with several sizes of surround"
     essential = ("radius",)  # a kernel of any width is any glare
     endless = ("beyond",)  # darkness beyond the border
-    share: float = parameter(0.0, "1", -0.05, 0.5, source="engineering prior; refined on a real rig")
+    share: float = parameter(0.0, "1", -0.05, _MOST, source="engineering prior; refined on a real rig")
     radius: float = parameter(0.1, "1", 0.02, 1.0, source="sigma as a fraction of the longer side")
     edge_share: float = parameter(
         0.05, "1", 0.0, 0.4, source="part of the kernel in the last line before an edge, over the patch's own mean"
@@ -84,6 +85,10 @@ class StrayLightKernel(CatalogueEffect):
         if not self.wings:
             return (*self.fitted, *further)
         return (*(f"wings[{k}]" for k in range(len(self.wings))), "edge_share", *further)
+
+    def unlike_itself(self, context: ExposureContext) -> bool:
+        """Tell whether more light is scattered than comes straight: no lens does, an even scene hides any share."""
+        return self._lost > _MOST
 
     def _kernels(self) -> tuple[tuple[float, float], ...]:
         """Return share and width of each kernel."""

@@ -17,6 +17,7 @@ PARAMETERS = {
     "line_start_offset": ("decay_share", "decay_share"),
     "correlated_read_noise": ("sigma_e", "sigma_e"),
     "residual_charge": ("share", "share"),
+    "event_offset": ("tau_s", "tau_s"),
 }
 
 

@@ -374,10 +374,20 @@ def _judged(fits: FullFits, chosen: list[Screened], say: Say) -> list[_JudgedLaw
     fitted.sort(key=lambda pair: -pair[1].gain + 2.0 * PARAMETER_NATS * pair[0].size)
     rated = [(f, judged_gain(state, f)) for _, f in fitted[:_JUDGED]]
     laws = {id(f): law for law, f in fitted}
-    contenders = contenders_of(fits, rated)
+    contenders = _fitted_in_full(fits, rated)
     for f, nats in contenders:
         say(f"{f.name}: {nats:.0f} nats")
     return [(laws[id(f)], f, nats) for f, nats in contenders]
+
+
+def _fitted_in_full(fits: FullFits, rated: list[tuple[FittedCandidate, float]]) -> list[tuple[FittedCandidate, float]]:
+    """Return the laws that contend; one with which the model predicts what no camera does is none of them."""
+    while rated:
+        try:
+            return contenders_of(fits, rated)
+        except UnfitError as unfit:
+            rated = [(fitted, nats) for fitted, nats in rated if fitted.name != str(unfit)]
+    return []
 
 
 def _started(entry: Screened) -> CatalogueEffect | None:

@@ -110,3 +110,15 @@ def residual_charge(world: World, rng: np.random.Generator, scale: float) -> Tru
 
     world.electrons.append(let_go)
     return {"share": share, "tau_s": tau_s}
+
+
+@entry("event_offset", "timestamp_s", "frame")
+def event_offset(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Let the camera zero itself once: its black level is 1.5 DN off then, and comes back within minutes."""
+    offset, tau_s, at_s = sign(rng) * 1.5 * scale, rng.uniform(100, 400), rng.uniform(600, 2200)
+
+    def lift(value: np.ndarray, shot: Shot) -> np.ndarray:
+        return value + (offset * 2.0 ** ((at_s - shot.time_s) / (tau_s * math.log(2))) if shot.time_s > at_s else 0.0)
+
+    world.digital.append(lift)
+    return {"offset_dn": offset, "tau_s": tau_s, "at_s": at_s}

@@ -123,6 +123,23 @@ def test_a_ghost_lies_across_the_axis(principal: tuple[float, float] | None, row
             assert turned[r, c] == pytest.approx(picture[row - r, column - c] if there else 0.0), (r, c)
 
 
+def test_a_column_of_the_picture_has_its_mean_at_each_tile() -> None:
+    """Columns whose means rise evenly: each point has that of where it lies, in units of its own tiles' light."""
+    rows, columns = np.arange(6.0)[:, None], np.arange(8.0)
+    picture = 20.0 + 5.0 * columns + (rows - 2.5)  # what goes down a column cancels in its mean
+    tile = [some(x=8, y=4, width=8, height=8), some(x=20, y=12, width=4, height=4)]
+    design: Any = some(patterns=("a",), pattern_index=np.array([0, 0]), tiles=tile, shape=(24, 32))
+    images: Any = some(cell_px=4, picture=lambda pattern: picture)
+    surroundings = PictureSurroundings(design, images)
+    sampled = 20.0 + 5.0 * np.array([11.5, 21.5]) / 4.0 - 5.0 * 0.375 + (np.array([7.5, 13.5]) / 4.0 - 0.375 - 2.5)
+    light = 3.0 * sampled[None, :, None] * np.ones((2, 2, 4)) * np.array([1.0, 0.5])[:, None, None]
+    found = np.asarray(surroundings.column_mean(light))
+    at_x = np.array([[11.5], [21.5]]) + np.array([[4.0], [2.0]]) * np.array([-1, 1, -1, 1]) / math.sqrt(3.0)
+    wanted = 3.0 * (20.0 + 5.0 * (at_x / 4.0 - 0.375))
+    assert found[0] == pytest.approx(wanted, rel=1e-6)
+    assert found[1] == pytest.approx(0.5 * wanted, rel=1e-6)
+
+
 def test_clipped_captures_and_those_without_noise_tell_no_edge() -> None:
     """A step of five sigmas between lines 2 and 3 in the one clear capture is found, whatever the others hold."""
     step = np.zeros((3, 1, 6))

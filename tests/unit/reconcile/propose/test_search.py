@@ -13,9 +13,10 @@ from benchmarks._outside.two_hidden import HIDDEN
 from radiometer.data import CaptureSet
 from radiometer.other_data.sources import DoneCapture
 from radiometer.reconcile.fit.descent import first_state
+from radiometer.reconcile.fit.full_fit import UnfitError
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import reduce_frames
-from radiometer.reconcile.propose import propose_law
+from radiometer.reconcile.propose import propose_law, search
 from radiometer.reconcile.propose.effect_file import Law, effect_of
 from radiometer.reconcile.propose.grammar import Term
 from radiometer.reconcile.propose.search import _plainest
@@ -50,6 +51,21 @@ def test_a_law_of_columns_of_noise_and_of_some_stops(name, along, law, parameter
     assert along in proposal.covariates
     found = proposal.parameters[parameter]
     assert abs(found.value - made.truth[name][drawn]) < 4.0 * found.u
+
+
+def test_a_law_that_cannot_be_fitted_is_none(monkeypatch):
+    """The others contend without it, be it the best; where none can be fitted none is proposed."""
+    laws = [(SimpleNamespace(name=name), nats) for name, nats in (("worst", 10.0), ("wild", 30.0), ("best", 20.0))]
+
+    def contended(fits, rated):
+        for fitted, _ in rated:
+            if fitted.name in fits:
+                raise UnfitError(fitted.name)
+        return rated
+
+    monkeypatch.setattr(search, "contenders_of", contended)
+    assert [fitted.name for fitted, _ in search._fitted_in_full({"wild"}, laws)] == ["worst", "best"]
+    assert search._fitted_in_full({"wild", "worst", "best"}, laws) == []
 
 
 @pytest.fixture(scope="module")

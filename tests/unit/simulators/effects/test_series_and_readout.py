@@ -18,6 +18,7 @@ from simulators.effects.correlated_read_noise import CorrelatedReadNoise
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.dark_current_clamped import DarkCurrentClamped
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
+from simulators.effects.event_offset import EventOffset
 from simulators.effects.first_frame_offset import FirstFrameOffset
 from simulators.effects.gain_step_error import GainStepError
 from simulators.effects.gamma_enabled import GammaEnabled
@@ -53,6 +54,33 @@ def test_a_jump_is_looked_for_between_any_two_of_many_captures() -> None:
     assert times == [35.0, 45.0, 55.0]
     assert LampStep.usable(_series(np.arange(8.0)))
     assert not LampStep.usable(_series(np.arange(7.0)))
+
+
+def test_an_event_lifts_black_and_is_forgotten() -> None:
+    """None before it, 6 DN at it, 6/e a time constant later."""
+    lift = EventOffset(offset_dn=6.0, tau_s=20.0, event_s=100.0).offset(_series(np.array([0.0, 99.9, 100.0, 120.0])))
+    assert np.asarray(lift) == pytest.approx([0.0, 0.0, 6.0, 6.0 / math.e])
+
+
+def test_an_event_within_a_series_is_in_the_frames_behind_it() -> None:
+    """The first of four frames lies before it, the others on average half a time constant behind."""
+    first, later = _series(np.array(90.0)), _series(np.array(110.0))
+    series = cast(Any, SimpleNamespace(frames=4.0, first_frame=first, later_frames=later, settings=later.settings))
+    effect = EventOffset(offset_dn=6.0, tau_s=20.0, event_s=100.0)
+    assert float(effect.offset(series)) == pytest.approx(0.75 * 6.0 * math.exp(-0.5))
+    after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
+    assert isinstance(after, TileMoments)
+    assert float(np.ravel(after.first_excess)[0]) == pytest.approx(-6.0 * math.exp(-0.5))
+
+
+def test_an_event_is_looked_for_in_front_of_captures() -> None:
+    """Of eight captures 10 s apart it may lie in front of the fourth and fifth, short and long, up and down."""
+    starts = EventOffset.starts(_series(10.0 * np.arange(8)))
+    tried = {(s.event_s, s.tau_s, s.offset_dn) for s in starts}
+    assert tried == {(at, tau, size) for at in (30.0, 40.0) for tau in (30.0, 200.0) for size in (1.0, -1.0)}
+    assert len(starts) == len(tried)
+    assert EventOffset.usable(_series(np.arange(6.0)))
+    assert not EventOffset.usable(_series(np.arange(5.0)))
 
 
 def test_the_first_frame_alone_is_off() -> None:
@@ -264,6 +292,12 @@ def test_wings_of_one_width_are_the_kernel() -> None:
     assert wings.mean(picture, context) == pytest.approx(StrayLightKernel(0.03, 0.08).mean(picture, context))
     assert wings.slope(picture, context) == pytest.approx(0.97)
     assert wings.free() == (*(f"wings[{k}]" for k in range(5)), "edge_share")
+
+
+@pytest.mark.parametrize(("wings", "none"), [((0.2, 0.0, 0.29, 0.0, 0.0), False), ((0.2, 0.0, 0.31, 0.0, 0.0), True)])
+def test_no_lens_scatters_more_than_comes_straight(wings: tuple[float, ...], none: bool) -> None:
+    """Wings of together half of the light are the most."""
+    assert StrayLightKernel(share=0.0, wings=wings).unlike_itself(_context()) is none
 
 
 @pytest.mark.parametrize("beyond", [1.0, 0.5, 0.0])

@@ -1,0 +1,70 @@
+"""A black level that jumps at an event and relaxes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
+from simulators.effects.catalogue import Offset, elapsed_s, over_frames
+from simulators.effects.context import ExposureContext
+
+_TRIED_DN = 1.0
+_FEWEST = 3  # captures on either side of an event: fewer may be single frames that went wrong
+_RESTS = (3.0, 20.0)  # mean intervals between captures within which it relaxes
+
+
+@dataclass(frozen=True)
+class EventOffset(Offset):
+    """Adds an offset that dies away after an event: y' = y + b·exp(−(t − t₀)/τ) from t₀ on, y' = y before.
+
+    The event is known to lie before the first capture that shows it, not better: t₀ is that capture's time, and is not
+    fitted.
+
+    Source: cameras that calibrate themselves behind a shutter, or zero themselves: tens of DN, relaxing within seconds
+    to minutes (thermal cameras at each flat-field correction).
+    """
+
+    name = "event_offset"
+    stage = Stage.READOUT
+    unit_in = DIGITAL_NUMBER
+    unit_out = DIGITAL_NUMBER
+    where = "timestamp_s"
+    block = "mean"
+    also = ("first",)
+    log_prior_odds = -3.0
+    prior_reason = "few cameras interrupt a session, and an event may lie anywhere in it"
+    trials = ({"offset_dn": _TRIED_DN, "tau_s": 30.0}, {"offset_dn": -_TRIED_DN, "tau_s": 30.0})
+    fitted = ("offset_dn", "tau_s")
+    settles = "dark frames of the shortest exposure, one after the other through the event"
+    offset_dn: float = parameter(0.0, "DN", -0.25, 0.25, source="tenths of a DN to tens of DN", of_full_scale=True)
+    tau_s: float = parameter(30.0, "s", 0.01, 1e5, source="seconds to minutes")
+    event_s: float = parameter(0.0, "s", -1e9, 1e9, source="from the first capture on")
+
+    def offset(self, context: ExposureContext) -> Any:
+        """Return the offset in DN; of a series of frames its mean."""
+        return over_frames(self._law, context)
+
+    def _law(self, context: ExposureContext) -> Any:
+        since = np.asarray(elapsed_s(context)) - self.event_s
+        return np.where(since >= 0, self.offset_dn * np.exp(-np.maximum(since, 0.0) / self.tau_s), 0.0)
+
+    @classmethod
+    def usable(cls, context: ExposureContext) -> bool:
+        """Tell whether times are known and there are captures on both sides of an event."""
+        return np.unique(elapsed_s(context)).size >= 2 * _FEWEST
+
+    @classmethod
+    def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return events in front of every capture with several before and after it, short and long, up and down."""
+        begun = elapsed_s(context if context.first_frame is None else context.first_frame)
+        times = np.unique(begun)
+        usual_s = float(np.ptp(times)) / max(times.size - 1, 1)
+        return tuple(
+            cls(size, float(np.clip(rests * usual_s, 0.1, 1e4)), float(time))
+            for time in times[_FEWEST : times.size - _FEWEST]
+            for rests in _RESTS
+            for size in (_TRIED_DN, -_TRIED_DN)
+        )
