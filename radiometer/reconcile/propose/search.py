@@ -40,6 +40,7 @@ _JUDGED: Final = 9
 _MULTIPLIED: Final = 5  # laws of one term that are multiplied by another
 _ALONE: Final = ("well", "range")  # what goes with the signal goes with nothing else, nor what comes back in turns
 _PLAIN: Final = ("digital", "optics")  # of two that no setting tells apart: what no gain amplifies, what scales light
+_OF_A_PLACE: Final = {*PLACES, "column_light"}
 _SECOND: Final = ("ramp", "power", "step", "decay", "bow")
 _OF_A_KIND: Final = 2  # laws of one formula at different stages that are fitted, beyond the best
 _NEAR: Final = 0.5  # share of the best start's gain from which others of its kind are tried: means alone alias waves
@@ -163,7 +164,7 @@ def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
     for entry in _distinct((entry for entry in singles if not _goes_alone(entry.law)), _MULTIPLIED):
         own = entry.law.terms[0]
         for name in known:
-            if name in (*own.covariates, "signal", "value", "frame") or {name, own.covariate} <= set(PLACES):
+            if name in (*own.covariates, "signal", "value", "frame") or {name, own.covariate} <= _OF_A_PLACE:
                 continue
             further = [term for term in terms_of(name, known) if term.form in _SECOND]
             for link in _links_of_product(entry.law.link, own.covariate, name):

@@ -68,6 +68,26 @@ def test_a_law_that_cannot_be_fitted_is_none(monkeypatch):
     assert search._fitted_in_full({"wild", "worst", "best"}, laws) == []
 
 
+def test_what_goes_with_a_place_is_not_multiplied_by_another(monkeypatch):
+    """A column's light goes with the time and not with a place of the picture; a row goes with the exposure."""
+    known = {
+        "exposure_s": np.geomspace(1e-3, 1.0, 6)[:, None, None],
+        "timestamp_s": np.stack([np.linspace(0.0, 60.0, 6)] * 2)[:, :, None, None],
+        "image_x": np.linspace(0.0, 1.0, 9)[None, :, None],
+        "image_y": np.linspace(0.0, 0.7, 9)[None, :, None],
+        "column_light": np.geomspace(1e3, 1e5, 9)[None, :, None],
+    }
+    monkeypatch.setattr(search, "known_values", lambda state: known)
+
+    def beside(link, form, covariate, **values):
+        law = search.Screened(Law(link, (Term(form, covariate, {}, values),)), 1.0, 100.0)
+        return {made.terms[1].covariate for made in search._products(None, [law])}
+
+    assert beside("transfer", "proportion", "column_light") == {"exposure_s", "timestamp_s"}
+    assert beside("digital", "border", "image_y", at=0.3) == {"exposure_s", "timestamp_s"}
+    assert beside("charge", "power", "exposure_s", power=0.5) == {"timestamp_s", "image_x", "image_y"}
+
+
 @pytest.fixture(scope="module")
 def glow(tmp_path_factory):
     """Return the law proposed for an amplifier's glow in darks, and the secret."""
