@@ -62,8 +62,9 @@ def state_of(session: Session, given: tuple[CatalogueEffect, ...] = ()) -> FitSt
 def run(generator: int, name: str, seed: int, *, find: bool) -> dict[str, Any]:
     """Return what was proposed for one outsider and how it did in other sessions."""
     begun = time.process_time()
-    session = hiding(generator, name, seed)
-    secret, plan = session.secret, session.secret.plan
+    plan = hiding(generator, name, seed).secret.plan
+    session = hiding(generator, name, seed, plan)  # a plan that is drawn moves the rig, which further sessions share
+    secret = session.secret
     proposal = propose_law(state_of(session))
     told = {"generator": generator, "name": name, "seed": seed, "plan": plan, "stage": secret.stage}
     told |= {"covariates": list(secret.covariates), "drawn": {k: float(v) for k, v in secret.drawn.items()}}
