@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_module
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,13 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from radiometer.cli.arguments import F_NUMBER_HELP, ISO_HELP, parse_bounds, parse_iso_speeds, with_f_number
-from radiometer.cli.console import console, progress_bar
+from radiometer.cli.console import progress_bar
 from radiometer.cli.iso_record import with_iso_in_map
 from radiometer.cli.photograph_alignment import ALIGN_CHOICES
 from radiometer.errors import CaptureError, UsageError
 
 if TYPE_CHECKING:
-    from radiometer.analysis.exports.maps import MapPicture
     from radiometer.data import Bracket, Calibration, CaptureSet, FlatField, Frame, RadianceMap, ResponseCurve
     from radiometer.data.iso_speeds import IsoSpeeds
 
@@ -71,6 +69,7 @@ def command(
     """
     from radiometer.analysis.exports.maps import MapPicture, in_luminance, writer_for
     from radiometer.analysis.signal.spectra import spectrum as spectrum_of
+    from radiometer.cli.merge_report import map_report, show_map_report
     from radiometer.data.storage import refuse_unwritable
 
     if not out:
@@ -110,9 +109,9 @@ def command(
     picture = MapPicture(maps, bounds)
     for file, write in writers:
         write(file, picture)
-    report = {**_report(picture, out), "responses": [str(file) for file in beside.responses]}
+    report = {**map_report(picture, out), "responses": [str(file) for file in beside.responses]}
     report["alignment"], report["falloff"] = beside.alignment, beside.falloff
-    print(json_module.dumps(report, ensure_ascii=False)) if json else _show(report)
+    print(json_module.dumps(report, ensure_ascii=False)) if json else show_map_report(report)
 
 
 def _calibration(path: Path | None) -> Calibration | None:
@@ -354,80 +353,3 @@ def _of_channel(curves: dict[str, ResponseCurve], channel: str) -> ResponseCurve
     if channel not in curves and len(curves) > 1:
         raise UsageError(f"there is no response curve of the channel {channel!r}; give one per channel, or one for all")
     return curves.get(channel) or next(iter(curves.values()), None)
-
-
-def _report(picture: MapPicture, out: list[Path]) -> dict[str, Any]:
-    import numpy as np
-
-    from radiometer.data import PixelMask
-
-    found = picture.first
-    sound = found.mask & (PixelMask.SATURATED | PixelMask.BELOW_NOISE) == 0
-    values = found.radiance[sound]
-    low, middle, high = (float(v) for v in np.percentile(values, (0, 50, 100))) if values.size else (0.0, 0.0, 0.0)
-    noise = float(np.median(found.u_radiance[sound] / np.abs(values))) if values.size else None
-    counts = {flag.name.lower(): int(np.count_nonzero(found.mask & flag)) for flag in PixelMask if flag.name}
-    return {
-        "files": [str(file) for file in out],
-        "width": found.shape[1],
-        "height": found.shape[0],
-        "channels": list(picture.maps),
-        "unit": picture.unit,
-        "exposures_s": list(found.exposures_s),
-        "values": {"lowest": low, "median": middle, "highest": high},
-        "median_u_rel": noise,
-        "u_rel_common": found.u_rel_common,
-        "pixels": {"good": int(np.count_nonzero(found.mask == 0)), **counts},
-        "iso": found.provenance.parameters.get("iso", []),
-        "displacement_px": found.provenance.parameters.get("displacement_px"),
-        "displacement_u_px": found.provenance.parameters.get("displacement_u_px"),
-        "assumptions": _assumptions(picture),
-    }
-
-
-def _displacement(px: float, u_px: float) -> str:
-    """Return how far the frames lie apart, in words."""
-    if not px and not u_px:  # none of the pixels asked says anything of it
-        return "no displacement shows, nor would any have: these frames cannot tell"
-    if not px:
-        return f"no displacement shows; less than some {u_px:.1g} pixels would not have shown, and is not in u"
-    decimals = max(0, 1 - math.floor(math.log10(u_px)))  # two digits of the uncertainty
-    return f"displaced by {px:.{decimals}f} ± {u_px:.{decimals}f} pixels (k = 1), in u where the picture changes"
-
-
-def _assumptions(picture: MapPicture) -> list[str]:
-    """Return what was assumed; what not all channels share stands with its channel."""
-    by_channel = {name: one.provenance.assumptions for name, one in picture.maps.items()}
-    shared = [text for text in picture.first.provenance.assumptions if all(text in one for one in by_channel.values())]
-    own = [f"{name}: {text}" for name, texts in by_channel.items() for text in texts if text not in shared]
-    return [*shared, *own]
-
-
-def _show(report: dict[str, Any]) -> None:
-    from radiometer.data.reading import RELATIVE_UNIT
-
-    out, values = console(), report["values"]
-    unit = "relative values" if report["unit"] == RELATIVE_UNIT else f"in {report['unit']}"
-    out.print(f"{report['width']} × {report['height']} pixels, {len(report['exposures_s'])} exposures, {unit}")
-    out.print(f"values     {values['lowest']:.4g} to {values['highest']:.4g}, median {values['median']:.4g}")
-    if report["median_u_rel"] is not None:
-        common = 100 * report["u_rel_common"]
-        out.print(
-            f"noise      {100 * report['median_u_rel']:.3g} % per pixel (median, k = 1), {common:.3g} % common to all"
-        )
-    total = report["width"] * report["height"]
-    for name, count in report["pixels"].items():
-        if count:
-            out.print(f"{name.replace('_', ' '):<13}{count} pixels ({100 * count / total:.3g} %)")
-    if report["alignment"]:
-        out.print(f"frames     {report['alignment']}")
-    if report["displacement_u_px"] is not None:
-        out.print(f"frames     {_displacement(report['displacement_px'], report['displacement_u_px'])}")
-    if report["falloff"]:
-        out.print(f"lens       {report['falloff']}")
-    for assumption in report["assumptions"]:
-        out.print(f"assumed    {assumption}")
-    for file in report["responses"]:
-        out.print(f"response   {file}")
-    for file in report["files"]:
-        out.print(f"written    {file}")

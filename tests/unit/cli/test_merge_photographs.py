@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from radiometer.cli.main import run
-from radiometer.cli.merge import _displacement
+from radiometer.cli.merge_report import displacement_told
 
 TIMES = (1.0, 2.0, 4.0, 8.0)
 SHIFTS = ((0.0, 0.0), (3.0, -2.0), (0.0, 0.0), (-4.0, 1.0))
@@ -164,7 +164,7 @@ def test_a_file_in_place_of_a_folder_is_said_to_be_one(tmp_path, capsys):
 )
 def test_a_displacement_that_frames_cannot_tell_is_not_said_to_be_known_to_nothing(px, u_px, said):
     """A bound of 0 pixels is no bound; others are told with as many digits as are known."""
-    assert said in _displacement(px, u_px)
+    assert said in displacement_told(px, u_px)
 
 
 def test_a_map_that_cannot_be_written_is_refused_before_anything_is_read(tmp_path, capsys):

@@ -1,0 +1,144 @@
+"""What `radiometer merge` says of a picture: values, noise and flags of every channel, and what was assumed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from radiometer.cli.console import console
+
+if TYPE_CHECKING:
+    from radiometer.analysis.exports.maps import MapPicture
+    from radiometer.data import RadianceMap
+
+
+def map_report(picture: MapPicture, out: list[Path]) -> dict[str, Any]:
+    """Return the report as it stands in JSON: figures of the only or the green channel, and of each by its name.
+
+    Args:
+        picture: The maps.
+        out: Files that they were written to.
+    """
+    found = picture.first
+    return {
+        "files": [str(file) for file in out],
+        "width": found.shape[1],
+        "height": found.shape[0],
+        "channels": list(picture.maps),
+        "unit": picture.unit,
+        "exposures_s": list(found.exposures_s),
+        **_figures(found),
+        "by_channel": {name: _figures(one) for name, one in picture.maps.items()},
+        "iso": found.provenance.parameters.get("iso", []),
+        "assumptions": _assumptions(picture),
+    }
+
+
+def _figures(found: RadianceMap) -> dict[str, Any]:
+    import numpy as np
+
+    from radiometer.data import PixelMask
+
+    sound = found.mask & (PixelMask.SATURATED | PixelMask.BELOW_NOISE) == 0
+    values = found.radiance[sound]
+    low, middle, high = (float(v) for v in np.percentile(values, (0, 50, 100))) if values.size else (0.0, 0.0, 0.0)
+    counts = {flag.name.lower(): int(np.count_nonzero(found.mask & flag)) for flag in PixelMask if flag.name}
+    return {
+        "values": {"lowest": low, "median": middle, "highest": high},
+        "median_u_rel": float(np.median(found.u_radiance[sound] / np.abs(values))) if values.size else None,
+        "u_rel_common": found.u_rel_common,
+        "pixels": {"good": int(np.count_nonzero(found.mask == 0)), **counts},
+        "displacement_px": found.provenance.parameters.get("displacement_px"),
+        "displacement_u_px": found.provenance.parameters.get("displacement_u_px"),
+    }
+
+
+def displacement_told(px: float, u_px: float) -> str:
+    """Return how far the frames lie apart, in words.
+
+    Args:
+        px: Standard deviation of a frame's displacement in pixels; 0 where none shows.
+        u_px: Its standard uncertainty, or what would have shown.
+    """
+    if not px and not u_px:  # none of the pixels asked says anything of it
+        return "no displacement shows, nor would any have: these frames cannot tell"
+    if not px:
+        return f"no displacement shows; less than some {u_px:.1g} pixels would not have shown, and is not in u"
+    decimals = max(0, 1 - math.floor(math.log10(u_px)))  # two digits of the uncertainty
+    return f"displaced by {px:.{decimals}f} ± {u_px:.{decimals}f} pixels (k = 1), in u where the picture changes"
+
+
+def _assumptions(picture: MapPicture) -> list[str]:
+    """Return what was assumed; what not all channels share stands with its channel."""
+    by_channel = {name: one.provenance.assumptions for name, one in picture.maps.items()}
+    shared = [text for text in picture.first.provenance.assumptions if all(text in one for one in by_channel.values())]
+    own = [f"{name}: {text}" for name, texts in by_channel.items() for text in texts if text not in shared]
+    return [*shared, *own]
+
+
+def show_map_report(report: dict[str, Any]) -> None:
+    """Print the report of `map_report`, with the further keys of the command, for people.
+
+    Args:
+        report: The report.
+    """
+    from radiometer.data.reading import RELATIVE_UNIT
+
+    out, total = console(), report["width"] * report["height"]
+    unit = "relative values" if report["unit"] == RELATIVE_UNIT else f"in {report['unit']}"
+    out.print(f"{report['width']} × {report['height']} pixels, {len(report['exposures_s'])} exposures, {unit}")
+    for text in _of_channels(report, _values_told):
+        out.print(f"values     {text}")
+    for text in _of_channels(report, _noise_told):
+        out.print(f"noise      {text}")
+    for name in report["pixels"]:
+        counts = {channel: one["pixels"][name] for channel, one in report["by_channel"].items()}
+        if any(counts.values()):
+            out.print(f"{name.replace('_', ' '):<13}{_pixels_told(counts, total)}")
+    if report["alignment"]:
+        out.print(f"frames     {report['alignment']}")
+    for text in _of_channels(report, _displacement_of):
+        out.print(f"frames     {text}")
+    if report["falloff"]:
+        out.print(f"lens       {report['falloff']}")
+    for assumption in report["assumptions"]:
+        out.print(f"assumed    {assumption}")
+    for file in report["responses"]:
+        out.print(f"response   {file}")
+    for file in report["files"]:
+        out.print(f"written    {file}")
+
+
+def _of_channels(report: dict[str, Any], told: Callable[[dict[str, Any]], str]) -> list[str]:
+    """Return a text of every channel with its name; of all at once where they have the same or there is but one."""
+    texts = {name: told(figures) for name, figures in report["by_channel"].items()}
+    if len(set(texts.values())) == 1:
+        return [text for text in set(texts.values()) if text]
+    return [f"{name}: {text}" for name, text in texts.items() if text]
+
+
+def _values_told(figures: dict[str, Any]) -> str:
+    values = figures["values"]
+    return f"{values['lowest']:.4g} to {values['highest']:.4g}, median {values['median']:.4g}"
+
+
+def _noise_told(figures: dict[str, Any]) -> str:
+    if figures["median_u_rel"] is None:
+        return ""
+    each, common = 100 * figures["median_u_rel"], 100 * figures["u_rel_common"]
+    return f"{each:.3g} % per pixel (median, k = 1), {common:.3g} % common to all"
+
+
+def _pixels_told(counts: dict[str, int], total: int) -> str:
+    shares = [f"{100 * count / total:.3g}" for count in counts.values()]
+    if len(counts) == 1:
+        return f"{next(iter(counts.values()))} pixels ({shares[0]} %)"
+    return f"{', '.join(f'{name} {count}' for name, count in counts.items())} pixels ({', '.join(shares)} %)"
+
+
+def _displacement_of(figures: dict[str, Any]) -> str:
+    if figures["displacement_u_px"] is None:
+        return ""
+    return displacement_told(figures["displacement_px"], figures["displacement_u_px"])
