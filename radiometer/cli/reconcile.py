@@ -224,10 +224,10 @@ def show_result(result: ReconcileResult) -> None:
     open_names = any(effect.alternatives for effect in result.effects) and result.verdict == "effects_found"
     out.print(f"[bold]{_OPEN if open_names else _VERDICTS[result.verdict]}[/bold]")
     if result.frames:
-        out.print(
-            f"{result.captures} captures, {result.frames} frames; {result.tests[0]} tests, "
-            f"{result.tests[1]} of them significant in the end ({result.seconds:.1f} s)"
+        tests = (
+            f"; {result.tests[0]} tests, {result.tests[1]} of them significant in the end" if result.tests[0] else ""
         )
+        out.print(f"{result.captures} captures, {result.frames} frames{tests} ({result.seconds:.1f} s)")
     out.print(f"gap {result.gap_before:.3f} → {result.gap_after:.3f} ({result.gap_unit})")
     if result.global_p:
         before, after = result.global_p

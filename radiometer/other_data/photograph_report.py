@@ -110,7 +110,9 @@ def outcome(result: ReconcileResult, frames: Sequence[FrameFinding]) -> str:
     if result.verdict is Verdict.AGREES or not parts:
         return f"The printed exposures of all {len(frames)} photographs agree."
     said = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else parts[0]
-    return f"{said[0].upper() if not wrong else said[0]}{said[1:]}; the others agree."
+    rivals = [text for effect in result.effects for text in effect.alternatives]
+    others = f"or, as these photographs cannot tell, {' or '.join(rivals)} instead" if rivals else "the others agree"
+    return f"{said[0].upper() if not wrong else said[0]}{said[1:]}; {others}."
 
 
 def _label_section(one: FrameFinding) -> str:

@@ -187,6 +187,8 @@ def _judge(plane: Plane, others: Sequence[Plane], exact: Array) -> _Judged:
     fitted = settle(thin, start, tuple(one.frame for one in labels), known=known)
     final = error_of_quadrants(thin, fitted)
     log_time = chosen.frame_log_time + fitted.fit.log_time_errors
+    for one in labels:  # all colours tell a label better than the one that was fitted
+        log_time[one.frame] = chosen.frame_log_time[one.frame] + one.log_ratio[0]
     return _Judged(
         thin, fitted, log_time, rounded, labels, (float(before.mean()), float(now.mean()), float(final.mean()))
     )
@@ -215,23 +217,21 @@ def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> Reconcil
         )
     for label in judged.labels:
         stated = bracket.frames[label.frame].settings.exposure_s
-        name = names[label.frame]
+        ratio, u_ratio = _of_printed(label, judged, bracket)
         effects.append(
             FoundEffect(
                 _LABEL,
                 {
                     "label_s": FittedParameter(float(stated), None, "s"),
-                    "ratio": FittedParameter(
-                        math.exp(judged.log_time[label.frame]) / bracket.effective_exposures_s[label.frame],
-                        label.u_ratio,
-                        "1",
-                    ),
+                    "ratio": FittedParameter(ratio, u_ratio, "1"),
                 },
                 "exposure_s",
                 stops / after,
                 1.0,
-                (),
-                {"description": f"take the exposure of {name} again, or read its EXIF record"},
+                _rivals(label, names),
+                {"description": f"take the exposure of {names[label.frame]} again, or read its EXIF record"},
+                # Of a normal distribution as wide as the uncertainty: the label as printed against the ratio found.
+                gain_nats=0.5 * (label.log_ratio[0] / label.log_ratio[1]) ** 2,
                 block="left-out DN",
             )
         )
@@ -254,6 +254,17 @@ def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> Reconcil
         gap_unit=_GAP_UNIT,
         extra={"remarks": [_sentence(judged, bracket, names)]},
     )
+
+
+def _of_printed(label: WrongLabel, judged: _Judged, bracket: Bracket) -> tuple[float, float]:
+    """Return real over printed exposure and its standard uncertainty: a label's own ratio is to the exact stop."""
+    ratio = math.exp(judged.log_time[label.frame]) / float(bracket.effective_exposures_s[label.frame])
+    return ratio, label.log_ratio[1] * ratio
+
+
+def _rivals(label: WrongLabel, names: Sequence[str]) -> tuple[str, ...]:
+    """Return which other labels predict left-out parts nearly as well, each alone in its place."""
+    return tuple(f"{_LABEL} of {names[frame]} (ratio {ratio:.3f})" for frame, ratio in label.rivals)
 
 
 def _limit(judged: _Judged) -> float:
@@ -280,11 +291,13 @@ def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     if not judged.labels and not judged.rounded:
         return f"All printed exposures agree: left-out parts of the picture are predicted to {after:.2g} DN on average."
     parts = ["the printed times are rounded stops"] if judged.rounded else []
-    parts += [
-        f"{names[one.frame]}, labelled {bracket.frames[one.frame].settings.exposure_s:.4g} s, had "
-        f"{one.ratio:.3f} ± {one.u_ratio:.3f} of that"
-        for one in judged.labels
-    ]
+    for one in judged.labels:
+        ratio, u_ratio = _of_printed(one, judged, bracket)
+        rivals = "".join(f", or {names[frame]} {other:.3f}" for frame, other in one.rivals)
+        parts.append(
+            f"{names[one.frame]}, labelled {bracket.frames[one.frame].settings.exposure_s:.4g} s, had "
+            f"{ratio:.3f} ± {u_ratio:.3f} of that{rivals}{': which of them, these cannot tell' if rivals else ''}"
+        )
     return (
         f"{'; '.join(parts)}. Left-out parts of the picture are then predicted to {after:.2g} DN on average, "
         f"{before:.2g} DN as printed."
@@ -306,7 +319,7 @@ def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[
         log_ratio, u = ratios[k]
         ratio, u_ratio = math.exp(log_ratio), math.exp(log_ratio) * u
         if k in wrong:
-            ratio, u_ratio = wrong[k].ratio, wrong[k].u_ratio
+            ratio, u_ratio = _of_printed(wrong[k], judged, bracket)
         taken = stated * math.exp(float(times[k]))
         found.append(
             FrameFinding(name, stated, taken, ratio, u_ratio, k in wrong, rows.dn[here], final[here], before[here])

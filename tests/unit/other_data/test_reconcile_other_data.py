@@ -6,6 +6,7 @@ import json
 import math
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,12 +14,15 @@ import pytest
 
 from radiometer.analysis.response.left_out import others_gap
 from radiometer.analysis.response.samples import gather_samples
+from radiometer.analysis.response.wrong_labels import WrongLabel
 from radiometer.cli.main import run
 from radiometer.data import Bracket, Frame, FrameSettings
 from radiometer.errors import InputError
 from radiometer.importing import open_capture
+from radiometer.other_data import photographs
 from radiometer.other_data.light_meter import read_meter_table, reconcile_meter_table
-from radiometer.other_data.photographs import reconcile_photographs
+from radiometer.other_data.photograph_report import outcome
+from radiometer.other_data.photographs import PhotographsReconciled, reconcile_photographs
 from radiometer.reconcile.result import Verdict
 
 THESIS = """\
@@ -158,6 +162,51 @@ def test_report_of_photographs_tells_the_story(tmp_path: Path) -> None:
     assert wrong.taken_s == pytest.approx(EXACT[4] * 1.6, rel=0.03)
     before, after = (np.nanmean(np.abs(e)) for e in (wrong.error_as_printed_dn, wrong.error_dn))
     assert before > 5.0 * after
+
+
+def _named(monkeypatch: pytest.MonkeyPatch, *rivals: tuple[int, float]) -> PhotographsReconciled:
+    """Return a stack whose third label is found 0.8 ± 0.016 of the truth, with rivals."""
+    label = WrongLabel(2, 0.8, 0.016, 0.5, rivals)
+    monkeypatch.setattr(photographs, "find_wrong_labels", lambda _planes: (label,))
+    return reconcile_photographs(_photographs([EXACT[3], EXACT[2], EXACT[1] / 0.8, EXACT[0]], EXACT[3::-1]))
+
+
+def test_a_label_has_one_size_wherever_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What all colours found, 0.8 ± 0.016, is in entry, sentence, finding and exposure; its nats are of that width."""
+    done = _named(monkeypatch)
+    (effect,) = done.result.effects
+    ratio = effect.parameters["ratio"]
+    assert (ratio.value, ratio.u) == (pytest.approx(0.8), pytest.approx(0.016))
+    assert effect.gain_nats == pytest.approx(0.5 * (math.log(0.8) / 0.02) ** 2)
+    assert effect.alternatives == ()
+    assert "had 0.800 ± 0.016 of that. Left-out" in done.result.extra["remarks"][0]
+    (wrong,) = [one for one in done.findings if one.wrong]
+    assert (wrong.ratio, wrong.u_ratio) == (pytest.approx(0.8), pytest.approx(0.016))
+    assert wrong.taken_s == pytest.approx(EXACT[1])
+    assert outcome(done.result, done.findings).endswith("of its printed exposure; the others agree.")
+
+
+def test_labels_that_may_be_meant_instead_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where other labels predict left-out parts nearly as well, entry, sentence and report name them beside it."""
+    done = _named(monkeypatch, (0, 0.9), (3, 1.1))
+    (effect,) = done.result.effects
+    names = [one.name for one in done.findings]
+    told = (f"exposure_label_error of {names[0]} (ratio 0.900)", f"exposure_label_error of {names[3]} (ratio 1.100)")
+    assert effect.alternatives == told
+    assert (
+        f", or {names[0]} 0.900, or {names[3]} 1.100: which of them, these cannot tell."
+        in (done.result.extra["remarks"][0])
+    )
+    assert outcome(done.result, done.findings).endswith(f"cannot tell, {' or '.join(told)} instead.")
+
+
+def test_a_rounded_label_is_held_against_what_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """1/60 s that was 0.8 of 1/64 s is 0.75 of what is printed: stops are what is meant, print is what is read."""
+    label = WrongLabel(2, 0.8, 0.016, 0.5)
+    bracket = Bracket.from_frames(_photographs([1 / 250, 1 / 125, 1 / 60], EXACT[4:1:-1]))
+    judged = SimpleNamespace(log_time=np.log([2.0**-8, 2.0**-7, 0.8 * 2.0**-6]))
+    found = photographs._of_printed(label, judged, bracket)  # type: ignore[arg-type]
+    assert found == pytest.approx((0.8 * 60 / 64, 0.016 * 60 / 64))
 
 
 def test_what_the_others_say_is_the_exposure() -> None:
