@@ -45,8 +45,8 @@ def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
 
     Args:
         path: The file.
-        interpolated: Fill in the two colours that every pixel lacks (for pictures; black is then 0); a pixel next to a
-            clipped one counts as clipped.
+        interpolated: Fill in the two colours that every pixel lacks (for pictures; black is then 0); what is filled in
+            from a clipped pixel counts as clipped.
 
     Raises:
         CaptureError: If it is missing, damaged, or its mosaic is neither Bayer's nor X-Trans.
@@ -67,7 +67,9 @@ def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
             names = raw.color_desc.decode("ascii", "replace")
             developed = _developed(raw, rawpy) if interpolated else None
     except (rawpy.LibRawError, OSError) as error:
-        raise CaptureError(f"{path}: not a readable camera raw file: {error}") from error
+        said = error.args[0] if error.args else error
+        told = said.decode("utf-8", "replace") if isinstance(said, bytes) else error
+        raise CaptureError(f"{path}: not a readable camera raw file: {told}") from error
     if pattern.shape not in _CELLS:
         raise CaptureError(f"{path}: its colour mosaic is neither Bayer's nor X-Trans; develop it to linear TIFF")
     bit_depth = max(9, min(16, int(np.ceil(np.log2(white + 1)))))
@@ -75,7 +77,7 @@ def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
     letters = np.array(list(names))[pattern]
     if developed is not None:
         values = developed
-        values[_near_clipped(mosaic, white)] = (1 << bit_depth) - 1
+        values[_near_clipped(mosaic, letters, white)] = (1 << bit_depth) - 1
         return RawColours(values, bit_depth, (0.0, 0.0, 0.0))
     planes = [_plane(mosaic, letters, letter) for letter in _LETTERS]
     if _CELLS[pattern.shape] == 2:  # the green that is read has a black level of its own
@@ -118,7 +120,17 @@ def _developed(raw: Any, rawpy: Any) -> NDArray[np.uint16]:
     return values.copy()
 
 
-def _near_clipped(mosaic: NDArray[np.uint16], white: int) -> NDArray[np.bool_]:
+def _near_clipped(mosaic: NDArray[np.uint16], letters: NDArray[np.str_], white: int) -> NDArray[np.bool_]:
+    """Return where red, green and blue are clipped, or mean of a neighbour of that colour which is; (height, width, 3).
+
+    What clips in one colour says nothing of another: a lamp's green ends long before its red.
+    """
     from scipy.ndimage import maximum_filter
 
-    return np.asarray(maximum_filter(mosaic, size=3) >= white)
+    (height, width), (rows, columns) = mosaic.shape, letters.shape
+    colour = np.tile(letters, (-(-height // rows), -(-width // columns)))[:height, :width]
+    clipped, found = mosaic >= white, np.empty((height, width, len(_LETTERS)), bool)
+    for k, letter in enumerate(_LETTERS):
+        own = colour == letter
+        found[..., k] = np.where(own, clipped, maximum_filter(clipped & own, size=3))
+    return found

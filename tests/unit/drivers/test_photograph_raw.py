@@ -147,7 +147,29 @@ def test_colours_are_filled_in_for_pictures(tmp_path, pattern):
         assert (
             np.abs(frame.dn[8:22, 8:30].astype(int) - expected).max() <= 0.005 * expected
         )  # integer weights of LibRaw
-        assert np.all(frame.dn[29:37, 39:47] == 4095)
+        assert np.all(frame.dn[30:36, 40:46] == 4095)
+
+
+@pytest.mark.parametrize("pattern", [((0, 1), (1, 2)), X_TRANS])
+def test_a_colour_that_clips_says_nothing_of_the_others(tmp_path, pattern):
+    """Green at white everywhere leaves red and blue filled in as they are; one clipped red pixel is red around it."""
+    pytest.importorskip("rawpy")
+    side = len(pattern)
+    codes = np.tile(np.array(pattern), (60 // side, 96 // side))
+    mosaic = np.array([564, 4095, 1564])[codes].astype(np.uint16)
+    row, column = next((r, c) for r, c in np.argwhere(codes == 0) if r > 30 and c > 40)
+    mosaic[row, column] = 4095
+    _write_mosaic(tmp_path / "a.dng", mosaic, pattern)
+    (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
+    red, green, blue = (one.frames[0].dn.astype(int) for one in read_photographs(tmp_path, "each", interpolated=True))
+    assert np.all(green[4:-4, 4:-4] == 4095)
+    assert np.abs(blue[4:-4, 4:-4] - 1500).max() <= 8
+    around = np.zeros(codes.shape, bool)
+    around[row - 1 : row + 2, column - 1 : column + 2] = True
+    clipped = around & (codes != 0)
+    clipped[row, column] = True
+    assert np.array_equal(red[4:-4, 4:-4] == 4095, clipped[4:-4, 4:-4])
+    assert np.abs(red[4:-4, 4:-4][~around[4:-4, 4:-4]] - 500).max() <= 3
 
 
 def test_raw_and_developed_pictures_do_not_mix(tmp_path):
