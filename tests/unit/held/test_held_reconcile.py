@@ -218,6 +218,82 @@ def test_an_entry_is_as_it_was(name):
     assert not moved(f"effects/{name}", told, rel=1e-6)
 
 
+def plain_plan() -> list[dict[str, Any]]:
+    """Return settings that differ in exposure alone."""
+    return [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 5)] + [{"t": 1e-2, "closed": True}]
+
+
+def rich_plan() -> list[dict[str, Any]]:
+    """Return settings of more values of each kind than entries ask for before they have a table or a further term."""
+    levels = [{"t": 2e-3, "d": float(d)} for d in np.geomspace(0.1, 0.9, 6)]
+    gains = [{"t": 3e-4, "g": float(g)} for g in (0, 6, 10, 12, 20)]
+    stops = [{"t": 2e-3, "N": float(n)} for n in (2.0, 2.8, 5.6, 8.0)]
+    warm = [{"t": 2e-3, "T": float(t)} for t in (15, 25, 45, 55)]
+    dark = [{"t": t, "T": T, "closed": True} for t in (1e-4, 0.1, 1.0) for T in (20, 45)]
+    return [*plan(), *levels, *gains, *stops, *warm, *dark]
+
+
+@cache
+def small(rich: bool) -> FitState:
+    """Return the start of a fit to two frames of six patches for each setting of a plan."""
+    rng = np.random.default_rng([31, rich])
+    rows, columns = np.indices((24, 36))
+    levels = {"chart": np.geomspace(0.03, 1.0, 6), "turned": np.geomspace(0.05, 0.9, 6)[::-1]}
+    entries, frames = [], []
+    for number, s in enumerate(rich_plan() if rich else plain_plan()):
+        scene = levels[s.get("pattern", "chart")].reshape(2, 3)[rows // 12, columns // 12]
+        for repeat in range(2):
+            light = scene * 10_500.0 * s.get("d", 0.9) * (4.0 / s.get("N", 4.0)) ** 2 * s["t"] / 6e-3
+            charge = rng.poisson(light * (not s.get("closed")) + 3.0 * s["t"]) + rng.normal(0.0, 2.4, scene.shape)
+            dn = np.clip(np.floor(64.5 + charge * 10 ** (s.get("g", 0.0) / 20) / 2.6), 0, 4095).astype(np.uint16)
+            settings = FrameSettings(
+                s["t"], s.get("g", 0.0), s.get("N", 4.0), 64.0, s.get("T", 35.0), 40.0 * number + 3.0 * repeat,
+                s.get("d", 0.9), s.get("pattern", "chart"), "closed" if s.get("closed") else "open",
+            )  # fmt: skip
+            entries.append(FrameEntry.of(f"frames/{len(entries):04d}.png", settings))
+            frames.append(Frame(dn, 12, settings, len(frames)))
+    patches = tuple(
+        PatchDescription(
+            name=f"p{k}", x=12 * (k % 3), y=12 * (k // 3), width=12, height=12, u_rel=5e-3,
+            radiance_W_per_sr_m2={name: float(v[k]) for name, v in levels.items()},
+        )
+        for k in range(6)
+    )  # fmt: skip
+    header = CaptureHeader(
+        camera=CAMERA,
+        lens=LensDescription(focal_length_mm=16.0, f_number=4.0, transmittance=0.95),
+        source=SourceDescription(kind="screen", wavelength_nm=550.0, reproducibility_u_rel=1e-3),
+        patterns=tuple(levels),
+        patches=patches,
+        frames=tuple(entries),
+    )
+    design = Design.of(header, frames[0].dn.shape)
+    return first_state(design, *reduce_frames(design, frame_reader(frames)))
+
+
+def said_of(effect: CatalogueEffect) -> list[Any]:
+    return [effect.name, {k: v for k, v in effect.values().items() if v}, list(effect.free())]
+
+
+@pytest.mark.parametrize("rich", [False, True], ids=["plain", "rich"])
+def test_which_forms_entries_have_in_a_session_is_as_it_was(rich):
+    """Which entries can be told by its settings at all; what their starts, covers and looser forms begin with."""
+    context = small(rich).model.context
+    told: dict[str, Any] = {}
+    for name, kind in sorted(whole_catalogue().items()):
+        starts = kind.starts(context)
+        told[name] = {
+            "usable": bool(kind.usable(context)),
+            "starts": [len(starts), *(said_of(one) for one in (*starts[:1], *starts[-1:]))],
+            "covers": [len(kind.covers(context)), *(said_of(one) for one in kind.covers(context)[:2])],
+            "looser": [
+                [said_of(form), *(said_of(one) for one in form.loosened(context))]
+                for form in (starts[0].loosened(context)[:3] if starts else ())
+            ],
+        }
+    assert not moved(f"reconcile/forms_{'rich' if rich else 'plain'}", told, rel=1e-6)
+
+
 # What meets in one statistic: lines that stay and lines that come and go, waves, trends, patterns and noise of pixels.
 TOGETHER = (
     ("row_temporal_noise", "row_pattern"),
