@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -35,6 +35,7 @@ from radiometer.daemon.http.patches import NameBody, NamedPatchBody, RemarkBody
 from radiometer.daemon.http.requests import LightBody, LimitsBody, MeasureBody, PatchBody
 from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.journal import Journal
+from radiometer.daemon.limits import Limits
 from radiometer.daemon.station import Station
 from radiometer.data import (
     CameraDescription,
@@ -345,3 +346,8 @@ def test_what_files_and_requests_may_hold_is_as_it_was():
         return [bare(v) for v in value] if isinstance(value, list) else value
 
     assert not moved("limits/schemas", {kind.__name__: bare(kind.model_json_schema()) for kind in kinds})
+
+
+def test_what_clients_may_use_is_as_it_was():
+    """Every limit of the interfaces that nobody changed."""
+    assert not moved("limits/interfaces", asdict(Limits()))

@@ -94,3 +94,34 @@ def test_a_box_counts_how_often_it_went_dark_by_itself() -> None:
     assert counts[-1] == "2"
     twin.advance(220.0)
     assert commands.run("ST").split()[5:] == ["3", "P", "1", "0"]
+
+
+@pytest.mark.parametrize(
+    ("words", "lit"),
+    [("PU 1 H 20000 7", "1" * 7), ("BL 1 H 20000 5 3 4", "11111000" * 3 + "11111"),
+     ("BL 4 L 65535 2 6 2", "11000000" * 2), ("BL 1 H 20000 1 1 3", "101010")],
+)  # fmt: skip
+def test_light_is_as_long_as_was_asked_however_time_passes(words: str, lit: str) -> None:
+    """Millisecond by millisecond, or as many at once as there are: the same are lit, and none after the last."""
+    for steps in (1, 2, 40):
+        twin, commands = greeted()
+        assert commands.run(words).startswith("OK")
+        name, seen = twin.settings.channels[int(words.split()[1])].name, []
+        for ms in range(0, 40, steps):
+            seen.append("1" if twin.duty(name) else "0")
+            twin.advance((ms + steps) / 1000.0)
+        assert "".join(seen) == lit.ljust(40, "0")[::steps]
+        assert twin.duty(name) == 0.0
+
+
+def test_a_ramp_ends_where_it_was_sent_when_it_was_to() -> None:
+    """From 40000 down to 10000 in 6 ms: 5000 in each, then steady."""
+    twin, commands = greeted()
+    assert commands.run("SL 1 H 40000").startswith("OK")
+    assert commands.run("RA 1 H 10000 6").startswith("OK")
+    levels = []
+    for ms in range(8):
+        twin.advance(ms / 1000.0)
+        levels.append(twin.channels[1].driven_level)
+    assert levels == [40000, 35000, 30000, 25000, 20000, 15000, 10000, 10000]
+    assert [channel.mode for channel in twin.channels][1] == "S"
