@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from radiometer.daemon import journal_writer
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.clock_watch import ClockWatch, Jump, RetentionClock
 from radiometer.daemon.journal import Journal
@@ -124,6 +128,38 @@ async def test_keep_days_deletes_what_is_older_and_nothing_else(
     monkeypatch.setattr(RetentionClock.__init__, "__defaults__", (0, lambda: START_US + 10 * DAY_US, lambda: 0))
     assert await _kept_after_start(path, 7.0) == [3, 4, 5]
     assert await _kept_after_start(path, 0.5) == [5]
+
+
+@pytest.mark.parametrize(("keep_days", "expected_s"), [(30.0, [0.0, 3600.0, 7300.0]), (None, [])])
+async def test_old_readings_go_at_the_start_and_every_hour(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    eventually: Eventually,
+    keep_days: float | None,
+    expected_s: list[float],
+) -> None:
+    """Whatever wakes the writer between deletes nothing; where all are kept, nothing ever does."""
+    steady = SimpleNamespace(monotonic=lambda: steady.s + 500.0, perf_counter=time.perf_counter, s=0.0)
+    monkeypatch.setattr(journal_writer, "time", steady)
+    journal = Journal(tmp_path / "j.sqlite")
+    writer = JournalWriter(journal, Alarms(lambda *_: None), lambda *_: None, keep_days=keep_days)
+    dropped: list[float] = []
+
+    async def drop(days: float) -> None:
+        assert days == 30.0
+        dropped.append(steady.s)
+
+    monkeypatch.setattr(writer, "_drop_old", drop)
+    await writer.open()
+    running = asyncio.create_task(writer.run())
+    for steady.s in (0.0, 10.0, 3599.0, 3600.0, 5000.0, 7300.0, 7310.0):
+        writer.note("here", str(steady.s))
+        await eventually(lambda: not writer._events and not writer._work.is_set())
+        for _ in range(5):
+            await asyncio.sleep(0)
+    running.cancel()
+    await writer.close()
+    assert dropped == expected_s
 
 
 async def test_a_jump_before_a_restart_is_remembered(
