@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -180,6 +181,21 @@ def test_a_left_out_row_is_predicted_by_the_other_frames_of_its_group():
     later = samples.frame == 1
     assert np.nanmedian(doubled[later] / samples.dn[later]) == pytest.approx(0.5, abs=0.02)
     assert np.nanmedian(doubled[~later] / samples.dn[~later]) == pytest.approx(-1.0 / 3.0, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("dn", "expected"),
+    [((100, 200), (0.0, 0.0)), ((200, 100), (50.0 - 200.0, 255.0 - 100.0)), ((100, 100), (-50.0, 100.0))],
+)
+def test_rows_at_the_ends_are_predicted_by_each_other(dn, expected):
+    """Where no row of a group is between black and white they count alike; none is NaN. Behind a line, by M/t."""
+    samples = gather_samples(Bracket.from_frames(_ramp_frames((1.0, 2.0))))
+    two = replace(
+        samples,
+        dn=np.array(dn, float), log_time=np.log([1.0, 2.0]), group=np.zeros(2, np.intp), frame=np.arange(2),
+        pixels=np.ones(2), variance=np.ones(2), limits=ValueLimits(100, 200),
+    )  # fmt: skip
+    assert prediction_error_dn(two, np.log(np.arange(256) + 1e-9)) == pytest.approx(expected, abs=0.01)
 
 
 def _ramp_frames(times):
