@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from radiometer.daemon.limits import Limits, is_allowed, parse_networks
@@ -18,7 +19,7 @@ from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.server import ScpiConnection, ScpiServer
 from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.scpi.table import command_table
-from radiometer.data import Flag
+from radiometer.data import Flag, ResponseCurve
 
 TABLE = command_table()
 CALIBRATION, BOX_LOST, FLAGGED = 1 << 8, 1 << 10, 1 << 11
@@ -125,6 +126,35 @@ async def test_history_runs_forward(session):
     values = struct.unpack(">6d", block[4:])
     assert (values[0], values[3]) == (2.0, 3.0)
     assert (values[1], values[4]) == (6.0, 8.0)
+
+
+async def test_the_response_is_a_pair_of_numbers_for_every_code(session, station, monkeypatch):
+    """ln H and its u, code by code, in the order of bytes chosen; −230 where digital numbers are taken as linear."""
+    monkeypatch.setattr(type(station.instrument), "response", None)
+    assert await ask(session, "TRAC:DATA? RESP") is None
+    assert await errors(session) == ["-230"]
+    curve = ResponseCurve(np.linspace(-3.0, 2.0, 256), 0.01 + 1e-4 * np.arange(256.0))
+    monkeypatch.setattr(type(station.instrument), "response", curve)
+    for chosen, form in (("", ">"), ("FORM:BORD SWAP;:", "<")):
+        block = (await ask(session, f"{chosen}TRAC:DATA? RESP")).encode("latin-1")
+        assert block[:6] == b"#44096"
+        values = struct.unpack(f"{form}512d", block[6:])
+        assert values[::2] == pytest.approx(np.linspace(-3.0, 2.0, 256))
+        assert values[1::2] == pytest.approx(0.01 + 1e-4 * np.arange(256.0))
+
+
+async def test_a_measurement_that_fails_in_the_background_is_in_the_error_queue(session, station):
+    """INITiate replies nothing; what it could not measure is told when it is asked for, once."""
+    station.instrument.failing = True
+    await ask(session, "INIT")
+    await ask(session, "*OPC?")
+    found = await errors(session)
+    assert len(found) == 1
+    assert found[0] != "0"
+    station.instrument.failing = False
+    await ask(session, "INIT")
+    await ask(session, "*OPC?")
+    assert await errors(session) == ["0"]
 
 
 async def test_history_without_a_number_is_the_newest_hundred(session, station, make_reading):
