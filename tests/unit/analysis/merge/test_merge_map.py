@@ -144,7 +144,7 @@ def test_the_order_of_exposures_does_not_matter(rig):
 
 
 def test_streaming_holds_less_than_three_planes_beyond_the_result(rig):
-    """Peak memory while frames are made, merged and released, in planes of float32."""
+    """Peak memory while twelve frames, six planes of float32 together, are made, merged and released."""
     size = 600
     plane = size * size * 4
     description, lens, calibration = rig.description, rig.lens, rig.calibration()
@@ -153,7 +153,7 @@ def test_streaming_holds_less_than_three_planes_beyond_the_result(rig):
     merging.add(Frame(dn, 12, FrameSettings(1e-3, f_number=4.0, black_level_dn=64.0)))  # compiles
     tracemalloc.start()
     merging = StreamingMerge(description, lens, calibration)
-    for exposure_s in (1e-3, 2e-3, 4e-3, 8e-3):
+    for exposure_s in (1e-3, 2e-3, 4e-3, 8e-3) * 3:
         merging.add(Frame(dn.copy(), 12, FrameSettings(exposure_s, f_number=4.0, black_level_dn=64.0)))
     found = merging.result()
     _, peak = tracemalloc.get_traced_memory()
