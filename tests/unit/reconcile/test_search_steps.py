@@ -1,0 +1,128 @@
+"""What a search writes down of its steps: names that come, take another's place, become looser or go."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.reconcile.search import search
+from radiometer.reconcile.search.outcome import Step
+from radiometer.reconcile.search.rivals import _is_rival
+from radiometer.reconcile.thresholds import FLEXIBLE_NATS, PARAMETER_NATS, RIVAL_NATS
+
+
+def state(evidence: float, gap: float, **more: Any) -> Any:
+    return SimpleNamespace(evidence=evidence, gap=gap, effects=(), **more)
+
+
+def effect(name: str, where: str = "exposure", **more: Any) -> Any:
+    return SimpleNamespace(name=name, where=where, **more)
+
+
+def run(*steps: Step) -> tuple[Any, list[str]]:
+    said: list[str] = []
+    return search._Run({}, said.append, list(steps)), said
+
+
+VEIL = Step("veil", "level", 30.0, 9.0, 5.0)
+CLOCK = Step("clock", "exposure", 20.0, 5.0, 3.0)
+CURVE = Step("unnamed", "temperature", 7.0, 3.0, 2.0)
+
+
+def test_one_law_in_place_of_all_is_one_step_from_the_start(monkeypatch):
+    """Its nats are those from the ideal camera on, its gap goes from that camera's to its own."""
+    made = SimpleNamespace(evidence=170.0, gap=1.25, effects=(effect("bend", "signal"),))
+    monkeypatch.setattr(search, "in_place_of_all", lambda *_: made)
+    book, said = run(VEIL, CLOCK)
+    assert search._as_one(state(100.0, 9.0), state(150.0, 3.0), (), book) is made
+    assert book.steps == [Step("bend", "signal", 70.0, 9.0, 1.25)]
+    assert said == ["bend in a looser form in place of all: gap 3.000 → 1.250"]
+    monkeypatch.setattr(search, "in_place_of_all", lambda *_: None)
+    assert search._as_one(state(100.0, 9.0), made, (), book) is None
+    assert book.steps[0].name == "bend"
+
+
+def test_a_looser_form_adds_to_its_own_step():
+    """The step keeps its place and what it began with."""
+    book, said = run(VEIL, CLOCK)
+    looser = SimpleNamespace(name="clock", nats=6.5, state=state(0.0, 1.5))
+    assert search._taken(state(0.0, 3.0), looser, book) is looser.state
+    assert book.steps == [VEIL, Step("clock", "exposure", 26.5, 5.0, 1.5)]
+    assert said == ["clock in a more flexible form: 6.5 nats, gap 3.000 → 1.500"]
+
+
+def test_one_entry_in_place_of_two_stands_where_the_first_stood():
+    """Its nats are theirs and what it predicts better; its gap goes from before the first to its own."""
+    book, said = run(VEIL, CURVE, CLOCK)
+    changed = state(205.0, 2.5)
+    assert search._in_place(state(200.0, 3.0), (changed, effect("glare", "field")), ("clock", "veil"), book) is changed
+    assert book.steps == [Step("glare", "field", 55.0, 9.0, 2.5), CURVE]
+    assert said == ["glare in place of clock and veil: gap 3.000 → 2.500"]
+
+
+@pytest.mark.parametrize(
+    ("name", "left"),
+    [("veil", [CLOCK, CURVE]), ("variance | temperature", [VEIL, CLOCK]), ("variance | exposure", [VEIL, CLOCK, CURVE]),
+     ("unnamed", [VEIL, CLOCK])],
+)  # fmt: skip
+def test_what_was_dropped_is_forgotten_and_not_tried_again(name, left):
+    """An effect by its name, a curve by the covariate it lies along."""
+    book, _ = run(VEIL, CLOCK, CURVE)
+    search._forget(book, name)
+    assert book.steps == left
+    assert book.refused == {name}
+
+
+def test_a_name_that_leaves_structure_is_exchanged_and_refused(monkeypatch):
+    """The first that another predicts better than; a single name has nobody to make room for."""
+    changed, other = state(120.0, 1.1), effect("glare")
+    monkeypatch.setattr(search, "departing", lambda tests, effects: ("veil", "clock"))
+    monkeypatch.setattr(search, "better", lambda now, name, *_: (changed, other) if name == "clock" else None)
+    book, _ = run(VEIL, CLOCK)
+    now = SimpleNamespace(evidence=100.0, gap=3.0, effects=(effect("veil"), effect("clock")))
+    assert search._exchanged(now, (), book) is changed
+    assert book.refused == {"clock"}
+    assert book.steps == [VEIL, Step("glare", "exposure", 40.0, 5.0, 1.1)]
+    book, _ = run(VEIL)
+    assert search._exchanged(SimpleNamespace(effects=(effect("veil"),)), (), book) is None
+    assert book.steps == [VEIL]
+
+
+@pytest.mark.parametrize(
+    ("nats", "further", "refitted", "likelier"),
+    [(100.0, 1, None, True), (20.0, 1, None, False), (52.0 + FLEXIBLE_NATS, 0, None, True),
+     (48.0 + FLEXIBLE_NATS, 0, 47.0, True), (48.0 + FLEXIBLE_NATS, 0, 49.0, False),
+     (49.0 + FLEXIBLE_NATS + PARAMETER_NATS, 1, 48.0, True)],
+)  # fmt: skip
+def test_a_form_is_likelier_by_what_it_brings_less_its_parameters(monkeypatch, nats, further, refitted, likelier):
+    """Against a further effect of 50 nats; where the two are near that effect's full fit decides."""
+    monkeypatch.setattr(search, "score", lambda judged: judged[1])
+
+    def included(*_: Any, far: bool) -> Any:
+        assert refitted is not None
+        assert not far
+        return state(200.0 + refitted, 1.0)
+
+    fits = SimpleNamespace(included=included, state=state(200.0, 3.0))
+    looser = SimpleNamespace(nats=nats, further=further)
+    chosen: Any = (SimpleNamespace(effect=effect("clock")), 50.0)
+    assert search._is_likelier(fits, looser, chosen) is likelier  # type: ignore[arg-type]
+    assert not search._is_likelier(fits, None, chosen)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("name", "nats", "parameters", "columns", "rival"),
+    [("veil", 50.0 - RIVAL_NATS + 0.1, 2, 2, True), ("veil", 50.0 - RIVAL_NATS - 0.1, 2, 2, False),
+     ("clock", 60.0, 2, 2, False), ("veil", 50.0, 3, 2, False), ("veil", 50.0, 2, 1, True),
+     ("veil", 50.0 - RIVAL_NATS + PARAMETER_NATS + 0.1, 3, 3, True),
+     ("veil", 50.0 - RIVAL_NATS + PARAMETER_NATS - 0.1, 3, 3, False),
+     ("veil", 50.0 - RIVAL_NATS + 0.1, 1, 1, True)],
+)  # fmt: skip
+def test_a_rival_predicts_about_as_well_for_its_parameters(name, nats, parameters, columns, rival):
+    """Beside a chosen one of two parameters and 50 nats; fewer are no advantage, more on a bound no rival."""
+    other: Any = SimpleNamespace(name=name, parameters=parameters, columns=np.zeros((9, columns)))
+    chosen: Any = (SimpleNamespace(name="clock", parameters=2), 50.0)
+    assert _is_rival(other, nats, chosen) is rival
