@@ -253,3 +253,12 @@ def test_page_without_room_for_the_blind_spot_says_so(
     assert "no room" in stage.facts()["no_fixation_check"]
     with pytest.raises(UsageError, match="no room"):
         stage.blink_blind_spot(0, 0)
+
+
+@pytest.mark.parametrize(
+    ("channel", "rgb"), [("red", (7, 0, 0)), ("green", (0, 7, 0)), ("blue", (0, 0, 7)), ("grey", (7, 7, 7))]
+)
+def test_a_level_is_shown_in_its_channel_alone(channel, rgb):
+    """Level 7 of red lights nothing but red; of grey all three alike."""
+    levels = SpotLevels(channel, np.array([5, 7]), np.array([-1.0, 0.0]), np.full(2, 0.1), 0.0)
+    assert levels.rgb(levels.nearest(0.2)) == rgb

@@ -130,6 +130,13 @@ def test_a_head_that_was_cut_anywhere_is_left_to_its_decoder():
                 refuse_large_picture(Path("a"), whole[:length])
 
 
+def test_a_tiff_that_states_no_bits_counts_a_byte_for_each_value():
+    """Nobody decodes it, and nobody may be asked to make room for it."""
+    refuse_large_picture(Path("a"), tiff("<", 20_000, 20_000, 1, 0))
+    with pytest.raises(CaptureError, match="20001 × 20000 × 1 values, 400 MB"):
+        refuse_large_picture(Path("a"), tiff("<", 20_000, 20_001, 1, 0))
+
+
 def test_yaml_is_refused_from_the_depth_it_was():
     """Nesting by brackets and by blanks, at the limit and one deeper; repetitions once written out; what is no YAML."""
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from radiometer.reconcile.fit.covariance import _jackknife
+from radiometer.reconcile.fit.covariance import _BLOCKS, _groupings, _jackknife
 from radiometer.reconcile.fit.covariates import Covariate
 from radiometer.reconcile.fit.held_out import Groups, leave_one_group_out
 from radiometer.reconcile.fit.linear import LinearFit, RowBlock, cholesky
@@ -195,3 +195,22 @@ def test_the_factor_of_light_stays_above_nought_with_the_slope_that_is_told():
     assert slope == pytest.approx((above - below) / (2.0 * step), rel=1e-5)
     assert factor[2] == pytest.approx(factor[3], abs=3e-4)
     assert factor[6] == pytest.approx(factor[7], abs=3e-4)
+
+
+def test_settings_are_grouped_along_what_every_capture_states():
+    """By setting, then by exposure and level in a few blocks; a temperature that one does not state is none."""
+    size = 20
+    design = SimpleNamespace(
+        setting_id=np.arange(size),
+        exposure_s=np.geomspace(1e-4, 1.0, size),
+        temperature_c=np.where(np.arange(size) == 3, np.nan, 20.0 + np.arange(size)),
+        timestamp_s=np.full(size, 5.0),
+        gain_db=np.zeros(size),
+        source_level=np.tile([0.2, 0.9], size // 2),
+    )
+    found = list(_groupings(SimpleNamespace(design=design)))  # type: ignore[arg-type]
+    assert len(found) == 3
+    assert found[0] is design.setting_id
+    assert np.all(np.diff(found[1]) >= 0)
+    assert len(set(found[1])) == min(_BLOCKS, size)
+    assert found[2].tolist() == [0, 1] * (size // 2)
