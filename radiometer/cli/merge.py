@@ -246,6 +246,7 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
             speeds=options.speeds,
             interpolated=options.demosaic,
         )
+    flat, falloff = _falloff(path, brackets[0], options)  # what it refuses is refused before the work
     placed = in_one_place(brackets, options.align)
     brackets = placed.brackets
     files: list[Path] = []
@@ -260,7 +261,6 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
     for name, doubt in doubts.items():
         note(f"{name}: {doubt}")
     several = [with_f_number(bracket, options.f_number) for bracket in brackets]
-    flat, falloff = _falloff(path, several[0], options)
     maps: dict[str, RadianceMap] = {}
     for bracket in several:
         maps |= _merged(bracket, calibration, curves, placed.absent, flat, without_ghosts=options.without_ghosts)

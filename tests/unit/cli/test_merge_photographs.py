@@ -171,3 +171,12 @@ def test_a_map_that_cannot_be_written_is_refused_before_anything_is_read(tmp_pat
     """The folder of the map is missing: said at once, also where the photographs are missing too."""
     assert run(["merge", str(tmp_path / "none"), "-o", str(tmp_path / "absent" / "map.exr")]) == 1
     assert "absent does not exist" in capsys.readouterr().err
+
+
+def test_a_fall_off_that_is_not_known_is_refused_before_the_work(folder, tmp_path, capsys, monkeypatch):
+    """PNG files without an EXIF record: refused at once, not after frames were aligned and their response recovered."""
+    pytest.importorskip("lensfunpy")
+    monkeypatch.setattr("radiometer.cli.photograph_alignment.in_one_place", lambda *_: pytest.fail("aligned first"))
+    words = ["merge", str(folder), "--vignetting", "lensfun", "-o", str(tmp_path / "map.exr")]
+    assert run(words) == 1
+    assert "lensfun's fall-off needs it" in capsys.readouterr().err
