@@ -182,8 +182,8 @@ class StreamingMerge:
                 part.add(passes, begin)
                 # The sums make room for the result.
                 image = self._factor(begin, end - begin), part.first, part.second
-                patterns = part.patterns()
-                finish(part.first, part.second, part.squares, patterns, part.mask, *kept, *tables.arguments, *image)
+                summed = part.first, part.second, part.squares, part.patterns(), part.mask
+                finish(summed, kept, *tables.arguments, image)
             idle.append(kept)
 
         on_all_cores((height, width), work)
@@ -309,8 +309,8 @@ class StreamingMerge:
         place = self._factor_at(pixels)
         place = place * np.float32(self._terms[0].exposure / terms[0].exposure)
         image = place, sums.first, sums.second
-        patterns = sums.patterns()
-        finish(sums.first, sums.second, sums.squares, patterns, sums.mask, *tables.kept(), *tables.arguments, *image)
+        summed = sums.first, sums.second, sums.squares, sums.patterns(), sums.mask
+        finish(summed, tables.kept(), *tables.arguments, image)
         images[0][pixels], images[1][pixels], images[2][pixels] = sums.first, sums.second, sums.mask
 
     def _corrected(self, frame: Frame) -> Frame:

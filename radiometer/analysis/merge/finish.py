@@ -57,27 +57,7 @@ _HASH = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio (Knuth, vol.
 
 
 @compiled
-def finish(
-    first: Any,
-    second: Any,
-    squares: Any,
-    bits: Any,
-    mask: Any,
-    known: Any,
-    records: Any,
-    levels: Any,
-    frames: Any,
-    kappa: float,
-    bounds: Any,
-    gains: Any,
-    quantisation: Any,
-    curve: Any,
-    top: float,
-    valid: Any,
-    factor: Any,
-    radiance: Any,
-    u_radiance: Any,
-) -> None:  # pragma: no cover (compiled)
+def finish(sums: Any, kept: Any, tables: Any, quantisation: Any, image: Any) -> None:  # pragma: no cover (compiled)
     """Turn the sums of a block into radiance, standard uncertainty and mask.
 
     A first loop, for a linear sensor one without branches, works out every pixel; pixels about which there is more to
@@ -85,28 +65,22 @@ def finish(
     foresee costs as much as a pixel's arithmetic.
 
     Args:
-        first: Σt^0.35·x, float32; may be `radiance` itself.
-        second: Σt·x, float32; may be `u_radiance` itself.
-        squares: Σx², float32.
-        bits: Frames used in each pixel, unsigned.
-        mask: Whether a frame was clipped at white in each pixel; overwritten by PixelMask bits.
-        known: Sets of frames that `records` and `levels` hold something of; as is the rest, kept from block to block.
-        records: As of `fill_record`, shape (sets, RECORD_SIZE); their number is a power of 2.
-        levels: As in `moments.at_level`, shape (sets, levels, 4); of no size for a linear sensor.
-        frames: As in `records.fill_record`.
-        kappa: Shot noise variance per unit of x.
-        bounds: Rate that is the lower bound where all frames clip, the upper bound where all are black, and the
-            relative difference between frames that is never called inconsistent.
-        gains: Gain factor of every frame.
+        sums: What was summed of each pixel: Σt^0.35·x and Σt·x, float32, which may be `radiance` and `u_radiance`
+            themselves; Σx², float32; the frames used, as bits; whether a frame was clipped at white, which is
+            overwritten by PixelMask bits.
+        kept: What is kept from block to block: sets of frames, their `records` (as of `fill_record`, shape (sets,
+            RECORD_SIZE), their number a power of 2) and their `levels` (as in `moments.at_level`, shape (sets, levels,
+            4); of no size for a linear sensor).
+        tables: The other `MergeTables.arguments`; their curve is None for a linear sensor.
         quantisation: Variance (dx/dM)²/12 over √x, for `from_root_table`; None for a linear sensor, where it is part
-            of `frames` (the loop is compiled for each).
-        curve: Relative standard uncertainty of x over √x.
-        top: x of the last entry of both.
-        valid: Lowest and highest x times gain that the response curve has data for.
-        factor: Radiance per rate, of every pixel or of all (size 1), float32.
-        radiance: Written.
-        u_radiance: Written.
+            of `frames` (the loop is compiled for each, which needs an argument of its own).
+        image: Radiance per rate, of every pixel or of all (size 1), float32; radiance and its standard uncertainty,
+            written.
     """
+    first, second, squares, bits, mask = sums
+    known, records, levels = kept
+    frames, kappa, bounds, gains, curve, top, valid = tables
+    factor, radiance, u_radiance = image
     rates, variances = np.empty(_RUN), np.empty(_RUN)
     slots, doubtful = np.empty(_RUN, np.uint16), np.empty(_RUN, np.uint8)
     waiting = np.empty(_RUN, np.uint16), np.empty(_RUN, np.uint16), np.empty((2, _RUN)), np.empty(_RUN, np.uint8)
@@ -115,14 +89,14 @@ def finish(
         end = min(start + _RUN, bits.size)
         count = _find_sets(bits[start:end], slots, known, records, levels, frames, kappa, gains, top)
         end = start + count
-        sums = first[start:end], second[start:end], squares[start:end]
+        run = first[start:end], second[start:end], squares[start:end]
         these, seen = bits[start:end], mask[start:end]
         if quantisation is None:
-            straight(*sums, these, slots, records, dark, rates, variances, seen, doubtful)
+            straight(*run, these, slots, records, dark, rates, variances, seen, doubtful)
             _hear_nearest(rates, variances, seen, slots, doubtful[:count], waiting, records, frames, kappa)
         else:
             straight_curved(
-                *sums,
+                *run,
                 these,
                 slots,
                 records,

@@ -25,7 +25,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeTables:
-    """What the merge's last step is given besides the pixels; its attributes are named as in `finish.finish`."""
+    """What the merge's last step is given besides the pixels.
+
+    Attributes:
+        frames: As in `records.fill_record`.
+        kappa: Shot noise variance per unit of x.
+        bounds: Rate that is the lower bound where all frames clip, the upper bound where all are black, and the
+            relative difference between frames that is never called inconsistent.
+        gains: Gain factor of every frame.
+        quantisation: Variance (dx/dM)²/12 over √x; None for a linear sensor.
+        curve: Relative standard uncertainty of x over √x; None for a linear sensor.
+        top: x of the last entry of both.
+        valid: Lowest and highest x times gain that the response curve has data for.
+    """
 
     frames: Array
     kappa: float
@@ -37,18 +49,10 @@ class MergeTables:
     valid: Array
 
     @property
-    def arguments(self) -> tuple[Any, ...]:
-        """Return the attributes in the order of `finish`."""
-        return (
-            self.frames,
-            self.kappa,
-            self.bounds,
-            self.gains,
-            self.quantisation,
-            self.curve,
-            self.top,
-            self.valid,
-        )
+    def arguments(self) -> tuple[tuple[Any, ...], Array | None]:
+        """Return `tables` and `quantisation` of `finish`."""
+        tables = self.frames, self.kappa, self.bounds, self.gains, self.curve, self.top, self.valid
+        return tables, self.quantisation
 
     def kept(self) -> tuple[NDArray[np.uint64], Array, Array]:
         """Return what `finish` keeps from block to block, empty: sets of frames, their records and their levels."""
