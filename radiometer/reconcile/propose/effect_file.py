@@ -33,6 +33,7 @@ SETTINGS: Final = ("exposure_s", "gain_db", "f_number", "temperature_c", "timest
 _WIDTH: Final = 118
 _NEAR_NOTHING: Final = 0.05
 _WIDEST: Final = 1e3  # times a fitted value: the range of an amplitude
+_NEAR: Final = 0.06  # of the picture's longer side, by which the place of a step moves from where it was tried
 _BESIDE: Final = 3.0  # ranges of a covariate by which a place or a time may lie outside it
 
 
@@ -360,7 +361,8 @@ def _usable(law: Law) -> list[str]:
 def _parameter(term: Term, role: str) -> str:
     value = round_to(term.values[role])
     name, unit = term.parameter(role), term.unit(role)
-    low, high = _bounds(role, value)
+    near = role == "at" and term.covariate in PLACES  # elsewhere others were tried; far off it steps nowhere at all
+    low, high = (round_to(value - _NEAR), round_to(value + _NEAR)) if near else _bounds(role, value)
     return f'    {name}: float = parameter({value!r}, "{unit}", {low!r}, {high!r}, source="fitted")'
 
 
@@ -369,6 +371,8 @@ def _bounds(role: str, value: float) -> tuple[float, float]:
         return round_to(value / 100.0), round_to(value * 100.0)
     if role == "power":
         return -6.0, 6.0
+    if role == "steepness":
+        return 0.1, 60.0
     if role in ("phase", "advance"):
         return -30.0, 30.0
     wide = _BESIDE * max(abs(value), 1.0)

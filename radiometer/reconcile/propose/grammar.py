@@ -174,8 +174,8 @@ FORMS: Final = {
         ),
         Form(
             "fall",
-            "1.0 / (1.0 + np.maximum({u} / {knee}, 1e-12) ** {power})",
-            (("knee", True), ("power", False)),
+            "1.0 / (1.0 + np.maximum({u} / {knee}, 1e-12) ** {steepness})",
+            (("knee", True), ("steepness", False)),
             "falling off beyond a knee of {covariate}",
         ),
         Form(
@@ -369,7 +369,8 @@ def _rise(values: Array, known: Mapping[str, Array]) -> _Made:
 def _fall(values: Array, known: Mapping[str, Array]) -> _Made:
     positive = values[values > 0]
     for share in (0.25, 0.5, 0.75):
-        yield {}, {"knee": float(np.quantile(positive, share)), "power": 2.0}
+        for steepness in (2.0, 8.0):  # fading away, and gone at once
+            yield {}, {"knee": float(np.quantile(positive, share)), "steepness": steepness}
 
 
 def _bend(values: Array, known: Mapping[str, Array]) -> _Made:

@@ -38,7 +38,7 @@ WORKED = [
     ("power", "exposure_s", {"reference": 4.0}, {"power": 0.5}, {"exposure_s": 1.0}, 0.5),
     ("decay", "since_frame_s", {}, {"tau": 3.0}, {"since_frame_s": 3.0}, math.exp(-1.0)),
     ("rise", "image_x", {"end": 1.0}, {"tau": 0.2}, {"image_x": 0.8}, math.exp(-1.0)),
-    ("fall", "since_frame_s", {}, {"knee": 2.0, "power": 2.0}, {"since_frame_s": 4.0}, 0.2),
+    ("fall", "since_frame_s", {}, {"knee": 2.0, "steepness": 2.0}, {"since_frame_s": 4.0}, 0.2),
     ("bend", "source_level", {}, {"knee": 0.5}, {"source_level": 0.75}, 0.25),
     ("sine", "timestamp_s", {}, {"period": 8.0, "phase": 0.0}, {"timestamp_s": 2.0}, 1.0),
     ("spot", "image_x", {}, {"at_x": 0.1, "at_y": 0.2, "width": 0.5}, {"image_x": 0.4, "image_y": 0.6}, math.exp(-0.5)),
