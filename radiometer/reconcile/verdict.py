@@ -6,7 +6,7 @@ above 1.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Final
 
@@ -165,7 +165,7 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
     before, after = (steps[0].gap_before, steps[-1].gap_after) if steps else (state.gap, state.gap)
     return FoundEffect(
         "unnamed",
-        _period(again) if again is not None else size_of_rest(state, block),
+        _period(again) if again is not None else size_of_rest(_named_alone(outcome, weak), block),
         where,
         before,
         after,
@@ -174,6 +174,17 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
         closest=steps[0].closest if steps and again is None else None,
         elsewhere=tuple(others),
     )
+
+
+def _named_alone(outcome: Search, weak: Collection[str]) -> FitState:
+    """Return the model that the rest is a rest of: as it came out, or anew without the names that count to the rest.
+
+    These and the unnamed terms hold each other up: neither alone has the size of what both take up.
+    """
+    if not weak:
+        return outcome.state
+    told = tuple(effect for effect in outcome.state.effects if effect.name not in weak)
+    return refit(with_effects(outcome.start, told), iterations=_REFITS)
 
 
 def _period(again: Periodic) -> dict[str, FittedParameter]:

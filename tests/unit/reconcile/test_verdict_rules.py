@@ -199,3 +199,15 @@ def test_far_off_a_tie_goes_to_what_brings_most_by_itself(scatter: float, named:
     full = [_judged(GammaEnabled(1.9), 820_891.0), _judged(Dsnu(15.0), 820_091.0), _judged(DarkCurrent(1.0), 600_000.0)]
     alone = [_judged(GammaEnabled(1.1), 76_721.0), _judged(Dsnu(14.0), 802_327.0), _judged(DarkCurrent(1.0), 900_000.0)]
     assert by_itself(full, alone, scatter)[0].name == named
+
+
+def test_the_rest_has_the_size_that_the_names_alone_leave(monkeypatch):
+    """Names that count to the rest are out of the model that says how large it is, and the unnamed terms with them."""
+    asked = []
+    monkeypatch.setattr(verdict, "with_effects", lambda start, effects: (start, effects))
+    monkeypatch.setattr(verdict, "refit", lambda state, iterations: asked.append(state) or "anew")
+    found = outcome((BLUR, GAIN))
+    found.start = "start"
+    assert verdict._named_alone(found, []) is found.state
+    assert verdict._named_alone(found, ["conversion_gain_error"]) == "anew"
+    assert asked == [("start", (BLUR,))]
