@@ -9,18 +9,24 @@ from radiometer.errors import ConfigurationError
 from simulators.effects.base import RADIANCE, Effect
 
 
-def place_for(effect: Effect, chain: Sequence[Effect], enabled: Sequence[bool] | None = None) -> int:
+def place_for(
+    effect: Effect | type[Effect], chain: Sequence[Effect | type[Effect]], enabled: Sequence[bool] | None = None
+) -> int:
     """Return the position in a chain at which an effect acts: in front of `effect.before`, else late in its stage.
 
     Args:
-        effect: The effect to be added.
-        chain: The effects in order.
+        effect: The effect to be added, or its kind.
+        chain: The effects in order, or their kinds.
         enabled: Which of them are switched on; all by default.
 
     Raises:
         ConfigurationError: If its unit fits nowhere in its stage.
     """
-    return _place(type(effect), tuple(map(type, chain)), None if enabled is None else tuple(enabled))
+    return _place(_kind(effect), tuple(map(_kind, chain)), None if enabled is None else tuple(enabled))
+
+
+def _kind(effect: Effect | type[Effect]) -> type[Effect]:
+    return effect if isinstance(effect, type) else type(effect)
 
 
 @lru_cache(maxsize=4096)

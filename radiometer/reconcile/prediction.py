@@ -15,7 +15,7 @@ from simulators.effects.tile_moments import Moments
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Expected statistics, named and shaped as in CaptureStatistics.
+    """Expected statistics, named and shaped as in CaptureStatistics; those of several models along a first axis.
 
     Attributes:
         signal: (captures, tiles) light signal in electrons, for regressors.
@@ -80,5 +80,7 @@ def of_tiles(values: Signal, shape: tuple[int, ...]) -> Array:
     """Return the mean over the points of each tile, of this shape."""
     values = np.asarray(values, dtype=np.float64)
     if values.shape[-1] == 1:
-        return np.broadcast_to(values[..., 0], shape)
+        found = np.empty(shape)
+        found[...] = values[..., 0]
+        return found
     return np.asarray(0.25 * (values[..., 0] + values[..., 1] + values[..., 2] + values[..., 3]))

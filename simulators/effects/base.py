@@ -31,7 +31,7 @@ from typing import Any, ClassVar, Final, Self
 import numpy as np
 
 from radiometer.errors import ConfigurationError
-from simulators.effects.context import ExposureContext, Signal
+from simulators.effects.context import ExposureContext, Signal, largest
 from simulators.effects.tile_moments import Moments as Moments
 from simulators.effects.tile_moments import TileMoments
 
@@ -167,7 +167,8 @@ class Effect(ABC):
 
     def slope(self, signal: Signal, context: ExposureContext) -> Signal | float:
         """Return d(mean)/d(signal) pixel by pixel; by central difference unless an effect knows better."""
-        step = _RELATIVE_STEP * float(np.max(np.abs(signal), initial=0.0)) or _RELATIVE_STEP
+        step = _RELATIVE_STEP * largest(signal)
+        step = np.where(step > 0, step, _RELATIVE_STEP)
         rise = np.asarray(self.mean(signal + step, context)) - np.asarray(self.mean(signal - step, context))
         return np.asarray(rise / (2.0 * step))
 

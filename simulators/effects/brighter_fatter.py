@@ -54,5 +54,5 @@ class BrighterFatter(CatalogueEffect):
         """Return the moments of a tile whose pixels exchange charge."""
         share = self.share * np.clip(before.mean / well_e(context), 0.0, 1.2)
         mixed = exchange_moments(after, share, light=1.0)
-        edge = self.edge_fill * np.max(share, axis=(1, 2), keepdims=True)
+        edge = self.edge_fill * np.max(share, axis=(-2, -1), keepdims=True)
         return mixed.changed(edge_share=before.edge_share + edge)

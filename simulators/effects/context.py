@@ -16,6 +16,12 @@ from radiometer.data import CameraDescription, FrameSettings, LensDescription
 Signal = NDArray[np.floating[Any]]
 
 
+def largest(signal: Signal) -> Signal:
+    """Return the largest absolute value of all frames, of each model by itself where several are stacked, (…, 1, 1)."""
+    axes = tuple(range(-min(signal.ndim, 3), 0))
+    return np.asarray(np.max(np.abs(signal), axis=axes, initial=0.0, keepdims=True))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameGeometry:
     """Where the pixels (or the tiles that stand for them) lie on the sensor and on the screen.

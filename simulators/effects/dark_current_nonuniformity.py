@@ -112,7 +112,7 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         """Return the moments with the number of pixels that stand out by more than 6 robust sigmas."""
         (above,) = self._above(self._standing_out(before.mean, context, before.spatial_variance), powers=1)
         pixels: Any = getattr(context, "tile_pixels", 1.0)
-        count = (above * pixels).mean(axis=2, keepdims=True).sum(axis=1, keepdims=True)
+        count = (above * pixels).mean(axis=-1, keepdims=True).sum(axis=-2, keepdims=True)
         return after.changed(outliers=before.outliers + count)
 
     def _is_uneven(self) -> bool:
@@ -147,7 +147,7 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         settings: Any = context.settings
         limit = self._standing_out(signal, context)
         dark = np.where(np.broadcast_to(settings.is_dark, np.shape(limit)), limit, np.inf)
-        return np.minimum(limit, np.min(dark, axis=0, keepdims=True))
+        return np.minimum(limit, np.min(dark, axis=-3, keepdims=True))
 
     def _above(self, leak: Any, powers: int = 2) -> tuple[Any, ...]:
         """Return the share of the pixels above a leak over the median, and the sums of leaks and squares, per pixel."""

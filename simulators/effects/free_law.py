@@ -17,7 +17,7 @@ from scipy.interpolate import PchipInterpolator
 
 from simulators.effects.base import DIGITAL_NUMBER, ELECTRONS, Moments, parameter
 from simulators.effects.catalogue import CatalogueEffect, elapsed_s
-from simulators.effects.context import ExposureContext, Signal
+from simulators.effects.context import ExposureContext, Signal, largest
 from simulators.effects.tile_moments import TileMoments
 
 LARGEST: Final = 100.0  # times the effect's own size
@@ -143,7 +143,7 @@ class FreeLaw(CatalogueEffect):
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
         """Return d(mean)/d(signal); by differences where the law goes with the signal."""
         if {"signal", "patch_level"} & set(self.axes):
-            step = 1e-4 * np.maximum(np.abs(signal), 1e-3 * np.max(np.abs(signal), initial=1e-30))
+            step = 1e-4 * np.maximum(np.abs(signal), 1e-3 * np.maximum(largest(signal), 1e-30))
             return (self.mean(signal + step, context) - self.mean(signal - step, context)) / (2.0 * step)
         return 1.0 + self.weight(signal, context) * (self.own.slope(signal, context) - 1.0)
 
@@ -209,8 +209,8 @@ def _added(name: str, carried: Moments, after: Moments, unweighted: Moments, wei
     there, plain = getattr(after, name), getattr(unweighted, name)
     if there is plain:
         return getattr(carried, name)
-    if name in _WHOLE and np.ndim(weight) == 3:
-        weight = np.mean(weight, axis=(1, 2), keepdims=True)
+    if name in _WHOLE and np.ndim(weight) >= 3:
+        weight = np.mean(weight, axis=(-2, -1), keepdims=True)
     return getattr(carried, name) + weight * (there - plain)
 
 

@@ -14,10 +14,18 @@ from simulators.effects.context import ExposureContext, Signal
 
 _EVEN: Final = np.linspace(-4.5, 4.5, 37)  # sigmas; even steps, for the curve has a corner
 _ABOUT_CORNER: Final = (_EVEN, np.exp(-0.5 * _EVEN**2) / np.sum(np.exp(-0.5 * _EVEN**2)))
-_FAR_NODES, _FAR_WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
-_FAR_OFF: Final = (_FAR_NODES, _FAR_WEIGHTS / np.sum(_FAR_WEIGHTS))
 _CORNER: Final = 6.0  # sigmas from it within which its steps are needed; the nodes beyond reach 4.5
+_SMOOTH: Final = 40.0  # sigmas beyond which five nodes, right to the tenth power of σ over the distance, are exact
 _LEAST_DN2: Final = 1e-6
+
+
+def _gauss(count: int) -> tuple[Signal, Signal]:
+    nodes, weights = np.polynomial.hermite_e.hermegauss(count)
+    return nodes, weights / np.sum(weights)
+
+
+_FAR_OFF: Final = _gauss(9)
+_FARTHER: Final = _gauss(5)
 _AT_ONCE: Final = 512  # values whose quadrature a processor's nearest memory holds
 
 
@@ -101,8 +109,9 @@ class GammaEnabled(CatalogueEffect):
         middle, sigma, black, room = np.broadcast_arrays(mean, sigma, black, room)
         found = np.empty((3, *middle.shape))
         off = np.abs(middle - black)
-        close = np.minimum(off, np.abs(off - self.toe * room)) < _CORNER * sigma
-        for some, (nodes, weights) in ((close, _ABOUT_CORNER), (~close, _FAR_OFF)):
+        sigmas = np.minimum(off, np.abs(off - self.toe * room)) / sigma
+        close, smooth = sigmas < _CORNER, sigmas > _SMOOTH
+        for some, (nodes, weights) in ((close, _ABOUT_CORNER), (~(close | smooth), _FAR_OFF), (smooth, _FARTHER)):
             of_some = np.empty((3, np.count_nonzero(some)))
             given = (middle[some], sigma[some], black[some], room[some])
             for first in range(0, of_some.shape[1], _AT_ONCE):

@@ -70,5 +70,5 @@ class HotPixels(CatalogueEffect):
         noise = np.sqrt((np.maximum(before.mean, 0.0) + read**2) / frames)
         standing_out = np.exp(-6.0 * noise / np.maximum(self.electrons(context), 1e-12))
         pixels: Any = getattr(context, "tile_pixels", 1.0)
-        count = (self.share * standing_out * pixels).mean(axis=2, keepdims=True).sum(axis=1, keepdims=True)
+        count = (self.share * standing_out * pixels).mean(axis=-1, keepdims=True).sum(axis=-2, keepdims=True)
         return after.changed(outliers=before.outliers + count)

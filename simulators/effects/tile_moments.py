@@ -24,6 +24,7 @@ class Moments:
 
     squared: ClassVar[tuple[str, ...]] = ("variance", "spatial_variance", "common_variance")
     linear: ClassVar[tuple[str, ...]] = ()
+    figures: ClassVar[tuple[str, ...]] = ()  # numbers of the whole frame, which no array holds
 
     mean: Signal
     variance: Signal
@@ -100,6 +101,7 @@ class TileMoments(Moments):
         "limit_variance",
     )
     linear: ClassVar[tuple[str, ...]] = ("first_excess",)
+    figures: ClassVar[tuple[str, ...]] = ("comb_step", "comb_kept", "band_frequency")
 
     row_variance: Signal
     band_variance: Signal

@@ -202,9 +202,10 @@ class Noiseless(Comparison):
 
     offset: Array = field(default_factory=lambda: np.zeros(0))
 
-    def residuals(self, predictions: Sequence[Prediction]) -> Array:
-        """Return expected minus predicted, whitened, (entries, predictions)."""
-        return super().residuals(predictions) - self.offset[:, None]
+    def residual(self, prediction: Prediction) -> Array:
+        """Return expected minus predicted, whitened, (entries,) or (entries, models)."""
+        found = super().residual(prediction)
+        return found - self.offset.reshape(-1, *(1,) * (found.ndim - 1))
 
 
 def noiseless(state: FitState, effect: CatalogueEffect) -> FitState:

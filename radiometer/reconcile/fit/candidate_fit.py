@@ -13,7 +13,6 @@ from radiometer.reconcile.fit.held_out import leave_one_group_out
 from radiometer.reconcile.fit.linear import descended
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.prediction import Prediction
 from simulators.effects.catalogue import CatalogueEffect
 
 _CONVERGED: Final = 0.02
@@ -80,10 +79,10 @@ class FittedCandidate:
 
 def fit_candidate(state: FitState, candidate: Candidate) -> FittedCandidate:
     """Return the effect at the least χ², all nuisances and earlier effects following linearly."""
-    trials = [_Trial.of(state, start) for start in (candidate.effect, *candidate.others)]
+    trials = _Trial.of_each(state, (candidate.effect, *candidate.others))
     best = min(trials, key=lambda trial: trial.cost)
     if best.effect.profiled:
-        best = _fitted(state, _Trial.of(state, _profiled(state, best.effect)))
+        best = _fitted(state, _profiled(state, best))
     else:
         best = min((_fitted(state, trial) for trial in _variants(trials)), key=lambda trial: trial.cost)
     return _judged(state, best, candidate)
@@ -118,19 +117,19 @@ def _fitted(state: FitState, start: _Trial) -> _Trial:
 @dataclass(frozen=True, eq=False)
 class _Trial:
     effect: CatalogueEffect
-    predicted: Prediction
+    change: Array  # what it changes of the whitened prediction
     residual: Array
     half: Array  # what the nuisances and earlier effects take up of it: L⁻¹·Jᵀ·residual
     cost: float
 
     @classmethod
-    def of(cls, state: FitState, effect: CatalogueEffect) -> _Trial:
-        """Return the trial of an effect: its residual, and its χ² after the nuisances followed."""
-        predicted = state.predicted_with((*state.effects, effect))
-        data = state.comparison.residual(predicted) - state.term_residual
-        whole = np.concatenate([data, state.residual[data.size :]])
-        residual, half = state.fit.followed_with_half(whole)
-        return cls(effect, predicted, residual, half, float(residual @ residual - half @ half))
+    def of_each(cls, state: FitState, effects: Sequence[CatalogueEffect]) -> list[_Trial]:
+        """Return the trial of each effect: its residual, and its χ² after the nuisances followed."""
+        changes = state.moved_by([(*state.effects, effect) for effect in effects])
+        residuals, halves = state.fit.followed_with_half(state.residual[:, None] - state.pad(changes))
+        costs = np.einsum("ij,ij->j", residuals, residuals) - np.einsum("ij,ij->j", halves, halves)
+        columns = zip(effects, changes.T, residuals.T, halves.T, costs.tolist(), strict=True)
+        return [cls(effect, *own) for effect, *own in columns]
 
     def columns(self, state: FitState) -> Array:
         """Return −d(residual)/d(scaled parameter), prior rows included."""
@@ -138,11 +137,9 @@ class _Trial:
 
     def _moves(self, state: FitState) -> Array:
         """Return the same with followers that stand still."""
-
-        def moved_by(several: Sequence[Sequence[CatalogueEffect]]) -> Array:
-            return state.moved_by(self.predicted, [(*state.effects, *own) for own in several])
-
-        return state.pad(state.parameters_of((self.effect,)).differences(moved_by))
+        steps, several = state.parameters_of((self.effect,)).a_step_away()
+        moved = state.moved_by([(*state.effects, *own) for own in several])
+        return state.pad((moved - self.change[:, None]) / steps)
 
     def normal(self, state: FitState) -> tuple[Array, Array]:
         """Return AᵀA and Aᵀ·residual for the columns A freed of what the nuisances and earlier effects take up."""
@@ -157,18 +154,18 @@ class _Trial:
         if not np.isfinite(step).all():
             return None
         (effect,), _ = own.moved(np.clip(step, -30.0, 30.0))
-        return _Trial.of(state, effect)
+        return _Trial.of_each(state, (effect,))[0]
 
 
-def _profiled(state: FitState, effect: CatalogueEffect) -> CatalogueEffect:
+def _profiled(state: FitState, best: _Trial) -> _Trial:
     """Search the parameter in which the prediction jumps on ever denser grids about its start."""
-    name = effect.profiled
+    name = best.effect.profiled
     for span in _PROFILE_SPANS:
-        middle = float(getattr(effect, name))
+        middle = float(getattr(best.effect, name))
         grid = middle * np.linspace(1.0 - span, 1.0 + span, _PROFILE_POINTS)
-        trials = [_Trial.of(state, effect.with_parameters(**{name: float(value)})) for value in grid]
-        effect = min(trials, key=lambda trial: trial.cost).effect
-    return effect
+        trials = _Trial.of_each(state, [best.effect.with_parameters(**{name: value}) for value in grid.tolist()])
+        best = min(trials, key=lambda trial: trial.cost)
+    return best
 
 
 def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandidate:

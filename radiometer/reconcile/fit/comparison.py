@@ -7,7 +7,7 @@ prediction under test, so that two models compared on one `Comparison` differ in
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -97,24 +97,28 @@ class Comparison:
         return int(max(cut.stop for cut in self.cuts.values()))
 
     def residual(self, prediction: Prediction) -> Array:
-        """Return measured minus predicted, whitened; 0 where an entry does not count."""
-        return self.residuals((prediction,))[:, 0]
+        """Return measured minus predicted, whitened, (entries,) or (entries, models); 0 for what does not count."""
+        return self.changes({name: self._compared(name) for name in self.cuts}, prediction)
 
-    def residuals(self, predictions: Sequence[Prediction]) -> Array:
-        """Return the same of several predictions, which costs little more than one, (entries, predictions)."""
-        left = ((name, self._compared(name)[..., None] - self._expected(name, predictions)) for name in STATISTICS)
-        return np.concatenate([self._weighed(name, values).reshape(-1, len(predictions)) for name, values in left])
+    def expected(self, prediction: Prediction) -> dict[str, Array]:
+        """Return what a model expects of each statistic, on the scale on which it is compared."""
+        return {name: self._expected(name, prediction) for name in self.cuts}
 
-    def changes(self, base: Prediction, predictions: Sequence[Prediction]) -> Array:
-        """Return by how much the residuals of predictions differ from that of one, (entries, predictions).
+    def changes(self, base: Mapping[str, Array], several: Prediction) -> Array:
+        """Return what is `expected` of one model less what others expect, whitened, (entries, models).
 
         It is exactly 0 where they expect the same.
         """
-        if not predictions:
-            return np.zeros((self.size, 0))
-        expected = ((name, self._expected(name, (base, *predictions))) for name in STATISTICS)
-        moved = ((name, values[..., :1] - values[..., 1:]) for name, values in expected)
-        return np.concatenate([self._weighed(name, values).reshape(-1, len(predictions)) for name, values in moved])
+        models = several.mean.shape[:-2]
+        found = np.zeros((self.size, *models))
+        for name, cut in self.cuts.items():
+            differs = base[name] - self._expected(name, several)
+            if differs.any():
+                shape = self.usable[name].shape
+                own = differs if differs.ndim > len(shape) or not models else np.broadcast_to(differs, models + shape)
+                columns = self._weighed(name, np.moveaxis(own, 0, -1) if models else own)
+                found[cut].reshape(*shape, *models)[...] = columns
+        return found
 
     def whiten(self, block: str, values: Array) -> Array:
         """Return raw changes of a block (axes as the block, more may follow) in whitened units."""
@@ -184,18 +188,16 @@ class Comparison:
             return np.asarray(2.0 * np.sqrt(getattr(self.seen, name) + 0.375))
         return self._log_seen[name] if name in self._log_seen else self._seen[name]
 
-    def _expected(self, name: str, predictions: Sequence[Prediction]) -> Array:
-        """Return the same of what is expected; the predictions are the last axis."""
+    def _expected(self, name: str, prediction: Prediction) -> Array:
+        """Return the same of what is expected; axes that are missing are those of what models have in common."""
         scale = STATISTICS[name].scale
         if scale is Scale.SCORE:
-            of_one = self._common if name == "common" else self._bands
-            return -np.stack([of_one(prediction) for prediction in predictions], axis=-1)
+            return -(self._common if name == "common" else self._bands)(prediction)
         if scale is Scale.LINES:
-            return np.log(np.stack([self._excess(name, prediction) for prediction in predictions], axis=-1))
+            return np.log(self._excess(name, prediction))
         if scale is Scale.COMB:
-            combs = np.stack([self._comb(prediction) for prediction in predictions], axis=-1)
-            return np.broadcast_to(combs, (*self.usable[name].shape, len(predictions)))
-        expected = np.stack([getattr(prediction, name) for prediction in predictions], axis=-1)
+            return self._comb(prediction)
+        expected: Array = getattr(prediction, name)
         if scale is Scale.LOGARITHM:
             return np.asarray(np.log(np.maximum(expected, 1e-12)))
         if scale is Scale.ROOT:
@@ -239,7 +241,7 @@ class Comparison:
 
     def band_scores(self, power: Array, row_variance: Array) -> Array:
         """Return the residual of the bands for what a wave along the rows adds to their ratios, (captures, orders)."""
-        expected = 1.0 + row_variance[:, None] * self.seen.bands_of_rows + power
+        expected = 1.0 + row_variance[..., None] * self.seen.bands_of_rows + power
         known = self.bands2.any() or self.rows2.any()
         accepted = 1.0 + self.rows2[:, None] * self.seen.bands_of_rows + self._accepted_bands if known else None
         return followed_scores(self.seen.bands, expected, accepted, self.band_freedom, self.usable["bands"])
@@ -248,7 +250,7 @@ class Comparison:
         """Return what a wave along the rows adds to the ratios of the bands, (captures, orders)."""
         if not bands2.any():
             return np.zeros_like(self.seen.bands_of_rows)
-        return np.asarray(bands2[:, None] * wave_power(self._bins, self.seen.bands_basis, frequency)[0])
+        return np.asarray(bands2[..., None] * wave_power(self._bins, self.seen.bands_basis, frequency)[0])
 
     def flicker_of(self, prediction: Prediction) -> Array:
         """Return the relative variance that all light of a frame has in common, bands included, (captures,)."""
@@ -269,7 +271,7 @@ class Comparison:
 
     def band_deviance(self, prediction: Prediction) -> float:
         """Return the same of the bands."""
-        steady = 1.0 + prediction.row_variance[:, None] * self.seen.bands_of_rows
+        steady = 1.0 + prediction.row_variance[..., None] * self.seen.bands_of_rows
         steady = steady + (mixing_of_bands(prediction, self.design) if prediction.mixes else 0.0)
         expected = steady + self.band_power(relative_bands(prediction), prediction.band_frequency)
         return float(np.sum(deviances(self.seen.bands, expected, self.band_freedom, self.usable["bands"])))

@@ -15,9 +15,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import cho_solve
 
-from radiometer.reconcile.fit.linear import LinearFit, RowBlock
+from radiometer.reconcile.fit.linear import LinearFit, RowBlock, triangular
 from radiometer.reconcile.measure.design import Array
 
 _RIDGE: Final = 1e-9  # a parameter that one group alone determines leaves nothing to predict it by
@@ -83,7 +83,7 @@ class Groups:
 
     @cached_property
     def _whitened(self) -> Array:
-        return np.asarray(solve_triangular(self.nuisances.factor, self.nuisances.values.T, lower=True))
+        return triangular(self.nuisances.factor, self.nuisances.values.T)
 
     @cached_property
     def number(self) -> Array:
@@ -155,8 +155,8 @@ def _freed(fit: LinearFit) -> Array:
     if not freed.shape[1]:
         return np.asarray(freed)
     known = fit.nuisances
-    half = solve_triangular(known.factor, known.pull(freed), lower=True, check_finite=False)
-    pulled = solve_triangular(known.factor, half, lower=True, trans="T", check_finite=False)
+    half = triangular(known.factor, known.pull(freed))
+    pulled = triangular(known.factor, half, transposed=True)
     freed[known.rows] -= known.values @ pulled
     values, vectors = np.linalg.eigh(freed.T @ freed)
     kept = values > _RIDGE

@@ -12,7 +12,7 @@ from typing import Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtrs
 
 from radiometer.reconcile.measure.design import Array
 
@@ -89,12 +89,18 @@ class LinearFit:
     def of(cls, residual: Array, nuisances: RowBlock, effects: Array, followers: RowBlock) -> LinearFit:
         """Return the fit of a residual and of effect columns in which the followers stand still."""
         bare = cls(residual, nuisances, np.zeros((residual.size, 0)), followers)
-        return cls(bare.followed(residual), nuisances, bare.followed(effects), followers)
+        moved = bare.followed(np.column_stack([residual, effects]))
+        return cls(np.ascontiguousarray(moved[:, 0]), nuisances, moved[:, 1:], followers)
+
+    @cached_property
+    def _pulled(self) -> Array:
+        """Return Nᵀ·[residual, E]: the nuisances are many, and reading them is what takes time."""
+        return self.nuisances.pull(np.column_stack([self.residual, self.effects]))
 
     @cached_property
     def normal(self) -> Array:
         """Return JᵀJ for J = [N, E]."""
-        cross = self.nuisances.pull(self.effects)
+        cross = self._pulled[:, 1:]
         return np.block([[self.nuisances.normal, cross], [cross.T, self.effects.T @ self.effects]])
 
     @cached_property
@@ -105,7 +111,17 @@ class LinearFit:
     @cached_property
     def step(self) -> Array:
         """Return the change of the parameters that minimises the residual."""
-        return self.solve(self.pull(self.residual))
+        return self.solve(self._slope)
+
+    @property
+    def gain(self) -> float:
+        """Return the χ² that the parameters take up."""
+        return float(self._slope @ self.step)
+
+    @cached_property
+    def _slope(self) -> Array:
+        """Return Jᵀ·residual."""
+        return np.concatenate([self._pulled[:, 0], self.effects.T @ self.residual])
 
     def step_from(self, residual: Array) -> tuple[Array, float]:
         """Return the same step from another point's residual, followers not followed yet, and what χ² it promises."""
@@ -140,8 +156,8 @@ class LinearFit:
 
     def _led(self, pulled: Array) -> Array:
         """Return (NᵀN)⁻¹·Nᵀ·v from Nᵀ·v, as far as followers go with it."""
-        half = solve_triangular(self.nuisances.factor, pulled, lower=True, check_finite=False)
-        step = solve_triangular(self.nuisances.factor, half, lower=True, trans="T", check_finite=False)
+        half = triangular(self.nuisances.factor, pulled)
+        step = triangular(self.nuisances.factor, half, transposed=True)
         return np.asarray(step[: self.followers.columns])
 
     def _moved(self, vectors: Array, led: Array) -> Array:
@@ -159,11 +175,11 @@ class LinearFit:
 
     def solve(self, right: Array) -> Array:
         """Return (JᵀJ)⁻¹ · right."""
-        return np.asarray(solve_triangular(self.factor, self.half(right), lower=True, trans="T", check_finite=False))
+        return triangular(self.factor, self.half(right), transposed=True)
 
     def half(self, right: Array) -> Array:
         """Return L⁻¹ · right for JᵀJ = L·Lᵀ."""
-        return np.asarray(solve_triangular(self.factor, right, lower=True, check_finite=False))
+        return triangular(self.factor, right)
 
     @property
     def covariance(self) -> Array:
@@ -211,6 +227,21 @@ def cholesky(normal: Array) -> Array:
     """Return the lower Cholesky factor of a normal matrix, a little ridge keeping it regular."""
     ridge = _RIDGE * np.maximum(np.diag(normal), 1e-300)
     return np.asarray(np.linalg.cholesky(normal + np.diag(ridge)))
+
+
+def triangular(factor: Array, right: Array, *, transposed: bool = False) -> Array:
+    """Return L⁻¹·right or L⁻ᵀ·right for a lower Cholesky factor; LAPACK's own, for most systems are small.
+
+    Raises:
+        numpy.linalg.LinAlgError: If the factor is singular.
+    """
+    if not right.size:
+        return np.zeros(right.shape)
+    # LAPACK goes by columns: what lies in rows is the transpose to it, the upper factor Lᵀ.
+    found, singular = dtrtrs(factor.T, right, lower=0, trans=0 if transposed else 1)
+    if singular:
+        raise np.linalg.LinAlgError(f"row {singular} of a Cholesky factor is nothing")
+    return np.asarray(found)
 
 
 class _Point(Protocol):

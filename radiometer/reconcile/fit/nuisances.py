@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from radiometer.reconcile.fit.comparison import Comparison
 from radiometer.reconcile.fit.linear import RowBlock
 from radiometer.reconcile.measure.design import Array, Design
-from radiometer.reconcile.model.tile_model import Nuisance, TileModel, Trace
+from radiometer.reconcile.model.tile_model import Nuisance
 from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.statistics import STATISTICS
 
@@ -40,24 +40,6 @@ class Change:
 
     mean: Array
     residual: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Here:
-    """The point at which derivatives are taken: a model with its nuisances as it ran."""
-
-    model: TileModel
-    comparison: Comparison
-    trace: Trace
-
-    def changes(self, moves: Sequence[tuple[Nuisance, float]]) -> list[Change]:
-        """Return the finite differences to other nuisances, each of which lies a step away."""
-        base, there = self.trace.prediction, [self.model.predict(moved, self.trace) for moved, _ in moves]
-        changed = self.comparison.changes(base, there).T
-        return [
-            Change((found.mean - base.mean) / step, residual / step)
-            for found, residual, (_, step) in zip(there, changed, moves, strict=True)
-        ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,25 +128,28 @@ class NuisanceLayout:
         known["log_responsivity"] -= known.get("log_gain", 0.0)
         return replace(start, log_radiance=radiance, slope=slope).with_off(texture=texture, **known)
 
-    def derivatives(self, here: Here, values: Array) -> tuple[RowBlock, RowBlock]:
+    def derivatives(
+        self, comparison: Comparison, changes: Sequence[Change], values: Array
+    ) -> tuple[RowBlock, RowBlock]:
         """Return −d(residual)/d(parameter): of what tells the light, and of the variances as far as they follow it.
 
         The latter do not say how much light there is (see `_only_means`), but the light says how large they are.
 
         Args:
-            here: The point at which they are taken.
-            values: The parameters there.
+            comparison: The weights.
+            changes: What each of `moves` changes.
+            values: The parameters.
 
         Returns:
             (entries, parameters) of the former, and of the latter.
         """
-        light, *others = here.changes([*self._moves(here.trace.nuisance)])
+        light, *others = changes
         scalars, scene = others[: len(self.scalars)], others[len(self.scalars) :]
         alone = np.stack([-change.residual for change in scalars], axis=1)
-        _only_means(alone, here.comparison, self.scalars.index("log_responsivity"))
+        _only_means(alone, comparison, self.scalars.index("log_responsivity"))
         shows = [(light, _TILE_ROWS), *zip(scene, (("slope_x", "slope_y"), ("spatial",)), strict=False)]
-        rows = np.flatnonzero(alone.any(axis=1) | _moved_rows(here.comparison, shows))
-        tiles = _TileColumns(here.comparison, rows, self.size, self.patterns)
+        rows = np.flatnonzero(alone.any(axis=1) | _moved_rows(comparison, shows))
+        tiles = _TileColumns(comparison, rows, self.size, self.patterns)
         tiles.matrix[:, : len(scalars)] = alone[rows]
         tiles.write(light, self._radiances.start, _TILE_ROWS)
         self._share(tiles.matrix, values)
@@ -173,7 +158,7 @@ class NuisanceLayout:
             for axis, name in enumerate(("slope_x", "slope_y")):
                 tiles.write(scene[0], start + (2 * number + axis) * self.tiles, (name,), only=pattern)
             tiles.write(scene[1], start + 2 * len(self.patterns) * self.tiles, ("spatial",), only=pattern)
-        return RowBlock(rows, tiles.matrix), self._followers(here.comparison, light, values)
+        return RowBlock(rows, tiles.matrix), self._followers(comparison, light, values)
 
     def _share(self, matrix: Array, values: Array) -> None:
         """Turn columns of the light of each patch into those of its own error, and write those of shared ones."""
@@ -190,7 +175,7 @@ class NuisanceLayout:
         self._share(tiles.matrix, values)
         return RowBlock(rows, tiles.matrix)
 
-    def _moves(self, at: Nuisance) -> Iterator[tuple[Nuisance, float]]:
+    def moves(self, at: Nuisance) -> Iterator[tuple[Nuisance, float]]:
         """Yield the nuisances a step away, and the step: of all light, each scalar, and all rises and textures."""
         yield replace(at, log_radiance=at.log_radiance + _STEP), _STEP
         for name in self.scalars:

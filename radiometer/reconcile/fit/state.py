@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -12,11 +12,12 @@ import numpy as np
 from radiometer.reconcile.fit.comparison import Comparison, compare
 from radiometer.reconcile.fit.held_out import Groups, HeldOut, leave_one_group_out
 from radiometer.reconcile.fit.linear import LinearFit, RowBlock
-from radiometer.reconcile.fit.nuisances import Here, NuisanceLayout
+from radiometer.reconcile.fit.nuisances import Change, NuisanceLayout
 from radiometer.reconcile.fit.terms import LinearTerm, prior_rows
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.seen import CaptureStatistics
 from radiometer.reconcile.model.parameters import EffectParameters
+from radiometer.reconcile.model.several import predict_several
 from radiometer.reconcile.model.tile_model import Nuisance, TileModel, Trace
 from radiometer.reconcile.noise.fixed_patterns import error_of_borders, fixed_errors
 from radiometer.reconcile.noise.repeatability import capture_scale, estimate_tau
@@ -28,7 +29,7 @@ from simulators.effects.catalogue import CatalogueEffect
 
 # What of a state was worked out and hangs on the model and the nuisances alone, whatever is frozen or fitted.
 _OF_THE_MODEL: Final = ("nuisance", "trace", "prediction", "sensitivity", "parameters")
-_OF_THE_DATA: Final = (*_OF_THE_MODEL, "plain_residual", "_nuisance_derivatives", "_effect_derivatives")  # and weights
+_OF_THE_DATA: Final = (*_OF_THE_MODEL, "plain_residual", "_expected", "_derivatives")  # and weights
 _OF_THE_POINT: Final = (
     *_OF_THE_DATA, "term_columns", "data_residual", "term_residual", "residual", "misfit",
     "nuisance_jacobian", "effect_jacobian", "groups",
@@ -121,6 +122,10 @@ class FitState:
         return self.comparison.residual(self.prediction)
 
     @cached_property
+    def _expected(self) -> dict[str, Array]:
+        return self.comparison.expected(self.prediction)
+
+    @cached_property
     def data_residual(self) -> Array:
         """Return the whitened residual of the data, without prior rows."""
         return self.plain_residual - self.term_residual
@@ -148,14 +153,28 @@ class FitState:
         return max(1.0, self.cost / max(int(self.comparison.counts().sum()), 1))
 
     @cached_property
-    def _nuisance_derivatives(self) -> tuple[RowBlock, RowBlock]:
-        here = Here(self.model, self.comparison, self.trace)
-        return self.layout.derivatives(here, self.values)
+    def _derivatives(self) -> tuple[RowBlock, RowBlock, Array]:
+        """Return the nuisances' derivatives and those of the scaled effect parameters, all by steps walked together."""
+        nuisances = [*self.layout.moves(self.trace.nuisance)]
+        steps, effects = self.parameters.a_step_away()
+        models = [(self.model, nuisance) for nuisance, _ in nuisances]
+        models += [(self.model.with_effects(moved), self.trace.nuisance) for moved in effects]
+        means = np.empty((len(models), *self.prediction.mean.shape))
+        residuals = np.empty((self.comparison.size, len(models)))
+        for numbers, there in predict_several(models, self.trace):
+            means[numbers] = there.mean - self.prediction.mean
+            residuals[:, numbers] = self.comparison.changes(self._expected, there)
+        changes = [
+            Change(mean / step, residual / step)
+            for (_, step), mean, residual in zip(nuisances, means, residuals.T, strict=False)
+        ]
+        own = -residuals[:, len(nuisances) :] / steps
+        return (*self.layout.derivatives(self.comparison, changes, self.values), own)
 
     @cached_property
     def nuisance_jacobian(self) -> RowBlock:
         """Return −d(residual)/d(nuisances and term weights), prior rows included."""
-        data = self._nuisance_derivatives[0]
+        data = self._derivatives[0]
         prior = np.concatenate([self.layout.prior, self._term_prior])
         _, priors = prior_rows(prior, np.zeros(prior.size))
         return data.beside(self.term_columns, priors)
@@ -163,23 +182,21 @@ class FitState:
     @cached_property
     def effect_jacobian(self) -> Array:
         """Return −d(residual)/d(scaled effect parameter), prior rows (zero) included."""
+        return self.pad(self._derivatives[2])
 
-        return self.pad(self._effect_derivatives)
-
-    @cached_property
-    def _effect_derivatives(self) -> Array:
-        return self.parameters.differences(partial(self.moved_by, self.prediction))
-
-    def moved_by(self, base: Prediction, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
+    def moved_by(self, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
         """Return what sets of effects change of the whitened prediction of the data, (entries, sets).
 
         Nuisances stay as they are.
 
         Args:
-            base: Prediction that they are held against.
             several: Effects to have instead of the model's.
         """
-        return -self.comparison.changes(base, [self.predicted_with(effects) for effects in several])
+        models = [(self.model.with_effects(effects), self.trace.nuisance) for effects in several]
+        moved = np.empty((self.comparison.size, len(several)))
+        for numbers, prediction in predict_several(models, self.trace):
+            moved[:, numbers] = -self.comparison.changes(self._expected, prediction)
+        return moved
 
     @cached_property
     def fit(self) -> LinearFit:
@@ -187,12 +204,12 @@ class FitState:
         effects = self.effect_jacobian
         if self.frozen:
             effects = np.delete(effects, sorted(self.frozen), axis=1)
-        return LinearFit.of(self.residual, self.nuisance_jacobian, effects, self._nuisance_derivatives[1])
+        return LinearFit.of(self.residual, self.nuisance_jacobian, effects, self._derivatives[1])
 
     @property
     def promised(self) -> float:
         """Return χ² after the best step, were the model linear."""
-        return float(self.fit.projected @ self.fit.projected)
+        return float(self.fit.residual @ self.fit.residual) - self.fit.gain
 
     def with_frozen(self, held: frozenset[int]) -> FitState:
         """Return the state with these parameters frozen; what does not hang on that is kept."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
@@ -90,16 +90,12 @@ class EffectParameters:
         """Return the positions of the parameters of one effect."""
         return [index for index, owner in enumerate(self.owner) if owner == place]
 
-    def differences(
-        self,
-        changes_of: Callable[[Sequence[tuple[CatalogueEffect, ...]]], Array],
-        share: float = _STEP,
-        only: Sequence[int] | None = None,
-    ) -> Array:
-        """Return d(statistics)/d(scaled parameter) by one-sided steps within the bounds, (entries, parameters).
+    def a_step_away(
+        self, share: float = _STEP, only: Sequence[int] | None = None
+    ) -> tuple[Array, list[tuple[CatalogueEffect, ...]]]:
+        """Return a step of each parameter in units of the scales, within the bounds, and the effects after it.
 
         Args:
-            changes_of: Gives what statistics of several sets of effects differ by from those of these, (entries, sets).
             share: Step in units of the scales.
             only: Positions of the parameters that are moved; by default all are.
         """
@@ -108,7 +104,7 @@ class EffectParameters:
         steps = np.where(values[index] + share * scale <= self.high[index], share, -share)
         moved = np.tile(values, (index.size, 1))
         moved[np.arange(index.size), index] += steps * scale
-        return changes_of([self.replaced(one) for one in moved]) / steps
+        return steps, [self.replaced(one) for one in moved]
 
 
 def _changed(effect: CatalogueEffect, values: dict[str, Any]) -> CatalogueEffect:

@@ -126,7 +126,7 @@ class PictureSurroundings:
         return np.asarray(self._level(signal) * ratio[self._design.pattern_index])
 
     def _level(self, signal: Signal) -> Signal:
-        level: Signal = np.asarray(signal.mean(axis=(1, 2), keepdims=True))
+        level: Signal = np.asarray(signal.mean(axis=(-2, -1), keepdims=True))
         return level
 
     def _sampled(self, pictures: list[Array]) -> Array:
@@ -184,7 +184,7 @@ class TileContext(ExposureContext):
 
     def frame_mean(self, signal: Signal) -> Any:
         """Return the mean over the whole frame, shape (captures, 1, 1)."""
-        return self.surroundings.frame_mean(signal) if self.surroundings else signal.mean(axis=(1, 2), keepdims=True)
+        return self.surroundings.frame_mean(signal) if self.surroundings else signal.mean(axis=(-2, -1), keepdims=True)
 
     def remembering(self, held_e: Array) -> TileContext:
         """Return the context with what the frames of each capture held, (captures, tiles) in electrons."""

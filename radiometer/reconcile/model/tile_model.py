@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import takewhile
 from typing import Any, Final
 
@@ -99,18 +100,16 @@ class TileModel:
 
     def trace(self, nuisance: Nuisance, like: Trace | None = None) -> Trace:
         """Return the expected statistics with the moments between the steps of the chain."""
-        links = self.links(nuisance, like)
-        chain, begun = self._chain(links), tuple[TileMoments, ...]()
-        if like is not None and like.shows(nuisance):
-            shared = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(like.chain, chain, strict=False)))
-            if shared == len(chain) == len(like.chain):
-                return like
-            begun = like.passed[: 1 + shared]
-        return self._walked(nuisance, links, chain, begun or (self._scene(nuisance),))
+        walk = self.begun(nuisance, like)
+        if like is not None and len(walk.passed) == len(walk.chain) + 1 == len(like.passed):
+            return like
+        walk = self.walked(walk, len(walk.chain))
+        prediction = self.summary(walk.passed[-1], self.signal(walk), self.gain(walk))
+        return Trace(walk.nuisance, walk.links, walk.chain, walk.passed, prediction)
 
     # ---- the chain, step by step ---------------------------------------------------------------------------
 
-    def links(self, nuisance: Nuisance, like: Trace | None = None) -> tuple[Effect, ...]:
+    def links(self, nuisance: Nuisance, like: Walk | None = None) -> tuple[Effect, ...]:
         """Return the links of the declared camera; effects act in front of the link that `place_for` gives.
 
         Where a chain is known, its links that are as they were are the very ones.
@@ -125,25 +124,28 @@ class TileModel:
 
     def _chain(self, links: tuple[Effect, ...]) -> tuple[Effect, ...]:
         """Return all steps in the order of the light: what acts in front of each link, by its stage, and the link."""
-        beside: dict[int, list[Effect]] = defaultdict(list)
-        for effect in sorted((*self.given, *self.effects), key=in_order):
-            beside[place_for(effect, links)].append(effect)
-        return tuple(step for place in range(len(links) + 1) for step in (*beside[place], *links[place : place + 1]))
+        steps = (*links, *self.given, *self.effects)
+        return tuple(steps[number] for number in _ordered(tuple(map(type, steps)), len(links)))
 
-    def _walked(
-        self, nuisance: Nuisance, links: tuple[Effect, ...], chain: tuple[Effect, ...], begun: tuple[TileMoments, ...]
-    ) -> Trace:
-        """Return the chain walked on from the last of the moments in front of its first steps."""
-        ahead = chain[len(begun) - 1 :]
-        looks_back = any(isinstance(step, CatalogueEffect) and step.looks_back for step in ahead)
-        model, passed = self._looking_back(nuisance) if looks_back else self, list(begun)
+    def begun(self, nuisance: Nuisance, like: Walk | None = None) -> Walk:
+        """Return the walk as far as it is the same as a known one: in front of its first step where none is."""
+        links = self.links(nuisance, like)
+        chain = self._chain(links)
+        if like is None or not like.shows(nuisance):
+            return Walk(nuisance, links, chain, (self._scene(nuisance),))
+        shared = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(like.chain, chain, strict=False)))
+        return Walk(nuisance, links, chain, like.passed[: 1 + shared])
+
+    def walked(self, walk: Walk, until: int) -> Walk:
+        """Return a walk that went on to the front of a step of its chain, by number; behind the last is one more."""
+        ahead = walk.chain[len(walk.passed) - 1 : until]
+        model, passed = self._looking_back(walk.nuisance) if any(map(looks_back, ahead)) else self, [*walk.passed]
         for step in ahead:
-            passed.append(model._through(step, passed[-1]))
-        light = _in_front(passed, links, chain, 1 + _first(links, ELECTRONS)).mean
-        gain = self._gain(links, _in_front(passed, links, chain, _first(links, DIGITAL_NUMBER)))
-        return Trace(nuisance, links, chain, tuple(passed), model._summary(passed[-1], light, gain))
+            passed.append(model.through(step, passed[-1]))
+        return replace(walk, passed=tuple(passed))
 
-    def _through(self, step: Effect, moments: TileMoments) -> TileMoments:
+    def through(self, step: Effect, moments: TileMoments) -> TileMoments:
+        """Return the moments behind a step."""
         after = step.moments(moments, self.context)
         assert isinstance(after, TileMoments)
         return after
@@ -154,11 +156,16 @@ class TileModel:
         points = tilt_of(slopes[:, 0], slopes[:, 1]) if nuisance.slope.any() else 1.0
         return TileMoments.exactly(scene[:, :, None] * np.ones(4) * points)
 
-    def _gain(self, links: tuple[Effect, ...], moments: TileMoments) -> Array:
-        """Return DN per electron, (captures,)."""
-        converter = links[_first(links, DIGITAL_NUMBER)]
-        gain = np.asarray(converter.slope(moments.mean, self.context), dtype=np.float64)
-        return np.asarray(np.broadcast_to(gain, (len(self.design.captures), 1, 1))[:, 0, 0])
+    def signal(self, walk: Walk) -> Array:
+        """Return the light signal of a walk in electrons, (captures, tiles)."""
+        light = walk.in_front(1 + first_of(walk.links, ELECTRONS)).mean
+        return of_tiles(light, light.shape[:-1])
+
+    def gain(self, walk: Walk) -> Array:
+        """Return DN per electron of a walk, (captures,)."""
+        place = first_of(walk.links, DIGITAL_NUMBER)
+        gain = np.asarray(walk.links[place].slope(walk.in_front(place).mean, self.context), dtype=np.float64)
+        return np.asarray(np.broadcast_to(gain, (*gain.shape[:-3], len(self.design.captures), 1, 1))[..., 0, 0])
 
     def _looking_back(self, nuisance: Nuisance) -> TileModel:
         """Return the model whose previous frames hold, in electrons, what its effects and nuisances make of light."""
@@ -169,7 +176,7 @@ class TileModel:
         )
         links, moments = self.links(nuisance), self._scene(nuisance)
         for step in ahead._chain(links):
-            moments = ahead._through(step, moments)
+            moments = ahead.through(step, moments)
             if step.unit_out == ELECTRONS:
                 break
         signal = moments.mean.mean(axis=2)
@@ -181,23 +188,30 @@ class TileModel:
 
     # ---- from moments at points to statistics of tiles -----------------------------------------------------
 
-    def _summary(self, final: TileMoments, light: Signal, gain: Array) -> Prediction:
-        shape = light.shape
+    def summary(self, final: TileMoments, signal: Array, gain: Array) -> Prediction:
+        """Return the statistics that moments come to; those of several models lie along a first axis.
+
+        Args:
+            final: Moments behind the chain.
+            signal: (captures, tiles) light signal in electrons.
+            gain: (captures,) DN per electron.
+        """
+        shape = signal.shape[-2:]
 
         def tiles(values: Signal) -> Array:
-            return of_tiles(values, shape[:2])
+            return of_tiles(values, (*np.shape(values)[:-3], *shape))
 
         def captures(values: Signal) -> Array:
-            return np.asarray(np.broadcast_to(values, (shape[0], 1, 1))[:, 0, 0], dtype=np.float64)
+            return of_tiles(values[..., 0], (*values.shape[:-3], shape[0]))
 
         mean, variance = tiles(final.mean), tiles(final.variance)
         if not self.design.uniform:  # a scene's noise is that of the later frames, without the first one's own light
             n = self.design.frame_count[:, None]
-            variance = variance - np.where(n > 2, gain[:, None] * tiles(final.first_excess) / n, 0.0)
+            variance = variance - np.where(n > 2, gain[..., None] * tiles(final.first_excess) / n, 0.0)
         lines = tiles(final.row_variance)
         columns, rows = tiles(final.fixed_column_variance), tiles(final.fixed_row_variance)
         # A frame's mean is taken out of each tile, and with it what its rows have in common.
-        shared = np.broadcast_to(np.asarray(self.context.tile_height, dtype=np.float64)[..., 0], shape[:2])
+        shared = np.broadcast_to(np.asarray(self.context.tile_height, dtype=np.float64)[..., 0], shape)
         within = lines * (1.0 - 1.0 / shared)
         band, left = tiles(final.band_variance), TileBands.of(self.design, final.band_frequency)
         total = np.maximum(variance + within + band * left.within, _SMALLEST_VARIANCE_DN2)
@@ -222,14 +236,14 @@ class TileModel:
             neighbour_y=(tiles(final.neighbour_y) - lines / shared + band * left.lag) / safe,
             first=tiles(final.first_excess),
             common_variance=tiles(final.common_variance),
-            row_variance=lines.mean(axis=1),
-            fixed_column_variance=columns.mean(axis=1),
-            fixed_row_variance=rows.mean(axis=1),
+            row_variance=lines.mean(axis=-1),
+            fixed_column_variance=columns.mean(axis=-1),
+            fixed_row_variance=rows.mean(axis=-1),
             edge=captures(final.edge_share),
             outliers=captures(final.outliers),
             comb_step=final.comb_step,
             comb_kept=final.comb_kept,
-            signal=tiles(light),
+            signal=signal,
             gain=gain,
             fixed=fixed,
             unrounded=final.unrounded or final,
@@ -241,39 +255,64 @@ class TileModel:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trace:
-    """The chain as it ran once.
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """The chain as far as it was walked.
 
     Attributes:
         nuisance: The nuisances.
         links: The links of the declared camera.
         chain: These and the effects, in the order of the light.
-        passed: Moments in front of each step of the chain, and behind the last.
-        prediction: The expected statistics.
+        passed: Moments in front of each step that was reached; behind the last one too where all were taken.
     """
 
     nuisance: Nuisance
     links: tuple[Effect, ...]
     chain: tuple[Effect, ...]
     passed: tuple[TileMoments, ...]
-    prediction: Prediction
 
     def in_front(self, place: int) -> TileMoments:
         """Return the moments in front of a link and of what acts before it."""
-        return _in_front(self.passed, self.links, self.chain, place)
+        return self.passed[self.number(place)]
+
+    def number(self, place: int) -> int:
+        """Return the number of the first step that acts in front of a link, or of the link where none does."""
+        return 1 + next(at for at, step in enumerate(self.chain) if step is self.links[place - 1]) if place else 0
 
     def shows(self, nuisance: Nuisance) -> bool:
         """Tell whether the scene is that of these nuisances."""
         return nuisance.log_radiance is self.nuisance.log_radiance and nuisance.slope is self.nuisance.slope
 
 
-def _in_front(
-    passed: Sequence[TileMoments], links: Sequence[Effect], chain: Sequence[Effect], place: int
-) -> TileMoments:
-    if not place:
-        return passed[0]
-    return passed[1 + next(at for at, step in enumerate(chain) if step is links[place - 1])]
+@dataclass(frozen=True, eq=False)
+class Trace(Walk):
+    """The chain as it ran once.
+
+    Attributes:
+        prediction: The expected statistics.
+    """
+
+    prediction: Prediction
+
+
+def looks_back(step: Effect) -> bool:
+    """Tell whether a step of the chain asks for what earlier frames held."""
+    return isinstance(step, CatalogueEffect) and step.looks_back
+
+
+@lru_cache(maxsize=4096)
+def _ordered(kinds: tuple[type[Effect], ...], links: int) -> tuple[int, ...]:
+    """Return the numbers of steps in the order of the light.
+
+    Args:
+        kinds: Kinds of the links and, behind them, of the effects.
+        links: How many links there are.
+    """
+    beside: dict[int, list[int]] = defaultdict(list)
+    for number in sorted(range(links, len(kinds)), key=lambda number: in_order(kinds[number])):
+        beside[place_for(kinds[number], kinds[:links])].append(number)
+    numbers = range(links)
+    return tuple(step for place in range(links + 1) for step in (*beside[place], *numbers[place : place + 1]))
 
 
 def _as_known(link: Effect, known: Effect | None) -> Effect:
@@ -284,6 +323,6 @@ def _as_known(link: Effect, known: Effect | None) -> Effect:
     return known if all(a is b or (type(a) is type(b) is not np.ndarray and a == b) for a, b in pairs) else link
 
 
-def _first(links: Sequence[Effect], unit: str) -> int:
+def first_of(links: Sequence[Effect], unit: str) -> int:
     """Return the position of the link that first gives a unit."""
     return next(place for place, link in enumerate(links) if link.unit_out == unit)

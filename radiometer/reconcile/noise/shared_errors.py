@@ -251,15 +251,15 @@ def line_excess(design: Design, seen: CaptureStatistics, prediction: Prediction,
     rows, columns = prediction.row_variance, prediction.fixed_column_variance
     lines = (rows,) if name == "row_temporal" else (rows, columns, prediction.fixed_row_variance)
     if not any(variance.any() for variance in lines):
-        return np.zeros(rows.size)
+        return np.zeros(rows.shape)
     if name == "row_temporal":
         own, noise = rows, prediction.variance
-        held = rows[:, None] * (1.0 - 1.0 / design.tile_height)
+        held = rows[..., None] * (1.0 - 1.0 / design.tile_height)
     else:
         fixed_rows = prediction.fixed_row_variance + rows / design.frame_count
         own, noise = (columns if name == "columns" else fixed_rows), prediction.spatial
-        held = columns[:, None] * design.rough_columns + fixed_rows[:, None] * design.rough_rows
-    share = np.mean(held / noise**2, axis=1) / np.mean(1.0 / noise, axis=1)
+        held = columns[..., None] * design.rough_columns + fixed_rows[..., None] * design.rough_rows
+    share = np.mean(held / noise**2, axis=-1) / np.mean(1.0 / noise, axis=-1)
     return np.asarray(np.maximum(own * getattr(seen, f"{name}_weight") - share, _LEAST_EXCESS))
 
 
@@ -280,7 +280,7 @@ def mixing_of_lines(prediction: Prediction, design: Design, name: str) -> Array:
     if name != "row_temporal":
         noise, share = prediction.spatial, prediction.variance / design.frame_count[:, None] / prediction.spatial
     more = 2.0 * together * share * (1.0 - 1.0 / length)
-    mixed = np.sum(more / noise, axis=1) / np.sum(1.0 / noise, axis=1)
+    mixed = np.sum(more / noise, axis=-1) / np.sum(1.0 / noise, axis=-1)
     return np.asarray(np.maximum(mixed, _LEAST_EXCESS))
 
 
@@ -291,8 +291,8 @@ def mixing_of_bands(prediction: Prediction, design: Design) -> Array:
     """
     bins = RowBins.of(design)
     weight = np.square(np.maximum(prediction.signal, 0.0)) / prediction.variance
-    weight = weight / np.maximum(np.sum(weight, axis=1, keepdims=True), 1e-300)
-    x, y = (np.sum(weight * mixed, axis=1)[:, None] for mixed in (prediction.mixed_x, prediction.mixed_y))
+    weight = weight / np.maximum(np.sum(weight, axis=-1, keepdims=True), 1e-300)
+    x, y = (np.sum(weight * mixed, axis=-1)[..., None] for mixed in (prediction.mixed_x, prediction.mixed_y))
     turn = np.pi * np.arange(1, bins.orders + 1) / bins.number  # of one order from bin to bin
     inside, beside = 1.0 - 1.0 / bins.step, 1.0 / bins.step
     mixed = (1.0 + 2.0 * x) * (1.0 + 2.0 * y * (inside + beside * np.cos(turn))) - 1.0
@@ -302,7 +302,7 @@ def mixing_of_bands(prediction: Prediction, design: Design) -> Array:
 def relative_bands(prediction: Prediction) -> Array:
     """Return the relative variance of the light that goes as a wave along the rows, (captures,)."""
     if not prediction.waves:
-        return np.zeros(prediction.gain.size)
+        return np.zeros(prediction.gain.shape)
     return _of_fair_tiles(prediction, prediction.band_variance)
 
 
@@ -316,10 +316,10 @@ def relative_flicker(prediction: Prediction) -> Array:
 
 def _of_fair_tiles(prediction: Prediction, variance: Array) -> Array:
     if not variance.any():
-        return np.zeros(variance.shape[0])
-    light = np.maximum(prediction.signal * prediction.gain[:, None], 1e-12)
-    fair = light >= _FAIR_SHARE * light.max(axis=1, keepdims=True)
-    return np.asarray(np.max(np.where(fair, variance / light**2, 0.0), axis=1))
+        return np.zeros(variance.shape[:-1])
+    light = np.maximum(prediction.signal * prediction.gain[..., None], 1e-12)
+    fair = light >= _FAIR_SHARE * light.max(axis=-1, keepdims=True)
+    return np.asarray(np.max(np.where(fair, variance / light**2, 0.0), axis=-1))
 
 
 def band_excess(design: Design, seen: CaptureStatistics, prediction: Prediction) -> dict[str, Array]:
@@ -338,7 +338,7 @@ def band_excess(design: Design, seen: CaptureStatistics, prediction: Prediction)
         ("rows", steady, left.rough, prediction.spatial * design.frame_count[:, None]),
     ):
         # The noise of pixels that the ratio is taken over holds the wave too.
-        held = np.mean(prediction.band_variance * kept / noise**2, axis=1) / np.mean(1.0 / noise, axis=1)
+        held = np.mean(prediction.band_variance * kept / noise**2, axis=-1) / np.mean(1.0 / noise, axis=-1)
         found[name] = np.maximum(excess * float(kept.mean()) - held, _LEAST_EXCESS)
     return found
 

@@ -101,9 +101,12 @@ class Basis:
 
 
 def localise(state: FitState) -> tuple[Disagreement, ...]:
-    """Return all tests, the most significant first."""
+    """Return all tests, the most significant first; of forms that are one and the same here, as rows list them.
+
+    An offset with the gain and one without are the same at a single gain: rounding must not choose between them.
+    """
     tests = (score(state, basis, state.fit) for basis in trend_bases(state, covariates(state.model, state.prediction)))
-    return tuple(sorted((test for test in tests if test is not None), key=lambda test: test.log_p))
+    return tuple(sorted((test for test in tests if test is not None), key=lambda test: float(f"{test.log_p:.8g}")))
 
 
 def trend_bases(state: FitState, axes: Mapping[str, Covariate]) -> Iterator[Basis]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import islice
 from typing import Final
 
@@ -15,7 +14,6 @@ from radiometer.reconcile.fit.candidate_fit import Candidate
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.measure.seen import COMB_PERIODS, CaptureStatistics
-from radiometer.reconcile.prediction import Prediction
 from radiometer.reconcile.search.starts import StartPool
 from radiometer.reconcile.statistics import seen_step
 from simulators.effects.catalogue import CatalogueEffect
@@ -85,18 +83,17 @@ def _best(candidates: Sequence[Candidate]) -> list[Candidate]:
     return [replace(ranked[0], others=tuple(others[1:]))] if ranked else []
 
 
-def changes_with(state: FitState, base: Prediction, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
+def changes_with(state: FitState, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
     """Return what sets of effects change in the whitened data residual (minus the residual's change), (entries, sets).
 
     Args:
         state: The fitted model.
-        base: Prediction that they are held against.
         several: The sets.
 
     Raises:
         MeasurementError: If the prediction with one of them is not finite.
     """
-    changed = state.moved_by(base, several)
+    changed = state.moved_by(several)
     for number in np.flatnonzero(~np.isfinite(changed).all(axis=0))[:1].tolist():
         names = ", ".join(effect.name for effect in several[number])
         raise MeasurementError(f"the prediction with {names} is not finite; report this with the capture set")
@@ -109,7 +106,7 @@ def changes_of(state: FitState, effects: Sequence[CatalogueEffect]) -> Array:
     Raises:
         MeasurementError: If the prediction with one of them is not finite.
     """
-    return changes_with(state, state.prediction, [(*state.effects, effect) for effect in effects])
+    return changes_with(state, [(*state.effects, effect) for effect in effects])
 
 
 def _rigid(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate]:
@@ -148,11 +145,12 @@ def _scaled(effect: CatalogueEffect, amplitude: float) -> tuple[CatalogueEffect,
 
 def _flexible(state: FitState, covers: Sequence[CatalogueEffect]) -> list[Candidate]:
     found: list[Candidate] = []
-    waiting: list[tuple[CatalogueEffect, Array]] = []
+    waiting: list[CatalogueEffect] = []
     for number, cover in enumerate(covers, start=1):
-        waiting.append((cover, directions_of(state, (*state.effects, cover), len(state.effects))))
-        if sum(columns.shape[1] for _, columns in waiting) >= AT_ONCE or number == len(covers):
-            found += _flexible_batch(state, waiting)
+        waiting.append(cover)
+        if sum(1 + len(one.free()) for one in waiting) >= AT_ONCE or number == len(covers):
+            own = directions_of_each(state, [((*state.effects, one), len(state.effects)) for one in waiting])
+            found += _flexible_batch(state, [*zip(waiting, own, strict=True)])
             waiting = []
     return found
 
@@ -181,7 +179,21 @@ def directions_of(state: FitState, effects: Sequence[CatalogueEffect], index: in
     Returns:
         (entries, 1 + parameters).
     """
-    at, own = changes_with(state, state.prediction, [effects])[:, 0], state.parameters_of(effects)
-    only = own.of_effect(index)[first:]
-    moves = own.differences(partial(changes_with, state, state.predicted_with(effects)), _FAR_STEP, only)
-    return np.column_stack([at, moves])
+    return next(iter(directions_of_each(state, [(effects, index)], first)))
+
+
+def directions_of_each(
+    state: FitState, entries: Sequence[tuple[Sequence[CatalogueEffect], int]], first: int = 0
+) -> Iterator[Array]:
+    """Yield the same of several sets of effects, each with the position of one of them; their chains run together."""
+    sets, steps = list[Sequence[CatalogueEffect]](), list[Array]()
+    for effects, index in entries:
+        own = state.parameters_of(effects)
+        step, moved = own.a_step_away(_FAR_STEP, own.of_effect(index)[first:])
+        steps.append(step)
+        sets += [effects, *moved]
+    changed, at = changes_with(state, sets), 0
+    for step in steps:
+        there = changed[:, at : at + 1]
+        yield np.hstack([there, (changed[:, at + 1 : at + 1 + step.size] - there) / step])
+        at += 1 + step.size

@@ -18,6 +18,7 @@ from radiometer.reconcile.fit.state import FitState, reweighted, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.layout import slope_lengths, tile_groups
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconcile.model.several import predict_several
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.prnu import Prnu
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
@@ -178,10 +179,12 @@ def test_chain_goes_on_from_the_first_step_that_differs(plain: FitState) -> None
 
 def test_predictions_are_compared_with_one_another_as_with_the_data(plain: FitState) -> None:
     """Residuals of several predictions at once are those of each; what they expect alike differs by nothing at all."""
-    several = [plain.predicted_with((effect,)) for effect in (ExposureTimeOffset(4e-6), Prnu(0.01))]
-    alone = np.stack([plain.comparison.residual(one) for one in several], axis=1)
-    assert plain.comparison.residuals(several) == pytest.approx(alone, abs=1e-12)
-    changes = plain.comparison.changes(plain.prediction, several)
+    effects = (ExposureTimeOffset(4e-6), Prnu(0.01))
+    alone = np.stack([plain.comparison.residual(plain.predicted_with((effect,))) for effect in effects], axis=1)
+    models = [(plain.model.with_effects((effect,)), plain.nuisance) for effect in effects]
+    ((numbers, several),) = predict_several(models, plain.trace)
+    assert plain.comparison.residual(several) == pytest.approx(alone[:, numbers], abs=1e-12)
+    changes = -plain.moved_by([(effect,) for effect in effects])
     assert changes == pytest.approx(alone - plain.plain_residual[:, None], abs=1e-9)
     mean, spatial = (plain.comparison.cuts[name] for name in ("mean", "spatial"))
     assert changes[mean, 0].any()
