@@ -14,6 +14,7 @@ from simulators.effects.context import ExposureContext
 _TRIED_DN = 1.0
 _FEWEST = 3  # captures on either side of an event: fewer may be single frames that went wrong
 _RESTS = (3.0, 20.0)  # mean intervals between captures within which it relaxes
+_SLOWEST_S = 600.0  # what takes longer is warmth: another temperature of the camera, not a zeroing
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,8 @@ class EventOffset(Offset):
     """Adds an offset that dies away after an event: y' = y + b·exp(−(t − t₀)/τ) from t₀ on, y' = y before.
 
     The event is known to lie before the first capture that shows it, not better: t₀ is that capture's time, and is not
-    fitted.
+    fitted. What has not come back by the last capture is a step, which whatever changes once (a setting, a temperature)
+    gives as well.
 
     Source: cameras that calibrate themselves behind a shutter, or zero themselves: tens of DN, relaxing within seconds
     to minutes (thermal cameras at each flat-field correction).
@@ -40,7 +42,7 @@ class EventOffset(Offset):
     fitted = ("offset_dn", "tau_s")
     settles = "dark frames of the shortest exposure, one after the other through the event"
     offset_dn: float = parameter(0.0, "DN", -0.25, 0.25, source="tenths of a DN to tens of DN", of_full_scale=True)
-    tau_s: float = parameter(30.0, "s", 0.01, 1e5, source="seconds to minutes")
+    tau_s: float = parameter(30.0, "s", 0.01, _SLOWEST_S, source="seconds to minutes")
     event_s: float = parameter(0.0, "s", -1e9, 1e9, source="from the first capture on")
 
     def offset(self, context: ExposureContext) -> Any:
@@ -63,8 +65,12 @@ class EventOffset(Offset):
         times = np.unique(begun)
         usual_s = float(np.ptp(times)) / max(times.size - 1, 1)
         return tuple(
-            cls(size, float(np.clip(rests * usual_s, 0.1, 1e4)), float(time))
+            cls(size, float(np.clip(rests * usual_s, 0.1, _SLOWEST_S)), float(time))
             for time in times[_FEWEST : times.size - _FEWEST]
             for rests in _RESTS
             for size in (_TRIED_DN, -_TRIED_DN)
         )
+
+    def unlike_itself(self, context: ExposureContext) -> bool:
+        """Tell whether it does not relax within the captures behind it: any change of state is such a step."""
+        return self.tau_s > float(np.max(np.asarray(elapsed_s(context)))) - self.event_s

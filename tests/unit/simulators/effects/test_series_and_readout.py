@@ -83,6 +83,13 @@ def test_an_event_is_looked_for_in_front_of_captures() -> None:
     assert not EventOffset.usable(_series(np.arange(5.0)))
 
 
+def test_an_event_that_does_not_relax_is_a_step_of_anything() -> None:
+    """Of captures up to 70 s, an event at 30 s relaxes within 40 s or is not told from another change."""
+    captures = _series(10.0 * np.arange(8))
+    assert not EventOffset(offset_dn=2.0, tau_s=39.0, event_s=30.0).unlike_itself(captures)
+    assert EventOffset(offset_dn=2.0, tau_s=41.0, event_s=30.0).unlike_itself(captures)
+
+
 def test_the_first_frame_alone_is_off() -> None:
     """Of four frames the mean is off by a quarter of what the first is; a second frame is not off at all."""
     effect, signal = FirstFrameOffset(offset_dn=4.0), np.full((5, 8), 100.0)
