@@ -2,21 +2,39 @@
 
 from __future__ import annotations
 
+import math
+import zlib
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+import structlog
+
 from drivers.photograph_pixels import CHANNELS, IMAGE_SUFFIXES, Photograph, read_photograph
-from drivers.photograph_times import LIST_NAMES, PhotographSettings, find_list, read_exif, read_list
+from drivers.photograph_times import (
+    LIST_NAMES,
+    PhotographSettings,
+    find_list,
+    name_of_other_case,
+    names_in,
+    read_exif,
+    read_list,
+)
 from radiometer.data import Bracket, Frame, FrameSettings
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.data.raw_files import RAW_SUFFIXES
 from radiometer.errors import CaptureError, UsageError
 
+_LOG: Final = structlog.get_logger(__name__)
 CHANNEL_CHOICES: Final = (*CHANNELS, "luminance", "each")
+_NAMED: Final = 4  # photographs that a message names
+# So many pixels tell whether two pictures may be copies; so many different numbers make a picture.
+_COMPARED_PIXELS: Final = 60_000
+_VALUES_OF_A_PICTURE: Final = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +106,7 @@ class PhotographFolder:
                 report(done, len(self.settings))
             for wanted in _wanted(photograph, channel):
                 frames.setdefault(wanted, []).append(self._frame(name, photograph, wanted))
+        _refuse_copies(self.path, frames)
         return [Bracket.from_frames(several, origin=str(self.path)) for several in frames.values()]
 
     def _photographs(self, most_pixels: int | None, interpolated: bool) -> Iterator[tuple[str, Photograph]]:
@@ -180,13 +199,26 @@ def image_files(path: Path) -> list[str]:
 
 def _from_list(folder: Path, listed: Path) -> dict[str, PhotographSettings]:
     settings = read_list(listed)
-    absent = [name for name in settings if not (folder / name).is_file()]
-    if absent:
-        raise CaptureError(f"{listed}: names {absent[0]!r}, which is not in the folder")
     outside = [name for name in settings if Path(name).name != name]
     if outside:
-        raise CaptureError(f"{listed}: {outside[0]!r} lies outside the folder")
+        raise CaptureError(f"{listed}: {outside[0]!r} lies outside the folder; name files that lie beside the list")
+    here = set(names_in(folder).values())
+    absent = [name for name in settings if name not in here]
+    if absent:
+        raise CaptureError(_absent(listed, absent, here))
+    if unnamed := [name for name in image_files(folder) if name not in settings]:
+        shown = ", ".join(unnamed[:_NAMED]) + (" …" if len(unnamed) > _NAMED else "")
+        _LOG.warning("photographs that the list does not name are left out", list=str(listed), photographs=shown)
     return {name: _with_exif_aperture(folder / name, known) for name, known in sorted(settings.items())}
+
+
+def _absent(listed: Path, absent: list[str], here: set[str]) -> str:
+    """Return what to say of photographs that a list names and that are not there."""
+    named = ", ".join(map(repr, absent[:_NAMED])) + (" …" if len(absent) > _NAMED else "")
+    which = "which is" if len(absent) == 1 else f"{len(absent)} files that are"
+    other = name_of_other_case(absent[0], here)
+    way_out = f"the file is called {other!r}" if other else "mend the name, or take the line out"
+    return f"{listed}: names {named}, {which} not in the folder; {way_out}"
 
 
 def _with_exif_aperture(path: Path, known: PhotographSettings) -> PhotographSettings:
@@ -240,6 +272,25 @@ def _refuse_mixture(folder: Path, first: tuple[str, Photograph], other: tuple[st
         )
     if a.is_grey != b.is_grey:
         raise CaptureError(f"{folder}: {name} and {second} are not both grey or both in colour; use one kind")
+
+
+def _refuse_copies(folder: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
+    """Refuse photographs that are copies of each other: noise makes every picture another one.
+
+    Pictures of next to nothing but black and white may be alike.
+    """
+    first: dict[tuple[int, ...], int] = {}
+    for index, planes in enumerate(zip(*frames.values(), strict=True)):
+        step = max(1, math.isqrt(planes[0].dn.size // _COMPARED_PIXELS))
+        mark = tuple(zlib.crc32(frame.dn[::step, ::step].tobytes()) for frame in planes)
+        other = [several[first.setdefault(mark, index)] for several in frames.values()]
+        if other[0] is planes[0] or not all(np.array_equal(a.dn, b.dn) for a, b in zip(other, planes, strict=True)):
+            continue
+        if max(np.unique(frame.dn[::step, ::step]).size for frame in planes) >= _VALUES_OF_A_PICTURE:
+            raise CaptureError(
+                f"{folder}: {planes[0].extra['file']} and {other[0].extra['file']} hold the same picture, number by "
+                "number: one is a copy of the other; leave one out"
+            )
 
 
 def _wanted(photograph: Photograph, channel: str) -> tuple[str, ...]:

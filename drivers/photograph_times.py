@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -11,13 +13,22 @@ from typing import Final
 
 from PIL import Image, UnidentifiedImageError
 
-from radiometer.errors import CaptureError
+from radiometer.data.storage import read_text
+from radiometer.errors import CaptureError, InputError
 from radiometer.units import exact_exposure_s, exact_f_number
 
 _LONGEST_NUMBER: Final = 40
-_LONGEST_NAME: Final = 255  # bytes; file systems refuse to look for longer ones
 _GAP: Final = re.compile(r"[,;\s]+")
 _HUGE_POWER: Final = re.compile(r"[eE][+-]?0*\d{3}")
+_TIME: Final = re.compile(r"([-+\d./eE]+)\s*([^\W\d_]*)")
+_DECIMAL_COMMA: Final = re.compile(r"[;\s]+(\d+,\d+)(?![,\d])")
+# Units that may stand behind a time, in s.
+_UNITS_S: Final = {
+    "": 1.0, "s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "min": 60.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6,
+    "μs": 1e-6,
+}  # fmt: skip
+
+_NAME_COLUMN: Final = ("file", "name", "filename", "image")
 
 LIST_NAMES: Final = ("exposures.txt", "exposures.csv", "image_list.txt")
 
@@ -116,45 +127,88 @@ def read_list(path: Path) -> dict[str, PhotographSettings]:
     """Return the settings of every file that a list names.
 
     One file per line: `name seconds`, separated by blanks or a comma; a fraction such as 1/125 is allowed and taken
-    as it stands. Lines that begin with # are comments; where such a line names the columns and the second one is the
-    shutter speed 1/t (Debevec's image lists exist in both forms), its reciprocal is taken.
+    as it stands, a unit (s, ms, us, min) may follow, or stand in a heading (`name time_ms`). Lines that begin with #
+    are comments; where such a line names the columns and the second one is the shutter speed 1/t (Debevec's image
+    lists exist in both forms), its reciprocal is taken.
 
     Raises:
-        CaptureError: If the list is unreadable, empty, or a line is not of that form; names file and line.
+        CaptureError: If the list is unreadable, empty, names a file twice, or a line is not of that form; names file
+            and line.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise CaptureError(f"cannot read {path}: {error}") from error
-    reciprocal, found = False, {}
+    lines = _lines(path)
+    reciprocal, unit, found, told_in = False, "", {}, dict[str, int]()
+    here = names_in(path.parent)
     for number, line in enumerate(lines, start=1):
-        words = _words(line.strip().strip("#").strip(), path.parent)
+        text = line.strip().strip("#").strip()
+        words = _words(text, here)
         if not words[0]:
             continue
         if line.lstrip().startswith("#") or (number == 1 and _is_heading(words)):
             reciprocal |= len(words) > 1 and words[1].lower().startswith(("1/", "shutter_speed"))
+            unit = _unit_of_heading(words) or unit
             continue
-        found[words[0]] = _settings_of_line(words, reciprocal, f"{path}, line {number}")
+        where = f"{path}, line {number}"
+        if (before := told_in.setdefault(words[0], number)) != number:
+            raise CaptureError(f"{where}: names {words[0]!r} again (as line {before} does); leave one of the lines out")
+        _refuse_decimal_comma(text, words, where)
+        found[words[0]] = _settings_of_line(words, reciprocal, unit, where)
     if not found:
         raise CaptureError(f"{path}: names no photograph; write one line per file: `name seconds`")
     return found
 
 
-def _words(line: str, folder: Path) -> list[str]:
+def _lines(path: Path) -> list[str]:
+    try:
+        return read_text(path).splitlines()
+    except InputError as error:
+        raise CaptureError(f"{error}; save the list as plain text in UTF-8") from error
+
+
+def names_in(folder: Path) -> dict[str, str]:
+    """Return the names of the files in a folder by their composed form: some systems store ü as u and two dots."""
+    return {unicodedata.normalize("NFC", entry.name): entry.name for entry in folder.iterdir() if entry.is_file()}
+
+
+def name_of_other_case(name: str, names: Iterable[str]) -> str | None:
+    """Return the one of several names that differs in capital letters alone; None where there is none."""
+    return next((other for other in names if other.casefold() == name.casefold()), None)
+
+
+def _words(line: str, here: dict[str, str]) -> list[str]:
     """Return a line's name and what follows; a name has blanks where a photograph of that name lies in the folder."""
     for gap in _GAP.finditer(line):
-        name = line[: gap.start()].strip("\"'")
-        if len(name.encode()) <= _LONGEST_NAME and (folder / name).is_file():
-            return [name, *_GAP.split(line[gap.end() :])]
-    return _GAP.split(line)
+        name = _plain_name(line[: gap.start()])
+        if name in here:
+            return [here[name], *_GAP.split(line[gap.end() :])]
+    words = _GAP.split(line)
+    return [_plain_name(words[0]), *words[1:]]
+
+
+def _plain_name(text: str) -> str:
+    return unicodedata.normalize("NFC", text.strip("\"'").removeprefix("./"))
+
+
+def _refuse_decimal_comma(line: str, words: list[str], where: str) -> None:
+    """Refuse `name 3,2` and `name;3,2`: the comma would part it into columns, and 3 s be taken."""
+    if len(words) != 3 or not (found := _DECIMAL_COMMA.search(line)) or found.group(1) != ",".join(words[1:]):
+        return
+    raise CaptureError(f"{where}: {found.group(1)!r} has a decimal comma; write {'.'.join(words[1:])}")
 
 
 def _is_heading(words: list[str]) -> bool:
-    return len(words) > 1 and _number(words[1]) is None and words[0].lower() in ("file", "name", "filename", "image")
+    return len(words) > 1 and _number(words[1]) is None and words[0].lower() in _NAME_COLUMN
 
 
-def _settings_of_line(words: list[str], reciprocal: bool, where: str) -> PhotographSettings:
-    seconds = _number(words[1]) if len(words) > 1 else None
+def _unit_of_heading(words: list[str]) -> str:
+    """Return the unit that a heading gives the second column (`name time_ms`, `file, time (ms)`); "" where none."""
+    if words[0].lower() not in _NAME_COLUMN:
+        return ""
+    parts = (re.split(r"[_(\[)\]]", word.lower()) for word in words[1:3])
+    return next((part for several in parts for part in several if part in _UNITS_S and part), "")
+
+
+def _settings_of_line(words: list[str], reciprocal: bool, unit: str, where: str) -> PhotographSettings:
+    seconds = _time_s(words, unit)
     if seconds is None or not (math.isfinite(seconds) and seconds > 0):
         shown = words[1] if len(words) > 1 else "nothing"
         raise CaptureError(
@@ -164,12 +218,24 @@ def _settings_of_line(words: list[str], reciprocal: bool, where: str) -> Photogr
     return PhotographSettings(exposure_s=seconds, nominal_exposure_s=seconds)
 
 
-def _number(word: str) -> float | None:
-    text = word.removesuffix("s").rstrip()
-    if len(text) > _LONGEST_NUMBER or _HUGE_POWER.search(text):  # a fraction of 10^99999999 would fill the memory
+def _time_s(words: list[str], unit: str) -> float | None:
+    """Return the time in s of a line whose unit is in the time itself, in the word after it, or in the heading."""
+    if len(words) < 2:
+        return None
+    after = words[2].lower() if len(words) > 2 and words[2].lower() in _UNITS_S else ""
+    return _number(words[1], after or unit)
+
+
+def _number(word: str, unit: str = "") -> float | None:
+    """Return a time in s, in the given unit where none stands at its end; None where it is no time."""
+    found = _TIME.fullmatch(word)
+    if found is None or len(word) > _LONGEST_NUMBER or _HUGE_POWER.search(word):
+        return None  # a fraction of 10^99999999 would fill the memory
+    own = found.group(2).lower()
+    if own not in _UNITS_S:
         return None
     try:
-        return float(Fraction(text))
+        return float(Fraction(found.group(1))) * _UNITS_S[own or unit]
     except (ValueError, ZeroDivisionError, OverflowError):
         return None
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path
 
-import radiometer
+from radiometer.data.provenance import source_hash
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +35,6 @@ class JobSettings:
         return digest.hexdigest()[:16]
 
 
-@cache
 def code_hash() -> str:
     """Return a hash over the source of the packages that results depend on."""
-    root = Path(radiometer.__file__).resolve().parent
-    digest = hashlib.sha256()
-    for package in ("data", "analysis", "reconcile", "archive"):
-        for source in sorted((root / package).rglob("*.py")):
-            digest.update(source.relative_to(root).as_posix().encode())
-            digest.update(source.read_bytes())
-    return digest.hexdigest()[:16]
+    return source_hash("data", "analysis", "reconcile", "archive")

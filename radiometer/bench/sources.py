@@ -15,6 +15,7 @@ from radiometer.errors import CaptureError
 from radiometer.importing import is_foreign, open_capture
 
 _NAMED = 4  # folders that a message names
+_UNREAD = frozenset({".heic", ".heif", ".avif", ".webp", ".jxl", ".jp2", ".bmp", ".gif"})
 
 
 def open_brackets(
@@ -113,6 +114,8 @@ def _named(frame: Frame, file: str) -> Frame:
 
 def _instead(path: Path) -> str:
     """Return what to give in place of a folder that holds nothing itself: those of its folders that do, by name."""
+    if unread := sorted({entry.suffix.lower() for entry in path.iterdir()} & _UNREAD):
+        return f"its {', '.join(unread)} files are not read: save them as JPEG, PNG or TIFF"
     inner = sorted(p for p in path.iterdir() if p.is_dir() and ((p / HEADER_NAME).exists() or image_files(p)))
     if not inner:
         return "give a capture set or photographs"

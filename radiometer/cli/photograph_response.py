@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 # Enough for a response; larger photographs are read on a lattice for it.
 ENOUGH_PIXELS = 1_000_000
 _KEY = "photographs_sha256"
+_VERSION_KEY = "recovery_version"
+# What a recovered response depends on beside the photographs.
+_RECOVERY = "analysis/response"
 _BEYOND_THE_CONVERTER = 1.1
 # A power of growth with exposure that differs from 1 by more is no linear camera's: seven sets of JPEG and film have
 # 0.41 to 0.69, the linear Flea3 0.96 to 1.00.
@@ -55,7 +58,8 @@ def recovered_curves(
 ) -> tuple[dict[str, ResponseCurve], list[Path]]:
     """Return the response of every bracket, kept beside a map, and the files it is kept in.
 
-    A file is taken up again where it was recovered from the same photographs: the same values and exposure times.
+    A file is taken up again where this version of the recovery made it, from the same photographs: the same values,
+    exposure times and colours. What an earlier version made of them is recovered anew, which is said.
 
     Args:
         brackets: One per channel.
@@ -70,13 +74,17 @@ def recovered_curves(
 
     thin = {_channel(bracket): bracket.thinned(ENOUGH_PIXELS) for bracket in brackets}
     files = {channel: beside.with_name(f"{beside.stem}-response-{channel}.yaml") for channel in thin}
-    keys = {channel: _fingerprint(bracket) for channel, bracket in thin.items()}
-    curves = {channel: _kept(file, keys[channel]) for channel, file in files.items()}
-    if None in curves.values():
-        for channel, curve in _recovered(thin, keys, say).items():
+    key = _fingerprint(thin)
+    kept = {channel: _kept(file, key) for channel, file in files.items()}
+    curves = {channel: curve for channel, curve in kept.items() if curve is not None and _is_of_this_version(curve)}
+    if len(curves) < len(files):
+        if any(curve is not None and not _is_of_this_version(curve) for curve in kept.values()):
+            kept_in = ", ".join(file.name for file in files.values())
+            say(f"{kept_in}: from another version of the recovery of responses; recovered anew")
+        for channel, curve in _recovered(thin, key, say).items():
             curve.write(files[channel])
             curves[channel] = ResponseCurve.read(files[channel])
-    return {channel: curve for channel, curve in curves.items() if curve is not None}, list(files.values())
+    return curves, list(files.values())
 
 
 def told_by_themselves(
@@ -101,7 +109,7 @@ def told_by_themselves(
     if linear or raw:
         return relative_calibration(bracket, None, camera, lens)[0], bracket
     channel = _channel(bracket)
-    curve = _recovered({channel: common.thinned(ENOUGH_PIXELS)}, {channel: ""}, say)[channel]
+    curve = _recovered({channel: common.thinned(ENOUGH_PIXELS)}, "", say)[channel]
     timed = with_found_times(bracket, curve)
     return relative_calibration(timed, curve, camera, lens)[0], timed
 
@@ -125,12 +133,11 @@ def linear_doubt(bracket: Bracket) -> str | None:
     return None
 
 
-def _recovered(
-    brackets: Mapping[str, Bracket], keys: Mapping[str, str], say: Callable[[str], None]
-) -> dict[str, ResponseCurve]:
+def _recovered(brackets: Mapping[str, Bracket], key: str, say: Callable[[str], None]) -> dict[str, ResponseCurve]:
     """Return the response of every colour, their labels judged by all of them, with the photographs' fingerprint."""
     from radiometer.analysis.response.auto import recover_colours_auto
     from radiometer.analysis.response.labels import refuse_lying_labels
+    from radiometer.data.provenance import source_hash
 
     for bracket in brackets.values():
         refuse_lying_labels(bracket)
@@ -142,7 +149,7 @@ def _recovered(
     for text, channels in of_colours.items():
         say(f"{', '.join(channels)}: {text}")
     for channel, estimate in zip(brackets, found, strict=True):
-        parameters = {**estimate.curve.provenance.parameters, _KEY: keys[channel]}
+        parameters = {**estimate.curve.provenance.parameters, _KEY: key, _VERSION_KEY: source_hash(_RECOVERY)}
         provenance = replace(estimate.curve.provenance, parameters=parameters)
         curves[channel] = replace(estimate.curve, provenance=provenance)
     return curves
@@ -284,11 +291,14 @@ def _channel(bracket: Bracket) -> str:
     return str(bracket.frames[0].extra.get("channel", "mono"))
 
 
-def _fingerprint(bracket: Bracket) -> str:
+def _fingerprint(brackets: Mapping[str, Bracket]) -> str:
+    """Return a hash of photographs: their values and exposure times in all colours, which are judged together."""
     digest = hashlib.sha256()
-    for frame in bracket:
-        digest.update(f"{frame.settings.effective_exposure_s!r} {frame.shape} {frame.bit_depth}".encode())
-        digest.update(frame.dn.tobytes())
+    for channel, bracket in brackets.items():
+        digest.update(f"{channel} {len(bracket)} ".encode())
+        for frame in bracket:
+            digest.update(f"{frame.settings.effective_exposure_s!r} {frame.shape} {frame.bit_depth}".encode())
+            digest.update(frame.dn.tobytes())
     return digest.hexdigest()
 
 
@@ -302,3 +312,9 @@ def _kept(file: Path, key: str) -> ResponseCurve | None:
     except InputError:
         return None
     return curve if curve.provenance.parameters.get(_KEY) == key else None
+
+
+def _is_of_this_version(curve: ResponseCurve) -> bool:
+    from radiometer.data.provenance import source_hash
+
+    return curve.provenance.parameters.get(_VERSION_KEY) == source_hash(_RECOVERY)

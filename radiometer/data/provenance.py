@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import datetime as dt
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import radiometer
@@ -14,6 +17,22 @@ from radiometer.errors import InputError
 def utc_now() -> str:
     """Return the present time as ISO 8601 in UTC with microseconds."""
     return dt.datetime.now(dt.UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+
+
+@cache
+def source_hash(*packages: str) -> str:
+    """Return a hash over the source of packages: equal means that they do the same.
+
+    Args:
+        packages: Folders below `radiometer`, such as "analysis/response".
+    """
+    root = Path(radiometer.__file__).resolve().parent
+    digest = hashlib.sha256()
+    for package in packages:
+        for source in sorted((root / package).rglob("*.py")):
+            digest.update(source.relative_to(root).as_posix().encode())
+            digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 @dataclass(frozen=True, slots=True)

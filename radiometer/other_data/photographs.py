@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
-from radiometer.analysis.response.labels import frame_name, refuse_falling_brightness
+from radiometer.analysis.response.labels import exposure_label, frame_name, refuse_falling_brightness
 from radiometer.analysis.response.left_out import others_gap, prediction_error_dn
 from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
@@ -295,7 +295,7 @@ def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
         ratio, u_ratio = _of_printed(one, judged, bracket)
         rivals = "".join(f", or {names[frame]} {other:.3f}" for frame, other in one.rivals)
         parts.append(
-            f"{names[one.frame]}, labelled {bracket.frames[one.frame].settings.exposure_s:.4g} s, had "
+            f"{names[one.frame]}, labelled {exposure_label(bracket, one.frame)}, had "
             f"{ratio:.3f} ± {u_ratio:.3f} of that{rivals}{': which of them, these cannot tell' if rivals else ''}"
         )
     return (

@@ -233,7 +233,7 @@ def _notes(
 ) -> tuple[str, ...]:
     fit = result.fit
     notes = [
-        f"the exposure labelled {np.exp(samples.frame_log_time[label.frame]):.4g} s is "
+        f"the exposure labelled {_label(samples, label.frame)} is "
         f"{label.ratio:.3f} ± {label.u_ratio:.3f} of that; it was taken as found, not as labelled"
         + _rivals(label, samples)
         for label in wrong
@@ -243,8 +243,7 @@ def _notes(
         worst = int(np.argmax(np.abs(errors)))
         notes.append(
             f"the exposure times differ from their labels by some {100 * fit.time_spread:.2g} %; most for "
-            f"{np.exp(samples.frame_log_time[worst]):.4g} s, which is "
-            f"{np.exp(samples.frame_log_time[worst] + errors[worst]):.4g} s"
+            f"{_label(samples, worst)}, which has {np.exp(errors[worst]):.4g} of that"
         )
     if samples.edge_scatter:
         notes.append(
@@ -262,8 +261,14 @@ def _notes(
 
 
 def _rivals(label: WrongLabel, samples: ResponseSamples) -> str:
-    others = ", ".join(f"{np.exp(samples.frame_log_time[frame]):.4g} s to {ratio:.3f}" for frame, ratio in label.rivals)
+    others = ", ".join(f"{_label(samples, frame)} to {ratio:.3f}" for frame, ratio in label.rivals)
     return f"; changing instead {others} predicts nearly as well, and u holds the difference" if others else ""
+
+
+def _label(samples: ResponseSamples, frame: int) -> str:
+    if samples.frame_labels:
+        return samples.frame_labels[frame]
+    return f"{np.exp(samples.frame_log_time[frame]):.4g} s"
 
 
 def _note_on_disagreement(result: FittedResponse, parts: _Parts) -> str:

@@ -27,6 +27,8 @@ def refuse_lying_labels(bracket: Bracket) -> None:
     Raises:
         CaptureError: If brightness does not rise with the stated exposure; names the frames whose label is wrong.
     """
+    if np.ptp(bracket.effective_exposures_s) == 0.0:
+        return  # one exposure says nothing of its label
     _refuse_equal_frames(bracket)
     rise = _pairwise_rise(bracket)
     honest = _longest_rise(rise)
@@ -89,6 +91,25 @@ def frame_name(bracket: Bracket, index: int) -> str:
     if "file" in frame.extra:
         return str(frame.extra["file"])
     return f"frame {index if frame.frame_id is None else frame.frame_id}"
+
+
+def exposure_label(bracket: Bracket, index: int) -> str:
+    """Return a frame's exposure as it is stated: "0.2 s", and ISO speed or gain where these differ in the bracket."""
+    stated = bracket.frames[index].settings
+    if len({frame.settings.gain_db for frame in bracket}) == 1:
+        return f"{stated.exposure_s:.4g} s"
+    speed = f"ISO {stated.iso:g}" if stated.iso else f"{stated.gain_db:.3g} dB"
+    return f"{stated.exposure_s:.4g} s at {speed}"
+
+
+def exposure_labels(bracket: Bracket) -> list[str]:
+    """Return what a user knows every exposure by: as it is stated, and its file where it has one.
+
+    Args:
+        bracket: The frames.
+    """
+    files = [f" ({frame.extra['file']})" if "file" in frame.extra else "" for frame in bracket]
+    return [exposure_label(bracket, index) + file for index, file in enumerate(files)]
 
 
 def _pairwise_rise(bracket: Bracket) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.response.labels import exposure_labels
 from radiometer.analysis.response.limits import ValueLimits, find_limits
 from radiometer.data.bracket import Bracket
 from radiometer.errors import InputError, MeasurementError
@@ -51,6 +52,7 @@ class ResponseSamples:
         without_quadrant: The same rows four times, each without the pixels of one quadrant of the picture; empty for
             samples that were themselves cut from others.
         quadrants: The rows of each quadrant's own pixels, likewise.
+        frame_labels: What every frame's exposure is called: stated time, speed and file; empty for cut samples.
     """
 
     dn: NDArray[np.float64]
@@ -68,6 +70,7 @@ class ResponseSamples:
     edge_scatter: float = 0.0
     without_quadrant: tuple[ResponseSamples, ...] = ()
     quadrants: tuple[ResponseSamples, ...] = ()
+    frame_labels: tuple[str, ...] = ()
 
     @property
     def group_count(self) -> int:
@@ -124,6 +127,7 @@ def gather_samples(brackets: Bracket | Sequence[Bracket]) -> ResponseSamples:
             them.append(replace(part, group=part.group + first))
         frames += len(bracket)
     whole, *others = (_joined(them) for them in parts)
+    whole = replace(whole, frame_labels=tuple(label for bracket in several for label in exposure_labels(bracket)))
     if whole.group_count < 4:
         raise MeasurementError(_nothing_usable(whole))
     if any(part.group_count < 4 for part in others):  # one quadrant holds nearly all that there is to see

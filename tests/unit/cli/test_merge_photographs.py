@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 import tifffile
 
+from radiometer.analysis.response import auto
+from radiometer.analysis.response.debevec1997 import recover_response_debevec1997
 from radiometer.cli.main import run
 from radiometer.cli.merge_report import displacement_told
+from radiometer.data import provenance
 
 TIMES = (1.0, 2.0, 4.0, 8.0)
 SHIFTS = ((0.0, 0.0), (3.0, -2.0), (0.0, 0.0), (-4.0, 1.0))
@@ -180,3 +183,46 @@ def test_a_fall_off_that_is_not_known_is_refused_before_the_work(folder, tmp_pat
     words = ["merge", str(folder), "--vignetting", "lensfun", "-o", str(tmp_path / "map.exr")]
     assert run(words) == 1
     assert "lensfun's fall-off needs it" in capsys.readouterr().err
+
+
+@pytest.fixture
+def few_colours(tmp_path, monkeypatch):
+    """Return a folder of colour photographs, and how often their response is recovered; each time as by a root."""
+    y, x = np.mgrid[:120:3, :160:3].astype(float)
+    rng = np.random.default_rng(15)
+    for k in range(3):
+        dn = np.clip(rng.normal(60.0 * np.sqrt(_light(x, y) * 2.0**k)[..., None], 0.7, (40, 54, 3)), 0, 255)
+        cv2.imwrite(str(tmp_path / f"p{k}.png"), np.rint(dn).astype(np.uint8))
+    (tmp_path / "exposures.txt").write_text("".join(f"p{k}.png {2**k}\n" for k in range(3)))
+    recovered = []
+
+    def recover(brackets):
+        recovered.append(len(brackets))
+        return [recover_response_debevec1997(bracket) for bracket in brackets]
+
+    monkeypatch.setattr(auto, "recover_colours_auto", recover)
+    return tmp_path, recovered
+
+
+def test_a_kept_response_is_taken_up_as_long_as_photographs_and_recovery_stay(few_colours, capsys, monkeypatch):
+    """Merged again, the response comes from beside the map; by another version of the recovery it is recovered anew."""
+    folder, recovered = few_colours
+    words = ["merge", str(folder), "-o", str(folder / "out.exr"), "--align", "off", "--channel", "each"]
+    for _ in range(2):
+        assert run(words) == 0
+    assert recovered == [3]
+    assert "recovered anew" not in capsys.readouterr().err
+    monkeypatch.setattr(provenance, "source_hash", lambda *_: "another")
+    for _ in range(2):
+        assert run(words) == 0
+    assert recovered == [3, 3]
+    said = capsys.readouterr().err.replace("\n", " ")
+    assert said.count("from another version of the recovery of responses; recovered anew") == 1
+
+
+def test_a_colour_by_itself_does_not_take_up_what_three_colours_told(few_colours):
+    """Labels are judged by all colours together: red alone is recovered by itself, and the three together again."""
+    folder, recovered = few_colours
+    for channel in ("each", "red", "each"):
+        assert run(["merge", str(folder), "-o", str(folder / "out.exr"), "--align", "off", "--channel", channel]) == 0
+    assert recovered == [3, 1, 3]

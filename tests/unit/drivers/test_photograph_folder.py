@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import unicodedata
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import structlog
 from PIL import Image
 
 from drivers.photograph_folder import read_photographs
@@ -123,14 +125,15 @@ def test_sixteen_bit_files_keep_their_values(tmp_path):
 def test_a_palette_of_greys_is_grey(tmp_path):
     """Numbers of a palette stand for its greys: a ramp upside down comes back as its greys, in one channel."""
     numbers = np.arange(192, dtype=np.uint8).reshape(12, 16)
-    image = Image.fromarray(numbers, "P")
-    image.putpalette([grey for number in range(256) for grey in [255 - number] * 3])
-    for name in ("a.png", "b.tif"):
+    pictures = {"a.png": numbers, "b.tif": numbers[::-1]}
+    for name, picture in pictures.items():
+        image = Image.fromarray(np.ascontiguousarray(picture), "P")
+        image.putpalette([grey for number in range(256) for grey in [255 - number] * 3])
         image.save(tmp_path / name)
     (tmp_path / "exposures.txt").write_text("a.png 1\nb.tif 2\n")
     (bracket,) = read_photographs(tmp_path, "each")
     for frame in bracket:
-        assert np.array_equal(frame.dn, 255 - numbers)
+        assert np.array_equal(frame.dn, 255 - pictures[frame.extra["file"]])
 
 
 def test_a_png_called_a_jpeg_keeps_its_sixteen_bits(tmp_path):
@@ -223,3 +226,91 @@ def test_unknown_channel_is_refused(tmp_path):
     _jpeg(tmp_path, "a.jpg", 80, time=0.1)
     with pytest.raises(UsageError, match="choose one of"):
         read_photographs(tmp_path, "infrared")
+
+
+@pytest.mark.parametrize(
+    ("heading", "line"),
+    [("", "a.png 2.5 ms"), ("", "a.png\t2.5ms"), ("", "a.png,2500 us"), ("name time_ms\n", "a.png 2.5"),
+     ("# file, time (ms)\n", "a.png, 2.5"), ("", "./a.png 0.0025 s 8"), ("", '"a.png" 1/400 sec')],
+)  # fmt: skip
+def test_a_unit_behind_a_time_counts(tmp_path, heading, line):
+    """Milliseconds and microseconds are not taken for seconds, wherever their name stands."""
+    (tmp_path / "exposures.txt").write_text(f"{heading}{line}\n")
+    found = read_list(tmp_path / "exposures.txt")
+    assert {name: one.exposure_s for name, one in found.items()} == {"a.png": pytest.approx(0.0025)}
+
+
+@pytest.mark.parametrize("line", ["a.png;3,2", "a.png 3,2", "a.png\t3,2"])
+def test_a_decimal_comma_is_not_taken_for_a_column(tmp_path, line):
+    """3,2 s is refused with what to write, not read as 3 s."""
+    (tmp_path / "exposures.csv").write_text(f"{line}\n")
+    with pytest.raises(CaptureError, match=r"line 1: '3,2' has a decimal comma; write 3\.2"):
+        read_list(tmp_path / "exposures.csv")
+
+
+@pytest.mark.parametrize("line", ["a.png,0.5,8", "a.png 32 0.03125 8 0 0", "a.png 4 8"])
+def test_further_columns_are_no_decimals(tmp_path, line):
+    """What stands behind the time in a list of several columns is left alone."""
+    (tmp_path / "exposures.csv").write_text(f"{line}\n")
+    seconds = float(line.replace(",", " ").split()[1])
+    assert read_list(tmp_path / "exposures.csv")["a.png"].exposure_s == seconds
+
+
+def test_a_file_named_twice_is_refused(tmp_path):
+    """Two lines for one photograph: the second would silently win; both lines are told."""
+    (tmp_path / "exposures.txt").write_text("a.png 1\nb.png 2\na.png 4\n")
+    with pytest.raises(CaptureError, match=r"line 3: names 'a\.png' again \(as line 1 does\)"):
+        read_list(tmp_path / "exposures.txt")
+
+
+def test_files_that_a_list_names_and_that_are_not_there_are_told(tmp_path):
+    """Each is named, and one that differs in capital letters alone is told as it is called."""
+    _grey(tmp_path, "IMG_1.png", 100)
+    (tmp_path / "exposures.txt").write_text("IMG_1.png 1\nb.png 2\nc.png 4\n")
+    with pytest.raises(CaptureError, match=r"names 'b\.png', 'c\.png', 2 files that are not in the folder; mend"):
+        read_photographs(tmp_path)
+    (tmp_path / "exposures.txt").write_text("img_1.PNG 1\n")
+    with pytest.raises(
+        CaptureError, match=r"'img_1\.PNG', which is not in the folder; the file is called 'IMG_1\.png'"
+    ):
+        read_photographs(tmp_path)
+
+
+def test_photographs_that_a_list_does_not_name_are_said_to_be_left_out(tmp_path):
+    """A list of two of three photographs uses these two, and says which it leaves."""
+    for name in ("a.png", "b.png", "c.png"):
+        _grey(tmp_path, name, 100 + ord(name[0]))
+    (tmp_path / "exposures.txt").write_text("a.png 1\nc.png 4\n")
+    with structlog.testing.capture_logs() as said:
+        assert len(read_photographs(tmp_path)[0]) == 2
+    assert [one["photographs"] for one in said] == ["b.png"]
+
+
+def test_umlauts_are_one_letter_or_two_marks(tmp_path):
+    """A list made where ü is one letter finds the file of a system that stores it as u and two dots, blanks and all."""
+    stored, listed = (unicodedata.normalize(form, "Küche 1.png") for form in ("NFD", "NFC"))
+    _grey(tmp_path, "x.png", 100)
+    (tmp_path / "x.png").rename(tmp_path / stored)
+    (tmp_path / "exposures.txt").write_text(f"{listed} 0.5\n", encoding="utf-8")
+    assert read_photographs(tmp_path)[0].frames[0].settings.exposure_s == 0.5
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-16"])
+def test_a_list_that_is_not_utf_8_is_told_with_the_way_out(tmp_path, encoding):
+    """What Windows' own programs write in other encodings is refused in words, not by a codec's."""
+    (tmp_path / "exposures.txt").write_bytes("Küche.png 1\n".encode(encoding))
+    with pytest.raises(CaptureError, match=r"is not UTF-8\); save the list as plain text in UTF-8"):
+        read_list(tmp_path / "exposures.txt")
+
+
+def test_a_copy_of_a_photograph_is_refused(tmp_path):
+    """A copied file is no second exposure: both are named; black frames, which are alike, are none."""
+    for name, level in (("a.png", 100), ("b.png", 200), ("c.png", 200)):
+        _grey(tmp_path, name, level)
+    lines = ["a.png 1", "b.png 2", "c.png 2"]
+    (tmp_path / "exposures.txt").write_text("\n".join(lines))
+    with pytest.raises(CaptureError, match=r"c\.png and b\.png hold the same picture"):
+        read_photographs(tmp_path)
+    for name in ("b.png", "c.png"):
+        _grey(tmp_path, name, 3)
+    assert len(read_photographs(tmp_path)[0]) == 3

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from radiometer.analysis.response.labels import refuse_lying_labels
+from radiometer.analysis.response.labels import exposure_labels, refuse_lying_labels
 from radiometer.data import Bracket
 from radiometer.errors import CaptureError
 
@@ -59,3 +59,23 @@ def test_equal_black_frames_are_no_lie(make_stack):
         for s in (1e-6, 2e-6)
     ]
     refuse_lying_labels(Bracket.from_frames([*dark, *bracket.frames]))
+
+
+def test_equal_exposures_are_no_lie_whatever_their_brightness(make_stack):
+    """Frames that all state one exposure say nothing of labels: that one exposure is too few is said elsewhere."""
+    bracket = make_stack("gamma", bit_depth=8)
+    equal = [replace(f, settings=replace(f.settings, exposure_s=0.1)) for f in reversed(bracket.frames)]
+    refuse_lying_labels(Bracket.from_frames(equal))
+
+
+def test_an_exposure_is_called_as_it_is_stated(make_stack):
+    """A label that is found wrong is told by file, time and speed, not by the product of time and gain."""
+    frames = make_stack("gamma", bit_depth=8).frames[:3]
+    stated = [{"gain_db": 0.0, "iso": 100.0}, {"gain_db": 6.0206, "iso": 200.0}, {"gain_db": 6.0206, "iso": None}]
+    bracket = Bracket.from_frames(
+        replace(f, settings=replace(f.settings, exposure_s=2.0 ** (k - 6), **gain), extra={"file": f"p{k}.jpg"})
+        for k, (f, gain) in enumerate(zip(frames, stated, strict=True))
+    )
+    labels = ["0.01562 s at ISO 100 (p0.jpg)", "0.03125 s at ISO 200 (p1.jpg)", "0.0625 s at 6.02 dB (p2.jpg)"]
+    assert exposure_labels(bracket) == labels
+    assert exposure_labels(replace(bracket, frames=bracket.frames[:1])) == ["0.01562 s (p0.jpg)"]
