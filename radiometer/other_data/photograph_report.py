@@ -107,6 +107,8 @@ def outcome(result: ReconcileResult, frames: Sequence[FrameFinding]) -> str:
     if any(effect.name == "nominal_settings" for effect in result.effects):
         parts.append("the printed times are rounded stops")
     parts += [f"{one.name} had {with_u(one.ratio, _COVERAGE * one.u_ratio)} of its printed exposure" for one in wrong]
+    if result.verdict is Verdict.UNNAMED:
+        return f"The {len(frames)} photographs follow no single tone curve with their printed exposures."
     if result.verdict is Verdict.AGREES or not parts:
         return f"The printed exposures of all {len(frames)} photographs agree."
     said = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else parts[0]

@@ -22,13 +22,16 @@ from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.labels import exposure_label, frame_name, refuse_falling_brightness
 from radiometer.analysis.response.left_out import others_gap, prediction_error_dn
 from radiometer.analysis.response.planes import Plane
+from radiometer.analysis.response.predicting import MANY_AS_ONE
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, settle
+from radiometer.analysis.response.weights import dn_at, value_at
 from radiometer.analysis.response.wrong_labels import (
     LEAST_GAIN,
     SMALLEST_LABEL_ERROR,
     WrongLabel,
     find_wrong_labels,
+    most_wrong_labels,
     thinned,
 )
 from radiometer.data import Bracket, Frame
@@ -44,6 +47,10 @@ Array = NDArray[np.float64]
 _GAP_UNIT: Final = "mean error in DN of predicting left-out quadrants over that of the final exposures"
 _LABEL: Final = "exposure_label_error"
 _ENOUGH_PIXELS: Final = 1_000_000
+# ln of the least step of a camera's dial, a third of a stop: printed exposures agree where unseen parts of the picture
+# are predicted to half of what it would do, all tones off together. 21 clean real scenes: 0.03 to 0.3 of it.
+_DIAL_STEP: Final = math.log(2.0) / 3.0
+_MOST_OF_STEP: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +132,7 @@ def reconcile_photographs(
         {name: float(s * math.exp(d)) for name, s, d in zip(names, seconds, shift, strict=True)},
         u_rel,
         _findings(judged, bracket, names),
-        _error_sentence(judged),
+        _error_sentence(judged, bracket, names),
         bracket.origin,
     )
 
@@ -140,6 +147,19 @@ class _Judged:
     rounded: bool
     labels: tuple[WrongLabel, ...]
     errors: tuple[float, float, float]  # as printed, with the exact stops, with the labels found
+    can_tell: bool = True  # whether enough photographs show something to tell a wrong label
+
+    @property
+    def dial_step_dn(self) -> float:
+        """Return by how many DN a third of a stop more would change these photographs, in the mean."""
+        rows, g = self.fitted.samples, self.fitted.log_exposure
+        return float(np.mean(np.abs(dn_at(g, value_at(g, rows.dn) + _DIAL_STEP) - rows.dn)))
+
+    @property
+    def follow_no_curve(self) -> bool:
+        """Tell whether unseen parts are predicted so badly, all tones together, that no labels can be said to agree."""
+        together = self.fitted.choices.inflation > MANY_AS_ONE
+        return together and self.errors[2] > _MOST_OF_STEP * self.dial_step_dn
 
 
 def _exact_log_times(bracket: Bracket) -> Array:
@@ -190,7 +210,13 @@ def _judge(plane: Plane, others: Sequence[Plane], exact: Array) -> _Judged:
     for one in labels:  # all colours tell a label better than the one that was fitted
         log_time[one.frame] = chosen.frame_log_time[one.frame] + one.log_ratio[0]
     return _Judged(
-        thin, fitted, log_time, rounded, labels, (float(before.mean()), float(now.mean()), float(final.mean()))
+        thin,
+        fitted,
+        log_time,
+        rounded,
+        labels,
+        (float(before.mean()), float(now.mean()), float(final.mean())),
+        most_wrong_labels([plane, *others]) > 0,
     )
 
 
@@ -236,12 +262,12 @@ def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> Reconcil
             )
         )
     return ReconcileResult(
-        verdict=Verdict.EFFECTS_FOUND if effects else Verdict.AGREES,
+        verdict=_verdict(judged, found=bool(effects)),
         effects=tuple(effects),
         gap_before=before / after,
         gap_after=1.0,
         limits={
-            _LABEL: Limit(_limit(judged), "ratio", "1"),
+            _LABEL: Limit(_limit(judged) if judged.can_tell else None, "ratio", "1"),
             "gamma_enabled": Limit(None, "gamma", "1"),
             "response_nonlinearity": Limit(None, "a2", "1"),
         },
@@ -254,6 +280,12 @@ def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> Reconcil
         gap_unit=_GAP_UNIT,
         extra={"remarks": [_sentence(judged, bracket, names)]},
     )
+
+
+def _verdict(judged: _Judged, *, found: bool) -> Verdict:
+    if judged.follow_no_curve:
+        return Verdict.INCOMPLETE if found else Verdict.UNNAMED
+    return Verdict.EFFECTS_FOUND if found else Verdict.AGREES
 
 
 def _of_printed(label: WrongLabel, judged: _Judged, bracket: Bracket) -> tuple[float, float]:
@@ -276,8 +308,10 @@ def _limit(judged: _Judged) -> float:
     return max(5.0 / math.sqrt(max(best, 1e-12)), SMALLEST_LABEL_ERROR)
 
 
-def _error_sentence(judged: _Judged) -> str:
+def _error_sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     before, _, after = judged.errors
+    if judged.follow_no_curve:
+        return _no_curve(judged, bracket, names)
     if not judged.labels and not judged.rounded:
         return f"Left-out parts of the picture are predicted by the other photographs to {after:.2g} DN on average."
     return (
@@ -286,9 +320,36 @@ def _error_sentence(judged: _Judged) -> str:
     )
 
 
+def _no_curve(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
+    """Return what to say of photographs that no tone curve joins."""
+    few = "" if judged.can_tell else ", wrong exposures (which of them, so few photographs cannot tell)"
+    return (
+        f"These {len(bracket)} photographs follow no single tone curve with their exposures: left-out parts of the "
+        f"picture are predicted to {judged.errors[2]:.2g} DN only{_worst(judged, names)}, where a third of a stop is "
+        f"{judged.dial_step_dn:.2g} DN. Another scene or light in some of them, movement, processing that depends on "
+        f"the picture{few}."
+    )
+
+
+def _worst(judged: _Judged, names: Sequence[str]) -> str:
+    """Return which photograph is predicted worst, where it is so by far."""
+    times = judged.log_time - judged.samples.frame_log_time
+    errors = np.abs(prediction_error_dn(judged.samples, judged.fitted.log_exposure, times))
+    size = [float(np.mean(errors[rows])) if rows.any() else 0.0 for rows in _known_rows(judged.samples, errors)]
+    worst = int(np.argmax(size))
+    return f", {names[worst]} by far worst" if size[worst] > 2.0 * float(np.median(size)) else ""
+
+
+def _known_rows(samples: ResponseSamples, values: Array) -> list[NDArray[np.bool_]]:
+    """Return for every frame which rows are its own and known."""
+    return [(samples.frame == k) & np.isfinite(values) for k in range(samples.frame_log_time.size)]
+
+
 def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     before, _, after = judged.errors
     if not judged.labels and not judged.rounded:
+        if judged.follow_no_curve:
+            return _no_curve(judged, bracket, names)
         return f"All printed exposures agree: left-out parts of the picture are predicted to {after:.2g} DN on average."
     parts = ["the printed times are rounded stops"] if judged.rounded else []
     for one in judged.labels:
@@ -301,7 +362,7 @@ def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     return (
         f"{'; '.join(parts)}. Left-out parts of the picture are then predicted to {after:.2g} DN on average, "
         f"{before:.2g} DN as printed."
-    )
+    ) + (f" {_no_curve(judged, bracket, names)}" if judged.follow_no_curve else "")
 
 
 def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[FrameFinding, ...]:

@@ -80,8 +80,7 @@ def find_wrong_labels(planes: Sequence[Plane]) -> tuple[WrongLabel, ...]:
     Args:
         planes: Colours of the same photographs, in the same order of frames; those without quadrants say nothing.
     """
-    frames = int(np.sum(_rows_of_frames(planes) >= _FEWEST_ROWS))
-    most = max((frames - 1) // 3, 1) if frames > 3 else 0
+    most = most_wrong_labels(planes)
     settled = [pair for one in planes for pair in _settled(one)] if most else []
     if not settled:
         return ()
@@ -99,6 +98,16 @@ def find_wrong_labels(planes: Sequence[Plane]) -> tuple[WrongLabel, ...]:
         found.append(replace(best[0], rivals=tuple((label.frame, label.ratio) for label in rivals)))
         now = best[1]
     return _together(found, now)
+
+
+def most_wrong_labels(planes: Sequence[Plane]) -> int:
+    """Return how many labels could be told to be wrong: at most a third of the frames that show something.
+
+    Args:
+        planes: Colours of the same photographs.
+    """
+    frames = int(np.sum(_rows_of_frames(planes) >= _FEWEST_ROWS))
+    return max((frames - 1) // 3, 1) if frames > 3 else 0
 
 
 def _settled(plane: Plane) -> list[tuple[Plane, FittedResponse]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -129,6 +130,29 @@ def test_light_that_fell_on_one_photograph_is_no_wrong_label() -> None:
     dn[60:, :70] = np.maximum(dn[60:, :70], 90)
     done = reconcile_photographs([*frames[:7], Frame(dn, 8, FrameSettings(EXACT[7])), frames[8]])
     assert done.result.verdict is Verdict.AGREES
+
+
+def test_a_photograph_of_another_scene_is_no_agreement() -> None:
+    """One of five photographs upside down: no tone curve joins them, so that nothing can be said of their labels."""
+    frames = _photographs(EXACT[3:8], EXACT[3:8])
+    frames[2] = replace(frames[2], dn=np.ascontiguousarray(frames[2].dn[::-1, ::-1]), extra={"file": "turned.jpg"})
+    done = reconcile_photographs(frames)
+    assert done.result.verdict is Verdict.UNNAMED
+    assert not done.result.effects
+    (said,) = done.result.extra["remarks"]
+    assert "follow no single tone curve" in said
+    assert "turned.jpg by far worst" in said
+
+
+def test_three_photographs_do_not_agree_with_a_wrong_label_and_cannot_say_which() -> None:
+    """Right, three labels agree; one 1.5 times too long is no agreement. Of a wrong label three say nothing by name."""
+    right = reconcile_photographs(_photographs(EXACT[3:8:2], EXACT[3:8:2])).result
+    assert right.verdict is Verdict.AGREES
+    assert right.limits["exposure_label_error"].amplitude is None
+    wrong = reconcile_photographs(_photographs([EXACT[3], 1.5 * EXACT[5], EXACT[7]], EXACT[3:8:2])).result
+    assert wrong.verdict is Verdict.UNNAMED
+    assert not wrong.effects
+    assert "so few photographs cannot tell" in wrong.extra["remarks"][0]
 
 
 @pytest.mark.slow
