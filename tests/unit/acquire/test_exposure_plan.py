@@ -165,3 +165,20 @@ def test_a_ladder_that_makes_no_sense_is_misuse(low, high, stops):
     """Ends the wrong way round or steps not above 0."""
     with pytest.raises(UsageError):
         exposure_ladder(low, high, stops, LIMITS_S)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    bits=st.integers(8, 16),
+    gain_e=st.floats(0.05, 20.0),
+    read_e=st.floats(0.5, 60.0),
+    well_e=st.floats(50.0, 1e5),
+    gain_db=st.floats(0.0, 24.0),
+)
+@example(bits=8, gain_e=0.5, read_e=30.0, well_e=100.0, gain_db=0.0)
+def test_every_camera_has_an_octave_to_expose_in(bits, gain_e, read_e, well_e, gain_db):
+    """However noisy and shallow: the brightest well exposed pixel is at least twice as bright as the darkest."""
+    camera = CameraDescription(bit_depth=bits, conversion_gain_e_per_dn=gain_e, read_noise_e=read_e, full_well_e=well_e)
+    window = ExposureWindow.of(camera, gain_db, 8.0)
+    assert 0.0 < 2.0 * window.lowest_dn <= window.highest_dn * (1 + 1e-12)
+    assert window.highest_dn < window.clipping_dn

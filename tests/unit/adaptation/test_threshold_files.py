@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from radiometer.adaptation.threshold_files import read_table
+from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.cli.main import run
 from radiometer.errors import InputError
 
@@ -111,3 +112,10 @@ def test_fit_reads_seconds_and_decibels_and_finds_the_break(tmp_path, capsys):
     assert "rod–cone break at 9." in told.out or "rod–cone break at 8.9" in told.out
     assert "S2 slope -0.24" in told.out or "S2 slope -0.23" in told.out
     assert "dB of attenuation" in told.err
+
+
+def test_two_thresholds_of_one_minute_are_both_kept():
+    """Both stand in the series; a time that goes back is refused."""
+    assert ThresholdSeries(np.array([1.0, 2.0, 2.0]), np.array([1.0, 0.5, 0.4])).time_min.tolist() == [1.0, 2.0, 2.0]
+    with pytest.raises(InputError, match="must ascend"):
+        ThresholdSeries(np.array([1.0, 2.0, 1.9]), np.array([1.0, 0.5, 0.4]))

@@ -442,3 +442,10 @@ async def test_the_table_is_the_whole_range(
     async with session.get(f"{base}/readings?format=csv&until=1h") as reply:
         assert (await reply.text()).startswith("sequence,time,")
         assert len((await reply.text()).splitlines()) == 1
+
+
+async def test_without_a_picture_there_is_none(base: str, session: aiohttp.ClientSession) -> None:
+    """Before the first measurement: status 404, and what makes one."""
+    async with session.get(base + "/frame.png") as reply:
+        assert reply.status == 404
+        assert "POST /measure makes one" in await reply.text()

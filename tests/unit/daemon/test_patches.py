@@ -11,6 +11,8 @@ from typing import Any
 
 import aiohttp
 import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
 
 from radiometer.daemon.http.patches import trend_columns
 from radiometer.daemon.http.server import HttpServer
@@ -251,3 +253,19 @@ async def test_http_serves_patches_trends_and_remarks(station: Station, eventual
         assert (await post("/patches/delete", {"name": "lamp"}))[0] == 400
         assert b'patch="lamp",unit' not in station.metrics.render()
     await server.close()
+
+
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(limit=st.floats(-10.0, 10.0), share=st.floats(0.01, 0.5), away=st.floats(-0.9, 0.9), standing=st.booleans())
+def test_a_low_limit_is_the_mirror_of_a_high_one(
+    make_reading: Callable[..., Reading], limit: float, share: float, away: float, standing: bool
+) -> None:
+    """Of any sign; one that is broken counts as broken until it is left by the hysteresis, a share of its size."""
+    value = limit + away * abs(limit)
+    outside = away > (-share if standing else 0.0)
+    assume(abs(limit) > 1e-3 and abs(away - (-share if standing else 0.0)) > 1e-6)
+    high = PatchLimits(high=limit, hysteresis_rel=share)
+    low = PatchLimits(low=-limit, hysteresis_rel=share)
+    above, below = (make_reading(radiance=Quantity(v, 0.1, "W sr-1 m-2")) for v in (value, -value))
+    assert high.breach(above, standing=standing) == ("high" if outside else "")
+    assert low.breach(below, standing=standing) == ("low" if outside else "")

@@ -9,6 +9,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from radiometer.daemon.limits import Limits, TokenBucket, parse_networks
 from radiometer.daemon.metrics import Metrics
@@ -144,6 +146,26 @@ def test_messages_are_cut_at_line_feeds_and_answered_in_order():
         assert of.served._value.get() == 3
         connection._send("€")  # not in Latin-1
         assert wire.sent[-1] == b"?\n"
+
+    run(story())
+
+
+@settings(max_examples=60, deadline=None)
+@given(lines=st.lists(st.sampled_from(["", "?a", "*RST", "?bc"]), max_size=4), cuts=st.lists(st.integers(1, 6)))
+def test_lines_are_heard_as_they_stand_however_they_come(lines, cuts):
+    """Empty ones too, whole or in pieces of any size."""
+
+    async def story() -> None:
+        connection, _, session = client(server())
+        sent = "".join(f"{line}\n" for line in lines).encode()
+        for size in cuts:
+            if sent[:size]:
+                connection.data_received(sent[:size])
+            sent = sent[size:]
+        connection.data_received(sent + b"?end\n")
+        await asyncio.sleep(1.0)
+        assert session.heard == [*lines, "?end"]
+        assert errors(session) == []
 
     run(story())
 

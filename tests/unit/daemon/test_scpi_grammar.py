@@ -362,3 +362,23 @@ def test_what_stands_before_a_mistake_is_still_there():
     units, error = split_message("SENS:GAIN 3; *CLS ;@")
     assert [unit.header for unit in units] == ["SENS:GAIN", "*CLS"]
     assert error.entry.startswith("-101,")
+
+
+# What *RST leaves alone: status registers (IEEE 488.2, 10.32), and by the manual all but settings of a measurement.
+_NOT_RESET = ("*", "STATus", "INITiate", "TRIGger", "SOURce", "OUTPut", "SENSe:PATCh:LIMits")
+
+
+async def test_reset_gives_back_every_setting_that_can_be_asked(station: Any) -> None:
+    """Each setting is changed; after *RST every query answers as it did at the start."""
+    session = Session(station, TABLE)
+    both = [c for c in TABLE.commands if c.do and c.ask and not c.pattern.startswith(_NOT_RESET)]
+    queries = [c.spellings()[-1].replace("<n>", "1") + "?" for c in both]
+    at_start, changed = [session.execute(query) for query in queries], set()
+    others = ["SENS:GAIN 6", "SENS:PATC 1,2,3,4", "SENS:CORR:WAV 600"]
+    for message in [*(command.example for command in both), *others]:
+        session.execute(message)
+        changed |= {query for query, answer in zip(queries, at_start, strict=True) if session.execute(query) != answer}
+    session.execute("*RST")
+    assert session.status.error_count == 0
+    assert [session.execute(query) for query in queries] == at_start
+    assert len(changed) == len(queries)

@@ -157,6 +157,7 @@ async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path: Path,
     await eventually(lambda: len(said) == 6)
     assert said[5] == "calibration not reloaded: calibration.yaml: no scale"
     await eventually(lambda: told.lines[-1].startswith("ready alarm: calibration not reloaded, the old one stays"))
+    await eventually(lambda: not service._reloads)  # of one that has ended nothing is kept
     instrument.reload_calibration = lambda: "again"  # type: ignore[method-assign]
     await service._station.reload_calibration()
     service._station.set_every(50.0)

@@ -213,3 +213,14 @@ def test_a_png_is_as_large_as_its_colours_make_it(tmp_path: Path, colour: int, c
     refuse_large_picture(tmp_path / "a", _png(columns, 1000, 8, colour))
     with pytest.raises(CaptureError, match=f"1000 × {columns + 1} × {channels} values"):
         refuse_large_picture(tmp_path / "a", _png(columns + 1, 1000, 8, colour))
+
+
+@pytest.mark.parametrize(("repeated", "read"), [(48, True), (50, False)])
+def test_what_is_repeated_counts_as_if_it_were_written_out(repeated: int, read: bool) -> None:
+    """A thousand numbers, a hundred times, 48 times and once: 4.9 million entries are read, 5.1 million not."""
+    lines = ["a: &a [" + "1, " * 999 + "1]", "b: &b [" + "*a, " * 99 + "*a]", "c: [" + "*b, " * repeated + "]"]
+    if read:
+        refuse_deep_yaml("\n".join(lines), "here")
+    else:
+        with pytest.raises(InputError, match="more than 5000000 entries"):
+            refuse_deep_yaml("\n".join(lines), "here")

@@ -145,6 +145,9 @@ def test_what_the_lens_in_use_brings_to_the_budget(rig):
     assert situation.transmittance_u_rel(clear, clear.lens)[0] == 0.0
     vague = base.lens.model_copy(update={"transmittance": 0.5})
     assert situation.transmittance_u_rel(clear, vague)[0] == pytest.approx(math.hypot(0.03, 0.1 / math.sqrt(3.0)))
+    sheet = replace(base, scale=base.scale.model_copy(update={"method": "datasheet"}))
+    assert situation.transmittance_u_rel(sheet, filtered)[0] == pytest.approx(0.04)
+    assert situation.transmittance_u_rel(sheet, vague)[0] == 0.0
 
 
 def test_what_all_readings_of_a_map_share(rig):

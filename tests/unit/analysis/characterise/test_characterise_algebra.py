@@ -26,8 +26,9 @@ from radiometer.analysis.characterise.photon_flux import PhotonFlux, photon_flux
 from radiometer.analysis.characterise.photon_transfer import photon_transfer
 from radiometer.analysis.characterise.report import _straightness, outcome
 from radiometer.analysis.characterise.report_plots import _signal
+from radiometer.analysis.characterise.result import Characterisation
 from radiometer.analysis.characterise.saturation import _spacing_u, find_saturation
-from radiometer.analysis.characterise.sensitivity import responsivity, sensitivity_figures
+from radiometer.analysis.characterise.sensitivity import responsivity, sensitivity_figures, sigma_d
 from radiometer.analysis.characterise.spatial_split import NoiseLeft, SpatialSplit, split_spatial_variance
 from radiometer.analysis.characterise.steps import make_steps
 from radiometer.analysis.characterise.subject import Subject, _inside
@@ -37,6 +38,7 @@ from radiometer.data import (
     LensDescription,
     Patch,
     PatchDescription,
+    Provenance,
     Quantity,
     SourceDescription,
 )
@@ -553,3 +555,20 @@ def test_photons_of_an_export_are_those_stated_else_of_the_largest_region():
     assert photons(123.0, (small, large)) == 123.0
     assert photons(None, (small, large)) == pytest.approx(15.0)
     assert photons(None, (small, None)) == 0.0
+
+
+def test_codes_that_follow_one_another_round_by_a_twelfth():
+    """4 DN² and the rounding to whole codes are 2 DN, 4 e⁻ at 0.5 DN/e⁻; steps of four codes round by 16/12."""
+    assert sigma_d(4.0 + 1.0 / 12.0, 0.5) == pytest.approx(4.0)
+    assert sigma_d(4.0 + 16.0 / 12.0, 0.5, 4) == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(("eta", "believed"), [(0.0, 0.5), (0.1, 0.001), (99.5, 0.995), (100.0, 1.0), (100.4, 0.5)])
+def test_no_camera_is_described_to_give_more_electrons_than_photons(eta, believed):
+    """A quantum efficiency up to 100 % is taken over; of more, or of none, the believed one stays."""
+    found = Characterisation(
+        believed=CAMERA.model_copy(update={"quantum_efficiency": 0.5}), gain_db=0.0,
+        figures={"eta": Quantity(eta, 1.0, "%")}, gains={}, transfer=None, steps=(), dark_points=(), linearity=None,
+        notes=(), provenance=Provenance("test"),
+    )  # fmt: skip
+    assert found.description().quantum_efficiency == pytest.approx(believed)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.merge.bracket import merge
-from radiometer.analysis.merge.displaced import relative_shift
+from radiometer.analysis.merge.displaced import MeanDisplacement, relative_shift, with_shift
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -123,3 +123,16 @@ def test_noise_makes_no_shift():
     assert np.sqrt(np.mean(shift**2)) < 0.005
     slope = np.exp(0.1 * np.arange(40.0, dtype=np.float32))[None, :].repeat(8, axis=0)
     assert relative_shift(slope, np.zeros_like(slope), 0.5)[4, 1:-1] == pytest.approx(0.05, rel=1e-4)
+
+
+@pytest.mark.parametrize("of_each", [False, True])
+def test_each_level_has_the_weights_of_its_own(of_each):
+    """From the lowest rate on in sixteenths of an e-fold, and the first and last beyond: δ·|∇ln L|·L·√Σp² joins u."""
+    factors = np.array([0.9, 0.8, 0.7, 0.6])
+    steps = np.array([-3.0, 0.0, 0.4, 0.6, 2.0, 3.0, 9.0])
+    expected = np.array([0.9, 0.9, 0.9, 0.8, 0.7, 0.6, 0.6])
+    unit = np.linspace(1.0, 2.0, 7) if of_each else np.array([2.0])
+    value = (unit * np.exp(np.log(5.0) + steps / 16.0)).astype(np.float32)
+    u, shift = 0.01 * value, np.full(7, 0.1, np.float32)
+    with_shift(value, u, shift, unit.astype(np.float32), MeanDisplacement(float(np.log(5.0)), factors))
+    assert u / value == pytest.approx(np.hypot(0.01, 0.1 * expected), rel=1e-4)

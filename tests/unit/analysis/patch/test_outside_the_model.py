@@ -418,3 +418,12 @@ def test_stray_light_is_told_by_what_surrounds_the_patch():
     assert term.u == pytest.approx(0.02)
     assert "1.5 times the patch, 0.5 times at calibration" in term.note
     assert "inf times" in stray_light(0.0, 3.0, Made).note
+
+
+@pytest.mark.parametrize(("doubt", "told"), [(0.0015, False), (0.003, True)])
+def test_a_falloff_that_was_assumed_is_told_from_two_thousandths_on(rig, doubt, told):
+    """0.3 % of doubt because nobody measured the fall-off is flagged though it rules nothing; 0.15 % is not."""
+    stated = only(falloff_u_rel=doubt / 0.36)
+    found = read(rig, calibrated(rig, uncertainties=stated), patch=Patch(11, 11, 1, 1))
+    assert line(found, "fall-off") == pytest.approx(doubt)
+    assert (Flag.FALLOFF_ASSUMED in found.flags) == told

@@ -25,6 +25,7 @@ from radiometer.reconcile.propose.beyond import (
     predicts_better,
 )
 from radiometer.reconcile.result import Verdict
+from radiometer.reconcile.search import free_laws
 from radiometer.reconcile.search.free_laws import in_place_of_all, worth
 from radiometer.reconcile.search.outcome import Search, Step
 from simulators.effects.black_level_offset import BlackLevelOffset
@@ -258,3 +259,30 @@ def test_the_glow_of_an_amplifier_is_no_dark_current(tmp_path):
     assert [effect.name for effect in result.effects] == ["unnamed"]
     assert result.effects[0].where in {"image_x", "image_y"}
     assert any("charge_rate_spot" in line for line in result.assumptions)
+
+
+@dataclass(frozen=True)
+class Loose:
+    """A form of an entry that can be made looser as often as it has further scores."""
+
+    scores: tuple[float, ...]
+    name: str = "loose"
+    log_prior_odds: float = 0.0
+
+    def free(self) -> tuple[str, ...]:
+        return ()
+
+    def loosened(self, context: Any) -> tuple[Any, ...]:
+        return (Loose(self.scores[1:]),) if len(self.scores) > 1 else ()
+
+
+@pytest.mark.parametrize(
+    ("scores", "best"), [((0.0, 30.0), 30.0), ((0.0, 30.0, 20.0), 30.0), ((0.0, 30.0, 40.0), 40.0), ((0.0, 4.0), None)]
+)
+def test_a_form_that_is_looser_still_counts_where_it_does_better(monkeypatch, scores, best):
+    """Of forms that are ever looser the one that predicts best is told, were it not the last; more than 5 are asked."""
+    monkeypatch.setattr(free_laws, "promise", lambda start, form: 1.0)
+    monkeypatch.setattr(free_laws, "_alone", lambda start, form: FakeState(form.scores[0], (form,)))
+    entry = SimpleNamespace(usable=lambda context: True, starts=lambda context: (Loose(scores),))
+    found = in_a_looser_form(FakeState(0.0), 5.0, {"loose": entry})  # type: ignore[arg-type,dict-item]
+    assert (None if found is None else found.evidence) == best

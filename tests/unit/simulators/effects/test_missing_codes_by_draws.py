@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
 from simulators.effects import missing_codes
+from simulators.effects.missing_codes import MissingCodes
 
 DRAWS = 400_000
 
@@ -21,3 +24,14 @@ def test_mean_square_and_slope_of_what_a_grid_cuts_off(u: float, step: int, sd: 
     near = 1e-3 * sd
     beside = [missing_codes._expected(np.array([at]), np.array([sd**2]), step, 1)[0][0] for at in (u - near, u + near)]
     assert slope[0] == pytest.approx((beside[1] - beside[0]) / (2.0 * near), rel=1e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("period", "kept"), [(2, 1), (4, 1), (8, 1), (16, 1), (3, 2), (4, 2), (4, 3), (8, 7), (16, 15)]
+)
+def test_a_search_tries_the_codes_that_converters_leave_out(period: int, kept: int) -> None:
+    """Bits that are stuck, one code of a period that never comes: some trial leaves exactly those codes."""
+    codes, anywhere = np.arange(64.0), cast(Any, None)
+    wanted = set(codes[codes % period < kept])
+    found = [set(np.ravel(MissingCodes(**trial).mean(codes, anywhere))) for trial in MissingCodes.trials]
+    assert wanted in found
