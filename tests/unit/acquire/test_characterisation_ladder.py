@@ -91,3 +91,12 @@ def test_dark_frames_of_1_2_and_4_s_are_taken_besides() -> None:
     long = [f.settings.exposure_s for f in frames if f.settings.exposure_s > 0.5]
     assert long == pytest.approx([1.0, 1.0, 2.0, 2.0, 4.0, 4.0], rel=1e-3)
     assert len(frames) == LadderRequest(REGION, steps=6, stack=3).frames()
+
+
+def test_a_region_beyond_the_frame_is_refused() -> None:
+    """One that ends with the frame is taken; a pixel further it does not lie on its 64 × 48 pixels."""
+    camera = _camera(0.3)
+    assert saturating_exposure_s(camera, Patch(56, 40, 8, 8)) > 0.0
+    for region in (Patch(57, 40, 8, 8), Patch(56, 41, 8, 8)):
+        with pytest.raises(MeasurementError, match="64 × 48 pixels"):
+            saturating_exposure_s(camera, region)

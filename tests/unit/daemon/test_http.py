@@ -24,7 +24,7 @@ from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.station import Station
 from radiometer.data import Frame, FrameSettings, Patch, Quantity, Reading
-from radiometer.errors import UsageError
+from radiometer.errors import OutputError, UsageError
 from tests.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
@@ -449,3 +449,47 @@ async def test_without_a_picture_there_is_none(base: str, session: aiohttp.Clien
     async with session.get(base + "/frame.png") as reply:
         assert reply.status == 404
         assert "POST /measure makes one" in await reply.text()
+
+
+async def test_a_stream_of_an_unknown_form_is_refused(base: str, session: aiohttp.ClientSession) -> None:
+    """With the forms that there are; an Accept header alone chooses lines of JSON."""
+    async with session.get(f"{base}/readings/stream?format=xml") as reply:
+        assert reply.status == 400
+        assert "format must be sse or jsonl, not 'xml'" in await reply.text()
+    async with session.head(f"{base}/readings/stream", headers={"Accept": "application/x-ndjson"}) as lines:
+        assert lines.content_type == "application/x-ndjson"
+    async with session.head(f"{base}/readings/stream") as events:
+        assert events.content_type == "text/event-stream"
+
+
+async def test_a_method_that_a_place_does_not_have_is_told_of_those_that_it_has(
+    base: str, session: aiohttp.ClientSession
+) -> None:
+    """Status 405 with the header that the standard asks for (RFC 9110, 15.5.6)."""
+    async with session.delete(f"{base}/readings") as reply:
+        assert reply.status == 405
+        assert {name.strip() for name in reply.headers["Allow"].split(",")} >= {"GET", "HEAD"}
+
+
+async def test_a_bug_is_one_request_s_error_without_its_particulars(
+    base: str, session: aiohttp.ClientSession, station: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Status 500 that says nothing of the inside, and the next request is served."""
+
+    def broken() -> Any:
+        raise RuntimeError("a secret")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(station, "status", broken)
+        async with session.get(f"{base}/status") as reply:
+            assert reply.status == 500
+            assert "secret" not in await reply.text()
+    async with session.get(f"{base}/status") as reply:
+        assert reply.status == 200
+
+
+async def test_a_port_that_is_taken_is_told(base: str, serve: Any, station: Station) -> None:
+    """By its number, as a mistake of who starts the daemon."""
+    taken = int(base.rpartition(":")[2])
+    with pytest.raises(OutputError, match=f"cannot listen for HTTP on 127.0.0.1:{taken}"):
+        await HttpServer(station).listen("127.0.0.1", taken)

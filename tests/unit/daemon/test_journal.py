@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from radiometer.daemon.journal import Journal, JournalError
+from radiometer.daemon.journal import SCHEMA_VERSION, Journal, JournalError, default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.timestamps import iso_time, microseconds, parse_moment
 from radiometer.data import Flag, Quantity, Reading
@@ -191,3 +191,46 @@ def test_moments_are_iso_times_or_ages() -> None:
     assert parse_moment("1.5h", now=10_000_000_000) == 10_000_000_000 - 5_400_000_000
     with pytest.raises(UsageError, match="ISO 8601"):
         parse_moment("yesterday")
+
+
+def test_a_journal_of_a_newer_form_is_left_alone(tmp_path: Path, make_reading: Make) -> None:
+    """It is refused with its form; one of this form is opened."""
+    path = tmp_path / "j.sqlite"
+    with Journal(path) as journal:
+        journal.append([make_reading()])
+    for form, opens in ((SCHEMA_VERSION, True), (SCHEMA_VERSION + 1, False)):
+        with sqlite3.connect(path) as connection:
+            connection.execute(f"PRAGMA user_version = {form}")
+        connection.close()
+        if opens:
+            with Journal(path) as journal:
+                assert journal.append([make_reading()])[0].sequence == 2
+        else:
+            with pytest.raises(OutputError, match=rf"newer radiometer \(form {form}\)"):
+                Journal(path).open()
+
+
+@pytest.mark.parametrize(
+    ("given", "place"),
+    [
+        ({"STATE_DIRECTORY": "/var/lib/one:/var/lib/two", "XDG_STATE_HOME": "/x"}, "/var/lib/one/journal.sqlite"),
+        ({"XDG_STATE_HOME": "/x"}, "/x/radiometer/journal.sqlite"),
+        ({"HOME": "/home/me"}, "/home/me/.local/state/radiometer/journal.sqlite"),
+    ],
+)
+def test_the_journal_lies_where_state_is_kept(
+    monkeypatch: pytest.MonkeyPatch, given: dict[str, str], place: str
+) -> None:
+    """The first folder that systemd names, else that of the XDG specification, else its default."""
+    for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
+    assert default_journal_path() == Path(place)
+
+
+def test_a_journal_that_is_not_there_is_not_made_by_reading(tmp_path: Path) -> None:
+    """The message says what writes one."""
+    with pytest.raises(InputError, match="radiometer serve"):
+        JournalReader(tmp_path / "j.sqlite").lines(ReadingFilter())
+    assert list(tmp_path.iterdir()) == []

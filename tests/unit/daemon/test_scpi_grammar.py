@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from dataclasses import replace
 from decimal import Decimal
@@ -382,3 +383,34 @@ async def test_reset_gives_back_every_setting_that_can_be_asked(station: Any) ->
     assert session.status.error_count == 0
     assert [session.execute(query) for query in queries] == at_start
     assert len(changed) == len(queries)
+
+
+@pytest.mark.parametrize(
+    ("message", "number", "said"),
+    [
+        ("SENS:GAIN 1 2", -103, "expected at character 13"),
+        ('SYST:ERR? "a" "b"', -103, "expected at character 15"),
+        ("SENS:PATC 1,2,3,", -109, "after ','"),
+        ("SENS:GAIN &", -101, "at character 11"),
+        ("FORM:BORD 5", -104, "one of"),
+        ("FORM:BORD LEFT", -224, "NORMal"),
+        ("SOUR:LED0:LEV 0.1", -114, "LED0; there are 1 to 2"),
+        ("SOUR:LED3:LEV 0.1", -114, "LED3; there are 1 to 2"),
+        ("SOUR:LED12345:LEV 0.1", -113, ""),
+        ('SENS:PATC:DEF "lamp",CENT,1,2,3', -224, "x,y,width,height"),
+        ('SENS:PATC:LIM? "lamp"', -224, "no patch lamp"),
+        ('FETC:PATC? "lamp"', -222, "there is no patch 'lamp'; there are: main"),
+        ('FETC:PATC? "main"', -230, "no reading of patch main yet"),
+        ("FETC?", -230, "READ? makes one"),
+    ],
+)
+async def test_what_is_wrong_is_named_by_the_standard_s_number(
+    station: Any, message: str, number: int, said: str
+) -> None:
+    """SCPI-99, 21.8: separators, missing and unknown parameters, a suffix of a header beyond the channels, no data."""
+    session = Session(station, TABLE)
+    reply = session.execute(message)
+    assert (await reply if asyncio.iscoroutine(reply) else reply) is None
+    entry = session.status.next_error()
+    assert (int(entry.split(",")[0]), said in entry) == (number, True), entry
+    assert session.status.error_count == 0

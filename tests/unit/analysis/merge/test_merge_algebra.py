@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.analysis.merge.bracket import merge
+from radiometer.analysis.merge.bracket import StreamingMerge, merge
 from radiometer.analysis.merge.frames import frame_terms
 from radiometer.analysis.merge.moments import mixture
 from radiometer.analysis.signal.situation import situation_of
@@ -26,6 +26,7 @@ from radiometer.data import (
     Scale,
     SensorNoise,
 )
+from radiometer.errors import MeasurementError
 
 BLACK, GAIN_E, READ_E = 100.0, 2.5, 5.0
 CAMERA = CameraDescription(bit_depth=12)
@@ -245,3 +246,18 @@ def test_frames_may_differ_by_what_the_curve_is_uncertain_by(u, contradicts):
     frames = [Frame(np.full((2, 2), number, np.uint8), 8, FrameSettings(1.0)) for number in (100, 110)]
     mask = merge(frames, camera, LENS, calibration).mask[0, 0]
     assert bool(mask & PixelMask.INCONSISTENT) is contradicts
+
+
+def test_a_map_is_handed_out_once():
+    """A second result and one of no frame are refused; frames of another size or depth are, and change nothing."""
+    running = StreamingMerge(CAMERA, LENS, CALIBRATION)
+    with pytest.raises(MeasurementError, match="shutter open"):
+        running.result()
+    running.add(frame(3100))
+    with pytest.raises(MeasurementError, match="4 × 3"):
+        running.add(frame(3100, shape=(3, 4)))
+    with pytest.raises(MeasurementError, match="8 bits per pixel"):
+        running.add(Frame(np.zeros((4, 4), np.uint8), 8, FrameSettings(1.0)))
+    assert running.result().radiance[0, 0] == pytest.approx(3000.0, rel=1e-3)
+    with pytest.raises(MeasurementError, match="handed out already"):
+        running.result()

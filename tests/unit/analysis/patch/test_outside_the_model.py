@@ -31,6 +31,7 @@ from radiometer.data import (
     SourceDescription,
     StatedUncertainties,
 )
+from radiometer.errors import MeasurementError
 
 NOTHING = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0))
 EXACT_BLACK = BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0)
@@ -427,3 +428,26 @@ def test_a_falloff_that_was_assumed_is_told_from_two_thousandths_on(rig, doubt, 
     found = read(rig, calibrated(rig, uncertainties=stated), patch=Patch(11, 11, 1, 1))
     assert line(found, "fall-off") == pytest.approx(doubt)
     assert (Flag.FALLOFF_ASSUMED in found.flags) == told
+
+
+def test_frames_that_do_not_belong_together_are_refused(rig):
+    """Of another size, of another depth than the camera's, of two levels of light; a patch without one good pixel."""
+    scene = np.full((12, 12), 0.5 * rig.radiance_of_full_scale(1e-3))
+    first, second, *_ = rig.frames(scene, np.random.default_rng(3), STEADY)
+    small = replace(second, dn=second.dn[:-1])
+    deep = replace(second, bit_depth=second.bit_depth + 2)
+    brighter = replace(second, settings=replace(second.settings, source_level=0.5))
+    dimmer = replace(first, settings=replace(first.settings, source_level=0.25))
+    wrong = {
+        r"differ in size \(12 × 11 beside 12 × 12 pixels\)": [first, small],
+        f"{second.bit_depth + 2} bits per pixel": [first, deep],
+        "2 different source levels": [dimmer, brighter],
+    }
+    for said, frames in wrong.items():
+        with pytest.raises(MeasurementError, match=said):
+            read_patch(frames, PATCH, calibrated(rig), rig.description, rig.lens, now=NOON)
+    spots = tuple((x, y) for x in (3, 4) for y in (5, 6, 7))
+    with pytest.raises(MeasurementError, match="every pixel of the patch 3,5,2,3 is defective"):
+        read(rig, calibrated(rig, defects=spots), frames=[first, second], patch=Patch(3, 5, 2, 3))
+    kept = read(rig, calibrated(rig, defects=spots[:-1]), frames=[first, second], patch=Patch(3, 5, 2, 3))
+    assert kept.radiance.value == pytest.approx(scene[0, 0], rel=0.05)
