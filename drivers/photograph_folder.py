@@ -17,8 +17,10 @@ import structlog
 from drivers.photograph_pixels import CHANNELS, IMAGE_SUFFIXES, Photograph, read_photograph
 from drivers.photograph_times import (
     LIST_NAMES,
+    LONGEST_OF_DIAL_S,
     PhotographSettings,
     find_list,
+    is_dial_time,
     name_of_other_case,
     names_in,
     read_exif,
@@ -71,6 +73,7 @@ class PhotographFolder:
         listed = find_list(path)
         settings = _from_list(path, listed) if listed else _from_exif(path)
         _refuse_changing_aperture(path, settings)
+        _refuse_unknown_speed(path, settings)
         known = speeds or IsoSpeeds()
         known.refuse_unstated(str(path), {one.iso for one in settings.values() if one.iso})
         return cls(path, settings, known)
@@ -242,7 +245,23 @@ def _from_exif(folder: Path) -> dict[str, PhotographSettings]:
                 "photographs with one line per file: `name seconds`"
             )
         settings[name] = known
-    return settings
+    return settings if _from_a_dial(settings.values()) else {n: one.as_printed() for n, one in settings.items()}
+
+
+def _from_a_dial(settings: Iterable[PhotographSettings]) -> bool:
+    """Tell whether every time is one that a dial prints, or a longer one by hand: only then do they stand for stops."""
+    return all(is_dial_time(one.nominal_exposure_s) or one.nominal_exposure_s > LONGEST_OF_DIAL_S for one in settings)
+
+
+def _refuse_unknown_speed(folder: Path, settings: dict[str, PhotographSettings]) -> None:
+    """Refuse photographs of several ISO speeds of which some state none: any of them may be theirs."""
+    silent = [name for name, known in settings.items() if not known.iso]
+    stated = sorted({known.iso for known in settings.values() if known.iso})
+    if silent and len(stated) > 1:
+        raise CaptureError(
+            f"{folder}: {silent[0]} states no ISO speed, others {stated[0]:g} to {stated[-1]:g}; leave it out, or take "
+            "the whole bracket at one speed"
+        )
 
 
 def _refuse_changing_aperture(folder: Path, settings: dict[str, PhotographSettings]) -> None:

@@ -6,7 +6,7 @@ import math
 import re
 import unicodedata
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Final
@@ -68,6 +68,7 @@ _DIAL_TIMES: Final = (
     30,
     60,
 )
+LONGEST_OF_DIAL_S: Final = 60.0  # longer ones are by hand (bulb)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +89,10 @@ class PhotographSettings:
     iso: float | None = None
     gain_db: float = 0.0
 
+    def as_printed(self) -> PhotographSettings:
+        """Return the settings with the time as it is printed, no stop behind it."""
+        return replace(self, exposure_s=self.nominal_exposure_s)
+
 
 def is_dial_time(seconds: float) -> bool:
     """Tell whether a time in s is one that a camera's dial prints."""
@@ -98,7 +103,8 @@ def is_dial_time(seconds: float) -> bool:
 def read_exif(path: Path) -> PhotographSettings | None:
     """Return the settings in a photograph's EXIF data; None where it holds no exposure time.
 
-    A dial value (1/60 s) is turned into the exact stop behind it (2⁻⁶ s); any other time is taken as it stands.
+    A dial value (1/60 s) is turned into the exact stop behind it (2⁻⁶ s); any other time is taken as it stands. Of a
+    camera that states other times as well, none stands for a stop (`as_printed`).
     """
     try:
         with Image.open(path) as image:

@@ -20,12 +20,10 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.labels import exposure_label, frame_name, refuse_falling_brightness
-from radiometer.analysis.response.left_out import others_gap, prediction_error_dn
+from radiometer.analysis.response.left_out import dial_step_dn, follow_no_curve, others_gap, prediction_error_dn
 from radiometer.analysis.response.planes import Plane
-from radiometer.analysis.response.predicting import MANY_AS_ONE
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, settle
-from radiometer.analysis.response.weights import dn_at, value_at
 from radiometer.analysis.response.wrong_labels import (
     LEAST_GAIN,
     SMALLEST_LABEL_ERROR,
@@ -47,10 +45,6 @@ Array = NDArray[np.float64]
 _GAP_UNIT: Final = "mean error in DN of predicting left-out quadrants over that of the final exposures"
 _LABEL: Final = "exposure_label_error"
 _ENOUGH_PIXELS: Final = 1_000_000
-# ln of the least step of a camera's dial, a third of a stop: printed exposures agree where unseen parts of the picture
-# are predicted to half of what it would do, all tones off together. 21 clean real scenes: 0.03 to 0.3 of it.
-_DIAL_STEP: Final = math.log(2.0) / 3.0
-_MOST_OF_STEP: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +108,11 @@ def reconcile_photographs(
     bracket = Bracket.from_frames(light).thinned(_ENOUGH_PIXELS)
     try:
         samples = gather_samples(bracket)
+        if not samples.quadrants:
+            raise CaptureError(
+                f"{bracket.origin or 'the photographs'}: nearly all that there is to see lies in one quadrant of the "
+                "picture, so that none can be left out to judge by; take photographs that show something everywhere"
+            )
         start = curve_debevec1997(samples).log_exposure
         others = [plane for one in other_colours for plane in _plane(one)]
         judged = _judge(Plane(samples, start), others, _exact_log_times(bracket))
@@ -150,16 +149,9 @@ class _Judged:
     can_tell: bool = True  # whether enough photographs show something to tell a wrong label
 
     @property
-    def dial_step_dn(self) -> float:
-        """Return by how many DN a third of a stop more would change these photographs, in the mean."""
-        rows, g = self.fitted.samples, self.fitted.log_exposure
-        return float(np.mean(np.abs(dn_at(g, value_at(g, rows.dn) + _DIAL_STEP) - rows.dn)))
-
-    @property
     def follow_no_curve(self) -> bool:
-        """Tell whether unseen parts are predicted so badly, all tones together, that no labels can be said to agree."""
-        together = self.fitted.choices.inflation > MANY_AS_ONE
-        return together and self.errors[2] > _MOST_OF_STEP * self.dial_step_dn
+        """Tell whether unseen parts are predicted so badly that no labels can be said to agree."""
+        return follow_no_curve(self.errors[2], self.fitted.samples, self.fitted.log_exposure)
 
 
 def _exact_log_times(bracket: Bracket) -> Array:
@@ -323,11 +315,12 @@ def _error_sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> 
 def _no_curve(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     """Return what to say of photographs that no tone curve joins."""
     few = "" if judged.can_tell else ", wrong exposures (which of them, so few photographs cannot tell)"
+    step_dn = dial_step_dn(judged.fitted.samples, judged.fitted.log_exposure)
     return (
         f"These {len(bracket)} photographs follow no single tone curve with their exposures: left-out parts of the "
         f"picture are predicted to {judged.errors[2]:.2g} DN only{_worst(judged, names)}, where a third of a stop is "
-        f"{judged.dial_step_dn:.2g} DN. Another scene or light in some of them, movement, processing that depends on "
-        f"the picture{few}."
+        f"{step_dn:.2g} DN. Another scene or light in some of them, movement, processing that depends on the picture"
+        f"{few}."
     )
 
 

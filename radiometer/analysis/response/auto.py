@@ -14,6 +14,7 @@ from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import Agreement, ResponseEstimate, inner_range, spread_rms
 from radiometer.analysis.response.fit import ResponseFit
 from radiometer.analysis.response.jackknife import jackknife_u
+from radiometer.analysis.response.left_out import dial_step_dn, error_dn, follow_no_curve, prediction_error_dn
 from radiometer.analysis.response.noise_shift import ASSUMPTION
 from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.predicting import MANY_AS_ONE, Judged, judge_by_prediction, without_frames
@@ -255,9 +256,24 @@ def _notes(
             "all exposures are whole stops apart: a wave of one stop's period in ln H cannot be seen in these data and "
             "is kept as small as the curve's smoothness allows; one frame a third of a stop off would show it"
         )
-    if result.choices.inflation > MANY_AS_ONE:
+    if (doubt := _no_curve(result)) is not None:
+        notes.append(doubt)
+    elif result.choices.inflation > MANY_AS_ONE:
         notes.append(_note_on_disagreement(result, parts))
     return tuple(notes)
+
+
+def _no_curve(result: FittedResponse) -> str | None:
+    """Return what to say where no curve joins the frames under their labels; None where one does."""
+    rows, g = result.samples, result.log_exposure
+    error = error_dn(prediction_error_dn(rows, g, result.fit.log_time_errors))
+    if not follow_no_curve(error, rows, g):
+        return None
+    return (
+        f"these frames follow no single curve with their exposures: one is predicted from the others to {error:.2g} DN "
+        f"only, where a third of a stop is {dial_step_dn(rows, g):.2g} DN (another scene or light in some of them, "
+        "movement, wrong exposures); the curve is not to be relied on, whatever its uncertainty says"
+    )
 
 
 def _rivals(label: WrongLabel, samples: ResponseSamples) -> str:

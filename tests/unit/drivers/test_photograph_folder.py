@@ -25,7 +25,7 @@ def _jpeg(folder: Path, name: str, level: int, *, time=None, f_number=8.0, iso=1
     image = Image.fromarray(np.full((24, 32, 3), (level, level // 2, level // 4), np.uint8))
     exif = Image.Exif()
     if time is not None:
-        exif.get_ifd(0x8769).update({33434: time, 33437: f_number, 34855: iso})
+        exif.get_ifd(0x8769).update({33434: time, 33437: f_number} | ({} if iso is None else {34855: iso}))
     image.save(folder / name, exif=exif, quality=95)
 
 
@@ -314,3 +314,24 @@ def test_a_copy_of_a_photograph_is_refused(tmp_path):
     for name in ("b.png", "c.png"):
         _grey(tmp_path, name, 3)
     assert len(read_photographs(tmp_path)[0]) == 3
+
+
+def test_times_of_a_camera_without_a_dial_stand_for_no_stops(tmp_path):
+    """A telephone's 1/60 s beside 1/3021 s is 1/60 s, not the 1/64 s of a dial; times by hand (90 s) change nothing."""
+    for folder, other, expected in (("phone", 1 / 3021, 1 / 60), ("dial", 90.0, 2.0**-6)):
+        (tmp_path / folder).mkdir()
+        _jpeg(tmp_path / folder, "a.jpg", 50, time=1 / 60)
+        _jpeg(tmp_path / folder, "b.jpg", 100, time=other)
+        times = {f.extra["file"]: f.settings.exposure_s for f in read_photographs(tmp_path / folder, "red")[0]}
+        assert times["a.jpg"] == pytest.approx(expected, rel=1e-6)
+        assert times["b.jpg"] == pytest.approx(other, rel=1e-4)
+
+
+def test_a_photograph_without_an_iso_speed_among_several_speeds_is_refused(tmp_path):
+    """At ISO 100 and 200 one that states none may be either; where all others state one speed it counts for nothing."""
+    for name, level, iso in (("a.jpg", 50, 100), ("b.jpg", 100, None), ("c.jpg", 200, 100)):
+        _jpeg(tmp_path, name, level, time=level / 400, iso=iso)
+    assert {f.settings.gain_db for f in read_photographs(tmp_path, "red")[0]} == {0.0}
+    _jpeg(tmp_path, "c.jpg", 200, time=0.5, iso=200)
+    with pytest.raises(CaptureError, match=r"b\.jpg states no ISO speed, others 100 to 200; leave it out"):
+        read_photographs(tmp_path, "red")

@@ -18,7 +18,7 @@ from radiometer.analysis.response.samples import gather_samples
 from radiometer.analysis.response.wrong_labels import WrongLabel
 from radiometer.cli.main import run
 from radiometer.data import Bracket, Frame, FrameSettings
-from radiometer.errors import InputError
+from radiometer.errors import CaptureError, InputError
 from radiometer.importing import open_capture
 from radiometer.other_data import photographs
 from radiometer.other_data.light_meter import read_meter_table, reconcile_meter_table
@@ -153,6 +153,14 @@ def test_three_photographs_do_not_agree_with_a_wrong_label_and_cannot_say_which(
     assert wrong.verdict is Verdict.UNNAMED
     assert not wrong.effects
     assert "so few photographs cannot tell" in wrong.extra["remarks"][0]
+
+
+def test_a_picture_with_all_its_light_in_one_quadrant_is_refused_in_words() -> None:
+    """Quadrants cannot be left out where three hold nothing: said so, not "predicted to nan DN"."""
+    frames = _photographs(EXACT[3:7], EXACT[3:7])
+    corner = [np.pad(frame.dn[:40, :60], ((0, 60), (0, 90))) for frame in frames]
+    with pytest.raises(CaptureError, match="lies in one quadrant"):
+        reconcile_photographs([replace(frame, dn=dn) for frame, dn in zip(frames, corner, strict=True)])
 
 
 @pytest.mark.slow

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from radiometer.analysis.response.auto import recover_response_auto
+from radiometer.data import Bracket
 
 
 @pytest.mark.slow
@@ -171,3 +174,13 @@ def test_a_wrong_label_is_found_with_its_size(make_stack, inner_error):
     assert np.std(inner_error(found.curve, "gamma")) < 0.01
     assert any("labelled" in note for note in found.notes)
     assert recover_response_auto(make_stack("gamma")).details["wrong_labels"] == []
+
+
+def test_frames_that_no_curve_joins_are_said_to_be_so(make_stack):
+    """Of three frames the middle one's time is 1.5 times too long: the curve is not to be relied on, and says so."""
+    bracket = make_stack("gamma", bit_depth=8)
+    three = list(bracket.frames[2:8:2])
+    assert not any("no single curve" in note for note in recover_response_auto(Bracket.from_frames(three)).notes)
+    wrong = replace(three[1].settings, exposure_s=1.5 * three[1].settings.exposure_s)
+    three[1] = replace(three[1], settings=wrong)
+    assert any("follow no single curve" in note for note in recover_response_auto(Bracket.from_frames(three)).notes)
