@@ -16,7 +16,7 @@ from radiometer.reconcile.fit.comparison import FAMILY, TILE_BLOCKS, Comparison
 from radiometer.reconcile.fit.covariance import fitted_parameters, is_misfit, scatter_of
 from radiometer.reconcile.fit.covariates import covariates
 from radiometer.reconcile.fit.descent import refit
-from radiometer.reconcile.fit.state import FitState, with_effects
+from radiometer.reconcile.fit.state import FitState, with_effects, with_terms
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.result import FittedParameter, FoundEffect, Verdict
 from radiometer.reconcile.search.frame_order import Periodic
@@ -228,7 +228,10 @@ def _unwhitened(comparison: Comparison, block: str, values: Array) -> Array:
 
 
 def _taken_up(state: FitState, block: str) -> Array:
-    """Return the whitened residual of one statistic that unnamed terms took up, or else its excess, as it is shaped."""
+    """Return the whitened residual of one statistic that only unnamed terms take up, or else its excess, as it is shaped.
+
+    What the nuisances and effects would take up of it without them is none of theirs.
+    """
     comparison = state.comparison
     cut, shape = comparison.cuts[block], comparison.usable[block].shape
     taken, at = np.zeros(comparison.size), 0
@@ -238,7 +241,8 @@ def _taken_up(state: FitState, block: str) -> Array:
             taken = taken + columns @ state.weights[at : at + term.size]
         at += term.size
     if taken[cut].any():
-        return np.asarray(taken[cut].reshape(shape))
+        alone = with_terms(state, ()).fit.left_of(taken)
+        return np.asarray(alone[cut].reshape(shape))
     left = state.data_residual[cut]
     more = max(1.0 - comparison.degrees(block) / max(float(left @ left), 1e-300), 0.0)
     return np.asarray(left.reshape(shape) * np.sqrt(more))

@@ -6,7 +6,7 @@ The nuisances touch few of the statistics (the means, mostly), the effects any: 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, Protocol, TypeVar
 
@@ -198,6 +198,15 @@ class LinearFit:
         """Return the fit with further effect columns, and possibly another residual, followers followed in both."""
         changed = self.residual if residual is None else residual
         return LinearFit(changed, self.nuisances, np.hstack([self.effects, columns]), self.followers)
+
+    def left_of(self, vector: Array) -> Array:
+        """Return what the best change of the parameters leaves of a vector in place of the residual.
+
+        Args:
+            vector: (entries,), followers not followed yet; prior rows left out.
+        """
+        padded = np.concatenate([vector, np.zeros(self.residual.size - vector.size)])
+        return replace(self, residual=self.followed(padded)).projected[: vector.size]
 
     def score(self, rows: slice, basis: Array, part: Array | None = None) -> tuple[float, int]:
         """Return (χ², rank) of what a basis that touches only some rows would explain beside the parameters.

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from radiometer.reconcile import verdict
+from radiometer.reconcile.fit.linear import LinearFit, RowBlock
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.statistics import Counted
 from radiometer.reconcile.verdict import size_of_rest
@@ -51,6 +53,24 @@ def fitted(**more: Any) -> Any:
         "sensitivity": np.array([[0.9, 100.0], [200.0, 1.1]]),
     }
     return SimpleNamespace(**state | more)
+
+
+@pytest.fixture(autouse=True)
+def without_terms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give a state without its terms the linear fit of the nuisance that it has: one of the entry that is no mean."""
+
+    def bare(state: Any, _: Any) -> Any:
+        nuisance = getattr(state, "nuisance", np.eye(5)[4:].T)
+        none = RowBlock.of(np.zeros((5, 0)))
+        return SimpleNamespace(fit=LinearFit(np.zeros(5), RowBlock.of(nuisance), np.zeros((5, 0)), none))
+
+    monkeypatch.setattr(verdict, "with_terms", bare)
+
+
+def test_what_a_nuisance_would_take_up_is_no_part_of_a_rest() -> None:
+    """A term of 3, 4, 6, 8 sigmas beside a nuisance that moves all four means by as much: −2.25, −1.25, 0.75, 2.75."""
+    found = size_of_rest(fitted(nuisance=np.array([[1.0, 1.0, 1.0, 1.0, 0.0]]).T), "mean")
+    assert found["rms_dn"].value == pytest.approx(np.sqrt((1.125**2 + 0.625**2 + 0.75**2 + 2.75**2) / 4))
 
 
 def test_a_rest_of_means_is_told_in_dn_in_electrons_and_of_the_light() -> None:

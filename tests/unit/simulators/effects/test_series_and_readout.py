@@ -206,6 +206,27 @@ def test_a_line_begins_high_and_settles() -> None:
     assert np.ravel(low.offset(_context())) == pytest.approx(-line[::-1])
 
 
+def test_a_slow_part_of_a_settling_adds_to_the_quick_one() -> None:
+    """A quick −8 DN and a slow 2 DN: −8·exp(−x/0.1) + 2·exp(−x/0.5), above nothing from ln(4)/8 of the line on."""
+    effect = LineStartOffset(-8.0, 0.1, slow_dn=2.0, slow_share=0.5)
+    place = (np.arange(8) + 0.5) / 8.0
+    line = np.ravel(effect.offset(_context()))
+    assert line == pytest.approx(-8.0 * np.exp(-place / 0.1) + 2.0 * np.exp(-place / 0.5))
+    assert (line > 0.0).tolist() == (place > math.log(4.0) / 8.0).tolist()
+
+
+def test_a_slow_part_is_tried_beside_a_quick_one_only() -> None:
+    """The plain form has two parameters and two looser ones, which have four and none."""
+    plain = LineStartOffset(-8.0, 0.1)
+    looser = plain.loosened(_context())
+    assert plain.free() == ("offset_dn", "decay_share")
+    assert [np.sign(form.slow_dn) for form in looser] == [1.0, -1.0]
+    for form in looser:
+        assert form.free() == ("offset_dn", "decay_share", "slow_dn", "slow_share")
+        assert form.slow_share > form.decay_share
+        assert form.loosened(_context()) == ()
+
+
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_successive_pixels_share_read_noise(sign: float) -> None:
     """Frames of 2 e- have the variance 4 e-², neighbours in a line the covariance ±2 e-², others none: as told."""
@@ -223,9 +244,12 @@ def test_successive_pixels_share_read_noise(sign: float) -> None:
 
 @pytest.mark.parametrize("decay_share", [0.02, 0.3])
 @pytest.mark.parametrize("from_right", [0.0, 1.0])
-def test_tiles_have_mean_slope_and_columns_of_their_pixels(decay_share: float, from_right: float) -> None:
+@pytest.mark.parametrize("slow_dn", [0.0, -4.0])
+def test_tiles_have_mean_slope_and_columns_of_their_pixels(
+    decay_share: float, from_right: float, slow_dn: float
+) -> None:
     """Two tiles of 512 columns: mean, rise and what a parabola leaves are those of the line's 1024 pixels to 1 %."""
-    effect = LineStartOffset(10.0, decay_share, from_right)
+    effect = LineStartOffset(10.0, decay_share, from_right, slow_dn)
     line = np.ravel(effect.offset(replace(_context(), geometry=FrameGeometry.of_image(1024, 1)))).reshape(2, 512)
     u = (2.0 * np.arange(512) + 1.0) / 512 - 1.0
     middle, side = np.array([255.5, 767.5]), np.array([-1.0, 1.0, -1.0, 1.0]) / math.sqrt(3.0)
