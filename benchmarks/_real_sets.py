@@ -136,8 +136,8 @@ SETS: tuple[RealSet, ...] = (
         # Row means of dark differences scatter 17 to 19 times too much; column profiles of odd and even rows of the
         # mean of 50 frames correlate by 0.59 in the dark (0.03 DN) and by 0.82 in light (0.85 DN). Neighbours along a
         # row of the differences of 25 pairs of darks, row means taken out, correlate by −0.039 ± 0.001, those one
-        # further by +0.006 ± 0.001; −0.002 is what the taking out of means does. The mean of 50 darks begins its lines at
-        # 13.4 DN, has 14.6 in the 20th column, 14.92 about the 70th and 14.71 at the end, alike in all rows.
+        # further by +0.006 ± 0.001; −0.002 is what the taking out of means does. The mean of 50 darks begins its lines
+        # at 13.4 DN, has 14.6 in the 20th column, 14.92 about the 70th and 14.71 at the end, alike in all rows.
         ("row_temporal_noise", "column_pattern", "correlated_read_noise", "line_start_offset"),
     ),
     RealSet(

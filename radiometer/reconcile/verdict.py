@@ -228,7 +228,7 @@ def _unwhitened(comparison: Comparison, block: str, values: Array) -> Array:
 
 
 def _taken_up(state: FitState, block: str) -> Array:
-    """Return the whitened residual of one statistic that only unnamed terms take up, or else its excess, as it is shaped.
+    """Return what of a statistic's whitened residual only unnamed terms take up, or else its excess, as it is shaped.
 
     What the nuisances and effects would take up of it without them is none of theirs.
     """
