@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
 from radiometer.adaptation.break_evidence import (
     LEAST_DEVIANCE,
     _huber_loss,
+    break_evidence,
     convex_sum_of_squares,
     earliest_visible_break,
 )
@@ -75,3 +78,11 @@ def test_power_falls_with_scatter_and_with_fewer_thresholds():
     assert times[0] < times[2]
     assert earliest_visible_break(TIMES[::4], 0.1, 3.0) > earliest_visible_break(TIMES, 0.1, 3.0)
     assert earliest_visible_break(TIMES, 3.0, 3.0) is None
+
+
+def test_thresholds_without_noise_count_as_known_to_a_thousandth():
+    """A curve that quickens exactly as the model with a break says: no more evidence than residuals of 0.001 allow."""
+    curve = -0.1 * np.maximum(TIMES - 10.0, 0.0)
+    exact = SimpleNamespace(series=ThresholdSeries(TIMES, curve), sigma=0.0, threshold=lambda times: curve)
+    rest = convex_sum_of_squares(TIMES, curve, np.ones(TIMES.size)) / TIMES.size
+    assert LEAST_DEVIANCE < break_evidence(exact).deviance < TIMES.size * np.log(1.0 + rest / 1e-6)

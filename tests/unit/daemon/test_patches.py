@@ -211,6 +211,17 @@ def test_a_slow_period_is_no_gap() -> None:
     assert trend_columns([], None)["time"] == []
 
 
+@pytest.mark.parametrize(
+    ("usual_s", "every_s", "longest_s"), [(0.02, None, 3.0), (0.02, 0.02, 3.0), (10.0, None, 30.0), (2.0, 60.0, 180.0)]
+)
+def test_readings_are_missing_after_three_periods(usual_s: float, every_s: float | None, longest_s: float) -> None:
+    """Of those asked for, or of those that there were where these are longer, and never within 3 s."""
+    for pause_s, gaps in ((0.98 * longest_s, 0), (1.02 * longest_s, 1)):
+        times = [0.0, usual_s, 2.0 * usual_s, 2.0 * usual_s + pause_s]
+        points = [TrendPoint(START_US + round(1e6 * t), 1.0, 0.1, 1.0, 1.0, 1, 0, "u") for t in times]
+        assert trend_columns(points, every_s)["value"].count(None) == gaps
+
+
 async def test_http_serves_patches_trends_and_remarks(station: Station, eventually: Eventually) -> None:
     """Define, limit, measure, draw, remark, delete: each by its route, each refused with its reason where wrong."""
     server = HttpServer(station)

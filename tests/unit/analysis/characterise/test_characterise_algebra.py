@@ -17,7 +17,7 @@ from radiometer.analysis.characterise.dark_transfer import _halves_u
 from radiometer.analysis.characterise.emva_export import _photons
 from radiometer.analysis.characterise.frame_groups import FrameGroup
 from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
-from radiometer.analysis.characterise.inconsistent import contradicting_darks
+from radiometer.analysis.characterise.inconsistent import contradicting_darks, contradicting_steps
 from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.analysis.characterise.linearity import linearity
 from radiometer.analysis.characterise.nonuniformity import dsnu, prnu
@@ -572,3 +572,32 @@ def test_no_camera_is_described_to_give_more_electrons_than_photons(eta, believe
         notes=(), provenance=Provenance("test"),
     )  # fmt: skip
     assert found.description().quantum_efficiency == pytest.approx(believed)
+
+
+@pytest.mark.parametrize(("clipped", "by"), [((0.0, 0.0, 0.0), "full well"), ((0.0, 0.0, 0.9), "converter")])
+def test_pixels_at_full_scale_say_that_the_converter_saturates(clipped, by):
+    """Any of the steps from the largest variance on: the first of them are hardly at full scale yet."""
+    variances = np.where(np.arange(16) <= 13, 40.0 + 0.5 * SIGNALS, 5.0)
+    steps = steps_of(SIGNALS, variances)
+    ends = [replace(s, bright=replace(s.bright, clipped_share=c)) for s, c in zip(steps[13:], clipped, strict=True)]
+    assert find_saturation([*steps[:13], *ends]).limited_by == by
+
+
+@pytest.mark.parametrize(("off", "named"), [((4,), 1), ((2, 7, 12), 3), ((2, 5, 8, 12), 0)])
+def test_up_to_a_fifth_of_the_steps_are_exceptions(off, named):
+    """Of 16 steps three that show half of what their light says are named; of four nobody knows which are right."""
+    shown = SIGNALS.copy()
+    shown[list(off)] *= 0.5
+    bright = [group(BLACK_DN + s, 100.0, photons=2.0 * light) for s, light in zip(shown, SIGNALS, strict=True)]
+    found = contradicting_steps(make_steps(bright, [group(BLACK_DN, 40.0, dark=True)]))
+    assert [step.signal_dn for step, _ in found] == pytest.approx([shown[k] for k in off[:named]])
+
+
+@pytest.mark.parametrize(("off", "named"), [((4,), 1), ((2, 7), 2), ((2, 5, 7), 0)])
+def test_up_to_a_fifth_of_the_dark_groups_are_exceptions(off, named):
+    """Of ten groups on a line over exposure two that are 200 DN off it are named; of three none is."""
+    times = np.arange(1.0, 11.0)
+    means = BLACK_DN + 20.0 * times
+    means[list(off)] += 200.0
+    darks = [group(mean, 40.0, time, dark=True) for mean, time in zip(means, times, strict=True)]
+    assert [one.settings.exposure_s for one, _ in contradicting_darks(darks, 3000.0)] == [times[k] for k in off[:named]]
