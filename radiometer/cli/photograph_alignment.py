@@ -72,3 +72,19 @@ def in_one_place(brackets: Sequence[Bracket], align: str) -> Placed:
     absent = [np.any(masks, axis=0) for masks in zip(*(masks for _, masks in moved), strict=True)]
     whole = [one for one, _ in moved]
     return Placed(whole, [alignment.trimmed(one) for one in whole], absent, sentence)
+
+
+def photographs_in_one_place(brackets: Sequence[Bracket], align: str = "auto") -> Placed:
+    """Return photographs as `in_one_place` does; frames of a camera that stands still as they are.
+
+    Args:
+        brackets: One per channel, of the same frames.
+        align: "auto", "on" or "off".
+
+    Raises:
+        UsageError: If it is none of these.
+    """
+    by_hand = all("nominal_exposure_s" in frame.extra for bracket in brackets for frame in bracket)
+    if by_hand or align not in ALIGN_CHOICES:
+        return in_one_place(brackets, align)
+    return in_one_place(brackets, "off")

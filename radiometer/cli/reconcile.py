@@ -196,9 +196,12 @@ def _photographs(path: Path) -> Sequence[Sequence[Frame]]:
     if not path.is_dir() or (path / HEADER_NAME).exists() or (path / "frames").is_dir() or is_foreign(path):
         return ()
     from radiometer.bench.sources import open_brackets
+    from radiometer.cli.photograph_alignment import photographs_in_one_place
 
-    brackets = open_brackets(path, "each", most_pixels=_ENOUGH_PIXELS)
-    brackets = sorted(brackets, key=lambda one: one.frames[0].extra.get("channel") != "green")
+    placed = photographs_in_one_place(open_brackets(path, "each", most_pixels=_ENOUGH_PIXELS))
+    if placed.absent:
+        note(f"{path.name}: {placed.sentence}")
+    brackets = sorted(placed.common, key=lambda one: one.frames[0].extra.get("channel") != "green")
     return [(*one.frames, *one.dark_frames) for one in brackets]
 
 

@@ -22,6 +22,7 @@ from radiometer.bench.sources import open_brackets
 from radiometer.cli.arguments import ISO_HELP, parse_known_ratios, parse_measured_iso
 from radiometer.cli.console import note, progress_bar
 from radiometer.cli.iso_record import with_iso_speeds
+from radiometer.cli.photograph_alignment import photographs_in_one_place
 from radiometer.cli.response_plot import check_plot_name, draw_responses
 from radiometer.data import Bracket
 from radiometer.data.iso_speeds import IsoSpeeds
@@ -66,6 +67,9 @@ def command(
     measured_iso: Annotated[
         list[str] | None, typer.Option("--measured-iso", metavar="STATED=REAL", help=ISO_HELP)
     ] = None,
+    align: Annotated[
+        str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")
+    ] = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> None:
     """Recover the camera response g(M) = ln H from brackets of exposures, with its uncertainty.
@@ -78,7 +82,7 @@ def command(
     picture = _plot_path(plot, output)
     _check_targets(output, picture)
     started = time.monotonic()
-    found = _read(paths, channel, speeds)
+    found = _read(paths, channel, speeds, align)
     joint: Sequence[ResponseEstimate | None] = [None] * len(found)
     if DEFAULT_METHOD in names and len(found) > 1:
         with _bar("recovering the response of all colours together"):
@@ -138,16 +142,25 @@ def _check_targets(output: Path | None, picture: Path | None) -> None:
             refuse_unwritable(target)
 
 
-def _read(paths: Sequence[Path], channel: str, speeds: IsoSpeeds) -> dict[str, list[Bracket]]:
-    """Return the brackets of all paths by colour channel."""
+def _read(paths: Sequence[Path], channel: str, speeds: IsoSpeeds, align: str) -> dict[str, list[Bracket]]:
+    """Return the brackets of all paths by colour channel; photographs in one place."""
     found: dict[str, list[Bracket]] = {}
     for path in paths:
         with _bar(f"reading {path.name}") as report:
             brackets = open_brackets(path, channel, report=report, speeds=speeds, most_pixels=_ENOUGH_PIXELS)
-        for bracket in brackets:
-            refuse_lying_labels(bracket)
+        for bracket in _placed(brackets, align):
             found.setdefault(str(bracket.frames[0].extra.get("channel", "mono")), []).append(bracket)
     return found
+
+
+def _placed(brackets: list[Bracket], align: str) -> list[Bracket]:
+    """Return photographs in one place, which is said where they were moved; a camera on a bench stands still."""
+    for bracket in brackets:
+        refuse_lying_labels(bracket)
+    placed = photographs_in_one_place(brackets, align)
+    if placed.absent:
+        note(f"{brackets[0].origin}: {placed.sentence}")
+    return placed.common
 
 
 def _recover(

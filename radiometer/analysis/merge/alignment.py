@@ -46,6 +46,8 @@ _MOVED_SIGMA: Final = 6.0
 _LEAST_SHARE: Final = 0.02
 _STILL: Final = np.eye(2, 3)
 _NEIGHBOURS: Final = np.ones((3, 3), np.uint8)
+# Pictures of fewer pixels across hold nothing to hold a movement by.
+_LEAST_SIDE_PX: Final = 8
 # Cubic interpolation looks at pixels so far away.
 _SUPPORT_PX: Final = 2
 
@@ -226,6 +228,8 @@ def _corners(shape: tuple[int, int]) -> Array:
 
 def _pair_movement(here: Image, there: Image, full_scale_dn: int) -> Array | None:
     """Return the movement that takes pixels of the one picture to the other; None where it cannot be told."""
+    if min(here.shape) < _LEAST_SIDE_PX:
+        return None
     inside = _inside(here) & _inside(there)
     still, other = _alike(here, there, inside, full_scale_dn)
     if still is None or other is None:
