@@ -271,9 +271,10 @@ class Clock:
 def test_no_more_than_rate_and_burst_is_let_through(per_s: float, pauses: list[float]) -> None:
     """In any time at most a burst of one second and the rate; whoever waits as told is let through next."""
     clock = Clock()
-    bucket, taken, start = TokenBucket(per_s, clock), 0, clock.now_s
+    bucket, taken, start = TokenBucket(per_s, clock), int(per_s), clock.now_s
     assert bucket.is_full
-    for pause in pauses:
+    assert [bucket.take() for _ in range(taken)] == [0.0] * taken  # the burst: the next one has to wait
+    for pause in [0.0, *pauses]:
         clock.now_s += pause
         wait_s = bucket.take()
         taken += wait_s == 0.0
