@@ -167,7 +167,7 @@ def test_a_ladder_that_makes_no_sense_is_misuse(low, high, stops):
         exposure_ladder(low, high, stops, LIMITS_S)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     bits=st.integers(8, 16),
     gain_e=st.floats(0.05, 20.0),

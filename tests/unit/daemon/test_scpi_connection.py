@@ -150,7 +150,7 @@ def test_messages_are_cut_at_line_feeds_and_answered_in_order():
     run(story())
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(lines=st.lists(st.sampled_from(["", "?a", "*RST", "?bc"]), max_size=4), cuts=st.lists(st.integers(1, 6)))
 def test_lines_are_heard_as_they_stand_however_they_come(lines, cuts):
     """Empty ones too, whole or in pieces of any size."""
