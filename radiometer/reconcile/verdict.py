@@ -87,26 +87,39 @@ def leaves_structure(outcome: Search) -> bool:
 
 
 def faint_names(outcome: Search) -> list[str]:
-    """Return names that are not worth telling: faint beside what is stronger, where structure stays anyhow.
+    """Return names that are not worth telling where structure stays anyhow: faint ones, and those of no substance.
 
     What a wrong law of a stronger name leaves, others take up in part; so they do with what a curve along one covariate
-    leaves of an unknown cause, where that brings most of what both bring.
+    leaves of an unknown cause, where that brings most of what both bring. And an entry whose essential parameter is not
+    told from nothing, with an uncertainty that holds what is left, fits by its further terms, as any curve would.
     """
+    if not leaves_structure(outcome):
+        return []
+    faint = _fainter_than_the_rest(outcome)
+    return [*faint, *(name for name in _of_no_substance(outcome) if name not in faint)]
+
+
+def _fainter_than_the_rest(outcome: Search) -> list[str]:
     present = {effect.name for effect in outcome.state.effects}
     named = [step for step in outcome.steps if step.name in present]
     most = max((step.gain_nats for step in named), default=0.0)
-    if not leaves_structure(outcome):
-        return []
     unknown = max((step.gain_nats for step in outcome.steps if step.name == "unnamed"), default=0.0)
     needed = max(min(FAINT_NATS * scatter_of(outcome.state), most), (1.0 / SMOOTH_SHARE - 1.0) * unknown)
     return [step.name for step in named if step.gain_nats < needed]
 
 
+def _of_no_substance(outcome: Search) -> list[str]:
+    declared = [effect for effect in outcome.state.effects if effect.essential]
+    return without_essential(outcome.steps, declared, fitted_parameters(outcome.state)) if declared else []
+
+
 def faint(outcome: Search) -> list[str]:
     """Return in words which names are left out."""
     gains = {step.name: step.gain_nats for step in outcome.steps}
+    little = _fainter_than_the_rest(outcome)
     return [
-        f"{name} is counted to what is left: it brings {gains[name]:.0f} nats where structure stays beside more"
+        f"{name} is counted to what is left"
+        + (f": it brings {gains[name]:.0f} nats where structure stays beside more" if name in little else "")
         for name in faint_names(outcome)
     ]
 

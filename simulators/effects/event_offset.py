@@ -40,6 +40,7 @@ class EventOffset(Offset):
     prior_reason = "few cameras interrupt a session, and an event may lie anywhere in it"
     trials = ({"offset_dn": _TRIED_DN, "tau_s": 30.0}, {"offset_dn": -_TRIED_DN, "tau_s": 30.0})
     fitted = ("offset_dn", "tau_s")
+    essential = ("offset_dn",)  # where times follow the exposures, anything that bends along them is some event
     settles = "dark frames of the shortest exposure, one after the other through the event"
     offset_dn: float = parameter(0.0, "DN", -0.25, 0.25, source="tenths of a DN to tens of DN", of_full_scale=True)
     tau_s: float = parameter(30.0, "s", 0.01, _SLOWEST_S, source="seconds to minutes")

@@ -23,6 +23,7 @@ from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.dsnu import Dsnu
+from simulators.effects.event_offset import EventOffset
 from simulators.effects.gamma_enabled import GammaEnabled
 from simulators.effects.psf_blur import PsfBlur
 
@@ -103,6 +104,19 @@ def test_a_name_beside_an_unknown_cause_that_brings_four_fifths(nats, told):
     found = outcome((BLUR,), [step("unnamed", 1000.0), step("psf_blur", nats)], left=(1,))
     assert faint_names(found) == sorted({"psf_blur"} - set(told))
     assert verdict_of(found, []) is (Verdict.INCOMPLETE if told else Verdict.UNNAMED)
+
+
+@pytest.mark.parametrize(
+    ("u", "left", "told"), [(0.5, (1,), []), (0.4, (1,), ["event_offset"]), (0.5, (), ["event_offset"])]
+)
+def test_a_size_within_three_uncertainties_of_nothing_is_no_name_where_structure_stays(u, left, told, monkeypatch):
+    """An event of 1.4 ± 0.5 DN is a part of what is left, of 1.4 ± 0.4 DN a name; where nothing is left it is one."""
+    known = {"event_offset": {"offset_dn": FittedParameter(1.4, u, "DN")}, "psf_blur": {}}
+    monkeypatch.setattr(verdict, "fitted_parameters", lambda _: known)
+    found = outcome((BLUR, EventOffset(1.4)), [step("psf_blur", 900.0), step("event_offset", 800.0)], left)
+    kept = [name for name in ("event_offset",) if name not in faint_names(found)]
+    assert kept == told
+    assert faint(found) == ([] if told else ["event_offset is counted to what is left"])
 
 
 @pytest.mark.parametrize(
