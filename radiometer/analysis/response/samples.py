@@ -28,6 +28,9 @@ _EDGES_DIFFER = 1.5
 _FEWEST_PIXELS_FOR_VARIANCE = 20
 # A pixel that falls by more than this part of full scale under a longer exposure did not look at one thing.
 _TOLERATED_FALL = 0.1
+# Nor did one in the middle tones (parts of white) that stays within this part of full scale in all frames while the
+# exposure grows by this factor: even a logarithmic camera of twenty stops gives it a tenth. Date stamps, stuck pixels.
+_MIDDLE_TONES, _LEAST_RISE, _LEAST_GROWTH = (0.25, 0.9), 0.02, 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +156,7 @@ def _check(brackets: Sequence[Bracket]) -> None:
 
 def _gather_one(bracket: Bracket, limits: ValueLimits, index: int, first_frame: int) -> tuple[ResponseSamples, ...]:
     """Return the samples of all pixels, then those without each quadrant's, then each quadrant's own."""
-    label, group_total = _label_groups(bracket)
+    label, group_total = _label_groups(bracket, limits)
     place = _QUADRANTS * _at_edges(bracket, label) + _quadrants(bracket.shape)
     sums = _sums_by_part(bracket, label, place, group_total, limits)
     even, edges = sums[:, :_QUADRANTS], sums[:, _QUADRANTS:]
@@ -277,13 +280,13 @@ def _sums_by_part(
     return found
 
 
-def _label_groups(bracket: Bracket) -> tuple[NDArray[np.intp], int]:
+def _label_groups(bracket: Bracket, limits: ValueLimits) -> tuple[NDArray[np.intp], int]:
     """Return the group of every pixel (flattened) and the number of groups; contradictory pixels get that number."""
     total = np.zeros(bracket.shape, dtype=np.uint32)
     for frame in bracket:
         total += frame.dn
     key = total.ravel()
-    contradictory = _contradictory(bracket).ravel()
+    contradictory = (_contradictory(bracket) | _unmoved(bracket, limits)).ravel()
     histogram = np.bincount(key[~contradictory], minlength=1)
     # Cut at equal numbers of pixels and, besides, at equal steps of the sum: rare bright pixels stay apart.
     wanted = min(_GROUPS, max(64, key.size // 12))
@@ -306,6 +309,19 @@ def _contradictory(bracket: Bracket) -> NDArray[np.bool_]:
         np.maximum(highest, frame.dn, out=highest)
         bad |= (highest - frame.dn) > tolerated
     return bad
+
+
+def _unmoved(bracket: Bracket, limits: ValueLimits) -> NDArray[np.bool_]:
+    """Return the pixels that stay as they are in the middle tones while the exposure grows: they see no light."""
+    times = bracket.effective_exposures_s
+    if times[-1] < _LEAST_GROWTH * times[0]:
+        return np.zeros(bracket.shape, dtype=np.bool_)
+    low, high = (part * limits.saturated_dn for part in _MIDDLE_TONES)
+    lowest, highest = bracket.frames[0].dn, bracket.frames[0].dn
+    for frame in bracket.frames[1:]:
+        lowest, highest = np.minimum(lowest, frame.dn), np.maximum(highest, frame.dn)
+    still = highest - lowest < _LEAST_RISE * bracket.frames[0].full_scale_dn
+    return np.asarray(still & (lowest > low) & (highest < high))
 
 
 def _joined(parts: Sequence[ResponseSamples]) -> ResponseSamples:

@@ -184,3 +184,19 @@ def test_frames_that_no_curve_joins_are_said_to_be_so(make_stack):
     wrong = replace(three[1].settings, exposure_s=1.5 * three[1].settings.exposure_s)
     three[1] = replace(three[1], settings=wrong)
     assert any("follow no single curve" in note for note in recover_response_auto(Bracket.from_frames(three)).notes)
+
+
+def test_a_date_stamped_into_every_frame_is_no_exposure(make_stack):
+    """Pixels that stay at 160 DN through the ladder see no light: the curve is the one of the stack without them."""
+    bracket = make_stack("gamma", bit_depth=8)
+    stamped = []
+    for frame in bracket:
+        dn = frame.dn.copy()
+        dn[: dn.shape[0] // 8, : dn.shape[1] // 4] = 160
+        stamped.append(replace(frame, dn=dn))
+    clean, found = (recover_response_auto(one).curve for one in (bracket, Bracket.from_frames(stamped)))
+    inside = slice(13, 243)
+    gap = (found.log_exposure - clean.log_exposure)[inside]
+    u = np.hypot(found.u_log_exposure, clean.u_log_exposure)[inside]
+    assert np.sqrt(np.mean((gap - gap.mean()) ** 2)) < 1.5 * np.sqrt(np.mean(u**2))
+    assert np.sqrt(np.mean(u**2)) < 0.02
