@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import cv2
 import numpy as np
@@ -65,16 +66,8 @@ class RealStack:
 
 def real_stacks(folder: Path, cameras: tuple[str, ...]) -> Iterator[RealStack]:
     """Yield every stack of the cameras named (all where none is)."""
-    for camera, load in (
-        ("NikonD70", _middlebury),
-        ("CanonPowerShotG9", _middlebury),
-        ("flea3", _flea3),
-        ("memorial", _photographs),
-        ("frobisher", _photographs),
-        ("fisheye", _photographs),
-    ):
-        if not cameras or camera in cameras:
-            yield from load(folder, camera)
+    for camera in cameras or CAMERAS:
+        yield from _LOADERS[camera](folder, camera)
 
 
 def _middlebury(folder: Path, camera: str) -> Iterator[RealStack]:
@@ -155,3 +148,14 @@ def _thinned(bracket: Bracket, most: int = 150_000) -> Bracket:
         Frame(np.ascontiguousarray(f.dn[::step, ::step]), f.bit_depth, f.settings, extra=f.extra) for f in bracket
     ]
     return Bracket.from_frames(frames, origin=bracket.origin)
+
+
+_LOADERS: Final[dict[str, Callable[[Path, str], Iterator[RealStack]]]] = {
+    "NikonD70": _middlebury,
+    "CanonPowerShotG9": _middlebury,
+    "flea3": _flea3,
+    "memorial": _photographs,
+    "frobisher": _photographs,
+    "fisheye": _photographs,
+}
+CAMERAS: Final = tuple(_LOADERS)

@@ -18,7 +18,7 @@ from itertools import groupby
 import numpy as np
 
 from benchmarks._photograph_labels import Labels
-from benchmarks._photograph_sets import HIGHEST_DN, LOWEST_DN, Array, RealStack, real_stacks, stacks_folder
+from benchmarks._photograph_sets import CAMERAS, HIGHEST_DN, LOWEST_DN, Array, RealStack, real_stacks, stacks_folder
 from benchmarks._response_peers import failures_of, opencv_debevec, peers
 from benchmarks._sections import write_section
 from radiometer.analysis.response.limits import find_limits
@@ -215,6 +215,8 @@ def told(
 
 
 def main() -> None:
+    if unknown := [word for word in sys.argv[1:] if word not in CAMERAS]:
+        sys.exit(f"{__doc__}\n{unknown[0]}: no such camera; there are {', '.join(CAMERAS)}")
     folder = stacks_folder()
     if folder is None:
         print("the real stacks (shared/data/stacks) are not on this machine")
