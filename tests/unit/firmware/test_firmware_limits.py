@@ -329,6 +329,9 @@ def test_a_pulse_is_as_long_as_asked_to_the_millisecond(power, bright_ms):
             assert box.duties()[1] == before
             box.run(1)
             assert (box.duties()[1] == 0.0) is (before > 0.0)
+        for _ in range(dark_ms + bright_ms + 1):  # and it was the last: as many blinks as asked for
+            box.run(1)
+            assert box.duties()[1] == 0.0
 
 
 def test_a_ramp_takes_each_step_when_it_is_whole(power):

@@ -44,6 +44,7 @@ STEADY = (1e-3,) * 5
 
 def only(**figures):
     """Return stated uncertainties of which all but these are 0."""
+    assert figures.keys() <= StatedUncertainties.model_fields.keys()  # another name would state nothing
     return NOTHING.model_copy(update=figures)
 
 
