@@ -9,8 +9,8 @@ process reads and tells it.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
+import pickle
 import signal
 import tempfile
 from collections.abc import Callable, Iterable
@@ -19,6 +19,7 @@ from typing import IO, Any
 import pytest
 
 NUMBER_BYTES = 2  # a pipe takes and gives so few at once, so that no two processes share a number
+LENGTH_BYTES = 4  # before each report
 HEAVY = ("tests/unit/held", "tests/unit/reconcile", "tests/unit/cli")  # taken first: nothing long is left for the end
 
 
@@ -39,7 +40,10 @@ def turns(count: int) -> int:
 
 
 class Teller:
-    """Writes reports to a file in place of telling them."""
+    """Writes reports to a file in place of telling them.
+
+    They are pickled, for JSON makes lists of tuples, and pytest knows a skip by its tuple of place and reason.
+    """
 
     def __init__(self, config: pytest.Config, stream: IO[bytes]) -> None:
         self.config, self.stream = config, stream
@@ -47,10 +51,11 @@ class Teller:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Write a report, of what passed no more than its name and time."""
         if report.passed and not report.sections:
-            told: Any = [report.nodeid, report.location, report.when, report.duration, report.start, report.stop]
+            told: Any = (report.nodeid, report.location, report.when, report.duration, report.start, report.stop)
         else:
             told = self.config.hook.pytest_report_to_serializable(config=self.config, report=report)
-        self.stream.write(json.dumps(told).encode() + b"\n")
+        written = pickle.dumps(told)
+        self.stream.write(len(written).to_bytes(LENGTH_BYTES, "big") + written)
         self.stream.flush()
 
 
@@ -64,15 +69,24 @@ class Reader:
         """Tell what is new."""
         while new := os.pread(self.stream.fileno(), 1 << 20, self.at):  # the file's place is the writer's
             self.at += len(new)
-            *whole, self.rest = (self.rest + new).split(b"\n")
-            for line in whole:
-                self._tell(json.loads(line))
+            self.rest += new
+            self._tell_whole_ones()
+
+    def _tell_whole_ones(self) -> None:
+        start = 0
+        while (begin := start + LENGTH_BYTES) <= len(self.rest):
+            end = begin + int.from_bytes(self.rest[start:begin], "big")
+            if end > len(self.rest):
+                break
+            self._tell(pickle.loads(self.rest[begin:end]))
+            start = end
+        self.rest = self.rest[start:]
 
     def _tell(self, told: Any) -> None:
-        if isinstance(told, list):
+        if isinstance(told, tuple):
             nodeid, location, when, duration, start, stop = told
             report = pytest.TestReport(
-                nodeid, tuple(location), {}, "passed", None, when, duration=duration, start=start, stop=stop
+                nodeid, location, {}, "passed", None, when, duration=duration, start=start, stop=stop
             )
         else:
             report = self.config.hook.pytest_report_from_serializable(config=self.config, data=told)

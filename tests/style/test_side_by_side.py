@@ -65,6 +65,31 @@ def test_every_test_is_run_once_and_told(tmp_path: Path) -> None:
     assert ran(tmp_path, dict.fromkeys(("test_c.py", "test_f.py"), FINE))[0] == 0
 
 
+SKIPPING = """
+import pytest
+@pytest.fixture(params=range(2))
+def absent(request): pytest.skip("it is not here")
+def test_asks(absent): pass
+@pytest.mark.skip(reason="by a mark")
+def test_marked(): pass
+@pytest.mark.xfail(reason="known")
+def test_known(): assert 1 == 2
+def test_properties(record_property): record_property("k", 3)
+"""
+
+
+def test_reasons_of_the_second_process_are_told_as_those_of_the_first(tmp_path: Path) -> None:
+    """Skips are folded by place and reason, and what was known to fail is listed, whichever process ran the test."""
+    files = {f"test_{k}.py": SKIPPING + LATE for k in range(6)}
+    code, said = ran(tmp_path, files, "-ra")
+    assert code == 0, said
+    assert "Traceback" not in said
+    told = [int(count) for count in re.findall(r"SKIPPED \[(\d+)\] \S+: (?:it is not here|by a mark)", said)]
+    assert sorted(told) == [1] * 6 + [2] * 6, said
+    assert len(re.findall(r"XFAIL test_\d\.py::test_known - known", said)) == 6
+    assert re.search(r"12 passed, 18 skipped, 6 xfailed", said), said
+
+
 def test_a_process_that_dies_is_a_failure(tmp_path: Path) -> None:
     """Where the second process is killed no success is told, though every test that was told of passed."""
     code, said = ran(tmp_path, {f"test_{k}.py": DEADLY + LATE for k in range(6)})
