@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import gzip
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks._lsst_flats import SENSORS, WELL_E, covariances, flats
 from benchmarks._real_sets import SETS, Documented, RealSet, data_folder
 from benchmarks._sections import write_section
 from radiometer.importing import import_sources, imported_of
@@ -28,6 +30,7 @@ from radiometer.other_data.sources import reconcile_source
 from radiometer.reconcile.result import ReconcileResult
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "real-sensors.md"
+LSST_SEED = 20
 _LEADING = 3  # places of the localisation that count as first
 
 
@@ -175,10 +178,41 @@ def of_lenses(folder: Path) -> Iterator[Row]:
     yield Row("709 lenses, fall-off curves", "96 % of curves within 1 %", "lensfun", said, verdict, seconds)
 
 
+def of_covariances(folder: Path) -> Iterator[Row]:
+    """Yield what is said of flats that are drawn with the covariances of two CCDs, and what it predicts beyond."""
+    from radiometer.reconcile import reconcile_capture
+    from simulators.effects.brighter_fatter import BrighterFatter
+
+    for sensor in SENSORS:
+        slope, scatter = covariances(folder, sensor)
+        measured = slope[0, 2] + slope[2, 0], float(np.hypot(scatter[0, 2], scatter[2, 0]))
+        with tempfile.TemporaryDirectory() as place:
+            path = flats(folder, sensor, LSST_SEED).write(Path(place) / "set")
+            begun = time.process_time()
+            result = reconcile_capture(path).result
+            seconds = time.process_time() - begun
+        named = [effect for effect in result.added if isinstance(effect, BrighterFatter)]
+        alone = bool(named) and len(result.effects) == 1 and result.verdict == "effects_found"
+        said = f"{result.verdict}; " + ", ".join(found.name for found in result.effects)
+        for effect in named:
+            kernel = effect.slopes_per_e(WELL_E)
+            said += f"; C₀₀ {kernel[8, 8]:.3g}/e⁻, C₀₁/C₁₀ {kernel[8, 9] / kernel[9, 8]:.2f}, second neighbours "
+            said += f"{kernel[8, 10] + kernel[10, 8]:.2g}/e⁻ (measured {measured[0]:.2g} ± {measured[1]:.1g})"
+        yield Row(
+            f"flats with the measured covariances of LSST's {sensor} CCD",
+            f"brighter-fatter: C₀₀ {slope[0, 0]:.3g}/e⁻, C₀₁/C₁₀ {slope[0, 1] / slope[1, 0]:.2f}, and beyond",
+            "C. Lage, Poisson_CCD",
+            said,
+            "right" if alone else "partly" if named else "missed",
+            seconds,
+        )
+
+
 QUESTIONS: tuple[tuple[str, Callable[[Path], Iterator[Row]]], ...] = (
     ("RedEdge", of_multispectral),
     ("star-tracker", of_clamped_pairs),
     ("lenses", of_lenses),
+    ("LSST", of_covariances),
 )
 
 

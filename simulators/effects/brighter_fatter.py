@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final, NamedTuple, Self, cast
 
+import cv2
 import numpy as np
 
 from simulators.effects.base import ELECTRONS, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, well_e
 from simulators.effects.context import ExposureContext, Signal
-from simulators.effects.pixel_mixing import exchange_between_neighbours, exchange_moments
 from simulators.effects.tile_moments import TileMoments
+
+_FAR_PX: Final = 8.0  # farther than a push is seen: covariances of flats end in their noise at lags of 5
+_STARTING_PX: Final = 0.5
+_KERNELS: Final = 64  # that are kept: those of the last steps of a fit
+_FULLEST: Final = 1.2  # of the full well, beyond which a pixel pushes no more
 
 
 @dataclass(frozen=True)
 class BrighterFatter(CatalogueEffect):
-    """Moves charge between neighbours in proportion to their fill: S' = S − b·z·Σ(S − S_j), z = S/S_FW.
+    """Moves the borders of pixels away from charge: what crosses one is b·z·S·F, z = S/S_FW the fill beside it.
 
-    In an even field the variance falls by 8·b·z and neighbours correlate by 2·b·z.
+    Charge in the middle of a pixel pushes a border at (x, y) from it by x/(r² + h²)², with a height h for borders
+    between columns (x) and one for borders between rows (y); F is the mean of that over the border, as a share of the
+    nearest ones. No charge is lost. In an even field the variance falls by 8·b·z, and the covariances have what it
+    loses. With a reach of one pixel, and heights alike, four neighbours share it: 2·b·z each.
 
-    Source: Antilogus et al. (2014), simplified to the four nearest neighbours.
+    Source: Antilogus et al. (2014), JINST 9 C03048; Guyonnet et al. (2015), A&A 575 A41, whose borders move likewise.
+    The field falls by r⁻³ here: between the r⁻⁴ of a charge above its image in the gates and the r⁻² that is left of
+    it once summed over a drift through thick silicon.
     """
 
     name = "brighter_fatter"
@@ -38,6 +50,10 @@ class BrighterFatter(CatalogueEffect):
     share: float = parameter(0.0, "1", 0.0, 0.1, source="at full well; below 1 % for small CMOS pixels")
     edge_fill: float = parameter(0.2, "1", 0.0, 1.0, source="fill on both sides of an edge over the brightest patch's")
 
+    reach_px: float = parameter(1.0, "px", 1.0, 16.0, source="1 for the nearest borders alone; CCDs show lags of 4")
+    height_x_px: float = parameter(_STARTING_PX, "px", 0.05, 3.0, source="two CCDs of 10 µm: 0.54 and 0.57")
+    height_y_px: float = parameter(_STARTING_PX, "px", 0.05, 3.0, source="the same two: 0.44 and 0.47")
+
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the signal of an even field: what leaves a pixel comes back."""
         return signal
@@ -47,12 +63,141 @@ class BrighterFatter(CatalogueEffect):
         return 1.0
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the electrons after the exchange."""
-        return exchange_between_neighbours(signal, self.share * np.clip(signal / well_e(context), 0.0, 1.2))
+        """Return the electrons after the exchange: what leaves one pixel is in the next."""
+        push = self._push()
+        fill = self._moved_share(signal, context)
+        crossing_x = 0.5 * (fill[:, 1:] + fill[:, :-1]) * _through_borders(signal, push.across)[:, :-1]
+        crossing_y = 0.5 * (fill[1:] + fill[:-1]) * _through_borders(signal.T, push.down.T).T[:-1]
+        result = np.array(signal)
+        result[:, :-1] -= crossing_x
+        result[:, 1:] += crossing_x
+        result[:-1] -= crossing_y
+        result[1:] += crossing_y
+        return result
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments of a tile whose pixels exchange charge."""
-        share = self.share * np.clip(before.mean / well_e(context), 0.0, 1.2)
-        mixed = exchange_moments(after, share, light=1.0)
-        edge = self.edge_fill * np.max(share, axis=(-2, -1), keepdims=True)
-        return mixed.changed(edge_share=before.edge_share + edge)
+        """Return the moments of a tile whose pixels exchange charge.
+
+        White noise of variance V behind the kernel k = δ + x·κ has the variance V·Σk² and the covariances V·Σk·k′ of
+        neighbours, k′ the same kernel a pixel on.
+        """
+        push = self._push()
+        share = self._moved_share(before.mean, context)
+        share2 = np.square(share)
+        kept = 1.0 + 2.0 * push.own * share + push.own_square * share2
+        edge = self.edge_fill * push.last_line * np.max(share, axis=(-2, -1), keepdims=True)
+        return after.changed(
+            variance=after.variance * kept,
+            spatial_variance=after.spatial_variance * kept,
+            neighbour_x=after.neighbour_x + (2.0 * push.beside * share + push.beside_square * share2) * after.variance,
+            neighbour_y=after.neighbour_y + (2.0 * push.below * share + push.below_square * share2) * after.variance,
+            edge_share=before.edge_share + edge,
+        )
+
+    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the push that reaches beyond the nearest borders, unlike along rows and columns."""
+        return () if self.reach_px > 1.0 else (self.with_parameters(reach_px=_FAR_PX),)
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: heights only where a push reaches beyond the nearest borders."""
+        return (*self.fitted, "height_x_px", "height_y_px") if self.reach_px > 1.0 else self.fitted
+
+    def slopes_per_e(self, full_well_e: float) -> Signal:
+        """Return d(covariance/mean)/d(mean) of even fields in 1/e⁻ by lag, (rows, columns), lag 0 in the middle.
+
+        To first order in the share: what tables of measured covariances list.
+
+        Args:
+            full_well_e: The full well that the share is stated at, in electrons.
+        """
+        return np.asarray(2.0 * self.share / full_well_e * self._push().kernel)
+
+    def _moved_share(self, signal: Signal, context: ExposureContext) -> Signal:
+        return np.asarray(self.share * np.clip(signal / well_e(context), 0.0, _FULLEST), dtype=signal.dtype)
+
+    def _push(self) -> Push:
+        return push_of(round(self.reach_px), self.height_x_px, self.height_y_px)
+
+
+class Push(NamedTuple):
+    """What the charge of a pixel moves, for a share of 1.
+
+    Attributes:
+        across: Through borders between columns, rightwards, (rows, borders), the pixel in the middle.
+        down: Through borders between rows, downwards, (borders, columns).
+        own: What the pixel itself receives (κ in the middle), −4.
+        beside: What its right neighbour receives.
+        below: What the pixel below receives.
+        own_square: Σκ².
+        beside_square: Σκ·κ′, κ′ the kernel a column on.
+        below_square: The same a row on.
+        last_line: What the last line of pixels inside a straight border of a patch loses of the step there.
+    """
+
+    across: Signal
+    down: Signal
+    own: float
+    beside: float
+    below: float
+    own_square: float
+    beside_square: float
+    below_square: float
+    last_line: float
+
+    @property
+    def kernel(self) -> Signal:
+        """Return what each pixel receives, κ, (rows, columns)."""
+        side = self.across.shape[1] + 1
+        received = np.zeros((side, side))
+        received[1:-1, :-1] -= self.across
+        received[1:-1, 1:] += self.across
+        received[:-1, 1:-1] -= self.down
+        received[1:, 1:-1] += self.down
+        return received
+
+
+@lru_cache(maxsize=_KERNELS)
+def push_of(reach: int, height_x_px: float, height_y_px: float) -> Push:
+    """Return what a pixel's charge moves through the borders around it; the four nearest get 4 together.
+
+    Args:
+        reach: Columns and rows of borders on each side that are moved.
+        height_x_px: Height over the charge at which borders between columns are decided, in pixels.
+        height_y_px: The same of borders between rows.
+    """
+    across, down = _field(reach, height_x_px), _field(reach, height_y_px).T
+    nearest = 0.5 * (across[reach - 1, reach] + down[reach, reach - 1])
+    bare = Push(across / nearest, down / nearest, *(0.0,) * 7)
+    kernel = bare.kernel
+    return bare._replace(
+        own=float(kernel[reach, reach]),
+        beside=float(kernel[reach, reach + 1]),
+        below=float(kernel[reach + 1, reach]),
+        own_square=float(np.sum(np.square(kernel))),
+        beside_square=float(np.sum(kernel[:, 1:] * kernel[:, :-1])),
+        below_square=float(np.sum(kernel[1:] * kernel[:-1])),
+        last_line=float(0.5 * (np.sum(bare.across[:, reach]) + np.sum(bare.down[reach]))),
+    )
+
+
+def _field(reach: int, height_px: float) -> Signal:
+    """Return the mean of x/(r² + h²)² over each border between columns, (rows, borders)."""
+    x = np.arange(-reach, reach) + 0.5
+    y = np.arange(1 - reach, reach)[:, None]
+    s2 = np.square(x) + height_px**2
+
+    def up_to(end: Signal) -> Signal:
+        """Return ∫ dy/(s² + y²)² from 0."""
+        return np.asarray(end / (2.0 * s2 * (s2 + np.square(end))) + np.arctan(end / np.sqrt(s2)) / (2.0 * s2**1.5))
+
+    return np.asarray(x * (up_to(y + 0.5) - up_to(y - 0.5)))
+
+
+def _through_borders(charge: Signal, across: Signal) -> Signal:
+    """Return what all pixels push through the border behind each pixel of a row, for a share of 1."""
+    middle = across.shape[0] // 2
+    turned = np.ascontiguousarray(across[::-1, ::-1])
+    pushed = cv2.filter2D(
+        np.ascontiguousarray(charge), -1, turned, anchor=(middle, middle), borderType=cv2.BORDER_REPLICATE
+    )
+    return cast(Signal, pushed)
