@@ -50,6 +50,7 @@ from radiometer.reconcile.verdict import (
     doubts_of,
     faint,
     faint_names,
+    is_open,
     rest_of,
     size_of_rest,
     sizes_by_own_law,
@@ -254,7 +255,7 @@ def examine(
             "no part of any frame is free of clipping: capture with shorter exposures and a black level above zero"
         )
     failed: list[str] = []
-    found = search(start, entries, say)
+    found = search(start, entries, say, is_open)
     outcome = _spared("laws of no entry", lambda: held_to_laws(found, entries, say), failed) or found
     result = _result(outcome, entries, again, total, begun, failed, with_limits=with_limits)
     return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome, taken)

@@ -52,6 +52,11 @@ def verdict_of(outcome: Search, doubts: Sequence[str], again: Periodic | None = 
     return Verdict.UNNAMED if unnamed else Verdict.AGREES
 
 
+def is_open(outcome: Search) -> bool:
+    """Tell whether a search leaves structure, or names that are provisional."""
+    return leaves_structure(outcome) or bool(doubts_of(outcome))
+
+
 def doubts_of(outcome: Search) -> list[str]:
     """Return in words why names are provisional though nothing structured is left."""
     state, effects = outcome.state, outcome.state.effects

@@ -81,3 +81,12 @@ def test_entry_taken_from_the_catalogue_is_not_replaced_by_a_confident_name() ->
     assert str(answer.verdict) in ("unnamed_effect", "incomplete")
     places = list(dict.fromkeys(place["covariate"] for place in answer.to_mapping()["localisation"]))
     assert "source_level" in places[:3]
+
+
+@pytest.mark.usefixtures("laws_left_out")
+def test_doubts_lead_back_to_where_another_entry_was_nearly_chosen() -> None:
+    """A hard full well beside rounded exposures: a soft one leads at first, and ends with a label error beside it."""
+    hidden = ("exposure_quantisation:round", "full_well_saturation")
+    answer = _ask(make_session(*hidden, camera_seed=33061))
+    assert str(answer.verdict) == "effects_found"
+    assert sorted(e.name for e in answer.effects) == ["exposure_quantisation", "full_well_saturation"]

@@ -13,7 +13,7 @@ from radiometer.reconcile.fit.covariance import is_far, is_misfit, scatter_of
 from radiometer.reconcile.fit.descent import refit
 from radiometer.reconcile.fit.full_fit import FullFits, UnfitError, contenders_of
 from radiometer.reconcile.fit.state import FitState, reweighted, with_terms
-from radiometer.reconcile.search.free_laws import by_a_free_law, in_place_of_all, worth
+from radiometer.reconcile.search.free_laws import by_a_free_law, in_place_of_all, rated, worth
 from radiometer.reconcile.search.localise import Disagreement, departing, localise, significant, smooth_term
 from radiometer.reconcile.search.moves import Loosened, better, loosened, pruned, simpler
 from radiometer.reconcile.search.outcome import Search, Step
@@ -28,6 +28,7 @@ from radiometer.reconcile.thresholds import (
     KEPT_NATS,
     MOST_STEPS,
     NAMED_NATS,
+    NEAR_SHARE,
     PARAMETER_NATS,
     SIGNIFICANCE,
     SMOOTH_SHARE,
@@ -39,6 +40,7 @@ _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _SMOOTHS_TRIED: Final = 4
 _NEAR_FORM: Final = 0.5
 _AFTER_A_LAW: Final = 3  # further steps beside one form or law in place of all
+_OTHER_WAYS: Final = 2  # that are gone where the first leaves doubts
 
 
 @dataclass(slots=True)
@@ -49,10 +51,36 @@ class _Run:
     refused: set[str] = field(default_factory=set)
     pool: StartPool = field(default_factory=StartPool)
     first: list[CatalogueEffect] = field(default_factory=list)  # what fitted best before anything was named
+    turns: list[_Turn] = field(default_factory=list)
+    barred: str = ""  # a name that this step may not give
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Turn:
+    """A step at which another entry was nearly chosen.
+
+    Attributes:
+        state: The model before it.
+        tests: Its tests.
+        chosen: The name that was given.
+        lead: By what share of its score it was ahead of the next in the same statistic.
+        steps: The steps before.
+        refused: What had been refused before.
+    """
+
+    state: FitState
+    tests: tuple[Disagreement, ...]
+    chosen: str
+    lead: float
+    steps: tuple[Step, ...]
+    refused: frozenset[str]
 
 
 def search(
-    start: FitState, catalogue: Mapping[str, type[CatalogueEffect]], say: Callable[[str], None] = lambda line: None
+    start: FitState,
+    catalogue: Mapping[str, type[CatalogueEffect]],
+    say: Callable[[str], None] = lambda line: None,
+    is_open: Callable[[Search], bool] = lambda found: False,
 ) -> Search:
     """Return the model with every missing effect that the data can name.
 
@@ -60,9 +88,28 @@ def search(
         start: The ideal camera fitted.
         catalogue: Entries to try, by name.
         say: Told what happens, line by line.
+        is_open: Tells whether what was found leaves doubts, so that the search is taken up again from where another
+            entry was nearly chosen.
     """
     run, first = _Run(catalogue, say), localise(start)
-    state, tests = _stepped(start, first, run, MOST_STEPS)
+    found = _to_its_end(start, start, first, run)
+    for turn in sorted(run.turns, key=lambda turn: turn.lead)[:_OTHER_WAYS]:
+        if not is_open(found):
+            break
+        say(f"another way: not {turn.chosen} after {', '.join(step.name for step in turn.steps) or 'nothing'}")
+        again = _Run(catalogue, say, [*turn.steps], {*turn.refused}, run.pool, run.first)
+        other = _to_its_end(start, turn.state, turn.tests, again, barred=turn.chosen)
+        if rated(other.state) > rated(found.state) + NAMED_NATS:
+            say(f"better by {rated(other.state) - rated(found.state):.1f} nats: gap {other.state.gap:.3f}")
+            found = other
+    return replace(found, first_tests=first)
+
+
+def _to_its_end(
+    start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run, barred: str = ""
+) -> Search:
+    """Return what a search comes to from a model on, where one name may not be given at once."""
+    state, tests = _stepped(state, tests, run, MOST_STEPS, barred)
     for change in (_as_one, _mended):
         changed = change(start, state, tests, run)
         if changed is None:
@@ -73,14 +120,15 @@ def search(
             state, tests = further, later
         else:
             run.steps = steps
-    return Search(state, start, tuple(run.steps), significant(tests), tests, first)
+    return Search(state, start, tuple(run.steps), significant(tests), tests, ())
 
 
 def _stepped(
-    state: FitState, tests: tuple[Disagreement, ...], run: _Run, most: int
+    state: FitState, tests: tuple[Disagreement, ...], run: _Run, most: int, barred: str = ""
 ) -> tuple[FitState, tuple[Disagreement, ...]]:
-    """Return the model after up to so many steps, and its tests."""
-    for _ in range(most):
+    """Return the model after up to so many steps, of which the first may not give one name, and its tests."""
+    for step in range(most):
+        run.barred = barred if step == 0 else ""
         try:
             following = _one_step(state, tests, run)
         except UnfitError as unfit:
@@ -134,7 +182,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     screened = screen(state, run.catalogue, run.pool)
     limit = float(np.log(SIGNIFICANCE / max(len(screened), 1)))
     promising = _promising(screened, limit, standing)
-    promising = [candidate for candidate in promising if candidate.effect.name not in run.refused]
+    promising = [candidate for candidate in promising if candidate.effect.name not in {*run.refused, run.barred}]
     departed = [] if standing else departing(tests, state.effects)
     if not standing and not promising and not departed:
         return None
@@ -144,7 +192,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     far = is_far(state)
     shown = [entry for entry in judged if is_shown(*entry, limit, later=bool(state.effects), far=far)]
     looser = loosened(state) if standing else loosened(state, departed) if departed else None
-    fits = FullFits(state)
+    fits, steps, refused = FullFits(state), tuple(run.steps), frozenset(run.refused)
     while shown:
         contenders = contenders_of(fits, shown)
         chosen = likeliest(contenders)
@@ -160,6 +208,8 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
         outdone |= any(_outdoes(other, chosen) for other in others)
         following = _named(fits, chosen, others, judged, run, outdone=outdone)
         if following is not None:
+            if (lead := _lead(chosen, others)) < NEAR_SHARE:
+                run.turns.append(_Turn(state, tests, chosen[0].name, lead, steps, refused))
             return following
         shown = [entry for entry in shown if entry[0].name != chosen[0].name]
     if looser is not None:
@@ -243,6 +293,15 @@ def _outdoes(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate
     """Tell whether another entry predicts better, each parameter paid for, but for what is thought of it beforehand."""
     mine, others = (nats - PARAMETER_NATS * fitted.parameters for fitted, nats in (chosen, other))
     return other[0].name != chosen[0].name and others > mine + PARAMETER_NATS
+
+
+def _lead(chosen: tuple[FittedCandidate, float], others: Sequence[tuple[FittedCandidate, float]]) -> float:
+    """Return by what share of its score a name is ahead of the next entry that shows in the same statistic."""
+    best, (mine, _) = score(chosen), chosen
+    same = (
+        score(other) for other in others if other[0].name != mine.name and other[0].effect.block == mine.effect.block
+    )
+    return 1.0 - max(same, default=-np.inf) / best if best > 0.0 else np.inf
 
 
 def _smooth_gain(state: FitState, test: Disagreement) -> float:

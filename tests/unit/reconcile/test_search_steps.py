@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from radiometer.reconcile.search import search
-from radiometer.reconcile.search.outcome import Step
+from radiometer.reconcile.search.outcome import Search, Step
 from radiometer.reconcile.search.rivals import _is_rival
-from radiometer.reconcile.thresholds import FLEXIBLE_NATS, PARAMETER_NATS, RIVAL_NATS
+from radiometer.reconcile.thresholds import FLEXIBLE_NATS, NAMED_NATS, PARAMETER_NATS, RIVAL_NATS
 
 
 def state(evidence: float, gap: float, **more: Any) -> Any:
@@ -126,3 +126,67 @@ def test_a_rival_predicts_about_as_well_for_its_parameters(name, nats, parameter
     other: Any = SimpleNamespace(name=name, parameters=parameters, columns=np.zeros((9, columns)))
     chosen: Any = (SimpleNamespace(name="clock", parameters=2), 50.0)
     assert _is_rival(other, nats, chosen) is rival
+
+
+def ways(monkeypatch: pytest.MonkeyPatch, ends: dict[str, float], leads: dict[str, float]) -> list[str]:
+    """Let a search end at scores by the name it may not give first; return the list of what it bars, in order."""
+    barred: list[str] = []
+
+    def to_its_end(start, now, tests, book, barred_now=""):
+        barred.append(barred_now)
+        if not barred_now:
+            book.turns += [search._Turn(now, (), name, lead, (VEIL,), frozenset()) for name, lead in leads.items()]
+        else:
+            assert book.steps == [VEIL]
+            assert book.turns == []
+        return Search(state(ends[barred_now], 2.0), start, (), (), (), ())
+
+    monkeypatch.setattr(search, "_to_its_end", lambda *a, barred="": to_its_end(*a, barred))
+    monkeypatch.setattr(search, "localise", lambda start: ("first tests",))
+    monkeypatch.setattr(search, "rated", lambda end: end.evidence)
+    return barred
+
+
+LEADS = {"clock": 0.04, "veil": 0.001, "bend": 0.03}
+
+
+def test_a_search_that_leaves_doubts_is_taken_up_where_another_entry_was_nearest(monkeypatch):
+    """The two nearest turns are gone, the nearest first; the best of all ends is told, with the first tests."""
+    barred = ways(monkeypatch, {"": 100.0, "veil": 120.0, "bend": 140.0, "clock": 900.0}, LEADS)
+    found = search.search(state(0.0, 9.0), {}, is_open=lambda found: True)
+    assert barred == ["", "veil", "bend"]
+    assert found.state.evidence == 140.0
+    assert found.first_tests == ("first tests",)
+
+
+def test_another_way_is_taken_only_for_more_than_chance(monkeypatch):
+    """An end that is better by less than a name by chance may be leaves the first as it is."""
+    ways(monkeypatch, {"": 100.0, "veil": 100.0 + NAMED_NATS - 0.1, "bend": 100.0 + NAMED_NATS + 0.1}, LEADS)
+    assert search.search(state(0.0, 9.0), {}, is_open=lambda found: True).state.evidence == 100.1 + NAMED_NATS
+    ways(monkeypatch, {"": 100.0, "veil": 100.0 + NAMED_NATS - 0.1, "bend": 0.0}, LEADS)
+    assert search.search(state(0.0, 9.0), {}, is_open=lambda found: True).state.evidence == 100.0
+
+
+def test_no_other_way_is_gone_where_nothing_is_doubted(monkeypatch):
+    """Neither from the start nor once an end leaves nothing."""
+    barred = ways(monkeypatch, {"": 100.0, "veil": 120.0}, LEADS)
+    assert search.search(state(0.0, 9.0), {}).state.evidence == 100.0
+    assert barred == [""]
+    barred = ways(monkeypatch, {"": 100.0, "veil": 120.0}, LEADS)
+    assert (
+        search.search(state(0.0, 9.0), {}, is_open=lambda found: found.state.evidence < 110.0).state.evidence == 120.0
+    )
+    assert barred == ["", "veil"]
+
+
+def test_a_lead_is_over_the_next_of_the_same_statistic(monkeypatch):
+    """In shares of the name's own score; who shows in another statistic is found later, whatever comes first."""
+    monkeypatch.setattr(search, "score", lambda judged: judged[1])
+
+    def entry(name: str, block: str, nats: float) -> Any:
+        return SimpleNamespace(name=name, effect=SimpleNamespace(block=block)), nats
+
+    chosen, *others = entry("well", "mean", 200.0), entry("veil", "mean", 150.0), entry("noise", "variance", 199.0)
+    assert search._lead(chosen, [chosen, *others]) == pytest.approx(0.25)
+    assert search._lead(chosen, [chosen, others[1]]) == np.inf
+    assert search._lead(entry("well", "mean", -1.0), others) == np.inf
