@@ -13,6 +13,7 @@ import argparse
 import importlib
 import multiprocessing
 import os
+import resource
 import shutil
 import signal
 import sys
@@ -41,9 +42,11 @@ COPIED = (
     "pyproject.toml",
     "README.md",
 )
-SECONDS = 180  # for the tests of one mutant; a mutant that hangs is noticed as well
+SECONDS = 120  # of the processor for the tests of one mutant; a mutant that never ends is noticed as well
+WAITING = 10  # times that by the clock, for one that waits for ever
 QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")  # of plugins imported beforehand
 FAST = "not slow and not long and not bench and not soak and not hardware"
+PASSED = (0, 5)  # 5: nothing was left to run
 COMPILED = "@compiled"  # marks the functions that numba compiles
 OTHERS = (
     "aiohttp.web",
@@ -116,19 +119,21 @@ def fate_of(mutant: Mutant, copy: Path) -> Outcome:
     return Outcome(mutant, fate_of_text(sound.replace(mutant.old, mutant.new), mutant.file, mutant.tests, copy))
 
 
-def fate_of_text(text: str, file: str, tests: tuple[str, ...], copy: Path) -> str:
+def fate_of_text(text: str, file: str, tests: tuple[str, ...], copy: Path, plugins: tuple[object, ...] = ()) -> str:
     """Return `noticed` or `survived` for a whole file's text with a mistake in it, and mend the file again.
 
-    Python knows compiled code by the source's time and size, numba likewise, but not by what it calls: the file gets
-    a time of its own, and where it is compiled by numba the code is kept elsewhere.
+    Python knows compiled code by the source's time and size, numba likewise, but not by what it calls, nor by the
+    constants that it reads elsewhere: the file gets a time of its own, and in a folder where numba compiles the code is
+    kept elsewhere.
     """
     path = copy / file
     sound, times = path.read_bytes(), path.stat()
     path.write_text(text, encoding="utf-8")
     os.utime(path, (times.st_atime, 1.0e9))
-    kept = {"NUMBA_CACHE_DIR": tempfile.mkdtemp(dir=copy)} if COMPILED in text else {}
+    beside = (other.read_text(encoding="utf-8") for other in path.parent.glob("*.py"))
+    kept = {"NUMBA_CACHE_DIR": tempfile.mkdtemp(dir=copy)} if any(COMPILED in other for other in beside) else {}
     try:
-        return "survived" if passes(tests, copy, kept) else "noticed"
+        return "survived" if code_of(tests, copy, kept, plugins) in PASSED else "noticed"
     finally:
         path.write_bytes(sound)
         os.utime(path, (times.st_atime, times.st_mtime))
@@ -140,25 +145,37 @@ def preload() -> None:
         importlib.import_module(name)
 
 
-def passes(tests: tuple[str, ...], copy: Path, environment: dict[str, str] | None = None) -> bool:
-    """Tell whether the fast tests among some pass in a copy; what takes longer than `SECONDS` does not."""
-    return code_of(tests, copy, environment) == 0
+def code_of(
+    tests: tuple[str, ...],
+    copy: Path,
+    environment: dict[str, str] | None = None,
+    plugins: tuple[object, ...] = (),
+    all_of_them: bool = False,
+) -> int | None:
+    """Return how pytest ended for the fast tests among some in a copy; None where it had to be ended.
 
-
-def code_of(tests: tuple[str, ...], copy: Path, environment: dict[str, str] | None = None) -> int | None:
-    """Return how pytest ended for the fast tests among some in a copy; None after `SECONDS`."""
+    It ends with the first that fails, or after all of them, however long they take.
+    """
     child = os.fork()
     if child == 0:
         code = 3
         try:
             os.setsid()
-            code = run_tests(tests, copy, environment or {})
+            if not all_of_them:
+                resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))
+            code = run_tests(tests, copy, environment or {}, plugins, () if all_of_them else ("-x",))
         finally:
             os._exit(code)
     return ended(child)
 
 
-def run_tests(tests: tuple[str, ...], copy: Path, environment: dict[str, str]) -> int:
+def run_tests(
+    tests: tuple[str, ...],
+    copy: Path,
+    environment: dict[str, str],
+    plugins: tuple[object, ...],
+    words: tuple[str, ...],
+) -> int:
     """Run the tests in this process, whose project is the copy; return how pytest ended."""
     nowhere = os.open(os.environ.get("MUTANT_LOG", os.devnull), os.O_RDWR | os.O_CREAT | os.O_APPEND)
     for stream in (0, 1, 2):
@@ -172,16 +189,16 @@ def run_tests(tests: tuple[str, ...], copy: Path, environment: dict[str, str]) -
     for name in [name for name in sys.modules if name.partition(".")[0] in own]:
         del sys.modules[name]
     sys.dont_write_bytecode = any((copy / "radiometer").glob("__pycache__"))  # the sound run's code is kept
-    return int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", *QUIET, "-m", FAST, *tests]))
+    return int(pytest.main([*words, "-q", "-p", "no:cacheprovider", *QUIET, "-m", FAST, *tests], plugins=list(plugins)))
 
 
 def ended(child: int) -> int | None:
-    """Wait for a child and return how it ended; None after `SECONDS`, when it is ended with all it started."""
-    end = time.monotonic() + SECONDS
+    """Wait for a child and return how it ended; None where it took too long, when it is ended with all it started."""
+    end = time.monotonic() + WAITING * SECONDS
     while time.monotonic() < end:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
-            return os.waitstatus_to_exitcode(status) if os.WIFEXITED(status) else 1
+            return os.waitstatus_to_exitcode(status) if os.WIFEXITED(status) else None
         time.sleep(0.02)
     os.killpg(child, signal.SIGKILL)
     os.waitpid(child, 0)
@@ -205,7 +222,7 @@ def run_share(share: list[Mutant]) -> list[Outcome]:
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy = copied_sources(Path(folder))
         for tests in {mutant.tests for mutant in share}:
-            if (code := code_of(tests, copy)) != 0:  # 4 or 5: misused, or nothing collected
+            if (code := code_of(tests, copy)) != 0:  # 4: misused; 5: nothing collected
                 raise RuntimeError(f"pytest ends with {code} without any mutant: {' '.join(tests)}")
         outcomes = []
         for mutant in share:
@@ -237,7 +254,16 @@ def main() -> int:
     parser.add_argument("areas", nargs="*", help="names of lists in tests/mutants; all by default")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--report", type=Path, help="where the table is written")
+    parser.add_argument("--blind", type=int, metavar="SEED", help="draw mistakes at random in place of the lists")
+    parser.add_argument("--each", type=int, default=8, help="how many are drawn of each area")
+    parser.add_argument("--record", action="store_true", help="write down which test runs which line, for --blind")
     options = parser.parse_args()
+    if options.record or options.blind is not None:
+        from tests.mutants import blind
+
+        if options.record and (code := blind.make_record()):
+            return code
+        return blind.run(options.blind, options.areas, options.each, options.report) if options.blind is not None else 0
     mutants = list(read_mutants(options.areas))
     if not mutants:
         parser.error(f"no mutants for {' '.join(options.areas)}; lists are {[p.stem for p in LISTS.glob('*.yaml')]}")

@@ -1,10 +1,15 @@
-"""The lists of plausible mistakes follow the code."""
+"""The lists of plausible mistakes follow the code, and mistakes drawn blind are what they say."""
 
 from __future__ import annotations
 
+import ast
+
 import pytest
 
+from tests.mutants.areas import AREAS
+from tests.mutants.blind import Record, draw, sources_of
 from tests.mutants.harness import ROOT, is_current, read_mutants
+from tests.mutants.mistakes import places, places_in_c
 
 MUTANTS = list(read_mutants([]))
 
@@ -15,3 +20,84 @@ def test_a_listed_mistake_can_still_be_made(mutant):
     assert is_current(mutant), f"{mutant.file} no longer holds {mutant.old!r} exactly once: bring the list up to date"
     assert mutant.old != mutant.new
     assert [name for name in mutant.tests if not (ROOT / name.partition("::")[0]).exists()] == []
+
+
+def lines_made(text: str, kind: str) -> set[str]:
+    """Return the texts that mistakes of a kind make of a text, as Python reads them."""
+    return {ast.unparse(ast.parse(one.made_in(text))) for room in places(text) for one in room if one.kind == kind}
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "made"),
+    [
+        ("x = a + b * c", "operator", {"x = a - b * c", "x = a + b / c"}),
+        ("x = (a + b) * c", "factor left out", {"x = a + b", "x = c"}),
+        ("x = a / (b + c)", "term left out", {"x = a / b", "x = a / c"}),
+        ("x = a <= b", "comparison", {"x = a < b", "x = a >= b"}),
+        ("x = 0 < a < b", "comparison", {"x = 0 <= a < b", "x = 0 < a <= b"}),
+        ("x = a and not b", "condition left out", {"x = not b", "x = a"}),
+        ("x = a and not b", "sign or not left out", {"x = a and b"}),
+        ("def f(a=3): return a", "constant by one", {"def f(a=4):\n    return a", "def f(a=2):\n    return a"}),
+        ("x = 'µσ' if a else 2.0", "constant by a factor", {f"x = 'µσ' if a else {k}" for k in (1.0, 4.0, 20.0)}),
+        ("x: float | None = f(a, b)", "arguments exchanged", {"x: float | None = f(b, a)"}),
+        ("x = a.sum(axis=0)", "another axis", {"x = a.sum(axis=1)"}),
+        ("if a:\n    raise E('b' + str(1))", "condition left out", {"pass"}),
+        ("if a:\n    raise E('b' + str(1))", "constant by one", set()),  # words for people
+        ("def f():\n    'Add 1 + 2.'\n    log.info(1 + 2)", "operator", set()),
+        ("x = max(a, key=f)", "another function", {"x = min(a, key=f)"}),
+    ],
+)
+def test_a_place_has_room_for_these_mistakes(text, kind, made):
+    """Each is one change of one node; what stands around keeps its meaning, whatever binds more tightly."""
+    assert lines_made(text, kind) == made
+
+
+def test_a_place_in_firmware_has_room_for_these():
+    """Signs and numbers are; comments, texts, pointers, signs of one value and what is included are not."""
+    text = "#include <a.h>\n#define N (2 * 3u) // 1 < 2\nvoid f(int *p) { if (*p < N && -1 == g(\"1 + 1\")) h('<'); }"
+    made = {one.made_in(text).splitlines()[one.line - 1] for room in places_in_c(text) for one in room}
+    held, tail = "void f(int *p) { if (*p < N && -1 == g(\"1 + 1\")) h('<'); }", " // 1 < 2"
+    assert made == {
+        f"#define N ((2 + 1) * 3u){tail}",
+        f"#define N ((2 / 2) * 3u){tail}",
+        f"#define N (2 / 3u){tail}",
+        f"#define N (2 * (3u + 1)){tail}",
+        f"#define N (2 * (3u / 2)){tail}",
+        held.replace("*p < N", "*p <= N"),
+        held.replace("&&", "||"),
+        held.replace("-1", "-(1 + 1)"),
+        held.replace("-1", "-(1 / 2)"),
+        held.replace("==", "!="),
+    }
+
+
+def test_a_seed_draws_the_same_of_an_area_whatever_else_is_drawn():
+    """No place is drawn twice, every file is a source of its area, and another seed draws others."""
+    alone, beside = draw(1, ["flux"], 30), draw(1, ["journal", "flux"], 30)
+    assert [one for one in beside if one.area == "flux"] == alone
+    assert len({(one.file, one.mistake.start, one.mistake.end) for one in alone}) == len(alone) == 30
+    assert {one.file for one in alone} <= set(sources_of(AREAS["flux"]))
+    assert draw(2, ["flux"], 30) != alone
+    with pytest.raises(KeyError, match="no area fluxes; areas are merge"):
+        draw(1, ["fluxes"], 1)
+
+
+def test_every_pattern_of_an_area_finds_sources():
+    """No area's sources have moved away from it."""
+    assert [(area, one) for area, patterns in AREAS.items() for one in patterns if not sources_of([one])] == []
+
+
+def test_the_nearest_tests_of_a_line_come_first():
+    """Those of the folder beside, of these what ran least; what is made at import asks the lines that name it."""
+    line = next(
+        k
+        for k, text in enumerate((ROOT / "radiometer/analysis/flux/sensor.py").read_text().splitlines(), 1)
+        if text.startswith("def ")
+    )
+    near, wide, far = "tests/unit/analysis/flux/a::b", "tests/unit/analysis/flux/a::c", "tests/unit/cli/a::b"
+    record = Record()
+    record.tests_of["radiometer/analysis/flux/sensor.py"] = {line + 1: {far, wide, near}}
+    record.lines_of.update({near: 2, wide: 3, far: 1})
+    assert record.tests("radiometer/analysis/flux/sensor.py", line + 1) == [near, wide, far]
+    assert record.tests("radiometer/analysis/flux/sensor.py", line) == [near, wide, far]  # the function's own
+    assert record.tests("radiometer/analysis/flux/estimate.py", 1) == [near, wide]  # the folder's

@@ -1,0 +1,68 @@
+"""Sources of each area, from which mistakes are drawn blind: patterns of names below the root."""
+
+from __future__ import annotations
+
+AREAS: dict[str, tuple[str, ...]] = {
+    "merge": ("radiometer/analysis/merge/*.py",),
+    "patch_and_budget": (
+        "radiometer/analysis/patch/*.py",
+        "radiometer/analysis/uncertainty/*.py",
+    ),
+    "response": (
+        "radiometer/analysis/response/*.py",
+        "radiometer/data/response_curve.py",
+    ),
+    "absolute_scale": (
+        "radiometer/analysis/calibration/*.py",
+        "radiometer/data/calibration*.py",
+        "radiometer/data/guards.py",
+    ),
+    "signal_and_photometry": ("radiometer/analysis/signal/*.py",),
+    "flux": ("radiometer/analysis/flux/*.py",),
+    "emva": ("radiometer/analysis/characterise/*.py",),
+    "planning": (
+        "radiometer/acquire/*.py",
+        "radiometer/units.py",
+    ),
+    "journal": (
+        "radiometer/daemon/journal*.py",
+        "radiometer/daemon/clock_watch.py",
+        "radiometer/daemon/timestamps.py",
+    ),
+    "scpi": ("radiometer/daemon/scpi/*.py",),
+    "http": (
+        "radiometer/daemon/http/*.py",
+        "radiometer/daemon/limits.py",
+    ),
+    "daemon": (
+        "radiometer/daemon/keeper.py",
+        "radiometer/daemon/station.py",
+        "radiometer/daemon/service.py",
+        "radiometer/daemon/acquisition.py",
+        "radiometer/daemon/watched_camera.py",
+        "radiometer/daemon/patches.py",
+        "radiometer/daemon/probe.py",
+        "radiometer/daemon/patience.py",
+        "radiometer/bench/reopening.py",
+        "radiometer/bench/box_holder.py",
+    ),
+    "light_box": (
+        "drivers/light_box*.py",
+        "radiometer/devices/retinal_safety.py",
+        "radiometer/devices/exposure_ledger.py",
+        "radiometer/data/light_calibration.py",
+        "simulators/light_box*.py",
+        "drivers/firmware/light_box/*.c",
+        "drivers/firmware/light_box/config.h",
+    ),
+    "adaptation": ("radiometer/adaptation/*.py",),
+    "reconcile": (
+        "radiometer/reconcile/fit/*.py",
+        "radiometer/reconcile/noise/*.py",
+        "radiometer/reconcile/verdict.py",
+        "radiometer/reconcile/statistics.py",
+        "radiometer/reconcile/chances.py",
+        "radiometer/reconcile/search/*.py",
+    ),
+    "sensor_effects": ("simulators/effects/*.py",),
+}
