@@ -65,7 +65,7 @@ def gige_port() -> Iterator[None]:
     """Hold the one GigE Vision control port of the loopback interface against other test runs."""
     with PORT_LOCK.open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        end = time.monotonic() + 60
+        end = time.monotonic() + within(60.0)
         while not port_is_free():
             if time.monotonic() > end:
                 pytest.skip("another program serves a GigE Vision camera at 127.0.0.1")

@@ -13,6 +13,7 @@ import pytest
 from radiometer.errors import MissingLibrary
 from simulators.avr_box import AvrBox
 from simulators.light_box import LightBoxTwin, TwinSettings
+from tests.patience import within
 
 SERIAL = "LB000007"
 
@@ -72,7 +73,7 @@ def built(project_root: Path, build: Path, *options: str) -> Path:
         pytest.skip("avr-gcc is not installed (Debian: gcc-avr, avr-libc)")
     source = project_root / "drivers" / "firmware" / "light_box"
     command = ["make", "-s", "-C", str(source), f"BUILD={build}", *options]
-    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    subprocess.run(command, check=True, capture_output=True, timeout=within(120.0))
     return build / "light_box.hex"
 
 

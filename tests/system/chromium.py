@@ -47,7 +47,7 @@ class Browser:
         """Run a command and return its result."""
         self._number += 1
         await self._socket.send_json({"id": self._number, "method": method, "params": parameters})
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(within(20.0)):
             while True:
                 message = await self._socket.receive_json()
                 self._note(message)

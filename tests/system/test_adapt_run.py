@@ -43,7 +43,7 @@ def test_killed_run_taken_up_has_the_same_events(tmp_path: Path, devices: list[s
     while (not journal.exists() or b'"kind": "trial"' not in journal.read_bytes()) and time.monotonic() < deadline:
         time.sleep(0.02)
     os.kill(victim.pid, signal.SIGKILL)
-    victim.wait(10)
+    victim.wait(within(10.0))
     before = journal.read_bytes()
     assert _run("--simulate", "steady", *devices, "-o", "broken.jsonl", cwd=tmp_path).returncode == 0
     whole = (tmp_path / "whole.jsonl").read_bytes()

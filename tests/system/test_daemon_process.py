@@ -155,7 +155,7 @@ def test_systemd_is_told(tmp_path: Path) -> None:
         process.terminate()
         while not messages[-1].startswith("STOPPING=1"):
             messages.append(channel.recv(1000).decode())
-        assert process.wait(20) == 0
+        assert process.wait(within(20.0)) == 0
     assert messages[0].startswith("READY=1\n")
 
 

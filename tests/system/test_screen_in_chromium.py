@@ -47,7 +47,7 @@ def browser(tmp_path: Path) -> Iterator[tuple[BrowserDisplay, Path]]:
     finally:
         for process in started:
             process.terminate()
-            process.wait(20)
+            process.wait(within(20.0))
 
 
 def test_every_level_is_acknowledged_with_its_own_pixels(browser: tuple[BrowserDisplay, Path]) -> None:

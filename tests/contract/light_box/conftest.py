@@ -66,7 +66,9 @@ def firmware(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
         pytest.skip("avr-gcc is not installed (Debian: gcc-avr, avr-libc)")
     build = tmp_path_factory.mktemp("firmware")
     source = project_root / "drivers" / "firmware" / "light_box"
-    subprocess.run(["make", "-s", "-C", str(source), f"BUILD={build}"], check=True, capture_output=True, timeout=120)
+    subprocess.run(
+        ["make", "-s", "-C", str(source), f"BUILD={build}"], check=True, capture_output=True, timeout=within(120.0)
+    )
     return build / "light_box.hex"
 
 

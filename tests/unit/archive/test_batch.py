@@ -16,6 +16,7 @@ from radiometer.archive.run import run_batch
 from radiometer.archive.settings import JobSettings
 from radiometer.data import Calibration, CaptureSet, LensDescription, Scale, SensorNoise
 from radiometer.errors import DeviceNotFound, InputError, UsageError
+from tests.patience import within
 
 pd = pytest.importorskip("pandas", reason="the extra `cluster` is not installed")
 distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
@@ -124,7 +125,7 @@ def test_a_cluster_gives_the_same_table_bit_for_bit_though_a_worker_dies(make_ar
         begun = threading.Event()
 
         def kill():
-            begun.wait(60)
+            begun.wait(within(60.0))
             os.kill(victims[0], signal.SIGKILL)
 
         killer = threading.Thread(target=kill)

@@ -16,6 +16,7 @@ from radiometer.bench.served_box import served_box
 from radiometer.cli.main import run
 from radiometer.devices.light_box import DriveLevel
 from radiometer.errors import DeviceInUse, OutputError
+from tests.patience import within
 
 
 @pytest.fixture(autouse=True)
@@ -31,7 +32,7 @@ def test_light_off_works_while_another_program_holds_the_box(capsys: pytest.Capt
         done: list[int] = []
         asking = threading.Thread(target=lambda: done.append(run(["light", "off", "--json"])))
         asking.start()
-        asking.join(20)
+        asking.join(within(20.0))
         assert done == [0]
         assert opened.box.read_channel("spot").drive.level == 0
     told = json.loads(capsys.readouterr().out)

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 import pytest
 
 from radiometer.cli.keys import listening
+from tests.patience import within
 
 
 @pytest.fixture
@@ -32,9 +33,9 @@ def test_keys_call_their_actions_without_enter(keyboard: int) -> None:
     actions = {"p": lambda: (heard.append("p"), paused.set()), "q": lambda: (heard.append("q"), stopped.set())}
     with listening(actions):  # type: ignore[arg-type]
         os.write(keyboard, b"xp")
-        assert paused.wait(60)
+        assert paused.wait(within(60.0))
         os.write(keyboard, b"q")
-        assert stopped.wait(60)
+        assert stopped.wait(within(60.0))
     assert heard == ["p", "q"]
     assert termios.tcgetattr(sys.stdin.fileno()) == before
 

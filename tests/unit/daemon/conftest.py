@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field, replace
@@ -37,6 +38,7 @@ class FakeInstrument:
     is_open: bool = False
     reloads: int = 0
     late_at: float | None = None
+    let_go: threading.Event | None = None  # a measurement takes until it is set
 
     @property
     def identity(self) -> CameraIdentity:
@@ -65,6 +67,8 @@ class FakeInstrument:
     def measure(self, settings: MeasurementSettings) -> Measurement:
         self.measured.append(settings)
         time.sleep(self.measure_s)
+        if self.let_go is not None:
+            self.let_go.wait(within(20.0))
         if self.unplugged:
             raise DeviceLost("fake camera: unplugged")
         if self.failing:

@@ -170,7 +170,7 @@ async def test_the_stream_as_json_lines(base: str, session: aiohttp.ClientSessio
     """Each line is a reading."""
     await station.measure()
     async with session.get(f"{base}/readings/stream", params={"format": "jsonl", "after": "0"}) as reply:
-        line = await asyncio.wait_for(reply.content.readline(), 20)
+        line = await asyncio.wait_for(reply.content.readline(), within(20.0))
     assert station.latest is not None
     assert json.loads(line) == station.latest.to_mapping()
 
@@ -341,7 +341,7 @@ async def test_rates_and_connections_are_limited(serve: Any, session: aiohttp.Cl
     assert 429 in statuses
     host, port = base.removeprefix("http://").split(":")
     streams = [await asyncio.open_connection(host, int(port)) for _ in range(3)]
-    assert b"503" in (await asyncio.wait_for(streams[-1][0].read(), 20)).split(b"\r\n")[0]
+    assert b"503" in (await asyncio.wait_for(streams[-1][0].read(), within(20.0))).split(b"\r\n")[0]
     for _, writer in streams:
         writer.close()
 

@@ -17,6 +17,7 @@ from radiometer.daemon.instrument import DeviceReport
 from radiometer.daemon.keeper import DeviceKeeper, DeviceState
 from radiometer.daemon.patience import Patience
 from radiometer.errors import DeviceLost
+from tests.patience import within
 
 
 class LibraryObject:
@@ -89,7 +90,7 @@ class SlowDevice:
 
     def ask(self) -> None:
         """Answer once it is allowed to."""
-        self.may_answer.wait(20)
+        self.may_answer.wait(within(20.0))
 
 
 async def test_late_answers_do_not_make_the_alarm_flap() -> None:

@@ -7,6 +7,7 @@ import contextlib
 import json
 import sqlite3
 import struct
+import threading
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -138,10 +139,11 @@ async def test_what_precedes_an_error_is_executed_and_what_follows_is_not(client
 
 async def test_init_overlaps_and_opc_tells_when_it_is_over(client: Any, instrument: Any) -> None:
     """INIT returns at once, a second one is ignored (-213), *OPC? waits, FETC? replies."""
-    instrument.measure_s = 0.2
+    instrument.let_go = threading.Event()
     await client.send("INIT;INIT")
     assert int(await client.ask("STAT:OPER:COND?")) & 16
     assert (await client.ask("SYST:ERR?")).startswith("-213")
+    instrument.let_go.set()
     assert await client.ask("*OPC?") == "1"
     assert int(await client.ask("STAT:OPER:COND?")) & 16 == 0
     assert len((await client.ask("FETC?")).split(",")) == 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import sqlite3
+import threading
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -86,18 +87,17 @@ async def test_a_lost_camera_is_reported_and_reopened(
     assert station.camera.losses == 1
 
 
-@pytest.mark.slow
 async def test_a_camera_that_does_not_return_is_told_before_it_gives_up(
     station: Station, instrument: Any, eventually: Eventually
 ) -> None:
     """While a call hangs the alarm is up; once answers come in time again it goes, and no loss is counted."""
-    instrument.measure_s = 2.0
-    instrument.late_at = time.monotonic() + 0.2
+    instrument.let_go, instrument.late_at = threading.Event(), time.monotonic() + 0.2
     measuring = asyncio.create_task(station.measure())
     await eventually(lambda: station.camera.state is DeviceState.OVERDUE)
     assert "has not answered" in station.alarms.active[0].message
+    instrument.let_go.set()
     await measuring
-    instrument.late_at, instrument.measure_s = None, 0.002
+    instrument.late_at = None
     await eventually(lambda: station.alarms.active == ())
     assert station.camera.losses == 0
 
@@ -106,17 +106,17 @@ async def test_a_late_camera_that_turns_out_lost_is_announced_again(
     station: Station, instrument: Any, eventually: Eventually
 ) -> None:
     """Listeners hear of the delay, then of the loss, as two events."""
-    instrument.measure_s = 0.6
-    instrument.late_at = time.monotonic() + 0.1
+    instrument.let_go, instrument.late_at = threading.Event(), time.monotonic() + 0.1
     listener = station.hub.subscribe()
     measuring = asyncio.create_task(station.measure())
     await eventually(lambda: station.camera.state is DeviceState.OVERDUE)
     instrument.unplugged = True
+    instrument.let_go.set()
     with pytest.raises(DeviceError):
         await measuring
     told = []
     for _ in range(2):
-        event = await asyncio.wait_for(listener.next(), 20)
+        event = await asyncio.wait_for(listener.next(), within(20.0))
         assert event is not None
         told.append(json.loads(event.line)["devices"]["camera"]["state"])
     assert told == ["overdue", "lost"]
@@ -244,10 +244,11 @@ async def test_ending_continuous_measurement_while_it_fails_ends_nothing_else(
     station: Station, instrument: Any, eventually: Eventually
 ) -> None:
     """The measurement in hand fails after its period was taken away; the loop that measures goes on."""
-    instrument.failing, instrument.measure_s = True, 0.1
+    instrument.failing, instrument.let_go = True, threading.Event()
     station.set_every(0.0)
     await eventually(lambda: station.acquisition.busy)
     station.set_every(None)
+    instrument.let_go.set()
     await eventually(lambda: not station.acquisition.busy)
     assert (station.failed_task(), station.alarms.active) == (None, ())
     instrument.failing = False

@@ -6,6 +6,7 @@ import asyncio
 import json
 import sqlite3
 import struct
+import threading
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -113,10 +114,11 @@ async def test_a_patch_moved_while_measuring_is_not_believed(
     station: Station, instrument: Any, eventually: Eventually
 ) -> None:
     """The reading in hand when the patch moves is kept, but is nobody's latest."""
-    instrument.measure_s = 0.1
+    instrument.let_go = threading.Event()
     begun = asyncio.create_task(station.measure())
     await eventually(lambda: station.acquisition.busy)
     station.configure(patch=Patch(ALL_X, 1, 2, 3))
+    instrument.let_go.set()
     assert (await begun).patch.x == 16
     assert station.latest is None
 

@@ -12,6 +12,7 @@ import pytest
 from drivers.call_thread import CallThread
 from drivers.feature_access import FeatureAccess
 from radiometer.errors import DeviceLost
+from tests.patience import within
 
 
 class Stuck:
@@ -23,7 +24,7 @@ class Stuck:
     def __call__(self) -> str:
         """Wait."""
         self.began.set()
-        self.let_go.wait(60)
+        self.let_go.wait(within(60.0))
         return "late"
 
 

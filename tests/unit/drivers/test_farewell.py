@@ -13,6 +13,7 @@ from drivers.farewell import drop_in_background
 from drivers.feature_access import FeatureAccess
 from drivers.frame_stream import FrameStream, Tally
 from radiometer.errors import DeviceError, MissingLibrary
+from tests.patience import within
 
 
 class _SlowToEnd:
@@ -22,7 +23,7 @@ class _SlowToEnd:
         self.may_end, self.ended_in = threading.Event(), list[str]()
 
     def __del__(self) -> None:
-        self.may_end.wait(20)
+        self.may_end.wait(within(20.0))
         self.ended_in.append(threading.current_thread().name)
 
 
@@ -36,7 +37,7 @@ def test_the_last_reference_is_dropped_in_a_thread_of_its_own():
     may_end.set()
     for thread in threading.enumerate():
         if thread.name == "camera farewell":
-            thread.join(20)
+            thread.join(within(20.0))
     assert ended_in == ["camera farewell"]
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from drivers.v4l2_library import LinuxpyDevice, LinuxpyVideo, _said
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout
+from tests.patience import within
 
 GREY, YUYV = (int.from_bytes(code, "little") for code in (b"GREY", b"YUYV"))
 
@@ -141,7 +142,7 @@ def test_a_frame_that_does_not_come_ends_with_the_deadline(webcam, is_there, kin
     device, opened, path = webcam
     let_go = threading.Event()
     opened.start("GREY", 640, 480)
-    device.capture.buffer.read = lambda: let_go.wait(20)
+    device.capture.buffer.read = lambda: let_go.wait(within(20.0))
     if not is_there:
         path.unlink()
     with pytest.raises(kind):

@@ -39,7 +39,7 @@ class FakePage:
 
     def join(self) -> None:
         if self._thread:
-            self._thread.join(10)
+            self._thread.join(within(10.0))
 
     async def _run(self, url: str) -> None:
         address = url.replace("/?", "/socket?")
