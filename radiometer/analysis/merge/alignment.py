@@ -46,6 +46,9 @@ _MOVED_SIGMA: Final = 6.0
 _LEAST_SHARE: Final = 0.02
 _STILL: Final = np.eye(2, 3)
 _NEIGHBOURS: Final = np.ones((3, 3), np.uint8)
+# Part of a picture that is looked at as a rim, and of its white that may have moved away in the longest exposure.
+_LEAST_RIM: Final = 1e-3
+_MOST_MOVED_WHITE: Final = 0.5
 # Pictures of fewer pixels across hold nothing to hold a movement by.
 _LEAST_SIDE_PX: Final = 8
 # Cubic interpolation looks at pixels so far away.
@@ -124,7 +127,8 @@ class Alignment:
         if not (self.needed or moved):
             return f"aligned already: moving no frame by {LEAST_MOVE_PX:g} pixels or more mends anything{doubt}"
         turned = max(abs(one.rotation_deg) for one in self.movements)
-        most = max(range(len(names)), key=lambda k: self.movements[k].largest_px(self.shape))
+        # A frame of which it cannot be told goes with its neighbour: it is the neighbour that was seen to move.
+        most = max(range(len(names)), key=lambda k: (self.movements[k].largest_px(self.shape), self.movements[k].known))
         return (
             f"aligned to {names[self.reference]}: moved by up to {self.largest_px:.2g} pixels ({names[most]}) and "
             f"{turned:.2f}°{doubt}"
@@ -139,12 +143,17 @@ def find_alignment(bracket: Bracket) -> Alignment:
     """
     reference = _reference(bracket)
     frames = [_reduced(frame.dn) for frame in bracket]
+    shown = [_inside(frame) for frame in frames]
+    top = float(bracket.frames[0].full_scale_dn)
+    if _has_white_rims(frames, top):
+        shown = [one & _inside(frame, top) for one, frame in zip(shown, frames, strict=True)]
     scale = bracket.shape[1] / frames[0].shape[1]
     found: dict[int, Movement] = {reference: Movement(_STILL)}
     for step in (1, -1):
         for k in range(reference + step, len(bracket) if step > 0 else -1, step):
             before = found[k - step]
-            pair = _pair_movement(frames[k - step], frames[k], bracket.frames[k].full_scale_dn)
+            inside = shown[k - step] & shown[k]
+            pair = _pair_movement(frames[k - step], frames[k], inside, top)
             own = _STILL if pair is None else _full_size(pair, scale)
             found[k] = Movement(_after(own, before.to_frame), pair is not None)
     return Alignment(tuple(found[k] for k in range(len(bracket))), reference, bracket.shape)
@@ -226,11 +235,10 @@ def _corners(shape: tuple[int, int]) -> Array:
     return np.array([(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)])
 
 
-def _pair_movement(here: Image, there: Image, full_scale_dn: int) -> Array | None:
+def _pair_movement(here: Image, there: Image, inside: NDArray[np.uint8], full_scale_dn: float) -> Array | None:
     """Return the movement that takes pixels of the one picture to the other; None where it cannot be told."""
     if min(here.shape) < _LEAST_SIDE_PX:
         return None
-    inside = _inside(here) & _inside(there)
     still, other = _alike(here, there, inside, full_scale_dn)
     if still is None or other is None:
         return None
@@ -278,16 +286,32 @@ def _believed(a: Image, b: Image, steady: NDArray[np.uint8], movement: Array) ->
     return movement if after <= _LEAST_GAIN * before else _STILL
 
 
-def _inside(picture: Image) -> NDArray[np.uint8]:
-    """Return 1 where a picture shows something: a black rim is what another program left when it turned it."""
-    black = (picture <= 0.0).astype(np.uint8)
-    count, label = cv2.connectedComponents(black)
+def _inside(picture: Image, rim_dn: float = 0.0) -> NDArray[np.uint8]:
+    """Return 1 where a picture shows something: a rim is what another program left when it turned it."""
+    near = cv2.dilate(_rim(picture, rim_dn).astype(np.uint8), np.ones((2 * _BLUR_PX + 1,) * 2, np.uint8))
+    return np.asarray(1 - near, np.uint8)
+
+
+def _rim(picture: Image, dn: float) -> NDArray[np.bool_]:
+    """Return what has one value, black or white, and hangs together with an edge of the picture."""
+    alike = (picture <= dn) if dn <= 0.0 else (picture >= dn)
+    count, label = cv2.connectedComponents(alike.astype(np.uint8))
     rim = np.zeros(count, bool)
     for edge in (label[0], label[-1], label[:, 0], label[:, -1]):
         rim[edge] = True
-    rim[0] = False  # what is not black
-    near = cv2.dilate(rim[label].astype(np.uint8), np.ones((2 * _BLUR_PX + 1,) * 2, np.uint8))
-    return np.asarray(1 - near, np.uint8)
+    rim[0] = False  # what has another value
+    return np.asarray(rim[label])
+
+
+def _has_white_rims(pictures: Sequence[Image], top: float) -> bool:
+    """Tell whether white at the edges is a rim, in a colour that is filled with white: no light clips in one frame only.
+
+    Args:
+        pictures: From the shortest exposure to the longest; what clips in one does in the last.
+        top: Full scale in DN.
+    """
+    rims = [_rim(picture, top) for picture in pictures[:-1]]
+    return any(rim.mean() >= _LEAST_RIM and np.mean(pictures[-1][rim] < top) > _MOST_MOVED_WHITE for rim in rims)
 
 
 def _corner_u_px(a: Image, b: Image, inside: NDArray[np.uint8], difference: float) -> float:
@@ -329,7 +353,7 @@ def _derivatives(picture: Image) -> Array:
 
 
 def _alike(
-    here: Image, there: Image, inside: NDArray[np.uint8], full_scale_dn: int
+    here: Image, there: Image, inside: NDArray[np.uint8], full_scale_dn: float
 ) -> tuple[Image | None, Image | None]:
     """Return both pictures in the values of the darker one, cut off where the brighter one clips."""
     if not inside.any():

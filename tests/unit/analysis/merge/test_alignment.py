@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from radiometer.analysis.merge.alignment import Alignment, Movement, _after, _shift, aligned, find_alignment
+from radiometer.analysis.merge.alignment import (
+    Alignment,
+    Movement,
+    _after,
+    _has_white_rims,
+    _shift,
+    aligned,
+    find_alignment,
+)
 from radiometer.data import Bracket, Frame, FrameSettings
 
 HEIGHT, WIDTH = 220, 300
@@ -123,19 +132,39 @@ def test_one_lamp_says_nothing_of_the_corners(waves):
     assert "not to be told of" in found.sentence(["a", "b"])
 
 
-def test_a_black_rim_is_no_scene(waves):
-    """Rims that another program left where it moved foggy, dim scans do not pull them back."""
+@pytest.mark.parametrize(("rim_dn", "contrast"), [(0, 0.2), (0, 0.02), (255, 0.02)])
+def test_a_rim_of_one_value_is_no_scene(waves, rim_dn, contrast):
+    """Rims that another program left where it moved foggy, dim scans do not pull them back: black, or white in blue."""
     rng = np.random.default_rng(2)
     frames = []
     for shift, seconds, width in ((0.0, 1.0, 3), (1.5, 2.0, 14), (0.0, 4.0, 6)):
         seen = _photograph(waves, _place(np.array([shift, 0.0]), 0.0), seconds, rng)
-        dn = np.rint(40.0 + 0.2 * seen.dn).astype(np.uint8)
-        dn[:, :width] = dn[:, -width:] = 0
+        dn = np.rint(40.0 + contrast * seen.dn).astype(np.uint8)
+        dn[:, :width] = dn[:, -width:] = rim_dn
         frames.append(Frame(dn, 8, seen.settings))
     found = find_alignment(Bracket.from_frames(frames))
     middle = np.array([WIDTH / 2, HEIGHT / 2, 1.0])
     away = [one.to_frame[0] @ middle - middle[0] for one in found.movements]
     assert np.diff(away) == pytest.approx([1.5, -1.5], abs=0.15)
+
+
+def test_a_sky_that_clips_is_scene():
+    """White at the edges that longer exposures show as white is light: its outline holds the movement."""
+    white, top = np.full((60, 80), 100.0, np.float32), 255.0
+    white[:20] = top
+    longer = np.full_like(white, 200.0)
+    longer[:25] = top
+    assert not _has_white_rims([white, longer], top)
+    longer[:12] = 200.0  # what clips in the shorter one does not here: more than half of it is no light
+    longer[8:25] = 200.0
+    assert _has_white_rims([white, longer], top)
+
+
+def test_the_frame_that_was_seen_to_move_is_named():
+    """A frame of which it cannot be told goes with its neighbour, and the neighbour is the one that is named."""
+    moved = Movement(_place(np.array([3.0, 0.0]), 0.0))
+    found = Alignment((replace(moved, known=False), moved, Movement(np.eye(2, 3))), 2, (HEIGHT, WIDTH))
+    assert found.sentence(["a", "b", "c"]).startswith("aligned to c: moved by up to 3 pixels (b)")
 
 
 def test_one_movement_after_another(waves):
