@@ -43,6 +43,13 @@ class Link:
         """Tell whether what it adds does not depend on the signal."""
         return self.code.startswith("signal +")
 
+    @property
+    def change(self) -> str:
+        """Return what a law changes of the signal, `{law}` standing for the amplitude times the formula."""
+        if self.adds:
+            return self.code.removeprefix("signal + ")
+        return self.code.replace("(1.0 + ", "").removesuffix(")")
+
 
 _FACTOR: Final = "signal * (1.0 + {law})"
 _PLACE: Final = ("image_x", "image_y")
@@ -96,6 +103,19 @@ LINKS: Final = {
             "adds light while the shutter is open",
             (*_PLACE, "timestamp_s"),
             "light that leaks in",
+        ),
+        Link(
+            "lens_light",
+            "optics",
+            "OPTICS",
+            "IRRADIANCE",
+            "",
+            "W m-2",
+            "signal + {law} * np.square(4.0 / np.asarray(context.settings.f_number))",
+            "adds light that comes through the lens",
+            (*_PLACE, "timestamp_s"),
+            "a lit room or daylight on the scene",
+            ("f_number",),
         ),
         Link(
             "shutter",
@@ -158,6 +178,18 @@ LINKS: Final = {
             "scales the charge that a pixel holds",
             ("signal",),
             "a pixel or its follower that bends",
+        ),
+        Link(
+            "node",
+            "readout",
+            "READOUT",
+            "ELECTRONS",
+            "read_noise",
+            "1",
+            _FACTOR,
+            "scales the voltage that charge makes, before the readout adds its noise",
+            (*_PLACE, "temperature_C", "timestamp_s"),
+            "a second output of another sensitivity",
         ),
         Link(
             "gain",

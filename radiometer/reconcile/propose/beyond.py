@@ -24,7 +24,8 @@ from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.propose.grammar import PLACES
 from radiometer.reconcile.propose.proposal import Proposal
 from radiometer.reconcile.propose.search import propose_law
-from radiometer.reconcile.search.free_laws import in_a_looser_form, worth
+from radiometer.reconcile.search.free_forms import worth
+from radiometer.reconcile.search.free_laws import in_a_looser_form
 from radiometer.reconcile.search.localise import localise, significant
 from radiometer.reconcile.search.outcome import Search, Step
 from radiometer.reconcile.thresholds import NAMED_NATS, RIVAL_NATS, SMOOTH_SHARE

@@ -309,19 +309,18 @@ def _per_frame(link: Link, law: Law) -> list[str]:
     What goes with the time goes on among the others, evenly where they follow each other evenly; what goes with the
     rest before a frame is the same for all of them, and of laws by the frame's number some have it and others not.
     """
-    times = "" if link.adds else " * signal"
     goes_on = "timestamp_s" in law.covariates
     others = "np.maximum(frames - 1.0, 0.0) / (3.0 * frames)" if goes_on else "0.0"
     apart = [
         f"        share = np.where(frames == 2.0, 0.5, {others})",
         "        apart = self.law(signal, context.first_frame) - self.law(signal, context.later_frames)",
-        f"        return share * np.square(apart{times})",
+        f"        return share * np.square({link.change.format(law='apart')})",
     ]
     some = [
         "        few, many = self.law(signal, context), self.law(signal, context.later_frames)",
         "        counted, law = frames - (frames > 2.0), np.where(frames > 2.0, many, few)",
         f"        return law * (self.{law.amplitude} - law) * counted / np.maximum(counted - 1.0, 1.0)"
-        f"{' * np.square(signal)' if times else ''}",
+        f"{'' if link.adds else ' * np.square(signal)'}",
     ]
     return [
         "",
@@ -345,8 +344,13 @@ def _drifts() -> list[str]:
 
 
 def _usable(law: Law) -> list[str]:
-    needs = {"temperature_C": "context.settings.temperature_c", "since_frame_s": "context.since_frame_s"}
-    lacking = [f"{needs[name]} is not None" for name in law.covariates if name in needs]
+    needs = {
+        "f_number": "context.settings.f_number",
+        "temperature_C": "context.settings.temperature_c",
+        "since_frame_s": "context.since_frame_s",
+    }
+    known = dict.fromkeys((*law.covariates, *LINKS[law.link].goes_with))
+    lacking = [f"{needs[name]} is not None" for name in known if name in needs]
     if not lacking:
         return []
     return [

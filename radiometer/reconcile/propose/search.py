@@ -15,18 +15,20 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import ndtr
 
-from radiometer.errors import MeasurementError
+from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconcile.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, judged_gain
 from radiometer.reconcile.fit.covariance import fitted_parameters
-from radiometer.reconcile.fit.full_fit import FullFits, UnfitError, contenders_of
+from radiometer.reconcile.fit.full_fit import FullFits, UnfitError, contenders_of, included
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.model.tile_context import from_grid, rise_of
 from radiometer.reconcile.propose.effect_file import Law, effect_of, round_to
 from radiometer.reconcile.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconcile.propose.proposal import Proposal, Rival
+from radiometer.reconcile.search.free_forms import free_forms, worth
 from radiometer.reconcile.search.screening import best_start
+from radiometer.reconcile.statistics import STATISTICS
 from radiometer.reconcile.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.surroundings import column_light, picture_mean
@@ -49,6 +51,7 @@ _PLACES: Final = 60  # where a law of a sharp place starts: the means alone hard
 _REFINED: Final = (("step", "border"), ("step",))  # in two turns: a border is found to half a pixel in the first
 _FINER: Final = 6  # laws of a sharp place that are refined
 _FAINT: Final = 1e-9
+_FOLLOWING: Final = ("mean", *(name for name, row in STATISTICS.items() if row.follows_light))
 
 Say = Callable[[str], None]
 
@@ -90,7 +93,7 @@ def propose_law(state: FitState, say: Say = lambda line: None, along: Collection
     judged = _judged(fits, _chosen([*singles, *products, *_noises(state, along)]), say)
     if not judged:
         return None
-    best = _plainest(judged)
+    best = _without_its_second(fits, _plainest(judged), judged)
     if _score(best) < NAMED_NATS:
         return None
     law, fitted, nats = best
@@ -116,6 +119,8 @@ def _singles(state: FitState) -> Iterator[Law]:
     known = known_values(state)
     terms = {name: tuple(terms_of(name, known)) for name in known}
     for link in (link for link in LINKS.values() if not link.is_noise):
+        if "f_number" in link.goes_with and "f_number" not in known:
+            continue  # it is light past the lens then
         for name in link.covariates:
             for term in terms.get(name, ()):
                 from_zero = (
@@ -215,13 +220,17 @@ def _chosen(entries: Iterable[Screened]) -> list[Screened]:
 
 
 def screened(state: FitState, laws: Iterable[Law], say: Say = lambda line: None) -> list[Screened]:
-    """Return the laws with the amplitude and the χ² that the tile means alone give them, nuisances following."""
+    """Return the laws with the amplitude and the χ² that the tile means alone give them, nuisances following.
+
+    Statistics that go with the light of a tile move with the law as well: the nuisances take them along, and a law that
+    left them where they were would seem to disagree with them as soon as a radiance makes room for it.
+    """
     known = known_values(state)
     response = {key: _response(state, key) for key, link in LINKS.items() if not link.is_noise}
     waiting, found, laws = [], list[Screened](), iter(laws)
     while waiting := list(islice(laws, _AT_ONCE // 2)):
-        pairs = [_features(state, law, known, response[law.link]) for law in waiting]
-        found += _gains(state, waiting, pairs)
+        pairs = [_features(state, law, known) for law in waiting]
+        found += _gains(state, waiting, pairs, [response[law.link] for law in waiting])
     say(f"{len(found)} laws looked at")
     return found
 
@@ -267,8 +276,8 @@ def _varies(values: Array) -> bool:
     return finite.size > 0 and not np.isnan(values).any() and float(np.ptp(finite)) > 1e-9 * float(np.abs(finite).max())
 
 
-def _response(state: FitState, link: str) -> Array:
-    """Return d(mean)/d(amplitude) of a constant law, (captures, tiles)."""
+def _response(state: FitState, link: str) -> dict[str, Array]:
+    """Return what a unit of a constant law changes of means and of what goes with the light, (captures, tiles) each."""
     exposure = state.design.exposure_s
     step = {
         "1": 1e-3,
@@ -278,8 +287,9 @@ def _response(state: FitState, link: str) -> Array:
         "DN": 0.1,
         "W m-2": 1e-3 * np.pi * state.model.context.peak_radiance / 64.0,
     }[LINKS[link].unit]
-    moved = state.predicted_with((*state.effects, effect_of(Law(link), step)))
-    return np.asarray((moved.mean - state.prediction.mean) / step)
+    moved = state.comparison.expected(state.predicted_with((*state.effects, effect_of(Law(link), step))))
+    base = state.comparison.expected(state.prediction)
+    return {name: np.asarray((moved[name] - base[name]) / step) for name in _FOLLOWING}
 
 
 def values_of(state: FitState, term: Term, known: Mapping[str, Array]) -> Array:
@@ -302,9 +312,9 @@ def values_of(state: FitState, term: Term, known: Mapping[str, Array]) -> Array:
     return np.stack([np.broadcast_to(part, shape) for part in parts])
 
 
-def _features(state: FitState, law: Law, known: Mapping[str, Array], response: Array) -> list[Array]:
-    """Return the column of a law, first and other frames apart, and of a wave that of a quarter period later too."""
-    product = np.broadcast_to(response[None, :, :, None], (2, *response.shape, 4))
+def _features(state: FitState, law: Law, known: Mapping[str, Array]) -> list[Array]:
+    """Return a law's values, first and other frames apart, and of a wave those of a quarter period later too."""
+    product = np.ones((2, len(state.design.captures), len(state.design.tiles), 4))
     later: Array | None = None
     for term in law.terms:
         values = values_of(state, term, known)
@@ -317,16 +327,19 @@ def _features(state: FitState, law: Law, known: Mapping[str, Array], response: A
     return [product] if later is None else [product, later]
 
 
-def _gains(state: FitState, laws: list[Law], features: list[list[Array]]) -> list[Screened]:
+def _gains(
+    state: FitState, laws: list[Law], features: list[list[Array]], responses: list[dict[str, Array]]
+) -> list[Screened]:
     first, later = np.nan_to_num(np.stack([column for pair in features for column in pair], axis=3))
     frames, comparison = state.design.frame_count[:, None, None, None], state.comparison
     average = (first + (frames - 1.0) * later) / frames
-    rise_x, rise_y = rise_of(average)
-    shown = {
-        "mean": average.mean(axis=-1),
+    own_response = [response for response, pair in zip(responses, features, strict=True) for _ in pair]
+    response = {name: np.stack([own[name] for own in own_response], axis=2) for name in _FOLLOWING}
+    rise_x, rise_y = rise_of(average * response["mean"][..., None])
+    shown = {name: average.mean(axis=-1) * columns for name, columns in response.items()} | {
         "slope_x": rise_x,
         "slope_y": rise_y,
-        "first": (first - later).mean(axis=-1),
+        "first": (first - later).mean(axis=-1) * response["mean"],
     }
     changes = np.zeros((comparison.size, average.shape[2]))
     for block, columns in shown.items():
@@ -401,6 +414,27 @@ def _plainest(judged: Sequence[_JudgedLaw]) -> _JudgedLaw:
     most = max(_score(entry) for entry in judged)
     near = [entry for entry in judged if most - _score(entry) < RIVAL_NATS]
     return min(near, key=lambda entry: (entry[0].link not in _PLAIN, -_score(entry)))
+
+
+def _without_its_second(fits: FullFits, best: _JudgedLaw, judged: Sequence[_JudgedLaw]) -> _JudgedLaw:
+    """Return a law without its second factor where a free curve along the first one's covariate does as well.
+
+    Beside a huge disagreement a form that is a little off leaves more than chance, and whatever goes with its covariate
+    for the most part would mend it.
+    """
+    law, fitted, _ = best
+    if len(law.terms) < 2:
+        return best
+    try:
+        most = worth(fits.included(fitted.effect, far=True)) - NAMED_NATS
+        parts = [e for e in judged if e[0].link == law.link and set(_formula(e[0])) < set(_formula(law))]
+        for own in sorted(parts, key=_score, reverse=True):
+            forms = free_forms(fits.included(own[1].effect, far=True), own[1].effect)
+            if any(worth(included(fits.state, form, far=True)) > most for form in forms):
+                return own
+    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted does not stand in for it
+        return best
+    return best
 
 
 def _holds(law: Law, other: Law) -> bool:

@@ -13,7 +13,8 @@ from radiometer.reconcile.fit.covariance import is_far, is_misfit, scatter_of
 from radiometer.reconcile.fit.descent import refit
 from radiometer.reconcile.fit.full_fit import FullFits, UnfitError, contenders_of
 from radiometer.reconcile.fit.state import FitState, reweighted, with_terms
-from radiometer.reconcile.search.free_laws import by_a_free_law, in_place_of_all, rated, worth
+from radiometer.reconcile.search.free_forms import worth
+from radiometer.reconcile.search.free_laws import by_a_free_law, in_place_of_all, rated
 from radiometer.reconcile.search.localise import Disagreement, departing, localise, significant, smooth_term
 from radiometer.reconcile.search.moves import Loosened, better, loosened, pruned, simpler
 from radiometer.reconcile.search.outcome import Search, Step

@@ -25,7 +25,8 @@ from radiometer.reconcile.fit.descent import first_state
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconcile.search.free_laws import free_forms, promise
+from radiometer.reconcile.search.free_forms import free_forms
+from radiometer.reconcile.search.free_laws import promise
 from radiometer.reconcile.search.localise import global_p_value, localise, places, significant
 from radiometer.reconcile.search.outcome import Reconciled
 from radiometer.reconcile.search.screening import screen

@@ -14,7 +14,8 @@ from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.result import FittedParameter, LawCurve
-from radiometer.reconcile.search.free_laws import by_a_free_law, free_forms, worth
+from radiometer.reconcile.search.free_forms import free_forms, worth
+from radiometer.reconcile.search.free_laws import by_a_free_law
 from radiometer.reconcile.search.screening import best_start
 from radiometer.reconcile.verdict import sizes_by_own_law
 from simulators.effects.angle_dependence import AngleDependence

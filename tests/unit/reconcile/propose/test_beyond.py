@@ -26,7 +26,8 @@ from radiometer.reconcile.propose.beyond import (
 )
 from radiometer.reconcile.result import Verdict
 from radiometer.reconcile.search import free_laws
-from radiometer.reconcile.search.free_laws import in_place_of_all, worth
+from radiometer.reconcile.search.free_forms import worth
+from radiometer.reconcile.search.free_laws import in_place_of_all
 from radiometer.reconcile.search.outcome import Search, Step
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.conversion_gain_error import ConversionGainError

@@ -57,10 +57,12 @@ ACTS = {
     "scene": 1002.0,
     "optics": 1002.0,
     "light": 1002.0,
+    "lens_light": 1008.0,  # at f/2, four times what f/4 lets through
     "shutter": 1004.0,
     "charge_rate": 1001.0,
     "charge": 1002.0,
     "well": 1002.0,
+    "node": 1002.0,
     "gain": 1002.0,
     "analog": 1020.0,
     "digital": 1002.0,
@@ -89,7 +91,9 @@ KNOWN = {
 
 def at(column=0.0, row=0.0, **more):
     """Return the circumstances of a pixel of a 200 × 100 sensor in half a second at 20 dB."""
-    settings = FrameSettings(exposure_s=0.5, gain_db=20.0, temperature_c=30.0, timestamp_s=2.0, source_level=0.75)
+    settings = FrameSettings(
+        exposure_s=0.5, gain_db=20.0, f_number=2.0, temperature_c=30.0, timestamp_s=2.0, source_level=0.75
+    )
     geometry = FrameGeometry(np.array([column]), np.array([row]), 200, 100)
     return ExposureContext(settings, geometry, CameraDescription(bit_depth=12), **more)
 
@@ -214,6 +218,27 @@ def test_a_screen_that_dims_with_its_picture():
     shown = np.array([[1.0, 3.0]])  # of 5 at this level
     effect = effect_of(Law("scene", (Term("ramp", "picture_mean", {"reference": 0.2}, {}),)), -0.06)
     assert effect.mean(shown, image) == pytest.approx(shown * (1.0 - 0.06 * 0.2))
+
+
+@pytest.mark.parametrize(
+    ("link", "scale"),
+    [("analog", 10.0), ("lens_light", 4.0), ("digital", 1.0), ("source", 1000.0), ("shutter", 2000.0)],
+)
+def test_frames_of_a_series_differ_by_what_the_law_changes_at_its_stage(link, scale):
+    """The second of two frames waited short: a voltage ten times at 20 dB, light four times at f/2, a delay by 1/t."""
+    effect = effect_of(Law(link, (Term("decay", "since_frame_s", {}, {"tau": 3.0}),)), 0.02)
+    first, later = at(since_frame_s=6.0), at(since_frame_s=0.3)
+    two = TileContext(
+        first.settings,
+        first.geometry,
+        first.camera,
+        first_frame=first,
+        later_frames=later,
+        frames=2.0,
+        since_frame_s=6.0,
+    )
+    apart = 0.02 * (math.exp(-2.0) - math.exp(-0.1)) * scale
+    assert np.ravel(effect.common_variance(np.array([1000.0]), two))[0] == pytest.approx(0.5 * apart**2)
 
 
 @pytest.mark.parametrize(

@@ -88,6 +88,50 @@ def test_what_goes_with_a_place_is_not_multiplied_by_another(monkeypatch):
     assert beside("charge", "power", "exposure_s", power=0.5) == {"timestamp_s", "image_x", "image_y"}
 
 
+def test_light_through_the_lens_is_asked_about_where_a_stop_varies(monkeypatch):
+    """At one f-number it is light past the lens, which stands for both."""
+    known = {
+        "timestamp_s": np.stack([np.linspace(0.0, 60.0, 6)] * 2)[:, :, None, None],
+        "f_number": np.array([2.8, 4.0, 8.0])[:, None, None],
+    }
+    monkeypatch.setattr(search, "known_values", lambda state: known)
+    assert {"light", "lens_light"} <= {law.link for law in search._singles(None)}
+    del known["f_number"]
+    links = {law.link for law in search._singles(None)}
+    assert "light" in links
+    assert "lens_light" not in links
+
+
+def test_a_first_look_sees_a_gain_between_patches_whose_radiances_make_room(tmp_path):
+    """A gain that steps between two rows of patches is no error of their radiances: their noise says so from the start.
+
+    The nuisances take the noise along with the light; a law whose own change of it did not count came out at a sixth.
+    """
+    state, session = state_of(tmp_path / "set", 74022, "row_gain_step", "levels")
+    row = Law("gain", (Term("border", "image_y", {}, {"at": 57.0 / session.frames[0].shape[1]}),))
+    light = Law("optics", row.terms)
+    as_gain, as_light = search.screened(state, [row, light])
+    assert as_gain.amplitude == pytest.approx(session.secret.drawn["step"], rel=0.1)
+    assert as_gain.gain > as_light.gain + 100.0
+
+
+@pytest.mark.parametrize(("freed", "told"), [(1005.0, "single"), (992.1, "single"), (991.9, "product")])
+def test_a_second_factor_predicts_better_than_any_curve_of_the_first(freed, told, monkeypatch):
+    """A product worth 1000 needs 8 nats more than a free curve along its first covariate has."""
+    first, second = (Term("ramp", name, {"reference": 0.5}, {}) for name in ("timestamp_s", "temperature_C"))
+    single = (Law("light", (first,)), SimpleNamespace(effect="single"), 900.0)
+    product = (Law("light", (first, second)), SimpleNamespace(effect="product"), 1000.0)
+    stranger = (Law("optics", (first,)), SimpleNamespace(effect="stranger"), 950.0)
+    worths = {"product": 1000.0, "single": 900.0, "stranger": 950.0, "freed": freed}
+    monkeypatch.setattr(search, "worth", worths.get)
+    monkeypatch.setattr(search, "free_forms", lambda state, effect: ["freed"] if effect == "single" else ["stranger"])
+    monkeypatch.setattr(search, "included", lambda state, effect, far: effect)
+    fits = SimpleNamespace(state=None, included=lambda effect, far: effect)
+    found = search._without_its_second(fits, product, [product, stranger, single])
+    assert found is {"single": single, "product": product}[told]
+    assert search._without_its_second(fits, single, [product, single]) is single
+
+
 @pytest.fixture(scope="module")
 def glow(tmp_path_factory):
     """Return the law proposed for an amplifier's glow in darks, and the secret."""
