@@ -6,7 +6,8 @@ The outsiders of generators 2 and 3, or with --own those of the tests' own, are 
 are: whether the stage is right (or stands among those that the law's rivals have), whether a true covariate is there,
 and what share of the excess the written effect file closes in another session of the rig, its parameters as written.
 The excess is what the gap lies above that of the same session with nothing hidden. With --find the effect file is given
-to a reconciliation of a third session, the first so many times. A stopped run tells its part.
+to a reconciliation of a third session, the first so many times. With --files effect, test and plan of each law are
+kept as `radiometer reconcile --propose` writes them. A stopped run tells its part.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import reduce_frames
 from radiometer.reconcile.propose import Proposal, propose_law
 from radiometer.reconcile.propose.effect_file import effect_class, effect_of, round_to
+from radiometer.reconcile.propose.files import write_files
 from simulators.effects.catalogue import CatalogueEffect
 
 RESULTS = Path("out") / "reconcile_propose.jsonl"
@@ -59,8 +61,8 @@ def state_of(session: Session, given: tuple[CatalogueEffect, ...] = ()) -> FitSt
         return first_state(design, *reduce_frames(design, captured.read_frame), given)
 
 
-def run(generator: int, name: str, seed: int, *, find: bool) -> dict[str, Any]:
-    """Return what was proposed for one outsider and how it did in other sessions."""
+def run(generator: int, name: str, seed: int, *, find: bool, files: Path | None = None) -> dict[str, Any]:
+    """Return what was proposed for one outsider and how it did in other sessions; write its files into a folder."""
     begun = time.process_time()
     plan = hiding(generator, name, seed).secret.plan
     session = hiding(generator, name, seed, plan)  # a plan that is drawn moves the rig, which further sessions share
@@ -70,6 +72,8 @@ def run(generator: int, name: str, seed: int, *, find: bool) -> dict[str, Any]:
     told |= {"covariates": list(secret.covariates), "drawn": {k: float(v) for k, v in secret.drawn.items()}}
     if proposal is None:
         return told | {"proposed": None, "cpu_s": round(time.process_time() - begun, 1)}
+    if files is not None:
+        write_files(proposal, files / f"{name}_{seed}", f"a session that hides {name}")
     effect = effect_of(proposal.law, round_to(proposal.amplitude))
     floor, before, after = np.mean([gaps_in(n, generator, name, seed, plan, effect) for n in FRESH], axis=0).tolist()
     told |= {
@@ -82,6 +86,9 @@ def run(generator: int, name: str, seed: int, *, find: bool) -> dict[str, Any]:
         "stage_first": proposal.stage == secret.stage,
         "stage_right": secret.stage in (proposal.stage, *proposal.stages_alike),
         "covariate_right": is_along(proposal, secret),
+        "nats": round(proposal.nats, 1),
+        "law": proposal.law.parameters | {proposal.law.amplitude: proposal.amplitude},
+        "rivals": [(rival.name, rival.behind_nats) for rival in proposal.rivals],
         "cpu_s": round(time.process_time() - begun, 1),
     }
     return told | ({"found": found_again(generator, name, seed, plan, proposal)} if find else {})
@@ -152,6 +159,7 @@ def main() -> None:
     parser.add_argument("--find", type=int, default=0, help="so many of them are looked for in a third session too")
     parser.add_argument("--own", action="store_true", help="the outsiders of the tests' own generator instead")
     parser.add_argument("--without", action="append", default=[], help="outsiders to leave out")
+    parser.add_argument("--files", type=Path, help="folder for the files of each proposal")
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks.md")
     options = parser.parse_args()
@@ -169,7 +177,7 @@ def main() -> None:
             generator, name = names[number % len(names)]
             seed = options.first_seed + number
             if (generator, name, seed) not in done:
-                done[generator, name, seed] = run(generator, name, seed, find=count < options.find)
+                done[generator, name, seed] = run(generator, name, seed, find=count < options.find, files=options.files)
                 with options.results.open("a", encoding="utf-8") as out:
                     out.write(json.dumps(done[generator, name, seed]) + "\n")
             results.append(done[generator, name, seed])
