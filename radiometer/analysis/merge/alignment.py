@@ -304,7 +304,7 @@ def _rim(picture: Image, dn: float) -> NDArray[np.bool_]:
 
 
 def _has_white_rims(pictures: Sequence[Image], top: float) -> bool:
-    """Tell whether white at the edges is a rim, in a colour that is filled with white: no light clips in one frame only.
+    """Tell whether white at the edges is a rim, in a colour filled with white: no light clips in one frame only.
 
     Args:
         pictures: From the shortest exposure to the longest; what clips in one does in the last.
