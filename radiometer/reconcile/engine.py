@@ -25,7 +25,10 @@ from radiometer.reconcile.fit.descent import first_state
 from radiometer.reconcile.fit.nuisances import dark_current_is_free
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Design
+from radiometer.reconcile.measure.pattern_images import PatternImages
 from radiometer.reconcile.measure.reduce import FrameReader, frame_reader, reduce_frames
+from radiometer.reconcile.measure.seen import CaptureStatistics
+from radiometer.reconcile.measure.series import jumps
 from radiometer.reconcile.noise.darkness import drift_of_black, wander_of_black
 from radiometer.reconcile.noise.repeats import repeats_of
 from radiometer.reconcile.propose.beyond import held_to_laws
@@ -237,10 +240,9 @@ def examine(
     """
     begun = time.monotonic()
     header, given = _adopted(header, model)
-    design = Design.of(header, shape)
     total = len(header.frames)
-    light = FrameLight(design, read)
-    seen, images = reduce_frames(design, light, (lambda done: progress(done, total)) if progress else None)
+    reading = (lambda done: progress(done, total)) if progress else None
+    design, light, (seen, images) = _reduced(header, shape, read, reading)
     entries = whole_catalogue() if catalogue is None else catalogue
     clear = (seen.high < _CLEAR) & (seen.low < _CLEAR)
     known = any(kind.where == "frame" for kind in entries.values())  # an effect from outside, which may be just that
@@ -259,6 +261,21 @@ def examine(
     outcome = _spared("laws of no entry", lambda: held_to_laws(found, entries, say), failed) or found
     result = _result(outcome, entries, again, total, begun, failed, with_limits=with_limits)
     return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome, taken)
+
+
+def _reduced(
+    header: CaptureHeader, shape: tuple[int, int], read: FrameReader, progress: Callable[[int], None] | None
+) -> tuple[Design, FrameLight, tuple[CaptureStatistics, PatternImages]]:
+    """Return what frames show, those of a series that jumps cut there and read again; with their design and light."""
+    at: tuple[int, ...] = ()
+    while True:
+        design = Design.of(header, shape, at)
+        light = FrameLight(design, read)
+        shown = reduce_frames(design, light, progress)
+        found = () if at else jumps(design, light.of_tiles)
+        if not found:
+            return design, light, shown
+        at = found
 
 
 def _repeats(state: FitState, light: FrameLight, header: CaptureHeader) -> tuple[Repeats, ...]:

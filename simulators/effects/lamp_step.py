@@ -49,7 +49,9 @@ class LampStep(Scaling):
 
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
-        """Return a jump between every two captures that have several before and after them."""
-        times = np.unique(elapsed_s(context))
-        between = 0.5 * (times[1:] + times[:-1])[_FEWEST - 1 : times.size - _FEWEST]
+        """Return a jump in front of every capture that has several before and after it: in front of its first frame."""
+        times = np.ravel(elapsed_s(context))
+        begun = times if context.first_frame is None else np.ravel(elapsed_s(context.first_frame))
+        times, first = np.unique(times, return_index=True)
+        between = 0.5 * (times[:-1] + begun[first[1:]])[_FEWEST - 1 : times.size - _FEWEST]
         return tuple(cls(_TRIED_REL, float(time)) for time in between)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
@@ -28,6 +29,9 @@ SURFACE_LINES: Final = 3  # of its rows or columns
 _MARGIN_FRACTION: Final = 0.125  # keeps a tile's interior more than four blur sigmas from the patch's edge
 _TEMPERATURE_STEP_K: Final = 0.75  # a larger change starts a new capture
 _STAND_IN_SHARE: Final = 1e-3  # of the shortest exposure
+_SERIES_PIECE: Final = 4  # frames of a long series that stand together
+_SERIES_PIECES: Final = 64  # that all long series of a set are cut into, at most
+_FEWEST_PIECES: Final = 4  # of one series: fewer tell nothing of the time
 _SAME_TEMPERATURE_K: Final = 2.0  # width of a step of temperature within which a setting repeats
 
 
@@ -85,6 +89,7 @@ class Design:
         tiles: Tiles of the picture.
         uniform: Whether the tiles are known patches (uniform by design) rather than cells of an unknown scene.
         reading_u_k: Standard uncertainty of a temperature reading in K; 0 where readings do not come in steps.
+        jumps: Positions of frames at which a long series of equal ones jumps; captures begin there.
     """
 
     header: CaptureHeader
@@ -93,10 +98,16 @@ class Design:
     tiles: tuple[Tile, ...]
     uniform: bool
     reading_u_k: float = 0.0
+    jumps: tuple[int, ...] = ()
 
     @classmethod
-    def of(cls, header: CaptureHeader, shape: tuple[int, int]) -> Design:
+    def of(cls, header: CaptureHeader, shape: tuple[int, int], jumps: Collection[int] = ()) -> Design:
         """Return the design of a capture set whose frames have the given (height, width).
+
+        Args:
+            header: What `capture.yaml` says.
+            shape: Height and width.
+            jumps: Positions of frames at which a long series of equal ones is cut.
 
         Raises:
             CaptureError: If a patch lies outside the frames or is too small to be judged.
@@ -104,7 +115,7 @@ class Design:
         reading_u_k = uncertainty_of_readings(readings_c(header))
         header = regulated(_without_zeros(header))
         tiles = _patch_tiles(header, shape) or _grid_tiles(len(_patterns(header)), shape)
-        return cls(header, shape, group_captures(header), tiles, bool(header.patches), reading_u_k)
+        return cls(header, shape, group_captures(header, jumps), tiles, bool(header.patches), reading_u_k, tuple(jumps))
 
     @cached_property
     def patterns(self) -> tuple[str, ...]:
@@ -268,6 +279,15 @@ class Design:
         return not bool(np.isnan(self._column("timestamp_s")).any())
 
     @cached_property
+    def jump_times_s(self) -> tuple[float, ...]:
+        """Return the times in s, as captures have them, of those that begin with a jump."""
+        return tuple(
+            float(time)
+            for time, capture in zip(self.timestamp_s, self.captures, strict=True)
+            if capture.frames[0] in self.jumps
+        )
+
+    @cached_property
     def source_level(self) -> Array:
         """Return the relative drive of the source of each capture; 0 where the shutter is closed."""
         return np.where(self.closed, 0.0, self._column("source_level"))
@@ -347,11 +367,16 @@ def rough_share(length: Array, across: Array) -> Array:
     return np.asarray(kept / np.maximum(length * across - SURFACE_TERMS, kept))
 
 
-def group_captures(header: CaptureHeader) -> tuple[Capture, ...]:
+def group_captures(header: CaptureHeader, jumps: Collection[int] = ()) -> tuple[Capture, ...]:
     """Return the frames of a header as captures.
 
     A capture is a run of frames of one setting. A run that is a whole multiple of the usual length is several
     captures in a row; where no two neighbouring frames share a setting, the repeats are gathered wherever they lie.
+    A long series of one setting whose times are known is cut into pieces, so that it shows what goes with the time.
+
+    Args:
+        header: What `capture.yaml` says.
+        jumps: Positions of frames at which a long series is cut.
     """
     runs = _runs(header)
     lengths = Counter(map(len, runs))
@@ -362,8 +387,21 @@ def group_captures(header: CaptureHeader) -> tuple[Capture, ...]:
     for run in runs:
         whole = usual > 1 and len(run) > usual and len(run) % usual == 0
         step = usual if whole else len(run)
-        pieces += [run[i : i + step] for i in range(0, len(run), step)]
+        for first in range(0, len(run), step):
+            pieces += _of_series(header, run[first : first + step], _SERIES_PIECES // len(runs), jumps)
     return tuple(_capture(header, piece) for piece in pieces)
+
+
+def _of_series(header: CaptureHeader, run: list[int], most: int, jumps: Collection[int]) -> list[list[int]]:
+    """Return a series of equal frames in up to so many pieces of like length; whole if it is short or has no times."""
+    count = min(len(run) // _SERIES_PIECE, most)
+    if count < _FEWEST_PIECES or any(header.frames[index].timestamp_s is None for index in run):
+        return [run]
+    ends = [0, *(place for place, frame in enumerate(run) if place and frame in jumps), len(run)]
+    parts = [run[low:high] for low, high in itertools.pairwise(ends)]
+    return [
+        piece.tolist() for part in parts for piece in np.array_split(part, max(round(count * len(part) / len(run)), 1))
+    ]
 
 
 def _runs(header: CaptureHeader) -> list[list[int]]:

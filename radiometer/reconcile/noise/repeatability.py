@@ -161,7 +161,10 @@ class _Repeats:
         basis = (ids[taken][:, None] == np.unique(ids[taken])).astype(np.float64)
         if waves:
             freedom = taken.size - basis.shape[1]
-            basis = np.hstack([basis, _slow_change(design.timestamp_s[taken], int(_TREND_SHARE * freedom))])
+            time = design.timestamp_s[taken]
+            slow = _slow_change(time, int(_TREND_SHARE * freedom))
+            jumps = [_relaxing(time, since_s) for since_s in design.jump_times_s if np.any(time > since_s)]
+            basis = np.hstack([basis, slow, *jumps])
         return cls(taken, scale[taken], variance[taken], basis)
 
     @property
@@ -195,3 +198,9 @@ def _slow_change(time: Array, terms: int) -> Array:
     u = (time - time.min()) / (float(np.ptp(time)) or 1.0)
     waves = np.arange(1, min(terms - 3, _MOST_WAVES) + 1)
     return np.column_stack([u, u**2, np.exp(-4.0 * u), np.cos(np.pi * u[:, None] * waves)])
+
+
+def _relaxing(time: Array, since_s: float) -> Array:
+    """Return what jumps at a time and stays, or dies away by four e-folds to the end."""
+    after = np.clip((time - since_s) / (float(time.max()) - since_s), 0.0, 1.0)
+    return np.column_stack([there := (time >= since_s).astype(np.float64), there * np.exp(-4.0 * after)])
