@@ -12,6 +12,8 @@ from radiometer.reconcile.chances import chi2_beyond
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.seen import CaptureStatistics
 
+_FEWEST_OF_A_LINE: Final = 4  # tiles
+_CLEAR_SLOPE: Final = 5.0  # standard uncertainties
 _FEWEST: Final = 1.0  # degrees of freedom of repeated dark frames that tell a wander
 _CHANCE: Final = 1e-4
 _MOST_SHARE: Final = 0.3  # of a pixel's own noise: a black level that differs by more is something to name
@@ -34,6 +36,33 @@ class Darkness:
     warmth: Array
     swelling: Mapping[str, Array] = field(default_factory=dict)
     drift_dn: float = 0.0
+
+
+def black_by_noise(design: Design, seen: CaptureStatistics) -> float | None:
+    """Return the black level in DN at which the noise of light would end; None where other things tell it.
+
+    Frames of one setting, none of them dark, do not tell an offset from light; it is stated, or exposures, levels or
+    darks tell it otherwise. What noise tells is a line: σ² = K·(y − y₀) + what has no light. With nothing for the
+    latter y₀ is as high as can be. Where noise does not rise with the light beyond chance, nothing tells: it is 0.
+
+    Args:
+        design: Captures and tiles.
+        seen: What was measured.
+    """
+    alike = np.unique(np.column_stack([design.exposure_s, design.gain_db, design.source_level]), axis=0).shape[0] == 1
+    if not alike or design.closed.any() or not np.isnan(design.black_level_dn).all():
+        return None
+    counts = np.isfinite(seen.variance) & (seen.variance_dof > 0) & (seen.high == 0) & (seen.low == 0)
+    mean, variance, dof = (values[counts] for values in (seen.mean, seen.variance, seen.variance_dof))
+    if mean.size < _FEWEST_OF_A_LINE or np.ptp(mean) <= 0:
+        return 0.0
+    root = np.sqrt(dof / 2.0) / variance
+    basis = np.column_stack([mean - mean.mean(), np.ones(mean.size)]) * root[:, None]
+    (slope, height), *_ = np.linalg.lstsq(basis, variance * root, rcond=None)
+    u_slope = float(np.sqrt(np.linalg.inv(basis.T @ basis)[0, 0]))
+    if slope < _CLEAR_SLOPE * u_slope:
+        return 0.0
+    return float(np.clip(mean.mean() - height / slope, 0.0, mean.min()))
 
 
 def wander_of_black(design: Design, seen: CaptureStatistics) -> float:
