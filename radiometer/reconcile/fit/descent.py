@@ -124,12 +124,12 @@ def beside(state: FitState, effect: CatalogueEffect, iterations: int = _ITERATIO
 
     Where these lead nowhere all else is refitted by derivatives of its own, in so many iterations at most.
     """
-    start = replace(with_effects(state, (*state.effects, effect)), held_columns=state.term_columns)
+    start = replace(with_effects(state, (*state.effects, effect)), held_terms=state.term_block)
     moved = _moved(start, state.fit.step_from(start.residual)[0], state)
     if _is_within_range(moved) and moved.cost < start.cost:
         return _glided(state, moved, start.cost - moved.cost)[0]
     held = frozenset(range(state.parameters.size, start.parameters.size))
-    return refit(replace(start, frozen=held, held_columns=None), iterations)
+    return refit(replace(start, frozen=held, held_terms=None), iterations)
 
 
 def _fixed(state: FitState) -> frozenset[tuple[int, str]]:
@@ -226,5 +226,5 @@ def _moved(state: FitState, step: Array, origin: FitState | None = None) -> FitS
         weights=state.weights + step[m : m + k],
         model=state.model.with_effects(effects),
         frozen=frozenset(at_bound),
-        held_columns=state.term_columns,
+        held_terms=state.term_block,
     )

@@ -5,7 +5,7 @@ The nuisances touch few of the statistics (the means, mostly), the effects any: 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, Protocol, TypeVar
@@ -39,14 +39,25 @@ class RowBlock:
         rows = np.flatnonzero(matrix.any(axis=1))
         return cls(rows, matrix[rows])
 
-    def beside(self, matrix: Array, below: Array) -> RowBlock:
-        """Return the block with a matrix of all rows beside it, and one of further rows below both."""
-        rows = np.union1d(self.rows, np.flatnonzero(matrix.any(axis=1)))
-        values = np.zeros((rows.size + below.shape[0], below.shape[1]))
-        values[np.searchsorted(rows, self.rows), : self.columns] = self.values
-        values[: rows.size, self.columns :] = matrix[rows]
-        values[rows.size :] = below
-        return RowBlock(np.concatenate([rows, matrix.shape[0] + np.arange(below.shape[0])]), values)
+    def beside(self, other: RowBlock, size: int, below: Array) -> RowBlock:
+        """Return the block with another beside it, and with further rows below both that have one entry each.
+
+        Args:
+            other: The other block, of the same rows.
+            size: How many rows both have.
+            below: (columns,) the entry of each column in a row of its own.
+        """
+        rows = np.union1d(self.rows, other.rows)
+        values = np.zeros((rows.size + below.size, below.size))
+        own, theirs = values[: rows.size, : self.columns], values[: rows.size, self.columns :]
+        own[np.searchsorted(rows, self.rows)] = self.values
+        theirs[np.searchsorted(rows, other.rows)] = other.values
+        values[rows.size :] = np.diag(below)
+        found = RowBlock(np.concatenate([rows, size + np.arange(below.size)]), values)
+        across = own.T @ theirs
+        normal = np.block([[self.normal, across], [across.T, other.normal]])  # a block that stays has its own already
+        vars(found)["normal"] = normal + np.diag(below**2)
+        return found
 
     @property
     def columns(self) -> int:
@@ -62,6 +73,12 @@ class RowBlock:
     def factor(self) -> Array:
         """Return the lower Cholesky factor of NᵀN."""
         return cholesky(self.normal)
+
+    def times(self, weights: Array, size: int) -> Array:
+        """Return N·w, (size,)."""
+        found = np.zeros(size)
+        found[self.rows] = self.values @ weights
+        return found
 
     def pull(self, vectors: Array, start: int = 0) -> Array:
         """Return Nᵀ·v for vectors whose entries begin at row `start`, (entries,) or (entries, n)."""
@@ -89,8 +106,16 @@ class LinearFit:
     def of(cls, residual: Array, nuisances: RowBlock, effects: Array, followers: RowBlock) -> LinearFit:
         """Return the fit of a residual and of effect columns in which the followers stand still."""
         bare = cls(residual, nuisances, np.zeros((residual.size, 0)), followers)
-        moved = bare.followed(np.column_stack([residual, effects]))
-        return cls(np.ascontiguousarray(moved[:, 0]), nuisances, moved[:, 1:], followers)
+        moved, pulled = bare._followed(np.column_stack([residual, effects]))
+        found = cls(np.ascontiguousarray(moved[:, 0]), nuisances, moved[:, 1:], followers)
+        vars(found)["_pulled"] = pulled
+        return found
+
+    def without(self, effects: Sequence[int]) -> LinearFit:
+        """Return the fit in which some effect parameters stay where they are, by position."""
+        found = replace(self, effects=np.delete(self.effects, effects, axis=1))
+        vars(found)["_pulled"] = np.delete(self._pulled, [1 + place for place in effects], axis=1)
+        return found
 
     @cached_property
     def _pulled(self) -> Array:
@@ -105,8 +130,12 @@ class LinearFit:
 
     @cached_property
     def factor(self) -> Array:
-        """Return the lower Cholesky factor of JᵀJ, a little ridge keeping it regular."""
-        return cholesky(self.normal) if self.effects.shape[1] else self.nuisances.factor
+        """Return the lower Cholesky factor of JᵀJ, a little ridge keeping it regular: that of NᵀN, and a border."""
+        known, border = self.nuisances.columns, triangular(self.nuisances.factor, self._pulled[:, 1:])
+        found = np.zeros((known + border.shape[1],) * 2)
+        found[:known, :known], found[known:, :known] = self.nuisances.factor, border.T
+        found[known:, known:] = cholesky(self.effects.T @ self.effects, border.T @ border)
+        return found
 
     @cached_property
     def step(self) -> Array:
@@ -125,7 +154,15 @@ class LinearFit:
 
     def step_from(self, residual: Array) -> tuple[Array, float]:
         """Return the same step from another point's residual, followers not followed yet, and what χ² it promises."""
-        pulled = self.pull(self.followed(residual))
+        return self._step_of(self.followed(residual))
+
+    def left_from(self, residual: Array) -> float:
+        """Return the χ² that such a step promises to leave."""
+        followed = self.followed(residual)
+        return float(followed @ followed) - self._step_of(followed)[1]
+
+    def _step_of(self, followed: Array) -> tuple[Array, float]:
+        pulled = self.pull(followed)
         step = self.solve(pulled)
         return step, float(pulled @ step)
 
@@ -140,7 +177,7 @@ class LinearFit:
         Args:
             vectors: (entries,) or (entries, n); prior rows may be left out.
         """
-        return self._moved(vectors, self._led(self.nuisances.pull(vectors)))
+        return self._followed(vectors)[0] if self.followers.rows.size else vectors.copy()
 
     def followed_with_half(self, vectors: Array) -> tuple[Array, Array]:
         """Return `followed(vectors)` and L⁻¹·Jᵀ of it, the part that the parameters take up.
@@ -148,22 +185,20 @@ class LinearFit:
         Args:
             vectors: (entries, n); prior rows may be left out.
         """
-        pulled = self.nuisances.pull(vectors)
-        led = self._led(pulled)
-        moved = self._moved(vectors, led)
+        moved, pulled = self._followed(vectors)
         own = self.effects[: moved.shape[0]].T @ moved
-        return moved, self.half(np.concatenate([pulled - self._crossed @ led, own]))
+        return moved, self.half(np.concatenate([pulled, own]))
 
-    def _led(self, pulled: Array) -> Array:
-        """Return (NᵀN)⁻¹·Nᵀ·v from Nᵀ·v, as far as followers go with it."""
+    def _followed(self, vectors: Array) -> tuple[Array, Array]:
+        """Return `followed(vectors)` and Nᵀ of it."""
+        pulled = self.nuisances.pull(vectors)
+        if not self.followers.rows.size:
+            return vectors.copy(), pulled
         half = triangular(self.nuisances.factor, pulled)
-        step = triangular(self.nuisances.factor, half, transposed=True)
-        return np.asarray(step[: self.followers.columns])
-
-    def _moved(self, vectors: Array, led: Array) -> Array:
+        led = triangular(self.nuisances.factor, half, transposed=True)[: self.followers.columns]
         moved = vectors.copy()
         moved[self.followers.rows] -= self.followers.values @ led
-        return moved
+        return moved, pulled - self._crossed @ led
 
     @cached_property
     def _crossed(self) -> Array:
@@ -232,10 +267,15 @@ class LinearFit:
         return float(np.sum((vectors[:, kept].T @ right) ** 2 / values[kept])), int(kept.sum())
 
 
-def cholesky(normal: Array) -> Array:
-    """Return the lower Cholesky factor of a normal matrix, a little ridge keeping it regular."""
+def cholesky(normal: Array, less: Array | float = 0.0) -> Array:
+    """Return the lower Cholesky factor of a normal matrix, a little ridge of its own keeping it regular.
+
+    Args:
+        normal: The matrix.
+        less: What is taken off it behind the ridge.
+    """
     ridge = _RIDGE * np.maximum(np.diag(normal), 1e-300)
-    return np.asarray(np.linalg.cholesky(normal + np.diag(ridge)))
+    return np.asarray(np.linalg.cholesky(normal + np.diag(ridge) - less))
 
 
 def triangular(factor: Array, right: Array, *, transposed: bool = False) -> Array:

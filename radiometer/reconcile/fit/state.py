@@ -13,7 +13,7 @@ from radiometer.reconcile.fit.comparison import Comparison, compare
 from radiometer.reconcile.fit.held_out import Groups, HeldOut, leave_one_group_out
 from radiometer.reconcile.fit.linear import LinearFit, RowBlock
 from radiometer.reconcile.fit.nuisances import Change, NuisanceLayout
-from radiometer.reconcile.fit.terms import LinearTerm, prior_rows
+from radiometer.reconcile.fit.terms import LinearTerm, inverse
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.seen import CaptureStatistics
 from radiometer.reconcile.model.parameters import EffectParameters
@@ -31,8 +31,8 @@ from simulators.effects.catalogue import CatalogueEffect
 _OF_THE_MODEL: Final = ("nuisance", "trace", "prediction", "sensitivity", "parameters")
 _OF_THE_DATA: Final = (*_OF_THE_MODEL, "plain_residual", "_expected", "_derivatives")  # and weights
 _OF_THE_POINT: Final = (
-    *_OF_THE_DATA, "term_columns", "data_residual", "term_residual", "residual", "misfit",
-    "nuisance_jacobian", "effect_jacobian", "groups",
+    *_OF_THE_DATA, "term_block", "data_residual", "term_residual", "residual", "misfit",
+    "nuisance_jacobian", "effect_jacobian", "whole_fit", "groups",
 )  # fmt: skip
 
 
@@ -50,7 +50,7 @@ class FitState:
         comparison: Measured against predicted, with weights.
         tau: Capture-to-capture repeatability.
         frozen: Positions of the effect parameters that are not fitted.
-        held_columns: The terms' whitened columns while a fit moves the parameters: like all weights they come from the
+        held_terms: The terms' whitened columns while a fit moves the parameters: like all weights they come from the
             model before it. None where they are to be worked out.
     """
 
@@ -63,7 +63,7 @@ class FitState:
     comparison: Comparison
     tau: float
     frozen: frozenset[int] = field(default_factory=frozenset)
-    held_columns: Array | None = None
+    held_terms: RowBlock | None = None
 
     @property
     def design(self) -> Design:
@@ -100,12 +100,12 @@ class FitState:
         return light_response(self.model, self.trace)[0]
 
     @cached_property
-    def term_columns(self) -> Array:
+    def term_block(self) -> RowBlock:
         """Return the whitened columns of all linear terms."""
-        if self.held_columns is not None:
-            return self.held_columns
+        if self.held_terms is not None:
+            return self.held_terms
         pieces = [term.build(self.comparison, self.prediction, self.sensitivity) for term in self.terms]
-        return np.hstack(pieces) if pieces else np.zeros((self.comparison.size, 0))
+        return RowBlock.of(np.hstack([np.zeros((self.comparison.size, 0)), *pieces]))
 
     @cached_property
     def parameters(self) -> EffectParameters:
@@ -133,14 +133,14 @@ class FitState:
     @cached_property
     def term_residual(self) -> Array:
         """Return what the linear terms take up of the whitened residual."""
-        return np.asarray(self.term_columns @ self.weights)
+        return self.term_block.times(self.weights, self.comparison.size)
 
     @cached_property
     def residual(self) -> Array:
         """Return the whitened residual with the prior rows of nuisances and terms behind it."""
-        nuisance_rows, _ = prior_rows(self.layout.prior, self.values)
-        term_rows, _ = prior_rows(self._term_prior, self.weights)
-        return np.concatenate([self.data_residual, nuisance_rows, term_rows])
+        nuisances, terms = (self.layout.prior, self.values), (self._term_prior, self.weights)
+        rows = [-values * inverse(prior) for prior, values in (nuisances, terms)]
+        return np.concatenate([self.data_residual, *rows])
 
     @property
     def cost(self) -> float:
@@ -174,10 +174,8 @@ class FitState:
     @cached_property
     def nuisance_jacobian(self) -> RowBlock:
         """Return −d(residual)/d(nuisances and term weights), prior rows included."""
-        data = self._derivatives[0]
         prior = np.concatenate([self.layout.prior, self._term_prior])
-        _, priors = prior_rows(prior, np.zeros(prior.size))
-        return data.beside(self.term_columns, priors)
+        return self._derivatives[0].beside(self.term_block, self.comparison.size, inverse(prior))
 
     @cached_property
     def effect_jacobian(self) -> Array:
@@ -201,10 +199,12 @@ class FitState:
     @cached_property
     def fit(self) -> LinearFit:
         """Return the linearised fit in nuisances, term weights and effect parameters."""
-        effects = self.effect_jacobian
-        if self.frozen:
-            effects = np.delete(effects, sorted(self.frozen), axis=1)
-        return LinearFit.of(self.residual, self.nuisance_jacobian, effects, self._derivatives[1])
+        return self.whole_fit.without(sorted(self.frozen)) if self.frozen else self.whole_fit
+
+    @cached_property
+    def whole_fit(self) -> LinearFit:
+        """Return the same fit with the frozen parameters free."""
+        return LinearFit.of(self.residual, self.nuisance_jacobian, self.effect_jacobian, self._derivatives[1])
 
     @property
     def promised(self) -> float:
@@ -297,12 +297,12 @@ def with_terms(state: FitState, terms: Sequence[LinearTerm]) -> FitState:
     realised = tuple(term for term in state.terms if not term.is_smooth)
     everything = (*terms, *realised)
     weights = np.zeros(sum(term.size for term in everything))
-    return _knowing(replace(state, terms=everything, weights=weights, held_columns=None), state, _OF_THE_DATA)
+    return _knowing(replace(state, terms=everything, weights=weights, held_terms=None), state, _OF_THE_DATA)
 
 
 def with_effects(state: FitState, effects: Sequence[CatalogueEffect]) -> FitState:
     """Return the state with exactly these effects, not refitted."""
-    return replace(state, model=state.model.with_effects(effects), frozen=frozenset(), held_columns=None)
+    return replace(state, model=state.model.with_effects(effects), frozen=frozenset(), held_terms=None)
 
 
 def weighted(

@@ -58,7 +58,6 @@ class LinearTerm:
         return bool(self.where)
 
 
-def prior_rows(prior: Array, values: Array) -> tuple[Array, Array]:
-    """Return (residual, Jacobian) of the prior rows of parameters; infinite priors give rows of zeros."""
-    inverse = np.where(np.isfinite(prior), 1.0 / np.where(np.isfinite(prior), prior, 1.0), 0.0)
-    return -values * inverse, np.diag(inverse)
+def inverse(prior: Array) -> Array:
+    """Return 1/σ of parameters' priors; 0 for infinite ones."""
+    return np.where(np.isfinite(prior), 1.0 / np.where(np.isfinite(prior), prior, 1.0), 0.0)

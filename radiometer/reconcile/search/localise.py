@@ -78,6 +78,14 @@ class Disagreement:
         return float(-half + (self.rank / 2.0 - 1.0) * np.log(half) - gammaln(self.rank / 2.0))
 
     @property
+    def order(self) -> float:
+        """Return ln p by which tests are ranked, to eight digits.
+
+        An offset with the gain and one without are the same at a single gain: rounding must not choose between them.
+        """
+        return float(f"{self.log_p:.8g}")
+
+    @property
     def family(self) -> str:
         """Return the statistic without its direction."""
         return FAMILY.get(self.block, self.block)
@@ -101,12 +109,9 @@ class Basis:
 
 
 def localise(state: FitState) -> tuple[Disagreement, ...]:
-    """Return all tests, the most significant first; of forms that are one and the same here, as rows list them.
-
-    An offset with the gain and one without are the same at a single gain: rounding must not choose between them.
-    """
+    """Return all tests, the most significant first; of forms that are one and the same here, as rows list them."""
     tests = (score(state, basis, state.fit) for basis in trend_bases(state, covariates(state.model, state.prediction)))
-    return tuple(sorted((test for test in tests if test is not None), key=lambda test: float(f"{test.log_p:.8g}")))
+    return tuple(sorted((test for test in tests if test is not None), key=lambda test: test.order))
 
 
 def trend_bases(state: FitState, axes: Mapping[str, Covariate]) -> Iterator[Basis]:
@@ -277,7 +282,7 @@ def places(state: FitState, most: int) -> tuple[Disagreement, ...]:
         rated = [(test, basis) for basis in left if (test := score(state, basis, fit)) is not None]
         if not rated:
             break
-        test, basis = min(rated, key=lambda entry: entry[0].log_p)
+        test, basis = min(rated, key=lambda entry: entry[0].order)
         found.append(test)
         fit = _beside(state, fit, basis)
     return tuple(found)

@@ -41,8 +41,8 @@ def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[
     changed, dropped = True, list[str]()
     while changed:
         changed = False
-        for name, smaller in _without_one(state):
-            if smaller.promised - state.cost > 2.0 * HUGE_NATS:  # the others, free to move, come nowhere near
+        for name, promised, smaller in _without_one(state):
+            if promised - state.cost > 2.0 * HUGE_NATS:  # the others, free to move, come nowhere near
                 continue
             lost = _log_density(state) - _log_density(refit(smaller, iterations=6))
             if lost < KEPT_NATS:
@@ -53,16 +53,21 @@ def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[
     return state, dropped
 
 
-def _without_one(state: FitState) -> list[tuple[str, FitState]]:
-    """Return the models with one earlier addition less (the newest effect is not questioned)."""
+def _without_one(state: FitState) -> Iterator[tuple[str, float, FitState]]:
+    """Yield the models with one earlier addition less (the newest effect is not questioned), and the χ² they promise.
+
+    What is left of an effect that is gone the others may take up as they do where it stands.
+    """
     smooth = tuple(term for term in state.terms if term.is_smooth)
-    found: list[tuple[str, FitState]] = []
-    for index, effect in enumerate(state.effects[:-1] if not smooth else state.effects):
-        rest = [e for i, e in enumerate(state.effects) if i != index]
-        found.append((effect.name, with_effects(state, rest)))
-    if state.effects:
-        found += [(term.name, _without_term(state, smooth, term)) for term in smooth]
-    return found
+    older = state.effects[:-1] if not smooth else state.effects
+    rests = [[other for other in state.effects if other is not effect] for effect in older]
+    for index, (effect, change) in enumerate(zip(older, state.moved_by(rests).T, strict=True)):
+        others = state.whole_fit.without(state.parameters.of_effect(index))
+        residual = state.residual - state.pad(change[:, None])[:, 0]
+        yield effect.name, others.left_from(residual), with_effects(state, rests[index])
+    for term in smooth if state.effects else ():
+        smaller = _without_term(state, smooth, term)
+        yield term.name, smaller.promised, smaller
 
 
 def _without_term(state: FitState, smooth: tuple[LinearTerm, ...], term: LinearTerm) -> FitState:
