@@ -54,6 +54,8 @@ class CatalogueEffect(Effect):
         neutral_at_one: Parameters that do nothing at 1, as others do at 0.
         looks_back: Whether it acts by what the frame before held (`context.previous_e`).
         is_steep: Whether it may change within a tile as no quadratic surface does: a step, a narrow spot or wave.
+        signal_power: Power of the signal with which a steep effect goes, where that is all: 0 for what is added, 1 for
+            a factor. What one signal tells on the grid in each tile then holds for all.
         is_sudden: Whether it jumps along the signal: each pixel's own noise decides on which side of the jump it lies.
         least: How far from the value that does nothing a parameter lies at least where this is the cause, by its name.
         heated: Parameter that doubles within `doubling_K` and is stated at `reference_C`; a search states it at the
@@ -83,6 +85,7 @@ class CatalogueEffect(Effect):
     looks_back: ClassVar[bool] = False
     is_steep: ClassVar[bool] = False
     is_sudden: ClassVar[bool] = False
+    signal_power: ClassVar[int | None] = None
     least: ClassVar[Mapping[str, float]] = MappingProxyType({})
     heated: ClassVar[str] = ""
 
@@ -214,10 +217,13 @@ class CatalogueEffect(Effect):
             return before.passed(there.mean(axis=-1), 1.0).changed(variance=there.var(axis=-1))
         if not self.is_steep:
             return after
-        signal = before.mean.mean(axis=-1, keepdims=True)
+        signal, scale = before.mean.mean(axis=-1, keepdims=True), 1.0
+        if self.signal_power is not None:  # one signal tells of all, and the grid is that of one capture, mostly
+            signal, scale = np.full((1, 1, 1), float(self.signal_power)), signal**self.signal_power
         points, left = context.within_tiles(lambda at: self.mean(signal, at) - signal)
-        known = self.mean(signal, context) - signal
-        return after.changed(mean=after.mean + points - known, spatial_variance=after.spatial_variance + left)
+        more = scale * (points - (self.mean(signal, context) - signal))
+        varying = scale**2 * left
+        return after.changed(mean=after.mean + more, spatial_variance=after.spatial_variance + varying)
 
     def unlike_itself(self, context: ExposureContext) -> bool:
         """Tell whether, with its parameters and these settings, the effect does what other causes do just as well."""

@@ -18,7 +18,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconcile.advice.next_capture import tells_apart
 from radiometer.reconcile.advice.sizes import SHOWN, Asked, mildest
 from radiometer.reconcile.fit.candidate_fit import Candidate, fit_candidate
@@ -27,7 +26,7 @@ from radiometer.reconcile.fit.descent import refit
 from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.prediction import Prediction
-from radiometer.reconcile.search.screening import directions_of
+from radiometer.reconcile.search.screening import AT_ONCE, changes_where_possible, directions_of_each
 from radiometer.reconcile.thresholds import PARAMETER_NATS, RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
 
@@ -76,11 +75,11 @@ class Directions:
             entries: Starts by name.
         """
         columns, forms, at = list[Array](), dict[str, tuple[_Form, ...]](), 0
+        every = _columns(state, [start for starts in entries.values() for start in starts])
         for name, starts in entries.items():
             found = []
-            for start in starts:
-                own = _columns(state, start)
-                if own is not None:
+            for start, own in zip(starts, every, strict=False):
+                if np.isfinite(own).all() and own[:, 0].any():  # what no camera does is no likeness
                     columns.append(own)
                     found.append(_Form(start, slice(at, at + own.shape[1])))
                     at += own.shape[1]
@@ -159,14 +158,13 @@ def _times(effect: CatalogueEffect, amount: float) -> CatalogueEffect:
     return effect.resized(amount**power, about=effect.neutral(names[0]))
 
 
-def _columns(state: FitState, start: CatalogueEffect) -> Array | None:
-    """Return what a start changes and what its parameters do there, but for an amount; None where it does nothing."""
-    first = 1 if start.grows else 0
-    try:
-        own = directions_of(state, (*state.effects, start), len(state.effects), first)
-    except (MeasurementError, ConfigurationError):  # what no camera does is no likeness
-        return None
-    return own if own[:, 0].any() else None
+def _columns(state: FitState, starts: Sequence[CatalogueEffect]) -> Iterator[Array]:
+    """Yield what each start changes and what its parameters do there, but for an amount."""
+    place = len(state.effects)
+    for first in range(0, len(starts), AT_ONCE):
+        batch = starts[first : first + AT_ONCE]
+        entries = [((*state.effects, start), place, 1 if start.grows else 0) for start in batch]
+        yield from directions_of_each(state, entries, changes_where_possible)
 
 
 def inseparable(

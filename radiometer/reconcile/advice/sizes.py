@@ -12,10 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconcile.fit.state import FitState
-from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.search.screening import AT_ONCE, changes_of
+from radiometer.reconcile.search.screening import AT_ONCE, changes_where_possible
 from simulators.effects.catalogue import CatalogueEffect
 
 SHOWN: Final = 5.0**2  # χ² of what stands out: five sigma
@@ -182,18 +180,12 @@ def _next_size(below: Grown | None, above: Grown | None) -> float:
 
 
 def _information(state: FitState, effects: Sequence[CatalogueEffect]) -> list[float]:
-    changes, part = state.fit.followed_with_half(np.stack([_change(state, effect) for effect in effects], axis=1))
+    several = [(*state.effects, effect) for effect in effects]
+    moved = np.nan_to_num(changes_where_possible(state, several))  # what no camera does shows nothing
+    changes, part = state.fit.followed_with_half(moved)
     whole = np.einsum("ij,ij->j", changes, changes)
     left = whole - np.einsum("ij,ij->j", part, part)
     return [float(value) for value in np.where(left > np.maximum(_BLIND * whole, 0.0), left, 0.0)]
-
-
-def _change(state: FitState, effect: CatalogueEffect) -> Array:
-    """Return what a further effect changes; nothing where no camera does what it would at that size."""
-    try:
-        return changes_of(state, [effect])[:, 0]
-    except (MeasurementError, ConfigurationError):
-        return np.zeros(state.comparison.size)
 
 
 def main_parameter(kind: type[CatalogueEffect], start: CatalogueEffect | None) -> tuple[str, str]:

@@ -93,6 +93,13 @@ class Law:
         return any(FORMS[term.form].is_steep and set(term.covariates) & set(PLACES) for term in self.terms)
 
     @property
+    def signal_power(self) -> int | None:
+        """Return the power of the signal with which what it does goes; None where the formula asks for the signal."""
+        if set(self.covariates) & {"signal", "value", *OF_THE_PICTURE}:
+            return None
+        return 0 if LINKS[self.link].adds else 1
+
+    @property
     def is_sudden(self) -> bool:
         """Tell whether it jumps along the signal."""
         return any(term.form == "step" and term.covariate in ("signal", "value") for term in self.terms)
@@ -165,6 +172,7 @@ def effect_source(
         f'    where = "{law.where}"',
         *_STATISTICS[link.is_noise],
         *(["    is_steep = True"] if law.is_steep else []),
+        *([f"    signal_power = {law.signal_power}"] if law.is_steep and law.signal_power is not None else []),
         *(["    is_sudden = True"] if law.is_sudden else []),
         "    trials = (",
         *_trial(law, amplitude),

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from typing import Final
 
 import numpy as np
 
-from radiometer.errors import MeasurementError
+from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconcile.fit.candidate_fit import Candidate
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
@@ -100,6 +100,22 @@ def changes_with(state: FitState, several: Sequence[Sequence[CatalogueEffect]]) 
     return changed
 
 
+def changes_where_possible(state: FitState, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
+    """Return the same; numbers that are none for sets with which the model predicts what no camera does.
+
+    Args:
+        state: The fitted model.
+        several: The sets.
+    """
+    try:
+        return changes_with(state, several)
+    except (MeasurementError, ConfigurationError):
+        if len(several) == 1:
+            return np.full((state.comparison.size, 1), np.nan)
+    half = len(several) // 2
+    return np.hstack([changes_where_possible(state, part) for part in (several[:half], several[half:])])
+
+
 def changes_of(state: FitState, effects: Sequence[CatalogueEffect]) -> Array:
     """Return what each of some further effects alone changes, (entries, effects).
 
@@ -149,7 +165,7 @@ def _flexible(state: FitState, covers: Sequence[CatalogueEffect]) -> list[Candid
     for number, cover in enumerate(covers, start=1):
         waiting.append(cover)
         if sum(1 + len(one.free()) for one in waiting) >= AT_ONCE or number == len(covers):
-            own = directions_of_each(state, [((*state.effects, one), len(state.effects)) for one in waiting])
+            own = directions_of_each(state, [((*state.effects, one), len(state.effects), 0) for one in waiting])
             found += _flexible_batch(state, [*zip(waiting, own, strict=True)])
             waiting = []
     return found
@@ -179,20 +195,29 @@ def directions_of(state: FitState, effects: Sequence[CatalogueEffect], index: in
     Returns:
         (entries, 1 + parameters).
     """
-    return next(iter(directions_of_each(state, [(effects, index)], first)))
+    return next(iter(directions_of_each(state, [(effects, index, first)])))
+
+
+_Changes = Callable[[FitState, Sequence[Sequence[CatalogueEffect]]], Array]
 
 
 def directions_of_each(
-    state: FitState, entries: Sequence[tuple[Sequence[CatalogueEffect], int]], first: int = 0
+    state: FitState, entries: Sequence[tuple[Sequence[CatalogueEffect], int, int]], changes: _Changes = changes_with
 ) -> Iterator[Array]:
-    """Yield the same of several sets of effects, each with the position of one of them; their chains run together."""
+    """Yield the same of several sets of effects; their chains run together.
+
+    Args:
+        state: The fitted model.
+        entries: Each set, the position of the one whose parameters are moved, and the first of these.
+        changes: Gives what sets change.
+    """
     sets, steps = list[Sequence[CatalogueEffect]](), list[Array]()
-    for effects, index in entries:
+    for effects, index, first in entries:
         own = state.parameters_of(effects)
         step, moved = own.a_step_away(_FAR_STEP, own.of_effect(index)[first:])
         steps.append(step)
         sets += [effects, *moved]
-    changed, at = changes_with(state, sets), 0
+    changed, at = changes(state, sets), 0
     for step in steps:
         there = changed[:, at : at + 1]
         yield np.hstack([there, (changed[:, at + 1 : at + 1 + step.size] - there) / step])
