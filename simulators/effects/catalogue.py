@@ -217,7 +217,8 @@ class CatalogueEffect(Effect):
             return before.passed(there.mean(axis=-1), 1.0).changed(variance=there.var(axis=-1))
         if not self.is_steep:
             return after
-        signal, scale = before.mean.mean(axis=-1, keepdims=True), 1.0
+        signal: Any = before.mean.mean(axis=-1, keepdims=True)
+        scale: Any = 1.0
         if self.signal_power is not None:  # one signal tells of all, and the grid is that of one capture, mostly
             signal, scale = np.full((1, 1, 1), float(self.signal_power)), signal**self.signal_power
         points, left = context.within_tiles(lambda at: self.mean(signal, at) - signal)

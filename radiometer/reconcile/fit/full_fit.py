@@ -16,7 +16,7 @@ from simulators.effects.catalogue import CatalogueEffect
 
 
 class UnfitError(ArithmeticError):
-    """An effect cannot be fitted to the data; its name is the argument."""
+    """An effect cannot be fitted to the data, or not so far as it must; its name is the argument."""
 
 
 def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
@@ -27,16 +27,17 @@ def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
     return with_effects(state, effects)
 
 
-def included(state: FitState, effect: CatalogueEffect, *, far: bool) -> FitState:
+def included(state: FitState, effect: CatalogueEffect, *, far: bool, most: float = np.inf) -> FitState:
     """Return the state with the effect in the model, refitted in full.
 
     Args:
         state: The model without it.
         effect: The effect at its best parameters, nuisances having followed linearly.
         far: Whether the nuisances stand so far off that they had better move first, and the effect's parameters then.
+        most: χ² under the weights of the state that it may leave, to be refitted under its own.
 
     Raises:
-        UnfitError: If with it the model predicts what no camera does.
+        UnfitError: If with it the model predicts what no camera does, or leaves more than that.
     """
     following = accepted(state, effect)
     try:
@@ -44,7 +45,10 @@ def included(state: FitState, effect: CatalogueEffect, *, far: bool) -> FitState
             own = following.parameters.owner
             mine = frozenset(i for i, at in enumerate(own) if following.effects[at].name == effect.name)
             following = replace(approached(replace(following, frozen=mine)), frozen=frozenset())
-        return settled(approached(following))
+        near = approached(following)
+        if near.cost > most:
+            raise UnfitError(effect.name)
+        return settled(near)
     except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
         raise UnfitError(effect.name) from error
 
@@ -52,8 +56,8 @@ def included(state: FitState, effect: CatalogueEffect, *, far: bool) -> FitState
 class FullFits:
     """What was fitted in full from one model, so that nothing is fitted twice while a step is thought over."""
 
-    def __init__(self, state: FitState) -> None:
-        self.state = state
+    def __init__(self, state: FitState, most: float = np.inf) -> None:
+        self.state, self._most = state, most
         self._known: list[tuple[CatalogueEffect, bool, FitState]] = []
 
     def included(self, effect: CatalogueEffect, *, far: bool) -> FitState:
@@ -61,7 +65,7 @@ class FullFits:
         for known, was_far, fitted in self._known:
             if known is effect and was_far is far:
                 return fitted
-        fitted = included(self.state, effect, far=far)
+        fitted = included(self.state, effect, far=far, most=self._most)
         self._known.append((effect, far, fitted))
         return fitted
 

@@ -75,8 +75,8 @@ class RowBlock:
         return cholesky(self.normal)
 
     def times(self, weights: Array, size: int) -> Array:
-        """Return N·w, (size,)."""
-        found = np.zeros(size)
+        """Return N·w of all rows, (size,) or (size, n)."""
+        found = np.zeros((size, *weights.shape[1:]))
         found[self.rows] = self.values @ weights
         return found
 

@@ -13,7 +13,7 @@ from radiometer.reconcile.fit.comparison import Comparison, compare
 from radiometer.reconcile.fit.held_out import Groups, HeldOut, leave_one_group_out
 from radiometer.reconcile.fit.linear import LinearFit, RowBlock
 from radiometer.reconcile.fit.nuisances import Change, NuisanceLayout
-from radiometer.reconcile.fit.terms import LinearTerm, inverse
+from radiometer.reconcile.fit.terms import LinearTerm, inverse, prior_residual
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.seen import CaptureStatistics
 from radiometer.reconcile.model.parameters import EffectParameters
@@ -138,9 +138,8 @@ class FitState:
     @cached_property
     def residual(self) -> Array:
         """Return the whitened residual with the prior rows of nuisances and terms behind it."""
-        nuisances, terms = (self.layout.prior, self.values), (self._term_prior, self.weights)
-        rows = [-values * inverse(prior) for prior, values in (nuisances, terms)]
-        return np.concatenate([self.data_residual, *rows])
+        nuisances = prior_residual(self.layout.prior, self.values)
+        return np.concatenate([self.data_residual, nuisances, prior_residual(self._term_prior, self.weights)])
 
     @property
     def cost(self) -> float:

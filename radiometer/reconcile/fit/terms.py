@@ -61,3 +61,8 @@ class LinearTerm:
 def inverse(prior: Array) -> Array:
     """Return 1/σ of parameters' priors; 0 for infinite ones."""
     return np.where(np.isfinite(prior), 1.0 / np.where(np.isfinite(prior), prior, 1.0), 0.0)
+
+
+def prior_residual(prior: Array, values: Array) -> Array:
+    """Return the residual of the priors' rows: each is an observation that its parameter is nothing."""
+    return np.asarray(-values * inverse(prior))

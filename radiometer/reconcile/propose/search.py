@@ -72,13 +72,16 @@ class Screened:
 
 
 @on_one_blas_thread
-def propose_law(state: FitState, say: Say = lambda line: None, along: Collection[str] = ()) -> Proposal | None:
+def propose_law(
+    state: FitState, say: Say = lambda line: None, along: Collection[str] = (), most: float = np.inf
+) -> Proposal | None:
     """Return the law that explains best what a starting camera lacks; None where none is beyond chance.
 
     Args:
         state: The starting camera fitted, without any effect that was named.
         say: Told what happens, line by line.
         along: Covariates to which laws are confined, of one term then; by default all, and products of two terms.
+        most: χ² under the weights of the starting camera that a law may leave at best.
     """
     singles = screened(state, (law for law in _singles(state) if not along or set(law.covariates) <= set(along)), say)
     for forms in _REFINED:
@@ -89,7 +92,7 @@ def propose_law(state: FitState, say: Say = lambda line: None, along: Collection
         for entry in (screened(state, _products(state, singles), say) if not along else ())
         if entry.score > plain.get(_formula(entry.law)[:1], 0.0) + NAMED_NATS
     ]
-    fits = FullFits(state)
+    fits = FullFits(state, most)
     judged = _judged(fits, _chosen([*singles, *products, *_noises(state, along)]), say)
     if not judged:
         return None
@@ -346,11 +349,12 @@ def _gains(
         changes[comparison.cuts[block]] = comparison.whiten(block, columns).reshape(-1, columns.shape[-1])
     followed, part = state.fit.followed_with_half(changes)
     slope = followed.T @ state.fit.projected[: comparison.size]
+    squares = np.einsum("ij,ij->j", changes, changes)
     found, at = [], 0
     for law, pair in zip(laws, features, strict=True):
         own = slice(at, at := at + len(pair))
         curvature = followed[:, own].T @ followed[:, own] - part[:, own].T @ part[:, own]
-        whole = float(np.trace(changes[:, own].T @ changes[:, own]))
+        whole = float(squares[own].sum())
         if float(np.linalg.eigvalsh(curvature)[0]) < 1e-6 * whole or whole < _FAINT:
             continue  # nothing of it is left beside the nuisances
         best = np.linalg.solve(curvature, slope[own])

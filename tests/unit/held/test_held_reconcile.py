@@ -26,6 +26,7 @@ from radiometer.reconcile.fit.covariance import fitted_parameters
 from radiometer.reconcile.fit.covariates import covariates
 from radiometer.reconcile.fit.descent import first_state, refit
 from radiometer.reconcile.fit.full_fit import accepted
+from radiometer.reconcile.fit.linear import RowBlock
 from radiometer.reconcile.fit.state import FitState, reweighted, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
@@ -167,13 +168,18 @@ def sampled(effect: CatalogueEffect, seed: int) -> list[Any]:
     return [digest(exposed.dn), digest(exposed.electrons)]
 
 
+def whole(block: RowBlock, size: int) -> np.ndarray:
+    """Return a block as the matrix of all rows."""
+    return block.times(np.eye(block.columns), size)
+
+
 def weighed(state: FitState, effect: CatalogueEffect) -> dict[str, Any]:
     """Return what is left of each statistic, and how it is weighted, where an effect is part of the model."""
     there = reweighted(with_effects(state, (effect,)))
     return {
         "tau": there.tau,
         "terms": [term.size for term in there.terms],
-        "columns": digest(there.term_columns),
+        "columns": digest(whole(there.term_block, there.comparison.size)),
         "left": digest(there.plain_residual),
         "by statistic": {n: d for n, d in blocks(there, there.plain_residual).items() if d[2]},
         "shared": {n: digest(w) for n, w in there.comparison.whiteners.items()},
@@ -328,7 +334,7 @@ def test_entries_together_are_as_they_were(names, kind):
         "by statistic": {n: d for n, d in blocks(there, there.plain_residual).items() if d[2]},
         "deviation": {n: digest(v) for n, v in there.comparison.deviation.items()},
         "shared": {n: digest(w) for n, w in there.comparison.whiteners.items()},
-        "columns": digest(there.term_columns),
+        "columns": digest(whole(there.term_block, there.comparison.size)),
     }
     if "row_temporal_noise" in names and not kind:  # what their rows' chance variance does to what is fitted
         found = fitted_parameters(there)

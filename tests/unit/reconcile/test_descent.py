@@ -66,7 +66,10 @@ def test_a_name_that_nothing_stands_in_for_is_not_fitted_away(bent: FitState, mo
 
     monkeypatch.setattr(moves, "refit", counted)
     alone = refit(with_effects(bent, [offset, faint]))
-    worse = with_effects(bent, [faint]).promised - alone.cost  # χ², which is twice the nats
+    ((name, promised, _),) = moves._without_one(alone)
+    worse = promised - alone.cost  # χ², which is twice the nats
+    assert name == offset.name
+    assert worse == pytest.approx(with_effects(bent, [faint]).promised - alone.cost, rel=0.05)  # derivatives from there
     for bound, fits in ((0.49 * worse, 0), (0.51 * worse, 1)):
         monkeypatch.setattr(moves, "HUGE_NATS", bound)
         asked.clear()

@@ -10,7 +10,7 @@ import pytest
 
 from radiometer.reconcile.fit import covariance
 from radiometer.reconcile.fit.comparison import _LOGARITHMS, Comparison
-from radiometer.reconcile.fit.terms import prior_rows
+from radiometer.reconcile.fit.terms import inverse, prior_residual
 from radiometer.reconcile.model.parameters import EffectParameters
 from radiometer.reconcile.verdict import rest_of
 from simulators.effects.conversion_gain_error import ConversionGainError
@@ -59,9 +59,9 @@ def test_what_agrees_too_well_makes_no_parameter_surer(monkeypatch: pytest.Monke
 
 def test_a_prior_is_an_observation_that_the_parameter_is_nothing() -> None:
     """Residual 0 − 6 over 2, and its derivative with the sign turned 1/2; without a stated size neither."""
-    residual, columns = prior_rows(np.array([2.0, np.inf]), np.array([6.0, 5.0]))
-    assert residual.tolist() == [-3.0, 0.0]
-    assert columns.tolist() == [[0.5, 0.0], [0.0, 0.0]]
+    prior = np.array([2.0, np.inf])
+    assert prior_residual(prior, np.array([6.0, 5.0])).tolist() == [-3.0, 0.0]
+    assert inverse(prior).tolist() == [0.5, 0.0]
 
 
 @pytest.mark.parametrize("freedom", [5.0, 20.0])
