@@ -228,12 +228,12 @@ def screened(state: FitState, laws: Iterable[Law], say: Say = lambda line: None)
     Statistics that go with the light of a tile move with the law as well: the nuisances take them along, and a law that
     left them where they were would seem to disagree with them as soon as a radiance makes room for it.
     """
-    known = known_values(state)
+    terms, frames = _Terms(state), state.design.frame_count[:, None, None]
     response = {key: _response(state, key) for key, link in LINKS.items() if not link.is_noise}
     waiting, found, laws = [], list[Screened](), iter(laws)
     while waiting := list(islice(laws, _AT_ONCE // 2)):
-        pairs = [_features(state, law, known) for law in waiting]
-        found += _gains(state, waiting, pairs, [response[law.link] for law in waiting])
+        pairs = [[_shown(values, response[law.link], frames) for values in terms.of_law(law)] for law in waiting]
+        found += _gains(state, waiting, pairs)
     say(f"{len(found)} laws looked at")
     return found
 
@@ -295,63 +295,90 @@ def _response(state: FitState, link: str) -> dict[str, Array]:
     return {name: np.asarray((moved[name] - base[name]) / step) for name in _FOLLOWING}
 
 
+class _Terms:
+    """The values of terms in one state; what laws at several places of the chain share is worked out once."""
+
+    def __init__(self, state: FitState) -> None:
+        self._state, self._known = state, known_values(state)
+        self._found: dict[tuple[object, ...], Array] = {}
+
+    def of_law(self, law: Law) -> list[Array]:
+        """Return the values of a law of amplitude 1, and of a wave those of a quarter period later too."""
+        found = [self._product(law.terms)]
+        if any("phase" in term.values for term in law.terms):
+            found.append(self._product([_ahead(term) for term in law.terms]))
+        return found
+
+    def _product(self, terms: Sequence[Term]) -> Array:
+        product: Array = np.ones((1, 1, 1, 1))
+        for term in terms:
+            key = (term.form, term.covariate, *term.constants.items(), *term.values.items())
+            if key not in self._found:
+                self._found[key] = values_of(self._state, term, self._known)
+            product = product * self._found[key]
+        return product
+
+
+def _ahead(term: Term) -> Term:
+    """Return a wave a quarter of a period later; anything else as it is."""
+    later = {name: value + 0.5 * np.pi for name, value in term.values.items() if name == "phase"}
+    return replace(term, values={**term.values, **later})
+
+
 def values_of(state: FitState, term: Term, known: Mapping[str, Array]) -> Array:
-    """Return a term in the first frame of each capture and in the others, (2, captures, tiles, points)."""
-    shape = (len(state.design.captures), len(state.design.tiles), 4)
+    """Return a term's values, broadcasting to frames × captures × tiles × points.
+
+    Frames are the first of each capture and the others where these differ, else one for all.
+    """
     own = {name: known[name] for name in term.covariates}
     if term.form == "step" and term.covariate in ("signal", "value"):
         noise = np.sqrt(state.prediction.variance) / (
             1.0 if term.covariate == "value" else state.prediction.gain[:, None]
         )
         share = ndtr((own[term.covariate] - term.values["at"]) / noise[:, :, None])  # of pixels beyond it
-        return np.broadcast_to(share, (2, *shape))
+        return np.asarray(share[None])
     grid = state.model.context.grid
     if grid is not None and FORMS[term.form].is_steep and set(term.covariates) & set(PLACES):
         side = max(state.design.shape)
         fine = {"image_x": grid.x_px / side, "image_y": grid.y_px / side}
         points, _ = from_grid(term.evaluated(own | {name: fine[name] for name in own if name in fine}))
-        return np.broadcast_to(points, (2, *shape))
-    parts = (term.evaluated({n: v[i] if n in PER_FRAME else v for n, v in own.items()}) for i in (0, 1))
-    return np.stack([np.broadcast_to(part, shape) for part in parts])
+        return np.asarray(points[None])
+    frames = (0, 1) if set(own) & set(PER_FRAME) else (0,)
+    parts = [term.evaluated({n: v[i] if n in PER_FRAME else v for n, v in own.items()}) for i in frames]
+    return np.stack(parts)
 
 
-def _features(state: FitState, law: Law, known: Mapping[str, Array]) -> list[Array]:
-    """Return a law's values, first and other frames apart, and of a wave those of a quarter period later too."""
-    product = np.ones((2, len(state.design.captures), len(state.design.tiles), 4))
-    later: Array | None = None
-    for term in law.terms:
-        values = values_of(state, term, known)
-        if "phase" in term.values:
-            ahead = replace(term, values={**term.values, "phase": term.values["phase"] + 0.5 * np.pi})
-            later = product * values_of(state, ahead, known)
-        elif later is not None:
-            later = later * values
-        product = product * values
-    return [product] if later is None else [product, later]
+def _shown(values: Array, response: Mapping[str, Array], frames: Array) -> dict[str, Array]:
+    """Return what a law does to the statistics of tiles that are looked at, (captures, tiles) each.
 
-
-def _gains(
-    state: FitState, laws: list[Law], features: list[list[Array]], responses: list[dict[str, Array]]
-) -> list[Screened]:
-    first, later = np.nan_to_num(np.stack([column for pair in features for column in pair], axis=3))
-    frames, comparison = state.design.frame_count[:, None, None, None], state.comparison
-    average = (first + (frames - 1.0) * later) / frames
-    own_response = [response for response, pair in zip(responses, features, strict=True) for _ in pair]
-    response = {name: np.stack([own[name] for own in own_response], axis=2) for name in _FOLLOWING}
-    rise_x, rise_y = rise_of(average * response["mean"][..., None])
-    shown = {name: average.mean(axis=-1) * columns for name, columns in response.items()} | {
-        "slope_x": rise_x,
-        "slope_y": rise_y,
-        "first": (first - later).mean(axis=-1) * response["mean"],
+    Args:
+        values: Its values, as `values_of` gives them.
+        response: What a constant law of amplitude 1 does to each statistic, (captures, tiles).
+        frames: (captures, 1, 1) number of frames.
+    """
+    first, others = np.nan_to_num(values[[0, -1]])
+    average = first if values.shape[0] == 1 else (first + (frames - 1.0) * others) / frames
+    rise_x, rise_y = rise_of(np.broadcast_to(average, (*average.shape[:-1], 4)))
+    of_tiles, mean = average.mean(axis=-1), response["mean"]
+    return {name: of_tiles * own for name, own in response.items()} | {
+        "slope_x": rise_x * mean,
+        "slope_y": rise_y * mean,
+        "first": (first - others).mean(axis=-1) * mean,
     }
-    changes = np.zeros((comparison.size, average.shape[2]))
-    for block, columns in shown.items():
-        changes[comparison.cuts[block]] = comparison.whiten(block, columns).reshape(-1, columns.shape[-1])
+
+
+def _gains(state: FitState, laws: list[Law], shown: list[list[dict[str, Array]]]) -> list[Screened]:
+    comparison, columns = state.comparison, [column for pair in shown for column in pair]
+    changes = np.zeros((comparison.size, len(columns)))
+    for block in columns[0]:
+        every = np.stack([column[block] for column in columns], axis=-1)
+        if every.any():
+            changes[comparison.cuts[block]] = comparison.whiten(block, every).reshape(-1, len(columns))
     followed, part = state.fit.followed_with_half(changes)
     slope = followed.T @ state.fit.projected[: comparison.size]
     squares = np.einsum("ij,ij->j", changes, changes)
     found, at = [], 0
-    for law, pair in zip(laws, features, strict=True):
+    for law, pair in zip(laws, shown, strict=True):
         own = slice(at, at := at + len(pair))
         curvature = followed[:, own].T @ followed[:, own] - part[:, own].T @ part[:, own]
         whole = float(squares[own].sum())
