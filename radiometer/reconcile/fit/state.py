@@ -190,10 +190,10 @@ class FitState:
             several: Effects to have instead of the model's.
         """
         models = [(self.model.with_effects(effects), self.trace.nuisance) for effects in several]
-        moved = np.empty((self.comparison.size, len(several)))
+        moved = np.empty((len(several), self.comparison.size))
         for numbers, prediction in predict_several(models, self.trace):
-            moved[:, numbers] = -self.comparison.changes(self._expected, prediction)
-        return moved
+            moved[numbers] = -self.comparison.changes(self._expected, prediction).T
+        return moved.T
 
     @cached_property
     def fit(self) -> LinearFit:

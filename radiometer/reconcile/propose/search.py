@@ -376,11 +376,11 @@ def _gains(state: FitState, laws: list[Law], shown: list[list[dict[str, Array]]]
             changes[comparison.cuts[block]] = comparison.whiten(block, every).reshape(-1, len(columns))
     followed, part = state.fit.followed_with_half(changes)
     slope = followed.T @ state.fit.projected[: comparison.size]
-    squares = np.einsum("ij,ij->j", changes, changes)
+    squares, rows = np.einsum("ij,ij->j", changes, changes), np.ascontiguousarray(followed.T)
     found, at = [], 0
     for law, pair in zip(laws, shown, strict=True):
         own = slice(at, at := at + len(pair))
-        curvature = followed[:, own].T @ followed[:, own] - part[:, own].T @ part[:, own]
+        curvature = rows[own] @ rows[own].T - part[:, own].T @ part[:, own]
         whole = float(squares[own].sum())
         if float(np.linalg.eigvalsh(curvature)[0]) < 1e-6 * whole or whole < _FAINT:
             continue  # nothing of it is left beside the nuisances
