@@ -24,8 +24,15 @@ Image = NDArray[np.float32]
 
 # Larger pictures are reduced to this for the estimate, which is then good to some hundredths of a reduced pixel.
 _ENOUGH_PIXELS: Final = 800_000
+# Of so many it is seen first whether a pair moved at all.
+_GLANCE_PIXELS: Final = 100_000
 _COARSEST_PX: Final = 48
-_ITERATIONS: Final = (60, 1e-6)
+# From afar; where a coarser picture has said where, a few steps of Gauss and Newton lead to the top or there is none.
+_ITERATIONS: Final = 60
+_ITERATIONS_NEAR: Final = 15
+_LEAST_STEP: Final = 1e-6
+# A step of less in pixels is none.
+_ARRIVED_PX: Final = 0.02
 _BLUR_PX: Final = 5
 # Corners that move less count as still: a resampling would change more than it mends.
 LEAST_MOVE_PX: Final = 0.25
@@ -142,21 +149,64 @@ def find_alignment(bracket: Bracket) -> Alignment:
         bracket: Frames of one scene from the shortest exposure to the longest; of colour photographs one channel.
     """
     reference = _reference(bracket)
-    frames = [_reduced(frame.dn) for frame in bracket]
-    shown = [_inside(frame) for frame in frames]
-    top = float(bracket.frames[0].full_scale_dn)
-    if _has_white_rims(frames, top):
-        shown = [one & _inside(frame, top) for one, frame in zip(shown, frames, strict=True)]
-    scale = bracket.shape[1] / frames[0].shape[1]
+    white_rims = _has_white_rims(
+        [_reduced(frame.dn, _GLANCE_PIXELS) for frame in bracket], bracket.frames[0].full_scale_dn
+    )
+    glance, fine = (_Pictures(bracket, pixels, white_rims) for pixels in (_GLANCE_PIXELS, _ENOUGH_PIXELS))
     found: dict[int, Movement] = {reference: Movement(_STILL)}
     for step in (1, -1):
         for k in range(reference + step, len(bracket) if step > 0 else -1, step):
             before = found[k - step]
-            inside = shown[k - step] & shown[k]
-            pair = _pair_movement(frames[k - step], frames[k], inside, top)
-            own = _STILL if pair is None else _full_size(pair, scale)
-            found[k] = Movement(_after(own, before.to_frame), pair is not None)
+            own = _STILL if glance.stand_still(k - step, k) else fine.movement(k - step, k)
+            found[k] = Movement(_after(_STILL if own is None else own, before.to_frame), own is not None)
     return Alignment(tuple(found[k] for k in range(len(bracket))), reference, bracket.shape)
+
+
+class _Pictures:
+    """The frames of a bracket in so many pixels at most, two of them in memory at a time."""
+
+    def __init__(self, bracket: Bracket, pixels: int, white_rims: bool) -> None:
+        self._bracket, self._pixels, self._white_rims = bracket, pixels, white_rims
+        self._made: dict[int, tuple[Image, NDArray[np.uint8]]] = {}
+
+    def movement(self, first: int, second: int) -> Array | None:
+        """Return the movement in pixels of the bracket that takes those of one frame to another; None if not known."""
+        pair, scale = self._pair(first, second)
+        return None if pair is None or pair.u_px > _WORST_U_PX else _full_size(pair.to_frame, scale)
+
+    def stand_still(self, first: int, second: int) -> bool:
+        """Tell whether two frames lie in one place, known as well as any movement must be."""
+        pair, scale = self._pair(first, second)
+        return pair is not None and not pair.moved and pair.u_px * scale <= _WORST_U_PX
+
+    def _pair(self, first: int, second: int) -> tuple[_PairMovement | None, float]:
+        """Return the movement in pixels of the pictures, and how many of the bracket's one of these stands for."""
+        self._made = {k: self._made.get(k) or self._picture(k) for k in (first, second)}
+        (here, shown), (there, also_shown) = (self._made[k] for k in (first, second))
+        pair = _pair_movement(here, there, shown & also_shown, self._bracket.frames[first].full_scale_dn)
+        return pair, self._bracket.shape[1] / here.shape[1]
+
+    def _picture(self, k: int) -> tuple[Image, NDArray[np.uint8]]:
+        """Return a frame and 1 where it shows something."""
+        frame = self._bracket.frames[k]
+        picture = _reduced(frame.dn, self._pixels)
+        shown = _inside(picture)
+        return picture, shown & _inside(picture, frame.full_scale_dn) if self._white_rims else shown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PairMovement:
+    """The movement between two pictures.
+
+    Attributes:
+        to_frame: Matrix, shape (2, 3); no movement where it would mend nothing.
+        u_px: Standard uncertainty of where a corner lies, in pixels of these pictures.
+        moved: Whether it mends anything.
+    """
+
+    to_frame: Array
+    u_px: float
+    moved: bool
 
 
 def aligned(bracket: Bracket, alignment: Alignment) -> tuple[Bracket, list[NDArray[np.bool_]]]:
@@ -209,9 +259,9 @@ def _reference(bracket: Bracket) -> int:
     return int(np.argmax(shares))
 
 
-def _reduced(dn: Any) -> Image:
+def _reduced(dn: Any, pixels: int) -> Image:
     height, width = dn.shape
-    factor = math.sqrt(_ENOUGH_PIXELS / (height * width))
+    factor = math.sqrt(pixels / (height * width))
     if factor >= 1.0:
         return np.asarray(dn, np.float32)
     size = max(1, round(width * factor)), max(1, round(height * factor))
@@ -235,8 +285,8 @@ def _corners(shape: tuple[int, int]) -> Array:
     return np.array([(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)])
 
 
-def _pair_movement(here: Image, there: Image, inside: NDArray[np.uint8], full_scale_dn: float) -> Array | None:
-    """Return the movement that takes pixels of the one picture to the other; None where it cannot be told."""
+def _pair_movement(here: Image, there: Image, inside: NDArray[np.uint8], full_scale_dn: int) -> _PairMovement | None:
+    """Return the movement that takes pixels of the one picture to the other; None where there is no telling."""
     if min(here.shape) < _LEAST_SIDE_PX:
         return None
     still, other = _alike(here, there, inside, full_scale_dn)
@@ -249,24 +299,24 @@ def _pair_movement(here: Image, there: Image, inside: NDArray[np.uint8], full_sc
         pyramid.append((cv2.pyrDown(a), cv2.pyrDown(b), np.ascontiguousarray(cv2.erode(mask, _NEIGHBOURS)[::2, ::2])))
     shifted = np.column_stack([np.eye(2), _shift(*pyramid[-1][:2])])
     starts = [start.astype(np.float32) for start in (_STILL, shifted)]
-    _, found = max((_climbed(*pyramid[-1], start) for start in starts), key=lambda one: one[0])
-    for a, b, mask in reversed(pyramid[:-1]):
-        found = _full_size(found.astype(np.float64), 2.0).astype(np.float32)
-        found = _climbed(a, b, mask, found)[1]
-    # What moved through the scene pulls at the first estimate: it is left out of a second, and of the judgement.
+    _, found = max((_climbed(*pyramid[-1], start, _ITERATIONS) for start in starts), key=lambda one: one[0])
+    for a, b, mask in reversed(pyramid[1:-1]):
+        found = _climbed(a, b, mask, _full_size(found, 2.0).astype(np.float32), _ITERATIONS_NEAR)[1]
+    found = _full_size(found, 2.0 if levels else 1.0).astype(np.float32)
+    # What moved through the scene pulls at the first estimate: it is left out of the last, and of the judgement.
     steady = inside & _steady(still, other, inside, np.asarray(found, np.float64))
-    reached, found = _climbed(still, other, steady, found)
+    reached, found = _summit(still, other, steady, found)
     if reached <= 0.0:
         return None
     return _believed(still, other, steady, np.asarray(found, np.float64))
 
 
-def _climbed(a: Image, b: Image, inside: NDArray[np.uint8], start: Any) -> tuple[float, Any]:
+def _climbed(a: Image, b: Image, inside: NDArray[np.uint8], start: Any, iterations: int) -> tuple[float, Any]:
     """Return the highest correlation of two pictures near a movement, and the movement there; −1 where it has none.
 
     Source: Evangelidis and Psarakis 2008, IEEE Trans. PAMI 30, 1858, as OpenCV has it.
     """
-    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, *_ITERATIONS)
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, iterations, _LEAST_STEP)
     try:
         reached, found = cv2.findTransformECC(a, b, start.copy(), cv2.MOTION_EUCLIDEAN, criteria, inside, _BLUR_PX)
     except cv2.error:
@@ -274,16 +324,31 @@ def _climbed(a: Image, b: Image, inside: NDArray[np.uint8], start: Any) -> tuple
     return float(reached), found
 
 
-def _believed(a: Image, b: Image, steady: NDArray[np.uint8], movement: Array) -> Array | None:
-    """Return a movement, or none at all where it mends nothing; None where it is too uncertain."""
+def _summit(a: Image, b: Image, inside: NDArray[np.uint8], start: Any) -> tuple[float, Any]:
+    """Return the highest correlation near a movement that is nearly right, and the movement there.
+
+    Where few grey values or a mask make the correlation uneven the steps may go to and fro between two places: the
+    better of the two is taken.
+    """
+    reached, last = _climbed(a, b, inside, start, _ITERATIONS_NEAR)
+    if reached < 0.0:
+        return reached, last
+    at_last, following = _climbed(a, b, inside, last, 1)
+    if Movement(_STILL + following - last).largest_px(a.shape) < _ARRIVED_PX:
+        return at_last, last
+    at_following, _ = _climbed(a, b, inside, following, 1)
+    return max((at_last, last), (at_following, following), key=lambda one: one[0])
+
+
+def _believed(a: Image, b: Image, steady: NDArray[np.uint8], movement: Array) -> _PairMovement:
+    """Return a movement with its uncertainty, or none at all where it mends nothing."""
     size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP
     moved = cv2.warpAffine(b, movement, size, flags=flags | cv2.INTER_LINEAR)
     shown = cv2.warpAffine(steady, movement, size, flags=flags | cv2.INTER_NEAREST) & steady
     smooth = [cv2.GaussianBlur(one, (_BLUR_PX, _BLUR_PX), 0) for one in (a, moved, b)]
     after, before = (float(np.mean((one - smooth[0])[shown > 0] ** 2)) for one in smooth[1:])
-    if _corner_u_px(a, moved, shown, after) > _WORST_U_PX:
-        return None
-    return movement if after <= _LEAST_GAIN * before else _STILL
+    mends = after <= _LEAST_GAIN * before
+    return _PairMovement(movement if mends else _STILL, _corner_u_px(a, moved, shown, after), mends)
 
 
 def _inside(picture: Image, rim_dn: float = 0.0) -> NDArray[np.uint8]:
@@ -303,15 +368,16 @@ def _rim(picture: Image, dn: float) -> NDArray[np.bool_]:
     return np.asarray(rim[label])
 
 
-def _has_white_rims(pictures: Sequence[Image], top: float) -> bool:
+def _has_white_rims(pictures: Sequence[Image], top: int) -> bool:
     """Tell whether white at the edges is a rim, in a colour filled with white: no light clips in one frame only.
 
     Args:
         pictures: From the shortest exposure to the longest; what clips in one does in the last.
         top: Full scale in DN.
     """
-    rims = [_rim(picture, top) for picture in pictures[:-1]]
-    return any(rim.mean() >= _LEAST_RIM and np.mean(pictures[-1][rim] < top) > _MOST_MOVED_WHITE for rim in rims)
+    longest = pictures[-1]
+    rims = (_rim(picture, top) for picture in pictures[:-1])
+    return any(rim.mean() >= _LEAST_RIM and np.mean(longest[rim] < top) > _MOST_MOVED_WHITE for rim in rims)
 
 
 def _corner_u_px(a: Image, b: Image, inside: NDArray[np.uint8], difference: float) -> float:
@@ -353,7 +419,7 @@ def _derivatives(picture: Image) -> Array:
 
 
 def _alike(
-    here: Image, there: Image, inside: NDArray[np.uint8], full_scale_dn: float
+    here: Image, there: Image, inside: NDArray[np.uint8], full_scale_dn: int
 ) -> tuple[Image | None, Image | None]:
     """Return both pictures in the values of the darker one, cut off where the brighter one clips."""
     if not inside.any():
