@@ -257,7 +257,8 @@ def _full_well(bracket: Bracket, black_dn: float, noise: SensorNoise) -> float:
 
     white = _white_dn(bracket)
     if white < bracket.frames[0].full_scale_dn:  # such as 12 bits in files of 16
-        return (white - black_dn) * noise.conversion_gain_e_per_dn / USABLE_FULL_WELL
+        # Half a number below, or a rounding of this product may put the end above the number that clips.
+        return (white - 0.5 - black_dn) * noise.conversion_gain_e_per_dn / USABLE_FULL_WELL
     return _BEYOND_THE_CONVERTER * noise.full_well_e
 
 
