@@ -15,6 +15,7 @@ from radiometer.analysis.response.limits import ValueLimits
 # Twice as many as real responses have bends: a wave of one stop's period must fit into the basis itself, or data that
 # cannot see it seem to rule it out.
 _SPLINE_PIECES = 112
+_ORDER = 3
 _ROUGHNESS_ORDER = 3
 
 
@@ -37,20 +38,36 @@ class ValueBasis:
     @property
     def size(self) -> int:
         """Return the number of coefficients."""
-        return _SPLINE_PIECES + 3
+        return _SPLINE_PIECES + _ORDER
 
     def design(self, dn: NDArray[np.float64]) -> sp.csr_array:
         """Return the matrix of basis values, shape (len(dn), size), for digital numbers 0 to 2**bit_depth − 1."""
         u = self._stretched(dn)
         low, high = self._bounds()
         step = (high - low) / _SPLINE_PIECES
-        knots = low + step * np.arange(-3, _SPLINE_PIECES + 4)
+        knots = low + step * np.arange(-_ORDER, _SPLINE_PIECES + _ORDER + 1)
         # The last inner knot may lie a rounding error below `high`.
-        return sp.csr_array(BSpline.design_matrix(np.clip(u, knots[3], knots[-4]), knots, 3))
+        return sp.csr_array(BSpline.design_matrix(np.clip(u, knots[_ORDER], knots[-_ORDER - 1]), knots, _ORDER))
 
     def all_values(self) -> sp.csr_array:
         """Return the design for every digital number, shape (2**bit_depth, size)."""
         return _all_values(self)
+
+    def variances(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the variance of g at every digital number, shape (2**bit_depth,).
+
+        Args:
+            covariance: Of the coefficients, symmetric, shape (size, size).
+        """
+        every = self.all_values()
+        # Four cubic B-splines reach a number, whatever its depth.
+        columns, values = (part.reshape(-1, _ORDER + 1) for part in (every.indices, every.data))
+        found = np.zeros(columns.shape[0])
+        for i in range(_ORDER + 1):
+            for j in range(i + 1):
+                twice = 1.0 if i == j else 2.0
+                found += twice * values[:, i] * values[:, j] * covariance[columns[:, i], columns[:, j]]
+        return found
 
     @property
     def roughness_order(self) -> int:

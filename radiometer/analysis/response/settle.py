@@ -86,10 +86,8 @@ class FittedResponse:
         inner = covariance[: self.fit.basis_size, : self.fit.basis_size]
         every = self._basis.all_values()
         middle = every[[every.shape[0] // 2], :].toarray()[0]
-        spread = every @ inner
-        square = (
-            np.asarray(every.multiply(spread).sum(axis=1)).ravel() - 2.0 * spread @ middle + middle @ inner @ middle
-        )
+        with_middle = inner @ middle
+        square = self._basis.variances(inner) - 2.0 * (every @ with_middle) + middle @ with_middle
         return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
     @property
@@ -233,10 +231,10 @@ def _inflation(samples: ResponseSamples, found: FittedResponse) -> float:
 
 
 def _values(samples: ResponseSamples, fit: ResponseFit) -> Array:
-    design = ValueBasis(samples.bit_depth, samples.limits).all_values()
-    g = np.asarray(design @ fit.coefficients)
-    u = np.sqrt(np.maximum(design.multiply(design @ fit.inverse[: fit.basis_size, : fit.basis_size]).sum(axis=1), 0.0))
-    return rising(g, np.asarray(u).ravel(), supported_range(samples), samples.limits.black_dn)
+    basis = ValueBasis(samples.bit_depth, samples.limits)
+    g = np.asarray(basis.all_values() @ fit.coefficients)
+    u = np.sqrt(np.maximum(basis.variances(fit.inverse[: fit.basis_size, : fit.basis_size]), 0.0))
+    return rising(g, u, supported_range(samples), samples.limits.black_dn)
 
 
 def _above_black(samples: ResponseSamples, log_exposure: Array) -> ResponseSamples:

@@ -61,6 +61,15 @@ def fit(samples: ResponseSamples, **how: object) -> ResponseFit:
     return fit_response(samples, samples.dn, variance, time_spread=0.0, smoothing=1e3, **how)  # type: ignore[arg-type]
 
 
+def test_the_variance_of_every_value_is_its_quadratic_form() -> None:
+    """At each digital number that of the basis values there, four of which are not zero."""
+    basis = ValueBasis(10, ValueLimits(20, 1000))
+    root = np.random.default_rng(3).normal(size=(basis.size, basis.size))
+    every = basis.all_values().toarray()
+    wanted = np.einsum("ni,ij,nj->n", every, root @ root.T, every)
+    assert basis.variances(root @ root.T) == pytest.approx(wanted, rel=1e-12)
+
+
 def test_uncertainty_of_frames_is_the_scatter_that_their_errors_make() -> None:
     """Independent frames each off by 1 %: the mean variance stated is that of the curve, unlike that of the groups.
 
