@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from radiometer.acquire.exposure_plan import (
     ExposurePlan,
     ExposureWindow,
+    _distinct,
     exposure_ladder,
     plan_exposures,
     repeats_for,
@@ -55,6 +56,20 @@ def test_every_reachable_pixel_is_well_exposed_twice(log_rates):
     assert plan.too_bright == 0
     assert plan.too_dark == 0
     assert cover_of(rates, plan.exposures_s).min() >= 2
+
+
+@settings(deadline=None)
+@given(st.floats(-6.0, 3.0), st.lists(st.floats(-6.0, 3.0), max_size=6))
+def test_a_distinct_exposure_is_the_longest_that_is_apart_from_those_taken(log_s, log_taken):
+    """Half a stop from each and no longer than wanted; as wanted where the camera's shortest would be undercut."""
+    wanted, taken = math.exp(log_s), [math.exp(one) for one in log_taken]
+
+    def is_apart(exposure):
+        return all(max(exposure / one, one / exposure) > math.sqrt(2.0) * (1 - 1e-6) for one in taken)
+
+    longest = max(one for one in (wanted, *(t / math.sqrt(2.0) for t in taken)) if one <= wanted and is_apart(one))
+    assert _distinct(wanted, taken, 1e-6) == pytest.approx(longest, rel=1e-5)
+    assert _distinct(wanted, taken, 1.001 * longest) == (wanted if longest < wanted else pytest.approx(wanted))
 
 
 def test_the_plan_holds_no_frame_that_could_be_left_out():

@@ -83,6 +83,13 @@ def test_the_lamp_s_drift_is_taken_out_by_the_reference():
     assert wandering.drift_u_rel == pytest.approx(np.std(steps) / math.sqrt(2))
 
 
+@pytest.mark.parametrize(("level", "step"), [(39, 2), (40, 3), (32_774, 2048), (32_775, 2049), (65_535, 4096)])
+def test_a_point_lies_on_the_duty_step_that_the_box_gives(level, step):
+    """65535 is all of 4096 steps, so that 16 levels are a step; the half, 40 or 32775 of them, is rounded up."""
+    found = assemble(CHANNEL, [point(level, 2.0, 0.0)] * 2, [point(7500, 1.0, 0.0)], SpectralCorrection())
+    assert [one.duty_step for one in found.points] == [step, step]
+
+
 def test_a_channel_of_one_level_is_refused():
     """Nothing can be interpolated from it."""
     lost = Measured(LEVEL, 0.1, math.inf, 0.0, 1.0, 0.0, 1.0)

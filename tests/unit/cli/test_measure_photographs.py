@@ -50,6 +50,7 @@ def _read(folder, field, *words):
     return run([*command, "--json", *words])
 
 
+@pytest.mark.slow
 def test_the_response_of_photographs_is_recovered_for_a_patch(chart, capsys):
     """A field 3.1 times as bright as another reads so to k = 2 of what both state; taken as linear it reads 1.76."""
     found = []
@@ -91,6 +92,7 @@ def film(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_fog_of_a_film_is_black(film, tmp_path, capsys):
     """Short frames show the fog, not light: fields 5.4 times apart read so, in a patch as in a map.
 

@@ -68,6 +68,7 @@ def test_shifted_photographs_give_the_scene(folder, tmp_path, capsys):
     assert np.sqrt(np.mean(z[good] ** 2)) < 1.6
 
 
+@pytest.mark.slow
 def test_alignment_off_leaves_them_where_they_are(folder, tmp_path, capsys):
     """Without alignment nothing is said of it, and the frames tell that they agree less with each other."""
     _merged(folder, tmp_path / "on.tiff", "--json")
@@ -94,6 +95,7 @@ def test_an_unknown_choice_is_misuse(folder, tmp_path, capsys):
     assert "auto, on, off" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_patch_of_photographs_from_the_hand_is_read_where_it_is(folder, tmp_path, capsys):
     """A patch on a steep flank reads the same as the scene there, relative to another patch; unaligned it does not."""
 
@@ -132,6 +134,7 @@ def test_frames_that_do_not_differ_give_no_response(tmp_path, capsys):
     assert "exposure" in error
 
 
+@pytest.mark.slow
 def test_what_holds_of_every_colour_is_said_once(tmp_path, capsys):
     """Grey photographs at whole stops: the remark on whole stops stands in one line, with the colours it holds of."""
     y, x = np.mgrid[:120:3, :160:3].astype(float)
@@ -241,6 +244,7 @@ def bent(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_the_response_of_photographs_from_the_hand_is_that_of_aligned_ones(bent, tmp_path, capsys):
     """ln H of a root is 2 ln M: found to 1 % (rms from 40 to 220 DN) in one place, three times worse as they lie."""
     off = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import resource
 import struct
 import subprocess
@@ -70,6 +71,15 @@ def test_hdr_and_exr_bombs_are_refused_by_their_headers(tmp_path: Path) -> None:
             refuse_large_picture(tmp_path / "a", content)
     refuse_large_picture(tmp_path / "a", hdr.replace(b"60000", b"600"))
     refuse_large_picture(tmp_path / "a", exr[:30])
+
+
+@pytest.mark.parametrize(("head", "seen"), [(65_536, True), (65_537, False)])
+def test_a_picture_s_extents_are_sought_in_its_first_64_kib(tmp_path: Path, head: int, seen: bool) -> None:
+    """What stands behind that is no header: its decoder says what the file is."""
+    start, size = b"#?RADIANCE\n", b"-Y 60000 +X 50000\n"
+    content = start + b"#" * (head - len(start) - len(size) - 1) + b"\n" + size
+    with pytest.raises(CaptureError, match="60000") if seen else contextlib.nullcontext():
+        refuse_large_picture(tmp_path / "a", content)
 
 
 def test_a_scene_that_is_no_picture_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -308,6 +308,7 @@ def ramp(request) -> np.ndarray:
     return np.minimum(level, (1 << request.bit_depth) - 1).astype(np.uint16)
 
 
+@pytest.mark.slow
 def test_raw_files_of_a_capture_set_are_merged_measured_and_give_the_response(tmp_path, capsys):
     """Merge, measure and response read raw files as they read the same numbers in PNG."""
     pytest.importorskip("rawpy")

@@ -288,7 +288,7 @@ def series(kind: str) -> ThresholdSeries:
     return ThresholdSeries(minutes, true + noise, sigma, {"false_alarms": "2/40", "lapses": "1/30"})
 
 
-@pytest.mark.parametrize("kind", ["two branches", "one branch", "weighted"])
+@pytest.mark.parametrize("kind", ["two branches", "one branch", pytest.param("weighted", marks=pytest.mark.slow)])
 def test_a_fit_of_adaptation_is_as_it_was(kind):
     """Models, parameters with intervals, break and its evidence, criterion, rod intercept."""
     request = FitRequest(-3.0, 0.05, 0, 0.95, InterceptRule(-2.8, 12.0, 0.05, 0.02))

@@ -126,6 +126,9 @@ SEARCHES = {
     "rows": ("row_temporal_noise", "excess_read_noise"),
 }
 
+# Dear ones whose every line the others take as well (by the record of coverage) run with the whole suite only.
+WHOLE_SUITE = {"offset and veil", "offset without patches"}
+
 
 @cache
 def reconciled(hidden: str) -> tuple[Reconciled, tuple[str, ...]]:
@@ -139,7 +142,9 @@ def reconciled(hidden: str) -> tuple[Reconciled, tuple[str, ...]]:
     return found, tuple(said)
 
 
-@pytest.mark.parametrize("hidden", SEARCHES)
+@pytest.mark.parametrize(
+    "hidden", [pytest.param(hidden, marks=[pytest.mark.slow] * (hidden in WHOLE_SUITE)) for hidden in SEARCHES]
+)
 def test_a_search_is_as_it_was(hidden):
     """Verdict, names, parameters, gaps, limits, tests, advice and every sentence of a whole reconciliation."""
     found, said = reconciled(hidden)

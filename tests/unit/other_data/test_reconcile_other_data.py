@@ -132,6 +132,7 @@ def test_light_that_fell_on_one_photograph_is_no_wrong_label() -> None:
     assert done.result.verdict is Verdict.AGREES
 
 
+@pytest.mark.slow
 def test_a_photograph_of_another_scene_is_no_agreement() -> None:
     """One of five photographs upside down: no tone curve joins them, so that nothing can be said of their labels."""
     frames = _photographs(EXACT[3:8], EXACT[3:8])

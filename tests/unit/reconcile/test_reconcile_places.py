@@ -119,6 +119,7 @@ def test_global_p_lies_within_what_overlapping_tests_allow(make_capture: Callabl
     assert global_p_value(state, (replace(tests[0], p_value=1e-9), *tests[1:])) == pytest.approx(len(tests) * 1e-9)
 
 
+@pytest.mark.slow
 def test_rounding_draws_no_other_residuals(make_capture: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """Columns that differ by a part in 10¹² give the same draws: a p-value is no matter of the machine."""
     monkeypatch.setitem(_least_of_draws.__globals__, "_DRAWS", 50)

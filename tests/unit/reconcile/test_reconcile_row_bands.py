@@ -99,6 +99,7 @@ def test_a_tile_keeps_of_a_wave_what_random_phases_show(make_capture: Callable[.
     assert left.lag[0] == pytest.approx(np.mean(inside[:, 1:] * inside[:, :-1]), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_bands_and_flicker_show_in_statistics_of_their_own(make_capture: Callable[..., Any]) -> None:
     """Bands lead in `bands`; a flicker that all rows share leaves nothing there."""
     plan = [{"t": t, "d": d} for t in (1e-3, 2e-3, 3e-3) for d in (0.5, 0.9) for _ in range(3)]

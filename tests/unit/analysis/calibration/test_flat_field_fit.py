@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.special import ndtri
 
 from radiometer.analysis.calibration.flat_field import (
     _TILES_ACROSS,
@@ -197,6 +198,18 @@ def test_outliers_stay_where_too_few_tiles_would_be_left(across, left):
     middle = np.full(2, 0.5 * (across - 1))
     tiles = _without_outliers(_Tiles(x, y, value, np.full(x.size, 1e-4)), middle, float(across), None)
     assert tiles.value.size == left
+
+
+def test_what_sets_a_tile_apart_is_five_sigmas_of_the_others():
+    """Sigma is that of a normal scatter, which a few dark tiles do not move: 4.7 of it stays, 5.3 does not."""
+    y, x = (axis.ravel().astype(float) for axis in np.mgrid[:40, :40])
+    scatter = ndtri((np.random.default_rng(4).permutation(x.size) + 0.5) / x.size)  # a normal distribution's quantiles
+    middle, dark, stays, goes = np.full(2, 19.5), [100, 500, 900, 1300], 630, 970
+    value = 1.0 + 1e-3 * scatter
+    value[dark], value[stays], value[goes] = 0.7, 1.0 + 4.7e-3, 1.0 - 5.3e-3
+    tiles = _without_outliers(_Tiles(x, y, value, np.full(x.size, 1e-3)), middle, 40.0, None)
+    left_out = set(range(x.size)) - {int(40 * row + column) for row, column in zip(tiles.y, tiles.x, strict=True)}
+    assert left_out == {*dark, goes}
 
 
 @pytest.mark.parametrize("shape", [SHAPE, (161, 125)], ids=["wide", "high"])

@@ -239,6 +239,20 @@ def test_a_fall_off_that_no_lens_has_is_refused(corner, taken):
             _refuse_nonsense(flat)
 
 
+@pytest.mark.parametrize("corner", [(0, 0), (0, 19), (29, 0), (29, 19)])
+def test_each_corner_s_own_pixel_is_asked(corner):
+    """Darkest is the corner farthest from the optical axis: 4.9 % there is refused, with 5 % on the pixels beside."""
+    axis = tuple(float(2 * middle - place) for middle, place in zip((14.5, 9.5), corner, strict=True))
+    radius = math.dist(axis, corner)
+    dark = FlatField(principal_point_px=axis, radius_px=radius, coefficients=(-0.951, 0.0, 0.0), shape=(20, 30))
+    inwards = [abs(place - 1) for place in corner]
+    beside = [dark.at(inwards[0], corner[1]), dark.at(corner[0], inwards[1])]
+    assert float(dark.at(*corner)) == pytest.approx(0.049)
+    assert min(beside) > 0.05
+    with pytest.raises(MeasurementError, match="leaves 5 % at a corner"):
+        _refuse_nonsense(dark)
+
+
 @pytest.mark.parametrize(
     ("rows", "said"),
     [

@@ -245,6 +245,31 @@ def test_linearity_errors_are_relative_and_have_a_sign():
     assert found.LE_max.u == found.LE_min.u == pytest.approx(own.max() * math.sqrt(2.0 * math.log(light.size)))
 
 
+@pytest.mark.parametrize(("saturation_dn", "used"), [(4000.0, 5), (4001.0, 4), (3999.0, 4)])
+def test_linearity_is_of_five_to_ninety_five_percent_of_saturation(saturation_dn, used):
+    """Signals at the ends of that range belong to it; dimmer and brighter ones may lie where they like."""
+    signals = np.array([150.0, 199.0, 200.0, 1000.0, 2000.0, 3000.0, 3800.0, 3801.0, 5000.0])
+    light = np.array([5.0, 7e3, 400.0, 2000.0, 4000.0, 6000.0, 7600.0, 90.0, 9000.0])
+    bright = [group(BLACK_DN + s, 100.0, photons=p) for s, p in zip(signals, light, strict=True)]
+    inner = light[(signals >= 0.05 * saturation_dn) & (signals <= 0.95 * saturation_dn)]
+    found = linearity(make_steps(bright, [group(BLACK_DN, 40.0, dark=True)]), saturation_dn)
+    assert found is not None
+    assert sorted(x for x, _, _ in found.deviations) == inner.tolist()
+    assert inner.size == used
+
+
+def test_the_picture_of_the_photon_transfer_tells_steps_of_the_fit_from_others():
+    """Filled marks are those up to 70 % of saturation, white ones the steps that were left out."""
+    result = whole(group(BLACK_DN, 40.0, dark=True))
+    axes = Figure().subplots()
+    report_plots._transfer(axes, result)
+    marks = {line.get_label(): list(line.get_xdata()) for line in axes.lines}
+    used = [step.signal_dn for step in result.transfer.used]
+    left = [step.signal_dn for step in result.steps if step.signal_dn not in used]
+    assert (marks["steps of the fit"], marks["steps left out"]) == (used, left)
+    assert min(len(used), len(left)) > 1
+
+
 def test_photons_of_a_surface():
     """Proportional to exposure and level, none in the dark; u of radiance, lens and lamp in squares; fewer off axis."""
     flux = PhotonFlux(1000.0, 0.0)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from radiometer.analysis.response.basis import ValueBasis, hat_weight
-from radiometer.analysis.response.curves import finished_curve, rising, u_with_extrapolation
+from radiometer.analysis.response.curves import black_of_curve, finished_curve, rising, u_with_extrapolation
 from radiometer.analysis.response.estimate import inner_range, median_uncertainty, spread_rms
 from radiometer.analysis.response.limits import ValueLimits
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise
@@ -20,6 +20,7 @@ from radiometer.analysis.response.noise_shift import mean_exposure_dn
 from radiometer.analysis.response.normal import _restricted_deviance, eliminate_groups, solve_penalised
 from radiometer.analysis.response.weights import dn_at
 from radiometer.data import ResponseCurve
+from radiometer.data.provenance import Provenance
 from radiometer.errors import MeasurementError
 from tests.unit.golden.nist_linear import LONGLEY, NORRIS
 
@@ -297,6 +298,16 @@ def test_a_middle_without_data_makes_the_whole_curve_less_certain():
     stray = np.full(256, 0.01)
     stray[240:] = 0.2
     assert finished_curve(g, stray, (10, 250), method="m", channel="mono").valid_dn == (10, 239)
+
+
+def test_the_fog_of_frames_stays_with_their_curve():
+    """Black is what the curve was made with, 0 where no frame showed any or a file holds no number."""
+    g, u = np.log(np.arange(256) + 1.0), np.full(256, 0.01)
+    for fog in (14.0, 0.5, 0.0):
+        assert black_of_curve(finished_curve(g, u, (20, 250), method="m", channel="mono", black_dn=fog)) == fog
+    for told in ("14", None, [14.0]):
+        assert black_of_curve(ResponseCurve(g, u, provenance=Provenance("m", parameters={"black_dn": told}))) == 0.0
+    assert black_of_curve(ResponseCurve(g, u)) == 0.0
 
 
 def test_figures_of_the_diagnostics():

@@ -186,6 +186,7 @@ def test_frames_that_no_curve_joins_are_said_to_be_so(make_stack):
     assert any("follow no single curve" in note for note in recover_response_auto(Bracket.from_frames(three)).notes)
 
 
+@pytest.mark.slow
 def test_a_date_stamped_into_every_frame_is_no_exposure(make_stack):
     """Pixels that stay at 160 DN through the ladder see no light: the curve is the one of the stack without them."""
     bracket = make_stack("gamma", bit_depth=8)

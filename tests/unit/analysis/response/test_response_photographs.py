@@ -103,7 +103,8 @@ def relabelled(bracket: Bracket, index: int, factor: float) -> Bracket:
     return Bracket.from_frames(frames)
 
 
-@pytest.mark.parametrize(("index", "stops"), [(1, 1 / 3), pytest.param(4, -1 / 3, marks=pytest.mark.slow)])
+@pytest.mark.slow  # a label of a bracket is told in the fast tests by what is held (held/test_held_response_parts.py)
+@pytest.mark.parametrize(("index", "stops"), [(1, 1 / 3), (4, -1 / 3)])
 def test_a_label_wrong_by_a_third_of_a_stop_is_found_in_moved_photographs(index: int, stops: float) -> None:
     """The frame is named with its real exposure within 2 u, and no other; with right labels none is."""
     bracket = photographs(TIMES, (0, 1, -1, 2, 0, -2, 1))
@@ -118,6 +119,7 @@ def _wrong(bracket: Bracket) -> tuple[WrongLabel, ...]:
     return find_wrong_labels([Plane(samples, curve_debevec1997(samples).log_exposure)])
 
 
+@pytest.mark.slow
 def test_what_predicts_as_well_is_in_the_uncertainty(moved: ResponseEstimate) -> None:
     """Rival fits widen u by the rms distance of all, the best among them, from the best; without rivals it stays."""
     samples = gather_samples(photographs(TIMES, (0,) * 7))

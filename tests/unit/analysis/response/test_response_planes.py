@@ -229,6 +229,7 @@ def lying() -> list[Plane]:
     return planes_of(3)
 
 
+@pytest.mark.slow
 def test_colours_together_tell_one_label(lying: list[Plane]) -> None:
     """Two tone curves, one wrong label: one frame, its ratio the mean of both by u, widened where they disagree."""
     (label,) = find_wrong_labels(lying)

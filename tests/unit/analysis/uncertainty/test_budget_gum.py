@@ -187,7 +187,16 @@ def test_monte_carlo_beside_the_budget_says_where_they_differ(rig):
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e3])
 @pytest.mark.parametrize(
-    ("low", "high", "validates"), [(8.0, 12.0, True), (8.04, 11.96, True), (8.2, 12.0, False), (8.0, 11.8, False)]
+    ("low", "high", "validates"),
+    [
+        (8.0, 12.0, True),
+        (8.04, 11.96, True),
+        (7.96, 12.04, True),
+        (8.2, 12.0, False),
+        (7.8, 12.0, False),
+        (8.0, 11.8, False),
+        (8.0, 12.2, False),
+    ],
 )
 def test_both_ends_of_the_interval_must_agree(low, high, validates, unit):
     """10 ± 2 with u = 1.0: its second digit is 0.1, half of it the tolerance at either end, in whatever unit."""
