@@ -28,6 +28,8 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.patience import within
+
 ROOT = Path(__file__).resolve().parents[2]
 LISTS = Path(__file__).parent
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, where PyYAML has it
@@ -42,8 +44,8 @@ COPIED = (
     "pyproject.toml",
     "README.md",
 )
-SECONDS = 120  # of the processor for the tests of one mutant; a mutant that never ends is noticed as well
-WAITING = 10  # times that by the clock, for one that waits for ever
+SECONDS = 60  # of the processor for the tests of one mutant; a mutant that never ends is noticed as well
+IDLE = 20.0  # s without work after which one waits for ever
 QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")  # of plugins imported beforehand
 FAST = "not slow and not long and not bench and not soak and not hardware"
 PASSED = (0, 5)  # 5: nothing was left to run
@@ -193,16 +195,29 @@ def run_tests(
 
 
 def ended(child: int) -> int | None:
-    """Wait for a child and return how it ended; None where it took too long, when it is ended with all it started."""
-    end = time.monotonic() + WAITING * SECONDS
-    while time.monotonic() < end:
+    """Wait for a child and return how it ended; None where it took too long, when it is ended with all it started.
+
+    Too long is `SECONDS` of the processor, which ends it by itself, or that it has waited for anything but the
+    processor for `IDLE` s, longer where the machine is busy.
+    """
+    worked, since = 0.0, time.monotonic()
+    while True:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
             return os.waitstatus_to_exitcode(status) if os.WIFEXITED(status) else None
+        if (now := processor_s(child)) > worked + 0.1:
+            worked, since = now, time.monotonic()
+        elif time.monotonic() - since > within(IDLE):
+            os.killpg(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            return None
         time.sleep(0.02)
-    os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return None
+
+
+def processor_s(child: int) -> float:
+    """Return how long a process that has not been waited for has worked, in s."""
+    told = Path(f"/proc/{child}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(told[11]) + int(told[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def copied_sources(folder: Path) -> Path:

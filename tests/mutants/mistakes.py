@@ -43,6 +43,7 @@ NAMES |= {
     "median": "mean",
 }
 BUILT_IN = {"min", "max", "any", "all"}
+EITHER_WAY = {"max", "min", "hypot", "maximum", "minimum", "isclose", "array_equal", "isinstance"}
 FACTORS = (0.5, 2.0, 10.0)
 C_SIGNS = {"<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==", "+": "-", "-": "+", "*": "/", "/": "*"}
 C_SIGNS |= {"&&": "||", "||": "&&", "+=": "-=", "-=": "+=", "<<": ">>", ">>": "<<", "&": "|", "|": "&"}
@@ -214,7 +215,11 @@ def _of_call(node: ast.Call) -> list[tuple[str, str]]:
         made.append(("another function", _said(ast.Call(method, node.args, node.keywords))))
     elif called in BUILT_IN:
         made.append(("another function", _said(ast.Call(ast.Name(NAMES[called]), node.args, node.keywords))))
-    if len(node.args) == 2 == len(plain) and ast.unparse(plain[0]) != ast.unparse(plain[1]) and called != "isinstance":
+    if (
+        len(node.args) == 2 == len(plain)
+        and ast.unparse(plain[0]) != ast.unparse(plain[1])
+        and called not in EITHER_WAY
+    ):
         made.append(("arguments exchanged", _said(ast.Call(node.func, plain[::-1], node.keywords))))
     if (
         len(node.args) == 1 == len(plain)

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import ast
+import os
+import resource
+import signal
 
 import pytest
 
+from tests.mutants import harness
 from tests.mutants.areas import AREAS
 from tests.mutants.blind import Record, draw, sources_of
 from tests.mutants.harness import ROOT, is_current, read_mutants
@@ -73,7 +77,7 @@ def test_a_place_in_firmware_has_room_for_these():
 
 def test_a_seed_draws_the_same_of_an_area_whatever_else_is_drawn():
     """No place is drawn twice, every file is a source of its area, and another seed draws others."""
-    alone, beside = draw(1, ["flux"], 30), draw(1, ["journal", "flux"], 30)
+    alone, beside = draw(1, ["flux"], 30), draw(1, ["http", "flux"], 30)
     assert [one for one in beside if one.area == "flux"] == alone
     assert len({(one.file, one.mistake.start, one.mistake.end) for one in alone}) == len(alone) == 30
     assert {one.file for one in alone} <= set(sources_of(AREAS["flux"]))
@@ -101,3 +105,27 @@ def test_the_nearest_tests_of_a_line_come_first():
     assert record.tests("radiometer/analysis/flux/sensor.py", line + 1) == [near, wide, far]
     assert record.tests("radiometer/analysis/flux/sensor.py", line) == [near, wide, far]  # the function's own
     assert record.tests("radiometer/analysis/flux/estimate.py", 1) == [near, wide]  # the folder's
+
+
+@pytest.mark.slow  # starts processes, one of which works and one of which waits
+@pytest.mark.parametrize("never_ends", ["while True: pass", "signal.pause()"])
+def test_a_mistake_that_never_ends_is_ended(monkeypatch, never_ends):
+    """Work without an end is ended by its limit, waiting without an end after a while; both count as noticed."""
+    monkeypatch.setattr(harness, "IDLE", 0.2)
+    child = os.fork()
+    if child == 0:
+        resource.setrlimit(resource.RLIMIT_CPU, (1, 1))
+        os.setsid()
+        exec(never_ends, {"signal": signal})
+        os._exit(0)
+    assert harness.ended(child) is None
+    assert None not in harness.PASSED
+
+
+@pytest.mark.slow
+def test_a_mistake_that_ends_tells_how():
+    """Its code is pytest's, or nothing where a signal ended it."""
+    for code in (0, 1, 5):
+        if (child := os.fork()) == 0:
+            os._exit(code)
+        assert harness.ended(child) == code
