@@ -90,6 +90,12 @@ class Metrics:
             field: Counter(name, text, registry=registry) for field, (name, text) in _COUNTER_FIELDS.items()
         }
         self._seen: dict[str, int] = {}
+        self._failed = 0
+
+    def take_failures(self, count: int) -> None:
+        """Add the measurements that have failed since last time; `count` is of all."""
+        self.failures.inc(count - self._failed)
+        self._failed = count
 
     def take_device_counts(self, counts: Mapping[str, int]) -> None:
         """Add what a camera counted since last time; its counts begin again at 0 when it is reopened."""

@@ -344,6 +344,7 @@ class Station:
             if keeper.report.temperature_c is not None:
                 metrics.temperature_c.labels(keeper.name).set(keeper.report.temperature_c)
         metrics.take_device_counts(self.camera.report.counters)
+        metrics.take_failures(self.acquisition.failures)
         metrics.queue_depth.labels("measurements").set(self.acquisition.queue_depth)
         metrics.queue_depth.labels("journal").set(self.writer.depth)
         metrics.alarms.set(len(self.alarms.active))

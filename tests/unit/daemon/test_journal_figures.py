@@ -182,6 +182,18 @@ async def test_a_jump_that_could_not_be_written_is_written_later(
         assert again.clock_doubt_us == 10_000_000
 
 
+async def test_readings_that_came_meanwhile_take_their_room(tmp_path: Path, make_reading: Make) -> None:
+    """Five wait where three have room; each that is committed makes one place, and the third leaves one to fill."""
+    writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), lambda *_: None, capacity=3)
+    for _ in range(5):
+        writer.submit(make_reading())
+    room = []
+    for _ in range(5):
+        writer._hand_out([make_reading()], 0.0)
+        room.append((writer.depth, writer._room.is_set()))
+    assert room == [(4, False), (3, False), (2, True), (1, True), (0, True)]
+
+
 async def test_there_is_room_for_so_many_readings_and_no_more(tmp_path: Path, make_reading: Make) -> None:
     """Three that wait fill room for three; once they are committed there is room again, in the order they came."""
     given: list[tuple[int, float]] = []

@@ -87,6 +87,26 @@ async def test_a_camera_that_hangs_lets_the_watchdog_bite(station: Station, monk
     await watching
 
 
+@pytest.mark.parametrize(("stuck_s", "fed"), [(599.0, True), (600.0, False)])
+async def test_a_call_may_take_ten_minutes(
+    station: Station, monkeypatch: pytest.MonkeyPatch, stuck_s: float, fed: bool
+) -> None:
+    """The longest exposures and the longest patience lie below; what takes longer never ends."""
+    notifier = Fed()
+    service = service_of(station, notifier)
+    camera = SimpleNamespace(stuck_s=stuck_s)
+    asked: list[float] = []
+
+    def failed_task() -> None:
+        asked.append(stuck_s)
+        if len(asked) == 3:
+            service._stop.set()
+
+    monkeypatch.setattr(service, "_station", SimpleNamespace(failed_task=failed_task, camera=camera))
+    await service._watch()
+    assert (notifier.times > 0) == fed
+
+
 async def test_a_loop_that_ended_ends_the_daemon_with_its_error(station: Station) -> None:
     """The error says which part it was; the watchdog is not fed any more."""
     fed = Fed()

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from radiometer.daemon import station as station_module
 from radiometer.daemon.acquisition import Acquisition
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.journal import Journal
@@ -253,6 +254,33 @@ async def test_ending_continuous_measurement_while_it_fails_ends_nothing_else(
     assert (station.failed_task(), station.alarms.active) == (None, ())
     instrument.failing = False
     assert (await station.measure(deadline_s=within(20.0))).sequence == 1
+
+
+async def test_what_is_counted_of_measurements(station: Station, instrument: Any) -> None:
+    """Three readings are three committed and three measured, each with its time; a failure is one, and no reading."""
+    instrument.measure_s = 0.01
+    for _ in range(3):
+        await station.measure()
+    instrument.failing = True
+    with pytest.raises(MeasurementError):
+        await station.measure()
+    station.refresh_metrics()
+    station.refresh_metrics()  # another look counts nothing twice
+    names = ("readings_total", "commit_seconds_count", "measurement_seconds_count", "measurement_failures_total")
+    told = [station.metrics.registry.get_sample_value(f"radiometer_{name}") for name in names]
+    assert told == [3.0, 3.0, 3.0, 1.0]
+    measuring = station.metrics.registry.get_sample_value("radiometer_measurement_seconds_sum")
+    assert measuring is not None
+    assert measuring >= 3 * 0.01
+
+
+async def test_a_daemon_tells_how_long_it_runs_to_a_tenth_of_a_second(
+    station: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """12.34 s after its start it says 12.3."""
+    now = SimpleNamespace(monotonic=lambda: station.started + 12.34, perf_counter=time.perf_counter)
+    monkeypatch.setattr(station_module, "time", now)
+    assert station.status()["uptime_s"] == 12.3
 
 
 def test_a_hexadecimal_serial_number_is_told_in_decimal_too() -> None:
