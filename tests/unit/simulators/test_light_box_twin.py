@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from zlib import crc32
 
 import pytest
 
 from simulators.light_box import LightBoxTwin
+from simulators.light_box_channel import REFERENCE_CHANNELS, ChannelLimits
 from simulators.light_box_commands import Commands
+
+FIRMWARE = Path(__file__).resolve().parents[3] / "drivers" / "firmware" / "light_box"
 
 
 def greeted() -> tuple[LightBoxTwin, Commands]:
@@ -125,3 +130,54 @@ def test_a_ramp_ends_where_it_was_sent_when_it_was_to() -> None:
         levels.append(twin.channels[1].driven_level)
     assert levels == [40000, 35000, 30000, 25000, 20000, 15000, 10000, 10000]
     assert [channel.mode for channel in twin.channels][1] == "S"
+
+
+SECONDS_OF_A_BUCKET = {
+    "bleach": 200,
+    "field": 300,
+    "spot": 3600,
+    "spot_red": 3600,
+    "spot_green": 3600,
+    "fixation": 3600,
+}
+
+
+@pytest.mark.parametrize("limits", REFERENCE_CHANNELS, ids=lambda limits: limits.name)
+def test_a_bucket_lasts_as_long_as_the_protocol_says_and_is_full_after_ten_minutes(limits: ChannelLimits) -> None:
+    """Level 60000 takes 60000 / 256 + 1 = 235 units in each ms; each dark ms gives a 600000th."""
+    seconds = SECONDS_OF_A_BUCKET[limits.name]
+    assert limits.bucket == seconds * 1000 * 235
+    assert limits.refill == round(limits.bucket / 600_000 + 1e-9)
+
+
+def test_the_twin_has_the_limits_that_stand_in_the_firmware() -> None:
+    """Name, peak, steps, levels, bucket and refill of each channel, in their order, are those of limits.c."""
+    text = (FIRMWARE / "limits.c").read_text()
+    steps = dict(re.findall(r"#define (\w+_STEPS) (\d+)", (FIRMWARE / "config.h").read_text()))
+    row = re.compile(r'\{"(\w+)", (\d+), (\w+), \{(\d+), (\d+)\}, UNITS\((\d+)UL\), (\d+)\}')
+    found = [
+        ChannelLimits(name, int(peak), int(steps[duty]), *map(int, others))
+        for name, peak, duty, *others in row.findall(text)
+    ]
+    assert tuple(found) == REFERENCE_CHANNELS
+
+
+def test_the_twin_tells_when_something_happens_by_itself_next() -> None:
+    """Without a host nothing; a second after its last word; a light that ends or a press planned sooner comes first."""
+    assert LightBoxTwin().next_time_s() is None
+    twin, commands = greeted()
+    said_s = twin.time_s
+    assert twin.next_time_s() == pytest.approx(said_s + 1.0, abs=2e-3)
+    twin.advance(said_s + 0.4)
+    assert twin.next_time_s() == pytest.approx(said_s + 1.0, abs=2e-3)
+    assert commands.run("PU 1 H 20000 250").startswith("OK")
+    assert twin.next_time_s() == pytest.approx(said_s + 0.65, abs=2e-3)
+    twin.press(said_s + 0.5)
+    assert twin.next_time_s() == pytest.approx(said_s + 0.5, abs=2e-3)
+    twin.advance(said_s + 3.0)
+    assert not twin.session
+    assert twin.next_time_s() == pytest.approx(
+        said_s + 0.5 + 3.0, abs=2e-3
+    )  # held for three seconds: all lights stay off
+    twin.advance(said_s + 3.6)
+    assert twin.next_time_s() is None
