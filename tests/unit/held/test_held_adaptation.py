@@ -22,7 +22,6 @@ from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.threshold_files import read_table
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.bench.config import BenchConfig
 from radiometer.devices.light_box import ButtonEvent, Radiance
 from radiometer.errors import DeviceLost, RadiometerError
 from tests.unit.adaptation.scripted import ScriptedStage, eye
@@ -361,18 +360,3 @@ def test_the_box_as_a_stage_is_as_it_was():
     lights = BoxLights(flashed, 320.0, 750.0, 1400.0)
     told["flashes"] = [lights.flashes(j) for j in (0.001, 0.3, 3.0, 100.0)]
     assert not moved("adaptation/box", told)
-
-
-def test_what_yaml_may_hold_is_as_it_was():
-    """Names, kinds, defaults and bounds of every field of protocols and benches."""
-    told = {
-        "protocol": AdaptationProtocol.model_json_schema(),
-        "bench": BenchConfig.model_json_schema(),
-    }
-
-    def bare(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {k: bare(v) for k, v in value.items() if k not in ("description", "title")}
-        return [bare(v) for v in value] if isinstance(value, list) else value
-
-    assert not moved("adaptation/schemas", bare(told))

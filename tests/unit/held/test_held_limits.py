@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from pydantic import BaseModel
 
 from radiometer.acquire.exposure_plan import ExposurePlan, exposure_ladder, repeats_for
 from radiometer.analysis.signal.model import signal_model
@@ -30,21 +29,15 @@ from radiometer.analysis.signal.situation import (
 )
 from radiometer.analysis.signal.spectra import spectrum, spectrum_from_csv
 from radiometer.analysis.signal.spectral_correction import spectral_factor
-from radiometer.bench.boxes import LightBoxConfig
-from radiometer.daemon.http.patches import NameBody, NamedPatchBody, RemarkBody
-from radiometer.daemon.http.requests import LightBody, LimitsBody, MeasureBody, PatchBody
 from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.station import Station
 from radiometer.data import (
     CameraDescription,
-    CaptureHeader,
     LensDescription,
     Patch,
     Scale,
-    calibration,
-    calibration_sections,
 )
 from radiometer.data.guards import DEEPEST_NESTING, refuse_deep_yaml, refuse_large_picture
 from radiometer.errors import CaptureError, RadiometerError
@@ -337,22 +330,6 @@ async def test_settings_are_taken_and_refused_as_they_were(tmp_path):
     told["used"] = [list(one) for one in used]
     told["events"] = [list(one) for one in station.writer._events]
     assert not moved("limits/settings", told)
-
-
-def test_what_files_and_requests_may_hold_is_as_it_was():
-    """Names, kinds, defaults and bounds of every field of captures, light boxes and the bodies of requests."""
-    kinds = (CaptureHeader, LightBoxConfig, Scale, NamedPatchBody, NameBody, RemarkBody, PatchBody, LimitsBody)
-    kinds += (MeasureBody, LightBody)
-    kinds += (vars(calibration)["_CalibrationFile"],)
-    sections = (one for one in vars(calibration_sections).values() if isinstance(one, type))
-    kinds += tuple(one for one in sections if issubclass(one, BaseModel) and one.model_fields)
-
-    def bare(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {k: bare(v) for k, v in value.items() if not (k in ("description", "title") and isinstance(v, str))}
-        return [bare(v) for v in value] if isinstance(value, list) else value
-
-    assert not moved("limits/schemas", {kind.__name__: bare(kind.model_json_schema()) for kind in kinds})
 
 
 def test_what_clients_may_use_is_as_it_was():

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconcile.search import search
+from radiometer.reconcile.search import localise, moves, screening, search
 from radiometer.reconcile.search.outcome import Search, Step
 from radiometer.reconcile.search.rivals import _is_rival
 from radiometer.reconcile.thresholds import FLEXIBLE_NATS, NAMED_NATS, PARAMETER_NATS, RIVAL_NATS
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
 
 
 def state(evidence: float, gap: float, **more: Any) -> Any:
@@ -190,3 +191,50 @@ def test_a_lead_is_over_the_next_of_the_same_statistic(monkeypatch):
     assert search._lead(chosen, [chosen, *others]) == pytest.approx(0.25)
     assert search._lead(chosen, [chosen, others[1]]) == np.inf
     assert search._lead(entry("well", "mean", -1.0), others) == np.inf
+
+
+def test_the_looser_form_that_pays_best_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each further parameter costs its nats: 40 by one are better than 40 and half of that price by two."""
+    forms: dict[str, Any] = {
+        "dear": SimpleNamespace(name="dear", state="dear", nats=40.0 + 0.5 * PARAMETER_NATS, further=2),
+        "fair": SimpleNamespace(name="fair", state="fair", nats=40.0, further=1),
+        "poor": SimpleNamespace(name="poor", state="poor", nats=39.0, further=1),
+    }
+    for order in (["dear", "fair", "poor"], ["poor", "fair", "dear"]):
+        monkeypatch.setattr(moves, "_promising", lambda state, only, order=order: [(50.0, 0, name) for name in order])
+        monkeypatch.setattr(moves, "_fitted", lambda state, index, form: forms[form])
+        found = moves.loosened(SimpleNamespace())  # type: ignore[arg-type]
+        assert found is forms["fair"]
+    monkeypatch.setattr(moves, "_fitted", lambda state, index, form: None)
+    assert moves.loosened(SimpleNamespace()) is None  # type: ignore[arg-type]
+
+
+def test_a_trend_is_taken_up_whatever_its_columns_length_and_without_those_of_none() -> None:
+    """Columns of 5, 0 and 2 become two of length 1 in their statistic's rows, with nothing in the others."""
+    taken: list[Any] = []
+    state: Any = SimpleNamespace(
+        comparison=SimpleNamespace(size=6, cuts={"variance": slice(2, 5)}), pad=lambda columns: columns
+    )
+    fit: Any = SimpleNamespace(followed=lambda columns: columns, extended=taken.append)
+    columns = np.array([[3.0, 0.0, 0.0], [4.0, 0.0, 2.0], [0.0, 0.0, 0.0]])
+    localise._beside(state, fit, localise.Basis("variance", "exposure", "line", columns))
+    expected = np.zeros((6, 2))
+    expected[2:5] = [[0.6, 0.0], [0.8, 1.0], [0.0, 0.0]]
+    np.testing.assert_allclose(taken[0], expected)
+
+
+@pytest.mark.parametrize(("needed", "taken"), [(0.5, 0.5), (300.0, 300.0), (400.0, 300.0), (-2.0, 0.0)])
+def test_a_start_is_made_up_to_three_hundred_times_larger(
+    monkeypatch: pytest.MonkeyPatch, needed: float, taken: float
+) -> None:
+    """Along one change of length 2 the data ask for so many of it; what is promised is χ² less, 4·(2·a·n − a²)."""
+    changed = np.array([[2.0], [0.0]])
+    fit: Any = SimpleNamespace(
+        followed_with_half=lambda changes: (changes, np.zeros_like(changes)), projected=np.array([2.0 * needed, 7.0])
+    )
+    state: Any = SimpleNamespace(comparison=SimpleNamespace(size=2), fit=fit)
+    monkeypatch.setattr(screening, "changes_of", lambda *_: changed)
+    (found,) = screening._rigid_batch(state, [ExposureTimeOffset(1e-6)])
+    assert found.gain == pytest.approx(4.0 * (2.0 * taken * needed - taken**2))
+    sizes = sorted(one.values()["offset_s"] for one in found.others)
+    assert sizes == pytest.approx(sorted({1e-6 * taken, 1e-6 * taken**0.5} if taken else set()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,10 @@ import pytest
 
 from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter
+from radiometer.reconcile import engine
 from radiometer.reconcile.advice.separability import (
     Directions,
+    Separability,
     asked_sizes,
     fitted_like,
     inseparable,
@@ -56,24 +58,29 @@ def plain(make_capture: Callable[..., Any]) -> FitState:
     return _state(make_capture, [*BRACKET, *DARKS])
 
 
-def _sets(state: FitState) -> list[set[str]]:
-    return [{entry.name, *entry.others} for entry in separability(state, whole_catalogue()).together]
+@pytest.fixture(scope="module")
+def told_apart(plain: FitState) -> Separability:
+    """Return what that bracket can tell apart of the whole catalogue, which takes some ten seconds."""
+    return separability(plain, whole_catalogue())
+
+
+def _sets(found: Separability) -> list[set[str]]:
+    return [{entry.name, *entry.others} for entry in found.together]
 
 
 @pytest.mark.slow
-def test_bracket_of_one_chart_cannot_tell_stray_light_apart(plain: FitState) -> None:
+def test_bracket_of_one_chart_cannot_tell_stray_light_apart(told_apart: Separability) -> None:
     """A veil, light from the room and a black that glows stand together, and a capture is asked for that tells more."""
-    found = separability(plain, whole_catalogue())
-    entry = next(entry for entry in found.together if {entry.name, *entry.others} >= STRAY)
+    entry = next(entry for entry in told_apart.together if {entry.name, *entry.others} >= STRAY)
     assert entry.capture is not None
     assert entry.capture["frames"][0]["shutter"] == "open"
-    assert "polarisation" in found.blind
+    assert "polarisation" in told_apart.blind
 
 
 @pytest.mark.slow
-def test_short_exposures_do_not_tell_one_flicker_from_another(plain: FitState) -> None:
+def test_short_exposures_do_not_tell_one_flicker_from_another(told_apart: Separability) -> None:
     """Mains and dimming shake frames alike where no exposure holds a period."""
-    assert any(names >= {"mains_ripple", "pwm_flicker"} for names in _sets(plain))
+    assert any(names >= {"mains_ripple", "pwm_flicker"} for names in _sets(told_apart))
 
 
 @pytest.mark.slow
@@ -86,8 +93,11 @@ def test_stated_radiances_count_against_a_name(make_capture: Callable[..., Any])
 
 @pytest.mark.slow
 def test_another_surround_level_and_the_source_off_tell_them_apart(make_capture: Callable[..., Any]) -> None:
-    """With these captures no two of the three stand together."""
-    assert all(len(names & STRAY) < 2 for names in _sets(_state(make_capture, [*BRACKET, *DARKS, *OTHERS])))
+    """With these captures no two of the three stand together, nor are they blind to any."""
+    state = _state(make_capture, [*BRACKET, *DARKS, *OTHERS])
+    found = separability(state, {name: whole_catalogue()[name] for name in STRAY})
+    assert all(len(names & STRAY) < 2 for names in _sets(found))
+    assert not STRAY & set(found.blind)
 
 
 @pytest.mark.parametrize(
@@ -198,9 +208,21 @@ def test_entry_that_has_turned_into_another_is_no_rival(
 
 @pytest.mark.slow
 def test_plan_is_told_on_the_command_line(
-    make_capture: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    make_capture: Callable[..., Any],
+    plain: FitState,
+    told_apart: Separability,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """`--plan-only` gives the sets and what the captures are blind to, and names nothing."""
+    """`--plan-only` asks of the captures alone, gives the sets and what they are blind to, and names nothing."""
+    asked: list[tuple[int, int]] = []
+
+    def found(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> Separability:
+        asked.append((state.seen.mean.size, len(catalogue)))
+        return told_apart
+
+    monkeypatch.setattr(engine, "separability", found)
     captured = make_capture(seed=61, plan=[*BRACKET, *DARKS])
     header = captured.header
     parts = (header.camera, header.lens, header.source, header.patches, header.patterns)
@@ -213,3 +235,4 @@ def test_plan_is_told_on_the_command_line(
     assert any({entry["name"], *entry["others"]} >= STRAY for entry in told["inseparable"])
     assert run(["reconcile", str(tmp_path / "set"), "--plan-only"]) == 0
     assert "these captures cannot tell" in capsys.readouterr().out
+    assert asked == [(plain.seen.mean.size, len(whole_catalogue()))] * 2

@@ -34,6 +34,16 @@ def test_without_a_declared_well_nothing_is_near_it() -> None:
     assert not counted([[-3.0, 0.0, 1.0]], 10.0).knee.any()
 
 
+def test_a_variance_of_nothing_tells_no_noise() -> None:
+    """Frames that do not differ at all, or of which only one is there, scatter as no normal variance does."""
+    design: Any = SimpleNamespace(frame_count=np.array([2, 2, 1]))
+    seen: Any = SimpleNamespace(variance=np.array([[0.0, 1e-9], [np.nan, 4.0], [4.0, 4.0]]))
+    base: Any = SimpleNamespace(rounding=np.zeros((3, 2)))
+    one = Counted(design, seen, base)
+    vars(one)["free"] = np.array([[True, True], [True, False], [True, True]])
+    assert one.noisy.tolist() == [[False, True], [False, False], [False, False]]
+
+
 def fitted(**more: Any) -> Any:
     """Return a state of two captures of two tiles whose means an unnamed term took up by 3, 4 | 6, 8 sigmas."""
     taken = np.array([3.0, 4.0, 6.0, 8.0, 0.0])
