@@ -70,7 +70,7 @@ class Record:
             name = re.sub(rf".*/(?=({'|'.join(PACKAGES)})/)", "", measured)
             for line, contexts in kept.contexts_by_lineno(measured).items():
                 tests = {context.partition("|")[0] for context in contexts if context}
-                record.tests_of[name][line] = tests
+                record.tests_of[name].setdefault(line, set()).update(tests)
                 record.lines_of.update(tests)
         return record
 
