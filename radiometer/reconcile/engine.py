@@ -25,11 +25,8 @@ from radiometer.reconcile.fit.descent import first_state
 from radiometer.reconcile.fit.nuisances import dark_current_is_free
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Design
-from radiometer.reconcile.measure.pattern_images import PatternImages
 from radiometer.reconcile.measure.reduce import FrameReader, frame_reader, reduce_frames
-from radiometer.reconcile.measure.seen import CaptureStatistics
-from radiometer.reconcile.measure.series import jumps
-from radiometer.reconcile.noise.darkness import black_by_noise, drift_of_black, wander_of_black
+from radiometer.reconcile.noise.darkness import drift_of_black, wander_of_black
 from radiometer.reconcile.noise.repeats import repeats_of
 from radiometer.reconcile.propose.beyond import held_to_laws
 from radiometer.reconcile.result import (
@@ -48,6 +45,7 @@ from radiometer.reconcile.search.frame_order import FrameLight, Periodic, period
 from radiometer.reconcile.search.localise import Disagreement, axis_of, global_p_value, places
 from radiometer.reconcile.search.outcome import Reconciled, Search, Step
 from radiometer.reconcile.search.search import search
+from radiometer.reconcile.shown import shown_by
 from radiometer.reconcile.verdict import (
     by_other_laws,
     doubts_of,
@@ -74,7 +72,6 @@ _CLEAR: Final = 1e-3  # share of samples that may clip in a tile whose light is 
 
 Say = Callable[[str], None]
 Progress = Callable[[int, int], None]
-_Done = Callable[[int], None]
 
 
 def whole_catalogue() -> dict[str, type[CatalogueEffect]]:
@@ -243,7 +240,7 @@ def examine(
     header, given = _adopted(header, model)
     total = len(header.frames)
     reading = (lambda done: progress(done, total)) if progress else None
-    design, light, (seen, images) = _shown(header, shape, read, reading)
+    design, light, (seen, images) = shown_by(header, shape, read, reading)
     entries = whole_catalogue() if catalogue is None else catalogue
     clear = (seen.high < _CLEAR) & (seen.low < _CLEAR)
     known = any(kind.where == "frame" for kind in entries.values())  # an effect from outside, which may be just that
@@ -268,30 +265,6 @@ def examine(
     outcome = _spared("laws of no entry", lambda: held_to_laws(found, entries, say), notes) or found
     result = _result(outcome, entries, again, total, begun, notes, with_limits=with_limits)
     return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome, taken)
-
-
-_Shown = tuple[Design, FrameLight, tuple[CaptureStatistics, PatternImages]]
-
-
-def _shown(header: CaptureHeader, shape: tuple[int, int], read: FrameReader, progress: _Done | None) -> _Shown:
-    """Return the design of a capture set, the light of its frames, and what they show.
-
-    Where a series of equal frames jumps, or one setting alone cannot tell a black level that nobody states, the design
-    follows what was seen, and the frames are read again.
-    """
-    design, light, shown = _read_by(Design.of(header, shape), read, progress)
-    at, black_dn = jumps(design, light.of_tiles), black_by_noise(design, shown[0])
-    if not at and black_dn is None:
-        return design, light, shown
-    if black_dn is not None:
-        camera = header.camera.model_copy(update={"black_level_dn": black_dn})
-        header = header.model_copy(update={"camera": camera})
-    return _read_by(Design.of(header, shape, at), read, progress)
-
-
-def _read_by(design: Design, read: FrameReader, progress: _Done | None) -> _Shown:
-    light = FrameLight(design, read)
-    return design, light, reduce_frames(design, light, progress)
 
 
 def _repeats(state: FitState, light: FrameLight, header: CaptureHeader) -> tuple[Repeats, ...]:

@@ -36,7 +36,7 @@ _CLEAR_LIGHT: Final = 3.0  # sigmas of one pixel by which the brightest patch mu
 _SHOT_NOISE: Final = 4.0  # times the read noise's variance
 _READ_NOISE_LEFT: Final = 0.5  # of its variance, below which the converter hides it
 _FINE_NOISE: Final = 0.5  # standard deviation over code spacing that statistics need to be nearly normal
-_MOST_ALIKE: Final = 4  # captures of one setting whose histograms count
+_MOST_ALIKE: Final = 4  # captures of a setting that count: which tiles are just wide enough is alike in all of them
 _LARGEST_COMB_COUNT: Final = 1e5  # beyond it the honest shape of a histogram itself would show
 _MANY_OUTLIERS: Final = 1000.0
 _TAIL_FORM: Final = 0.1
@@ -200,15 +200,11 @@ class Counted:
 
     @property
     def combed(self) -> Mask:
-        """Tell which histograms are full enough, and of which periods; none that holds the highest code of all.
-
-        Tiles are taken by how wide their own histograms are: where they are about as wide as need be, those that are
-        taken lean to one side, the same in every capture of a setting. Of many of these a few count.
-        """
+        """Tell which histograms are full enough, and of which periods; none that holds the highest code of all."""
         highest = np.nan_to_num(self.seen.peak).max(axis=1)  # where light is cut off, few codes occur at the top
         dividing = np.array([self.step == 1 or self.step % period == 0 for period in COMB_PERIODS])
         full = (self.seen.comb_count > _FEWEST_CODES) & (highest < highest.max() - 1.0)
-        before = np.array([np.sum(self.design.setting_id[:n] == own) for n, own in enumerate(self.design.setting_id)])
+        before = np.tril(np.equal.outer(self.design.setting_id, self.design.setting_id), -1).sum(axis=1)
         return np.asarray((full & (before < _MOST_ALIKE))[:, None] & dividing)
 
     @property
