@@ -12,7 +12,7 @@ import pytest
 
 from radiometer.reconcile.fit import full_fit
 from radiometer.reconcile.fit.descent import approached, beside, first_state, refit, settled
-from radiometer.reconcile.fit.full_fit import FullFits
+from radiometer.reconcile.fit.full_fit import FullFits, UnfitError
 from radiometer.reconcile.fit.nuisances import NuisanceLayout
 from radiometer.reconcile.fit.state import FitState, reweighted, with_effects
 from radiometer.reconcile.measure.design import Design
@@ -101,7 +101,7 @@ def test_one_step_fits_nothing_twice(plain: FitState, monkeypatch: pytest.Monkey
     """The same start is fitted once near and once far; another start of equal values is its own."""
     fitted: list[tuple[object, bool]] = []
 
-    def counted(state: FitState, effect: Any, *, far: bool) -> FitState:
+    def counted(state: FitState, effect: Any, *, far: bool, most: float) -> FitState:
         fitted.append((effect, far))
         return with_effects(state, [effect])
 
@@ -111,6 +111,15 @@ def test_one_step_fits_nothing_twice(plain: FitState, monkeypatch: pytest.Monkey
     assert fits.included(effect, far=True) is first
     assert fits.included(effect, far=False) is not first
     assert fitted == [(effect, True), (effect, False)]
+
+
+def test_what_leaves_more_than_it_may_is_not_refitted_under_its_own_weights(plain: FitState) -> None:
+    """The χ² under the weights of the state decides, once all parameters have followed."""
+    effect = ExposureTimeOffset(1e-6)
+    near = approached(full_fit.accepted(plain, effect)).cost
+    assert FullFits(plain, near + 1.0).included(effect, far=False).effects
+    with pytest.raises(UnfitError, match=effect.name):
+        FullFits(plain, near - 1.0).included(effect, far=False)
 
 
 def test_columns_of_an_unknown_scene_are_what_each_rise_alone_changes(make_capture: Callable[..., Any]) -> None:

@@ -59,6 +59,8 @@ class FakeState:
     parameters: Any = field(default_factory=lambda: SimpleNamespace(size=0))
     settings: int = 10
     model: Any = field(default_factory=lambda: SimpleNamespace(context=None))
+    prediction: Any = None
+    comparison: Any = field(default_factory=lambda: SimpleNamespace(residual=lambda prediction: np.zeros(1)))
     held_out: Any = field(default_factory=lambda: SimpleNamespace(count=np.full(11, 1000.0)))
 
 
@@ -105,7 +107,7 @@ def test_a_name_that_acts_as_other_causes_would_does_not_stand_against_a_better_
 
 def test_the_law_is_told_and_the_names_are_not(monkeypatch):
     """All names give way to one entry at the law's place; the nearest of them and its share are told."""
-    monkeypatch.setattr(beyond, "propose_law", lambda start, along=(): law(1000.0, "image_y", "exposure_s"))
+    monkeypatch.setattr(beyond, "propose_law", lambda start, along=(), most=0.0: law(1000.0, "image_y", "exposure_s"))
     told = held_to_laws(outcome(600.0, TALK, GAIN, gap=3.0), {})
     (step,) = told.steps
     assert told.state is told.start
@@ -118,7 +120,12 @@ def test_a_single_name_that_leaves_nothing_is_asked_about_its_own_covariate(monk
     """Only laws along it are looked at; where one predicts better the name stays with a remark, if it brings most."""
     asked = []
     monkeypatch.setattr(beyond, "doubts_of", lambda outcome: [])
-    monkeypatch.setattr(beyond, "propose_law", lambda start, along=(): asked.append(along) or law(1000.0, *along))
+
+    def proposed(start, along=(), most=0.0):
+        asked.append(along)
+        return law(1000.0, *along)
+
+    monkeypatch.setattr(beyond, "propose_law", proposed)
     before = outcome(810.0, BLUR)
     told = held_to_laws(before, {})
     assert asked == [own_covariates(BLUR)]
@@ -133,7 +140,7 @@ def test_a_single_name_that_leaves_nothing_is_asked_about_its_own_covariate(monk
 def test_a_name_that_was_bent_is_doubted_where_a_law_predicts_as_well(monkeypatch, nats, doubted):
     """Within five nats, the odds of a rival, of an effect by a law of its own; one by its equation needs eight more."""
     monkeypatch.setattr(beyond, "doubts_of", lambda outcome: [])
-    monkeypatch.setattr(beyond, "propose_law", lambda start, along=(): law(nats, "source_level"))
+    monkeypatch.setattr(beyond, "propose_law", lambda start, along=(), most=0.0: law(nats, "source_level"))
     for bent in (TABLE, FREE):
         told = held_to_laws(outcome(810.0, bent), {})
         assert told.steps[0].name == "led_thermal_droop"
@@ -152,7 +159,7 @@ def test_a_name_that_was_bent_brings_what_its_own_equation_brings(monkeypatch, b
         return FakeState(plain, (effect,))
 
     monkeypatch.setattr(beyond, "doubts_of", lambda outcome: [])
-    monkeypatch.setattr(beyond, "propose_law", lambda start, along=(): law(900.0, "source_level"))
+    monkeypatch.setattr(beyond, "propose_law", lambda start, along=(), most=0.0: law(900.0, "source_level"))
     monkeypatch.setattr(beyond, "included", included)
     told = held_to_laws(outcome(880.0, bent), {})
     assert [step.name for step in told.steps] == ["led_thermal_droop" if stands else "unnamed"]
@@ -240,7 +247,7 @@ def test_a_single_cause_needs_the_odds_of_its_name(make_capture, monkeypatch, od
 def test_an_entry_that_does_what_the_law_does_stands_in_place_of_the_names(monkeypatch):
     """One name, provisional, with what it brings and what it leaves; the names that brought too little are gone."""
     form = FakeState(996.0, (BLUR,))
-    monkeypatch.setattr(beyond, "propose_law", lambda start, along=(): law(1000.0, "image_y"))
+    monkeypatch.setattr(beyond, "propose_law", lambda start, along=(), most=0.0: law(1000.0, "image_y"))
     monkeypatch.setattr(beyond, "in_a_looser_form", lambda start, least, catalogue: form if least < 996.0 else None)
     monkeypatch.setattr(beyond, "localise", lambda state: ())
     told = held_to_laws(outcome(600.0, TALK, GAIN, gap=3.0), {})
