@@ -118,7 +118,7 @@ def together(test: str) -> str:
     """Return the name of those tests that stay in one worker with this one: its file, or the folder that shares."""
     file = test.partition("::")[0]
     if file.startswith(REAL_TIME):
-        return "real time"
+        return side_by_side.REAL_TIME
     return next((folder for folder in TOGETHER if file.startswith(folder)), file)
 
 
@@ -145,6 +145,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     from xdist.scheduler import LoadScopeScheduling
 
     class Together(LoadScopeScheduling):
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
+            self.workqueue = side_by_side.HeavyFirst()
+
         def _split_scope(self, nodeid: str) -> str:
             return together(nodeid)
 

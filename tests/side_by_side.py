@@ -13,6 +13,7 @@ import os
 import pickle
 import signal
 import tempfile
+from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from typing import IO, Any
 
@@ -20,7 +21,17 @@ import pytest
 
 NUMBER_BYTES = 2  # a pipe takes and gives so few at once, so that no two processes share a number
 LENGTH_BYTES = 4  # before each report
-HEAVY = ("tests/unit/held", "tests/unit/reconcile", "tests/unit/cli")  # taken first: nothing long is left for the end
+REAL_TIME = "real time"  # the group of what waits for devices and processes, one after the other
+# Taken first: nothing long is left for the end, when one process has nothing else to do.
+HEAVY = (
+    REAL_TIME,
+    "tests/unit/held",
+    "tests/unit/reconcile",
+    "tests/roundtrip",
+    "tests/system",
+    "tests/unit/cli",
+    "tests/unit/analysis/response",
+)
 
 
 def grouped(items: Iterable[pytest.Item], group_of: Callable[[str], str]) -> list[list[pytest.Item]]:
@@ -28,7 +39,21 @@ def grouped(items: Iterable[pytest.Item], group_of: Callable[[str], str]) -> lis
     groups: dict[str, list[pytest.Item]] = {}
     for item in items:
         groups.setdefault(group_of(item.nodeid), []).append(item)
-    return [groups[name] for name in sorted(groups, key=lambda name: not name.startswith(HEAVY))]
+    return [groups[name] for name in sorted(groups, key=lightness)]
+
+
+def lightness(group: str) -> int:
+    """Return a group's place: the earlier its folder stands among the heavy ones, the less."""
+    return next((place for place, folder in enumerate(HEAVY) if group.startswith(folder)), len(HEAVY))
+
+
+class HeavyFirst(OrderedDict[str, Any]):
+    """Groups of tests that wait; pytest-xdist, which puts those of many tests first, takes heavy ones first."""
+
+    def popitem(self, last: bool = True) -> tuple[str, Any]:
+        """Return the next group, of equally heavy ones the first that came."""
+        group = min(self, key=lightness)
+        return group, self.pop(group)
 
 
 def turns(count: int) -> int:

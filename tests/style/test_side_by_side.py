@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.patience import within
+from tests.side_by_side import HeavyFirst
 
 pytestmark = pytest.mark.slow  # starts processes
 
@@ -96,3 +97,18 @@ def test_a_process_that_dies_is_a_failure(tmp_path: Path) -> None:
     assert code == 1
     assert "the second process of tests ended with -9" in said
     assert "failed" not in said.splitlines()[-1]
+
+
+def test_heavy_groups_are_taken_first() -> None:
+    """What waits in real time, then folders of long tests, then the others as they came."""
+    names = [
+        "tests/unit/data/a.py",
+        "tests/unit/cli/b.py",
+        "tests/unit/reconcile/propose/c.py",
+        "real time",
+        "tests/d.py",
+    ]
+    waiting = HeavyFirst((name, {}) for name in names)
+    taken = [waiting.popitem(last=False)[0] for _ in names]
+    assert taken == [names[3], names[2], names[1], names[0], names[4]]
+    assert not waiting
