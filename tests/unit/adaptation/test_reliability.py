@@ -57,7 +57,7 @@ def test_what_was_not_tried_has_no_share() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("planted", [0.0, 0.05, 0.2, 0.4])
+@pytest.mark.parametrize("planted", [0.05, *(pytest.param(one, marks=pytest.mark.long) for one in (0.0, 0.2, 0.4))])
 def test_intervals_hold_the_planted_share(planted: float) -> None:
     """With 30 lights, 100 blank and 25 bright blinks 93 % or more of 300 subjects (the same by chance to 1.3 %)."""
     rng = np.random.default_rng(round(1000 * planted))

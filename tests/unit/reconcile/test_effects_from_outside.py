@@ -152,7 +152,7 @@ HIDDEN: dict[str, tuple[dict[str, Any], str, float]] = {
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("installed")
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*(pytest.param(one, marks=pytest.mark.long) for one in NAMES[:2]), NAMES[2]])
 def test_installed_effect_is_found_where_it_is_hidden(make_capture: Callable[..., Any], name: str) -> None:
     """A squared, a saturating and a stepwise effect of a package are named alone, of the size that was hidden."""
     hooks, parameter, hidden = HIDDEN[name]
