@@ -10,6 +10,7 @@ file is an error: the list must follow the code.
 from __future__ import annotations
 
 import argparse
+import ast
 import importlib
 import multiprocessing
 import os
@@ -125,20 +126,30 @@ def fate_of_text(text: str, file: str, tests: tuple[str, ...], copy: Path, plugi
     """Return `noticed` or `survived` for a whole file's text with a mistake in it, and mend the file again.
 
     Python knows compiled code by the source's time and size, numba likewise, but not by what it calls, nor by the
-    constants that it reads elsewhere: the file gets a time of its own, and in a folder where numba compiles the code is
-    kept elsewhere.
+    constants that it reads elsewhere: the file gets a time of its own, and where compiled code may read the mistake the
+    compiled is kept elsewhere.
     """
     path = copy / file
     sound, times = path.read_bytes(), path.stat()
     path.write_text(text, encoding="utf-8")
     os.utime(path, (times.st_atime, 1.0e9))
-    beside = (other.read_text(encoding="utf-8") for other in path.parent.glob("*.py"))
-    kept = {"NUMBA_CACHE_DIR": tempfile.mkdtemp(dir=copy)} if any(COMPILED in other for other in beside) else {}
+    reaches = COMPILED in text or (
+        figures_of(text, file) != figures_of(sound.decode(), file)
+        and any(COMPILED in other.read_text(encoding="utf-8") for other in path.parent.glob("*.py"))
+    )
+    kept = {"NUMBA_CACHE_DIR": tempfile.mkdtemp(dir=copy)} if reaches else {}
     try:
         return "survived" if code_of(tests, copy, kept, plugins) in PASSED else "noticed"
     finally:
         path.write_bytes(sound)
         os.utime(path, (times.st_atime, times.st_mtime))
+
+
+def figures_of(text: str, file: str) -> list[str]:
+    """Return what a Python module assigns outside its functions and classes, which compiled code of others may read."""
+    if not file.endswith(".py"):
+        return []
+    return [ast.unparse(node) for node in ast.parse(text).body if isinstance(node, ast.Assign | ast.AnnAssign)]
 
 
 def preload() -> None:

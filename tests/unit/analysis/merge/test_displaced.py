@@ -125,14 +125,15 @@ def test_noise_makes_no_shift():
     assert relative_shift(slope, np.zeros_like(slope), 0.5)[4, 1:-1] == pytest.approx(0.05, rel=1e-4)
 
 
+@pytest.mark.parametrize("pixels", [7, 2])
 @pytest.mark.parametrize("of_each", [False, True])
-def test_each_level_has_the_weights_of_its_own(of_each):
+def test_each_level_has_the_weights_of_its_own(of_each, pixels):
     """From the lowest rate on in sixteenths of an e-fold, and the first and last beyond: δ·|∇ln L|·L·√Σp² joins u."""
     factors = np.array([0.9, 0.8, 0.7, 0.6])
     steps = np.array([-3.0, 0.0, 0.4, 0.6, 2.0, 3.0, 9.0])
-    expected = np.array([0.9, 0.9, 0.9, 0.8, 0.7, 0.6, 0.6])
-    unit = np.linspace(1.0, 2.0, 7) if of_each else np.array([2.0])
-    value = (unit * np.exp(np.log(5.0) + steps / 16.0)).astype(np.float32)
-    u, shift = 0.01 * value, np.full(7, 0.1, np.float32)
+    expected = np.array([0.9, 0.9, 0.9, 0.8, 0.7, 0.6, 0.6])[:pixels]
+    unit = np.linspace(1.0, 2.0, pixels) if of_each else np.array([2.0])
+    value = (unit * np.exp(np.log(5.0) + steps[:pixels] / 16.0)).astype(np.float32)
+    u, shift = 0.01 * value, np.full(pixels, 0.1, np.float32)
     with_shift(value, u, shift, unit.astype(np.float32), MeanDisplacement(float(np.log(5.0)), factors))
     assert u / value == pytest.approx(np.hypot(0.01, 0.1 * expected), rel=1e-4)
