@@ -93,6 +93,34 @@ class SlowDevice:
         self.may_answer.wait(within(20.0))
 
 
+class ClingingDevice(SlowDevice):
+    """A device that closes once it is allowed to."""
+
+    closed = False
+
+    def close(self) -> None:
+        """Let go when told, or after a while."""
+        self.may_answer.wait(within(2.0))
+        self.closed = True
+
+
+async def test_a_device_that_does_not_let_go_keeps_nobody_from_ending(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After the time that it has the daemon ends without it: the call is left behind in its thread."""
+    device = ClingingDevice()
+    keeper = DeviceKeeper("camera", device, Alarms(lambda *_: None))
+    await keeper.open_once()
+    asked_s: list[float] = []
+
+    def impatient(seconds: float) -> asyncio.Timeout:
+        asked_s.append(seconds)
+        return asyncio.timeout(0.01)
+
+    monkeypatch.setattr(keeper_module, "asyncio", SimpleNamespace(**{**vars(asyncio), "timeout": impatient}))
+    await keeper.close()
+    assert (device.closed, keeper.state, asked_s) == (False, DeviceState.CLOSED, [5.0])
+    device.may_answer.set()
+
+
 async def test_late_answers_do_not_make_the_alarm_flap() -> None:
     """Late and timely answers by turns are one alarm, not many; two timely ones in a row end it."""
     told: list[str] = []
