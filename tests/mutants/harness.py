@@ -46,7 +46,7 @@ COPIED = (
     "README.md",
 )
 SECONDS = 60  # of the processor for the tests of one mutant; a mutant that never ends is noticed as well
-IDLE = 20.0  # s without work after which one waits for ever
+IDLE, LONGEST = 20.0, 120.0  # s without work, and in all on a quiet machine, after which one waits for ever
 QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")  # of plugins imported beforehand
 FAST = "not slow and not long and not bench and not soak and not hardware"
 PASSED = (0, 5)  # 5: nothing was left to run
@@ -209,16 +209,17 @@ def ended(child: int) -> int | None:
     """Wait for a child and return how it ended; None where it took too long, when it is ended with all it started.
 
     Too long is `SECONDS` of the processor, which ends it by itself, or that it has waited for anything but the
-    processor for `IDLE` s, longer where the machine is busy.
+    processor for `IDLE` s, or gone on for `LONGEST` s, both longer where the machine is busy.
     """
     worked, since = 0.0, time.monotonic()
+    begun = since
     while True:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
             return os.waitstatus_to_exitcode(status) if os.WIFEXITED(status) else None
         if (now := processor_s(child)) > worked + 0.1:
             worked, since = now, time.monotonic()
-        elif time.monotonic() - since > within(IDLE):
+        if time.monotonic() - since > within(IDLE) or time.monotonic() - begun > within(LONGEST):
             os.killpg(child, signal.SIGKILL)
             os.waitpid(child, 0)
             return None
