@@ -29,8 +29,14 @@ _REALLY_WRONG = "CanonPowerShotG9"
 
 @dataclass
 class Labels:
-    """Counts over the scenes seen so far."""
+    """Counts over the scenes seen so far.
 
+    Attributes:
+        draw: Which labels are made wrong: another number, others.
+        ties: Scenes of which the right label was named among several, any of which it may be.
+    """
+
+    draw: int = 0
     clean: int = 0
     accused: list[str] = field(default_factory=list)
     scenes: int = 0
@@ -38,6 +44,7 @@ class Labels:
     dark: list[str] = field(default_factory=list)
     planted: int = 0
     missed: list[str] = field(default_factory=list)
+    ties: list[str] = field(default_factory=list)
     others: list[str] = field(default_factory=list)
     really: list[str] = field(default_factory=list)
 
@@ -61,7 +68,7 @@ class Labels:
         if _showing(brackets) < _FEWEST_SHOWING:
             self.dark += [name]
             return
-        rng = np.random.default_rng(self.scenes)
+        rng = np.random.default_rng(1000 * self.draw + self.scenes)
         frames = len(brackets[0])
         rows = np.sum([np.bincount(plane.samples.frame, minlength=frames) for _, plane in known], axis=0)
         for _ in range(_LIES):
@@ -74,15 +81,19 @@ class Labels:
         place = [frame.settings.exposure_s for frame in relabelled[0]].index(stated_s)
         found = find_wrong_labels([plane for bracket in relabelled for plane in _sampled(bracket)])
         right = [one for one in found if one.frame == place]
+        tied = [one for one in found if not right and place in [frame for frame, _ in one.rivals]]
         off = abs(right[0].ratio * 2.0**stops - 1.0) if right else float("inf")
         self.planted += 1
-        if not right or off > max(3.0 * right[0].u_ratio * 2.0**stops, 0.05):
-            self.missed.append(f"{name} frame {place}, {stops:+.2f} stops")
-        self.others += [name] if len(found) > len(right) else []
+        told = f"{name} frame {place}, {stops:+.2f} stops"
+        if tied:
+            self.ties.append(told)
+        elif not right or off > max(3.0 * right[0].u_ratio * 2.0**stops, 0.05):
+            self.missed.append(told)
+        self.others += [name] if len(found) > len(right) + len(tied) else []
 
     def told(self) -> str:
         """Return the counts in a sentence each."""
-        found = self.planted - len(self.missed)
+        found = self.planted - len(self.missed) - len(self.ties)
         return (
             f"**Wrong labels** (no stack of fewer than four frames; the colours of a scene, or the four planes of a "
             f"mosaic, are judged together). Clean planes by themselves: {self.clean}, of which with a label named "
@@ -90,7 +101,8 @@ class Labels:
             f"{len(self.scenes_accused)}{_names(self.scenes_accused)}. {_LIES} times in every scene of which four "
             f"frames or more show anything (not: {', '.join(self.dark) or 'none'}) one label made wrong by a third of "
             f"a stop to two thirds: {found} of {self.planted} found "
-            f"(missed{_names(self.missed) or ': none'}); another named beside or instead: {len(self.others)}"
+            f"(missed{_names(self.missed) or ': none'}), {len(self.ties)} told as one of several that it may be"
+            f"{_names(self.ties)}; another named beside or instead: {len(self.others)}"
             f"{_names(self.others)}. The G9's last frame really has 0.833 (i1) and 0.823 (i2, where the third is some "
             f"7 % short too): {'. '.join(self.really)}."
         )

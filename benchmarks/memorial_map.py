@@ -19,6 +19,7 @@ from scipy.optimize import isotonic_regression
 from benchmarks._photograph_sets import stacks_folder
 from benchmarks._sections import write_section
 from radiometer.analysis.merge.bracket import merge
+from radiometer.analysis.response.curves import black_of_curve
 from radiometer.bench.sources import open_brackets
 from radiometer.cli.photograph_response import recovered_curves, relative_calibration, with_found_times
 from radiometer.data import Bracket, CameraDescription, Frame, LensDescription, RadianceMap, ResponseCurve
@@ -122,15 +123,45 @@ def prediction_row(channel: str, values: Array, bracket: Bracket, curve: Respons
     return f"| {channel} | {100 * np.mean(good):.0f} % | {' | '.join(shown)} |"
 
 
+def rims(bracket: Bracket) -> NDArray[np.bool_]:
+    """Return what a frame of the scans is filled with blue in, red as black: "invalid", says the README of the set.
+
+    Args:
+        bracket: Red.
+    """
+    found = np.zeros(bracket.shape, bool)
+    for frame in bracket:
+        _, label = cv2.connectedComponents((frame.dn == 0).astype(np.uint8))
+        edges = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
+        found |= np.isin(label, edges[edges > 0])
+    return np.asarray(cv2.dilate(found.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
+
+
+def by_hat(bracket: Bracket, curve: ResponseCurve) -> Array:
+    """Return ln of the map that our curve gives with Debevec and Malik's weights in place of ours; NaN where none."""
+    total, weights = np.zeros(bracket.shape), np.zeros(bracket.shape)
+    full_scale, black = bracket.frames[0].full_scale_dn, black_of_curve(curve)
+    for frame in bracket:
+        dn = frame.dn.astype(np.float64)
+        hat = np.maximum(np.minimum(dn - black, full_scale - dn), 0.0)
+        total += hat * (curve.log_exposure[frame.dn] - np.log(frame.settings.exposure_s))
+        weights += hat
+    return np.where(weights > 0.0, total / np.maximum(weights, 1e-9), np.nan)
+
+
 def _told(value: float) -> str:
     return f"{value:.2f}" if np.isfinite(value) else "–"
 
 
-def row(channel: str, values: Array, bracket: Bracket, curve: ResponseCurve, ours: RadianceMap) -> str:
+def row(
+    channel: str, values: Array, bracket: Bracket, curve: ResponseCurve, ours: RadianceMap, rim: NDArray[np.bool_]
+) -> str:
     good = (ours.mask == 0) & (values > 0)
     gap = np.log(ours.radiance[good] / values[good])
     gap -= np.median(gap)
     clear = bracket.frames[-1].dn[good] >= _CLEAR_OF_TOE_DN
+    hat = by_hat(bracket, curve)[good] - np.log(values[good])
+    hat, picture = hat[clear & np.isfinite(hat)], ~rim[good]
     inner = gap[clear] - np.median(gap[clear])
     most = np.sort(np.abs(inner))[: int(0.99 * inner.size)]
     middle = of_file(bracket, values, slice(8, None), _MIDDLE_DN)
@@ -140,9 +171,10 @@ def row(channel: str, values: Array, bracket: Bracket, curve: ResponseCurve, our
         f"{curve.log_exposure[dn] - curve.log_exposure[_MIDDLE_DN]:.2f}"
         for dn in _TOE_DN
     ]
-    figures = (np.std(gap), np.mean(clear), np.std(inner), np.sqrt(np.mean(most**2)))
+    figures = (np.std(gap), np.std(gap[picture]), np.mean(clear), np.std(inner), np.sqrt(np.mean(most**2)), np.std(hat))
     return (
-        f"| {channel} | {figures[0]:.3f} | {100 * figures[1]:.0f} % | {figures[2]:.3f} | {figures[3]:.3f} "
+        f"| {channel} | {figures[0]:.3f} | {figures[1]:.3f} | {100 * figures[2]:.0f} % | {figures[3]:.3f} "
+        f"| {figures[4]:.3f} | {figures[5]:.3f} "
         f"| {' | '.join(toe)} |"
     )
 
@@ -155,19 +187,24 @@ def main() -> None:
     place = folder / "memorial_film"
     file = cv2.imread(str(place / "memorial.hdr"), cv2.IMREAD_UNCHANGED)
     rows, predictions = [], []
-    for channel, (bracket, curve, ours) in maps(place).items():
+    found = maps(place)
+    rim = rims(found["red"][0])
+    for channel, (bracket, curve, ours) in found.items():
         values = file[..., ("blue", "green", "red").index(channel)].astype(np.float64)
-        rows.append(row(channel, values, bracket, curve, ours))
+        rows.append(row(channel, values, bracket, curve, ours, rim))
         predictions.append(prediction_row(channel, values, bracket, curve, ours))
     toes = " | ".join(f"ln H at {dn} DN: by others, by itself, ours" for dn in _TOE_DN)
     body = (
         "rms of ln (ours / memorial.hdr) over pixels without a flag, one factor free, nothing aligned (the file was "
-        f"made from the frames as they lay); the same where the frame of 32 s shows {_CLEAR_OF_TOE_DN} DN or more, and "
-        f"of the 99 % of these that differ least. Then ln H of dark values less that of {_MIDDLE_DN} DN: what the "
-        "file's pixels say of frames of 1/4 to 2 s, whose values longer frames decide; what they say of the longest "
-        "frame, which alone decides its own (–: it shows no such value); and our curve. Where the first two differ, "
-        "no single response made the file, and none can agree with it there.\n\n"
-        f"| colour | rms ln | share | rms there | 99 % of it | {toes} |\n|---|---|---|---|---|---|---|\n"
+        "made from the frames as they lay); the same without the rims of the scans, which a frame or more is filled "
+        f"with blue in; where the frame of 32 s shows {_CLEAR_OF_TOE_DN} DN or more, rims and all; of the 99 % of "
+        "these that differ least; and of all of these by our curve with Debevec and Malik's hat in ln H in place of "
+        "our weights: frames that lie apart are then averaged as they were in the file. Then ln H of dark values less "
+        f"that of {_MIDDLE_DN} DN: what the file's pixels say of frames of 1/4 to 2 s, whose values longer frames "
+        "decide; what they say of the longest frame, which alone decides its own (–: it shows no such value); and our "
+        "curve. Where the first two differ, no single response made the file, and none can agree with it there.\n\n"
+        f"| colour | rms ln | without rims | share | rms there | 99 % of it | by the hat | {toes} |\n"
+        "|---|---|---|---|---|---|---|---|---|\n"
         + "\n".join(rows)
         + "\n\n**Which map is nearer to the photographs?** Mean size of the error in DN (mean of the frames) with "
         f"which a map predicts their numbers from {_LEAST_DN} to {_MOST_DN}, through the rising curve that suits that "

@@ -305,7 +305,8 @@ def _show_limits(result: ReconcileResult) -> None:
             at = "" if limit.temperature_c is None else f" at {limit.temperature_c:g} °C"
             table.add_row(name, f"{limit.amplitude:.2g}", f"{unit} ({limit.parameter}{at})")
     console().print()
-    console().print(table)
+    if table.row_count:
+        console().print(table)
     blind = [name for name, limit in result.limits.items() if limit.amplitude is None]
     if blind:
         console().print(f"blind to: {', '.join(blind)}")

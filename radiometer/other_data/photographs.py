@@ -343,7 +343,9 @@ def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     if not judged.labels and not judged.rounded:
         if judged.follow_no_curve:
             return _no_curve(judged, bracket, names)
-        return f"All printed exposures agree: left-out parts of the picture are predicted to {after:.2g} DN on average."
+        few = "" if judged.can_tell else "; a wrong one of so few may hide in the tone curve"
+        predicted = f"left-out parts of the picture are predicted to {after:.2g} DN on average"
+        return f"All printed exposures agree: {predicted}{few}."
     parts = ["the printed times are rounded stops"] if judged.rounded else []
     for one in judged.labels:
         ratio, u_ratio = _of_printed(one, judged, bracket)
