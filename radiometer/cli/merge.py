@@ -326,7 +326,20 @@ def _merged(
         without_ghosts=without_ghosts,
         displacement_px=displacement.px if displacement else 0.0,
     )
+    for text in _assumed_of(curve, name) if curve else ():
+        found = _with_assumption(found, text)
     return {name: with_iso_in_map(with_displacement_told(found, displacement), bracket)}
+
+
+def _assumed_of(curve: ResponseCurve, channel: str) -> tuple[str, ...]:
+    """Return what a map takes for granted of its response: an uncertainty that no file states, another's colour."""
+    from radiometer.analysis.exports.curves import FILE_METHOD
+
+    origin = curve.provenance
+    of_file = origin.assumptions if origin.method == FILE_METHOD else ()
+    if channel in (curve.channel, "mono"):
+        return of_file
+    return (*of_file, f"the response curve given ({curve.channel}) holds for {channel}")
 
 
 def _relative(

@@ -18,6 +18,7 @@ from radiometer.errors import InputError, UsageError
 
 CURVE_SUFFIXES: Final = (".m", ".rsp")
 _CHANNELS: Final = {"red": "IR", "green": "IG", "blue": "IB"}
+FILE_METHOD: Final = "file"
 ASSUMED_U_LOG: Final = 0.03  # what curves of other programs are off by on real cameras, in ln H
 _HIGHEST_ORDER: Final = 12
 _GOOD_ENOUGH: Final = 5e-4  # rms of the polynomial about the curve, of full scale
@@ -109,7 +110,7 @@ def _as_curve(channel: str, relative: NDArray[np.float64], path: Path) -> Respon
         valid_dn=(max(int(known[0]), 1), relative.size - 2),
         channel=channel,
         provenance=Provenance(
-            "file", (path.name,), assumptions=(f"u(ln H) {100 * ASSUMED_U_LOG:g} %: {path.name} states none",)
+            FILE_METHOD, (path.name,), assumptions=(f"u(ln H) {100 * ASSUMED_U_LOG:g} %: {path.name} states none",)
         ),
     )
 

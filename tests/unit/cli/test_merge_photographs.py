@@ -275,3 +275,22 @@ def test_pictures_of_a_row_have_no_place_to_be_brought_to(tmp_path, capsys):
     (tmp_path / "exposures.txt").write_text("".join(f"p{k}.png {2**k}\n" for k in range(4)))
     assert run(["response", str(tmp_path)]) == 0
     assert "aligned to" not in capsys.readouterr().err
+
+
+def test_what_a_given_curve_leaves_open_is_said(few_colours, tmp_path, capsys):
+    """The uncertainty that another program's file does not state, and a colour that another one's curve stands for."""
+    folder, _ = few_colours
+    assert run(["response", str(folder), "--channel", "each", "-o", str(tmp_path / "c.m")]) == 0
+    assert run(["response", str(folder), "--channel", "each", "-o", str(tmp_path / "c.yaml")]) == 0
+
+    def assumed(*files):
+        capsys.readouterr()
+        given = [word for file in files for word in ("--response", str(tmp_path / file))]
+        assert run(["merge", str(folder), *given, "-o", str(tmp_path / "map.exr"), "--json"]) == 0
+        return [text for text in json.loads(capsys.readouterr().out)["assumptions"] if "stray light" not in text]
+
+    assert "u(ln H) 3 %: c.m states none" in assumed("c.m")
+    of_green = assumed("c-green.yaml")
+    assert "red: the response curve given (green) holds for red" in of_green
+    assert "blue: the response curve given (green) holds for blue" in of_green
+    assert not [text for text in assumed("c-red.yaml", "c-green.yaml", "c-blue.yaml") if "curve given" in text]
