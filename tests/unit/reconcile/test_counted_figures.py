@@ -72,9 +72,18 @@ def test_histograms_count_by_their_number_and_the_spacing_of_their_codes(step: i
         seen=some(
             peak=np.array([[900.0, 40.0], [4095.0, 3.0], [900.0, NAN]]), comb_count=np.array([501.0, 9e3, 500.0])
         ),
+        design=some(setting_id=np.arange(3)),
     )
     dividing = [step == 1 or period in (2, 4) for period in COMB_PERIODS]
     assert found.tolist() == [dividing, [False] * len(COMB_PERIODS), [False] * len(COMB_PERIODS)]
+
+
+def test_histograms_of_the_first_four_captures_of_a_setting_count() -> None:
+    """Six of one setting and two of another: which tiles are hardly wide enough is alike in all of one."""
+    seen = some(peak=np.array([[4000.0], *[[900.0]] * 7]), comb_count=np.full(8, 9e3))
+    setting = np.array([2, 0, 0, 1, 0, 0, 0, 1])
+    found = asked(Counted, "combed", step=1, seen=seen, design=some(setting_id=setting))
+    assert found.all(axis=1).tolist() == [False, True, True, True, True, True, False, True]
 
 
 def test_a_combs_terms_scatter_as_those_of_honest_codes() -> None:

@@ -16,7 +16,7 @@ def _design(declared: float | None = None) -> SimpleNamespace:
     setting = np.repeat(np.arange(SETTINGS), REPEATS)
     source = SimpleNamespace(reproducibility_u_rel=declared)
     time = np.random.default_rng(1).permutation(setting.size) * 2.5
-    return SimpleNamespace(setting_id=setting, timestamp_s=time, header=SimpleNamespace(source=source))
+    return SimpleNamespace(setting_id=setting, timestamp_s=time, jump_times_s=(), header=SimpleNamespace(source=source))
 
 
 def _noise(most: float = 1.5e-2) -> np.ndarray:
@@ -60,7 +60,7 @@ def test_only_lit_settings_that_were_repeated_tell_how_light_repeats() -> None:
     """Of four settings one was taken once and one has one lit capture: the others count, each about its own mean."""
     setting = np.array([0, 0, 1, 2, 2, 2, 3, 3])
     lit = np.array([True, True, True, True, False, True, True, False])
-    design = SimpleNamespace(setting_id=setting, timestamp_s=np.arange(8.0))
+    design = SimpleNamespace(setting_id=setting, timestamp_s=np.arange(8.0), jump_times_s=())
     scale, variance = np.arange(8.0), np.arange(8.0) ** 2
     found = _Repeats._taken(design, scale, variance, lit, waves=False)
     assert found.taken.tolist() == [0, 1, 3, 5]
