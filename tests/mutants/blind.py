@@ -78,10 +78,10 @@ class Record:
         """Return the tests that ran a line, those nearest to the file first, of these the ones that ran least.
 
         What runs when a module is imported, or compiled by numba, no test has run: then it is those that ran the
-        function around it or the lines that name what is made there, and what is held; else the folder beside it.
+        function around it or the lines that name what is made there, else the folder beside it; and what is held.
         """
         lines = self.tests_of.get(file, {})
-        found = lines.get(line) or self._around(file, line) | self._held() or self._beside(file)
+        found = lines.get(line) or self._held() | (self._around(file, line) or self._beside(file))
         near = f"tests/unit/{file.removeprefix('radiometer/').rpartition('/')[0]}/"
         return sorted(found, key=lambda test: (not test.startswith(near), self.lines_of[test], test))
 

@@ -105,6 +105,9 @@ def test_the_nearest_tests_of_a_line_come_first():
     assert record.tests("radiometer/analysis/flux/sensor.py", line + 1) == [near, wide, far]
     assert record.tests("radiometer/analysis/flux/sensor.py", line) == [near, wide, far]  # the function's own
     assert record.tests("radiometer/analysis/flux/estimate.py", 1) == [near, wide]  # the folder's
+    firmware, held = "tests/unit/firmware/a::b", "tests/unit/held/a::b"
+    record.lines_of.update({firmware: 5, held: 9})
+    assert record.tests("drivers/firmware/light_box/pwm.c", 20) == [firmware, held]  # no test runs C by its lines
 
 
 @pytest.mark.slow  # starts processes, one of which works and one of which waits
