@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import sqlite3
 from collections.abc import Callable
@@ -12,7 +14,7 @@ import pytest
 from radiometer.daemon.journal import SCHEMA_VERSION, Journal, JournalError, default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.timestamps import iso_time, microseconds, parse_moment
-from radiometer.data import Flag, Quantity, Reading
+from radiometer.data import Flag, Patch, Quantity, Reading
 from radiometer.errors import InputError, OutputError, UsageError
 
 Make = Callable[..., Reading]
@@ -78,6 +80,39 @@ def test_csv_has_a_header_and_one_row_per_reading(tmp_path: Path, make_reading: 
         "",
         "0.001 0.004",
     )
+
+
+def test_every_cell_of_a_row_is_what_its_heading_says(tmp_path: Path, make_reading: Make) -> None:
+    """Names of columns are those of the reading's own fields; units stand beside both values."""
+    full = make_reading(
+        luminance=Quantity(683.0, 7.0, "cd m-2"), patch=Patch(5, 6, 7, 8), name="lamp", session="web",
+        exposures_s=(0.25,), coverage_factor=2.5,
+    )  # fmt: skip
+    with Journal(tmp_path / "j.sqlite") as journal:
+        (kept,) = journal.append([full])
+    (row,) = csv.DictReader(io.StringIO(to_csv(JournalReader(tmp_path / "j.sqlite").lines(ReadingFilter()))))
+    told = json.loads(kept.to_json())
+    assert row == {
+        "sequence": "1",
+        "time": kept.time,
+        "instrument": told["instrument"],
+        "radiance": str(full.radiance.value),
+        "u_radiance": str(full.radiance.u),
+        "radiance_unit": full.radiance.unit,
+        "luminance": "683.0",
+        "u_luminance": "7.0",
+        "luminance_unit": "cd m-2",
+        "U_rel": str(told["U_rel"]),
+        "coverage_factor": "2.5",
+        "flags": " ".join(told["flags"]),
+        "x": "5",
+        "y": "6",
+        "width": "7",
+        "height": "8",
+        "exposures_s": "0.25",
+        "name": "lamp",
+        "session": "web",
+    }
 
 
 def test_a_full_journal_refuses_and_loses_nothing(tmp_path: Path, make_reading: Make) -> None:
