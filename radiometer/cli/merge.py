@@ -233,7 +233,13 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
     from radiometer.bench.sources import open_brackets
     from radiometer.cli.console import note
     from radiometer.cli.photograph_alignment import in_one_place
-    from radiometer.cli.photograph_response import curves_of, linear_doubt, recovered_curves, with_found_times
+    from radiometer.cli.photograph_response import (
+        curves_of,
+        in_their_own_depth,
+        linear_doubt,
+        recovered_curves,
+        with_found_times,
+    )
 
     curves, calibration = curves_of(options.responses, 8), options.calibration
     by_colour = not calibration and not set(curves) - {"red", "green", "blue"}
@@ -246,6 +252,8 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
             speeds=options.speeds,
             interpolated=options.demosaic,
         )
+    if options.linear and not calibration:
+        brackets = in_their_own_depth(brackets)
     flat, falloff = _falloff(path, brackets[0], options)  # what it refuses is refused before the work
     placed = in_one_place(brackets, options.align)
     brackets = placed.brackets

@@ -114,6 +114,25 @@ def told_by_themselves(
     return relative_calibration(timed, curve, camera, lens)[0], timed
 
 
+def in_their_own_depth(brackets: Sequence[Bracket]) -> list[Bracket]:
+    """Return linear photographs with the bits that their numbers have, such as 12 in files of 16; others as they are.
+
+    Only then does what clips in an amplified photograph (another ISO speed) clip at the same number as in the others.
+
+    Args:
+        brackets: Of the same photographs, one per channel.
+    """
+    ends = [_white_dn(bracket) for bracket in brackets]
+    depth = min(ends).bit_length()
+    highest = max(int(frame.dn.max()) for bracket in brackets for frame in bracket)
+    if min(ends) != (1 << depth) - 1 or highest > min(ends) or not 8 < depth < brackets[0].bit_depth:
+        return list(brackets)
+    return [
+        type(one).from_frames([replace(f, bit_depth=depth) for f in (*one, *one.dark_frames)], origin=one.origin)
+        for one in brackets
+    ]
+
+
 def linear_doubt(bracket: Bracket) -> str | None:
     """Return what speaks against photographs that are said to be linear; None where nothing does.
 

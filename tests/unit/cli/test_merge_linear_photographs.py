@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 import tifffile
 
+from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.signal.model import signal_model
 from radiometer.cli.main import run
-from radiometer.cli.photograph_response import _full_well
-from radiometer.data import Bracket, CameraDescription, Frame, FrameSettings, SensorNoise
+from radiometer.cli.photograph_response import _full_well, in_their_own_depth, relative_calibration
+from radiometer.data import Bracket, CameraDescription, Frame, FrameSettings, LensDescription, SensorNoise
 
 BLACK, WHITE, ELECTRONS_PER_DN = 64, 4095, 2.5
 TIMES = (1.0, 2.0, 4.0, 8.0, 16.0)
@@ -212,3 +213,29 @@ def test_the_number_that_clips_does_not_hang_on_a_rounding():
         model = signal_model(camera, None, sensor, float(BLACK))
         missed += math.ceil(model.saturation_dn(frames[0].settings)) != WHITE
     assert missed == 0
+
+
+def test_an_amplified_photograph_clips_where_the_others_do():
+    """12 bits in files of 16, one of them at four times the ISO speed: all of it clips at 4095, and nothing moved."""
+    rng = np.random.default_rng(31)
+    light, electrons_per_dn = rng.uniform(500.0, 900.0, (60, 80)), 2.0
+    frames = []
+    for seconds, gain in ((0.25, 1.0), (1.0, 1.0), (4.0, 1.0), (4.0, 4.0)):
+        dn = gain * rng.poisson(light * seconds * electrons_per_dn) / electrons_per_dn + rng.normal(0.0, 1.5, (60, 80))
+        settings = FrameSettings(seconds, gain_db=20.0 * math.log10(gain))
+        frames.append(Frame(np.clip(np.rint(dn), 0, WHITE).astype(np.uint16), 16, settings))
+    (bracket,) = in_their_own_depth([Bracket.from_frames(frames)])
+    camera, lens = CameraDescription(bit_depth=bracket.bit_depth), LensDescription()
+    found = merge(bracket, camera, lens, relative_calibration(bracket, None, camera, lens)[0], without_ghosts=True)
+    assert not found.mask.any()
+    z = (found.radiance / light / np.median(found.radiance / light) - 1.0) / (found.u_radiance / found.radiance)
+    assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("end", "highest", "depth"), [(4095, 4095, 12), (4000, 4000, 16), (4095, 9000, 16)])
+def test_photographs_have_the_bits_that_their_numbers_have(end, highest, depth):
+    """12 where they gather at 4095 and none is above; where they end at another number they stay as they are."""
+    dn = np.minimum(np.arange(100, 6100, dtype=np.uint16).reshape(60, 100), end)
+    dn[0, 0] = highest
+    several = Bracket.from_frames([Frame(dn // k, 16, FrameSettings(1.0 / k)) for k in (1, 2, 4)])
+    assert in_their_own_depth([several])[0].bit_depth == depth
