@@ -106,7 +106,10 @@ def outcome(result: ReconcileResult, frames: Sequence[FrameFinding]) -> str:
     parts = []
     if any(effect.name == "nominal_settings" for effect in result.effects):
         parts.append("the printed times are rounded stops")
-    parts += [f"{one.name} had {with_u(one.ratio, _COVERAGE * one.u_ratio)} of its printed exposure" for one in wrong]
+    parts += [
+        f"{one.name} had {with_u(one.ratio, _COVERAGE * one.u_ratio)} of its printed exposure (k = {_COVERAGE:g})"
+        for one in wrong
+    ]
     if result.verdict is Verdict.UNNAMED:
         return f"The {len(frames)} photographs follow no single tone curve with their printed exposures."
     if result.verdict is Verdict.AGREES or not parts:

@@ -215,11 +215,11 @@ def test_a_label_has_one_size_wherever_it_is_told(monkeypatch: pytest.MonkeyPatc
     assert (ratio.value, ratio.u) == (pytest.approx(0.8), pytest.approx(0.016))
     assert effect.gain_nats == pytest.approx(0.5 * (math.log(0.8) / 0.02) ** 2)
     assert effect.alternatives == ()
-    assert "had 0.800 ± 0.016 of that. Left-out" in done.result.extra["remarks"][0]
+    assert "had 0.800 ± 0.016 of that (k = 1). Left-out" in done.result.extra["remarks"][0]
     (wrong,) = [one for one in done.findings if one.wrong]
     assert (wrong.ratio, wrong.u_ratio) == (pytest.approx(0.8), pytest.approx(0.016))
     assert wrong.taken_s == pytest.approx(EXACT[1])
-    assert outcome(done.result, done.findings).endswith("of its printed exposure; the others agree.")
+    assert outcome(done.result, done.findings).endswith("of its printed exposure (k = 2); the others agree.")
 
 
 def test_labels_that_may_be_meant_instead_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
