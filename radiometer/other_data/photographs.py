@@ -350,9 +350,10 @@ def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     for one in judged.labels:
         ratio, u_ratio = _of_printed(one, judged, bracket)
         rivals = "".join(f", or {names[frame]} {other:.3f}" for frame, other in one.rivals)
+        tie = f"{rivals}: which of them, these cannot tell" if rivals else ""
         parts.append(
             f"{names[one.frame]}, labelled {exposure_label(bracket, one.frame)}, had "
-            f"{ratio:.3f} ± {u_ratio:.3f} of that (k = 1){rivals}{': which of them, these cannot tell' if rivals else ''}"
+            f"{ratio:.3f} ± {u_ratio:.3f} of that (k = 1){tie}"
         )
     return (
         f"{'; '.join(parts)}. Left-out parts of the picture are then predicted to {after:.2g} DN on average, "
