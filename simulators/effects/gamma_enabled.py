@@ -12,21 +12,7 @@ from simulators.effects.base import DIGITAL_NUMBER, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 
-_EVEN: Final = np.linspace(-4.5, 4.5, 37)  # sigmas; even steps, for the curve has a corner
-_ABOUT_CORNER: Final = (_EVEN, np.exp(-0.5 * _EVEN**2) / np.sum(np.exp(-0.5 * _EVEN**2)))
-_CORNER: Final = 6.0  # sigmas from it within which its steps are needed; the nodes beyond reach 4.5
-_SMOOTH: Final = 40.0  # sigmas beyond which five nodes, right to the tenth power of σ over the distance, are exact
 _LEAST_DN2: Final = 1e-6
-
-
-def _gauss(count: int) -> tuple[Signal, Signal]:
-    nodes, weights = np.polynomial.hermite_e.hermegauss(count)
-    return nodes, weights / np.sum(weights)
-
-
-_FAR_OFF: Final = _gauss(9)
-_FARTHER: Final = _gauss(5)
-_AT_ONCE: Final = 512  # values whose quadrature a processor's nearest memory holds
 
 
 @dataclass(frozen=True)
@@ -106,22 +92,14 @@ class GammaEnabled(CatalogueEffect):
 
     def _by_quadrature(self, mean: Any, sigma: Any, black: Any, room: Any) -> tuple[Any, Any, Any]:
         """Return mean, variance and slope of what becomes of normal values; close to the corner in even steps."""
-        middle, sigma, black, room = np.broadcast_arrays(mean, sigma, black, room)
-        found = np.empty((3, *middle.shape))
-        off = np.abs(middle - black)
-        sigmas = np.minimum(off, np.abs(off - self.toe * room)) / sigma
-        close, smooth = sigmas < _CORNER, sigmas > _SMOOTH
-        for some, (nodes, weights) in ((close, _ABOUT_CORNER), (~(close | smooth), _FAR_OFF), (smooth, _FARTHER)):
-            of_some = np.empty((3, np.count_nonzero(some)))
-            given = (middle[some], sigma[some], black[some], room[some])
-            for first in range(0, of_some.shape[1], _AT_ONCE):
-                part = slice(first, first + _AT_ONCE)
-                at, spread, *reach = (values[part] for values in given)
-                bent = self._bent(at + nodes[:, None] * spread, *reach)
-                after = weights @ bent
-                of_some[:, part] = after, weights @ (bent - after) ** 2, (weights * nodes) @ bent / spread
-            found[:, some] = of_some
-        return found[0], found[1], found[2]
+        from simulators.bent_normal import RULES, bent_normal  # numba is loaded where a curve is asked for
+
+        given = np.broadcast_arrays(mean, sigma, black, room)
+        found = np.empty((3, given[0].size))
+        curve = (1.0 / self.gamma, float(self.toe), self._lift())
+        bent_normal(*(np.ascontiguousarray(values).ravel() for values in given), curve, RULES, found)
+        after, square, slope = found.reshape(3, *given[0].shape)
+        return after, square, slope
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return curves with a toe at a few levels."""
