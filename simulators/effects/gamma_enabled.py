@@ -94,10 +94,12 @@ class GammaEnabled(CatalogueEffect):
         """Return mean, variance and slope of what becomes of normal values; close to the corner in even steps."""
         from simulators.bent_normal import RULES, bent_normal  # numba is loaded where a curve is asked for
 
-        given = np.broadcast_arrays(mean, sigma, black, room)
+        given = [
+            np.array(values, dtype=np.float64, order="C") for values in np.broadcast_arrays(mean, sigma, black, room)
+        ]
         found = np.empty((3, given[0].size))
         curve = (1.0 / self.gamma, float(self.toe), self._lift())
-        bent_normal(*(np.ascontiguousarray(values).ravel() for values in given), curve, RULES, found)
+        bent_normal(*(values.ravel() for values in given), curve, RULES, found)
         after, square, slope = found.reshape(3, *given[0].shape)
         return after, square, slope
 
