@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from radiometer.analysis.response.basis import ValueBasis, hat_weight
 from radiometer.analysis.response.curves import black_of_curve, finished_curve, rising, u_with_extrapolation
 from radiometer.analysis.response.estimate import inner_range, median_uncertainty, spread_rms
-from radiometer.analysis.response.limits import ValueLimits
+from radiometer.analysis.response.limits import _CLEAR, _STILL_SHARE, ValueLimits, _common_peak
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise
 from radiometer.analysis.response.noise_shift import mean_exposure_dn
 from radiometer.analysis.response.normal import _restricted_deviance, eliminate_groups, solve_penalised
 from radiometer.analysis.response.weights import dn_at
-from radiometer.data import ResponseCurve
+from radiometer.data import Frame, FrameSettings, ResponseCurve
 from radiometer.data.provenance import Provenance
 from radiometer.errors import MeasurementError
 from tests.unit.golden.nist_linear import LONGLEY, NORRIS
@@ -298,6 +298,25 @@ def test_a_middle_without_data_makes_the_whole_curve_less_certain():
     stray = np.full(256, 0.01)
     stray[240:] = 0.2
     assert finished_curve(g, stray, (10, 250), method="m", channel="mono").valid_dn == (10, 239)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_what_most_pixels_show_is_no_end_of_the_range_beside_that_end(mirrored):
+    """Frames agree on a value within the width of a peak, and all of them lie clear of black and of white."""
+    width = int(_STILL_SHARE * 1023)
+    clear = math.ceil(_CLEAR * width)
+
+    def common(*values):
+        told = [1023 - value if mirrored else value for value in values]
+        frames = [Frame(np.full((4, 5), value, np.uint16), 10, FrameSettings(0.1)) for value in told]
+        found = _common_peak(frames, 1023)
+        return found is not None and found == max(told)
+
+    assert width > 1
+    assert common(400, 400 + width)
+    assert not common(400, 401 + width)
+    assert common(clear, clear + width)
+    assert not common(clear - 1, clear - 1 + width)  # one of them too near, the other not
 
 
 def test_the_fog_of_frames_stays_with_their_curve():
