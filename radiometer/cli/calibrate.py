@@ -107,6 +107,7 @@ def command(
     the settings it asked for, or by both: then their ratio is printed and the less uncertain scale is used.
     """
     from radiometer.analysis.calibration import calibrate as make
+    from radiometer.cli.photograph_response import refuse_another_channel
     from radiometer.data import ResponseCurve
     from radiometer.devices import CameraPreset
 
@@ -133,6 +134,8 @@ def command(
         description = preset.applied_to(description, str(camera_file))
     black = _black_level(black_level, seen)
     base = make.unscaled_calibration(description, lens, curve, spectrum, black, validity_days)
+    if seen is not None:
+        refuse_another_channel(base, seen.bracket)
     base = replace(base, uncertainties=_uncertainties(stated, preset))
     if model is not None:
         shape = seen.bracket.frames[0].shape if seen is not None else None

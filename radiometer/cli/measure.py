@@ -162,7 +162,7 @@ def _photographed(
     from radiometer.bench.sources import open_brackets
     from radiometer.cli.iso_record import with_iso_in_reading
     from radiometer.cli.photograph_alignment import in_one_place
-    from radiometer.cli.photograph_response import in_their_own_depth, told_by_themselves
+    from radiometer.cli.photograph_response import in_their_own_depth, refuse_another_channel, told_by_themselves
     from radiometer.data import Calibration, CameraDescription, LensDescription
     from radiometer.data.capture_set import HEADER_NAME
     from radiometer.importing import is_foreign
@@ -173,7 +173,9 @@ def _photographed(
         raise UsageError("--photographs needs --calibration (or --uncalibrated for relative values)")
     known = Calibration.read(calibration) if calibration else None
     bracket = open_brackets(path, channel, speeds=parse_iso_speeds(measured_iso, known))[0]
-    if linear and known is None:
+    if known is not None:
+        refuse_another_channel(known, bracket)
+    elif linear:
         (bracket,) = in_their_own_depth([bracket])
     placed = in_one_place([with_f_number(bracket, f_number)], align)
     bracket = placed.without_absent()

@@ -238,6 +238,7 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
         in_their_own_depth,
         linear_doubt,
         recovered_curves,
+        refuse_another_channel,
         with_found_times,
     )
 
@@ -252,7 +253,10 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
             speeds=options.speeds,
             interpolated=options.demosaic,
         )
-    if options.linear and not calibration:
+    if calibration:
+        for bracket in brackets:
+            refuse_another_channel(calibration, bracket)
+    elif options.linear:
         brackets = in_their_own_depth(brackets)
     flat, falloff = _falloff(path, brackets[0], options)  # what it refuses is refused before the work
     placed = in_one_place(brackets, options.align)

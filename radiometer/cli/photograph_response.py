@@ -25,6 +25,7 @@ _BEYOND_THE_CONVERTER = 1.1
 # A power of growth with exposure that differs from 1 by more is no linear camera's: seven sets of JPEG and film have
 # 0.41 to 0.69, the linear Flea3 0.96 to 1.00.
 _NOT_LINEAR = 0.1
+_OF_COLOUR = frozenset({"red", "green", "blue", "luminance"})
 _JPEG_SUFFIXES = frozenset({".jpg", ".jpeg"})
 _UNDISPLACED = "frames lie in one place to parts of a pixel: too few pixels show in two of them to tell"
 
@@ -112,6 +113,24 @@ def told_by_themselves(
     curve = _recovered({channel: common.thinned(ENOUGH_PIXELS)}, "", say)[channel]
     timed = with_found_times(bracket, curve)
     return relative_calibration(timed, curve, camera, lens)[0], timed
+
+
+def refuse_another_channel(calibration: Calibration, bracket: Bracket) -> None:
+    """Refuse photographs read in another channel than the calibration's response was recovered in.
+
+    Args:
+        calibration: Its response says which; one without, or of grey frames, holds for any.
+        bracket: The photographs in one channel.
+
+    Raises:
+        UsageError: If both are known and differ.
+    """
+    curve, channel = calibration.response, _channel(bracket)
+    if curve is not None and channel != curve.channel and {channel, curve.channel} <= _OF_COLOUR:
+        raise UsageError(
+            f"the calibration's response is of {curve.channel}, the photographs would be read in {channel}: give "
+            f"--channel {curve.channel}, or a calibration of {channel}"
+        )
 
 
 def in_their_own_depth(brackets: Sequence[Bracket]) -> list[Bracket]:

@@ -13,7 +13,16 @@ from radiometer.analysis.response import auto
 from radiometer.analysis.response.debevec1997 import recover_response_debevec1997
 from radiometer.cli.main import run
 from radiometer.cli.merge_report import displacement_told
-from radiometer.data import ResponseCurve, provenance
+from radiometer.data import (
+    BlackLevel,
+    Calibration,
+    CameraDescription,
+    LensDescription,
+    ResponseCurve,
+    Scale,
+    SensorNoise,
+    provenance,
+)
 
 TIMES = (1.0, 2.0, 4.0, 8.0)
 SHIFTS = ((0.0, 0.0), (3.0, -2.0), (0.0, 0.0), (-4.0, 1.0))
@@ -294,3 +303,27 @@ def test_what_a_given_curve_leaves_open_is_said(few_colours, tmp_path, capsys):
     assert "red: the response curve given (green) holds for red" in of_green
     assert "blue: the response curve given (green) holds for blue" in of_green
     assert not [text for text in assumed("c-red.yaml", "c-green.yaml", "c-blue.yaml") if "curve given" in text]
+
+
+def test_a_calibration_of_another_channel_is_refused(few_colours, tmp_path, capsys):
+    """Green's response and scale hold for green: luminance, the default, is refused with the way out."""
+    folder, _ = few_colours
+    assert run(["response", str(folder), "--channel", "green", "-o", str(tmp_path / "green.yaml")]) == 0
+    camera = CameraDescription(bit_depth=8)
+    calibration = Calibration(
+        camera=camera,
+        lens=LensDescription(f_number=8.0),
+        scale=Scale(value=0.1, u_rel=0.03, method="known_radiance", f_number=8.0),
+        response=ResponseCurve.read(tmp_path / "green.yaml"),
+        noise=SensorNoise.of(camera),
+        black_level=BlackLevel(dn=0.0),
+    )
+    calibration.write(tmp_path / "cal.yaml")
+    words = ["--calibration", str(tmp_path / "cal.yaml"), "--f-number", "8"]
+    reading = ["measure", "--photographs", str(folder), "--patch", "10,10,8,8", *words]
+    merging = ["merge", str(folder), "-o", str(tmp_path / "map.exr"), *words]
+    for command in (reading, merging):
+        capsys.readouterr()
+        assert run(command) == 2
+        assert "give --channel green" in capsys.readouterr().err.replace("\n", " ")
+        assert run([*command, "--channel", "green"]) == 0
