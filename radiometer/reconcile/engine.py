@@ -51,7 +51,7 @@ from radiometer.reconcile.verdict import (
     doubts_of,
     faint,
     faint_names,
-    is_open,
+    is_doubted,
     rest_of,
     size_of_rest,
     sizes_by_own_law,
@@ -261,7 +261,7 @@ def examine(
             f"the black level is not declared, and one setting does not tell it: {taken_dn:.4g} DN is taken, where "
             "the noise of the light would end"
         )
-    found = search(start, entries, say, is_open)
+    found = search(start, entries, say, is_doubted)
     outcome = _spared("laws of no entry", lambda: held_to_laws(found, entries, say), notes) or found
     result = _result(outcome, entries, again, total, begun, notes, with_limits=with_limits)
     return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome, taken)

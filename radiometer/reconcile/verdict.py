@@ -52,9 +52,9 @@ def verdict_of(outcome: Search, doubts: Sequence[str], again: Periodic | None = 
     return Verdict.UNNAMED if unnamed else Verdict.AGREES
 
 
-def is_open(outcome: Search) -> bool:
-    """Tell whether a search leaves structure, or names that are provisional."""
-    return leaves_structure(outcome) or bool(doubts_of(outcome))
+def is_doubted(outcome: Search) -> bool:
+    """Tell whether the names of a search are provisional though nothing structured is left."""
+    return not leaves_structure(outcome) and bool(doubts_of(outcome))
 
 
 def doubts_of(outcome: Search) -> list[str]:

@@ -81,7 +81,7 @@ def search(
     start: FitState,
     catalogue: Mapping[str, type[CatalogueEffect]],
     say: Callable[[str], None] = lambda line: None,
-    is_open: Callable[[Search], bool] = lambda found: False,
+    is_doubted: Callable[[Search], bool] = lambda found: False,
 ) -> Search:
     """Return the model with every missing effect that the data can name.
 
@@ -89,13 +89,13 @@ def search(
         start: The ideal camera fitted.
         catalogue: Entries to try, by name.
         say: Told what happens, line by line.
-        is_open: Tells whether what was found leaves doubts, so that the search is taken up again from where another
-            entry was nearly chosen.
+        is_doubted: Tells whether what was found is provisional though nothing is left, so that the search is taken up
+            again from where another entry was nearly chosen.
     """
     run, first = _Run(catalogue, say), localise(start)
     found = _to_its_end(start, start, first, run)
     for turn in sorted(run.turns, key=lambda turn: turn.lead)[:_OTHER_WAYS]:
-        if not is_open(found):
+        if not is_doubted(found):
             break
         say(f"another way: not {turn.chosen} after {', '.join(step.name for step in turn.steps) or 'nothing'}")
         again = _Run(catalogue, say, [*turn.steps], {*turn.refused}, run.pool, run.first)

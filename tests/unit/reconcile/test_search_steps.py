@@ -154,7 +154,7 @@ LEADS = {"clock": 0.04, "veil": 0.001, "bend": 0.03}
 def test_a_search_that_leaves_doubts_is_taken_up_where_another_entry_was_nearest(monkeypatch):
     """The two nearest turns are gone, the nearest first; the best of all ends is told, with the first tests."""
     barred = ways(monkeypatch, {"": 100.0, "veil": 120.0, "bend": 140.0, "clock": 900.0}, LEADS)
-    found = search.search(state(0.0, 9.0), {}, is_open=lambda found: True)
+    found = search.search(state(0.0, 9.0), {}, is_doubted=lambda found: True)
     assert barred == ["", "veil", "bend"]
     assert found.state.evidence == 140.0
     assert found.first_tests == ("first tests",)
@@ -163,9 +163,9 @@ def test_a_search_that_leaves_doubts_is_taken_up_where_another_entry_was_nearest
 def test_another_way_is_taken_only_for_more_than_chance(monkeypatch):
     """An end that is better by less than a name by chance may be leaves the first as it is."""
     ways(monkeypatch, {"": 100.0, "veil": 100.0 + NAMED_NATS - 0.1, "bend": 100.0 + NAMED_NATS + 0.1}, LEADS)
-    assert search.search(state(0.0, 9.0), {}, is_open=lambda found: True).state.evidence == 100.1 + NAMED_NATS
+    assert search.search(state(0.0, 9.0), {}, is_doubted=lambda found: True).state.evidence == 100.1 + NAMED_NATS
     ways(monkeypatch, {"": 100.0, "veil": 100.0 + NAMED_NATS - 0.1, "bend": 0.0}, LEADS)
-    assert search.search(state(0.0, 9.0), {}, is_open=lambda found: True).state.evidence == 100.0
+    assert search.search(state(0.0, 9.0), {}, is_doubted=lambda found: True).state.evidence == 100.0
 
 
 def test_no_other_way_is_gone_where_nothing_is_doubted(monkeypatch):
@@ -175,7 +175,8 @@ def test_no_other_way_is_gone_where_nothing_is_doubted(monkeypatch):
     assert barred == [""]
     barred = ways(monkeypatch, {"": 100.0, "veil": 120.0}, LEADS)
     assert (
-        search.search(state(0.0, 9.0), {}, is_open=lambda found: found.state.evidence < 110.0).state.evidence == 120.0
+        search.search(state(0.0, 9.0), {}, is_doubted=lambda found: found.state.evidence < 110.0).state.evidence
+        == 120.0
     )
     assert barred == ["", "veil"]
 

@@ -225,3 +225,13 @@ def test_the_rest_has_the_size_that_the_names_alone_leave(monkeypatch):
     assert verdict._named_alone(found, []) is found.state
     assert verdict._named_alone(found, ["conversion_gain_error"]) == "anew"
     assert asked == [("start", (BLUR,))]
+
+
+@pytest.mark.parametrize(
+    ("left", "doubts", "doubted"), [(False, ["a bound"], True), (False, [], False), (True, ["a bound"], False)]
+)
+def test_only_names_that_leave_nothing_are_doubted(monkeypatch, left, doubts, doubted):
+    """Where structure stays it is no choice between two entries that is missing."""
+    monkeypatch.setattr(verdict, "leaves_structure", lambda outcome: left)
+    monkeypatch.setattr(verdict, "doubts_of", lambda outcome: doubts)
+    assert verdict.is_doubted(outcome()) is doubted
