@@ -257,9 +257,9 @@ def examine(
     notes: list[str] = []
     taken_dn = design.header.camera.black_level_dn
     if taken_dn != header.camera.black_level_dn:
+        told = "where the noise of the light would end" if taken_dn else "for the noise does not tell it either"
         notes.append(
-            f"the black level is not declared, and one setting does not tell it: {taken_dn:.4g} DN is taken, where "
-            "the noise of the light would end"
+            f"the black level is not declared, and one setting does not tell it: {taken_dn:.4g} DN is taken, {told}"
         )
     found = search(start, entries, say, is_doubted)
     outcome = _spared("laws of no entry", lambda: held_to_laws(found, entries, say), notes) or found

@@ -50,7 +50,8 @@ def black_by_noise(design: Design, seen: CaptureStatistics) -> float | None:
         seen: What was measured.
     """
     alike = np.unique(np.column_stack([design.exposure_s, design.gain_db, design.source_level]), axis=0).shape[0] == 1
-    if not alike or design.closed.any() or not np.isnan(design.black_level_dn).all():
+    dark = design.closed | ~(design.source_level > 0)
+    if not alike or dark.any() or not np.isnan(design.black_level_dn).all():
         return None
     counts = np.isfinite(seen.variance) & (seen.variance_dof > 0) & (seen.high == 0) & (seen.low == 0)
     mean, variance, dof = (values[counts] for values in (seen.mean, seen.variance, seen.variance_dof))

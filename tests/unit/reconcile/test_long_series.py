@@ -137,6 +137,7 @@ def test_noise_is_not_asked_where_something_else_tells() -> None:
     longer = head.model_copy(update={"frames": (*head.frames[:-1], other)})
     assert black_by_noise(Design.of(longer, (48, 64)), shown) is None
     assert black_by_noise(Design.of(header(16, known=False, shutter="closed"), (48, 64)), shown) is None
+    assert black_by_noise(Design.of(header(16, known=False, source_level=0.0), (48, 64)), shown) is None
 
 
 @pytest.mark.slow
