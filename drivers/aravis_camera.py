@@ -19,7 +19,7 @@ import structlog
 from drivers.camera_finding import find_camera, listed_cameras
 from drivers.camera_opening import CameraSession, open_session
 from drivers.camera_quirks import load_preset
-from drivers.farewell import drop_in_background
+from drivers.farewell import give_up_in_background
 from drivers.frame_stream import Tally
 from drivers.fresh_frames import FreshFrames
 from radiometer.data import CameraDescription, Frame, LensDescription
@@ -195,7 +195,7 @@ class AravisCamera:
             _held.discard(session.opened_by)
             session.features.close()
             if session.is_lost():
-                drop_in_background(session.camera)
+                give_up_in_background(session.camera)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Set everything and return it as read back.

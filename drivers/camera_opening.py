@@ -14,7 +14,7 @@ from drivers.call_thread import CallThread
 from drivers.camera_finding import FAKE_ID
 from drivers.camera_quirks import CameraQuirks, quirks_for
 from drivers.chunk_data import switch_on_chunks
-from drivers.farewell import drop_in_background
+from drivers.farewell import give_up_in_background
 from drivers.feature_access import FeatureAccess, translated
 from drivers.feature_hygiene import HygieneFinding, switch_off_falsifiers
 from drivers.gige_ping import answers, is_controlled, name_at
@@ -177,7 +177,7 @@ def open_session(
         return _controlled_session(aravis, features, camera, known, identity.device_id, preset)
     except BaseException:
         if features.lost.is_set():
-            drop_in_background(camera)
+            give_up_in_background(camera)
         elif camera.is_gv_device():
             with suppress(DeviceError):
                 features.call(camera.get_device().leave_control)

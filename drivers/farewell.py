@@ -9,11 +9,14 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from contextlib import suppress
 from typing import Any, Final
 
 _OWN_REFERENCES: Final = 2  # that of the list, and that of the question itself
 _LOOK_S: Final = 0.05
 _PATIENCE_S: Final = 60.0
+# A second between two heartbeats, 5 s in which one is repeated, five times 0.5 s for the last of them (Aravis 0.8).
+HEARTBEAT_S: Final = 10.0
 
 
 def drop_in_background(*objects: Any) -> None:
@@ -24,6 +27,26 @@ def drop_in_background(*objects: Any) -> None:
             an exception on its way up may hold a while longer.
     """
     threading.Thread(target=_drop, args=(list(objects),), name="camera farewell", daemon=True).start()
+
+
+def give_up_in_background(camera: Any, heartbeat_s: float = HEARTBEAT_S) -> None:
+    """Take a camera of the library over that was lost; give up control and drop it once its heartbeat is over.
+
+    A camera that is back by now is free for others as soon as control is given up.
+
+    Args:
+        camera: An `Aravis.Camera`.
+        heartbeat_s: How long the library may take to notice and tell that the camera is gone, in s.
+    """
+    threading.Thread(target=_give_up, args=([camera], heartbeat_s), name="camera farewell", daemon=True).start()
+
+
+def _give_up(kept: list[Any], heartbeat_s: float) -> None:
+    if kept[0].is_gv_device():
+        with suppress(Exception):  # it is gone: that it does not answer is no news
+            kept[0].get_device().leave_control()
+        time.sleep(heartbeat_s)
+    _drop(kept)
 
 
 def _drop(kept: list[Any]) -> None:

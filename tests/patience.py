@@ -6,6 +6,8 @@ import os
 import time
 from functools import lru_cache
 
+# In front of a program that a test starts: it ends with the test's process, however that ends, and holds no port then.
+ENDS_WITH_US = ("setpriv", "--pdeathsig", "KILL")
 TURN_S = 2.0  # as long a measurement serves: each is work itself, and hundreds of tests ask
 
 

@@ -30,9 +30,10 @@ from simulators.camera_model import CameraModel
 from simulators.edge_devices import SimulatedPiCamera, SimulatedTether, SimulatedWebcam
 from simulators.scenes.factory import scene_from_mapping
 from simulators.simulated_camera import SimulatedCamera, default_limits
-from tests.patience import within
+from tests.patience import ENDS_WITH_US, within
 
 LOOPBACK = "127.0.0.1"
+_occupied: list[str] = []  # by another program, as was found
 SMALL_REGION = Roi(16, 8, 64, 48)
 
 
@@ -65,12 +66,18 @@ def gige_port() -> Iterator[None]:
     """Hold the one GigE Vision control port of the loopback interface against other test runs."""
     with PORT_LOCK.open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        end = time.monotonic() + within(60.0)
-        while not port_is_free():
-            if time.monotonic() > end:
-                pytest.skip("another program serves a GigE Vision camera at 127.0.0.1")
-            time.sleep(0.2)
+        if not port_comes_free():
+            pytest.skip("another program serves a GigE Vision camera at 127.0.0.1")
         yield
+
+
+def port_comes_free() -> bool:
+    """Tell whether a camera can be served on the loopback interface; one that stays is waited for once."""
+    end = time.monotonic() + within(0.0 if _occupied else 60.0)
+    while not (free := port_is_free()) and time.monotonic() < end:
+        time.sleep(0.2)
+    _occupied[:] = [] if free else [LOOPBACK]
+    return free
 
 
 def port_is_free() -> bool:
@@ -92,7 +99,8 @@ def fake_gige_process(aravis_installed: None, gige_port: None) -> Iterator[Calla
     running: list[subprocess.Popen[bytes]] = []
 
     def start(*options: str) -> subprocess.Popen[bytes]:
-        process = subprocess.Popen([program, "-i", LOOPBACK, "-s", "GV77", *options], stderr=subprocess.DEVNULL)
+        words = [*ENDS_WITH_US, program, "-i", LOOPBACK, "-s", "GV77", *options]
+        process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
         running.append(process)
         end = time.monotonic() + within(10.0)
         while not answers(LOOPBACK, attempts=1, timeout_s=0.2):

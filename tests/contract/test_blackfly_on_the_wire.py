@@ -268,3 +268,31 @@ def test_requests_are_answered_while_a_picture_is_made(aravis_installed, gige_po
         answered.set()
         stream.close()
     assert told == [0.0] * 10
+
+
+LOSES_ITS_CAMERA = """
+import threading, time
+from drivers.aravis_camera import open_camera
+camera, told = open_camera("127.0.0.1"), threading.Event()
+def tell(*_):
+    told.set()
+    time.sleep(1)
+camera.open()
+camera.session.camera.get_device().connect("control-lost", tell)
+print("open", flush=True)
+told.wait()
+camera.close()
+del camera
+time.sleep(3)
+print("lived", flush=True)
+"""
+
+
+def test_a_camera_closed_while_the_library_tells_of_its_loss_ends_no_program(blackfly, project_root):
+    """The device, held by the heartbeat's own thread just then, ends later: there it would wait for itself."""
+    words = [sys.executable, "-c", LOSES_ITS_CAMERA]
+    with subprocess.Popen(words, cwd=project_root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stdout.readline() == "open\n"
+        blackfly.close()
+        said, complaint = child.communicate(timeout=within(60))
+    assert (said, child.returncode) == ("lived\n", 0), complaint

@@ -16,7 +16,7 @@ from drivers.aravis_camera import open_camera
 from drivers.gige_ping import answers
 from radiometer.cli.main import run
 from radiometer.devices import CameraSettings
-from tests.patience import within
+from tests.patience import ENDS_WITH_US, within
 
 LOOPBACK = "127.0.0.1"
 BENCH = """\
@@ -46,7 +46,7 @@ def serve(aravis_installed, gige_port, bench, project_root):
 
     def start(*options: str) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "radiometer", "simulate", "camera", "--fast", "--bench", str(bench), *options]
-        process = subprocess.Popen(command, cwd=project_root, stdout=subprocess.DEVNULL)
+        process = subprocess.Popen([*ENDS_WITH_US, *command], cwd=project_root, stdout=subprocess.DEVNULL)
         running.append(process)
         end = time.monotonic() + within(30.0)
         while not answers(LOOPBACK, attempts=1, timeout_s=0.2):
