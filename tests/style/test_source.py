@@ -60,6 +60,7 @@ def raised_names(function):
     return {name for name in names if name and name[0].isupper() and name not in {"AssertionError", "StopIteration"}}
 
 
+@pytest.mark.slow
 def test_raised_errors_stand_in_the_docstring():
     """What a public function raises itself is named in its docstring."""
     assert faulty(LIBRARY, unsaid) == {}
@@ -126,6 +127,7 @@ def test_modules_stay_small():
     assert {name: length for name, length in lengths.items() if length > LONGEST_MODULE} == {}
 
 
+@pytest.mark.slow
 def test_every_test_says_which_behaviour_it_shows():
     """The docstring of a test is the sentence that it proves."""
     assert faulty(TESTS, lambda path: faults_of_tests(path)[0]) == {}

@@ -124,6 +124,7 @@ def test_photographs_stand_in_for_a_camera(capsys, words):
     assert "--photographs" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_known_ratio_fixes_the_exponent(tmp_path, capsys):
     """Times stated 2.2-fold for 2-fold: with one ratio known as 2 the others come out as 2, and the gauge says why."""
     dn = np.arange(256)[None, :].repeat(64, axis=0)

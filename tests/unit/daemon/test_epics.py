@@ -14,6 +14,8 @@ from radiometer.daemon.patches import MAIN, PatchLimits
 from radiometer.errors import UsageError
 from tests.patience import within
 
+pytestmark = pytest.mark.slow  # a network client, whose libraries take seconds to load
+
 
 @pytest.fixture
 async def served(station):

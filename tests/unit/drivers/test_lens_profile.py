@@ -30,6 +30,7 @@ def _photograph(path, values, seconds, lens=LENS, **without):
     Image.fromarray(values).save(path, exif=exif)
 
 
+@pytest.mark.slow
 def test_coefficients_are_those_that_were_measured(shared_data):
     """At a measured focal length, aperture and distance the sensitivity is 1 + k₁r² + k₂r⁴ + k₃r⁶ of the table."""
     pytest.importorskip("lensfunpy")

@@ -368,6 +368,7 @@ def test_a_bench_file_names_such_a_camera(webcam, monkeypatch, tmp_path):
     camera.close()
 
 
+@pytest.mark.slow
 def test_devices_lists_them_with_the_name_to_ask_for(monkeypatch, capsys):
     """Each stands in the list as it is named; a library that is not installed keeps no other from being listed."""
 

@@ -168,6 +168,7 @@ def test_every_file_of_the_real_folders(shared_data, tmp_path):
     assert read > 5
 
 
+@pytest.mark.slow
 def test_the_real_ccd_night(shared_data):
     """32 FITS frames: 60 s in files called expos1 is doubted, one header gain, exposures 0 to 300 s."""
     folder = shared_data / "sensors" / "sbig_stl1001_2017"

@@ -169,6 +169,7 @@ def test_a_lamp_that_jumps_within_a_series_is_named() -> None:
     assert size.value == pytest.approx(0.01, abs=3.5 * size.u)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_a_quiet_series_agrees(known: bool) -> None:
     """Also where nobody states the camera: its black level is taken from the noise, and that is said."""
