@@ -75,6 +75,7 @@ def test_a_place_in_firmware_has_room_for_these():
     }
 
 
+@pytest.mark.slow
 def test_a_seed_draws_the_same_of_an_area_whatever_else_is_drawn():
     """No place is drawn twice, every file is a source of its area, and another seed draws others."""
     alone, beside = draw(1, ["flux"], 30), draw(1, ["http", "flux"], 30)

@@ -245,6 +245,7 @@ def effects_named(path):
     return found
 
 
+@pytest.mark.slow
 def test_reconcile_knows_no_effect_by_name():
     """What is peculiar to an effect stands in its own file: no name of one as a string, no import of one."""
     assert faulty(RECONCILE, effects_named) == {}

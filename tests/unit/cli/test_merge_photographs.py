@@ -232,6 +232,7 @@ def test_a_kept_response_is_taken_up_as_long_as_photographs_and_recovery_stay(fe
     assert said.count("from another version of the recovery of responses; recovered anew") == 1
 
 
+@pytest.mark.slow
 def test_a_colour_by_itself_does_not_take_up_what_three_colours_told(few_colours):
     """Labels are judged by all colours together: red alone is recovered by itself, and the three together again."""
     folder, recovered = few_colours

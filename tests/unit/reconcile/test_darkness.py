@@ -62,6 +62,7 @@ def test_a_wander_is_no_more_than_a_share_of_the_pixels_noise() -> None:
     assert wander_of_black(design, seen) == pytest.approx(0.3 * NOISE_DN, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_black_level_that_moves_within_frames_is_measured() -> None:
     """Half waves of 0.8 DN over their number, new in each frame, show 0.8 DN; what moves as a whole, or never, none."""
     rng = np.random.default_rng(15)
