@@ -108,11 +108,14 @@ class CaptureSetWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is None:
-            if not (self.path / HEADER_NAME).exists():
+        if kind is not None:
+            self._remove()
+        elif not (self.path / HEADER_NAME).exists():
+            try:
                 self.finish()
-            return
-        self._remove()
+            except BaseException:
+                self._remove()
+                raise
 
     def _remove(self) -> None:
         for file in (self.path / "frames").glob("*"):

@@ -81,6 +81,13 @@ def test_an_error_while_capturing_leaves_nothing_behind(tmp_path):
     assert not (tmp_path / "capture").exists()
 
 
+def test_a_capture_without_a_frame_leaves_no_folder_that_the_next_one_would_be_refused(tmp_path):
+    """Nobody has to remove an empty folder by hand before capturing again."""
+    with pytest.raises(OutputError, match="no frame was captured"), CaptureSetWriter(tmp_path / "capture", CAMERA):
+        pass
+    assert not (tmp_path / "capture").exists()
+
+
 def test_a_folder_that_holds_something_is_not_overwritten(capture):
     """A second capture needs another name."""
     with pytest.raises(OutputError, match="exists already"), CaptureSetWriter(capture, CAMERA):

@@ -64,11 +64,12 @@ class CaptureMachine(RuleBasedStateMachine):
     @precondition(lambda self: self.writer)
     @rule()
     def finish(self) -> None:
-        """With frames it is a capture set from now on; without one there is nothing to finish."""
+        """With frames it is a capture set from now on; without one there is nothing to finish, and nothing is left."""
         assert self.writer is not None
         if not self.added:
             with pytest.raises(OutputError, match="nothing to finish"):
                 self.writer.__exit__(None, None, None)
+            self.state = "absent"
         else:
             self.writer.__exit__(None, None, None)
             self.state, self.digest = "finished", CaptureSet.read(self.folder).content_hash()
