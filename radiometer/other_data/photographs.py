@@ -259,7 +259,7 @@ def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> Reconcil
         gap_before=before / after,
         gap_after=1.0,
         limits={
-            _LABEL: Limit(_limit(judged) if judged.can_tell else None, "ratio", "1"),
+            _LABEL: Limit(_limit(judged), "ratio", "1"),
             "gamma_enabled": Limit(None, "gamma", "1"),
             "response_nonlinearity": Limit(None, "a2", "1"),
         },
@@ -291,13 +291,13 @@ def _rivals(label: WrongLabel, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"{_LABEL} of {names[frame]} (ratio {ratio:.3f})" for frame, ratio in label.rivals)
 
 
-def _limit(judged: _Judged) -> float:
-    """Return the label error, as a ratio less 1, that would stand out by five sigma in the frame that shows it best."""
-    normal = judged.fitted.fit.normal
-    frame, group = judged.fitted.samples.frame, judged.fitted.samples.group
-    counted = np.bincount(frame, normal.weight * (normal.weight > 0), judged.log_time.size)
-    best = float(counted.max()) if group.size else 0.0
-    return max(5.0 / math.sqrt(max(best, 1e-12)), SMALLEST_LABEL_ERROR)
+def _limit(judged: _Judged) -> float | None:
+    """Return the label error, as a ratio less 1, that would stand out by five sigma in any frame that can tell one.
+
+    None where no frame can: the frame whose quadrants differ most counts, for nobody knows which label is wrong.
+    """
+    known = [u for _, u in _ratios(judged) if math.isfinite(u)] if judged.can_tell else []
+    return max(5.0 * max(known), SMALLEST_LABEL_ERROR) if known else None
 
 
 def _error_sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
