@@ -202,3 +202,11 @@ def test_file_that_cannot_be_taken_is_told_in_one_line(tmp_path: Path, text: str
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigurationError, match=f"broken.py: .*{said}"):
         register_file(path)
+
+
+@pytest.mark.parametrize(("name", "said"), [("gone.py", "does not exist"), ("law.txt", "is no Python file")])
+def test_a_file_that_cannot_hold_effects_is_refused_for_what_it_is(tmp_path, name, said):
+    """One that is not there is not called no Python file."""
+    (tmp_path / "law.txt").write_text("", encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=f"{name}:? {said}"):
+        register_file(tmp_path / name)
