@@ -18,7 +18,7 @@ from typing import Final
 from radiometer.errors import DeviceInUse, OutputError
 
 _PATIENCE_S: Final = 3.0  # the box answers, or is dark by its dead-man timer, in less
-_LONGEST_WORD: Final = 200
+_LONGEST_WORD: Final = 4400  # characters: a path of 4095 bytes, a serial number and a process
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,6 +59,14 @@ def test_what_answers_otherwise_is_no_box() -> None:
         assert [(box.serial, box.pid) for box in held_boxes()] == [("BBBB0001", os.getpid())]
 
 
+def test_a_port_is_told_whole_however_deep_its_folder_is() -> None:
+    """A path may have 4095 bytes: cut off, `light off --box PORT` would find no holder."""
+    port = "/" + "/".join(["folder"] * 584)
+    assert len(port) == 4088
+    with holding("AAAA0001", port, lambda: None):
+        assert [(box.serial, box.port) for box in held_boxes()] == [("AAAA0001", port)]
+
+
 def test_a_holder_that_does_not_darken_is_named() -> None:
     """The message gives the process and the ways that are left."""
 

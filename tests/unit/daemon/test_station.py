@@ -17,7 +17,7 @@ import pytest
 from radiometer.daemon import station as station_module
 from radiometer.daemon.acquisition import Acquisition
 from radiometer.daemon.alarms import Alarms
-from radiometer.daemon.journal import Journal
+from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.keeper import DeviceState
 from radiometer.daemon.state import identity_mapping
@@ -343,6 +343,37 @@ async def test_a_camera_that_is_back_is_measured_with_within_a_tenth_of_a_second
         acquisition._due_at = time.monotonic() + 50.0
     assert 0.0 < (away._pause_s() or 0.0) <= 0.1
     assert there._pause_s() == pytest.approx(50.0, abs=5.0)
+
+
+@pytest.mark.parametrize(
+    ("trouble", "deadline_s", "waited_s", "told"),
+    [
+        ("", 120.0, 120.0, TimeoutError),
+        ("", 2.0, 2.0, TimeoutError),
+        ("the disk is full", 120.0, 5.0, JournalError),
+        ("the disk is full", 2.0, 2.0, JournalError),
+    ],
+)
+async def test_nobody_waits_long_for_a_journal_that_is_known_to_be_blocked(
+    station: Station,
+    monkeypatch: pytest.MonkeyPatch,
+    trouble: str,
+    deadline_s: float,
+    waited_s: float,
+    told: type[Exception],
+) -> None:
+    """Five seconds at most, and the journal's trouble is told; for a measurement as long as the client allows."""
+    asked: list[float] = []
+
+    async def measure(settings: object, wait_s: float, session: str) -> None:
+        asked.append(wait_s)
+        raise TimeoutError
+
+    monkeypatch.setattr(station, "_journal_trouble", lambda: trouble)
+    monkeypatch.setattr(station.acquisition, "measure", measure)
+    with pytest.raises(told, match=trouble or None):
+        await station.measure(deadline_s=deadline_s)
+    assert asked == [waited_s]
 
 
 @pytest.fixture
