@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from radiometer.adaptation.threshold_files import read_table
+from radiometer.adaptation.trial_lists import column_of_onsets
 from radiometer.errors import InputError
 
 MINUTES, LEVELS = [0.5, 2.0, 10.0], [1.0, -1.0, -3.0]
@@ -148,3 +149,34 @@ def test_trials_that_give_no_thresholds_are_refused(tmp_path: Path, text: str, s
     with pytest.raises(InputError) as refused:
         read_table(tmp_path / "t.csv")
     assert said in str(refused.value)
+
+
+ASCENDING, REACTIONS, LEVELS_SHOWN = ("0", "2", "2", "5.5"), ("400", "-1", "350", "-1"), ("8", "6", "7", "9")
+
+
+@pytest.mark.parametrize(
+    ("columns", "when"),
+    [
+        ({"trial": ASCENDING, "level": LEVELS_SHOWN, "onset_s": ASCENDING}, 2),
+        ({"time": ASCENDING, "level": LEVELS_SHOWN, "onset": ASCENDING}, 2),
+        ({"onset": REACTIONS, "level": LEVELS_SHOWN, "time": ASCENDING}, 2),
+        ({"Elapsed [ms]": ASCENDING, "level": LEVELS_SHOWN}, 0),
+        ({"level": LEVELS_SHOWN, "start of blink": ASCENDING}, 1),
+        ({"level": LEVELS_SHOWN, "wall clock": ASCENDING}, 1),
+        ({"trial": ASCENDING, "level": LEVELS_SHOWN, "time": REACTIONS}, None),
+        ({"onset": ("3", "3", "3", "3"), "level": LEVELS_SHOWN}, None),
+        ({"onset": ("a", "b", "c", "d"), "level": LEVELS_SHOWN}, None),
+        ({"downtime": ASCENDING, "timer": ASCENDING, "level": LEVELS_SHOWN}, None),
+    ],
+)
+def test_the_time_of_a_trial_is_a_column_by_its_name_and_its_numbers(
+    columns: dict[str, tuple[str, ...]], when: int | None
+) -> None:
+    """The best known of the names, alone or as the first or last word, of a column that ascends; a count is no time."""
+    header = [*columns, "seen"]
+    rows = [[*row, "TRUE"] for row in zip(*columns.values(), strict=True)]
+    if when is None:
+        with pytest.raises(InputError, match="without the time at which each was shown"):
+            column_of_onsets(Path("t.csv"), header, rows, without=len(columns))
+    else:
+        assert column_of_onsets(Path("t.csv"), header, rows, without=len(columns)) == when

@@ -8,7 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 
+from radiometer.daemon import journal_writer
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.clock_watch import Jump
 from radiometer.daemon.journal import Journal, JournalError
@@ -265,3 +267,34 @@ def test_a_journal_that_is_closed_lets_go_of_its_file(tmp_path: Path, make_readi
         connection.execute("SELECT 1")
     with Journal(tmp_path / "j.sqlite") as other:
         assert [reading.sequence for reading in other.append([make_reading()])] == [2]
+
+
+def test_a_journal_is_told_by_its_first_bytes(tmp_path: Path, make_reading: Make) -> None:
+    """SQLite's header holds RAMJ at byte 68 and the form at byte 60: journals of before and `file` go by these."""
+    written(tmp_path / "j.sqlite", readings(make_reading))
+    header = (tmp_path / "j.sqlite").read_bytes()[:100]
+    assert (header[:15], header[68:72]) == (b"SQLite format 3", b"RAMJ")
+    assert int.from_bytes(header[60:64], "big") == 2
+
+
+async def test_what_cannot_be_committed_at_the_end_is_logged_and_nobody_waits_for_it(
+    tmp_path: Path, make_reading: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each reading stands in the log in full, whoever waits for one is told that it will not come, the file is free."""
+    monkeypatch.setattr(journal_writer, "_CLOSING_DEADLINE_S", 0.0)
+    journal = Journal(tmp_path / "j.sqlite")
+    writer = JournalWriter(journal, Alarms(lambda *_: None), lambda *_: None)
+    await writer.open()
+
+    def full(batch: list[Reading]) -> None:
+        raise JournalError("disk full")
+
+    monkeypatch.setattr(journal, "append", full)
+    given = [make_reading(radiance=Quantity(value, 0.1, "1")) for value in (5.0, 3.0)]
+    futures = [writer.submit(one) for one in given]
+    with capture_logs() as logs:
+        await writer.close()
+    told = [one["reading"] for one in logs if one["event"] == "reading could not be committed"]
+    assert told == [one.to_json() for one in given]
+    assert [future.cancelled() for future in futures] == [True, True]
+    assert journal._connection is None

@@ -18,10 +18,12 @@ from radiometer.data import (
     Bracket,
     Calibration,
     CameraDescription,
+    FoundEffects,
     Frame,
     FrameSettings,
     LensDescription,
     Scale,
+    ScaleConditions,
     SensorNoise,
 )
 
@@ -176,3 +178,21 @@ def test_equal_exposures_are_averaged_with_the_stated_uncertainty():
     assert value.std() / unit == pytest.approx(information**-0.5, rel=0.02)
     assert np.median(found.u_radiance) / unit == pytest.approx(information**-0.5, rel=0.02)
     assert np.count_nonzero(found.mask) < 5
+
+
+@pytest.mark.parametrize("off_rel", [0.0009, 0.0011])
+def test_a_map_tells_of_what_is_off_by_a_thousandth_or_more(off_rel):
+    """Short exposures, a bend at full scale, and light of another spectrum: below a thousandth none needs a word."""
+    seconds, there = 1e-3, ScaleConditions(inverse_exposure_per_s=100.0)
+    stated = CALIBRATION.uncertainties.model_copy(
+        update={"exposure_u_s": off_rel / (1.0 / seconds - 100.0), "spectral_u_rel": off_rel}
+    )
+    known = replace(
+        CALIBRATION,
+        scale=Scale(value=1.0, u_rel=0.01, method="known_radiance", f_number=4.0, conditions=there),
+        uncertainties=stated,
+        found=FoundEffects(well_a2=1.5 * off_rel, well_a3=-0.5 * off_rel, well_e=FULL_SCALE * 2.5 / 2.0),
+    )
+    told = merge(iter(frames(1, (seconds, 2.0 * seconds))), CAMERA, LensDescription(f_number=4.0), known).not_in_u
+    words = ("the exposure of 1e+03 µs", "the response bends", "light of another spectrum")
+    assert [any(one.startswith(word) for one in told) for word in words] == [off_rel > 0.001] * 3

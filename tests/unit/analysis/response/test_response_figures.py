@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -14,8 +16,9 @@ from radiometer.analysis.response.estimate import ResponseEstimate
 from radiometer.analysis.response.jackknife import jackknife
 from radiometer.analysis.response.labels import _longest_rise
 from radiometer.analysis.response.limits import ValueLimits, find_limits
+from radiometer.analysis.response.mitsunaga1999 import _curve
 from radiometer.analysis.response.pixel_noise import _of_residuals
-from radiometer.analysis.response.samples import _edge_scatter, gather_samples
+from radiometer.analysis.response.samples import _edge_scatter, _label_groups, gather_samples
 from radiometer.analysis.response.unseen import unseen_factor
 from radiometer.analysis.response.weights import group_residual, slope_at, value_at
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
@@ -215,3 +218,28 @@ def test_pixels_at_edges_scatter_so_many_times_as_much_as_others():
     assert _edge_scatter(clipped[0], clipped[1]) == pytest.approx(np.median(expected[4:]))
     clipped[1][3] = 1.0
     assert _edge_scatter(clipped[0], clipped[1]) == 1.0
+
+
+@pytest.mark.parametrize(("pixels", "groups"), [(640, 64), (768, 64), (1200, 100), (3000, 250), (6144, 384)])
+def test_pixels_are_parted_into_groups_of_a_dozen(pixels, groups):
+    """A dozen of even brightness to each, but 64 groups of a small picture and 384 of a large one; dark to bright."""
+    ramp = np.random.default_rng(7).permutation(pixels).reshape(-1, 8)
+    bracket = Bracket.from_frames([Frame(ramp.astype(np.uint16), 16, FrameSettings(1.0))])
+    label, count = _label_groups(bracket, ValueLimits(0, 65535))
+    size = np.bincount(label)
+    assert (count, size.size) == (groups, groups)
+    assert size.max() - size.min() <= 1
+    assert np.array_equal(label[np.argsort(ramp.ravel())], np.sort(label))
+
+
+@pytest.mark.parametrize(
+    ("lowest_seen", "nothing_below", "first"), [(101, -1, 120), (118, -1, 120), (200, -1, 200), (101, 300, 301)]
+)
+def test_a_polynomial_ends_where_its_data_end(lowest_seen, nothing_below, first):
+    """It is fitted from 2 % of full scale above black and says nothing below, nor of 1e-5 of the highest light."""
+    numbers = np.arange(1024.0)
+    light = np.where(numbers > 350, (numbers - 100.0) / 900.0, np.where(numbers > nothing_below, 1.2e-5, 0.8e-5))
+    samples = SimpleNamespace(dn=np.array([lowest_seen, 1000.0]), limits=ValueLimits(100, 1023), channel="mono")
+    curve = _curve(samples, np.log(light), np.full(1024, 0.01), 3)
+    assert curve.valid_dn == (first, 1000)
+    assert np.all(np.isinf(curve.u_log_exposure[:first]))
