@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import ast
 import importlib
+import itertools
 import multiprocessing
 import os
 import resource
@@ -51,6 +52,7 @@ QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")  # of plugins import
 FAST = "not slow and not long and not bench and not soak and not hardware"
 PASSED = (0, 5)  # 5: nothing was left to run
 COMPILED = "@compiled"  # marks the functions that numba compiles
+_OWN_TIMES = itertools.count(1_000_000_000)  # of files with a mistake, in s: compiled code of another is not theirs
 OTHERS = (
     "aiohttp.web",
     "cv2",
@@ -126,13 +128,13 @@ def fate_of_text(text: str, file: str, tests: tuple[str, ...], copy: Path, plugi
     """Return `noticed` or `survived` for a whole file's text with a mistake in it, and mend the file again.
 
     Python knows compiled code by the source's time and size, numba likewise, but not by what it calls, nor by the
-    constants that it reads elsewhere: the file gets a time of its own, and where compiled code may read the mistake the
-    compiled is kept elsewhere.
+    constants that it reads elsewhere: the file gets a time that none had before, and where compiled code may read the
+    mistake the compiled is kept elsewhere.
     """
     path = copy / file
     sound, times = path.read_bytes(), path.stat()
     path.write_text(text, encoding="utf-8")
-    os.utime(path, (times.st_atime, 1.0e9))
+    os.utime(path, (times.st_atime, next(_OWN_TIMES)))
     reaches = COMPILED in text or (
         figures_of(text, file) != figures_of(sound.decode(), file)
         and any(COMPILED in other.read_text(encoding="utf-8") for other in path.parent.glob("*.py"))

@@ -111,6 +111,23 @@ def test_the_nearest_tests_of_a_line_come_first():
     assert record.tests("drivers/firmware/light_box/pwm.c", 20) == [firmware, held]  # no test runs C by its lines
 
 
+def test_every_mistake_has_a_time_of_its_own(tmp_path, monkeypatch):
+    """Two of one size in one file would run as the first, whose bytecode is kept; the mended file has its old time."""
+    file, seen = tmp_path / "a.py", []
+    file.write_text("x = 1\n", encoding="utf-8")
+    sound = file.stat()
+
+    def code_of(*_):
+        seen.append((file.read_text(encoding="utf-8"), file.stat().st_mtime))
+        return 0
+
+    monkeypatch.setattr(harness, "code_of", code_of)
+    assert [harness.fate_of_text(f"x = {k}\n", "a.py", (), tmp_path) for k in (2, 3)] == ["survived"] * 2
+    assert [text for text, _ in seen] == ["x = 2\n", "x = 3\n"]
+    assert len({sound.st_mtime, *(time for _, time in seen)}) == 3
+    assert (file.read_text(encoding="utf-8"), file.stat().st_mtime) == ("x = 1\n", sound.st_mtime)
+
+
 @pytest.mark.slow  # starts processes, one of which works and one of which waits
 @pytest.mark.parametrize("never_ends", ["while True: pass", "signal.pause()"])
 def test_a_mistake_that_never_ends_is_ended(monkeypatch, never_ends):
