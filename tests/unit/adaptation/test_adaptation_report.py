@@ -10,7 +10,7 @@ import pytest
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit, Estimate, FitRequest, fit_adaptation
 from radiometer.adaptation.intervals import Interval
-from radiometer.adaptation.report import curve_csv, meaning, report_html
+from radiometer.adaptation.report import _remarks, curve_csv, meaning, report_html
 from radiometer.adaptation.rod_intercept import InterceptRule
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from tests.unit.reporting.test_page import HOSTILE
@@ -104,6 +104,21 @@ def test_an_interval_that_is_open_calls_for_thresholds(profile, bootstrap, opens
     assert told[1].endswith("falls by one log10 unit in 4.0 min.")
     assert [text for text in told if "open at an end" in text] == told[2:]
     assert (len(told) == 3) is opens
+
+
+@pytest.mark.parametrize(("sigma", "stated_u", "told"), [(None, 0.0, 2), (None, 0.05, 1), (np.ones(5), 0.05, 0)])
+def test_thresholds_that_count_for_less_than_half_are_counted(sigma, stated_u, told):
+    """Two of five lie far off the curve; where every threshold has its own u they are only less well known."""
+    series = SimpleNamespace(time_min=np.arange(5.0), sigma=sigma, taken=("minutes",))
+    weights = 0.02 * np.array([1.0, 0.51, 0.49, 0.1, 0.98])
+    fit = SimpleNamespace(
+        chosen=SimpleNamespace(series=series, weights=weights), request=SimpleNamespace(stimulus_u_log10=stated_u)
+    )
+    remarks = _remarks(fit)
+    assert remarks[0] == "Taken: minutes."
+    words = ["2 of 5 thresholds lie far off the curve", "No uncertainty of the stimulus' calibration"]
+    assert [any(one.startswith(word) for one in remarks) for word in words] == [sigma is None, not stated_u]
+    assert len(remarks) == 1 + told
 
 
 @pytest.mark.slow

@@ -174,7 +174,8 @@ def fitted(**changes):
         ({"s2_slope_per_min": -0.61}, False),
         ({"s2_slope_per_min": 0.2}, False), ({"break_min": 1.2}, False), ({"break_min": 29.4}, False),
         ({"tau_min": 5.9}, True), ({"tau_min": 6.1}, False), ({"tau_min": 0.4, "amplitude": 8.0}, False),
-        ({"tau_min": 0.4, "amplitude": 2.0}, True), ({"tau_min": 0.55, "amplitude": 8.0}, True),
+        ({"tau_min": 0.4, "amplitude": 2.0}, True), ({"tau_min": 0.4, "amplitude": 3.3}, True),
+        ({"tau_min": 0.4, "amplitude": 3.7}, False), ({"tau_min": 0.55, "amplitude": 8.0}, True),
         ({"break_min": 27.0, "s2_slope_per_min": -0.15}, False), ({"break_min": 26.5, "s2_slope_per_min": -0.15}, True),
         ({"s3_slope_per_min": -0.03}, True), ({"s3_slope_per_min": -0.3}, False), ({"s3_slope_per_min": 0.06}, False),
         ({"s3_slope_per_min": 0.04}, True),
@@ -209,6 +210,17 @@ def test_quantities_that_follow_from_a_fit():
     assert rules._crossing(single, -5.0) == math.inf
     assert rules._steepness(EYE, -3.0) == pytest.approx(0.24)
     assert rules._steepness(single, -3.0) == pytest.approx(1.0 / 6.0)
+
+
+@pytest.mark.parametrize(("met_min", "told"), [(0.4, False), (0.6, True), (29.9, True), (30.9, True), (31.1, False)])
+def test_a_single_branch_meets_a_criterion_within_the_test(met_min, told):
+    """From the first threshold to a minute after the last, where a test ends that stops at it; rods at any time."""
+    cones = {name: EYE[name] for name in ("plateau", "amplitude")} | {"tau_min": 16.0}
+    criterion = float(ONE_BRANCH.threshold(np.array([met_min]), cones)[0])
+    fit, request = SimpleNamespace(values=cones, series=series(np.zeros(60))), rules.FitRequest(criterion=criterion)
+    assert rules._criterion(fit, request) == (criterion if told else None)
+    assert rules._criterion(fit, rules.FitRequest()) is None
+    assert rules._criterion(fitted(), request) == criterion
 
 
 @pytest.mark.parametrize(

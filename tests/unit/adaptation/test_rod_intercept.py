@@ -67,6 +67,32 @@ def test_its_uncertainty_is_that_of_the_line_read_backwards(last):
     assert half == pytest.approx(expected * student.ppf(0.975, dof), rel=1e-3)
 
 
+def test_a_wild_threshold_counts_less_as_much_as_it_is_off():
+    """By Huber: half at twice 1.5 robust standard deviations; pairs above and below leave the line where it was."""
+    times = np.repeat(np.arange(3.5, 9.1, 0.5), 2)
+    off = np.where(np.isin(np.arange(times.size) // 2, (1, 5, 10)), 1.5 * 1.4826 * 2.0 * 0.05, 0.05)
+    found = rod_intercept(ThresholdSeries(times, falling(times) + off * (-1.0) ** np.arange(times.size)), RULE)
+    near = np.abs(times - found.time_min) <= 3.0
+    weights = np.where(off > 0.05, 0.5, 1.0)[near]
+    _, covariance = np.polyfit(times[near], falling(times)[near], 1, w=np.sqrt(weights), cov="unscaled")
+    back = np.array([3.0 + 0.801 / 0.24, 1.0]) / 0.24
+    scatter = np.sum(weights * off[near] ** 2) / (np.count_nonzero(near) - 2)
+    assert found.time_min == pytest.approx(3.0 + 0.801 / 0.24)
+    assert found.u_min == pytest.approx(float(np.sqrt(back @ covariance @ back * scatter)), rel=1e-3)
+
+
+@pytest.mark.parametrize(("count", "read"), [(4, False), (5, True), (6, True)])
+def test_five_thresholds_make_a_line(count, read):
+    """Fewer have no intercept; of thresholds far apart the five nearest make it, and no further one."""
+    times = np.array([0.25, 2.25, 4.25, 6.25, 8.25, 10.25])[-count:]
+    levels = RULE.criterion_log10 - 0.24 * (times - 6.3) + np.where(times < 1.0, 0.3, 0.0)
+    found = rod_intercept(ThresholdSeries(times, levels), RULE)
+    assert (found is not None) == read
+    if read:
+        assert found.time_min == pytest.approx(6.3)
+        assert found.u_min == pytest.approx(0.0, abs=1e-9)
+
+
 def test_what_is_not_reached_has_no_time():
     """A curve that stays above, one that begins below, and a rising one have no intercept."""
     for levels in (falling() + 3.0, falling() - 3.0, -falling() - 4.0):
@@ -91,6 +117,30 @@ def test_only_a_protocol_with_the_published_conditions_reports_one():
     ):
         with pytest.raises(ConfigurationError, match="its limit holds for"):
             validate(AdaptationProtocol, {**whole, **change}, "x", ConfigurationError)
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "low", "high"),
+    [
+        ("spot", "size_deg", 1.5, 2.5), ("spot", "peak_nm", 500.0, 510.0), ("spot", "eccentricity_deg", 4.0, 6.0),
+        ("intercept", "criterion_log10", np.log10(0.0049), np.log10(0.0051)), ("bleach", "rods_bleached", 0.76, 0.82),
+    ],
+)  # fmt: skip
+def test_the_published_conditions_hold_to_their_bounds(monkeypatch, part, name, low, high):
+    """A size, wavelength, place, criterion or bleach just within is taken, one just beyond is refused by its name."""
+    rapid = read_protocol("rapid")
+    whole, edge = rapid.model_dump(), 0.01 * (high - low)
+    for value, taken in ((low - edge, False), (low + edge, True), (high - edge, True), (high + edge, False)):
+        if part == "bleach":
+            monkeypatch.setattr(type(rapid.bleach), name, lambda self, value=value: value)
+            changed = whole
+        else:
+            changed = {**whole, part: {**whole[part], name: float(value)}}
+        if taken:
+            assert validate(AdaptationProtocol, changed, "x", ConfigurationError).intercept is not None
+        else:
+            with pytest.raises(ConfigurationError, match=name.replace("rods_bleached", "bleached rods")):
+                validate(AdaptationProtocol, changed, "x", ConfigurationError)
 
 
 @pytest.mark.slow

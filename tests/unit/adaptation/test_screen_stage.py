@@ -199,6 +199,20 @@ def test_long_press_is_told_once_with_its_beginning(stage: ScreenStage, watched:
     assert stage.long_press(2.0) is None
 
 
+@pytest.mark.parametrize(("later_s", "told"), [(0.15, False), (0.25, True)])
+def test_beginnings_close_together_are_one_press(
+    stage: ScreenStage, watched: RecordingScreen, later_s: float, told: bool
+) -> None:
+    """A page's times scatter: what seems to begin 0.2 s after a press that was told is that press, later another."""
+    watched.hold = Hold(2.5, 2.5)
+    stage.rest(2.5)
+    begun_s = stage.long_press(2.0)
+    assert begun_s == pytest.approx(0.0)
+    watched.hold = Hold(lasted_s=2.2, began_ago_s=3.0 - later_s)
+    stage.rest(0.5)
+    assert stage.long_press(2.0) == (pytest.approx(later_s) if told else None)
+
+
 def test_journal_learns_what_the_screen_is(stage: ScreenStage) -> None:
     """Reach, steps, uncertainties, place of the eye and the page's warnings; a press is known to some 30 ms."""
     facts = stage.facts()

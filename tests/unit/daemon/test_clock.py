@@ -80,6 +80,31 @@ def test_what_a_time_service_does_is_no_jump() -> None:
     assert told == []
 
 
+@pytest.mark.parametrize(
+    ("by_us", "told"), [(4_900_000, False), (5_000_000, True), (-4_900_000, False), (-5_000_000, True)]
+)
+def test_five_seconds_are_a_jump_and_less_is_not(by_us: int, told: bool) -> None:
+    """Time services move a clock in smaller steps; what was followed is not added up to a jump."""
+    clocks, jumps = Clocks(), list[Jump]()
+    watch = ClockWatch(jumps.append, *clocks.both)
+    for _ in range(2):
+        clocks.wall += by_us
+        watch.look()
+    assert [jump.by_us for jump in jumps] == ([by_us, by_us] if told else [])
+
+
+@pytest.mark.parametrize(
+    ("off_us", "from_us"),
+    [(0, START_US), (DAY_US - 1, START_US), (DAY_US + 1, START_US - DAY_US - 1), (-1, START_US + 1)],
+)
+def test_a_day_without_a_daemon_is_believed_and_no_more(off_us: int, from_us: int) -> None:
+    """Off for longer, or with a newest reading in the future, ages are counted from that reading."""
+    clocks = Clocks()
+    retention = RetentionClock(START_US - off_us, 0, *clocks.both)
+    clocks.go(HOUR_US)
+    assert retention.now_us() == min(from_us + HOUR_US, clocks.wall)
+
+
 async def test_a_jump_is_in_journal_and_state(station: Station, eventually: Eventually) -> None:
     """An event of kind clock, and the jump in the state that the page shows."""
     assert station.status()["clock_jump"] is None

@@ -54,6 +54,17 @@ async def test_light_that_agrees_is_no_alarm(station: Station, box: Any, eventua
     assert station.levels["red"] == 0.91
 
 
+@pytest.mark.parametrize(("off", "alarmed"), [(1.0 / 65535.0, True), (-1.0 / 65535.0, True), (0.5e-6, False)])
+async def test_light_that_is_off_by_one_step_of_the_box_is_an_alarm(
+    station: Station, off: float, alarmed: bool
+) -> None:
+    """A level is one of 65,535: what is read back is the same number or it is another light."""
+    await station.set_level("red", 0.5)
+    station._box_reported(DeviceReport(30.0, {}, {"red": 0.5 + off}))
+    assert [alarm.name for alarm in station.alarms.active] == ["light red"] * alarmed
+    assert station.levels["red"] == (0.5 + off if alarmed else 0.5)
+
+
 async def test_the_level_of_a_lost_box_is_unconfirmed(
     station: Station, client: Any, box: Any, eventually: Eventually
 ) -> None:
