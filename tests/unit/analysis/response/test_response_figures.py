@@ -15,6 +15,7 @@ from radiometer.analysis.response.curves import _determined
 from radiometer.analysis.response.estimate import ResponseEstimate
 from radiometer.analysis.response.jackknife import jackknife
 from radiometer.analysis.response.labels import _longest_rise
+from radiometer.analysis.response.left_out import dial_step_dn, follow_no_curve
 from radiometer.analysis.response.limits import ValueLimits, find_limits
 from radiometer.analysis.response.mitsunaga1999 import _curve
 from radiometer.analysis.response.pixel_noise import _of_residuals
@@ -243,3 +244,15 @@ def test_a_polynomial_ends_where_its_data_end(lowest_seen, nothing_below, first)
     curve = _curve(samples, np.log(light), np.full(1024, 0.01), 3)
     assert curve.valid_dn == (first, 1000)
     assert np.all(np.isinf(curve.u_log_exposure[:first]))
+
+
+@pytest.mark.parametrize(
+    ("noise_dn", "error_dn", "told"), [(0.1, 9.6, False), (0.1, 9.9, True), (5.0, 14.8, False), (5.0, 15.2, True)]
+)
+def test_frames_follow_no_curve_beyond_half_a_third_of_a_stop(noise_dn, error_dn, told):
+    """A third of a stop more of 50 and 100 DN on a line is 13 and 26 DN; what is within three sigma is noise."""
+    line = np.log(np.maximum(np.arange(256.0), 0.5))
+    pixels = np.array([4.0, 25.0])
+    samples = SimpleNamespace(dn=np.array([50.0, 100.0]), variance=noise_dn**2 * pixels, pixels=pixels)
+    assert dial_step_dn(samples, line) == pytest.approx(75.0 * (2.0 ** (1.0 / 3.0) - 1.0), rel=1e-3)
+    assert follow_no_curve(error_dn, samples, line) is told

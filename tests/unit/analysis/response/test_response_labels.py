@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from radiometer.analysis.response.labels import exposure_labels, refuse_lying_labels
-from radiometer.data import Bracket
+from radiometer.data import Bracket, Frame, FrameSettings
 from radiometer.errors import CaptureError
 
 
@@ -59,6 +60,45 @@ def test_equal_black_frames_are_no_lie(make_stack):
         for s in (1e-6, 2e-6)
     ]
     refuse_lying_labels(Bracket.from_frames([*dark, *bracket.frames]))
+
+
+def _two_frames(seconds, of_middle=(60, 3000), part=0.5, rise=0.0):
+    """Return frames of 16 bits, some pixels at a part of full scale, the second by a rise above, the rest black."""
+    count, pixels = of_middle
+    shown = np.zeros((2, pixels))
+    shown[0, :count], shown[1, :count] = part, part + rise
+    dn = np.rint(65535.0 * shown).astype(np.uint16).reshape(2, 10, -1)
+    return Bracket.from_frames(Frame(one, 16, FrameSettings(t)) for one, t in zip(dn, seconds, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("changes", "refused"),
+    [
+        ({}, True), ({"of_middle": (59, 3000)}, False), ({"of_middle": (50, 1000)}, True),
+        ({"of_middle": (49, 1000)}, False), ({"part": 0.09}, False), ({"part": 0.11}, True), ({"part": 0.89}, True),
+        ({"part": 0.91}, False), ({"rise": 0.0038}, True), ({"rise": 0.0042}, False),
+        ({"seconds": (1.0, 1.26)}, True), ({"seconds": (1.0, 1.24)}, False),
+    ],
+)  # fmt: skip
+def test_equal_frames_need_enough_middle_tones_and_labels_that_differ(changes, refused):
+    """50 pixels and 2 % between a tenth and nine tenths of full scale, alike to 0.4 % of it, labels a quarter apart."""
+    bracket = _two_frames(**({"seconds": (1.0, 2.0)} | changes))
+    if refused:
+        with pytest.raises(CaptureError, match="equally bright though their stated exposures differ"):
+            refuse_lying_labels(bracket)
+    else:
+        refuse_lying_labels(bracket)
+
+
+@pytest.mark.parametrize(("count", "fall", "refused"), [(60, 0.0038, False), (60, 0.0042, True), (49, 0.0042, False)])
+def test_a_longer_exposure_may_be_darker_by_noise(count, fall, refused):
+    """By 0.4 % of full scale where neither clips; of fewer than 50 such pixels the whole picture is asked instead."""
+    bracket = _two_frames((1.0, 1.1), (count, 3000), rise=-fall)
+    if refused:
+        with pytest.raises(CaptureError, match="get darker"):
+            refuse_lying_labels(bracket)
+    else:
+        refuse_lying_labels(bracket)
 
 
 def test_equal_exposures_are_no_lie_whatever_their_brightness(make_stack):
