@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from radiometer.analysis.merge.alignment import (
     Movement,
     _after,
     _has_white_rims,
+    _Pictures,
     _shift,
     aligned,
     find_alignment,
@@ -215,3 +217,34 @@ def test_what_all_frames_show_is_left_by_the_largest_displacement():
         trimmed = alignment.trimmed(Bracket.from_frames(frames))
         for one, frame in zip(trimmed, frames, strict=True):
             np.testing.assert_array_equal(one.dn, frame.dn[rim : 60 - rim, rim : 80 - rim])
+
+
+@pytest.mark.parametrize(
+    ("shift", "degrees", "needed"),
+    [((0.24, 0.0), 0.0, False), ((0.0, -0.26), 0.0, True), ((0.15, 0.19), 0.0, False), ((0.19, 0.19), 0.0, True),
+     ((0.0, 0.0), 0.07, False), ((0.0, 0.0), 0.09, True)],
+)  # fmt: skip
+def test_corners_that_move_by_a_quarter_pixel_call_for_alignment(shift, degrees, needed):
+    """By whatever shift or turn: a corner of 300 by 220 lies 186 pixels from the middle, so that 0.077 degrees do."""
+    moved = Movement(_place(np.array(shift), degrees))
+    found = Alignment((Movement(np.eye(2, 3)), moved), 0, (HEIGHT, WIDTH))
+    assert found.needed is needed
+    assert found.sentence(["a", "b"]).startswith("aligned already") is not needed
+
+
+@pytest.mark.parametrize(
+    ("u_px", "moved", "told", "still"),
+    [(0.09, True, True, False), (0.19, True, True, False), (0.21, True, False, False),
+     (0.09, False, True, True), (0.11, False, True, False)],
+)  # fmt: skip
+def test_a_movement_known_to_a_fifth_of_a_pixel_is_told(monkeypatch, u_px, moved, told, still):
+    """In pictures reduced to half a shift of 3 is one of 6; standing still is believed to a fifth of a whole pixel."""
+    shift = np.array([[1.0, 0.0, 3.0], [0.0, 1.0, -2.0]])
+    pair = SimpleNamespace(u_px=u_px, to_frame=shift, moved=moved)
+    monkeypatch.setattr(_Pictures, "_pair", lambda self, first, second: (pair, 2.0))
+    pictures = _Pictures(SimpleNamespace(), 1, white_rims=False)
+    found = pictures.movement(0, 1)
+    assert (found is not None) == told
+    if told:
+        assert found == pytest.approx(np.array([[1.0, 0.0, 6.0], [0.0, 1.0, -4.0]]))
+    assert pictures.stand_still(0, 1) == still
