@@ -254,3 +254,33 @@ def test_levels_begin_where_steps_lie_close_enough(duty_steps, lowest_high):
     assert min(high) == lowest_high
     for own in (low, high):
         assert len(own) == math.ceil(4.0 * math.log10(65_536 / min(own))) + 1
+
+
+class TiredBox(LinearBox):
+    """A box whose energy budget is a fifth full, fills by a tenth in 20 s of darkness, and lights at any."""
+
+    energy, lit_with = 0.2, None
+
+    def set_level(self, channel, level):
+        self.lit_with = self.energy
+        super().set_level(channel, level)
+
+    def off(self, channel):
+        self.drive = None
+
+    def read_channel(self, channel):
+        return ChannelState(channel, self.mode, self.drive or DriveLevel(0), 4096, self.energy)
+
+    def wait(self, seconds):
+        super().wait(seconds)
+        self.energy += 0.005 * seconds if self.drive is None else 0.0
+
+
+@pytest.mark.parametrize(("level", "needed"), [(15_000, 0.5), (30_000, 0.98)])
+def test_a_level_is_lit_when_the_budget_is_as_full_as_it_needs(level, needed):
+    """Half of the highest level needs half of the budget: the channel stays dark until it has that, and no longer."""
+    box = TiredBox()
+    survey = survey_of(box)
+    survey._dark = reading(2.0)
+    survey._point("spot", DriveLevel(level), 0.0)
+    assert needed <= box.lit_with + 1e-9 < needed + 0.1

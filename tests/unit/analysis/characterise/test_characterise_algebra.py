@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from radiometer.analysis.characterise.group_statistics import GroupStatistics, s
 from radiometer.analysis.characterise.inconsistent import contradicting_darks, contradicting_steps
 from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.analysis.characterise.linearity import linearity
-from radiometer.analysis.characterise.nonuniformity import dsnu, prnu
+from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, prnu
 from radiometer.analysis.characterise.partial import _of_masked_rows, bent, disagreeing_gains
 from radiometer.analysis.characterise.photon_flux import PhotonFlux, photon_flux
 from radiometer.analysis.characterise.photon_transfer import photon_transfer
@@ -626,3 +627,10 @@ def test_up_to_a_fifth_of_the_dark_groups_are_exceptions(off, named):
     means[list(off)] += 200.0
     darks = [group(mean, 40.0, time, dark=True) for mean, time in zip(means, times, strict=True)]
     assert [one.settings.exposure_s for one, _ in contradicting_darks(darks, 3000.0)] == [times[k] for k in off[:named]]
+
+
+def test_nonuniformity_is_taken_from_half_of_saturation_above_black():
+    """Of groups with equally many frames the one at 64 + 500 of 1000; one with more frames goes before it."""
+    groups = [SimpleNamespace(frames=4, mean_dn=mean_dn) for mean_dn in (430.0, 500.0, 560.0, 640.0)]
+    assert best_stack(groups, 1000.0, 64.0).mean_dn == 560.0
+    assert best_stack([*groups, SimpleNamespace(frames=5, mean_dn=200.0)], 1000.0, 64.0).mean_dn == 200.0

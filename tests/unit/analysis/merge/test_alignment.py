@@ -248,3 +248,14 @@ def test_a_movement_known_to_a_fifth_of_a_pixel_is_told(monkeypatch, u_px, moved
     if told:
         assert found == pytest.approx(np.array([[1.0, 0.0, 6.0], [0.0, 1.0, -4.0]]))
     assert pictures.stand_still(0, 1) == still
+
+
+@pytest.mark.parametrize("degrees", [0.05, 0.5, 20.0])
+def test_a_turn_moves_the_farthest_corner_by_its_chord(degrees):
+    """A picture turned about its first pixel: the opposite corner moves by 2·d·sin(θ/2), and by the shift besides."""
+    turn = math.radians(degrees)
+    turned = np.array([[math.cos(turn), -math.sin(turn), 0.0], [math.sin(turn), math.cos(turn), 0.0]])
+    chord = 2 * math.hypot(59, 79) * math.sin(turn / 2)
+    assert Movement(turned).largest_px((60, 80)) == pytest.approx(chord, rel=1e-9)
+    assert Movement(turned).rotation_deg == pytest.approx(degrees)
+    assert Movement(np.array([[1.0, 0.0, 3.0], [0.0, 1.0, -4.0]])).largest_px((60, 80)) == pytest.approx(5.0)

@@ -15,6 +15,7 @@ from radiometer.analysis.response.left_out import prediction_error_dn
 from radiometer.analysis.response.limits import ValueLimits, find_limits
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise
 from radiometer.analysis.response.noise_shift import mean_exposure_dn
+from radiometer.analysis.response.pairs import Pairs
 from radiometer.analysis.response.pixel_noise import pixel_noise
 from radiometer.analysis.response.samples import gather_samples
 from radiometer.analysis.response.weights import row_variance
@@ -229,3 +230,17 @@ def test_rows_near_black_and_saturation_fade_by_the_square_of_their_distance():
     curve = np.log(np.maximum(np.arange(1001.0), 0.5))
     found = row_variance(samples, dn, curve, noise)
     assert found / 0.01 == pytest.approx([1.0, 1.0, 4.0, 16.0, 4.0, 1e6], rel=1e-5)
+
+
+def test_ratios_of_exposures_are_means_by_inverse_variance():
+    """Steps of 1 ± 1 and 2 ± 2 in ln H make 1.2; frames without a common row keep the ratio that they state."""
+    pairs = Pairs(
+        shorter=np.array([10, 10]),
+        longer=np.array([20, 30]),
+        pair=np.array([0, 0]),
+        sigma=np.array([1.0, 2.0]),
+        group=np.array([0, 1]),
+        nominal_log_ratio=np.array([0.7, 0.69]),
+        frames=np.array([0, 1]),
+    )
+    assert pairs.log_ratios(0.1 * np.arange(256.0)) == pytest.approx([1.2, 0.69])
