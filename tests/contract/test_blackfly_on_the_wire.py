@@ -19,7 +19,7 @@ from radiometer.devices import CameraIdentity, CameraSettings, Roi
 from radiometer.errors import DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout
 from simulators.blackfly_gige import BlackflyGige
 from simulators.simulated_camera import default_limits
-from tests.patience import within
+from tests.patience import ENDS_WITH_US, within
 
 LOOPBACK = "127.0.0.1"
 SETTINGS = CameraSettings(exposure_s=0.004, black_level_dn=64, pixel_format="Mono12")
@@ -271,7 +271,7 @@ def test_requests_are_answered_while_a_picture_is_made(aravis_installed, gige_po
 
 
 LOSES_ITS_CAMERA = """
-import threading, time
+import sys, threading, time
 from drivers.aravis_camera import open_camera
 camera, told = open_camera("127.0.0.1"), threading.Event()
 def tell(*_):
@@ -280,7 +280,7 @@ def tell(*_):
 camera.open()
 camera.session.camera.get_device().connect("control-lost", tell)
 print("open", flush=True)
-told.wait()
+assert told.wait(float(sys.argv[1]))
 camera.close()
 del camera
 time.sleep(3)
@@ -290,7 +290,7 @@ print("lived", flush=True)
 
 def test_a_camera_closed_while_the_library_tells_of_its_loss_ends_no_program(blackfly, project_root):
     """The device, held by the heartbeat's own thread just then, ends later: there it would wait for itself."""
-    words = [sys.executable, "-c", LOSES_ITS_CAMERA]
+    words = [*ENDS_WITH_US, sys.executable, "-c", LOSES_ITS_CAMERA, str(within(40))]
     with subprocess.Popen(words, cwd=project_root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
         assert child.stdout.readline() == "open\n"
         blackfly.close()
