@@ -124,16 +124,18 @@ def together(test: str) -> str:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Take the number of processes that share one collection."""
-    parser.addoption("--cores", type=int, choices=(1, 2), default=1, help="run tests in so many processes, forked")
+    parser.addoption(
+        "--processes", type=int, choices=range(1, 9), default=1, help="run tests in so many processes, forked"
+    )
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtestloop(session: pytest.Session) -> object:
-    """Run the tests in two processes where that is asked for, those that share fixtures in one of them."""
+    """Run the tests in several processes where that is asked for, those that share fixtures in one of them."""
     options = session.config.option
-    if options.cores == 1 or options.collectonly or session.testsfailed:
+    if options.processes == 1 or options.collectonly or session.testsfailed:
         return None
-    return side_by_side.run(session, together)
+    return side_by_side.run(session, together, options.processes)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -1,9 +1,9 @@
-"""Runs tests in two processes that were collected once: `--cores=2`.
+"""Runs tests in several processes that were collected once: `--processes=3`.
 
 pytest-xdist starts workers that import and collect everything each for itself, beside a third process that hands out
 the tests and unpacks three reports of each. Here pytest forks when all is collected. Each process takes the next group
-of tests from a pipe until it is empty; what the forked one has to report it writes to a file, from which the first
-process reads and tells it.
+of tests from a pipe until it is empty; what a forked one has to report it writes to a file, from which the first
+process reads and tells it. One process more than there are cores works while others wait for an answer.
 """
 
 from __future__ import annotations
@@ -178,30 +178,33 @@ def forked(session: pytest.Session, groups: list[list[pytest.Item]], taken: int,
         os._exit(code)
 
 
-def run(session: pytest.Session, group_of: Callable[[str], str]) -> bool:
-    """Run the tests of a session in two processes.
+def run(session: pytest.Session, group_of: Callable[[str], str], processes: int) -> bool:
+    """Run the tests of a session in so many processes.
 
     Raises:
-        pytest.Session.Failed: If the forked process did not come to its end.
+        pytest.Session.Failed: If a forked process did not come to its end.
     """
     groups = grouped(session.items, group_of)
     taken = turns(len(groups))
     session.config._tmp_path_factory.getbasetemp()  # type: ignore[attr-defined]  # one folder, emptied at the end
-    with tempfile.TemporaryFile(buffering=0) as stream:
-        child = forked(session, groups, taken, stream)
-        reader = Reader(session.config, stream)
+    with contextlib.ExitStack() as files:
+        streams = [files.enter_context(tempfile.TemporaryFile(buffering=0)) for _ in range(processes - 1)]
+        children = [forked(session, groups, taken, stream) for stream in streams]
+        readers = [Reader(session.config, stream) for stream in streams]
         try:
-            run_groups(session, groups, taken, reader.read)
-            _, status = os.waitpid(child, 0)
-            reader.read()
+            run_groups(session, groups, taken, lambda: [reader.read() for reader in readers])
+            statuses = [os.waitpid(child, 0)[1] for child in children]
+            for reader in readers:
+                reader.read()
         except BaseException:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(child, signal.SIGKILL)
+            for child in children:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(child, signal.SIGKILL)
             raise
         finally:
             os.close(taken)
-    if status:
-        session.shouldfail = f"the second process of tests ended with {os.waitstatus_to_exitcode(status)}"
+    if status := next(filter(None, statuses), 0):
+        session.shouldfail = f"another process of tests ended with {os.waitstatus_to_exitcode(status)}"
     if session.shouldfail:
         raise session.Failed(session.shouldfail)
     return True

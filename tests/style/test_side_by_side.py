@@ -1,4 +1,4 @@
-"""Tests in two processes are told as those of one, whatever becomes of them."""
+"""Tests in several processes are told as those of one, whatever becomes of them."""
 
 from __future__ import annotations
 
@@ -42,12 +42,23 @@ def test_deadly():
 
 
 def ran(folder: Path, files: dict[str, str], *words: str) -> tuple[int, str]:
-    """Return how pytest ends in a folder with these files of tests, in two processes, and what it says."""
+    """Return how pytest ends in a folder with these files of tests, in three processes, and what it says."""
     for name, text in {"conftest.py": CONFTEST, **files}.items():
         (folder / name).write_text(text)
     root = Path(__file__).resolve().parents[2]
     first = "import os, sys, pytest; os.environ['FIRST'] = str(os.getpid()); sys.exit(pytest.main(sys.argv[1:]))"
-    command = [sys.executable, "-c", first, "-q", "-p", "no:cacheprovider", "-p", "no:randomly", "--cores=2", *words]
+    command = [
+        sys.executable,
+        "-c",
+        first,
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:randomly",
+        "--processes=3",
+        *words,
+    ]
     environment = {**os.environ, "PYTHONPATH": str(root)}
     done = subprocess.run(
         [*command, str(folder)], cwd=folder, env=environment, capture_output=True, text=True, timeout=within(60.0)
@@ -56,7 +67,7 @@ def ran(folder: Path, files: dict[str, str], *words: str) -> tuple[int, str]:
 
 
 def test_every_test_is_run_once_and_told(tmp_path: Path) -> None:
-    """Passed, failed with what it printed, and skipped ones of both processes are counted; one failure is code 1."""
+    """Passed, failed with what it printed, and skipped ones of all processes are counted; one failure is code 1."""
     files = {f"test_{name}.py": text for name, text in zip("abcdef", [FINE, LATE, FAULTY] * 2, strict=True)}
     code, said = ran(tmp_path, files)
     assert code == 1
@@ -92,10 +103,10 @@ def test_reasons_of_the_second_process_are_told_as_those_of_the_first(tmp_path: 
 
 
 def test_a_process_that_dies_is_a_failure(tmp_path: Path) -> None:
-    """Where the second process is killed no success is told, though every test that was told of passed."""
+    """Where the other processes are killed no success is told, though every test that was told of passed."""
     code, said = ran(tmp_path, {f"test_{k}.py": DEADLY + LATE for k in range(6)})
     assert code == 1
-    assert "the second process of tests ended with -9" in said
+    assert "another process of tests ended with -9" in said
     assert "failed" not in said.splitlines()[-1]
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from radiometer.analysis.response.basis import ValueBasis, hat_weight
 from radiometer.analysis.response.curves import finished_curve, rising, u_with_extrapolation
@@ -141,6 +142,7 @@ def test_the_algebra_of_a_fit_is_as_it_was():
     assert not moved("response_parts/algebra", told, rel=FITS)
 
 
+@pytest.mark.slow
 def test_fits_and_what_they_predict_are_as_they_were():
     """A settled fit of each kind of stack, the same without frames and quadrants, freed labels, and rivals."""
     told: dict[str, Any] = {}

@@ -67,6 +67,7 @@ def moved() -> ResponseEstimate:
     return solve_auto(gather_samples(photographs(TIMES, (0, 1, -1, 2, 0, -2, 1))))
 
 
+@pytest.mark.slow
 def test_edges_that_moved_do_not_bend_the_curve(moved: ResponseEstimate) -> None:
     """Frames shifted by a pixel or two give the curve of the even patches: within 1 % of the truth, and it is said."""
     assert rms_of(moved) < 0.01
