@@ -195,7 +195,7 @@ class AravisCamera:
             _held.discard(session.opened_by)
             session.features.close()
             if session.is_lost():
-                give_up_in_background(session.camera)
+                give_up_in_background(session.camera, load_library().glib.Error)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Set everything and return it as read back.

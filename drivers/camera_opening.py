@@ -177,7 +177,7 @@ def open_session(
         return _controlled_session(aravis, features, camera, known, identity.device_id, preset)
     except BaseException:
         if features.lost.is_set():
-            give_up_in_background(camera)
+            give_up_in_background(camera, library_error)
         elif camera.is_gv_device():
             with suppress(DeviceError):
                 features.call(camera.get_device().leave_control)

@@ -223,11 +223,11 @@ def register_file(path: Path) -> tuple[str, ...]:
 
 
 def _module_of(path: Path) -> ModuleType:
-    if not path.is_file():
+    if not path.exists():
         raise ConfigurationError(f"{path} does not exist; give a Python file that defines effects")
     name = f"_effects_of_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
+    if spec is None or spec.loader is None or not path.is_file():
         raise ConfigurationError(f"{path}: is no Python file; give one that ends in .py and defines effects")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look their module up

@@ -107,12 +107,11 @@ def test_rounded_stops_of_photographs_are_named() -> None:
 
 @pytest.mark.slow
 def test_truthful_labels_agree() -> None:
-    """Exposures that are what they say: nothing is missing, and what would be seen is seen in whichever frame it is."""
-    done = reconcile_photographs(_photographs(EXACT, EXACT))
-    assert done.result.verdict is Verdict.AGREES
-    limit = done.result.limits["exposure_label_error"].amplitude
-    assert limit >= max(5.0 * one.u_ratio / one.ratio for one in done.findings if math.isfinite(one.u_ratio))
-    assert limit < 0.35  # these nine frames tell a third of a stop apart
+    """Exposures that are what they say: nothing is missing; what a wrong label would have to be is not claimed."""
+    result = reconcile_photographs(_photographs(EXACT, EXACT)).result
+    assert result.verdict is Verdict.AGREES
+    assert "exposure_label_error" not in result.limits
+    assert [said for said in result.assumptions if said.startswith("from which size a wrong label is noticed")]
 
 
 @pytest.mark.slow

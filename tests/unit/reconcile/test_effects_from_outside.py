@@ -204,9 +204,13 @@ def test_file_that_cannot_be_taken_is_told_in_one_line(tmp_path: Path, text: str
         register_file(path)
 
 
-@pytest.mark.parametrize(("name", "said"), [("gone.py", "does not exist"), ("law.txt", "is no Python file")])
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("gone.py", "does not exist"), ("law.txt", "is no Python"), ("folder.py", "is no Python")],
+)
 def test_a_file_that_cannot_hold_effects_is_refused_for_what_it_is(tmp_path, name, said):
     """One that is not there is not called no Python file."""
     (tmp_path / "law.txt").write_text("", encoding="utf-8")
+    (tmp_path / "folder.py").mkdir()
     with pytest.raises(ConfigurationError, match=f"{name}:? {said}"):
         register_file(tmp_path / name)
