@@ -82,6 +82,7 @@ class Station:
         self.latest: Reading | None = None
         self.latest_line = ""
         self.latest_measurement: Measurement | None = None
+        self.pictured: tuple[Measurement, Reading] | None = None  # shows the whole frame: a moved patch leaves it
         self._uncommitted: Measurement | None = None
         self._own_measurement: Measurement | None = None
         self.levels: dict[str, float] = {}
@@ -255,10 +256,8 @@ class Station:
         """Return the frames of a reading as far as they are still held; those of the latest where None."""
         if reading is None:
             return self.latest_measurement
-        for measurement in (self.latest_measurement, self._own_measurement):
-            if measurement is not None and _is_of(measurement, reading):
-                return measurement
-        return None
+        held = (self.latest_measurement, self._own_measurement)
+        return next((one for one in held if one is not None and _is_of(one, reading)), None)
 
     async def set_level(self, channel: str, level: float) -> float:
         """Set a light channel's level, 0 to 1, and return it as read back.
@@ -392,7 +391,7 @@ class Station:
             return
         self.latest, self.latest_line = reading, line
         if self._uncommitted is not None and _is_of(self._uncommitted, reading):
-            self.latest_measurement = self._uncommitted
+            self.latest_measurement, self.pictured = self._uncommitted, (self._uncommitted, reading)
         metrics, unit = self.metrics, reading.radiance.unit
         metrics.radiance.labels(unit).set(reading.radiance.value)
         metrics.u_radiance.labels(unit).set(reading.radiance.u)

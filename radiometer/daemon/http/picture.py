@@ -184,13 +184,13 @@ async def show_frame(request: web.Request) -> web.Response:
     if scale not in ("log", "linear", "auto") or colours not in _MAPS:
         raise UsageError(f"scale must be log, linear or auto; map must be one of {', '.join(_MAPS)}")
     station = request.app[STATION]
-    measurement = station.latest_measurement
-    if measurement is None or not measurement.frames or station.latest is None:
+    if station.pictured is None or not station.pictured[0].frames:
         raise web.HTTPNotFound(text="there is no picture yet; POST /measure makes one")
-    sequence, response = station.latest.sequence, station.instrument.response
+    measurement, reading = station.pictured
+    response = station.instrument.response
 
     def work() -> tuple[bytes, dict[str, str]]:
-        picture = request.app[CACHE].get(measurement, response, sequence)
+        picture = request.app[CACHE].get(measurement, response, reading.sequence)
         return render(picture, width=width, scale=scale, colours=colours, bar=query.get("bar", True))
 
     async with request.app[ONE_AT_A_TIME]:

@@ -451,6 +451,17 @@ async def test_without_a_picture_there_is_none(base: str, session: aiohttp.Clien
         assert "POST /measure makes one" in await reply.text()
 
 
+async def test_a_moved_patch_leaves_the_picture(base: str, session: aiohttp.ClientSession, station: Station) -> None:
+    """The picture shows the whole frame: it is still the latest one while the first reading of the new place is due."""
+    await station.measure()
+    async with session.get(base + "/frame.png") as reply:
+        before = await reply.read()
+    station.configure(patch=Patch(4, 4, 8, 8))
+    assert station.latest is None
+    async with session.get(base + "/frame.png") as reply:
+        assert (reply.status, await reply.read()) == (200, before)
+
+
 async def test_a_stream_of_an_unknown_form_is_refused(base: str, session: aiohttp.ClientSession) -> None:
     """With the forms that there are; an Accept header alone chooses lines of JSON."""
     async with session.get(f"{base}/readings/stream?format=xml") as reply:
