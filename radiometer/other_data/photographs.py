@@ -223,11 +223,7 @@ def _with_times(samples: ResponseSamples, log_time: Array) -> ResponseSamples:
     def timed(one: ResponseSamples) -> ResponseSamples:
         return replace(one, frame_log_time=log_time, log_time=log_time[one.frame])
 
-    return replace(
-        timed(samples),
-        without_quadrant=tuple(timed(one) for one in samples.without_quadrant),
-        quadrants=tuple(timed(one) for one in samples.quadrants),
-    )
+    return samples.changed(timed)
 
 
 def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> ReconcileResult:
@@ -384,9 +380,9 @@ def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[
 def _ratios(judged: _Judged) -> list[tuple[float, float]]:
     """Return ln of the exposure that the others say over the one that stands for the label, and its uncertainty.
 
-    The uncertainty is how much the quadrants of the picture differ, each weighted by what it holds.
+    The uncertainty is how much the shares of the picture differ, each weighted by what it holds.
     """
-    parts = judged.samples.quadrants or (judged.samples,)
+    parts = judged.samples.shares or (judged.samples,)
     frames = judged.log_time.size
     values, weights = np.zeros((len(parts), frames)), np.zeros((len(parts), frames))
     for q, part in enumerate(parts):

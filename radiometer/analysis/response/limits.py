@@ -67,12 +67,13 @@ def _stands_still(bracket: Bracket, full_scale: int) -> tuple[int, int]:
     Where it moves, 0 and full scale.
     """
     times = bracket.effective_exposures_s
-    low, high = 0, full_scale
-    if len(bracket) >= 2 * _STILL_FRAMES:
-        if times[_STILL_FRAMES - 1] >= _STILL_GROWTH * times[0]:
-            low = _common_peak(bracket.frames[:_STILL_FRAMES], full_scale) or 0
-        if times[-1] >= _STILL_GROWTH * times[-_STILL_FRAMES]:
-            high = _common_peak(bracket.frames[-_STILL_FRAMES:], full_scale) or full_scale
+    shortest = max(_STILL_FRAMES, int(np.searchsorted(times, _STILL_GROWTH * times[0])) + 1)
+    longest = max(_STILL_FRAMES, len(times) - int(np.searchsorted(times, times[-1] / _STILL_GROWTH, "right")) + 1)
+    low, high, most = 0, full_scale, len(bracket) // 2
+    if shortest <= most:
+        low = _common_peak(bracket.frames[:shortest], full_scale) or 0
+    if longest <= most:
+        high = _common_peak(bracket.frames[-longest:], full_scale) or full_scale
     middle = (full_scale + 1) // 2
     return (low if low < middle else 0), (high if high > middle else full_scale)
 

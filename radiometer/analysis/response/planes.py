@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.response.fit import information
-from radiometer.analysis.response.left_out import error_dn, prediction_error_dn
+from radiometer.analysis.response.left_out import prediction_error_dn
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.analysis.response.settle import Choices, FittedResponse, fit_with, given_labels, refit, settle
 
@@ -101,32 +101,53 @@ def fit_planes(planes: Sequence[Plane], choices: Choices) -> JointFit:
     return JointFit.of([fit_with(plane.samples, plane.start, choices) for plane in planes])
 
 
-def without_quadrants(planes: Sequence[Plane], joint: JointFit) -> list[JointFit]:
-    """Return the same fit without each quadrant of the picture in turn; a plane without enough there stays as it is."""
+def without_shares(planes: Sequence[Plane], joint: JointFit) -> list[JointFit]:
+    """Return the same fit without each share of the picture in turn; a plane without enough there stays as it is."""
     parts = []
-    for quadrant in range(len(planes[0].samples.without_quadrant)):
+    for share in range(len(planes[0].samples.without_share)):
         several = zip(planes, joint.fits, strict=True)
-        parts.append(JointFit.of([refit(one.samples.without_quadrant[quadrant], fit) or fit for one, fit in several]))
+        parts.append(JointFit.of([refit(one.samples.without_share[share], fit) or fit for one, fit in several]))
     return parts
 
 
-def errors_of_quadrants(
-    planes: Sequence[Plane], parts: Sequence[JointFit], frame: int | None = None
-) -> NDArray[np.float64]:
-    """Return the mean size of the prediction error in DN of every quadrant, fitted without it, shape (planes, 4).
+@dataclass(frozen=True, slots=True, eq=False)
+class LeftOut:
+    """How well the digital numbers of each share are predicted by fits that have not seen it.
 
-    Args:
-        planes: The planes, with their quadrants.
-        parts: The fit without each quadrant, as of `without_quadrants`.
-        frame: The frame whose rows are predicted; None for all. NaN where a quadrant has none.
+    Attributes:
+        error_dn: Sum of the sizes of the errors of each share's rows by frame, over all planes, shape (shares, frames).
+        rows: How many rows these are, likewise.
     """
-    found = np.full((len(planes), len(parts)), np.nan)
-    for quadrant, part in enumerate(parts):
-        for place, (plane, fitted) in enumerate(zip(planes, part.fits, strict=True)):
-            test = plane.samples.quadrants[quadrant]
-            errors = prediction_error_dn(test, fitted.log_exposure, fitted.fit.log_time_errors)
-            if frame is not None:
-                errors = errors[test.frame == frame]
-            if np.any(np.isfinite(errors)):
-                found[place, quadrant] = error_dn(errors)
-    return found
+
+    error_dn: Array
+    rows: Array
+
+    @classmethod
+    def of(cls, planes: Sequence[Plane], parts: Sequence[JointFit]) -> LeftOut:
+        """Return the errors of the shares.
+
+        Args:
+            planes: The planes, with their shares.
+            parts: The fit without each share, as of `without_shares`.
+        """
+        frames = planes[0].samples.frame_log_time.size
+        error_dn, rows = np.zeros((len(parts), frames)), np.zeros((len(parts), frames))
+        for share, part in enumerate(parts):
+            for plane, fitted in zip(planes, part.fits, strict=True):
+                test = plane.samples.shares[share]
+                errors = np.abs(prediction_error_dn(test, fitted.log_exposure, fitted.fit.log_time_errors))
+                known = np.isfinite(errors)
+                error_dn[share] += np.bincount(test.frame[known], errors[known], frames)
+                rows[share] += np.bincount(test.frame[known], minlength=frames)
+        return cls(error_dn, rows)
+
+    def mean_dn(self, *frames: int) -> float:
+        """Return the mean size of the error in DN over all shares, of some frames or, where none is named, of all."""
+        of = list(frames) or slice(None)
+        return float(self.error_dn[:, of].sum() / max(self.rows[:, of].sum(), 1.0))
+
+    def means_without_one_dn(self, frame: int) -> Array:
+        """Return the mean size of a frame's errors in DN over all shares but each that shows it in turn."""
+        seen = self.rows[:, frame] > 0
+        error_dn, rows = self.error_dn[seen, frame], self.rows[seen, frame]
+        return np.asarray((error_dn.sum() - error_dn) / np.maximum(rows.sum() - rows, 1.0))

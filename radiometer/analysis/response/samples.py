@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,8 @@ _CLIPPED_PART = 0.002
 _LEAST_ABOVE_BLACK_DN = 4.0
 _GROUPS = 384
 _QUADRANTS = 4
+# A share is every fourth cell of a grid so fine: all four see most of what even the shortest exposure shows.
+_SHARES, _CELLS_ACROSS = 4, 8
 # Pixels are compared with those at this distance: the next of their own colour on a mosaic.
 _NEIGHBOUR_PX = 2
 # Equally bright pixels at edges that vary more than those on even ground by this factor (a ratio of variances, median
@@ -55,6 +58,8 @@ class ResponseSamples:
         without_quadrant: The same rows four times, each without the pixels of one quadrant of the picture; empty for
             samples that were themselves cut from others.
         quadrants: The rows of each quadrant's own pixels, likewise.
+        without_share: The same rows four times, each without every fourth cell of a grid over the picture, likewise.
+        shares: The rows of these cells alone, likewise.
         frame_labels: What every frame's exposure is called: stated time, speed and file; empty for cut samples.
     """
 
@@ -73,6 +78,8 @@ class ResponseSamples:
     edge_scatter: float = 0.0
     without_quadrant: tuple[ResponseSamples, ...] = ()
     quadrants: tuple[ResponseSamples, ...] = ()
+    without_share: tuple[ResponseSamples, ...] = ()
+    shares: tuple[ResponseSamples, ...] = ()
     frame_labels: tuple[str, ...] = ()
 
     @property
@@ -84,6 +91,20 @@ class ResponseSamples:
         """Return the rows of every third group: pixels disjoint from those of the other two thirds."""
         part = _select(self, self.group % 3 == index)
         return replace(part, pixel_count=self.pixel_count // 3)
+
+    def changed(self, change: Callable[[ResponseSamples], ResponseSamples]) -> ResponseSamples:
+        """Return what a change makes of the samples, with the same change to what was cut from them."""
+
+        def each(parts: tuple[ResponseSamples, ...]) -> tuple[ResponseSamples, ...]:
+            return tuple(change(part) for part in parts)
+
+        return replace(
+            change(self),
+            without_quadrant=each(self.without_quadrant),
+            quadrants=each(self.quadrants),
+            without_share=each(self.without_share),
+            shares=each(self.shares),
+        )
 
     def kept(self, keep: NDArray[np.bool_]) -> ResponseSamples:
         """Return the rows to keep, without groups of which only one row is left.
@@ -122,7 +143,7 @@ def gather_samples(brackets: Bracket | Sequence[Bracket]) -> ResponseSamples:
         raise InputError("no bracket given; a response needs at least one bracket of two exposures")
     _check(several)
     limits = find_limits(several)
-    parts: list[list[ResponseSamples]] = [[] for _ in range(2 * _QUADRANTS + 1)]
+    parts: list[list[ResponseSamples]] = [[] for _ in range(2 * (_QUADRANTS + _SHARES) + 1)]
     frames = 0
     for index, bracket in enumerate(several):
         for them, part in zip(parts, _gather_one(bracket, limits, index, frames), strict=True):
@@ -135,7 +156,12 @@ def gather_samples(brackets: Bracket | Sequence[Bracket]) -> ResponseSamples:
         raise MeasurementError(_nothing_usable(whole))
     if any(part.group_count < 4 for part in others):  # one quadrant holds nearly all that there is to see
         return whole
-    return replace(whole, without_quadrant=tuple(others[:_QUADRANTS]), quadrants=tuple(others[_QUADRANTS:]))
+    cut = iter(others)
+    without_quadrant, quadrants = (tuple(islice(cut, _QUADRANTS)) for _ in range(2))
+    without_share, shares = (tuple(islice(cut, _SHARES)) for _ in range(2))
+    return replace(
+        whole, without_quadrant=without_quadrant, quadrants=quadrants, without_share=without_share, shares=shares
+    )
 
 
 def _check(brackets: Sequence[Bracket]) -> None:
@@ -155,16 +181,18 @@ def _check(brackets: Sequence[Bracket]) -> None:
 
 
 def _gather_one(bracket: Bracket, limits: ValueLimits, index: int, first_frame: int) -> tuple[ResponseSamples, ...]:
-    """Return the samples of all pixels, then those without each quadrant's, then each quadrant's own."""
+    """Return the samples of all pixels, those without each quadrant's, each quadrant's own, and likewise of shares."""
     label, group_total = _label_groups(bracket, limits)
-    place = _QUADRANTS * _at_edges(bracket, label) + _quadrants(bracket.shape)
+    place = (_at_edges(bracket, label) * _SHARES + _shares(bracket.shape)) * _QUADRANTS + _quadrants(bracket.shape)
     sums = _sums_by_part(bracket, label, place, group_total, limits)
-    even, edges = sums[:, :_QUADRANTS], sums[:, _QUADRANTS:]
-    scatter = _edge_scatter(even.sum(axis=1), edges.sum(axis=1))
+    even, edges = sums[:, 0], sums[:, 1]
+    scatter = _edge_scatter(even.sum(axis=(1, 2)), edges.sum(axis=(1, 2)))
     parts = even if scatter > _EDGES_DIFFER else even + edges
-    whole = parts.sum(axis=1)
-    own = [parts[:, q] for q in range(_QUADRANTS)]
-    rows = [_rows(bracket, part, limits, index, first_frame) for part in (whole, *(whole - o for o in own), *own)]
+    whole = parts.sum(axis=(1, 2))
+    cuts = [whole]
+    for own in (parts.sum(axis=1), parts.sum(axis=2)):
+        cuts += [*(whole[:, None] - own).swapaxes(0, 1), *own.swapaxes(0, 1)]
+    rows = [_rows(bracket, cut, limits, index, first_frame) for cut in cuts]
     if scatter > _EDGES_DIFFER:
         rows[0] = replace(rows[0], edge_scatter=scatter, pixel_count=int(whole[0, 0].sum()))
     return tuple(rows)
@@ -250,6 +278,12 @@ def _quadrants(shape: tuple[int, int]) -> NDArray[np.intp]:
     return np.asarray((2 * low[:, None] + right[None, :]).ravel(), dtype=np.intp)
 
 
+def _shares(shape: tuple[int, int]) -> NDArray[np.intp]:
+    """Return the share of every pixel, flattened: that of its cell, alike in every second cell of a row or column."""
+    down, across = (np.arange(size) * _CELLS_ACROSS // size % 2 for size in shape)
+    return np.asarray((2 * down[:, None] + across[None, :]).ravel(), dtype=np.intp)
+
+
 def _sums_by_part(
     bracket: Bracket,
     label: NDArray[np.intp],
@@ -257,8 +291,8 @@ def _sums_by_part(
     groups: int,
     limits: ValueLimits,
 ) -> NDArray[np.float64]:
-    """Return pixels, Σ dn, Σ dn² and clipped pixels, shape (4, parts, frames, groups)."""
-    count = 2 * _QUADRANTS
+    """Return pixels, Σ dn, Σ dn² and clipped pixels, shape (4, 2, shares, quadrants, frames, groups)."""
+    count = 2 * _SHARES * _QUADRANTS
     place = part * (groups + 1) + label  # the last group is that of contradictory pixels
     cells = count * (groups + 1)
     found = np.empty((4, count, len(bracket), groups))
@@ -277,7 +311,7 @@ def _sums_by_part(
             )
         ):
             found[row, :, index] = total.reshape(count, groups + 1)[:, :groups]
-    return found
+    return found.reshape(4, 2, _SHARES, _QUADRANTS, len(bracket), groups)
 
 
 def _label_groups(bracket: Bracket, limits: ValueLimits) -> tuple[NDArray[np.intp], int]:

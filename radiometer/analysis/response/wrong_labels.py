@@ -10,15 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.response.left_out import error_dn, prediction_error_dn
-from radiometer.analysis.response.planes import (
-    JointFit,
-    Plane,
-    errors_of_quadrants,
-    fit_planes,
-    settle_planes,
-    without_quadrants,
-)
+from radiometer.analysis.response.left_out import prediction_error_dn
+from radiometer.analysis.response.planes import JointFit, LeftOut, Plane, fit_planes, settle_planes, without_shares
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.analysis.response.settle import Choices, FittedResponse, settle
 from radiometer.errors import MeasurementError
@@ -27,20 +20,28 @@ Array = NDArray[np.float64]
 
 # What is found must lower the error of predicting left-out quadrants to this part of what it was.
 LEAST_GAIN: Final = 0.9
-# A label is wrong only where the error of predicting its own frame falls to this part. The other frames, predicted with
-# it, must gain as well, but in a long bracket most of them have little to do with it.
+# A label is wrong only where the error of predicting its own frame falls to this part. All frames together must gain as
+# well, but in a long bracket most of them have little to do with it, and one that shows little counts for little there.
 _LEAST_GAIN_OF_FRAME: Final = 0.8
-# ln of real over stated exposure from which a label is wrong (a ninth of a stop); below, shutters scatter.
+# Nor where it falls by less than the rounding to whole numbers may shift all that a frame shows.
+_LEAST_FALL_DN: Final = 0.5
+# ln of real over stated exposure from which a label is wrong (a ninth of a stop); below, shutters scatter. Those with
+# curtains are off by a time besides, which counts in short exposures: at 1/8000 s a third of a stop is no wrong label.
 SMALLEST_LABEL_ERROR: Final = 0.08
-# It must stand out of its own uncertainty by this factor (95 %): what convinces is the prediction.
-_SIGMA: Final = 2.0
-# Frames that the best does not beat by that same margin, in left-out quadrants, are its rivals.
+_SHUTTER_S: Final = 30e-6
+# It must stand out of its own uncertainty by this factor: 95 % where four shares tell it (Student's t, three degrees of
+# freedom), and one frame in some 400 by chance where the fit does.
+_SIGMA: Final = 3.0
+# The search, whose curves are smoother, looks at errors from half of that size.
+_SMALLEST_SEARCHED: Final = 0.5 * SMALLEST_LABEL_ERROR
+# A frame is the rival of another where freed in its place it predicts both of them, left out, within that same margin.
 _AS_WELL: Final = 1.0 / _LEAST_GAIN_OF_FRAME
 # λ of the search, smooth enough that a curve cannot follow a wrong label; the best are fitted with one of their own.
 _SEARCH_SMOOTHING: Final = 1e3
 _TRIED: Final = 3
 _FEWEST_ROWS: Final = 4
-_FEWEST_QUADRANTS: Final = 3
+# What one share of the picture shows alone convinces of nothing: others must show the frame, too.
+_FEWEST_SHARES: Final = 2
 # Groups that the search looks at.
 _SEARCHED_GROUPS: Final = 96
 
@@ -72,13 +73,13 @@ class WrongLabel:
 def find_wrong_labels(planes: Sequence[Plane]) -> tuple[WrongLabel, ...]:
     """Return the frames whose label is wrong, in the order in which they were found.
 
-    One label after the other is freed, the same for all planes. It stays freed where in every quadrant of the picture,
-    left out of the fit, its frame is predicted better by the others, by a factor in all, and the other frames no worse;
-    most labels must be right, or a flat curve with exposures of its own fits best. Frames that show next to nothing do
-    not count: of fewer than four that show something no label can be told.
+    One label after the other is freed, the same for all planes. It stays freed where the shares of the picture, each
+    left out of the fit, are then predicted better in its frame, by a factor and whichever share is not counted, and no
+    worse over all frames; most labels must be right, or a flat curve with exposures of its own fits best. Frames that
+    show next to nothing do not count: of fewer than four that show something no label can be told.
 
     Args:
-        planes: Colours of the same photographs, in the same order of frames; those without quadrants say nothing.
+        planes: Colours of the same photographs, in the same order of frames; those without shares say nothing.
     """
     most = most_wrong_labels(planes)
     settled = [pair for one in planes for pair in _settled(one)] if most else []
@@ -89,12 +90,12 @@ def find_wrong_labels(planes: Sequence[Plane]) -> tuple[WrongLabel, ...]:
     now = _Tried.of(thin, JointFit.of([fitted for _, fitted in settled]))
     while len(found) < most:
         freed = tuple(label.frame for label in found)
-        tried = [_freed(thin, (*freed, k), now) for k in _candidates(thin, freed)]
-        options = sorted((one for one in tried if one is not None), key=lambda one: one[0].gain)
-        if not options or not _convincing(thin, *options[0], now):
+        options = [one for k in _candidates(thin, freed) for one in _freed(thin, (*freed, k), now)]
+        convincing = [one for one in options if _convincing(*one, now)]
+        if not convincing:
             break
-        best = options[0]
-        rivals = [label for label, _ in options[1:] if label.gain <= _AS_WELL * best[0].gain]
+        best = min(convincing, key=lambda one: one[0].gain)
+        rivals = [label for label, tried in options if label is not best[0] and _as_well(label, tried, *best)]
         found.append(replace(best[0], rivals=tuple((label.frame, label.ratio) for label in rivals)))
         now = best[1]
     return _together(found, now)
@@ -112,7 +113,7 @@ def most_wrong_labels(planes: Sequence[Plane]) -> int:
 
 def _settled(plane: Plane) -> list[tuple[Plane, FittedResponse]]:
     """Return a plane's thinned samples with their fit; nothing where the plane is too dark or too small for one."""
-    if len(plane.samples.without_quadrant) < _FEWEST_QUADRANTS:
+    if not plane.samples.shares:
         return []
     thin = replace(plane, samples=thinned(plane.samples))
     try:
@@ -123,16 +124,16 @@ def _settled(plane: Plane) -> list[tuple[Plane, FittedResponse]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Tried:
-    """A joint fit, the same without each quadrant, and how well these are predicted."""
+    """A joint fit, the same without each share of the picture, and how well these are predicted."""
 
     joint: JointFit
     parts: list[JointFit]
-    error: float
+    left_out: LeftOut
 
     @classmethod
     def of(cls, planes: Sequence[Plane], joint: JointFit) -> _Tried:
-        parts = without_quadrants(planes, joint)
-        return cls(joint, parts, float(np.nansum(errors_of_quadrants(planes, parts))))
+        parts = without_shares(planes, joint)
+        return cls(joint, parts, LeftOut.of(planes, parts))
 
     def log_ratio(self, place: int) -> tuple[float, float]:
         """Return ln of real over stated exposure of one freed label and its standard uncertainty."""
@@ -148,45 +149,68 @@ def _rows_of_frames(planes: Sequence[Plane]) -> NDArray[np.intp]:
 
 
 def _candidates(planes: Sequence[Plane], freed: tuple[int, ...]) -> list[int]:
-    """Return the frames whose freed labels leave the least error within the fit, best first."""
-    frames = planes[0].samples.frame_log_time.size
+    """Return the frames that their freed labels, moved by enough, bring closest to the fit, best first."""
     rows = _rows_of_frames(planes)
-    errors = {}
-    for frame in range(frames):
-        if rows[frame] < _FEWEST_ROWS or frame in freed:
+    before = _errors_of_frames(fit_planes(planes, Choices(smoothing=_SEARCH_SMOOTHING, free=freed)))
+    left = {}
+    for frame in np.flatnonzero(rows >= _FEWEST_ROWS):
+        if frame in freed:
             continue
         try:
-            joint = fit_planes(planes, Choices(smoothing=_SEARCH_SMOOTHING, free=(*freed, frame)))
+            joint = fit_planes(planes, Choices(smoothing=_SEARCH_SMOOTHING, free=(*freed, int(frame))))
         except MeasurementError:
             continue
-        errors[frame] = sum(
-            error_dn(prediction_error_dn(one.samples, one.log_exposure, one.fit.log_time_errors)) for one in joint.fits
-        )
-    return sorted(errors, key=lambda frame: errors[frame])[:_TRIED]
+        if abs(joint.log_ratios[-1]) >= _SMALLEST_SEARCHED:
+            left[int(frame)] = float(_errors_of_frames(joint)[frame] / before[frame])
+    return sorted(left, key=lambda frame: left[frame])[:_TRIED]
 
 
-def _freed(planes: Sequence[Plane], free: tuple[int, ...], now: _Tried) -> tuple[WrongLabel, _Tried] | None:
-    """Return the last of the freed labels as it came out, and the fit."""
+def _errors_of_frames(joint: JointFit) -> Array:
+    """Return the mean size of the error in DN with which each frame is predicted from the others within the fit."""
+    frames = joint.fits[0].samples.frame_log_time.size
+    total, count = np.zeros(frames), np.zeros(frames)
+    for one in joint.fits:
+        errors = np.abs(prediction_error_dn(one.samples, one.log_exposure, one.fit.log_time_errors))
+        known = np.isfinite(errors)
+        total += np.bincount(one.samples.frame[known], errors[known], frames)
+        count += np.bincount(one.samples.frame[known], minlength=frames)
+    return np.asarray(np.maximum(total, 1e-9) / np.maximum(count, 1.0))
+
+
+def _freed(planes: Sequence[Plane], free: tuple[int, ...], now: _Tried) -> list[tuple[WrongLabel, _Tried]]:
+    """Return the last of the freed labels as it came out, and the fit; nothing where there is none."""
     try:
         tried = _Tried.of(planes, settle_planes(planes, free))
     except MeasurementError:
-        return None
+        return []
     value, u = tried.log_ratio(len(free) - 1)
-    return WrongLabel(free[-1], float(np.exp(value)), float(np.exp(value) * u), tried.error / now.error), tried
+    gain = tried.left_out.mean_dn() / now.left_out.mean_dn()
+    return [(WrongLabel(free[-1], float(np.exp(value)), float(np.exp(value) * u), gain), tried)]
 
 
-def _convincing(planes: Sequence[Plane], label: WrongLabel, tried: _Tried, now: _Tried) -> bool:
+def _convincing(label: WrongLabel, tried: _Tried, now: _Tried) -> bool:
     """Tell whether a label is wrong: large enough, and what was left out is predicted better without it."""
-    size = abs(np.log(label.ratio))
-    if size < max(SMALLEST_LABEL_ERROR, _SIGMA * label.u_ratio / label.ratio) or label.gain > 1.0:
+    size, u = np.abs(label.log_ratio)
+    if size < max(_smallest(tried, label.frame), _SIGMA * u) or label.gain > 1.0:
         return False
-    before, after = (errors_of_quadrants(planes, one.parts, label.frame) for one in (now, tried))
-    both = np.isfinite(before) & np.isfinite(after)
-    seen = both.any(axis=0)
-    if int(seen.sum()) < _FEWEST_QUADRANTS:
+    then, since = (one.left_out.means_without_one_dn(label.frame) for one in (now, tried))
+    if then.size < _FEWEST_SHARES or not np.all(since <= then):
         return False
-    then, since = (np.where(both, one, 0.0).sum(axis=0)[seen] for one in (before, after))
-    return bool(since.sum() <= _LEAST_GAIN_OF_FRAME * then.sum() and np.all(since <= then))
+    before, after = (one.left_out.mean_dn(label.frame) for one in (now, tried))
+    return after <= min(_LEAST_GAIN_OF_FRAME * before, before - _LEAST_FALL_DN)
+
+
+def _smallest(tried: _Tried, frame: int) -> float:
+    """Return ln of real over stated exposure of a frame from which its label is wrong."""
+    return SMALLEST_LABEL_ERROR + _SHUTTER_S / float(np.exp(tried.joint.fits[0].samples.frame_log_time[frame]))
+
+
+def _as_well(label: WrongLabel, tried: _Tried, best: WrongLabel, tried_best: _Tried) -> bool:
+    """Tell whether another label, wrong in place of the best, predicts both frames nearly as well."""
+    if abs(label.log_ratio[0]) < _smallest(tried, label.frame):
+        return False
+    here, there = (one.left_out.mean_dn(label.frame, best.frame) for one in (tried, tried_best))
+    return here <= _AS_WELL * there
 
 
 def _together(found: Sequence[WrongLabel], last: _Tried) -> tuple[WrongLabel, ...]:
@@ -210,10 +234,6 @@ def thinned(samples: ResponseSamples) -> ResponseSamples:
         return one.kept(one.group % step == 0)
 
     try:
-        return replace(
-            part(samples),
-            without_quadrant=tuple(part(one) for one in samples.without_quadrant),
-            quadrants=tuple(part(one) for one in samples.quadrants),
-        )
+        return samples.changed(part)
     except MeasurementError:
         return samples

@@ -63,6 +63,20 @@ def test_three_frames_at_either_end_that_grow_threefold_tell_fog_and_knee(count,
     assert _stands_still(bracket, FULL) == (low, high)
 
 
+@pytest.mark.parametrize("wrong", [0, 1, 2, 3, 12, 13, 14, 15])
+@pytest.mark.parametrize("ratio", [0.35, 0.7, 1.4, 2.9])
+def test_fog_and_knee_are_seen_whatever_one_label_says(wrong, ratio):
+    """As many frames at either end as grow threefold by their labels: a wrong one may want one or two frames more."""
+    times = 2.0 ** np.arange(16)
+    times[wrong] *= ratio
+    values = [500] * 6 + [*range(700, 3300, 650)] + [3500] * 6
+    bracket = Bracket.from_frames(
+        Frame(with_peak(value).dn, 12, FrameSettings(float(seconds)))
+        for value, seconds in zip(values, times, strict=True)
+    )
+    assert _stands_still(bracket, FULL) == (500, 3500)
+
+
 def test_fog_is_dark_and_a_knee_is_bright():
     """A bright value that the shortest frames keep is no black, nor is a dark one that the longest keep white."""
     bracket = Bracket.from_frames(

@@ -17,7 +17,7 @@ from radiometer.analysis.response.noise import LogNoise, fit_log_noise
 from radiometer.analysis.response.noise_shift import mean_exposure_dn
 from radiometer.analysis.response.pairs import Pairs
 from radiometer.analysis.response.pixel_noise import pixel_noise
-from radiometer.analysis.response.samples import gather_samples
+from radiometer.analysis.response.samples import _gather_one, gather_samples
 from radiometer.analysis.response.weights import row_variance
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
 
@@ -155,6 +155,26 @@ def test_samples_without_a_quadrant_lack_its_pixels():
     assert sum(own) == pytest.approx(whole, rel=0.05)
     assert sum(without) == pytest.approx(3.0 * whole, rel=0.05)
     assert min(without) > 2.0 * max(own)
+
+
+def test_every_share_holds_every_fourth_cell_of_the_picture():
+    """Light in a corner of a quarter of the width falls on all four alike, on one quadrant alone."""
+    radiance = np.zeros((64, 64))
+    radiance[:16, :16] = np.exp(np.random.default_rng(1).uniform(-3.0, 0.0, (16, 16)))
+    radiance[40:, 40:] = 0.02 * radiance[:16, :16].mean()
+    frames = [
+        Frame(np.clip(radiance * t * 255, 0, 255).astype(np.uint8), 8, FrameSettings(float(t))) for t in (1, 2, 4, 8)
+    ]
+    samples = _gather_one(Bracket.from_frames(frames), ValueLimits(0, 255), 0, 0)
+    whole, quadrants, without, shares = (
+        [part.pixels[part.frame == 0].sum() for part in samples[first:last]]
+        for first, last in ((0, 1), (5, 9), (9, 13), (13, 17))
+    )
+    assert quadrants[0] == whole[0]
+    assert quadrants[1:] == [0.0, 0.0, 0.0]
+    assert min(shares) > 0.15 * whole[0]
+    assert sum(shares) == pytest.approx(whole[0], rel=0.05)
+    assert sum(without) == pytest.approx(3.0 * whole[0], rel=0.05)
 
 
 def test_neighbouring_groups_that_err_together_count_as_one():

@@ -15,12 +15,12 @@ from radiometer.analysis.response.fit import ResponseFit, fit_response, informat
 from radiometer.analysis.response.limits import ValueLimits
 from radiometer.analysis.response.planes import (
     JointFit,
+    LeftOut,
     Plane,
-    errors_of_quadrants,
     fit_planes,
     settle_planes,
     tells_labels,
-    without_quadrants,
+    without_shares,
 )
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import Choices, error_of_quadrants, fit_with, given_labels, settle
@@ -248,9 +248,9 @@ def test_colours_together_tell_one_label(lying: list[Plane]) -> None:
 
 @pytest.mark.slow
 def test_colours_with_right_labels_name_none_and_a_dark_one_says_nothing(lying: list[Plane]) -> None:
-    """Right labels are left alone; a colour without quadrants neither helps nor hinders."""
+    """Right labels are left alone; a colour without shares neither helps nor hinders."""
     assert find_wrong_labels(planes_of(None)) == ()
-    blind = replace(lying[0], samples=replace(lying[0].samples, without_quadrant=(), quadrants=()))
+    blind = replace(lying[0], samples=replace(lying[0].samples, without_share=(), shares=()))
     assert find_wrong_labels([blind]) == ()
     assert [one.frame for one in find_wrong_labels([blind, lying[1]])] == [3]
 
@@ -266,12 +266,30 @@ def test_a_curve_at_given_labels_is_the_fit_with_these_labels_held(lying: list[P
     assert moved.fit.time_modes[0] == pytest.approx(-0.1)
 
 
-def test_quadrants_of_one_plane_are_judged_as_before(lying: list[Plane]) -> None:
-    """With one plane the joint errors are those of its quadrants, one row."""
+def test_shares_are_judged_as_quadrants_are(lying: list[Plane]) -> None:
+    """What is left out is cut in another way; of two planes alike the errors and the rows are twice those of one."""
     plane = lying[0]
     fitted = settle(plane.samples, plane.start)
-    parts = without_quadrants([plane], JointFit.of([fitted]))
-    assert errors_of_quadrants([plane], parts)[0] == pytest.approx(error_of_quadrants(plane.samples, fitted))
+    left_out = LeftOut.of([plane], without_shares([plane], JointFit.of([fitted])))
+    as_quadrants = replace(plane.samples, without_quadrant=plane.samples.without_share, quadrants=plane.samples.shares)
+    wanted = error_of_quadrants(as_quadrants, fitted)
+    assert left_out.error_dn.sum(axis=1) / left_out.rows.sum(axis=1) == pytest.approx(wanted)
+    of_frame = error_of_quadrants(as_quadrants, fitted, 3)
+    assert left_out.error_dn[:, 3] / left_out.rows[:, 3] == pytest.approx(of_frame)
+    assert left_out.mean_dn(3) == pytest.approx(np.average(of_frame, weights=left_out.rows[:, 3]))
+    both = LeftOut.of([plane, plane], without_shares([plane, plane], JointFit.of([fitted, fitted])))
+    assert both.rows == pytest.approx(2.0 * left_out.rows)
+    assert both.error_dn == pytest.approx(2.0 * left_out.error_dn)
+
+
+def test_errors_are_counted_by_rows_and_without_each_share_that_shows_the_frame() -> None:
+    """Two frames in three shares, of which one does not show the second."""
+    left_out = LeftOut(np.array([[4.0, 6.0], [2.0, 0.0], [3.0, 1.0]]), np.array([[2.0, 3.0], [1.0, 0.0], [3.0, 1.0]]))
+    assert left_out.mean_dn() == pytest.approx(16.0 / 10.0)
+    assert left_out.mean_dn(0) == pytest.approx(9.0 / 6.0)
+    assert left_out.mean_dn(1, 0) == pytest.approx(16.0 / 10.0)
+    assert left_out.means_without_one_dn(0) == pytest.approx([5.0 / 4.0, 7.0 / 5.0, 6.0 / 3.0])
+    assert left_out.means_without_one_dn(1) == pytest.approx([1.0, 2.0])
 
 
 @pytest.mark.slow
