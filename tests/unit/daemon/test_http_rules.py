@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from radiometer.daemon.http import security
+from radiometer.daemon.http import server as http_server
 from radiometer.daemon.http.security import _HEADERS, _has_token, _host_of, _Rates, _same_origin, error_reply, status_of
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.journal import JournalError
@@ -27,6 +29,7 @@ from radiometer.errors import (
     UnsafeStimulus,
     UsageError,
 )
+from tests.patience import within
 
 octets = st.integers(0, 255)
 
@@ -231,3 +234,21 @@ class Unknown:
 
     def is_known(self, protocol: Any) -> bool:
         return False
+
+
+async def test_who_is_connected_when_the_server_closes_is_hung_up_on(
+    station: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A connection that is kept alive ends at once, however long it might stay; new ones are refused."""
+    monkeypatch.setattr(http_server, "_KEEP_ALIVE_S", 1e4)
+    server = HttpServer(station)
+    port = await server.listen("127.0.0.1", 0)
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    assert (await reader.readuntil(b"\r\n")).startswith(b"HTTP/1.1 200")
+    await server.close()
+    async with asyncio.timeout(within(10.0)):
+        await reader.read()
+    writer.close()
+    with pytest.raises(ConnectionError):
+        await asyncio.open_connection("127.0.0.1", port)

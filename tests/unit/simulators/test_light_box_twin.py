@@ -181,3 +181,16 @@ def test_the_twin_tells_when_something_happens_by_itself_next() -> None:
     )  # held for three seconds: all lights stay off
     twin.advance(said_s + 3.6)
     assert twin.next_time_s() is None
+
+
+@pytest.mark.parametrize("words", ["OF *", "OF 1", "HI 2"])
+def test_what_is_switched_off_is_dark_in_the_light_at_once(words: str) -> None:
+    """By one name, by all, or by a new greeting: the LED's own light and its pin, not the channel's state alone."""
+    twin, commands = greeted()
+    assert commands.run("SL 1 H 20000").startswith("OK")
+    assert twin.emission("spot", 0.5).radiance_w_sr_m2 > 0.0
+    told = []
+    twin.watch = lambda: told.append(twin.duty("spot"))
+    assert commands.run(words).startswith("OK")
+    assert twin.emission("spot", twin.time_s + 0.1).radiance_w_sr_m2 == 0.0
+    assert told == [0.0]

@@ -209,3 +209,15 @@ def test_what_misses_a_small_pupil_is_as_doubtful_as_twice_its_f_number():
     assert doubtful.value == pytest.approx(sharp.value, rel=1e-12)
     added = math.sqrt(doubtful.u**2 - sharp.u**2) / doubtful.value
     assert added == pytest.approx(0.02, rel=0.01)
+
+
+@pytest.mark.parametrize(("side", "seen"), [(2, False), (3, True)])
+def test_a_diode_of_which_no_pixel_is_lit_all_around_has_no_radiance(side: int, seen: bool) -> None:
+    """Of two by two pixels each may be the rim's; the middle one of three by three is lit with all its neighbours."""
+    dn = np.full(SHAPE, 100.0)
+    dn[50 : 50 + side, 20 : 20 + side] = 900.0
+    lens = LensDescription(focal_length_mm=20.0, f_number=4.0, magnification=0.3)
+    emitter = Emitter(Quantity(20.0, 0.0, "°"), Quantity(3.0, 0.0, "mm"), Quantity(80.0, 0.0, "mm"))
+    frames = [frame(dn, 1e-3), frame(100, 1e-3, level=0.0)]
+    emitted = led_flux(frames, flux_scale(CAMERA, SOURCE, None), lens, emitter).emitted
+    assert ("radiance_times_area" in emitted) is seen
