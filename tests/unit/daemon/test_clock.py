@@ -95,7 +95,7 @@ def test_five_seconds_are_a_jump_and_less_is_not(by_us: int, told: bool) -> None
 
 @pytest.mark.parametrize(
     ("off_us", "from_us"),
-    [(0, START_US), (DAY_US - 1, START_US), (DAY_US + 1, START_US - DAY_US - 1), (-1, START_US + 1)],
+    [(0, START_US), (DAY_US, START_US), (DAY_US + 1, START_US - DAY_US - 1), (-1, START_US + 1)],
 )
 def test_a_day_without_a_daemon_is_believed_and_no_more(off_us: int, from_us: int) -> None:
     """Off for longer, or with a newest reading in the future, ages are counted from that reading."""
