@@ -16,7 +16,7 @@ from PIL import Image
 
 from radiometer.daemon.http import picture, readings, security
 from radiometer.daemon.http.control import show_response
-from radiometer.daemon.http.patches import show_events, show_trend
+from radiometer.daemon.http.patches import add_remark, show_events, show_trend
 from radiometer.daemon.http.picture import CACHE, ONE_AT_A_TIME, PictureCache, ServedPicture, render, show_frame
 from radiometer.daemon.http.requests import MeasureBody, read_body
 from radiometer.daemon.http.route import QUERIES, STATION
@@ -189,3 +189,15 @@ def test_the_machine_itself_needs_no_list() -> None:
     """Without a network nobody else may connect."""
     assert [is_allowed(peer, ()) for peer in ("127.0.0.1", "::1", "10.0.0.1", "::")] == [True, True, False, False]
     assert parse_networks(["10.0.0.7"])[0].num_addresses == 1
+
+
+async def test_a_remark_is_said_back_in_its_own_letters(station: Station) -> None:
+    """Blanks put in order, letters as they are: no client has to undo escapes to read them."""
+
+    async def read() -> bytes:
+        return '{"message": " Lampe  geändert: 3 °C "}'.encode()
+
+    request: Any = SimpleNamespace(read=read, content_type="application/json", app={STATION: station})
+    text = (await add_remark(request)).text or ""
+    assert "Lampe geändert: 3 °C" in text
+    assert json.loads(text) == {"kind": "remark", "message": "Lampe geändert: 3 °C"}

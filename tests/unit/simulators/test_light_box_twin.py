@@ -194,3 +194,15 @@ def test_what_is_switched_off_is_dark_in_the_light_at_once(words: str) -> None:
     assert commands.run(words).startswith("OK")
     assert twin.emission("spot", twin.time_s + 0.1).radiance_w_sr_m2 == 0.0
     assert told == [0.0]
+
+
+@pytest.mark.parametrize("words", ["SL 1 H 20000", "RA 1 H 20000 500", "PU 1 H 20000 1", "BL 1 H 20000 1 1 1"])
+def test_a_channel_without_energy_for_a_millisecond_lights_in_no_way(words: str) -> None:
+    """Level 20000 takes 79 units in each: with 78 every command is refused (6), with 79 none; low current takes one."""
+    for bucket, answer in ((78, "ER 06"), (79, "OK H 20000")):
+        twin, commands = greeted()
+        twin.channels[1].bucket = bucket
+        assert commands.run(words).startswith(answer)
+    twin, commands = greeted()
+    twin.channels[1].bucket = 1
+    assert commands.run(words.replace("H", "L")).startswith("OK L 20000")

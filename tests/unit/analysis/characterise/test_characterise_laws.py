@@ -404,3 +404,25 @@ def test_words_of_a_report_hold_their_figures():
     assert _dark(Quantity(2.0, 1.0, "e-/s"), read).startswith("No dark current is seen")
     assert _dark(Quantity(2.0, 0.99, "e-/s"), read).startswith("Every pixel gathers")
     assert _dark(None, read) == _dark(Quantity(math.nan, 1.0, "e-/s"), read) == ""
+
+
+def test_a_dark_group_that_contradicts_those_of_its_gain_is_left_out_and_named():
+    """One of eight at 0 dB shows 200 DN too much; those at 20 dB, three times as dark, are no judges of it."""
+    bright = [group(BLACK_DN + s, 40.0 + 0.5 * s, s / 6000.0) for s in SIGNALS]
+    darks = [group(BLACK_DN, 40.0, 1.0 + k, dark=True) for k in range(8)]
+    darks[3] = replace(darks[3], mean_dn=BLACK_DN + 200.0)
+    loud = [group(3.0 * BLACK_DN, 400.0, 1.0 + k, dark=True, gain_db=20.0) for k in range(8)]
+    for beside in ([], loud):
+        found = characterise(SUBJECT, [*bright, *darks, *beside])
+        (named,) = [note for note in found.notes if note.startswith("left out")]
+        assert "dark group of 2 frames at 4 s" in named
+        assert len(found.dark_points) == 7
+        assert found.figures["mu_y_dark"].value == pytest.approx(BLACK_DN)
+
+
+def test_a_step_without_any_signal_tells_no_responsivity():
+    """Light that brings exactly nothing is not on the line of the others."""
+    steps = steps_of(40.0 + 0.5 * SIGNALS)
+    saturation = find_saturation(steps)
+    nothing = replace(steps[0], bright=replace(steps[0].bright, mean_dn=BLACK_DN), light=2000.0)
+    assert responsivity([nothing, *steps], saturation, 0.0).value == responsivity(steps, saturation, 0.0).value

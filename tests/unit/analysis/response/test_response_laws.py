@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from radiometer.analysis.response import auto, linear_spline, mitsunaga1999, pixel_noise, predicting
+from radiometer.analysis.response import auto, linear_spline, mitsunaga1999, pixel_noise, predicting, settle
 from radiometer.analysis.response import robertson1999 as robertson
 from radiometer.analysis.response.displacement import _parts
 from radiometer.analysis.response.dynamic_range import RangePoint, dynamic_range, with_dynamic_range
@@ -25,7 +25,7 @@ from radiometer.analysis.response.noise_shift import mean_exposure_dn
 from radiometer.analysis.response.pairs import Gauge, Pairs, with_log_ratios
 from radiometer.analysis.response.polynomial import Polynomial
 from radiometer.analysis.response.proportion import _power
-from radiometer.analysis.response.samples import gather_samples
+from radiometer.analysis.response.samples import _edge_scatter, gather_samples
 from radiometer.analysis.response.weights import row_variance, slope_at
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
 from radiometer.errors import InputError, MeasurementError, UsageError
@@ -451,3 +451,46 @@ def test_times_are_freed_where_all_quadrants_gain_and_a_tenth_in_all(after, loos
     assert auto._with_times(samples, found) is found
     samples.without_quadrant, freed.fit.time_spread = (1, 2), 0.0
     assert auto._with_times(samples, found) is found
+
+
+def test_robertson_s_residual_knows_no_common_factor(samples):
+    """A first guess ten times too large is brought to its gauge: frames that agree leave the same residual."""
+    line = np.maximum(np.arange(256.0), 0.5) / 128.0
+    right, large = (robertson._iterate(samples, factor * line, 1) for factor in (1.0, 10.0))
+    assert large[0] == pytest.approx(right[0])
+    assert large[1] == pytest.approx(right[1])
+    assert (right[1], right[2]) == (pytest.approx(0.015, abs=0.015), 1)
+
+
+def test_pixels_without_noise_have_that_of_rounding():
+    """1/6 DN² at edges beside none on even ground is twice a twelfth; none beside none is no difference."""
+    even, edges = (np.zeros((4, 1, 1)) for _ in range(2))
+    even[:3, 0, 0] = 100.0, 100.0 * 50.0, 100.0 * 50.0**2
+    edges[:3, 0, 0] = 100.0, 100.0 * 50.0, 100.0 * (50.0**2 + 1.0 / 6.0)
+    assert _edge_scatter(even, edges) == pytest.approx(2.0)
+    assert _edge_scatter(even, even) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("tones", "places", "quadrants", "found"),
+    [(2.0, 5.0, 4, 5.0), (7.0, 5.0, 4, 7.0), (2.0, 90.0, 4, 25.0), (2.0, 90.0, 3, 100.0 / 3.0), (2.0, 90.0, 2, 2.0)],
+)
+def test_groups_count_as_one_by_tones_or_places_but_quadrants_are_their_own(
+    tones, places, quadrants, found, monkeypatch
+):
+    """The larger of both; of 100 groups no more than 100 by the quadrants, of which three at least say something."""
+    rows = SimpleNamespace(dn=np.arange(10.0, 20.0), pixels=np.ones(10), group=None, frame=None, group_count=100)
+    fit = SimpleNamespace(
+        normal=SimpleNamespace(residuals=lambda _: np.zeros(10)), solution=None, leverage=lambda: np.zeros(10),
+        covariance=lambda: None,
+    )  # fmt: skip
+    whole = SimpleNamespace(fit=fit, samples=rows, dn=rows.dn, log_exposure=LINE, u_of=lambda _: np.ones(256))
+    stands = {
+        "fit_log_noise": lambda *_: None, "slope_at": lambda *_: np.ones(10), "row_variance": lambda *_: np.ones(10),
+        "tones_as_one": lambda *_: tones, "places_as_one": lambda *_: places,
+        "refit": lambda part, _: SimpleNamespace(relative=part * LINE),
+    }  # fmt: skip
+    for name, stand in stands.items():
+        monkeypatch.setattr(settle, name, stand)
+    samples = SimpleNamespace(without_quadrant=np.arange(1.0, 1.0 + quadrants))
+    assert settle._inflation(samples, whole) == pytest.approx(found)
