@@ -117,9 +117,10 @@ def test_without_a_term_a_rest_is_what_exceeds_its_uncertainties() -> None:
 
 
 def test_a_rest_in_the_dark_is_no_share_of_the_light() -> None:
-    """Below 1 DN of light no share is told; of statistics without a size nothing is."""
-    state = fitted(sensitivity=np.full((2, 2), 0.5))
-    assert sorted(size_of_rest(state, "mean")) == ["rms_dn", "rms_e"]
+    """Up to 1 DN of light no share is told; of statistics without a size nothing is."""
+    for sensitivity_dn in (0.5, 1.0):
+        state = fitted(sensitivity=np.full((2, 2), sensitivity_dn))
+        assert sorted(size_of_rest(state, "mean")) == ["rms_dn", "rms_e"]
     assert size_of_rest(state, "edges") == {}
 
 
