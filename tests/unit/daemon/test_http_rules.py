@@ -6,6 +6,7 @@ import asyncio
 import json
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import aiohttp
 import pytest
@@ -252,3 +253,21 @@ async def test_who_is_connected_when_the_server_closes_is_hung_up_on(
     writer.close()
     with pytest.raises(ConnectionError):
         await asyncio.open_connection("127.0.0.1", port)
+
+
+@pytest.mark.parametrize(("connected", "known", "ended"), [(True, False, 1), (False, False, 0), (True, True, 0)])
+async def test_only_a_connection_that_is_open_and_silent_is_ended(
+    station: Station, monkeypatch: pytest.MonkeyPatch, connected: bool, known: bool, ended: int
+) -> None:
+    """One that has left by itself, or sent its request, is neither hung up on nor counted as dropped."""
+    handler: Any = MagicMock()
+    server = HttpServer(station)
+    await server.listen("127.0.0.1", 0)
+    monkeypatch.setattr(type(server._runner.server), "connections", [handler] * connected)
+    monkeypatch.setattr(server._places, "is_known", lambda _handler: known)
+    server._look_at_head(handler)
+    monkeypatch.undo()
+    await server.close()
+    assert handler.force_close.call_count == ended
+    dropped = station.metrics.refused.labels("http", "dropped")._value.get()
+    assert dropped == ended

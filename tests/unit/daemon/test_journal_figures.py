@@ -298,3 +298,18 @@ async def test_what_cannot_be_committed_at_the_end_is_logged_and_nobody_waits_fo
     assert told == [one.to_json() for one in given]
     assert [future.cancelled() for future in futures] == [True, True]
     assert journal._connection is None
+
+
+async def test_a_patch_is_kept_although_nothing_else_is_to_be_written(tmp_path: Path) -> None:
+    """What is queued of patches alone is committed at the end; the last said of each counts; a forgotten one goes."""
+    writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), lambda *_: None)
+    await writer.open()
+    writer.keep_patch("lamp", "first")
+    writer.keep_patch("gone", "there")
+    await writer._commit_until_empty()
+    assert await writer.patches() == {"lamp": "first", "gone": "there"}
+    writer.keep_patch("lamp", "second")
+    writer.keep_patch("gone", None)
+    await writer.close()
+    with Journal(tmp_path / "j.sqlite") as again:
+        assert again.patches() == {"lamp": "second"}

@@ -14,7 +14,7 @@ from radiometer.analysis.characterise.dark_figures import doubling_of, gain_from
 from radiometer.analysis.characterise.dark_signal import by_temperature, doubling_temperature, pooled_frame_sd
 from radiometer.analysis.characterise.dark_transfer import _bulk, _clipped_variance, _unmixed, dark_transfer
 from radiometer.analysis.characterise.frame_groups import _temperature_plateaus
-from radiometer.analysis.characterise.group_statistics import GroupStatistics
+from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
 from radiometer.analysis.characterise.inconsistent import _beside, contradicting_darks, contradicting_steps
 from radiometer.analysis.characterise.nonuniformity import _root, best_stack, nonuniformity_by_part
 from radiometer.analysis.characterise.partial import stated_gain_doubt
@@ -426,3 +426,13 @@ def test_a_step_without_any_signal_tells_no_responsivity():
     saturation = find_saturation(steps)
     nothing = replace(steps[0], bright=replace(steps[0].bright, mean_dn=BLACK_DN), light=2000.0)
     assert responsivity([nothing, *steps], saturation, 0.0).value == responsivity(steps, saturation, 0.0).value
+
+
+def test_shares_at_both_ends_are_of_all_frames():
+    """Of 3 frames of 8 pixels, 1, 2 and 0 at 0 and 0, 1 and 3 at full scale or above: 3/24 and 4/24."""
+    frames = np.full((3, 2, 4), 50, np.uint16)
+    frames[0, 0, 0] = frames[1, 0, :2] = 0
+    frames[1, 1, 3] = 255
+    frames[2, 1, :3] = (255, 255, 256)
+    (found,) = statistics_of_group(iter(frames), FrameSettings(1.0), (None,), 255)
+    assert (found.floor_share, found.clipped_share, found.frames, found.pixels) == (3 / 24, 4 / 24, 3, 8)
