@@ -73,6 +73,31 @@ def test_the_bounds_of_a_trend_are_from_the_first_to_before_the_last(tmp_path: P
     assert len(reader.lines(wanted)) == 2
 
 
+def test_a_trend_of_up_to_125_minutes_is_of_readings_and_a_longer_one_of_minutes(
+    tmp_path: Path, make_reading: Make
+) -> None:
+    """The five readings stand each by itself over 7500 s; of a microsecond more, the three minutes they are in."""
+    reader = written(tmp_path / "j.sqlite", readings(make_reading))
+    longest = 7_500_000_000
+    assert [point.count for point in reader.trend("", BASE_US, BASE_US + longest)] == [1] * 5
+    assert [point.count for point in reader.trend("", BASE_US, BASE_US + longest + 1)] == [3, 1, 1]
+
+
+def test_of_many_events_the_newest_thousand_are_told(tmp_path: Path) -> None:
+    """Oldest first, of 1001 all but the first; fewer where fewer are asked for, and of a time its own."""
+    with Journal(tmp_path / "j.sqlite") as journal, journal._transaction() as connection:
+        events = [(BASE_US + number, "remark", str(number)) for number in range(1001)]
+        connection.executemany("INSERT INTO events (time_us, kind, message) VALUES (?, ?, ?)", events)
+    reader = JournalReader(tmp_path / "j.sqlite")
+
+    def told(**more: int) -> list[int]:
+        return [int(event["message"]) for event in reader.events(**more)]
+
+    assert told() == list(range(1, 1001))
+    assert told(limit=2) == [999, 1000]
+    assert told(since_us=BASE_US + 5, until_us=BASE_US + 8) == [5, 6, 7]
+
+
 def test_a_trend_finer_than_its_span_is_one_of_microseconds(tmp_path: Path, make_reading: Make) -> None:
     """Ten microseconds in 1500 points: each reading stands by itself."""
     reader = written(tmp_path / "j.sqlite", readings(make_reading))

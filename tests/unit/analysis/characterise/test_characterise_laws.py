@@ -25,6 +25,7 @@ from radiometer.analysis.characterise.sensitivity import propagated, responsivit
 from radiometer.analysis.characterise.spatial_split import SpatialSplit, typical_mean
 from radiometer.analysis.characterise.steps import make_steps
 from radiometer.analysis.characterise.subject import Subject
+from radiometer.analysis.characterise.symbols import SYMBOLS
 from radiometer.data import CameraDescription, FrameSettings, LensDescription, Quantity
 from radiometer.errors import MeasurementError
 
@@ -436,3 +437,14 @@ def test_shares_at_both_ends_are_of_all_frames():
     frames[2, 1, :3] = (255, 255, 256)
     (found,) = statistics_of_group(iter(frames), FrameSettings(1.0), (None,), 255)
     assert (found.floor_share, found.clipped_share, found.frames, found.pixels) == (3 / 24, 4 / 24, 3, 8)
+
+
+def test_a_sign_is_short_and_a_meaning_is_words():
+    """Each figure is printed as the letters of its name, Greek ones as such, and told in words without them."""
+    greek = str.maketrans({"η": "eta", "σ": "sigma", "μ": "mu", "_": "", ".": ""})
+    for name, symbol in SYMBOLS.items():
+        letters = symbol.sign.translate(greek)
+        assert name.replace("_", "").startswith(letters[:3]), name
+        assert " " not in symbol.sign
+        assert len(symbol.meaning) > len(symbol.sign)
+        assert symbol.meaning.isascii()

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from radiometer.analysis.merge import parts
+from radiometer.analysis.merge import alignment, parts
 from radiometer.analysis.merge.alignment import (
     _after,
     _alike,
@@ -21,6 +21,7 @@ from radiometer.analysis.merge.alignment import (
     _reference,
     _rim,
     _steady,
+    _summit,
 )
 from radiometer.analysis.merge.displaced import MeanDisplacement, excess_scatter, relative_shift
 from radiometer.analysis.merge.frames import _lowest_dn
@@ -330,3 +331,26 @@ def test_what_moved_is_left_out_with_its_surroundings():
     assert not found[26:44, 46:64].any()
     assert found[:20].all()
     assert found[:, :35].all()
+
+
+@pytest.mark.parametrize(
+    ("step_px", "here", "there", "taken"),
+    [(0.019, 0.5, 0.9, "here"), (0.021, 0.5, 0.9, "there"), (0.021, 0.9, 0.5, "here"), (0.1, 0.5, 0.9, "there")],
+)
+def test_of_two_places_the_better_is_taken_unless_they_are_one(monkeypatch, step_px, here, there, taken):
+    """A step of less than 0.02 pixels has arrived; of a longer one, the end that correlates better."""
+    first, second = np.eye(2, 3), np.eye(2, 3)
+    second[0, 2] = step_px
+    told = iter([(0.4, first), (here, second), (there, first)])
+    monkeypatch.setattr(alignment, "_climbed", lambda *_: next(told))
+    picture = np.zeros((9, 9), np.float32)
+    height, place = _summit(picture, picture, np.ones((9, 9), np.uint8), first)
+    assert (height, place is {"here": first, "there": second}[taken]) == ({"here": here, "there": there}[taken], True)
+
+
+def test_where_nothing_correlates_no_further_step_is_made(monkeypatch):
+    """A climb that fails says so by a negative height, and is asked once."""
+    told = iter([(-1.0, np.eye(2, 3))])
+    monkeypatch.setattr(alignment, "_climbed", lambda *_: next(told))
+    picture = np.zeros((9, 9), np.float32)
+    assert _summit(picture, picture, np.ones((9, 9), np.uint8), np.eye(2, 3))[0] == -1.0
