@@ -13,6 +13,7 @@ import pytest
 from aiohttp.test_utils import make_mocked_request
 from hypothesis import given
 from hypothesis import strategies as st
+from structlog.testing import capture_logs
 
 from radiometer.daemon.http import security
 from radiometer.daemon.http import server as http_server
@@ -90,6 +91,28 @@ def test_the_whole_token_opens_and_nothing_else(given_token: str) -> None:
     assert not opens(token)
     assert not opens(f"Bearer {token[:-1]}")
     assert not opens("Bearer ")
+
+
+@pytest.mark.parametrize("sent", [b"Bearer \xff\xfe", b"Bearer \xed\xa0\x80", "Bearer schlüssel".encode("latin-1")])
+async def test_a_token_of_any_bytes_is_refused_without_an_error(station: Station, sent: bytes) -> None:
+    """What is no UTF-8 is a wrong token like any other: 401, and nothing in the log; in UTF-8 it opens."""
+    server = HttpServer(station, token="schlüssel")
+    port = await server.listen("127.0.0.1", 0)
+
+    async def status(header: bytes) -> bytes:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        head = b"GET /status HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: "
+        writer.write(head + header + b"\r\n\r\n")
+        async with asyncio.timeout(within(10.0)):
+            reply = await reader.read()
+        writer.close()
+        return reply.split(b" ", 2)[1]
+
+    with capture_logs() as logged:
+        assert await status(sent) == b"401"
+    assert logged == []
+    assert await status("Bearer schlüssel".encode()) == b"200"
+    await server.close()
 
 
 @given(octets, octets, octets, octets, st.integers(0, 32))
