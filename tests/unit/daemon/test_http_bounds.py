@@ -92,7 +92,7 @@ async def test_an_empty_body_changes_nothing_whatever_it_calls_itself(
     assert (await read_body(request, MeasureBody)).exposure_s == given_s
 
 
-@pytest.mark.parametrize(("spread", "said"), [(19.0, "linear"), (21.0, "log")])
+@pytest.mark.parametrize(("spread", "said"), [(19.0, "linear"), (20.0, "linear"), (21.0, "log")])
 def test_a_scene_of_more_than_twenty_to_one_is_drawn_in_logarithms(spread: float, said: str) -> None:
     """A factor between the half-per-cent dimmest and the 0.2 % brightest; 0 in it is a ten-thousandth at least."""
     radiance = np.repeat(np.array([1.0, spread], np.float32), 2048).reshape(64, 64)
