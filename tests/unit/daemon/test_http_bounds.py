@@ -21,6 +21,7 @@ from radiometer.daemon.http.picture import CACHE, ONE_AT_A_TIME, PictureCache, S
 from radiometer.daemon.http.requests import MeasureBody, read_body
 from radiometer.daemon.http.route import QUERIES, STATION
 from radiometer.daemon.http.security import _Rates
+from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.limits import TokenBucket, is_allowed, parse_networks
 from radiometer.daemon.station import Station
 from radiometer.data import ResponseCurve
@@ -201,3 +202,23 @@ async def test_a_remark_is_said_back_in_its_own_letters(station: Station) -> Non
     text = (await add_remark(request)).text or ""
     assert "Lampe geändert: 3 °C" in text
     assert json.loads(text) == {"kind": "remark", "message": "Lampe geändert: 3 °C"}
+
+
+async def test_connections_are_counted_while_there_is_a_server(station: Station) -> None:
+    """None before it listens, each that is open, none once it is closed."""
+
+    def shown() -> str:
+        return next(line for line in station.metrics.render().decode().splitlines() if 'interface="http"' in line)
+
+    server = HttpServer(station)
+    assert shown() == 'radiometer_connections{interface="http"} 0.0'
+    port = await server.listen("127.0.0.1", 0)
+    lines = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
+    for reader, writer in lines:
+        writer.write(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        await reader.readuntil(b"\r\n")
+    assert shown() == 'radiometer_connections{interface="http"} 2.0'
+    await server.close()
+    for _, writer in lines:
+        writer.close()
+    assert shown() == 'radiometer_connections{interface="http"} 0.0'
