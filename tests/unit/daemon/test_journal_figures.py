@@ -6,6 +6,7 @@ import asyncio
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from structlog.testing import capture_logs
@@ -338,3 +339,26 @@ async def test_a_patch_is_kept_although_nothing_else_is_to_be_written(tmp_path: 
     await writer.close()
     with Journal(tmp_path / "j.sqlite") as again:
         assert again.patches() == {"lamp": "second"}
+
+
+@pytest.mark.parametrize(
+    ("code", "kind", "said"),
+    [
+        (sqlite3.SQLITE_FULL, JournalError, "free space"), (sqlite3.SQLITE_BUSY, JournalError, "close that program"),
+        (sqlite3.SQLITE_IOERR, JournalError, "trying again"), (sqlite3.SQLITE_CORRUPT, OutputError, "damaged"),
+        (sqlite3.SQLITE_BUSY | 2 << 8, JournalError, "close that program"),
+    ],
+)  # fmt: skip
+def test_what_sqlite_refuses_is_told_with_its_way_out(tmp_path: Path, code: int, kind: type, said: str) -> None:
+    """A statement outside a transaction that fails is an error of the journal, by the first byte of SQLite's code."""
+
+    def refuse(statement: str) -> None:
+        error = sqlite3.OperationalError("refused")
+        error.sqlite_errorcode = code
+        raise error
+
+    journal = Journal(tmp_path / "j.sqlite")
+    journal._connection = SimpleNamespace(execute=refuse)  # type: ignore[assignment]
+    with pytest.raises(OutputError, match=said) as refusal:
+        journal._execute("PRAGMA incremental_vacuum(1)")
+    assert type(refusal.value) is kind
