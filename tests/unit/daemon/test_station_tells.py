@@ -145,3 +145,16 @@ async def test_gauges_show_the_latest_reading(station: Station, make_reading: Ca
         "radiometer_commit_seconds_sum 0.25",
     ):
         assert line in shown
+
+
+async def test_an_alarm_that_turns_round_is_told_again(station: Station, make_reading: Callable[..., Reading]) -> None:
+    """From above the high limit to below the low one without a time between: the alarm stands and is announced anew."""
+    station.set_limits("main", PatchLimits(1.0, 2.0))
+    for number, value in enumerate((3.0, 3.0, 0.5, 0.5, 0.5)):
+        station._publish(make_reading(radiance=Quantity(value, 0.01, "1"), sequence=number + 1), None, 0.0)
+    (alarm,) = station.alarms.active
+    assert (alarm.name, alarm.announced) == ("limit main", 2)
+    assert "below its low limit 1" in alarm.message
+    for number in range(2):
+        station._publish(make_reading(radiance=Quantity(1.5, 0.01, "1"), sequence=number + 6), None, 0.0)
+    assert station.alarms.active == ()
