@@ -362,3 +362,15 @@ def test_what_sqlite_refuses_is_told_with_its_way_out(tmp_path: Path, code: int,
     with pytest.raises(OutputError, match=said) as refusal:
         journal._execute("PRAGMA incremental_vacuum(1)")
     assert type(refusal.value) is kind
+
+
+def test_a_journal_opens_itself_where_it_is_written_to(tmp_path: Path, make_reading: Make) -> None:
+    """Nobody has to have opened it, at first and after it was closed; the numbers go on."""
+    journal = Journal(tmp_path / "j.sqlite")
+    for number in (1, 2):
+        assert [reading.sequence for reading in journal.append([make_reading()])] == [number]
+        journal.note("remark", str(number))
+        journal.close()
+        assert journal._connection is None
+    reader = JournalReader(tmp_path / "j.sqlite")
+    assert [event["message"] for event in reader.events()] == ["1", "2"]

@@ -319,3 +319,19 @@ def test_a_keeper_whose_box_is_gone_ends(monkeypatch):
     box._closing = SimpleNamespace(wait=lambda _: False)
     box._keep()
     assert asked == [1]
+
+
+def test_a_box_that_is_opened_again_is_kept_alive_again(monkeypatch):
+    """Each opening has a keeper that goes on until the box is closed; without keep-alive there is none."""
+    told_to_end = []
+    monkeypatch.setattr(SerialLightBox, "_keep", lambda self: told_to_end.append(self._closing.is_set()))
+    _, _, box = bench()
+    assert (box._keeper, told_to_end) == (None, [])
+    box.close()
+    box.keep_alive = True
+    for _ in range(2):
+        box.open()
+        assert box._keeper is not None
+        box.close()
+        assert (box._keeper, box._closing.is_set()) == (None, True)
+    assert told_to_end == [False, False]

@@ -206,3 +206,18 @@ def test_a_channel_without_energy_for_a_millisecond_lights_in_no_way(words: str)
     twin, commands = greeted()
     twin.channels[1].bucket = 1
     assert commands.run(words.replace("H", "L")).startswith("OK L 20000")
+
+
+@pytest.mark.parametrize("steps", [(0.7, 0.1), (0.1, 0.1, 0.1), (0.25, 0.25), (0.0003, 0.0007)])
+def test_whole_milliseconds_are_counted_whole(steps: tuple[float, ...]) -> None:
+    """Times that add up to a pulse's end in decimal end it, although their binary sums may lie a little below."""
+    twin, commands = greeted()
+    begun_s = twin.time_s
+    assert begun_s == 0.0
+    whole_ms = round(1000 * sum(steps))
+    assert commands.run(f"PU 1 H 20000 {whole_ms}").startswith("OK")
+    passed_s = 0.0
+    for step in steps:
+        assert twin.emission("spot", passed_s).radiance_w_sr_m2 > 0.0
+        passed_s += step
+    assert twin.emission("spot", passed_s).radiance_w_sr_m2 == 0.0

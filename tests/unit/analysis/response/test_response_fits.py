@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.response import linear_spline
+from radiometer.analysis.response.dynamic_range import _run_to
 from radiometer.analysis.response.fit import fit_response, information
 from radiometer.analysis.response.samples import gather_samples
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
@@ -97,3 +98,22 @@ def test_a_label_known_to_nothing_is_found_and_one_known_exactly_is_kept(samples
 def test_what_is_known_exactly_counts_as_known_to_a_millionth(u):
     """Information is the inverse of a variance, at most that of rounding."""
     assert information(np.diag([u**2, 0.25])) == pytest.approx(np.diag([max(u, 1e-6) ** -2.0, 4.0]), rel=1e-6)
+
+
+@pytest.mark.parametrize(("dn", "wanted", "moves"), [(2.0, -5.0, True), (2.0, -1.0, False), (250.0, 1.0, True),
+                                                     (250.0, 0.4, False), (100.0, 9.0, False)])  # fmt: skip
+def test_a_curve_runs_to_a_region_only_on_that_region_s_side_of_its_edge(dn, wanted, moves):
+    """Below the range to less light than at its edge, above it to more; within it, and the wrong way round, nowhere."""
+    g = LINE - LINE[128]
+    u = np.full(256, 0.01)
+    ran, spread = _run_to(g, u, (20, 200), dn, wanted, 0.05)
+    assert np.array_equal(ran[20:201], g[20:201])
+    assert np.array_equal(spread[20:201], u[20:201])
+    if not moves:
+        assert (np.array_equal(ran, g), np.array_equal(spread, u)) == (True, True)
+        return
+    assert ran[int(dn)] == pytest.approx(wanted)
+    assert spread[int(dn)] == pytest.approx(0.05)
+    assert np.all(np.diff(ran) >= 0.0)
+    other = slice(0, 20) if dn > 128 else slice(201, 256)
+    assert np.array_equal(ran[other], g[other])
