@@ -228,7 +228,7 @@ def test_a_dark_current_is_that_of_the_long_exposures_and_of_their_temperature()
     assert unknown is None
 
 
-@pytest.mark.parametrize(("span_dn", "count", "asked"), [(1.99, 3, False), (2.01, 3, True), (50.0, 2, False)])
+@pytest.mark.parametrize(("span_dn", "count", "asked"), [(1.99, 3, False), (2.0, 3, True), (50.0, 2, False)])
 def test_a_gain_from_darks_needs_two_dn_of_dark_signal_at_three_exposures(span_dn, count, asked, monkeypatch):
     """Less shows no shot noise; then the frames are not even read."""
     seen = []
@@ -448,3 +448,20 @@ def test_a_sign_is_short_and_a_meaning_is_words():
         assert " " not in symbol.sign
         assert len(symbol.meaning) > len(symbol.sign)
         assert symbol.meaning.isascii()
+
+
+def test_the_fit_is_drawn_through_the_variances_that_it_is_of():
+    """A line of 40 DN² at no signal that rises by 0.5 DN² per DN, to the last step used; filled marks are its steps."""
+    bright = [group(BLACK_DN + s, 40.0 + 0.5 * s, s / 6000.0) for s in SIGNALS]
+    result = characterise(SUBJECT, [*bright, group(BLACK_DN, 40.0, dark=True)])
+    axes = Figure().add_subplot()
+    report_plots._variance(axes, result)
+    drawn = {line.get_label(): line for line in axes.get_lines()}
+    x, y = (np.asarray(values, float) for values in drawn["fit"].get_data())
+    last = max(step.signal_dn for step in result.transfer.used)
+    assert x.tolist() == [0.0, last]
+    assert y == pytest.approx([0.0, 0.5 * last], abs=0.1)
+    for label, count in (("steps of the fit", len(result.transfer.used)), ("steps left out", None)):
+        shown = np.asarray(drawn[label].get_data()[1], float)
+        assert len(shown) == (len(SIGNALS) - len(result.transfer.used) if count is None else count)
+        assert shown == pytest.approx(0.5 * np.asarray(drawn[label].get_data()[0], float))
