@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -28,7 +29,7 @@ from radiometer.analysis.merge.frames import _lowest_dn
 from radiometer.analysis.merge.ghosts import _agreement, find_strays, signals
 from radiometer.analysis.merge.records import scatter_limit
 from radiometer.analysis.merge.sums import FRAMES_PER_PLANE, MergeSample, MergeSums
-from radiometer.analysis.merge.tables import MergeTables
+from radiometer.analysis.merge.tables import _ROOT_TABLE_SIZE, MergeTables
 from radiometer.data import Bracket, Frame, FrameSettings, SensorNoise
 
 STILL = np.eye(2, 3)
@@ -151,6 +152,21 @@ def test_frames_may_scatter_by_noise_and_displacement_together(shift, factor):
         one.terms.black_dn = 1000.0 - value
     found = excess_scatter(samples, tables([1.0, 1.0], slack=0.0), np.array([0]), np.array([1000.0]), np.array([shift]))
     assert found[0] == (pytest.approx(factor**2 * scatter_limit(2.0)) if factor < 1.0 else np.inf)
+
+
+@pytest.mark.parametrize(("slack", "u_curve", "reach"), [(0.0, 0.02, 100.0), (0.1, 0.0, 100.0), (0.06, 0.016, 100.0)])
+@pytest.mark.parametrize("factor", [0.99, 1.01])
+def test_frames_may_differ_by_what_is_not_known_of_their_curve(slack, u_curve, reach, factor):
+    """Without noise, by five times its relative uncertainty, and by what is granted to every frame, in quadrature."""
+    plain = tables([1.0, 1.0], variance=1e-6, slack=slack)
+    known = replace(
+        plain, quantisation=np.zeros(_ROOT_TABLE_SIZE), curve=np.full(_ROOT_TABLE_SIZE, u_curve), top=4095.0
+    )
+    samples = [sample([1000], 0), sample([1000], 1)]
+    for one, sign in zip(samples, (-1.0, 1.0), strict=True):
+        one.terms.black_dn = sign * factor * reach
+    found = excess_scatter(samples, known, np.array([0]), np.array([1000.0]), np.zeros(1))
+    assert bool(np.isfinite(found[0])) is (factor < 1.0)
 
 
 def test_a_frame_that_shows_nothing_scatters_nothing():
