@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from radiometer.analysis.characterise.inconsistent import _beside, contradicting
 from radiometer.analysis.characterise.nonuniformity import _root, best_stack, nonuniformity_by_part
 from radiometer.analysis.characterise.partial import stated_gain_doubt
 from radiometer.analysis.characterise.photon_transfer import photon_transfer, transfer_of_few
-from radiometer.analysis.characterise.report import _dark, _noise, _range
+from radiometer.analysis.characterise.report import _dark, _figures, _noise, _range
 from radiometer.analysis.characterise.saturation import find_saturation
 from radiometer.analysis.characterise.sensitivity import propagated, responsivity
 from radiometer.analysis.characterise.spatial_split import SpatialSplit, typical_mean
@@ -441,13 +443,14 @@ def test_shares_at_both_ends_are_of_all_frames():
 
 def test_a_sign_is_short_and_a_meaning_is_words():
     """Each figure is printed as the letters of its name, Greek ones as such, and told in words without them."""
-    greek = str.maketrans({"η": "eta", "σ": "sigma", "μ": "mu", "_": "", ".": ""})
-    for name, symbol in SYMBOLS.items():
-        letters = symbol.sign.translate(greek)
-        assert name.replace("_", "").startswith(letters[:3]), name
-        assert " " not in symbol.sign
-        assert len(symbol.meaning) > len(symbol.sign)
-        assert symbol.meaning.isascii()
+    greek = str.maketrans({"η": "eta", "σ": "sigma", "μ": "mu", " ": "", ".": ""})
+    for name in SYMBOLS:
+        page = _figures(SimpleNamespace(figures={name: Quantity(2.0, 0.05, "e-")}))
+        sign, meaning, value, expanded, _ = re.findall(r"<td[^>]*>(.*?)</td>", page)
+        assert name.replace("_", "").startswith(sign.translate(greek)[:3]), name
+        assert len(meaning) > len(sign)
+        assert meaning.isascii()
+        assert (value, expanded.split()) == ("2.00", ["±", "0.10"])
 
 
 def test_the_fit_is_drawn_through_the_variances_that_it_is_of():
