@@ -111,4 +111,4 @@ def is_allowed(peer: str, networks: Sequence[Network]) -> bool:
         return False
     mapped = getattr(address, "ipv4_mapped", None)
     address = mapped or address
-    return address.is_loopback or any(address.version == network.version and address in network for network in networks)
+    return address.is_loopback or any(address in network for network in networks)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from radiometer.data import Flag, Patch, Reading
@@ -138,11 +138,6 @@ def check_name(name: str) -> str:
             f" {name[:40]!r} is none"
         )
     return name
-
-
-def moved(named: NamedPatch, patch: Patch) -> NamedPatch:
-    """Return it at another place, its limits kept."""
-    return replace(named, patch=patch)
 
 
 def _is_lower_bound(reading: Reading) -> bool:

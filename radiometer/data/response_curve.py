@@ -103,6 +103,7 @@ class ResponseCurve:
         """
         if mapping.get("format") != FORMAT:
             raise InputError(f"{where}: format is {mapping.get('format')!r}; expected {FORMAT!r}")
+        provenance = Provenance.from_mapping(mapping.get("provenance"), where)
         try:
             valid = mapping.get("valid_dn")
             return cls(
@@ -111,11 +112,11 @@ class ResponseCurve:
                 absolute=bool(mapping.get("absolute", False)),
                 valid_dn=(int(valid[0]), int(valid[1])) if valid else None,
                 channel=str(mapping.get("channel", "mono")),
-                provenance=Provenance.from_mapping(mapping.get("provenance"), where),
+                provenance=provenance,
             )
         except KeyError as error:
             raise InputError(f"{where}: key {error} is missing") from error
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, InputError) as error:
             raise InputError(f"{where}: {error}") from error
 
     def write(self, path: Path) -> None:
@@ -149,6 +150,8 @@ def _from_csv(text: str, path: Path) -> ResponseCurve:
     if table.ndim != 2 or table.shape[1] != 3 or not np.array_equal(table[:, 0], np.arange(len(table))):
         raise InputError(f"{path}: needs one row per digital number, counted from 0 without gaps")
     curve_is_relative = abs(float(table[len(table) // 2, 1])) < 1e-9
-    return ResponseCurve(
-        table[:, 1], table[:, 2], absolute=not curve_is_relative, provenance=Provenance("file", (path.name,))
-    )
+    provenance = Provenance("file", (path.name,))
+    try:
+        return ResponseCurve(table[:, 1], table[:, 2], absolute=not curve_is_relative, provenance=provenance)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error

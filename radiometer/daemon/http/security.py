@@ -175,7 +175,8 @@ def _same_origin(request: web.Request) -> bool:
 
 def _has_token(request: web.Request, token: str) -> bool:
     kind, _, given = request.headers.get("Authorization", "").partition(" ")
-    return kind.lower() == "bearer" and hmac.compare_digest(given.strip().encode(), token.encode())
+    sent = given.strip().encode(errors="surrogateescape")  # bytes that are no UTF-8 are no token, and no error
+    return kind.lower() == "bearer" and hmac.compare_digest(sent, token.encode())
 
 
 def _refused(request: web.Request, reason: str, status: int, message: str) -> web.Response:

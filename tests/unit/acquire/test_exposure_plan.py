@@ -10,6 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from radiometer.acquire.exposure_plan import (
+    DISTINCT_RATIO,
     ExposurePlan,
     ExposureWindow,
     _distinct,
@@ -197,3 +198,13 @@ def test_every_camera_has_an_octave_to_expose_in(bits, gain_e, read_e, well_e, g
     window = ExposureWindow.of(camera, gain_db, 8.0)
     assert 0.0 < 2.0 * window.lowest_dn <= window.highest_dn * (1 + 1e-12)
     assert window.highest_dn < window.clipping_dn
+
+
+@pytest.mark.parametrize("shortest_s", [0.5, 1.0])
+def test_an_exposure_that_was_taken_is_followed_by_one_apart_from_it(shortest_s):
+    """The next lies half a stop below and may be the camera's shortest; only below that is one taken again."""
+    taken = [1.0 * DISTINCT_RATIO]
+    assert _distinct(taken[0], taken, shortest_s) == pytest.approx(1.0, rel=1e-15)
+    assert _distinct(taken[0], taken, 1.001) == taken[0]
+    assert _distinct(5.0, taken, shortest_s) == 5.0
+    assert _distinct(0.5, taken, shortest_s) == 0.5

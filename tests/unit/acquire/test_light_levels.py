@@ -284,3 +284,18 @@ def test_a_level_is_lit_when_the_budget_is_as_full_as_it_needs(level, needed):
     survey._dark = reading(2.0)
     survey._point("spot", DriveLevel(level), 0.0)
     assert needed <= box.lit_with + 1e-9 < needed + 0.1
+
+
+def test_the_reference_is_read_before_every_sixth_level_and_at_the_end(monkeypatch):
+    """Half way between the levels beside it, so that a lamp's drift is laid on the moment of each; progress counts."""
+    told = []
+    box = LinearBox()
+    survey = LevelSurvey(box, box.measure, box.wait, np.random.default_rng(1), progress=lambda *what: told.append(what))
+    monkeypatch.setattr(LevelSurvey, "_point", lambda self, channel, drive, order: point(drive.level, 1.0, order))
+    levels = [DriveLevel(1000 + number) for number in range(8)]
+    measured, references = survey._run("spot", levels, DriveLevel(7500))
+    assert [(one.drive, one.order) for one in measured] == [(level, float(n)) for n, level in enumerate(levels)]
+    assert {one.drive.level for one in references} == {7500}
+    assert [one.order for one in references] == [-0.5, 5.5, 8.0]
+    assert told == [("spot", number, 8) for number in range(1, 9)]
+    assert box.drive is None

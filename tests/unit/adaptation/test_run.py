@@ -178,3 +178,16 @@ def test_why_trials_in_a_row_gave_nothing(seen: tuple[int, ...], known: bool, ve
     """Of 8 blinks each: none seen is a subject who left, all seen is the floor, anything else cannot be relied on."""
     trials: Any = [{"seen": number, "blinks": 8} for number in seen]
     assert _why_fruitless(trials, known=known) is verdict
+
+
+def test_without_a_seed_catches_are_those_of_seed_nought(tmp_path: Path, classic: AdaptationProtocol) -> None:
+    """A run that states none can be done again, and another seed's trials are others."""
+
+    def lines(name: str, **seed: int) -> list[str]:
+        stage = ScriptedStage(lambda level, seconds: seconds < 300 and eye(level, seconds), classic)
+        with RunJournal(tmp_path / name) as journal:
+            run_test(classic, stage, journal, subject="A1", **seed)
+        return (tmp_path / name).read_text().splitlines()[1:]
+
+    assert lines("none") == lines("nought", seed=0)
+    assert lines("none again") != lines("one", seed=1)

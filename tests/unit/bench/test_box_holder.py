@@ -135,6 +135,17 @@ def test_a_folder_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest
     assert not is_ours(folder)
 
 
+def test_a_folder_that_is_not_there_is_nobody_s(tmp_path: Path) -> None:
+    """Neither a missing folder nor one below a file is ours; one made by this user and closed to others is."""
+    own, file = tmp_path / "own", tmp_path / "file"
+    own.mkdir(mode=0o755)
+    file.write_text("")
+    assert [is_ours(path) for path in (own, tmp_path / "missing", file / "below")] == [True, False, False]
+    for mode, ours in ((0o775, False), (0o757, False), (0o700, True)):
+        own.chmod(mode)
+        assert is_ours(own) is ours
+
+
 @pytest.mark.slow
 def test_light_that_the_box_ends_is_told(capsys: pytest.CaptureFixture[Any]) -> None:
     """The bleach's energy budget lasts 200 s at its limit: 230 s end with exit code 1 and the time it lasted."""

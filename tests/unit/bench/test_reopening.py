@@ -8,7 +8,7 @@ import pytest
 
 from radiometer.bench.reopening import reopen
 from radiometer.devices import CameraSettings
-from radiometer.errors import DeviceLost
+from radiometer.errors import DeviceLost, MissingLibrary
 
 
 class LostCamera:
@@ -46,3 +46,34 @@ def test_a_camera_that_is_back_is_open_with_its_settings(away: int) -> None:
     wanted = CameraSettings(exposure_s=0.003)
     reopen(camera, wanted, lambda _reason: None, pause)
     assert (camera.is_open, camera.settings, len(pauses)) == (True, wanted, away)
+
+
+def test_each_reason_is_told_once_and_a_camera_that_does_not_open_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who waits hears of a new reason and not of the same one again; between two tries nothing is held open."""
+    reasons = ["unplugged", "unplugged", "in use", "in use"]
+    camera: Any = LostCamera(0)
+    plain_open = camera.open
+
+    def fail_first() -> None:
+        if reasons:
+            camera.is_open = True  # an opening that fails half way
+            raise DeviceLost(reasons.pop(0))
+        plain_open()
+
+    monkeypatch.setattr(camera, "open", fail_first)
+    told: list[str] = []
+    held: list[bool] = []
+    reopen(camera, CameraSettings(exposure_s=0.003), told.append, lambda _s: held.append(camera.is_open))
+    assert (told, held, camera.is_open) == (["unplugged", "in use"], [False] * 4, True)
+
+
+def test_a_camera_that_can_never_be_opened_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without its library no pause helps: the error comes at the first try."""
+    camera: Any = LostCamera(0)
+
+    def fail() -> None:
+        raise MissingLibrary("aravis")
+
+    monkeypatch.setattr(camera, "open", fail)
+    with pytest.raises(MissingLibrary):
+        reopen(camera, CameraSettings(exposure_s=0.003), pytest.fail, pytest.fail)

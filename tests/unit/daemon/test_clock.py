@@ -93,9 +93,28 @@ def test_five_seconds_are_a_jump_and_less_is_not(by_us: int, told: bool) -> None
     assert [jump.by_us for jump in jumps] == ([by_us, by_us] if told else [])
 
 
+async def test_the_clock_is_looked_at_every_second() -> None:
+    """A jump is told at the next look, after a second at most; a day without one tells nothing."""
+    clocks, told, pauses = Clocks(), list[Jump](), list[float]()
+    watch = ClockWatch(told.append, *clocks.both)
+
+    async def sleep(seconds: float) -> None:
+        pauses.append(seconds)
+        clocks.go(round(seconds * 1e6))
+        if len(pauses) == 3:
+            assert told == []
+            clocks.wall += HOUR_US
+        if len(pauses) == 5:
+            raise asyncio.CancelledError
+
+    with pytest.raises(asyncio.CancelledError):
+        await watch.run(sleep)
+    assert (set(pauses), [jump.by_us for jump in told]) == ({1.0}, [HOUR_US])
+
+
 @pytest.mark.parametrize(
     ("off_us", "from_us"),
-    [(0, START_US), (DAY_US - 1, START_US), (DAY_US + 1, START_US - DAY_US - 1), (-1, START_US + 1)],
+    [(0, START_US), (DAY_US, START_US), (DAY_US + 1, START_US - DAY_US - 1), (-1, START_US + 1)],
 )
 def test_a_day_without_a_daemon_is_believed_and_no_more(off_us: int, from_us: int) -> None:
     """Off for longer, or with a newest reading in the future, ages are counted from that reading."""

@@ -188,6 +188,7 @@ async def test_the_curve_of_the_page_is_that_in_use_or_a_straight_line() -> None
         shown[name] = json.loads((await show_response(request)).text or "")
     line, curve = shown["line"], shown["curve"]
     assert (line["linear"], curve["linear"]) == (True, False)
+    assert (line["absolute"], curve["absolute"]) == (False, False)
     assert line["log_exposure"] == pytest.approx([math.log(m / 2048) for m in line["dn"]])
     assert (line["dn"][0], line["dn"][-1], set(line["u_log_exposure"])) == (8, 4095, {0.0})
     assert curve["dn"] == list(range(3, 256))

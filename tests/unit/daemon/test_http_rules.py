@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import aiohttp
 import pytest
 from aiohttp.test_utils import make_mocked_request
 from hypothesis import given
 from hypothesis import strategies as st
+from structlog.testing import capture_logs
 
 from radiometer.daemon.http import security
+from radiometer.daemon.http import server as http_server
 from radiometer.daemon.http.security import _HEADERS, _has_token, _host_of, _Rates, _same_origin, error_reply, status_of
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.journal import JournalError
@@ -27,6 +31,7 @@ from radiometer.errors import (
     UnsafeStimulus,
     UsageError,
 )
+from tests.patience import within
 
 octets = st.integers(0, 255)
 
@@ -86,6 +91,28 @@ def test_the_whole_token_opens_and_nothing_else(given_token: str) -> None:
     assert not opens(token)
     assert not opens(f"Bearer {token[:-1]}")
     assert not opens("Bearer ")
+
+
+@pytest.mark.parametrize("sent", [b"Bearer \xff\xfe", b"Bearer \xed\xa0\x80", "Bearer schlüssel".encode("latin-1")])
+async def test_a_token_of_any_bytes_is_refused_without_an_error(station: Station, sent: bytes) -> None:
+    """What is no UTF-8 is a wrong token like any other: 401, and nothing in the log; in UTF-8 it opens."""
+    server = HttpServer(station, token="schlüssel")
+    port = await server.listen("127.0.0.1", 0)
+
+    async def status(header: bytes) -> bytes:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        head = b"GET /status HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: "
+        writer.write(head + header + b"\r\n\r\n")
+        async with asyncio.timeout(within(10.0)):
+            reply = await reader.read()
+        writer.close()
+        return reply.split(b" ", 2)[1]
+
+    with capture_logs() as logged:
+        assert await status(sent) == b"401"
+    assert logged == []
+    assert await status("Bearer schlüssel".encode()) == b"200"
+    await server.close()
 
 
 @given(octets, octets, octets, octets, st.integers(0, 32))
@@ -231,3 +258,39 @@ class Unknown:
 
     def is_known(self, protocol: Any) -> bool:
         return False
+
+
+async def test_who_is_connected_when_the_server_closes_is_hung_up_on(
+    station: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A connection that is kept alive ends at once, however long it might stay; new ones are refused."""
+    monkeypatch.setattr(http_server, "_KEEP_ALIVE_S", 1e4)
+    server = HttpServer(station)
+    port = await server.listen("127.0.0.1", 0)
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    assert (await reader.readuntil(b"\r\n")).startswith(b"HTTP/1.1 200")
+    await server.close()
+    async with asyncio.timeout(within(10.0)):
+        await reader.read()
+    writer.close()
+    with pytest.raises(ConnectionError):
+        await asyncio.open_connection("127.0.0.1", port)
+
+
+@pytest.mark.parametrize(("connected", "known", "ended"), [(True, False, 1), (False, False, 0), (True, True, 0)])
+async def test_only_a_connection_that_is_open_and_silent_is_ended(
+    station: Station, monkeypatch: pytest.MonkeyPatch, connected: bool, known: bool, ended: int
+) -> None:
+    """One that has left by itself, or sent its request, is neither hung up on nor counted as dropped."""
+    handler: Any = MagicMock()
+    server = HttpServer(station)
+    await server.listen("127.0.0.1", 0)
+    monkeypatch.setattr(type(server._runner.server), "connections", [handler] * connected)
+    monkeypatch.setattr(server._places, "is_known", lambda _handler: known)
+    server._look_at_head(handler)
+    monkeypatch.undo()
+    await server.close()
+    assert handler.force_close.call_count == ended
+    dropped = station.metrics.refused.labels("http", "dropped")._value.get()
+    assert dropped == ended

@@ -6,6 +6,7 @@ import asyncio
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from structlog.testing import capture_logs
@@ -71,6 +72,31 @@ def test_the_bounds_of_a_trend_are_from_the_first_to_before_the_last(tmp_path: P
     assert sum(p.count for p in reader.trend("", BASE_US - DAY_US, BASE_US + 3 * MINUTE_US + 1)) == 5
     wanted = ReadingFilter(since_us=BASE_US + 10_000_000, until_us=BASE_US + 60_000_000)
     assert len(reader.lines(wanted)) == 2
+
+
+def test_a_trend_of_up_to_125_minutes_is_of_readings_and_a_longer_one_of_minutes(
+    tmp_path: Path, make_reading: Make
+) -> None:
+    """The five readings stand each by itself over 7500 s; of a microsecond more, the three minutes they are in."""
+    reader = written(tmp_path / "j.sqlite", readings(make_reading))
+    longest = 7_500_000_000
+    assert [point.count for point in reader.trend("", BASE_US, BASE_US + longest)] == [1] * 5
+    assert [point.count for point in reader.trend("", BASE_US, BASE_US + longest + 1)] == [3, 1, 1]
+
+
+def test_of_many_events_the_newest_thousand_are_told(tmp_path: Path) -> None:
+    """Oldest first, of 1001 all but the first; fewer where fewer are asked for, and of a time its own."""
+    with Journal(tmp_path / "j.sqlite") as journal, journal._transaction() as connection:
+        events = [(BASE_US + number, "remark", str(number)) for number in range(1001)]
+        connection.executemany("INSERT INTO events (time_us, kind, message) VALUES (?, ?, ?)", events)
+    reader = JournalReader(tmp_path / "j.sqlite")
+
+    def told(**more: int) -> list[int]:
+        return [int(event["message"]) for event in reader.events(**more)]
+
+    assert told() == list(range(1, 1001))
+    assert told(limit=2) == [999, 1000]
+    assert told(since_us=BASE_US + 5, until_us=BASE_US + 8) == [5, 6, 7]
 
 
 def test_a_trend_finer_than_its_span_is_one_of_microseconds(tmp_path: Path, make_reading: Make) -> None:
@@ -298,3 +324,53 @@ async def test_what_cannot_be_committed_at_the_end_is_logged_and_nobody_waits_fo
     assert told == [one.to_json() for one in given]
     assert [future.cancelled() for future in futures] == [True, True]
     assert journal._connection is None
+
+
+async def test_a_patch_is_kept_although_nothing_else_is_to_be_written(tmp_path: Path) -> None:
+    """What is queued of patches alone is committed at the end; the last said of each counts; a forgotten one goes."""
+    writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), lambda *_: None)
+    await writer.open()
+    writer.keep_patch("lamp", "first")
+    writer.keep_patch("gone", "there")
+    await writer._commit_until_empty()
+    assert await writer.patches() == {"lamp": "first", "gone": "there"}
+    writer.keep_patch("lamp", "second")
+    writer.keep_patch("gone", None)
+    await writer.close()
+    with Journal(tmp_path / "j.sqlite") as again:
+        assert again.patches() == {"lamp": "second"}
+
+
+@pytest.mark.parametrize(
+    ("code", "kind", "said"),
+    [
+        (sqlite3.SQLITE_FULL, JournalError, "free space"), (sqlite3.SQLITE_BUSY, JournalError, "close that program"),
+        (sqlite3.SQLITE_IOERR, JournalError, "trying again"), (sqlite3.SQLITE_CORRUPT, OutputError, "damaged"),
+        (sqlite3.SQLITE_BUSY | 2 << 8, JournalError, "close that program"),
+    ],
+)  # fmt: skip
+def test_what_sqlite_refuses_is_told_with_its_way_out(tmp_path: Path, code: int, kind: type, said: str) -> None:
+    """A statement outside a transaction that fails is an error of the journal, by the first byte of SQLite's code."""
+
+    def refuse(statement: str) -> None:
+        error = sqlite3.OperationalError("refused")
+        error.sqlite_errorcode = code
+        raise error
+
+    journal = Journal(tmp_path / "j.sqlite")
+    journal._connection = SimpleNamespace(execute=refuse)  # type: ignore[assignment]
+    with pytest.raises(OutputError, match=said) as refusal:
+        journal._execute("PRAGMA incremental_vacuum(1)")
+    assert type(refusal.value) is kind
+
+
+def test_a_journal_opens_itself_where_it_is_written_to(tmp_path: Path, make_reading: Make) -> None:
+    """Nobody has to have opened it, at first and after it was closed; the numbers go on."""
+    journal = Journal(tmp_path / "j.sqlite")
+    for number in (1, 2):
+        assert [reading.sequence for reading in journal.append([make_reading()])] == [number]
+        journal.note("remark", str(number))
+        journal.close()
+        assert journal._connection is None
+    reader = JournalReader(tmp_path / "j.sqlite")
+    assert [event["message"] for event in reader.events()] == ["1", "2"]

@@ -14,7 +14,7 @@ import pytest
 from radiometer.daemon import keeper as keeper_module
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.instrument import DeviceReport
-from radiometer.daemon.keeper import DeviceKeeper, DeviceState
+from radiometer.daemon.keeper import DeviceKeeper, DeviceState, KeeperTimes
 from radiometer.daemon.patience import Patience
 from radiometer.errors import DeviceLost
 from tests.patience import within
@@ -146,6 +146,37 @@ async def test_late_answers_do_not_make_the_alarm_flap() -> None:
     assert told == ["alarm"]
     await keeper.use(device.ask)
     assert (keeper.state, told) == (DeviceState.READY, ["alarm", "cleared"])
+    await keeper.close()
+
+
+@pytest.mark.parametrize(
+    ("own_word_s", "overdue_s", "usual_s", "late"),
+    [
+        (None, 30.0, 0.0, False), (None, -30.0, 0.0, True), (None, -30.0, 40.0, False), (30.0, -30.0, 0.0, False),
+        (-30.0, 60.0, 0.0, True),
+    ],
+)  # fmt: skip
+async def test_a_call_is_late_by_the_device_s_own_word_or_by_what_is_usual(
+    monkeypatch: pytest.MonkeyPatch, own_word_s: float | None, overdue_s: float, usual_s: float, late: bool
+) -> None:
+    """Where the device says by when, that counts; else half as much again as usual and what is granted beyond it."""
+    monkeypatch.setattr(keeper_module, "_LOOK_S", 0.001)
+    device, alarms = SlowDevice(), Alarms(lambda *_: None)
+    keeper = DeviceKeeper("camera", device, alarms)
+    await keeper.open_once()
+    keeper._times = KeeperTimes(overdue_s=overdue_s)
+    device.may_answer.clear()
+    device.late_at = None if own_word_s is None else time.monotonic() + own_word_s
+    asking = asyncio.create_task(keeper.use(device.ask, usual_s=usual_s))
+    async with asyncio.timeout(within(10.0)):
+        while late and keeper._called_late_at is None:
+            await asyncio.sleep(0.001)
+    for _ in range(10):
+        await asyncio.sleep(0.001)
+    assert keeper.state is (DeviceState.OVERDUE if late else DeviceState.READY)
+    assert len(alarms.active) == late
+    device.may_answer.set()
+    await asking
     await keeper.close()
 
 

@@ -19,7 +19,7 @@ from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, TrendPoint
 from radiometer.daemon.mqtt import _topic_of
-from radiometer.daemon.patches import PatchLimits, PatchWatch, check_name
+from radiometer.daemon.patches import NamedPatch, PatchLimits, PatchWatch, check_name
 from radiometer.daemon.station import Station
 from radiometer.daemon.timestamps import iso_time, microseconds
 from radiometer.data import Flag, Patch, Quantity, Reading
@@ -142,6 +142,35 @@ def test_limits_that_nothing_can_keep_are_refused(low: float | None, high: float
     assert PatchLimits(1.0, 2.0, 0.5).hysteresis_rel == 0.5
     with pytest.raises(UsageError, match="hysteresis"):
         PatchLimits(1.0, 2.0, 0.51)
+
+
+def test_a_name_may_have_what_no_interface_stumbles_over() -> None:
+    """32 letters, digits and a few signs between them: each such name comes back as it is."""
+    for name in ("x" * 32, "a", "mains", "Lamp 1.b_c-d+e"):
+        assert check_name(name) == name
+
+
+@pytest.mark.parametrize("limits", [PatchLimits(), PatchLimits(low=-1.0), PatchLimits(0.5, 2.5, 0.125)])
+def test_a_kept_patch_is_read_as_it_was_written(limits: PatchLimits) -> None:
+    """Place, size and limits come back from the line each in its own place."""
+    named = NamedPatch("lamp", Patch(1, 2, 3, 4), limits)
+    assert NamedPatch.from_json("lamp", named.to_json()) == named
+
+
+@pytest.mark.parametrize(("value", "said"), [(3.0, "above its high limit 2"), (0.5, "below its low limit 1")])
+def test_an_alarm_names_the_limit_that_was_passed(
+    make_reading: Callable[..., Reading], value: float, said: str
+) -> None:
+    """The side and the number are those of the limit broken, not of the other one."""
+    watch = PatchWatch(PatchLimits(1.0, 2.0))
+    for _ in range(2):
+        watch.take(make_reading(radiance=Quantity(value, 0.01, "W sr-1 m-2")))
+    assert said in watch.message("lamp")
+    assert watch.latest is not None
+    assert str(watch.latest) in watch.message("lamp")
+    watch.limit(watch.limits)
+    assert watch.breached == ""
+    assert not watch.take(watch.latest), "what was said before the limits were set counts no longer"
 
 
 async def test_wrong_patches_are_refused(station: Station) -> None:

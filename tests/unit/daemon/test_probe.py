@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import threading
 from typing import Any
 
+import pytest
+
+from radiometer.daemon import probe
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.probe import check_daemon
 from radiometer.daemon.scpi.server import ScpiServer
@@ -44,3 +48,32 @@ def test_no_daemon_is_a_note_with_the_way_to_start_one() -> None:
     finding = check_daemon(port, port)
     assert finding.health is Health.NOTE
     assert "radiometer serve" in finding.cure
+
+
+@pytest.mark.parametrize("reply", [b"Keysight,34465A,MY1,A.02\n", b""])
+def test_a_stranger_on_the_port_is_named(reply: bytes) -> None:
+    """Another program there, or one that says nothing, is a warning with what it said and the way round."""
+    with socket.create_server(("127.0.0.1", 0)) as stranger:
+        port = int(stranger.getsockname()[1])
+
+        def answer() -> None:
+            line, _ = stranger.accept()
+            with line:
+                assert line.recv(100) == b"*IDN?\n"
+                line.sendall(reply)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        finding = check_daemon(port, port)
+        thread.join()
+    assert finding.health is Health.WARNING
+    assert finding.message.endswith(f"another program: {reply.decode().strip()}")
+    assert "--scpi-port" in finding.cure
+
+
+def test_one_that_says_nothing_is_not_waited_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program that takes the call and is silent is a stranger, not nobody."""
+    monkeypatch.setattr(probe, "_PATIENCE_S", 0.01)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        port = int(silent.getsockname()[1])
+        assert check_daemon(port, port).health is Health.WARNING

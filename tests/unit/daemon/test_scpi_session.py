@@ -297,3 +297,48 @@ async def test_only_a_session_that_is_idle_is_ended(station, monkeypatch):
     connection._task = None
     hours.move_to(152.0)
     assert ended == [pytest.approx(151.0, abs=1.0)]
+
+
+@pytest.mark.parametrize("quantity", ["RAD", "LUM"])
+async def test_a_quantity_is_chosen_with_its_patch_or_without(session, quantity):
+    """CONFigure alone takes the patch that is measured for all."""
+    await ask(session, f"CONF:{quantity} 5,6,7,8")
+    await ask(session, f"CONF:{quantity}")
+    assert (session.own_patch, await ask(session, "CONF?")) == (None, f'"{quantity}"')
+    assert await errors(session) == ["0"]
+
+
+async def test_who_waits_for_a_measurement_that_is_given_up_is_told(session):
+    """READ? ends with −230 when its measurement is aborted, and the session goes on."""
+    waiting = asyncio.ensure_future(ask(session, "READ?"))
+    while session.pending is None:
+        await asyncio.sleep(0)
+    session.abort()
+    assert await waiting is None
+    assert (await ask(session, "SYST:ERR?")).endswith('the measurement was aborted"')
+    assert await errors(session) == ["0"]
+    assert float((await ask(session, "READ?")).split(",")[0]) > 0.0
+
+
+async def test_a_measurement_has_two_minutes(session, station, monkeypatch):
+    """READ? gives it no less and no more: a camera that is silent for longer is a trouble that is told."""
+    given_s = []
+    measure = station.measure
+
+    async def timed(settings, deadline_s, name):
+        given_s.append(deadline_s)
+        return await measure(settings, deadline_s, name)
+
+    monkeypatch.setattr(station, "measure", timed)
+    await ask(session, "READ?")
+    assert given_s == [120.0]
+
+
+async def test_a_command_that_outlives_its_connection_replies_to_nobody(station):
+    """Its line is gone: nothing is written and nothing breaks."""
+    connection = ScpiConnection(ScpiServer(station))
+    connection.session = Session(station, TABLE)
+    connection.connection_lost(None)
+    await connection._wait(connection.session.execute("READ?"))
+    assert connection.session.status.error_count == 0
+    connection._send("42")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any
+from unittest.mock import MagicMock
 
 from radiometer.daemon.watched_camera import WatchedCamera
 from radiometer.devices import Camera, CameraSettings
@@ -48,3 +49,25 @@ def test_a_refused_call_is_not_late_for_ever() -> None:
 def test_it_is_a_camera() -> None:
     """It has every member of the Protocol."""
     assert [name for name in dir(Camera) if not name.startswith("_") and not hasattr(WatchedCamera, name)] == []
+
+
+def test_every_call_reaches_the_camera_and_what_it_returns_comes_back() -> None:
+    """Nothing is held back, exchanged or made up: each member is the camera's own, with the arguments given."""
+    camera = MagicMock()
+    watched: Any = WatchedCamera(camera)
+    for name in ("identity", "capabilities", "settings", "description", "lens", "counts"):
+        assert getattr(watched, name) is getattr(camera, name)
+    wanted = CameraSettings(0.1)
+    camera.settings = wanted
+    assert watched.configure(wanted) is camera.configure.return_value
+    assert watched.capture(2) is camera.capture.return_value
+    assert watched.stream() is camera.stream.return_value
+    watched.set_shutter(closed=True)
+    with watched as entered:
+        assert entered is watched
+        camera.open.assert_called_once_with()
+        camera.close.assert_not_called()
+    camera.close.assert_called_once_with()
+    camera.configure.assert_called_once_with(wanted)
+    camera.capture.assert_called_once_with(2)
+    camera.set_shutter.assert_called_once_with(closed=True)

@@ -84,6 +84,18 @@ def test_another_lens_is_refused(calibration):
         calibration.require_lens(LensDescription(focal_length_mm=25.0))
 
 
+@pytest.mark.parametrize(("focal_mm", "taken"), [(16.16, True), (16.17, False), (15.85, True), (15.84, False)])
+def test_a_focal_length_fits_within_a_hundredth(calibration, focal_mm, taken):
+    """Of 16 mm, to either side; one that nobody knows is not compared."""
+    lens = LensDescription(focal_length_mm=focal_mm)
+    if taken:
+        calibration.require_lens(lens)
+    else:
+        with pytest.raises(CalibrationError, match="made with a lens of 16 mm"):
+            calibration.require_lens(lens)
+    replace(calibration, lens=LensDescription()).require_lens(lens)
+
+
 def test_it_goes_stale_after_its_validity(calibration):
     """The day of expiry itself still counts as valid."""
     made = dt.datetime(2026, 1, 2, 3, 4, 5, tzinfo=dt.UTC)

@@ -234,3 +234,23 @@ def test_what_is_repeated_counts_as_if_it_were_written_out(repeated: int, read: 
     else:
         with pytest.raises(InputError, match="more than 5000000 entries"):
             refuse_deep_yaml("\n".join(lines), "here")
+
+
+@pytest.mark.parametrize("start", [b"text about ", b"\xff\xd8\xff\xfe\x00\x40", b"v/1\x02"])
+def test_what_stands_in_another_file_is_no_header_of_a_picture(tmp_path: Path, start: bytes) -> None:
+    """A resolution line or a data window counts only in a file that begins as such a picture does."""
+    window = struct.pack("<4i", 0, 0, 69_999, 59_999)
+    for inside in (b"\n-Y 60000 +X 50000\n", b"dataWindow\0box2i\0" + struct.pack("<i", 16) + window):
+        refuse_large_picture(tmp_path / "a", start + inside)
+
+
+@pytest.mark.parametrize(
+    ("bits", "colour", "bytes_each"),
+    [(1, 0, 1), (8, 0, 1), (16, 0, 2), (8, 2, 3), (16, 2, 6), (8, 3, 1), (8, 4, 2), (16, 4, 4), (8, 6, 4), (16, 6, 8)],
+)
+def test_a_png_is_as_large_as_its_pixels_are(tmp_path: Path, bits: int, colour: int, bytes_each: int) -> None:
+    """Rows of 1000 pixels of so many channels and bytes fill the limit, and one row more does not fit."""
+    rows = MOST_PICTURE_BYTES // (1000 * bytes_each)
+    refuse_large_picture(tmp_path / "a", _png(1000, rows, bits, colour))
+    with pytest.raises(CaptureError, match=f"{rows + 1} × 1000"):
+        refuse_large_picture(tmp_path / "a", _png(1000, rows + 1, bits, colour))

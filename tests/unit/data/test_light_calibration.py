@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from radiometer.data.light_calibration import ChannelCalibration, LightCalibration, LightPoint
-from radiometer.errors import CalibrationError
+from radiometer.data.light_calibration import ChannelCalibration, LightCalibration, LightPoint, _level_of, _step_of
+from radiometer.errors import CalibrationError, SettingOutOfRange
 
 STEPS = 8192
 
@@ -119,3 +121,49 @@ def test_between_two_levels_their_doubts_and_the_bend_count():
         bend = c * w**2 * share * (1 - share) / math.sqrt(3)
         expected = math.hypot(own, bend)
         assert choice.u_w_sr_m2 / choice.radiance_w_sr_m2 == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_level_that_was_measured_twice_is_refused_by_its_step():
+    """One pair among others is enough: which of the two holds nobody knows."""
+    points = [point(16, 16.0), point(64, 64.0), point(64, 65.0), point(256, 256.0)]
+    with pytest.raises(CalibrationError, match="holds duty step 64 twice"):
+        calibration(*points).choose("spot", 20.0)
+
+
+def test_both_ends_of_what_was_measured_are_held_and_nothing_beyond():
+    """16 and 4096 to a part in a thousand million; a hundredth beyond is refused with both limits."""
+    found = calibration(point(16, 16.0), point(4096, 4096.0))
+    assert [found.choose("spot", end).level for end in (16.0, 4096.0)] == [128, 32768]
+    for beyond in (15.9, 4097.0, math.nan, math.inf):
+        with pytest.raises(SettingOutOfRange, match=r"16 .* 4096"):
+            found.choose("spot", beyond)
+    assert found.limits("spot") == (16.0, 4096.0)
+
+
+@pytest.mark.parametrize(("start_rel", "bound"), [(1.1, 110.0), (0.9, 100.0)])
+def test_what_is_brighter_at_its_start_stays_below_that(start_rel, bound):
+    """A start above the settled radiance counts, one below it does not make light safer."""
+    points = [replace_start(point(step, float(step), u_rel=0.0), start_rel) for step in (16, 4096)]
+    assert calibration(*points).highest_radiance("spot", 800, True) == pytest.approx(bound)
+
+
+def test_every_step_has_a_level_that_the_box_rounds_to_it():
+    """Of 8192, 1024 and 10 steps: there and back, from darkness to all of them; levels rise with the steps."""
+    for steps in (8192, 1024, 10):
+        levels = [_level_of(step, steps) for step in range(steps + 1)]
+        assert [_step_of(level, steps) for level in levels] == list(range(steps + 1))
+        assert (levels[0], levels[-1]) == (0, 65535)
+        assert sorted(set(levels)) == levels
+
+
+def replace_start(one: LightPoint, start_rel: float) -> LightPoint:
+    """Return a measured level with another start."""
+    return one.model_copy(update={"start_rel": start_rel})
+
+
+@pytest.mark.parametrize(("days", "stale"), [(-1.0, False), (0.0, False), (30.0, False), (30.001, True), (400.0, True)])
+def test_a_calibration_is_stale_after_its_validity_and_not_before(days, stale):
+    """Thirty days from when it was made, to the second, in whatever time zone one asks."""
+    made = dt.datetime(2026, 3, 1, 12, tzinfo=dt.UTC)
+    found = replace(calibration(point(16, 16.0), point(4096, 4096.0)), created=made.isoformat(), validity_days=30.0)
+    assert found.is_stale((made + dt.timedelta(days=days)).astimezone(dt.timezone(dt.timedelta(hours=9)))) is stale

@@ -14,6 +14,7 @@ from radiometer.devices.retinal_safety import (
     blue_light_weight,
     hazard_fractions,
     refuse_unsafe,
+    relative_spectrum,
     thermal_weight,
     weighted_fractions,
 )
@@ -140,3 +141,115 @@ def test_light_ended_early_counts_only_for_its_time():
     account.shine("a", 8.0, math.inf)
     clock.now_s = 10.0
     account.refuse_unsafe("a", 9.9, math.inf)
+
+
+@pytest.mark.parametrize("bright_s", [1e-6, 1e-5, 0.1, 5.0, 10.0, 1e3])
+@pytest.mark.parametrize("alpha_rad", [1e-3, 0.02, 0.5])
+def test_hazards_grow_with_the_radiance_and_never_fall_with_time(alpha_rad, bright_s):
+    """Twice the light is twice of both limits; a little longer is no less of either; below 10 µs counts as 10 µs."""
+    source = ChannelOptics(437.5, 0.5, math.degrees(alpha_rad), 1.0)
+    one, two, longer = (
+        hazard_fractions(source, *given) for given in ((50.0, bright_s), (100.0, bright_s), (50.0, 1.01 * bright_s))
+    )
+    assert (two.blue_light, two.thermal) == pytest.approx((2.0 * one.blue_light, 2.0 * one.thermal))
+    assert longer.blue_light >= one.blue_light
+    assert longer.thermal >= one.thermal * (1.0 - 1e-12)
+    if bright_s <= 1e-5:
+        assert one.thermal == pytest.approx(hazard_fractions(source, 50.0, 1e-5).thermal)
+
+
+def test_thermal_fractions_go_with_the_fourth_root_of_time_and_with_the_angle():
+    """Sixteen times as long is twice of the limit; twice as wide too, between 11 and 100 mrad; 10 s are the longest."""
+    source, wide = (ChannelOptics(600.0, 1.0, math.degrees(a), 1.0) for a in (0.03, 0.06))
+
+    def of(optics, seconds):
+        return hazard_fractions(optics, 1e3, seconds).thermal
+
+    assert of(source, 0.16) / of(source, 0.01) == pytest.approx(2.0)
+    assert of(wide, 0.01) / of(source, 0.01) == pytest.approx(2.0)
+    assert of(source, 10.0) == of(source, 1e4) > of(source, 9.9)
+
+
+@pytest.mark.parametrize(("alpha_rad", "blue"), [(0.011, 1.0), (0.01099, 0.949)])
+def test_a_source_of_eleven_milliradians_is_no_small_one(alpha_rad, blue):
+    """From there on L_B·t ≤ 10⁶ holds; just below it E_B ≤ 1 W/m² for 10⁴ s, which is 100·π·α²/4 of 100 W/(sr m²)."""
+    source = ChannelOptics(437.5, 0.5, math.degrees(alpha_rad) * (1.0 + 1e-12), 1.0)
+    expected = blue if alpha_rad == 0.011 else 100.0 * math.pi * alpha_rad**2 / 4
+    assert hazard_fractions(source, 100.0, 1e4).blue_light == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("wavelength_nm", "blue", "burn"),
+    [
+        (299.9, 0.0, 0.0), (379.9, None, 0.0), (380.0, 0.01, 0.1), (499.9, 0.1, 1.0), (500.0, 0.1, 1.0),
+        (600.0, 0.001, 1.0), (650.0, 0.001, 1.0), (700.0, 0.001, 1.0), (700.1, 0.0, 1.0), (1050.0, 0.0, 0.2),
+        (1150.0, 0.0, 0.2), (1150.1, 0.0, 0.0),
+    ],
+)  # fmt: skip
+def test_weights_of_both_hazards_at_their_borders(wavelength_nm, blue, burn):
+    """Table 4.2 of IEC 62471: where each function begins, goes over and ends."""
+    at = np.array([wavelength_nm])
+    if blue is not None:
+        assert float(blue_light_weight(at)[0]) == pytest.approx(blue, rel=0.02)
+    assert float(thermal_weight(at)[0]) == pytest.approx(burn, rel=0.02)
+
+
+def test_a_spectrum_is_one_in_all_and_white_has_two_fifths_of_its_power_in_blue():
+    """A line falls to half at half its width; of white light 40 % stand around 450 nm."""
+    wavelength_nm, line = relative_spectrum(ChannelOptics(600.0, 20.0, 1.0, 1.0))
+    assert (line.sum(), wavelength_nm[0], wavelength_nm[-1]) == (pytest.approx(1.0), 380.0, 780.0)
+    peak = int(np.argmax(line))
+    assert wavelength_nm[peak] == 600.0
+    assert line[[peak - 10, peak + 10]] / line[peak] == pytest.approx([0.5, 0.5])
+    _, white = relative_spectrum(ChannelOptics(None, 0.0, 1.0, 1.0))
+    assert white.sum() == pytest.approx(1.0)
+    _, phosphor = relative_spectrum(ChannelOptics(560.0, 120.0, 1.0, 1.0))
+    pump = white - 0.6 * phosphor
+    assert pump.sum() == pytest.approx(0.4)
+    assert pump @ wavelength_nm / 0.4 == pytest.approx(450.0, abs=0.1)
+
+
+@pytest.mark.parametrize("pause_s", [0.5, 4.9, 5.1, 600.0])
+def test_an_account_loses_nothing_by_keeping_neighbours_together(pause_s):
+    """Five pulses of 1 %: whatever lies between, five per cent are used up: 5 % more are let through, 5.1 % are not."""
+    clock = Clock()
+    account = ledger(clock)
+    for _ in range(5):
+        account.shine("a", 2000.0, 5.0)  # ends within 10 s of the one before, or later
+        clock.now_s += 5.0
+        account.darken("a")
+        clock.now_s += pause_s
+    account.refuse_unsafe("b", 1000.0, 49.9)
+    with pytest.raises(UnsafeStimulus):
+        account.refuse_unsafe("b", 1000.0, 50.1)
+
+
+def test_what_was_given_counts_for_ten_thousand_seconds_from_its_end():
+    """8 % in one pulse: a second one has to wait until the first is older than that, to the second."""
+    clock = Clock()
+    account = ledger(clock)
+    account.shine("a", 1000.0, 80.0)
+    clock.now_s = 80.0
+    account.darken("a")
+    account.darken("a")  # dark already: nothing more is noted
+    for now_s, refused in ((10_079.0, True), (10_080.0, False)):
+        clock.now_s = now_s
+        if refused:
+            with pytest.raises(UnsafeStimulus):
+                account.refuse_unsafe("a", 1000.0, 80.0)
+        else:
+            account.refuse_unsafe("a", 1000.0, 80.0)
+
+
+def test_light_that_goes_on_counts_for_all_that_it_will_give_and_its_own_for_what_it_gave():
+    """Another channel of 6 % counts whole from its start; a channel's own light ends where a new one begins."""
+    clock = Clock()
+    account = ledger(clock)
+    account.shine("a", 600.0, 100.0)
+    clock.now_s = 50.0
+    account.refuse_unsafe("a", 600.0, 116.0)  # 3 % given and 6.96 % to come
+    with pytest.raises(UnsafeStimulus):
+        account.refuse_unsafe("a", 600.0, 117.0)
+    account.refuse_unsafe("b", 600.0, 16.0)  # beside 3 % given and 6 % that were planned there is no more than 1 %
+    with pytest.raises(UnsafeStimulus):
+        account.refuse_unsafe("b", 600.0, 68.0)

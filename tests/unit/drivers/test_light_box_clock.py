@@ -89,3 +89,21 @@ def test_slack_averages_out_and_asymmetry_does_not():
         clock.add(exchange(10.0, 3.0, 0.001, 0.001))
     asymmetry, slack = 0.002 / 2 / np.sqrt(3), 0.0025 / 2 / np.sqrt(3)
     assert clock.host_time_s(7.001)[1] == pytest.approx(np.hypot(asymmetry, slack / 10.0), rel=1e-4)
+
+
+def test_the_last_512_exchanges_are_kept():
+    """Two minutes of tending a quarter of a second apart: an old clock's rate does not hold a new one back."""
+    clock = BoxClock()
+    for step in range(600):
+        clock.add(exchange(0.25 * step, 3.0, 0.0001, 0.0001))
+    assert clock.estimate().samples == 512
+    assert clock.samples[0].sent_s == 0.25 * 88
+
+
+def test_half_a_millisecond_more_than_the_least_delay_is_slack_and_more_is_a_hold_up():
+    """An exchange within it moves the line by its own offset, one beyond it does not."""
+    for late_s, moves in ((0.00049, True), (0.00051, False)):
+        clock = BoxClock()
+        clock.add(exchange(10.0, 3.0, 0.0, 0.0))
+        clock.add(exchange(10.0, 3.0, late_s, 0.0))
+        assert clock.host_time_s(7.0)[0] == pytest.approx(10.0 - late_s / 4 if moves else 10.0, abs=1e-5)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
@@ -281,3 +283,55 @@ def test_a_box_that_shines_otherwise_than_asked_is_darkened(monkeypatch):
     with pytest.raises(DeviceError, match="every channel was darkened"):
         box.set_level("field", DriveLevel(100, LOW))
     assert twin.duty("field") == 0.0
+
+
+def test_the_keeper_looks_often_enough_for_the_box_to_stay_lit(monkeypatch):
+    """What it waits between two looks and a quarter of the dead-man time together stay far below that second."""
+    _, line, box = bench()
+    waited, tended = [], []
+
+    def wait(seconds):
+        waited.append(seconds)
+        line.wait(seconds)
+        return len(waited) > 40
+
+    synchronise = SerialLightBox.synchronise
+    monkeypatch.setattr(SerialLightBox, "synchronise", lambda self: tended.append(line.now()) or synchronise(self))
+    box._closing = SimpleNamespace(wait=wait)
+    begun_s = line.now()
+    box._keep()
+    apart = [later - earlier for earlier, later in itertools.pairwise([begun_s, *tended])]
+    assert len(tended) >= 5
+    assert max(apart) < 0.4
+    assert min(apart[1:]) >= 0.25
+
+
+def test_a_keeper_whose_box_is_gone_ends(monkeypatch):
+    """It leaves the reason to whoever asks next, and asks no more."""
+    _, _, box = bench()
+    asked = []
+
+    def gone(self):
+        asked.append(1)
+        raise DeviceError("gone")
+
+    monkeypatch.setattr(SerialLightBox, "tend_if_due", gone)
+    box._closing = SimpleNamespace(wait=lambda _: False)
+    box._keep()
+    assert asked == [1]
+
+
+def test_a_box_that_is_opened_again_is_kept_alive_again(monkeypatch):
+    """Each opening has a keeper that goes on until the box is closed; without keep-alive there is none."""
+    told_to_end = []
+    monkeypatch.setattr(SerialLightBox, "_keep", lambda self: told_to_end.append(self._closing.is_set()))
+    _, _, box = bench()
+    assert (box._keeper, told_to_end) == (None, [])
+    box.close()
+    box.keep_alive = True
+    for _ in range(2):
+        box.open()
+        assert box._keeper is not None
+        box.close()
+        assert (box._keeper, box._closing.is_set()) == (None, True)
+    assert told_to_end == [False, False]

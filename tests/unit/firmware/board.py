@@ -100,3 +100,8 @@ class FirmwareBox:
     def pins(self, port: str) -> int:
         """Return the levels of a port's outputs."""
         return int(self._board.board_port(ord(port)) & self._board.board_directions(ord(port)) & 0xFF)
+
+    def register(self, name: str) -> int:
+        """Return what stands in a register of the microcontroller."""
+        wide = name in ("OCR1A", "OCR1B", "UBRR0", "ADC")
+        return int((ctypes.c_uint16 if wide else ctypes.c_uint8).in_dll(self._board, name).value)

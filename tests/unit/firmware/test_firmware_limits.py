@@ -355,3 +355,18 @@ def test_a_line_that_is_too_long_is_none_though_its_beginning_is_whole(power):
         box.take()
         box.send(line + more + b"\n")
         assert box.take().startswith(answer)
+
+
+def test_line_and_timers_run_at_their_speeds(power):
+    """By the ATmega328P's data sheet: 115,200 Bd to 2.5 %, a tick each ms, light at 1953 Hz, conversions at 125 kHz."""
+    box, crystal_hz = power(), 16e6
+    assert box.register("UCSR0A") & 0b10, "double speed"
+    assert crystal_hz / (8 * (box.register("UBRR0") + 1)) == pytest.approx(115_200, rel=0.025)
+    assert box.register("UCSR0C") == 0b110, "eight bits, no parity, one stop bit"
+    assert (box.register("TCCR0A"), box.register("TCCR0B")) == (0b10, 0b011), "begins again at OCR0A; every 64th cycle"
+    assert crystal_hz / 64 / (box.register("OCR0A") + 1) == 1000.0
+    assert (box.register("TCCR1A") & 0b11, box.register("TCCR1B")) == (0b11, 0b01001), "to 1023, every cycle"
+    assert (box.register("TCCR2A") & 0b11, box.register("TCCR2B")) == (0b11, 0b010), "to 255, every eighth cycle"
+    told_hz = int(TABLE[0].split()[3])
+    assert (int(crystal_hz / 1024 / 8), int(crystal_hz / 8 / 256 / 4)) == (told_hz, told_hz)
+    assert box.register("ADCSRA") & 0b10000111 == 0b10000111, "converts, every 128th cycle"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -78,3 +80,24 @@ def test_a_name_that_nothing_stands_in_for_is_not_fitted_away(bent: FitState, mo
     left, gone = moves.pruned(with_effects(alone, [faint, offset, ResponseNonlinearity(2e-6)]), lambda line: None)
     assert gone == [faint.name]
     assert [effect.name for effect in left.effects] == [offset.name, faint.name]
+
+
+@pytest.mark.parametrize(
+    ("promised", "misfit", "tried"), [(2e-3, 4.0, False), (5e-3, 4.0, True), (5e-4, 1.0, False), (2e-3, 1.0, True)]
+)
+def test_a_step_that_promises_next_to_nothing_is_not_tried(
+    monkeypatch: pytest.MonkeyPatch, promised: float, misfit: float, tried: bool
+) -> None:
+    """Less than a thousandth of χ² times its misfit; else ever shorter steps, of which those beyond the range fail."""
+    state: Any = SimpleNamespace(
+        cost=10.0, promised=10.0 - promised, misfit=misfit, fit=SimpleNamespace(step=np.array([2.0]))
+    )
+    monkeypatch.setattr(fitting, "_moved", lambda _state, step: float(step[0]))
+    monkeypatch.setattr(fitting, "_is_within_range", lambda trial: trial < 2.0)
+    lengths: Any = list(fitting._trials(state))
+    if not tried:
+        assert lengths == []
+        return
+    assert 0.0 < lengths[0] < 2.0, "the whole step leads beyond the range"
+    assert all(0.0 < shorter < longer for longer, shorter in itertools.pairwise(lengths))
+    assert len(lengths) == fitting._SHORTENINGS - 1

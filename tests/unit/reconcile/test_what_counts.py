@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconcile import verdict
+from radiometer.reconcile import statistics, verdict
 from radiometer.reconcile.fit.linear import LinearFit, RowBlock
 from radiometer.reconcile.fit.state import FitState
-from radiometer.reconcile.statistics import Counted
+from radiometer.reconcile.statistics import Counted, partly_at_the_top
 from radiometer.reconcile.verdict import size_of_rest
 
 
@@ -117,9 +117,10 @@ def test_without_a_term_a_rest_is_what_exceeds_its_uncertainties() -> None:
 
 
 def test_a_rest_in_the_dark_is_no_share_of_the_light() -> None:
-    """Below 1 DN of light no share is told; of statistics without a size nothing is."""
-    state = fitted(sensitivity=np.full((2, 2), 0.5))
-    assert sorted(size_of_rest(state, "mean")) == ["rms_dn", "rms_e"]
+    """Up to 1 DN of light no share is told; of statistics without a size nothing is."""
+    for sensitivity_dn in (0.5, 1.0):
+        state = fitted(sensitivity=np.full((2, 2), sensitivity_dn))
+        assert sorted(size_of_rest(state, "mean")) == ["rms_dn", "rms_e"]
     assert size_of_rest(state, "edges") == {}
 
 
@@ -130,3 +131,51 @@ def test_misfit_is_chi_square_per_entry_that_counts_and_at_least_one(cost, count
     """Data that agree better than stated do not make u smaller; without any entry χ² itself stands."""
     stand_in = SimpleNamespace(cost=cost, comparison=SimpleNamespace(counts=lambda: np.array(counts)))
     assert FitState.misfit.func(stand_in) == pytest.approx(reduced)  # type: ignore[attr-defined]
+
+
+def scene(structure_dn2: float, frames: int, peak: float = 1000.0, **more: Any) -> bool:
+    """Return whether a tile of noise 4 DN² and that variance of its time mean counts as partly at a top of 1000 DN."""
+    design: Any = SimpleNamespace(
+        uniform=False,
+        frame_count=np.array([frames]),
+        gain_db=np.array([more.get("gain_db", 0.0)]),
+        source_level=np.array([more.get("level", 1.0)]),
+    )
+    zeros = np.zeros((1, 2))
+    seen: Any = SimpleNamespace(
+        mean=zeros,
+        spatial=np.array([[structure_dn2, 0.0]]),
+        slope_x=zeros,
+        slope_y=zeros,
+        pixels=np.full((1, 2), 100.0),
+        high=np.full((1, 2), more.get("high", 0.0)),
+        peak=np.array([[peak, 1000.0]]),
+    )
+    base: Any = SimpleNamespace(variance=np.full((1, 2), 4.0), mean=np.full((1, 2), 900.0))
+    design.tiles = ()
+    found = partly_at_the_top(design, seen, base)
+    assert not found[0, 1]  # even, it is saturated whole or not at all
+    return bool(found[0, 0])
+
+
+@pytest.fixture
+def without_tilt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take the tiles' tilt for nothing."""
+    monkeypatch.setattr(statistics, "slope_lengths", lambda _: (np.ones(2), np.ones(2)))
+
+
+@pytest.mark.parametrize(("frames", "structure_dn2"), [(1, 8.0), (2, 6.0), (4, 5.0), (100, 4.04)])
+@pytest.mark.usefixtures("without_tilt")
+def test_a_tile_is_uneven_beyond_the_noise_of_a_frame_and_of_the_mean_of_all(frames: int, structure_dn2: float) -> None:
+    """4 DN² and 4/n more: the mean of one frame has all of its noise, that of a hundred hardly any."""
+    assert not scene(0.999 * structure_dn2, frames)
+    assert scene(1.001 * structure_dn2, frames)
+
+
+@pytest.mark.usefixtures("without_tilt")
+def test_an_uneven_tile_is_at_the_top_within_five_sigma_of_the_noise_there() -> None:
+    """990 of 1000 DN at noise of 2 DN: from there on part of it may be saturated; full scale and darkness tell it."""
+    assert (scene(99.0, 2, 990.1), scene(99.0, 2, 989.9)) == (True, False)
+    assert not scene(99.0, 2, high=0.0011)
+    assert scene(99.0, 2, high=0.0009)
+    assert not scene(99.0, 2, level=0.0)

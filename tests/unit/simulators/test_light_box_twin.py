@@ -181,3 +181,43 @@ def test_the_twin_tells_when_something_happens_by_itself_next() -> None:
     )  # held for three seconds: all lights stay off
     twin.advance(said_s + 3.6)
     assert twin.next_time_s() is None
+
+
+@pytest.mark.parametrize("words", ["OF *", "OF 1", "HI 2"])
+def test_what_is_switched_off_is_dark_in_the_light_at_once(words: str) -> None:
+    """By one name, by all, or by a new greeting: the LED's own light and its pin, not the channel's state alone."""
+    twin, commands = greeted()
+    assert commands.run("SL 1 H 20000").startswith("OK")
+    assert twin.emission("spot", 0.5).radiance_w_sr_m2 > 0.0
+    told = []
+    twin.watch = lambda: told.append(twin.duty("spot"))
+    assert commands.run(words).startswith("OK")
+    assert twin.emission("spot", twin.time_s + 0.1).radiance_w_sr_m2 == 0.0
+    assert told == [0.0]
+
+
+@pytest.mark.parametrize("words", ["SL 1 H 20000", "RA 1 H 20000 500", "PU 1 H 20000 1", "BL 1 H 20000 1 1 1"])
+def test_a_channel_without_energy_for_a_millisecond_lights_in_no_way(words: str) -> None:
+    """Level 20000 takes 79 units in each: with 78 every command is refused (6), with 79 none; low current takes one."""
+    for bucket, answer in ((78, "ER 06"), (79, "OK H 20000")):
+        twin, commands = greeted()
+        twin.channels[1].bucket = bucket
+        assert commands.run(words).startswith(answer)
+    twin, commands = greeted()
+    twin.channels[1].bucket = 1
+    assert commands.run(words.replace("H", "L")).startswith("OK L 20000")
+
+
+@pytest.mark.parametrize("steps", [(0.7, 0.1), (0.1, 0.1, 0.1), (0.25, 0.25), (0.0003, 0.0007)])
+def test_whole_milliseconds_are_counted_whole(steps: tuple[float, ...]) -> None:
+    """Times that add up to a pulse's end in decimal end it, although their binary sums may lie a little below."""
+    twin, commands = greeted()
+    begun_s = twin.time_s
+    assert begun_s == 0.0
+    whole_ms = round(1000 * sum(steps))
+    assert commands.run(f"PU 1 H 20000 {whole_ms}").startswith("OK")
+    passed_s = 0.0
+    for step in steps:
+        assert twin.emission("spot", passed_s).radiance_w_sr_m2 > 0.0
+        passed_s += step
+    assert twin.emission("spot", passed_s).radiance_w_sr_m2 == 0.0

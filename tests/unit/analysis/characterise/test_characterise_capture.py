@@ -256,6 +256,20 @@ def test_descriptor_export_of_a_region_writes_that_part(tmp_path: Path) -> None:
     assert "emva_images\\0000.png" in (tmp_path / "emva.txt").read_text()
 
 
+def test_that_the_whole_frame_was_used_is_said_of_light_without_patches_only(capture: CaptureSet) -> None:
+    """Named patches leave nothing to say; without one, light over the whole frame is doubted, darkness is not."""
+    said = "the whole frame was used"
+    assert not [note for note in subject_of_capture(capture).notes if said in note]
+    header = read_yaml(capture.path / "capture.yaml")
+    header["patches"] = []
+    write_yaml_atomic(capture.path / "capture.yaml", header)
+    assert [note for note in subject_of_capture(CaptureSet.read(capture.path)).notes if said in note]
+    header["frames"] = [frame for frame in header["frames"] if frame["shutter"] == "closed"]
+    write_yaml_atomic(capture.path / "capture.yaml", header)
+    dark = subject_of_capture(CaptureSet.read(capture.path))
+    assert (dark.regions, [note for note in dark.notes if said in note]) == ((None,), [])
+
+
 @pytest.mark.parametrize("factor", [100.0, 0.01])
 def test_descriptor_export_refuses_an_implausible_efficiency(capture: CaptureSet, factor: float) -> None:
     """A radiance that is wrong by a factor of 100 is found by the quantum efficiency that would follow."""

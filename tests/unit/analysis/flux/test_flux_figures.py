@@ -209,3 +209,43 @@ def test_what_misses_a_small_pupil_is_as_doubtful_as_twice_its_f_number():
     assert doubtful.value == pytest.approx(sharp.value, rel=1e-12)
     added = math.sqrt(doubtful.u**2 - sharp.u**2) / doubtful.value
     assert added == pytest.approx(0.02, rel=0.01)
+
+
+@pytest.mark.parametrize(("side", "seen"), [(2, False), (3, True)])
+def test_a_diode_of_which_no_pixel_is_lit_all_around_has_no_radiance(side: int, seen: bool) -> None:
+    """Of two by two pixels each may be the rim's; the middle one of three by three is lit with all its neighbours."""
+    dn = np.full(SHAPE, 100.0)
+    dn[50 : 50 + side, 20 : 20 + side] = 900.0
+    lens = LensDescription(focal_length_mm=20.0, f_number=4.0, magnification=0.3)
+    emitter = Emitter(Quantity(20.0, 0.0, "°"), Quantity(3.0, 0.0, "mm"), Quantity(80.0, 0.0, "mm"))
+    frames = [frame(dn, 1e-3), frame(100, 1e-3, level=0.0)]
+    emitted = led_flux(frames, flux_scale(CAMERA, SOURCE, None), lens, emitter).emitted
+    assert ("radiance_times_area" in emitted) is seen
+
+
+@pytest.mark.parametrize(("stated", "added"), [(None, 0.0), (0.0, 0.0), (0.03, 0.03)])
+def test_a_radiance_is_as_doubtful_as_the_lens(stated: float | None, added: float) -> None:
+    """What is stated of the transmittance adds in squares to the rest; nothing stated adds nothing."""
+    rows = np.indices(SHAPE)[0]
+    frames = [frame(np.where((rows > 20) & (rows < 80), 900.0, 100.0), 1e-3), frame(100, 1e-3, level=0.0)]
+    emitter = Emitter(Quantity(20.0, 0.0, "°"), Quantity(3.0, 0.0, "mm"), Quantity(80.0, 0.0, "mm"))
+    lens = LensDescription(focal_length_mm=20.0, f_number=4.0, magnification=0.3, transmittance=0.9)
+
+    def found(u_rel: float | None) -> Quantity:
+        one = lens.model_copy(update={"transmittance_u_rel": u_rel})
+        return led_flux(frames, flux_scale(CAMERA, SOURCE, None), one, emitter).emitted["radiance_times_area"]
+
+    assert found(stated).u_rel == pytest.approx(math.hypot(found(0.0).u_rel, added), rel=1e-3)
+
+
+@pytest.mark.parametrize(("side", "rim"), [(39, 1), (40, 2), (59, 2), (60, 3), (12, 1)])
+def test_the_rim_is_a_twentieth_of_the_shorter_side(side: int, rim: int) -> None:
+    """One pixel at least: what lies within it is the background, what lies inside is not."""
+    for shape in ((side, 80), (80, side)):
+        dn = np.full(shape, 500, np.uint16)
+        for k in range(rim):
+            dn[k], dn[-1 - k], dn[:, k], dn[:, -1 - k] = 110, 110, 110, 110
+        picture = Frame(dn, 12, FrameSettings(1e-3, black_level_dn=100.0, source_level=1.0))
+        measured = flux_of(picture)
+        assert measured.background_w == pytest.approx(dn.size * 10 * JOULE / 1e-3, rel=1e-9)
+        assert measured.u_background_w == pytest.approx(0.0, abs=1e-20)

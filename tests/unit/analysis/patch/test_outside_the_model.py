@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
 from radiometer.analysis.patch.contributions import local_scatter
 from radiometer.analysis.patch.flags import _is_nonuniform
-from radiometer.analysis.patch.outside import conditions_of, stray_light
+from radiometer.analysis.patch.outside import conditions_of, frame_u_rel, stray_light
 from radiometer.analysis.patch.reading import read_patch
 from radiometer.data import (
     BlackLevel,
@@ -465,3 +465,16 @@ def test_what_chance_makes_of_noise_is_no_structure(excess, nonuniform):
     estimate = SimpleNamespace(pixel_rates=pixels, u_pixel=noise, rate=rate)
     found = _is_nonuniform(SimpleNamespace(estimate=estimate, good=np.ones((10, 10), bool)))
     assert found == nonuniform
+
+
+def test_what_all_pixels_share_grows_with_the_calibration_s_age(rig):
+    """1 %/year after 3 years is 3 %, beside what else is shared in quadrature; before the calibration it is nothing."""
+    calibration = calibrated(rig, uncertainties=only(drift_u_rel_per_year=0.01))
+    settings = [FrameSettings(1e-3, temperature_c=25.0)]
+
+    def shared(years, frames=settings):
+        return frame_u_rel(calibration, rig.lens, {rig.lens.f_number}, frames, NOON + dt.timedelta(days=365.25 * years))
+
+    assert shared(-2.0) == shared(0.0)
+    assert math.sqrt(shared(3.0) ** 2 - shared(0.0) ** 2) == pytest.approx(0.03)
+    assert shared(3.0, settings * 4) == pytest.approx(shared(3.0)), "the same of each frame: no average makes it less"

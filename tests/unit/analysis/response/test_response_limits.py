@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from radiometer.analysis.response.limits import ValueLimits, _common_peak, _piles_up, _stands_still
+from radiometer.analysis.response.limits import ValueLimits, _common_peak, _piles_up, _stands_still, find_limits
 from radiometer.analysis.response.samples import _at_edges, _contradictory, _edge_scatter, _rows, _unmoved
 from radiometer.data import Bracket, Frame, FrameSettings
+from radiometer.errors import MeasurementError
 
 FULL = 4095  # a 128th of it, by which a peak may move, is 31
 
@@ -143,3 +144,11 @@ def test_pixels_by_a_step_are_those_at_edges(turned):
     edges = _at_edges(bracket, np.zeros(48, np.intp)).reshape(shown.shape)
     expected = np.repeat([[0, 0, 1, 1, 1, 1, 0, 0]], 6, axis=0)
     assert np.array_equal(edges, expected.T if turned else expected)
+
+
+@pytest.mark.parametrize(("value", "said"), [(FULL, "67 % .*saturated, 33 % black.*shorter"), (0, "33 % .*longer")])
+def test_where_all_is_clipped_it_is_said_which_way_to_go(value, said):
+    """More white than black calls for shorter exposures, more black for longer ones."""
+    values = np.repeat([value, value, FULL - value], 10)
+    with pytest.raises(MeasurementError, match=said):
+        find_limits([Bracket.from_frames([frame(values), frame(values, 2.0)])])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -113,3 +114,15 @@ def test_no_law_goes_beyond_the_entrys_own_bounds(plain: CatalogueEffect, highes
     free = _free(plain, (1.0, 1.0), signal=(10.0, 1000.0))
     assert free.reach("law", 4095.0) == (0.0, pytest.approx(highest))
     assert free.reach(plain.free()[0], 4095.0) == plain.reach(plain.free()[0], 4095.0)
+
+
+@pytest.mark.parametrize(("unit", "well_e", "added"), [
+    ("e-", 10_000.0, 10.0), ("e-", 50_000.0, 50.0), ("e-", None, 10.0), ("DN", None, 4.095), ("J m-2", None, 0.0),
+])  # fmt: skip
+def test_a_signal_counts_from_black_on_with_a_thousandth_of_its_range(unit: str, well_e: Any, added: float) -> None:
+    """Of the full well, 10 000 e⁻ where nobody states it, or of full scale; black is taken off digital numbers only."""
+    context = replace(_context(), camera=CameraDescription(bit_depth=12, full_well_e=well_e))
+    effect: Any = SimpleNamespace(unit_in=unit)
+    black = 100.0 if unit == "DN" else 0.0
+    found = axis_values(effect, "signal", np.array([0.0, black, black + 500.0]), context)
+    assert found == pytest.approx(np.array([0.0, 0.0, 500.0]) + added)

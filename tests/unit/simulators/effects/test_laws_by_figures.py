@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from simulators.effects.hot_pixels import HotPixels
 from simulators.effects.led_thermal_droop import LedThermalDroop
 from simulators.effects.lens import Lens
 from simulators.effects.mains_ripple import MainsRipple
+from simulators.effects.nominal_settings import NominalSettings
 from simulators.effects.polarisation import Polarisation
 from simulators.effects.pwm_flicker import PwmFlicker
 from simulators.effects.quantum_efficiency_temperature import QuantumEfficiencyTemperature
@@ -187,3 +189,25 @@ def test_leaks_that_differ_are_drawn_with_the_spread_that_is_stated() -> None:
     assert drawn.mean() == pytest.approx(0.0, abs=4 * 60.0 / math.sqrt(drawn.size))
     again = np.asarray(effect.sample(np.full((300, 400), 1e4), context, np.random.default_rng(2))) - 1e4
     np.testing.assert_array_equal(again, drawn)
+
+
+@pytest.mark.parametrize(
+    ("times_s", "usable"),
+    [
+        ((1 / 60, 1 / 125, 1 / 50), True), ((1 / 64, 1 / 128, 1 / 256), False),
+        ((1.0005 / 64, 1.0003 / 128, 0.9998 / 256), False), ((1.0005 / 64, 1.02 / 128, 0.9998 / 256), True),
+        ((1 / 60, 1 / 60, 1 / 125), False), ((1 / 60, 1 / 125, 1 / 50, 1.08 / 64), False),
+    ],
+)  # fmt: skip
+def test_printed_stops_are_near_stops_and_not_all_on_them(times_s, usable):
+    """Within 7 % of one, to more than a thousandth off, in more than two ways: else nothing was rounded."""
+    context: Any = SimpleNamespace(settings=SimpleNamespace(exposure_s=np.array(times_s)), f_number=None)
+    assert NominalSettings.usable(context) is usable
+
+
+def test_a_printed_stop_gives_the_light_of_the_exact_one():
+    """1/60 s at f/5.6 is 1/64 s at f/5.657; time and stop each by their own switch."""
+    context: Any = SimpleNamespace(settings=SimpleNamespace(exposure_s=1 / 60), f_number=5.6)
+    time, stop = 60 / 64, (5.6 / 2**2.5) ** 2
+    for times, stops, factor in ((1.0, 1.0, time * stop), (1.0, 0.0, time), (0.0, 1.0, stop)):
+        assert NominalSettings(times, stops).factor(context) == pytest.approx(factor)

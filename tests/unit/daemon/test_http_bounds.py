@@ -1,0 +1,224 @@
+"""What HTTP takes at each of its bounds and refuses one beyond, and what stays the same on either side."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import json
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from radiometer.daemon.http import picture, readings, security
+from radiometer.daemon.http.control import show_response
+from radiometer.daemon.http.patches import add_remark, show_events, show_trend
+from radiometer.daemon.http.picture import CACHE, ONE_AT_A_TIME, PictureCache, ServedPicture, render, show_frame
+from radiometer.daemon.http.requests import MeasureBody, read_body
+from radiometer.daemon.http.route import QUERIES, STATION
+from radiometer.daemon.http.security import _Rates
+from radiometer.daemon.http.server import HttpServer
+from radiometer.daemon.limits import TokenBucket, is_allowed, parse_networks
+from radiometer.daemon.station import Station
+from radiometer.data import ResponseCurve
+from radiometer.errors import UsageError
+
+
+def asking(station: Any, **query: str) -> Any:
+    app = {STATION: station, QUERIES: asyncio.Semaphore(1), CACHE: PictureCache(), ONE_AT_A_TIME: asyncio.Lock()}
+    return SimpleNamespace(query=query, app=app, headers={})
+
+
+@pytest.mark.parametrize(
+    ("handler", "name", "low", "high"),
+    [(show_trend, "points", 10, 5000), (show_events, "limit", 1, 5000), (show_frame, "width", 64, 2048)],
+)
+async def test_a_number_is_taken_up_to_its_bounds(
+    station: Station, monkeypatch: pytest.MonkeyPatch, handler: Any, name: str, low: int, high: int
+) -> None:
+    """The lowest and highest are served, one less and one more are refused by name with both bounds."""
+    monkeypatch.setattr(picture, "render", lambda *_, **__: (b"", {}))
+    await station.measure()
+    for number in (low, high):
+        assert (await handler(asking(station, **{name: str(number)}))).status == 200
+    for number in (low - 1, high + 1):
+        with pytest.raises(UsageError, match=rf"{name} must be {low} to {high}.*not {number}"):
+            await handler(asking(station, **{name: str(number)}))
+
+
+def test_a_history_has_one_row_at_least() -> None:
+    """One is taken, and as many as the limit; what stands beyond SQLite's numbers is none."""
+    assert readings._filter({"limit": 1}, 5).limit == 1
+    assert readings._filter({"limit": 5, "after": 2**62 - 1}, 5).after == 2**62 - 1
+    assert readings._filter({"limit": 5, "after": 1 - 2**62}, 5).after == 1 - 2**62
+
+
+def test_an_event_number_has_eighteen_digits_at_most() -> None:
+    """More may not fit into 64 bits, with a sign."""
+    for digits, number in ((18, int("9" * 18)), (19, None)):
+        request: Any = SimpleNamespace(headers={"Last-Event-ID": "9" * digits})
+        assert readings._last_event_id(request) == number
+
+
+@pytest.mark.parametrize("size", [256, 512, 4096])
+async def test_a_curve_is_drawn_from_its_first_to_its_last_number(size: int) -> None:
+    """At most 512 of them, evenly; all where there are no more."""
+    curve = ResponseCurve(np.linspace(-5.0, 2.0, size), np.full(size, 0.01))
+    station = SimpleNamespace(instrument=SimpleNamespace(response=curve))
+    shown = json.loads((await show_response(asking(station))).text or "")["dn"]
+    assert (len(shown), shown[0], shown[-1]) == (min(size, 512), 0, size - 1)
+    assert max(np.diff(shown)) - min(np.diff(shown)) <= 1
+
+
+@pytest.mark.parametrize(
+    ("content", "kind", "given_s"),
+    [
+        (b"", "text/plain", 0.01), (b" {} \n", "application/json", 0.01),
+        (b'{"exposure_s": 0.5}', "application/json", 0.5),
+    ],
+)  # fmt: skip
+async def test_an_empty_body_changes_nothing_whatever_it_calls_itself(
+    content: bytes, kind: str, given_s: float
+) -> None:
+    """And one with content must be JSON by its name."""
+
+    async def read() -> bytes:
+        return content
+
+    request: Any = SimpleNamespace(read=read, content_type=kind)
+    assert (await read_body(request, MeasureBody)).exposure_s == given_s
+
+
+@pytest.mark.parametrize(("spread", "said"), [(19.0, "linear"), (20.0, "linear"), (21.0, "log")])
+def test_a_scene_of_more_than_twenty_to_one_is_drawn_in_logarithms(spread: float, said: str) -> None:
+    """A factor between the half-per-cent dimmest and the 0.2 % brightest; 0 in it is a ten-thousandth at least."""
+    radiance = np.repeat(np.array([1.0, spread], np.float32), 2048).reshape(64, 64)
+    shown = ServedPicture(radiance, np.zeros((64, 64), bool), "W", 5)
+    assert render(shown, width=64, scale="auto", colours="grey", bar=False)[1]["Radiometer-Scale"].startswith(said)
+    dark = ServedPicture(np.where(radiance > 1.0, radiance, 0.0), shown.clipped, "W", 5)
+    kind, low, high = render(dark, width=64, scale="auto", colours="grey", bar=False)[1]["Radiometer-Scale"].split(",")
+    assert (kind, float(low) / float(high)) == ("log", pytest.approx(1e-4, rel=1e-4))
+
+
+def test_an_even_picture_and_a_black_one_have_a_scale() -> None:
+    """A thousandth of what is shown, or 1e-12 where nothing is: no division by nothing, and both ends in order."""
+    for level, ends in ((5.0, (5.0, 5.005)), (0.0, (0.0, 1e-12))):
+        even = ServedPicture(np.full((64, 64), level, np.float32), np.zeros((64, 64), bool), "W", 5)
+        _, headers = render(even, width=64, scale="linear", colours="grey", bar=False)
+        assert [float(end) for end in headers["Radiometer-Scale"].split(",")[1:]] == pytest.approx(list(ends))
+
+
+def test_the_hatching_of_a_dark_room_has_stripes_of_four_pixels() -> None:
+    """Diagonals, black first in the upper left corner: along a row and along a column four by four."""
+    white = ServedPicture(np.full((64, 64), 5.0, np.float32), np.ones((64, 64), bool), "W", 5)
+    page, _ = render(white, width=64, scale="linear", colours="red", bar=False)
+    red = np.asarray(Image.open(io.BytesIO(page)))[..., 0]
+    stripes = np.tile(np.repeat([0, 255], 4), 8)
+    assert red[0].tolist() == stripes.tolist() == red[:, 0].tolist()
+    assert red[1, :63].tolist() == stripes[1:].tolist()
+
+
+@pytest.mark.parametrize(("part", "marked"), [(2, False), (3, True)])
+def test_a_shown_pixel_is_clipped_where_more_than_half_of_its_own_are(part: int, marked: bool) -> None:
+    """Of blocks of 2 × 2 pixels two do not count, three do; the colour is one that no map has."""
+    clipped = np.zeros((128, 128), bool)
+    clipped[::2, ::2] = clipped[1::2, ::2] = True
+    clipped[::2, 1::2] = part > 2
+    partly = ServedPicture(np.full((128, 128), 5.0, np.float32), clipped, "W", 5)
+    page, headers = render(partly, width=64, scale="linear", colours="grey", bar=False)
+    pixels = np.asarray(Image.open(io.BytesIO(page)))
+    assert bool((pixels == (64, 224, 255)).all()) is marked
+    assert headers["Radiometer-Frame"] == "128,128"
+
+
+@settings(max_examples=30)
+@given(st.integers(2, 50), st.floats(0.0, 1e6))
+def test_a_bucket_is_full_again_after_as_long_as_was_taken(per_s: int, begun_s: float) -> None:
+    """Half of a second's worth comes back in half a second, whatever the clock showed first; more than full never."""
+    now = [begun_s]
+    bucket = TokenBucket(float(per_s), lambda: now[0])
+    assert [bucket.take() for _ in range(per_s)] == [0.0] * per_s
+    assert bucket.take() == pytest.approx(1.0 / per_s, rel=1e-6)
+    now[0] = begun_s + 0.9
+    assert not bucket.is_full
+    now[0] = begun_s + 1.1
+    assert bucket.is_full
+    now[0] = begun_s + 1000.0
+    assert [bucket.take() for _ in range(per_s)] == [0.0] * per_s
+    assert bucket.take() > 0.0
+
+
+async def test_addresses_that_have_been_quiet_are_forgotten_and_noisy_ones_are_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """At 512 of them the quiet ones go; who has used up its rate gets no new one by that."""
+    now = [0.0]
+    monkeypatch.setattr(security, "TokenBucket", lambda per_s: TokenBucket(per_s, lambda: now[0]))
+    rates: Any = _Rates(2.0, SimpleNamespace(is_known=lambda _: True))  # type: ignore[arg-type]
+
+    def client(number: int) -> Any:
+        return SimpleNamespace(remote=f"10.0.{number // 256}.{number % 256}", protocol=number)
+
+    for number in range(511):
+        assert await rates.admits(client(number))
+    now[0] = 10.0
+    assert [await rates.admits(client(600)) for _ in range(3)] == [True, True, False]
+    assert len(rates._buckets) == 512
+    assert await rates.admits(client(601))
+    assert len(rates._buckets) == 2
+    assert not await rates.admits(client(600))
+
+
+@pytest.mark.parametrize(
+    ("peer", "allowed"),
+    [
+        ("192.168.1.7", True), ("192.168.2.7", False), ("::ffff:192.168.1.7", True), ("::ffff:192.168.2.7", False),
+        ("127.0.0.1", True), ("::ffff:127.0.0.1", True), ("::1", True), ("fd00::5", True), ("fd01::5", False),
+        ("fd00::5%eth0", True), ("nonsense", False), ("", False),
+    ],
+)  # fmt: skip
+def test_who_is_on_the_list_may_connect(peer: str, allowed: bool) -> None:
+    """By network, of its own version, through a mapped address or a zone; this machine always, no address never."""
+    assert is_allowed(peer, parse_networks(["192.168.1.0/24", "fd00::/16"])) is allowed
+
+
+def test_the_machine_itself_needs_no_list() -> None:
+    """Without a network nobody else may connect."""
+    assert [is_allowed(peer, ()) for peer in ("127.0.0.1", "::1", "10.0.0.1", "::")] == [True, True, False, False]
+    assert parse_networks(["10.0.0.7"])[0].num_addresses == 1
+
+
+async def test_a_remark_is_said_back_in_its_own_letters(station: Station) -> None:
+    """Blanks put in order, letters as they are: no client has to undo escapes to read them."""
+
+    async def read() -> bytes:
+        return '{"message": " Lampe  geändert: 3 °C "}'.encode()
+
+    request: Any = SimpleNamespace(read=read, content_type="application/json", app={STATION: station})
+    text = (await add_remark(request)).text or ""
+    assert "Lampe geändert: 3 °C" in text
+    assert json.loads(text) == {"kind": "remark", "message": "Lampe geändert: 3 °C"}
+
+
+async def test_connections_are_counted_while_there_is_a_server(station: Station) -> None:
+    """None before it listens, each that is open, none once it is closed."""
+
+    def shown() -> str:
+        return next(line for line in station.metrics.render().decode().splitlines() if 'interface="http"' in line)
+
+    server = HttpServer(station)
+    assert shown() == 'radiometer_connections{interface="http"} 0.0'
+    port = await server.listen("127.0.0.1", 0)
+    lines = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
+    for reader, writer in lines:
+        writer.write(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        await reader.readuntil(b"\r\n")
+    assert shown() == 'radiometer_connections{interface="http"} 2.0'
+    await server.close()
+    for _, writer in lines:
+        writer.close()
+    assert shown() == 'radiometer_connections{interface="http"} 0.0'
