@@ -174,6 +174,7 @@ def test_every_job_gives_rows_of_one_table(make_archive, tmp_path, job):
     assert list(pd.read_csv(tmp_path / "r.csv").columns) == list(COLUMNS)
 
 
+@pytest.mark.slow
 def test_maps_are_written_whole_on_request(make_archive, tmp_path):
     """Each merged capture leaves a Zarr group with radiance, uncertainty and mask that reads back."""
     zarr = pytest.importorskip("zarr", reason="the extra `cluster` is not installed")

@@ -117,6 +117,7 @@ def test_gaps_are_found_and_break_the_line():
     assert "1 gaps, the longest of 31 days" in trend_report([trend], "t")
 
 
+@pytest.mark.slow
 def test_no_name_of_a_patch_is_markup_or_a_formula():
     """A hostile name is shown, in the page and in the picture."""
     page = trend_report([replace(_history("x", -0.01), patch=HOSTILE)], HOSTILE)

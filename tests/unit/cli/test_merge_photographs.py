@@ -287,6 +287,7 @@ def test_pictures_of_a_row_have_no_place_to_be_brought_to(tmp_path, capsys):
     assert "aligned to" not in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_a_given_curve_leaves_open_is_said(few_colours, tmp_path, capsys):
     """The uncertainty that another program's file does not state, and a colour that another one's curve stands for."""
     folder, _ = few_colours

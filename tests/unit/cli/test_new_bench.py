@@ -29,6 +29,7 @@ def test_a_lens_of_which_nothing_is_known_stays_unknown(tmp_path):
     assert read_bench(path)[0].lens is None
 
 
+@pytest.mark.slow
 def test_a_simulated_bench_measures(tmp_path, capsys):
     """The file is taken by `measure` at once, before any calibration."""
     path = tmp_path / "bench.yaml"

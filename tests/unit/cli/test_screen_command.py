@@ -41,6 +41,7 @@ def test_level_out_of_reach_fails_in_one_line(calibration: Path, capsys: pytest.
     assert "allowed is" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_export_names_what_it_wrote(calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Every kind asked for is written into the folder."""
     assert run(["screen", "export", str(calibration), "psychopy,vcgt", "-o", str(tmp_path)]) == 0

@@ -125,7 +125,8 @@ def test_every_entry_has_words_for_where_it_shows(kind):
 
 
 @pytest.mark.usefixtures("unrendered")
-@pytest.mark.parametrize("settings", [1, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("settings", [1, 3])
 def test_frames_without_light_are_reported_in_dn(make_capture, settings):
     """Darks alone have no light to be relative to: the opening picture is in DN over the settings, also of one."""
     plan = [{"t": t, "shutter": "closed"} for t in (1e-4, 1e-2, 1.0)[:settings]]

@@ -20,6 +20,7 @@ def ccd(folder: Path) -> Characterisation:
     return characterise(read_subject(folder))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(REF001))
 def test_figure_agrees_with_the_package(ccd: Characterisation, name: str) -> None:
     """K within 1 %, the rest within 2 %: the fit here is weighted by the noise, the package's is not."""
