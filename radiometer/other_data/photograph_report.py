@@ -37,8 +37,9 @@ class FrameFinding:
         stated_s: Exposure on its label in s.
         taken_s: Exposure that it was taken to have in the end in s.
         ratio: Exposure that the others say over that of the label.
-        u_ratio: Its standard uncertainty, from how much the quadrants of the picture differ; infinite where too few
+        u_ratio: Its standard uncertainty, the curve that the others leave open included; infinite where too few pixels
             show the frame.
+        named_from: Real over stated exposure, or its inverse, from which the label would be named; infinite where none.
         wrong: Whether the label was found wrong.
         dn: Digital numbers of the frame, shape (rows,).
         error_dn: Predicted from the others minus found, same shape; NaN where no other frame shows it.
@@ -50,6 +51,7 @@ class FrameFinding:
     taken_s: float
     ratio: float
     u_ratio: float
+    named_from: float
     wrong: bool
     dn: Array
     error_dn: Array
@@ -153,12 +155,14 @@ def _frame_table(frames: Sequence[FrameFinding]) -> str:
             _seconds(one.stated_s),
             _seconds(one.taken_s),
             with_u(one.ratio, _COVERAGE * one.u_ratio),
+            f"× or ÷ {one.named_from:.2f}" if math.isfinite(one.named_from) else "never",
             _dn(one.error_as_printed_dn),
             _dn(one.error_dn),
         )
         for one in frames
     ]
-    head = ("photograph", "printed", "taken as", "by the others ÷ printed (k = 2)", "error as printed", "in the end")
+    by_others, named = "by the others ÷ printed (k = 2)", "a wrong label is named from"
+    head = ("photograph", "printed", "taken as", by_others, named, "error as printed", "in the end")
     return table(head, rows)
 
 

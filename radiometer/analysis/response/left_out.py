@@ -43,27 +43,6 @@ def prediction_error_dn(samples: ResponseSamples, log_exposure: Array, log_time_
     return np.where(alone, np.nan, dn_at(log_exposure, predicted) - samples.dn)
 
 
-def others_gap(samples: ResponseSamples, log_exposure: Array, log_time_errors: Array) -> tuple[Array, Array]:
-    """Return ln of every row's exposure time as the other frames of its group say, less that stated, and its weight.
-
-    Rows of groups that no other frame shows are NaN.
-
-    Args:
-        samples: Rows with stated times.
-        log_exposure: g at every digital number.
-        log_time_errors: ln of true over stated time of every frame, for the others.
-    """
-    log_h = value_at(log_exposure, samples.dn)
-    weight = (hat_weight(samples.dn, samples.limits) ** 2 + 1e-6) / slope_at(log_exposure, samples.dn, samples) ** 2
-    log_radiance = log_h - samples.log_time - log_time_errors[samples.frame]
-    total = np.bincount(samples.group, weight)[samples.group]
-    summed = np.bincount(samples.group, weight * log_radiance)[samples.group]
-    others = total - weight
-    alone = others <= 1e-12 * total
-    of_others = (summed - weight * log_radiance) / np.where(alone, 1.0, others)
-    return np.where(alone, np.nan, log_h - samples.log_time - of_others), weight * others / total
-
-
 def error_dn(errors: Array) -> float:
     """Return the mean size of prediction errors in DN, rows without a prediction left out.
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.response.left_out import prediction_error_dn
 from radiometer.analysis.response.planes import JointFit, LeftOut, Plane, fit_planes, settle_planes, without_shares
 from radiometer.analysis.response.samples import ResponseSamples
-from radiometer.analysis.response.settle import Choices, FittedResponse, settle
+from radiometer.analysis.response.settle import Choices, FittedResponse, fit_with, settle
 from radiometer.errors import MeasurementError
 
 Array = NDArray[np.float64]
@@ -101,6 +101,40 @@ def find_wrong_labels(planes: Sequence[Plane]) -> tuple[WrongLabel, ...]:
     return _together(found, now)
 
 
+def freed_one_by_one(planes: Sequence[Plane], wrong: tuple[int, ...] = ()) -> list[tuple[float, float]]:
+    """Return for each frame ln of real over stated exposure where its label, too, is freed, and its u.
+
+    What the other frames say of it, the curve that they leave open included; infinite u where nothing tells.
+
+    Args:
+        planes: Colours of the same photographs, as for `find_wrong_labels`.
+        wrong: Frames whose labels are freed all the while.
+    """
+    settled = [pair for one in planes for pair in _settled(one, wrong)]
+    frames = planes[0].samples.frame_log_time.size
+    if not settled:
+        return [(0.0, math.inf)] * frames
+    thin = [plane for plane, _ in settled]
+    rows = _rows_of_frames(thin)
+
+    def told(frame: int) -> tuple[float, float]:
+        free = (*(one for one in wrong if one != frame), frame)
+        if rows[frame] < _FEWEST_ROWS:
+            return 0.0, math.inf
+        try:
+            fits = [fit_with(p.samples, f.log_exposure, replace(f.choices, free=free)) for p, f in settled]
+            return _Tried.of(thin, JointFit.of(fits)).log_ratio(len(free) - 1)
+        except MeasurementError:
+            return 0.0, math.inf
+
+    return [told(frame) for frame in range(frames)]
+
+
+def smallest_label_error(seconds: float) -> float:
+    """Return ln of real over stated exposure from which the label of so long an exposure counts as wrong."""
+    return SMALLEST_LABEL_ERROR + _SHUTTER_S / seconds
+
+
 def most_wrong_labels(planes: Sequence[Plane]) -> int:
     """Return how many labels could be told to be wrong: at most a third of the frames that show something.
 
@@ -111,13 +145,13 @@ def most_wrong_labels(planes: Sequence[Plane]) -> int:
     return max((frames - 1) // 3, 1) if frames > 3 else 0
 
 
-def _settled(plane: Plane) -> list[tuple[Plane, FittedResponse]]:
+def _settled(plane: Plane, free: tuple[int, ...] = ()) -> list[tuple[Plane, FittedResponse]]:
     """Return a plane's thinned samples with their fit; nothing where the plane is too dark or too small for one."""
     if not plane.samples.shares:
         return []
     thin = replace(plane, samples=thinned(plane.samples))
     try:
-        return [(thin, settle(thin.samples, thin.start))]
+        return [(thin, settle(thin.samples, thin.start, free))]
     except MeasurementError:
         return []
 
@@ -201,8 +235,7 @@ def _convincing(label: WrongLabel, tried: _Tried, now: _Tried) -> bool:
 
 
 def _smallest(tried: _Tried, frame: int) -> float:
-    """Return ln of real over stated exposure of a frame from which its label is wrong."""
-    return SMALLEST_LABEL_ERROR + _SHUTTER_S / float(np.exp(tried.joint.fits[0].samples.frame_log_time[frame]))
+    return smallest_label_error(float(np.exp(tried.joint.fits[0].samples.frame_log_time[frame])))
 
 
 def _as_well(label: WrongLabel, tried: _Tried, best: WrongLabel, tried_best: _Tried) -> bool:

@@ -13,7 +13,15 @@ from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.planes import JointFit, LeftOut, Plane
 from radiometer.analysis.response.samples import gather_samples
 from radiometer.analysis.response.settle import Choices, FittedResponse, fit_with
-from radiometer.analysis.response.wrong_labels import WrongLabel, _as_well, _convincing, _Tried, find_wrong_labels
+from radiometer.analysis.response.wrong_labels import (
+    WrongLabel,
+    _as_well,
+    _convincing,
+    _Tried,
+    find_wrong_labels,
+    freed_one_by_one,
+    smallest_label_error,
+)
 from radiometer.data import Bracket, Frame, FrameSettings
 
 TIMES = 0.002 * 2.0 ** np.arange(10)
@@ -58,6 +66,30 @@ def test_the_label_of_a_frame_that_shows_one_corner_is_told(wrong: int, ratio: f
 def test_right_labels_of_frames_that_show_one_corner_are_left_alone() -> None:
     """Two draws of the noise."""
     assert [find_wrong_labels([church(None, 1.0, seed)]) for seed in (6, 7)] == [(), ()]
+
+
+@pytest.mark.slow
+def test_each_label_is_what_the_other_frames_say_of_it() -> None:
+    """With its u: right ones beside a wrong one, and that of a frame in the dark not at all."""
+    plane = church(5, 1.35)
+    dark = replace(plane, samples=plane.samples.changed(lambda one: one.kept(one.frame != 0)))
+    told = freed_one_by_one([dark], (5,))
+    assert told[0] == (0.0, math.inf)
+    value, u = np.array(told[1:]).T
+    true = np.where(np.arange(1, TIMES.size) == 5, math.log(1.35), 0.0)
+    assert np.all(np.abs(value - true) < 3.5 * u + 0.003)
+    assert max(u) < 0.1
+    assert freed_one_by_one([replace(plane, samples=replace(plane.samples, shares=()))]) == [(0.0, math.inf)] * 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", [0, 1, 8])
+def test_a_label_is_named_from_five_of_its_u_on(wrong: int) -> None:
+    """Beyond what counts as wrong at all; either way."""
+    value, u = freed_one_by_one([church(None, 1.0)])[wrong]
+    least = smallest_label_error(float(TIMES[wrong])) + 5.0 * u
+    for ratio in (math.exp(least - value), math.exp(-least - value)):
+        assert [one.frame for one in find_wrong_labels([church(wrong, ratio)])] == [wrong]
 
 
 @pytest.fixture(scope="module")
