@@ -7,6 +7,7 @@ import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from structlog.testing import capture_logs
@@ -14,7 +15,7 @@ from structlog.testing import capture_logs
 from radiometer.daemon import journal_writer
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.clock_watch import Jump
-from radiometer.daemon.journal import Journal, JournalError
+from radiometer.daemon.journal import Journal, JournalError, _Transaction
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, TrendPoint
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.timestamps import iso_time
@@ -374,3 +375,18 @@ def test_a_journal_opens_itself_where_it_is_written_to(tmp_path: Path, make_read
         assert journal._connection is None
     reader = JournalReader(tmp_path / "j.sqlite")
     assert [event["message"] for event in reader.events()] == ["1", "2"]
+
+
+def test_what_cannot_be_committed_is_rolled_back(tmp_path: Path) -> None:
+    """A full disk found out at COMMIT: the error is told, and the next transaction can begin."""
+    told: list[str] = []
+
+    def execute(statement: str) -> None:
+        told.append(statement)
+        if statement == "COMMIT":
+            raise sqlite3.OperationalError("database or disk is full")
+
+    connection: Any = SimpleNamespace(execute=execute, in_transaction=True)
+    with Journal(tmp_path / "j.sqlite") as journal, pytest.raises(JournalError), _Transaction(journal, connection):
+        pass
+    assert told == ["BEGIN IMMEDIATE", "COMMIT", "ROLLBACK"]

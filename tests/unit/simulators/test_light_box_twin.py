@@ -75,6 +75,17 @@ def test_the_last_sixteen_events_can_be_asked_for() -> None:
     assert [commands.run(f"EV {number:02X}").split()[0] for number in range(4, 22)] == ["ER"] * 2 + ["OK"] * 16
 
 
+def test_events_are_numbered_from_0_to_255_and_on_from_0() -> None:
+    """The one after FF is 00, as two hexadecimal digits hold it."""
+    twin, commands = greeted()
+    while twin.latest_event != 255:
+        twin.add_event("BT", "1", 100.0)
+    twin.add_event("BT", "0", 200.0)
+    assert twin.latest_event == 0
+    assert commands.run("EV 00").startswith("OK")
+    assert commands.run("EV FF").startswith("OK")
+
+
 def test_a_box_counts_how_often_it_went_dark_by_itself() -> None:
     """Once for a channel's energy (47e6 units at 235 a ms: 200 s), once for the held button, once for a silent host."""
     twin, commands = greeted()

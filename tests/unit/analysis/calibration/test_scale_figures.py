@@ -293,3 +293,18 @@ def test_a_black_level_that_is_stated_counts_before_the_camera_s(of_camera, stat
     made = unscaled_calibration(camera, LensDescription(f_number=5.6), None, "cie_a", stated, validity_days=30.0)
     assert (made.black_level.dn, made.scale.value, made.scale.f_number) == (used, 1.0, 5.6)
     assert (made.spectrum, made.validity_days) == ("cie_a", 30.0)
+
+
+@pytest.mark.parametrize(
+    ("wavelength_nm", "relative"),
+    [
+        ((500.0, 500.0), (1.0, 1.0)),
+        ((600.0, 500.0), (1.0, 1.0)),
+        ((500.0, 600.0), (0.0, 0.0)),
+        ((500.0, 600.0), (1.0,) * 3),
+    ],
+)
+def test_a_spectral_response_rises_along_its_wavelengths(wavelength_nm, relative):
+    """Two values of one wavelength are none that light could be weighed by; nor are zeros, or a value too many."""
+    with pytest.raises(ValueError, match="wavelengths rising"):
+        SpectralResponse(wavelength_nm=wavelength_nm, relative=relative)

@@ -121,6 +121,7 @@ def test_shares_are_sorted_and_sum_to_one():
     found = budget.shares(simple(1.0, 0.003, 0.004).budget)
     assert [one.name for one, _ in found] == ["scale", "repeatability"]
     assert [share for _, share in found] == pytest.approx([0.64, 0.36])
+    assert [share for _, share in budget.shares([Contribution("scale", 0.0), Contribution("noise", 0.0)])] == [0.0, 0.0]
 
 
 def test_ratios_to_nothing_are_refused():
