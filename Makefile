@@ -35,7 +35,7 @@ ONE_THREAD = PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 RUN_TESTS = $(ONE_THREAD) $(PYTEST) -n 2
 RUN_FAST  = $(ONE_THREAD) $(PYTEST) --processes=3
 NO_OTHERS = not bench and not soak and not hardware
-FAST_TESTS = -m "not slow and not long and $(NO_OTHERS)" tests/unit tests/style
+FAST_TESTS = -m "not slow and not long and $(NO_OTHERS)" tests/unit
 
 test: $(VENV)/.ready-test  ## Run the tests, all but the round trips, soaks and studies of `make test-slow`
 	$(RUN_TESTS) -m "not long and $(NO_OTHERS)"

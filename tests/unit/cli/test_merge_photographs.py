@@ -55,6 +55,7 @@ def _merged(folder, target, *words):
     assert run(["merge", str(folder), "--linear", "-o", str(target), *words]) == 0
 
 
+@pytest.mark.slow
 def test_shifted_photographs_give_the_scene(folder, tmp_path, capsys):
     """Through alignment and without what moved the map is the scene from the reference's place, within its noise."""
     _merged(folder, tmp_path / "map.tiff", "--json")
@@ -89,6 +90,7 @@ def test_alignment_off_leaves_them_where_they_are(folder, tmp_path, capsys):
     assert off["median_u_rel"] > 2.0 * on["median_u_rel"]
 
 
+@pytest.mark.slow
 def test_the_line_for_people_says_it(folder, tmp_path, capsys):
     """The summary holds how far the frames lay apart, and the share of what moved."""
     _merged(folder, tmp_path / "map.tiff")
@@ -216,6 +218,7 @@ def few_colours(tmp_path, monkeypatch):
     return tmp_path, recovered
 
 
+@pytest.mark.slow
 def test_a_kept_response_is_taken_up_as_long_as_photographs_and_recovery_stay(few_colours, capsys, monkeypatch):
     """Merged again, the response comes from beside the map; by another version of the recovery it is recovered anew."""
     folder, recovered = few_colours

@@ -51,6 +51,7 @@ def test_steps_are_captured_one_by_one_and_reported(bench, tmp_path, capsys):
     assert [one["index"] for one in said["indices"] if one["measured"]] == ["focus"]
 
 
+@pytest.mark.slow
 def test_a_ladder_reaches_down_to_a_fortieth(bench, tmp_path, capsys):
     """Linearity captures exposures over a range of 40, several frames each, with darks of the same times."""
     assert main(["quality", "take", str(tmp_path / "s"), "linearity", "ladder", "--bench", str(bench)]) == 0

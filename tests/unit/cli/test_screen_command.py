@@ -20,6 +20,7 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_calibrate_writes_calibration_and_exports(calibration: Path) -> None:
     """The file reads back with seven levels; the exports lie beside it."""
     assert ScreenCalibration.read(calibration).channel().levels == (0, 32, 64, 96, 128, 192, 255)

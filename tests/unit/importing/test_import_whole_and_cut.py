@@ -95,6 +95,7 @@ def test_a_file_cut_anywhere_is_one_line(kind, write_fits, write_raw_tiff, said,
         assert not out.exists()
 
 
+@pytest.mark.slow
 def test_a_plan_is_told_of_files_where_they_lie(write_fits, said):
     """`reconcile --plan-only` takes FITS files as `reconcile` does: darks of one exposure tell no source's warm-up."""
     rng = np.random.default_rng(3)

@@ -147,6 +147,7 @@ def test_a_photograph_of_another_scene_is_no_agreement() -> None:
     assert "turned.jpg by far worst" in said
 
 
+@pytest.mark.slow
 def test_three_photographs_do_not_agree_with_a_wrong_label_and_cannot_say_which() -> None:
     """Right, three labels agree; one 1.5 times too long is no agreement. Of a wrong label three say nothing by name."""
     right = reconcile_photographs(_photographs(EXACT[3:8:2], EXACT[3:8:2])).result

@@ -172,7 +172,8 @@ def test_every_entry_s_statistic_can_be_drawn(lit_and_dark, name):
     assert np.sqrt(np.mean(left**2)) < 1.5  # nothing is missing: noise alone
 
 
-@pytest.mark.parametrize("kind", [Crosstalk, pytest.param(BlackLevelOffset, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", [Crosstalk, BlackLevelOffset])
+@pytest.mark.slow
 def test_what_an_entry_does_is_drawn_with_and_without_a_band(lit_and_dark, kind):
     """Also of an entry that shows in two directions at once, such as charge that goes to neighbours."""
     effect = kind()

@@ -90,6 +90,7 @@ def test_units_are_printed_as_the_field_does():
     assert (unit_text("1"), unit_text("e-/s"), unit_text("DN/e-")) == ("", "e⁻/s", "DN/e⁻")
 
 
+@pytest.mark.slow
 def test_a_picture_shows_hostile_names_in_both_forms():
     """A name that is no formula, not in the font or not for XML is drawn, as a well-formed file without scripts."""
 

@@ -35,6 +35,7 @@ def _grey(name: str, level: float) -> float:
     return SimulatedDisplay(DISPLAYS[name]).radiance((drive, drive, drive))
 
 
+@pytest.mark.slow
 def test_inverse_meets_fifty_targets_within_its_stated_uncertainty(calibrated: tuple[str, ScreenCalibration]) -> None:
     """At 50 random luminances the level found shows what is claimed: |z| ≤ 2 in 95 % within binomial chance (≥ 43)."""
     name, calibration = calibrated
@@ -51,6 +52,7 @@ def test_inverse_meets_fifty_targets_within_its_stated_uncertainty(calibrated: t
     assert np.abs(z).max() < 4
 
 
+@pytest.mark.slow
 def test_shape_is_right_without_the_scale(calibrated: tuple[str, ScreenCalibration]) -> None:
     """Ratios to white, where the common scale falls out, are right within what the levels' own u allows (|z| < 4.5)."""
     name, calibration = calibrated

@@ -118,6 +118,7 @@ def test_no_header_holds_a_path_or_a_user_name(grey, tmp_path, ending):
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.slow
 def test_false_colours_grow_with_radiance_and_mark_what_clips(grey, tmp_path):
     """Brightness of the colours rises with the value; the clipped pixel is magenta."""
     path = tmp_path / "map.png"
@@ -209,6 +210,7 @@ def test_a_curve_s_black_level_is_that_of_the_frames(capture, rig, tmp_path):
     assert value.mean() == pytest.approx(0.4 * 4031 / 1984 / 1e-3, rel=0.003)
 
 
+@pytest.mark.slow
 def test_the_command_says_what_it_did(capture, tmp_path, capsys):
     """Human output names the size, the unit and the file."""
     folder, _ = capture
