@@ -32,6 +32,8 @@ _SHUTTER_S: Final = 30e-6
 # It must stand out of its own uncertainty by this factor: 95 % where four shares tell it (Student's t, three degrees of
 # freedom), and one frame in some 400 by chance where the fit does.
 _SIGMA: Final = 3.0
+# An exposure known to no better than this in ln, a factor of e, is not known.
+_NOTHING_KNOWN: Final = 1.0
 # The search, whose curves are smoother, looks at errors from half of that size.
 _SMALLEST_SEARCHED: Final = 0.5 * SMALLEST_LABEL_ERROR
 # A frame is the rival of another where freed in its place it predicts both of them, left out, within that same margin.
@@ -123,9 +125,10 @@ def freed_one_by_one(planes: Sequence[Plane], wrong: tuple[int, ...] = ()) -> li
             return 0.0, math.inf
         try:
             fits = [fit_with(p.samples, f.log_exposure, replace(f.choices, free=free)) for p, f in settled]
-            return _Tried.of(thin, JointFit.of(fits)).log_ratio(len(free) - 1)
+            value, u = _Tried.of(thin, JointFit.of(fits)).log_ratio(len(free) - 1)
         except MeasurementError:
             return 0.0, math.inf
+        return (value, u) if u < _NOTHING_KNOWN else (0.0, math.inf)
 
     return [told(frame) for frame in range(frames)]
 
