@@ -8,6 +8,7 @@ from typing import Any, Final, Self, cast
 
 import numpy as np
 
+from simulators.bent_normal import bent_normal
 from simulators.effects.base import DIGITAL_NUMBER, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
@@ -92,15 +93,10 @@ class GammaEnabled(CatalogueEffect):
 
     def _by_quadrature(self, mean: Any, sigma: Any, black: Any, room: Any) -> tuple[Any, Any, Any]:
         """Return mean, variance and slope of what becomes of normal values; close to the corner in even steps."""
-        from simulators.bent_normal import RULES, bent_normal  # numba is loaded where a curve is asked for
-
-        given = [
-            np.array(values, dtype=np.float64, order="C") for values in np.broadcast_arrays(mean, sigma, black, room)
-        ]
-        found = np.empty((3, given[0].size))
-        curve = (1.0 / self.gamma, float(self.toe), self._lift())
-        bent_normal(*(values.ravel() for values in given), curve, RULES, found)
-        after, square, slope = found.reshape(3, *given[0].shape)
+        given = np.broadcast_arrays(mean, sigma, black, room)
+        middle, width, begin, reach = (np.asarray(values, dtype=np.float64).ravel() for values in given)
+        found = bent_normal(middle, width, begin, reach, 1.0 / self.gamma, float(self.toe), self._lift())
+        after, square, slope = (values.reshape(given[0].shape) for values in found)
         return after, square, slope
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:

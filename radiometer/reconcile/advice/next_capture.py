@@ -22,6 +22,7 @@ from radiometer.reconcile.fit.descent import beside, refit
 from radiometer.reconcile.fit.state import FitState, with_effects, with_terms
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.result import Limit, ReconcileResult
+from radiometer.reconcile.search.screening import best_start
 from simulators.effects.catalogue import CatalogueEffect
 
 FORMAT: Final = "radiometer-plan/1"
@@ -29,7 +30,7 @@ _TOLD_CHI2: Final = 30.0  # a pair that differs by more is told apart; still mor
 _HELPS_CHI2: Final = 4.0  # by so much a capture still helps where none does more
 _REFITS: Final = 4
 _WELL_BELOW: Final = 0.5
-_STARTS: Final = 4  # of an entry, that are fitted
+_STARTS: Final = 4  # of an entry, of which the likeliest is fitted
 _EXPLAINS: Final = 0.3  # of what the best entry explains: below it an entry is no cause of a disagreement
 _MOST_NAMED: Final = 6  # in a sentence
 
@@ -109,9 +110,9 @@ def propose_for_unnamed(
         for name, kind in catalogue.items():
             acts = (kind.where, kind.block) == (where, block) and kind.usable(state.model.context)
             if acts and name not in present:
-                starts = kind.starts(state.model.context)[:_STARTS]
-                fitted = [refit(with_effects(plain, [*state.effects, start]), iterations=_REFITS) for start in starts]
-                models[name] = min(fitted, key=lambda model: model.cost, default=nothing)
+                best = best_start(nothing, kind.starts(state.model.context)[:_STARTS])
+                if best is not None:
+                    models[name] = refit(with_effects(plain, [*state.effects, best.effect]), iterations=_REFITS)
         told = _farthest(nothing, models)
         if told is not None:
             frame, names = told

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -58,6 +58,7 @@ class FittedCandidate:
         tries: Number of starts that the entry had.
         stated: χ² that it explains in the stated radiances alone.
         overrated: Nats that the scores of few frames' variances promise beyond their exact likelihood.
+        forms: The best of each variant: where to begin beside another model.
     """
 
     effect: CatalogueEffect
@@ -70,6 +71,7 @@ class FittedCandidate:
     tries: int = 1
     stated: float = 0.0
     overrated: float = 0.0
+    forms: tuple[CatalogueEffect, ...] = ()
 
     @property
     def name(self) -> str:
@@ -77,15 +79,21 @@ class FittedCandidate:
         return self.effect.name
 
 
-def fit_candidate(state: FitState, candidate: Candidate) -> FittedCandidate:
-    """Return the effect at the least χ², all nuisances and earlier effects following linearly."""
+def fit_candidate(state: FitState, candidate: Candidate, most: float = np.inf) -> FittedCandidate:
+    """Return the effect at the least χ², all nuisances and earlier effects following linearly.
+
+    Args:
+        state: The model.
+        candidate: The effect at its starts.
+        most: χ² beyond which the likeliest variant speaks for the others too: they are not fitted then.
+    """
     trials = _Trial.of_each(state, (candidate.effect, *candidate.others))
     best = min(trials, key=lambda trial: trial.cost)
-    if best.effect.profiled:
-        best = _fitted(state, _profiled(state, best))
-    else:
-        best = min((_fitted(state, trial) for trial in _variants(trials)), key=lambda trial: trial.cost)
-    return _judged(state, best, candidate)
+    begun = [_profiled(state, best)] if best.effect.profiled else _variants(trials)
+    fitted = [_fitted(state, begun[0])]
+    fitted += [_fitted(state, trial) for trial in begun[1:] if fitted[0].cost < most]
+    judged = _judged(state, min(fitted, key=lambda trial: trial.cost), candidate)
+    return replace(judged, forms=tuple(trial.effect for trial in fitted))
 
 
 def _variants(trials: Sequence[_Trial]) -> list[_Trial]:

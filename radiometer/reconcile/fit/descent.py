@@ -23,6 +23,9 @@ _SHORTER, _SHORTENINGS = 0.3, 6  # steps that are tried
 _IDLE: Final = 1e-3  # sigmas that a parameter moves by its whole scale
 _CONVERGED: Final = 1e-3  # change of χ², in units of the reduced χ² where that is above 1, that ends the fit
 _HOLDS: Final = 0.25  # share of the gain before that a step by old derivatives may have; beyond, new ones are taken
+_SLOW: Final = 0.1  # share of what a step promised, below which it creeps along a valley that bends …
+_LITTLE: Final = 1.0  # … if it gains less than this χ², too, in units of the reduced one where that is above 1
+_PATIENCE: Final = 3  # steps that creep one after the other
 _REWEIGHTINGS: Final = 3
 _SETTLED: Final = 0.02  # share of a parameter's size
 _PAST_WELL: Final = 1.02  # times the declared full well, which is rounded
@@ -75,13 +78,33 @@ def refit(state: FitState, iterations: int = _ITERATIONS) -> FitState:
     Parameters that come frozen within their bounds stay so. They are known by effect and name: a further term that
     falls to nothing on the way is none of its effect's parameters any more, and all behind it move up.
     """
-    fixed = _fixed(state)
+    fixed, pace = _fixed(state), _Pace()
 
     def trials(at: FitState) -> Iterator[FitState]:
+        if pace.creeps(at):
+            return
         for trial in _trials(at):
             yield _held_at_bounds(_glided(at, trial, at.cost - trial.cost)[0], fixed) if trial.cost < at.cost else trial
 
     return descended(_held_at_bounds(state, fixed), trials, lambda at: _CONVERGED * at.misfit, iterations)
+
+
+class _Pace:
+    """How a fit comes on: where parameters nearly stand for each other it has no end, but gains next to nothing."""
+
+    def __init__(self) -> None:
+        self._before: FitState | None = None
+        self._slow = 0
+
+    def creeps(self, at: FitState) -> bool:
+        """Tell whether the steps to this point, the next one of a fit, were slow ones for too long."""
+        before, self._before = self._before, at
+        if before is None:
+            return False
+        gained = before.cost - at.cost
+        slow = gained < min(_SLOW * (before.cost - before.promised), _LITTLE * at.misfit)
+        self._slow = self._slow + 1 if slow else 0
+        return self._slow >= _PATIENCE
 
 
 def approached(state: FitState) -> FitState:
@@ -90,9 +113,11 @@ def approached(state: FitState) -> FitState:
     As `refit`, but the end is where derivatives of one point lead, if they hold all the way: none are taken there to
     confirm it. Parameters at bounds are not held yet.
     """
-    fixed = _fixed(state)
+    fixed, pace = _fixed(state), _Pace()
     for _ in range(_ITERATIONS):
         state = _held_at_bounds(state, fixed)
+        if pace.creeps(state):
+            break
         lower = next((trial for trial in _trials(state) if trial.cost < state.cost), None)
         if lower is None:
             break

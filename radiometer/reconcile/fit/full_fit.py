@@ -54,10 +54,15 @@ def included(state: FitState, effect: CatalogueEffect, *, far: bool, most: float
 
 
 class FullFits:
-    """What was fitted in full from one model, so that nothing is fitted twice while a step is thought over."""
+    """What was fitted in full from one model, so that nothing is fitted twice while a step is thought over.
+
+    Attributes:
+        state: The model.
+        most: χ² under its weights that a fit may leave.
+    """
 
     def __init__(self, state: FitState, most: float = np.inf) -> None:
-        self.state, self._most = state, most
+        self.state, self.most = state, most
         self._known: list[tuple[CatalogueEffect, bool, FitState]] = []
 
     def included(self, effect: CatalogueEffect, *, far: bool) -> FitState:
@@ -65,7 +70,7 @@ class FullFits:
         for known, was_far, fitted in self._known:
             if known is effect and was_far is far:
                 return fitted
-        fitted = included(self.state, effect, far=far, most=self._most)
+        fitted = included(self.state, effect, far=far, most=self.most)
         self._known.append((effect, far, fitted))
         return fitted
 

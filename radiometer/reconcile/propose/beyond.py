@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -26,15 +25,13 @@ from radiometer.reconcile.propose.grammar import PLACES
 from radiometer.reconcile.propose.proposal import Proposal
 from radiometer.reconcile.propose.search import propose_law
 from radiometer.reconcile.search.free_forms import worth
-from radiometer.reconcile.search.free_laws import in_a_looser_form
+from radiometer.reconcile.search.free_laws import in_a_looser_form, nowhere_near
 from radiometer.reconcile.search.localise import localise, significant
 from radiometer.reconcile.search.outcome import Search, Step
-from radiometer.reconcile.thresholds import HUGE_NATS, NAMED_NATS, RIVAL_NATS, SMOOTH_SHARE
+from radiometer.reconcile.thresholds import NAMED_NATS, RIVAL_NATS, SMOOTH_SHARE
 from radiometer.reconcile.verdict import acting_as_others, doubts_of, leaves_structure
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
-
-_NEAR: Final = 2.0  # times what names leave, under the same weights: a law that leaves more comes nowhere near
 
 
 def held_to_laws(
@@ -54,7 +51,7 @@ def held_to_laws(
         return outcome
     stays = len(effects) > 1 or leaves_structure(outcome) or bool(doubts_of(outcome))
     along = () if stays else own_covariates(effects[0])
-    law = propose_law(outcome.start, along=along, most=_NEAR * left_by_names(outcome) + 2.0 * HUGE_NATS)
+    law = propose_law(outcome.start, along=along, most=nowhere_near(outcome.start, outcome.state))
     if law is None:
         return outcome
     if not predicts_better(outcome, law):
@@ -71,18 +68,13 @@ def held_to_laws(
     if brings_most(outcome, law):
         say(said)
         return replace(outcome, remarks=(*outcome.remarks, said))
-    form = in_a_looser_form(outcome.start, worth(law.after) - RIVAL_NATS, catalogue)
+    near = nowhere_near(outcome.start, law.after)
+    form = in_a_looser_form(outcome.start, worth(law.after) - RIVAL_NATS, catalogue, near)
     if form is not None:
         say(f"{form.effects[0].name} in a looser form does what {law.name} does, in place of {named}")
         return by_one_form(outcome, form, law)
     say(said)
     return without_names(outcome, law, f"{said} (gap {law.after.gap:.3g}), which is not named therefore")
-
-
-def left_by_names(outcome: Search) -> float:
-    """Return the χ² that what was found leaves under the weights of the start, no curve without a name beside it."""
-    left = outcome.start.comparison.residual(outcome.state.prediction)
-    return float(left @ left)
 
 
 def by_one_form(outcome: Search, state: FitState, law: Proposal) -> Search:

@@ -18,7 +18,7 @@ from scipy.special import ndtr
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconcile.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, judged_gain
-from radiometer.reconcile.fit.covariance import fitted_parameters
+from radiometer.reconcile.fit.covariance import fitted_parameters, is_far
 from radiometer.reconcile.fit.full_fit import FullFits, UnfitError, contenders_of, included
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
@@ -404,8 +404,13 @@ _JudgedLaw = tuple[Law, FittedCandidate, float]
 
 
 def _judged(fits: FullFits, chosen: list[Screened], say: Say) -> list[_JudgedLaw]:
-    """Return the laws fitted to all statistics, with the nats that they improve held-out settings by."""
+    """Return the laws fitted to all statistics, with the nats that they improve held-out settings by.
+
+    Those that leave too much though the nuisances follow are not among them; where entries are far off, these follow
+    too badly to tell.
+    """
     fitted, state = list[tuple[Law, FittedCandidate]](), fits.state
+    most = np.inf if is_far(state) else fits.most
     for entry in chosen:
         effect = _started(entry)
         if effect is None:
@@ -413,9 +418,10 @@ def _judged(fits: FullFits, chosen: list[Screened], say: Say) -> list[_JudgedLaw
         try:
             others = tuple(start for other in entry.others if (start := _started(other)) is not None)
             candidate = Candidate(effect, entry.gain, entry.law.size, others=others)
-            fitted.append((entry.law, fit_candidate(state, candidate)))
+            fitted.append((entry.law, fit_candidate(state, candidate, most)))
         except (UnfitError, MeasurementError, np.linalg.LinAlgError):
             continue
+    fitted = [pair for pair in fitted if state.cost - pair[1].gain < most]
     fitted.sort(key=lambda pair: -pair[1].gain + 2.0 * PARAMETER_NATS * pair[0].size)
     rated = [(f, judged_gain(state, f)) for _, f in fitted[:_JUDGED]]
     laws = {id(f): law for law, f in fitted}

@@ -24,12 +24,13 @@ from radiometer.reconcile.fit.full_fit import UnfitError, included
 from radiometer.reconcile.fit.state import FitState, with_effects, with_terms
 from radiometer.reconcile.search.free_forms import free_forms, worth
 from radiometer.reconcile.search.screening import directions_of
-from radiometer.reconcile.thresholds import LAW_SHARE, PARAMETER_NATS
+from radiometer.reconcile.thresholds import HUGE_NATS, LAW_SHARE, PARAMETER_NATS
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 
 _FITTED: Final = 3  # forms that are fitted in full, the most promising first
 _LOOSER: Final = 2  # times that the best entry alone is made looser
+_NEAR: Final = 2.0  # times what was left beyond chance, under the same weights: a law that leaves more is far off
 _FEW: Final = 6  # iterations that tell how the others do alone
 
 
@@ -60,7 +61,20 @@ class Mended:
         return next(effect for effect in self.state.effects if effect.name == self.name)
 
 
-def in_a_looser_form(start: FitState, least: float, catalogue: Mapping[str, type[CatalogueEffect]]) -> FitState | None:
+def nowhere_near(base: FitState, found: FitState) -> float:
+    """Return the χ² beyond which a single law that is fitted comes nowhere near what was found.
+
+    Args:
+        base: The model that the law is put into; its weights are those of the χ².
+        found: What was found; curves without a name are left out.
+    """
+    left, count = base.comparison.residual(found.prediction), float(base.comparison.counts().sum())
+    return count + _NEAR * max(float(left @ left) - count, 0.0) + 2.0 * HUGE_NATS
+
+
+def in_a_looser_form(
+    start: FitState, least: float, catalogue: Mapping[str, type[CatalogueEffect]], most: float = np.inf
+) -> FitState | None:
     """Return the model with the entry of which a looser form alone does what others do; None where none does.
 
     What has no plain part (a black level that ramps and is nothing in the middle) a search does not meet.
@@ -69,6 +83,7 @@ def in_a_looser_form(start: FitState, least: float, catalogue: Mapping[str, type
         start: The starting camera fitted.
         least: Score that the model needs.
         catalogue: The entries.
+        most: χ² under the weights of the start that a form may leave.
     """
     context, best = start.model.context, list[FitState]()
     several = [kind.starts(context) for kind in catalogue.values() if kind.usable(context)]
@@ -76,7 +91,7 @@ def in_a_looser_form(start: FitState, least: float, catalogue: Mapping[str, type
     for _ in range(_LOOSER):  # each time from the best so far
         forms = [form for entry in plain for form in entry.loosened(context)]
         promising = sorted(((promise(start, form), n) for n, form in enumerate(forms)), reverse=True)[:_FITTED]
-        fitted = (_alone(start, forms[n]) for promised, n in promising if promised > 0)
+        fitted = (_alone(start, forms[n], most) for promised, n in promising if promised > 0)
         better = max((state for state in fitted if state is not None), key=rated, default=None)
         if better is None or (best and rated(better) <= rated(best[-1])):
             break
@@ -85,10 +100,10 @@ def in_a_looser_form(start: FitState, least: float, catalogue: Mapping[str, type
     return best[-1] if best and rated(best[-1]) > least else None
 
 
-def _alone(start: FitState, form: CatalogueEffect) -> FitState | None:
+def _alone(start: FitState, form: CatalogueEffect, most: float) -> FitState | None:
     """Return the model with a form alone; None where it cannot be fitted."""
     try:
-        return included(start, form, far=True)
+        return included(start, form, far=True, most=most)
     except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted does nothing
         return None
 
@@ -106,7 +121,7 @@ def in_place_of_all(
     curves = sum(term.is_smooth for term in state.terms)
     if not state.effects or len(state.effects) + curves < 2:
         return None
-    return in_a_looser_form(start, rated(state), catalogue)
+    return in_a_looser_form(start, rated(state), catalogue, nowhere_near(start, state))
 
 
 def rated(state: FitState) -> float:
@@ -122,9 +137,9 @@ def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEff
         state: What was found; structure stays in it.
         alone: Entries as they fit the start, each alone.
     """
-    most, found = worth(state), list[Mended]()
+    found = list[Mended]()
     for promises in (_of_one(start, alone), _in_place(start, state)):
-        found += _tried(promises, most)
+        found += _tried(promises, state)
         if any(not is_misfit(mended.state) for mended in found):
             break
     if not found:
@@ -137,13 +152,14 @@ def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEff
 _Promise = tuple[float, FitState, FreeLaw]
 
 
-def _tried(promises: Iterator[_Promise], most: float) -> Iterator[Mended]:
+def _tried(promises: Iterator[_Promise], state: FitState) -> Iterator[Mended]:
     """Yield the models of the most promising forms, one for each name, that are worth more than what was found."""
+    least = worth(state)
     tried = set[str]()
     for _, base, form in sorted(promises, key=lambda entry: -entry[0]):
         if form.name not in tried and len(tried) < _FITTED:
             tried.add(form.name)
-            mended = _fitted(base, form, most)
+            mended = _fitted(base, form, least, nowhere_near(base, state))
             if mended is not None:
                 yield mended
 
@@ -178,14 +194,15 @@ def promise(base: FitState, form: CatalogueEffect) -> float:
     return base.fit.score(slice(0, base.comparison.size), followed)[0] / 2.0 - PARAMETER_NATS * len(form.free())
 
 
-def _fitted(base: FitState, form: FreeLaw, most: float) -> Mended | None:
+def _fitted(base: FitState, form: FreeLaw, least: float, most: float) -> Mended | None:
     """Return the model with a form, fitted in full; None where its plain law is far from what it comes to.
 
-    None too where it is not worth more than `most`; how far its plain law comes is not asked then.
+    None too where it is not worth more than `least`, or leaves more than `most` under the weights of the model without
+    it; how far its plain law comes is not asked then.
     """
     try:
-        state = included(base, form, far=True)
-        if worth(state) <= most:
+        state = included(base, form, far=True, most=most)
+        if worth(state) <= least:
             return None
         plain = included(base, form.own, far=True)
     except (UnfitError, np.linalg.LinAlgError, ConfigurationError):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -25,6 +26,7 @@ from radiometer.reconcile.thresholds import HUGE_NATS, KEPT_NATS, NAMED_NATS, OW
 from simulators.effects.catalogue import CatalogueEffect
 
 _FITTED: Final = 4  # entries that are fitted in another's place
+_FAR_OFF: Final = 400.0  # χ² that a smaller model leaves by its own derivatives still, and is asked no further
 _REFITTED: Final = 2  # forms that are fitted in full, the most promising first
 
 
@@ -44,13 +46,21 @@ def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[
         for name, promised, smaller in _without_one(state):
             if promised - state.cost > 2.0 * HUGE_NATS:  # the others, free to move, come nowhere near
                 continue
-            lost = _log_density(state) - _log_density(refit(smaller, iterations=6))
+            lost = _lost(state, smaller)
             if lost < KEPT_NATS:
                 say(f"{name} dropped again: it brings {lost:.1f} nats")
                 state, changed = refit(reweighted(refit(smaller))), True
                 dropped.append(name)
                 break
     return state, dropped
+
+
+def _lost(state: FitState, smaller: FitState) -> float:
+    """Return by how many nats a smaller model predicts held-out settings worse; infinity where it is far off."""
+    nearer = refit(smaller, iterations=1).with_frozen(frozenset())
+    if nearer.promised - state.cost > _FAR_OFF:  # by derivatives of its own
+        return np.inf
+    return _log_density(state) - _log_density(refit(nearer, iterations=5))
 
 
 def _without_one(state: FitState) -> Iterator[tuple[str, float, FitState]]:
@@ -159,22 +169,46 @@ class Loosened:
     further: int
 
 
-def loosened(state: FitState, only: Sequence[str] | None = None) -> Loosened | None:
-    """Return the model with the flexible form that predicts held-out settings best; None where none is worth it.
+@dataclass(eq=False)
+class LooserForms:
+    """The forms that may do more than those of the effects in a model; they are fitted where they are asked for.
 
     Each further parameter must be paid for, and the whole be as far beyond chance as a further name.
 
-    Args:
-        state: The fitted model.
-        only: Names of the effects that leave structure in their own place, where these alone are asked and the tests
-            of that place are what is beyond chance; by default all effects.
+    Attributes:
+        state: The model.
+        needed: Nats that a form must bring.
+        promising: Nats that the likeliest would bring if they acted linearly, the places of their effects, the forms.
     """
-    needed = NAMED_NATS if only is None else OWN_LAW_NATS
-    promising = ((nats, i, form) for nats, i, form in _promising(state, only) if nats >= needed)
-    forms = sorted(promising, key=lambda entry: -entry[0])[:_REFITTED]
-    fitted = [_fitted(state, index, form) for _, index, form in forms]
-    worth = [entry for entry in fitted if entry is not None and entry.nats - PARAMETER_NATS * entry.further >= needed]
-    return max(worth, key=lambda entry: entry.nats - PARAMETER_NATS * entry.further, default=None)
+
+    state: FitState
+    needed: float
+    promising: list[tuple[float, int, CatalogueEffect]]
+
+    @classmethod
+    def of(cls, state: FitState, only: Sequence[str] | None = None) -> LooserForms:
+        """Return the forms of the effects of a model.
+
+        Args:
+            state: The fitted model.
+            only: Names of the effects that leave structure in their own place, where these alone are asked and the
+                tests of that place are what is beyond chance; by default all effects.
+        """
+        needed = NAMED_NATS if only is None else OWN_LAW_NATS
+        forms = (form for form in _promising(state, only) if form[0] >= needed)
+        return cls(state, needed, sorted(forms, key=lambda entry: -entry[0])[:_REFITTED])
+
+    @property
+    def promise(self) -> float:
+        """Return the nats that the likeliest form would bring if it acted linearly."""
+        return max((nats for nats, _, _ in self.promising), default=0.0)
+
+    @cached_property
+    def best(self) -> Loosened | None:
+        """Return the model with the form that predicts held-out settings best; None where none is worth it."""
+        fitted = [_fitted(self.state, index, form) for _, index, form in self.promising]
+        worth = [e for e in fitted if e is not None and e.nats - PARAMETER_NATS * e.further >= self.needed]
+        return max(worth, key=lambda entry: entry.nats - PARAMETER_NATS * entry.further, default=None)
 
 
 def _promising(state: FitState, only: Sequence[str] | None) -> Iterator[tuple[float, int, CatalogueEffect]]:

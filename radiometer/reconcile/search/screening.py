@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Final
 
@@ -21,6 +21,8 @@ from simulators.effects.catalogue import CatalogueEffect
 _OTHER_STARTS: Final = 2  # of an entry that are kept for the fit beside the best
 _LARGEST_AMPLITUDE: Final = 300.0  # a start may be that much too small …
 _FAR_STEP: Final = 0.1  # of a parameter's size: a start is far from the best values
+_TOGETHER: Final = 12  # entries that are asked at once
+_MAY_RISE: Final = 2.0  # times what an entry explained beside the model before
 _SMALLEST_CURVATURE: Final = 1e-9
 AT_ONCE: Final = 32  # changes that are projected together: one at a time would read the whole fit for each
 
@@ -33,18 +35,62 @@ def usable_catalogue(
     return {n: kind for n, kind in catalogue.items() if n not in taken and kind.usable(state.model.context)}
 
 
+@dataclass(frozen=True, slots=True)
+class Before:
+    """What another model's screening found, by which this one asks the likeliest entries first.
+
+    Attributes:
+        candidates: Its candidates.
+        wanted: How many of the best are wanted now.
+    """
+
+    candidates: Sequence[Candidate] = ()
+    wanted: int = 0
+
+
 def screen(
-    state: FitState, catalogue: Mapping[str, type[CatalogueEffect]], pool: StartPool | None = None
+    state: FitState,
+    catalogue: Mapping[str, type[CatalogueEffect]],
+    pool: StartPool | None = None,
+    before: Before = Before(),
 ) -> list[Candidate]:
     """Return the best start of every usable entry (rigid and flexible apart), the most promising first.
+
+    Where a screening of the model before is known, entries are asked in the order of what they explained there, and no
+    more once enough explain twice what any of the rest did: what is left to explain falls from model to model. The rest
+    come as they were, behind these.
 
     Args:
         state: The fitted model.
         catalogue: Entries to try, by name.
         pool: Their starts, where they were made before.
+        before: What a smaller model's screening found.
+
+    Source: Minoux (1978), accelerated greedy algorithms, for the order.
     """
     pool = pool or StartPool()
-    kinds = usable_catalogue(state, catalogue).values()
+    known: dict[str, list[Candidate]] = {}
+    for candidate in before.candidates:
+        known.setdefault(candidate.effect.name, []).append(candidate)
+    gains = {name: max(candidate.gain for candidate in several) for name, several in known.items()}
+    kinds = sorted(usable_catalogue(state, catalogue).values(), key=lambda kind: -gains.get(kind.name, np.inf))
+    found: list[Candidate] = []
+    for first in range(0, len(kinds), _TOGETHER):
+        most = _MAY_RISE * gains.get(kinds[first].name, np.inf)
+        if before.wanted and sum(candidate.gain > most for candidate in found) >= before.wanted:
+            rest = [candidate for kind in kinds[first:] for candidate in known[kind.name]]
+            return sorted(found, key=_by_gain) + sorted(rest, key=_by_gain)
+        found += _screened(state, kinds[first : first + _TOGETHER] if known else kinds[first:], pool)
+        if not known:
+            break
+    return sorted(found, key=_by_gain)
+
+
+def _by_gain(candidate: Candidate) -> float:
+    return -candidate.gain
+
+
+def _screened(state: FitState, kinds: Sequence[type[CatalogueEffect]], pool: StartPool) -> list[Candidate]:
     likeliest = [of_seen_codes(state.comparison.seen, pool.likeliest(state, kind)) for kind in kinds]
     covers = [kind.covers(state.model.context) for kind in kinds]
     rigid = iter(_rigid(state, [start for starts in likeliest for start in starts]))
@@ -54,7 +100,7 @@ def screen(
         best = _best(list(islice(rigid, len(starts))))
         found += [replace(candidate, tries=pool.count(kind)) for candidate in best]
         found += _best(list(islice(flexible, len(several))))
-    return sorted(found, key=lambda candidate: -candidate.gain)
+    return found
 
 
 def of_seen_codes(seen: CaptureStatistics, starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:

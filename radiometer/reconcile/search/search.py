@@ -16,12 +16,12 @@ from radiometer.reconcile.fit.state import FitState, reweighted, with_terms
 from radiometer.reconcile.search.free_forms import worth
 from radiometer.reconcile.search.free_laws import by_a_free_law, in_place_of_all, rated
 from radiometer.reconcile.search.localise import Disagreement, departing, localise, significant, smooth_term
-from radiometer.reconcile.search.moves import Loosened, better, loosened, pruned, simpler
+from radiometer.reconcile.search.moves import Loosened, LooserForms, better, pruned, simpler
 from radiometer.reconcile.search.outcome import Search, Step
 from radiometer.reconcile.search.plain_trends import TRENDS
 from radiometer.reconcile.search.rivals import rivals_of
 from radiometer.reconcile.search.score import by_itself, is_shown, likeliest, log_chance, penalised_chi2, score
-from radiometer.reconcile.search.screening import screen
+from radiometer.reconcile.search.screening import Before, screen
 from radiometer.reconcile.search.starts import StartPool
 from radiometer.reconcile.thresholds import (
     FLEXIBLE_NATS,
@@ -40,6 +40,7 @@ _FITTED: Final = 7  # candidates that are fitted in each step
 _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _SMOOTHS_TRIED: Final = 4
 _NEAR_FORM: Final = 0.5
+_LITTLE_PROMISE: Final = 0.05  # of what a further effect brings: forms came to eleven times their promise at most
 _AFTER_A_LAW: Final = 3  # further steps beside one form or law in place of all
 _OTHER_WAYS: Final = 2  # that are gone where the first leaves doubts
 
@@ -53,6 +54,8 @@ class _Run:
     pool: StartPool = field(default_factory=StartPool)
     first: list[CatalogueEffect] = field(default_factory=list)  # what fitted best before anything was named
     turns: list[_Turn] = field(default_factory=list)
+    screened: list[Candidate] = field(default_factory=list)  # beside the model before
+    forms: dict[tuple[str, bool], tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # as they were fitted then
     barred: str = ""  # a name that this step may not give
 
 
@@ -180,19 +183,19 @@ def _mended(start: FitState, state: FitState, tests: tuple[Disagreement, ...], r
 
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     standing = significant(tests)
-    screened = screen(state, run.catalogue, run.pool)
+    screened = run.screened = screen(state, run.catalogue, run.pool, Before(run.screened, _FITTED + len(run.refused)))
     limit = float(np.log(SIGNIFICANCE / max(len(screened), 1)))
     promising = _promising(screened, limit, standing)
     promising = [candidate for candidate in promising if candidate.effect.name not in {*run.refused, run.barred}]
     departed = [] if standing else departing(tests, state.effects)
     if not standing and not promising and not departed:
         return None
-    fitted = sorted((fit_candidate(state, c) for c in promising[:_FITTED]), key=lambda f: -penalised_chi2(f))
+    fitted = sorted((_fitted(state, c, run) for c in promising[:_FITTED]), key=lambda f: -penalised_chi2(f))
     run.first = run.first or [candidate.effect for candidate in fitted]
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
     far = is_far(state)
     shown = [entry for entry in judged if is_shown(*entry, limit, later=bool(state.effects), far=far)]
-    looser = loosened(state) if standing else loosened(state, departed) if departed else None
+    looser = LooserForms.of(state, None if standing else departed)
     fits, steps, refused = FullFits(state), tuple(run.steps), frozenset(run.refused)
     while shown:
         contenders = contenders_of(fits, shown)
@@ -213,19 +216,28 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
                 run.turns.append(_Turn(state, tests, chosen[0].name, lead, steps, refused))
             return following
         shown = [entry for entry in shown if entry[0].name != chosen[0].name]
-    if looser is not None:
-        return _taken(state, looser, run)
+    if looser.best is not None:
+        return _taken(state, looser.best, run)
     return _unnamed(state, standing, judged, run) if standing else None
 
 
-def _is_likelier(fits: FullFits, looser: Loosened | None, chosen: tuple[FittedCandidate, float]) -> bool:
+def _fitted(state: FitState, candidate: Candidate, run: _Run) -> FittedCandidate:
+    """Return a candidate fitted; it begins where it came to beside the model before, too."""
+    key = (candidate.effect.name, candidate.flexible)
+    found = fit_candidate(state, replace(candidate, others=(*candidate.others, *run.forms.get(key, ()))))
+    run.forms[key] = found.forms
+    return found
+
+
+def _is_likelier(fits: FullFits, looser: LooserForms, chosen: tuple[FittedCandidate, float]) -> bool:
     """Tell whether another form of an effect that is there predicts better than a further effect.
 
-    The form was fitted in full; where the two are near, the further effect is too, before they are compared.
+    The form is fitted in full, unless it promises too little; where the two are near, the further effect is too, before
+    they are compared.
     """
-    if looser is None:
+    if looser.promise < _LITTLE_PROMISE * score(chosen) or looser.best is None:
         return False
-    form = looser.nats - PARAMETER_NATS * looser.further - FLEXIBLE_NATS
+    form = looser.best.nats - PARAMETER_NATS * looser.best.further - FLEXIBLE_NATS
     if form > score(chosen) or form < _NEAR_FORM * score(chosen):
         return form > score(chosen)
     fitted = fits.included(chosen[0].effect, far=False)

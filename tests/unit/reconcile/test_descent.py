@@ -101,3 +101,49 @@ def test_a_step_that_promises_next_to_nothing_is_not_tried(
     assert 0.0 < lengths[0] < 2.0, "the whole step leads beyond the range"
     assert all(0.0 < shorter < longer for longer, shorter in itertools.pairwise(lengths))
     assert len(lengths) == fitting._SHORTENINGS - 1
+
+
+@pytest.mark.parametrize(
+    ("gains", "promised", "ends"),
+    [
+        ([0.5, 0.5, 0.5], 10.0, True),
+        ([0.5, 0.5], 10.0, False),
+        ([0.5, 0.5, 2.0, 0.5, 0.5], 10.0, False),
+        ([0.5, 0.5, 2.0, 0.5, 0.5, 0.5], 10.0, True),
+        ([0.5, 0.5, 0.5], 4.0, False),  # more than a tenth of what was promised
+        ([1.5, 1.5, 1.5], 90.0, False),  # little of what was promised, and yet something
+    ],
+)
+def test_a_fit_that_creeps_is_ended(gains: list[float], promised: float, ends: bool) -> None:
+    """Three steps on end that gain less than a tenth of what was promised and less than 1 of χ²."""
+    pace, cost, told = fitting._Pace(), 100.0, []
+    for gain in [0.0, *gains]:
+        cost -= gain
+        told.append(pace.creeps(SimpleNamespace(cost=cost, promised=cost - promised, misfit=1.0)))  # type: ignore[arg-type]
+    assert told[-1] is ends
+    assert not any(told[:-1])
+
+
+def test_what_comes_nowhere_near_is_not_fitted_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One step tells where its own derivatives still leave 400 of χ² more; else the fit goes on to its loss."""
+    fits: list[int] = []
+
+    class Smaller:
+        def __init__(self, promised: float) -> None:
+            self.promised = promised
+
+        def with_frozen(self, held: frozenset[int]) -> Smaller:
+            assert not held
+            return self
+
+    def refitted(state: Any, iterations: int) -> Any:
+        fits.append(iterations)
+        return state
+
+    monkeypatch.setattr(moves, "refit", refitted)
+    monkeypatch.setattr(moves, "_log_density", lambda state: 7.0 if isinstance(state, Smaller) else 30.0)
+    whole: Any = SimpleNamespace(cost=1000.0)
+    assert moves._lost(whole, Smaller(1401.0)) == np.inf  # type: ignore[arg-type]
+    assert fits == [1]
+    assert moves._lost(whole, Smaller(1399.0)) == 23.0  # type: ignore[arg-type]
+    assert fits == [1, 1, 5]

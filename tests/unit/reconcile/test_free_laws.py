@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from radiometer.reconcile.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconcile.fit.covariance import scatter_of
 from radiometer.reconcile.fit.descent import first_state, refit
 from radiometer.reconcile.fit.state import FitState, with_effects
@@ -15,7 +17,7 @@ from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.result import FittedParameter, LawCurve
 from radiometer.reconcile.search.free_forms import free_forms, worth
-from radiometer.reconcile.search.free_laws import by_a_free_law
+from radiometer.reconcile.search.free_laws import by_a_free_law, nowhere_near
 from radiometer.reconcile.search.screening import best_start
 from radiometer.reconcile.verdict import sizes_by_own_law
 from simulators.effects.angle_dependence import AngleDependence
@@ -95,3 +97,25 @@ def test_the_size_of_another_law_is_told_with_its_u(late: FitState) -> None:
     assert told.value == 12e-6
     assert told.u is not None
     assert abs(plain.offset_s - 12e-6) <= told.u < 16e-6
+
+
+@pytest.mark.parametrize(("left", "most"), [(8.0, 10.0 + 4000.0), (10.0, 10.0 + 4000.0), (60.0, 10.0 + 100.0 + 4000.0)])
+def test_a_law_may_leave_twice_what_was_left_beyond_chance(left: float, most: float) -> None:
+    """And 2000 nats more; of ten entries that count a χ² of 10 is chance, 60 is 50 beyond it."""
+    residual = np.full(4, np.sqrt(left / 4.0))
+    base: Any = SimpleNamespace(
+        comparison=SimpleNamespace(residual=lambda prediction: residual * prediction, counts=lambda: np.ones(10, bool))
+    )
+    assert nowhere_near(base, SimpleNamespace(prediction=1.0)) == pytest.approx(most)  # type: ignore[arg-type]
+
+
+def test_a_variant_far_off_speaks_for_the_others(late: FitState) -> None:
+    """A gamma above the black level and one of all codes are two; the likelier alone is fitted where it leaves more."""
+    starts = (GammaEnabled(1.02), GammaEnabled(1.02, above_black=1.0))
+    candidate = Candidate(starts[0], 0.0, 1, others=starts[1:])
+    both = fit_candidate(late, candidate)
+    assert {form.above_black for form in both.forms} == {0.0, 1.0}
+    left = late.cost - both.gain
+    assert len(fit_candidate(late, candidate, most=left + 50.0).forms) == 2
+    (alone,) = fit_candidate(late, candidate, most=left - 50.0).forms
+    assert alone.gamma == pytest.approx(both.forms[0].gamma, abs=1e-6)

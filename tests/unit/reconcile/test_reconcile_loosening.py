@@ -14,7 +14,7 @@ from radiometer.reconcile.fit.state import FitState, with_effects
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconcile.search.localise import departing, localise
-from radiometer.reconcile.search.moves import loosened
+from radiometer.reconcile.search.moves import LooserForms
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
@@ -41,7 +41,7 @@ def test_droop_beyond_some_drive_takes_one_term_more(
     state = _with(LedThermalDroop(0.02, 0.01), make_capture(3, picture=_weaker(0.12, onset)))
     strange = departing(localise(state), state.effects)
     assert strange == (["led_thermal_droop"] if mended else [])
-    form = loosened(state, ["led_thermal_droop"])
+    form = LooserForms.of(state, ["led_thermal_droop"]).best
     assert (form is not None) is mended
     if form is not None:
         assert departing(localise(form.state), form.state.effects) == []
@@ -95,7 +95,7 @@ def test_leaks_that_are_more_at_the_bottom_rise_over_the_sensor(make_capture: Ca
     plan = [*darks, *darks, *({"t": t} for t in (1e-3, 3e-3, 5e-3) for _ in range(2))]
     captured = make_capture(4, extra_e=lambda s: leak * 2.0 ** ((s["T"] - 25.0) / 6.0) * s["t"], plan=plan)
     state = _with(DarkCurrentNonuniformity(2.0, doubling_K=7.2), captured, DarkCurrent(3.0))
-    form = loosened(state)
+    form = LooserForms.of(state).best
     assert (form is not None) is uneven
     if form is not None:
         found = fitted_parameters(form.state)["dark_current_nonuniformity"]

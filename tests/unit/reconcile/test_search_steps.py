@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from radiometer.reconcile.fit.candidate_fit import Candidate
 from radiometer.reconcile.search import localise, moves, screening, search
 from radiometer.reconcile.search.outcome import Search, Step
 from radiometer.reconcile.search.rivals import _is_rival
-from radiometer.reconcile.thresholds import FLEXIBLE_NATS, NAMED_NATS, PARAMETER_NATS, RIVAL_NATS
+from radiometer.reconcile.thresholds import FLEXIBLE_NATS, NAMED_NATS, OWN_LAW_NATS, PARAMETER_NATS, RIVAL_NATS
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 
 
@@ -108,10 +110,29 @@ def test_a_form_is_likelier_by_what_it_brings_less_its_parameters(monkeypatch, n
         return state(200.0 + refitted, 1.0)
 
     fits = SimpleNamespace(included=included, state=state(200.0, 3.0))
-    looser = SimpleNamespace(nats=nats, further=further)
+    looser = SimpleNamespace(promise=50.0, best=SimpleNamespace(nats=nats, further=further))
     chosen: Any = (SimpleNamespace(effect=effect("clock")), 50.0)
     assert search._is_likelier(fits, looser, chosen) is likelier  # type: ignore[arg-type]
-    assert not search._is_likelier(fits, None, chosen)  # type: ignore[arg-type]
+    assert not search._is_likelier(fits, SimpleNamespace(promise=50.0, best=None), chosen)  # type: ignore[arg-type]
+
+
+def test_a_form_that_promises_a_twentieth_of_a_name_is_not_fitted_for_it(monkeypatch):
+    """A little more than that, and it is."""
+    monkeypatch.setattr(search, "score", lambda judged: judged[1])
+    asked: list[float] = []
+
+    class Forms:
+        def __init__(self, promise: float) -> None:
+            self.promise = promise
+
+        @property
+        def best(self) -> None:
+            asked.append(self.promise)
+
+    chosen: Any = (SimpleNamespace(effect=effect("clock")), 1000.0)
+    for promise in (49.0, 51.0):
+        assert not search._is_likelier(None, Forms(promise), chosen)  # type: ignore[arg-type]
+    assert asked == [51.0]
 
 
 @pytest.mark.parametrize(
@@ -204,10 +225,69 @@ def test_the_looser_form_that_pays_best_is_taken(monkeypatch: pytest.MonkeyPatch
     for order in (["dear", "fair", "poor"], ["poor", "fair", "dear"]):
         monkeypatch.setattr(moves, "_promising", lambda state, only, order=order: [(50.0, 0, name) for name in order])
         monkeypatch.setattr(moves, "_fitted", lambda state, index, form: forms[form])
-        found = moves.loosened(SimpleNamespace())  # type: ignore[arg-type]
-        assert found is forms["fair"]
+        looser = moves.LooserForms.of(SimpleNamespace())  # type: ignore[arg-type]
+        assert looser.best is forms["fair"]
     monkeypatch.setattr(moves, "_fitted", lambda state, index, form: None)
-    assert moves.loosened(SimpleNamespace()) is None  # type: ignore[arg-type]
+    assert moves.LooserForms.of(SimpleNamespace()).best is None  # type: ignore[arg-type]
+
+
+def test_forms_that_promise_less_than_a_name_are_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Names in question need less; what the likeliest promises is told without a fit."""
+    promised = [(NAMED_NATS - 0.1, 0, "faint"), (OWN_LAW_NATS + 0.1, 1, "fainter")]
+    monkeypatch.setattr(moves, "_promising", lambda state, only: [*promised, *([(30.0, 2, "plain")] if only else [])])
+    of_all = moves.LooserForms.of(SimpleNamespace())  # type: ignore[arg-type]
+    assert of_all.promising == []
+    assert of_all.promise == 0.0
+    of_one = moves.LooserForms.of(SimpleNamespace(), ["clock"])  # type: ignore[arg-type]
+    assert [form for _, _, form in of_one.promising] == ["plain", "faint"]
+    assert of_one.promise == 30.0
+
+
+def test_a_candidate_begins_where_it_came_to_before_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rigid and the flexible form of an entry each have their own."""
+    asked: list[Any] = []
+
+    def fitted(_: Any, candidate: Candidate) -> Any:
+        asked.append(candidate.others)
+        return SimpleNamespace(forms=(f"fitted {len(asked)}",))
+
+    monkeypatch.setattr(search, "fit_candidate", fitted)
+    book, _ = run()
+    rigid = Candidate(effect("clock"), 9.0, 1, others=("scaled",))  # type: ignore[arg-type]
+    for candidate in (rigid, rigid, replace(rigid, flexible=True)):
+        search._fitted(SimpleNamespace(), candidate, book)  # type: ignore[arg-type]
+    assert asked == [("scaled",), ("scaled", "fitted 1"), ("scaled",)]
+
+
+def test_entries_far_behind_are_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once enough explain twice what the rest did; the rest come behind as they were, new entries first."""
+    gains = {f"e{n:02d}": 1000.0 / (1 + n) for n in range(30)}
+    kinds = {name: SimpleNamespace(name=name) for name in gains}
+    asked: list[str] = []
+
+    def looked_at(_: Any, some: Any, __: Any) -> list[Candidate]:
+        asked.extend(kind.name for kind in some)
+        return [Candidate(effect(kind.name), now[kind.name], 1) for kind in some]  # type: ignore[arg-type]
+
+    monkeypatch.setattr(screening, "usable_catalogue", lambda state, catalogue: catalogue)
+    monkeypatch.setattr(screening, "_screened", looked_at)
+
+    def names(before: screening.Before, catalogue: Any) -> list[str]:
+        asked.clear()
+        found = screening.screen(None, catalogue, None, before)  # type: ignore[arg-type]
+        return [candidate.effect.name for candidate in found]
+
+    now = {name: 0.9 * gain for name, gain in gains.items()} | {"new": 1e-3}
+    first = [Candidate(effect(name), gain, 1) for name, gain in gains.items()]  # type: ignore[arg-type]
+    assert names(screening.Before(), kinds) == asked == list(gains)
+    assert names(screening.Before(first, 5), kinds) == list(gains)
+    assert asked == list(gains)[:12]  # the fifth explains 180 now, the thirteenth explained 76.9
+    assert names(screening.Before(first, 6), kinds) == list(gains)
+    assert asked == list(gains)[:24]  # the sixth explains 150, not twice 76.9
+    assert names(screening.Before(first, 5), kinds | {"new": SimpleNamespace(name="new")})[-1] == "e29"
+    assert asked == ["new", *list(gains)[:11]]
+    assert names(screening.Before(first, 0), kinds) == list(gains)
+    assert len(asked) == 30
 
 
 def test_a_trend_is_taken_up_whatever_its_columns_length_and_without_those_of_none() -> None:

@@ -60,7 +60,9 @@ class FakeState:
     settings: int = 10
     model: Any = field(default_factory=lambda: SimpleNamespace(context=None))
     prediction: Any = None
-    comparison: Any = field(default_factory=lambda: SimpleNamespace(residual=lambda prediction: np.zeros(1)))
+    comparison: Any = field(
+        default_factory=lambda: SimpleNamespace(residual=lambda prediction: np.zeros(1), counts=lambda: np.ones(1))
+    )
     held_out: Any = field(default_factory=lambda: SimpleNamespace(count=np.full(11, 1000.0)))
 
 
@@ -219,6 +221,9 @@ def test_a_ramp_that_is_nothing_in_the_middle_is_an_offset_s_looser_form(make_ca
         assert abs(told[name].value - value) < 3.5 * told[name].u
     assert in_a_looser_form(start, worth(found) + 1.0, entries) is None
     assert in_a_looser_form(start, worth(start), {"dark_current": DarkCurrent}) is None
+    left = float(start.comparison.residual(found.prediction) @ start.comparison.residual(found.prediction))
+    assert in_a_looser_form(start, worth(start), entries, most=left - 50.0) is None
+    assert in_a_looser_form(start, worth(start), entries, most=left + 50.0) is not None
 
 
 def test_of_models_that_predict_as_well_the_one_of_a_single_cause_is_told(make_capture):
@@ -248,7 +253,9 @@ def test_an_entry_that_does_what_the_law_does_stands_in_place_of_the_names(monke
     """One name, provisional, with what it brings and what it leaves; the names that brought too little are gone."""
     form = FakeState(996.0, (BLUR,))
     monkeypatch.setattr(beyond, "propose_law", lambda start, along=(), most=0.0: law(1000.0, "image_y"))
-    monkeypatch.setattr(beyond, "in_a_looser_form", lambda start, least, catalogue: form if least < 996.0 else None)
+    monkeypatch.setattr(
+        beyond, "in_a_looser_form", lambda start, least, catalogue, most: form if least < 996.0 else None
+    )
     monkeypatch.setattr(beyond, "localise", lambda state: ())
     told = held_to_laws(outcome(600.0, TALK, GAIN, gap=3.0), {})
     assert [(step.name, step.gain_nats) for step in told.steps] == [("psf_blur", 996.0)]
@@ -290,7 +297,7 @@ class Loose:
 def test_a_form_that_is_looser_still_counts_where_it_does_better(monkeypatch, scores, best):
     """Of forms that are ever looser the one that predicts best is told, were it not the last; more than 5 are asked."""
     monkeypatch.setattr(free_laws, "promise", lambda start, form: 1.0)
-    monkeypatch.setattr(free_laws, "_alone", lambda start, form: FakeState(form.scores[0], (form,)))
+    monkeypatch.setattr(free_laws, "_alone", lambda start, form, most: FakeState(form.scores[0], (form,)))
     entry = SimpleNamespace(usable=lambda context: True, starts=lambda context: (Loose(scores),))
     found = in_a_looser_form(FakeState(0.0), 5.0, {"loose": entry})  # type: ignore[arg-type,dict-item]
     assert (None if found is None else found.evidence) == best
