@@ -9,7 +9,7 @@ is then the one of highest correlation, sought from coarse to fine.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -149,10 +149,10 @@ def find_alignment(bracket: Bracket) -> Alignment:
         bracket: Frames of one scene from the shortest exposure to the longest; of colour photographs one channel.
     """
     reference = _reference(bracket)
-    white_rims = _has_white_rims(
-        [_reduced(frame.dn, _GLANCE_PIXELS) for frame in bracket], bracket.frames[0].full_scale_dn
-    )
-    glance, fine = (_Pictures(bracket, pixels, white_rims) for pixels in (_GLANCE_PIXELS, _ENOUGH_PIXELS))
+    small = [_reduced(frame.dn, _GLANCE_PIXELS) for frame in bracket]
+    white_rims = _has_white_rims(small, bracket.frames[0].full_scale_dn)
+    glance = _Pictures(bracket, small.__getitem__, white_rims)
+    fine = _Pictures(bracket, lambda k: _reduced(bracket.frames[k].dn, _ENOUGH_PIXELS), white_rims)
     found: dict[int, Movement] = {reference: Movement(_STILL)}
     for step in (1, -1):
         for k in range(reference + step, len(bracket) if step > 0 else -1, step):
@@ -163,10 +163,10 @@ def find_alignment(bracket: Bracket) -> Alignment:
 
 
 class _Pictures:
-    """The frames of a bracket in so many pixels at most, two of them in memory at a time."""
+    """The frames of a bracket as smaller pictures, made of two of them at a time."""
 
-    def __init__(self, bracket: Bracket, pixels: int, white_rims: bool) -> None:
-        self._bracket, self._pixels, self._white_rims = bracket, pixels, white_rims
+    def __init__(self, bracket: Bracket, reduced: Callable[[int], Image], white_rims: bool) -> None:
+        self._bracket, self._reduced, self._white_rims = bracket, reduced, white_rims
         self._made: dict[int, tuple[Image, NDArray[np.uint8]]] = {}
 
     def movement(self, first: int, second: int) -> Array | None:
@@ -188,10 +188,10 @@ class _Pictures:
 
     def _picture(self, k: int) -> tuple[Image, NDArray[np.uint8]]:
         """Return a frame and 1 where it shows something."""
-        frame = self._bracket.frames[k]
-        picture = _reduced(frame.dn, self._pixels)
+        picture = self._reduced(k)
         shown = _inside(picture)
-        return picture, shown & _inside(picture, frame.full_scale_dn) if self._white_rims else shown
+        top = self._bracket.frames[k].full_scale_dn
+        return picture, shown & _inside(picture, top) if self._white_rims else shown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -394,12 +394,8 @@ def _corner_u_px(a: Image, b: Image, inside: NDArray[np.uint8], difference: floa
         inside: 1 where they show something.
         difference: Mean square difference.
     """
-    pairs = zip(*(np.array_split(_derivatives(one) * inside, _PARTS, axis=1) for one in (a, b)), strict=True)
-    parts = [
-        np.einsum("iyx,jyx->ij", one, two)
-        for rows in pairs
-        for one, two in zip(*(np.array_split(row, _PARTS, axis=2) for row in rows), strict=True)
-    ]
+    pairs = zip(*(_parts(_derivatives(one) * inside) for one in (a, b)), strict=True)
+    parts = [one @ two.T for one, two in pairs]
     best = max(parts, key=lambda part: part[0, 0] + part[1, 1])
     information = (np.sum(parts, axis=0) - best) / (max(difference, 1e-12) * _ALIKE_PX)
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
@@ -409,13 +405,23 @@ def _corner_u_px(a: Image, b: Image, inside: NDArray[np.uint8], difference: floa
     return math.sqrt(u2[0] + u2[1] + u2[2])
 
 
-def _derivatives(picture: Image) -> Array:
+def _parts(planes: Image) -> Iterator[Array]:
+    """Yield the pixels of every part of a picture, shape (planes, pixels) each."""
+    for rows in np.array_split(planes, _PARTS, axis=1):
+        for part in np.array_split(rows, _PARTS, axis=2):
+            yield part.reshape(len(planes), -1).astype(np.float64)
+
+
+def _derivatives(picture: Image) -> Image:
     """Return by what shifts in x and y, and a turn that moves the corners by a pixel, change a picture."""
     height, width = picture.shape
-    down, right = np.gradient(cv2.GaussianBlur(picture, (_BLUR_PX, _BLUR_PX), 0).astype(np.float64))
-    y, x = np.ogrid[:height, :width]
-    turned = (x - 0.5 * width) * down - (y - 0.5 * height) * right
-    return np.stack([right, down, turned / (0.5 * math.hypot(height, width))])
+    down, right = np.gradient(cv2.GaussianBlur(picture, (_BLUR_PX, _BLUR_PX), 0))
+    half_diagonal = 0.5 * math.hypot(height, width)
+    y, x = (
+        ((place - 0.5 * size) / half_diagonal).astype(np.float32)
+        for place, size in zip(np.ogrid[:height, :width], picture.shape, strict=True)
+    )
+    return np.stack([right, down, x * down - y * right])
 
 
 def _alike(
@@ -427,9 +433,9 @@ def _alike(
     swapped = float(here.mean()) > float(there.mean())
     dark, bright = (there, here) if swapped else (here, there)
     top = 0.97 * full_scale_dn
-    seen = [one[inside > 0] for one in (dark, bright)]
+    seen = [np.sort(one[inside > 0]) for one in (dark, bright)]
     share = float((seen[1] < top).mean())
-    levels, ends = (np.quantile(one, np.linspace(0.0, 1.0, 1025)) for one in seen)
+    levels, ends = (_quantiles(one, np.linspace(0.0, 1.0, 1025)) for one in seen)
     end = float(np.quantile(seen[0], share))
     if share < _LEAST_SHARE or end - levels[0] < 3.0 / 255.0 * full_scale_dn:
         return None, None
@@ -439,6 +445,19 @@ def _alike(
     matched = np.minimum(np.interp(bright, ends, 0.5 * (levels[first] + levels[last])), end).astype(np.float32)
     cut = np.minimum(dark, end)
     return (matched, cut) if swapped else (cut, matched)
+
+
+def _quantiles(ordered: NDArray[np.float32], shares: Array) -> Array:
+    """Return the values below which these shares of ordered ones lie: what NumPy gives, without ordering them anew.
+
+    Source: R. J. Hyndman, Y. Fan 1996, The American Statistician 50, 361–365, definition 7.
+    """
+    place = shares * (ordered.size - 1)
+    below = place.astype(np.intp)
+    part, low, high = place - below, ordered[below], ordered[np.minimum(below + 1, ordered.size - 1)]
+    gap = high - low
+    # From the nearer of the two values, as NumPy rounds.
+    return np.where(part < 0.5, low + gap * part, high - gap * (1.0 - part))
 
 
 def _shift(a: Image, b: Image) -> Array:
@@ -458,10 +477,12 @@ def _steady(a: Image, b: Image, inside: NDArray[np.uint8], movement: Array) -> N
     smooth = [cv2.GaussianBlur(one, (_BLUR_PX, _BLUR_PX), 0) for one in (a, b)]
     gap = cv2.warpAffine(smooth[1], movement, size, flags=flags) - smooth[0]
     shown = (cv2.warpAffine(inside.astype(np.float32), movement, size, flags=flags) > 0.999) & (inside > 0)
-    square = gap[shown].astype(np.float64) ** 2
-    kept = np.sort(square)[: max(1, int(_KEPT * square.size))]
-    limit = _MOVED_SIGMA * math.sqrt(float(kept.mean()) / _KEPT_VARIANCE) if kept.size else math.inf
-    other = ((np.abs(gap) > limit) & shown).astype(np.uint8)
+    size_of_gap = np.abs(gap)
+    seen = size_of_gap[shown]
+    kept = max(1, int(_KEPT * seen.size))
+    square = np.partition(seen, kept - 1)[:kept].astype(np.float64) ** 2 if seen.size else seen
+    limit = _MOVED_SIGMA * math.sqrt(float(square.mean()) / _KEPT_VARIANCE) if seen.size else math.inf
+    other = ((size_of_gap > limit) & shown).astype(np.uint8)
     near = cv2.dilate(other, np.ones((2 * _BLUR_PX + 1,) * 2, np.uint8))
     there = cv2.warpAffine(near, movement, size, flags=cv2.INTER_NEAREST)
     return np.asarray(there == 0, np.uint8)
