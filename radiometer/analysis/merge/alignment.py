@@ -17,7 +17,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.merge.climb import BLUR_PX, Climb
 from radiometer.data import Bracket, Frame
+from radiometer.errors import MeasurementError
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -30,10 +32,8 @@ _COARSEST_PX: Final = 48
 # From afar; where a coarser picture has said where, a few steps of Gauss and Newton lead to the top or there is none.
 _ITERATIONS: Final = 60
 _ITERATIONS_NEAR: Final = 15
-_LEAST_STEP: Final = 1e-6
 # A step of less in pixels is none.
 _ARRIVED_PX: Final = 0.02
-_BLUR_PX: Final = 5
 # Corners that move less count as still: a resampling would change more than it mends.
 LEAST_MOVE_PX: Final = 0.25
 # A movement must lessen the mean square difference of neighbours to this share, or it is noise.
@@ -297,46 +297,40 @@ def _pair_movement(here: Image, there: Image, inside: NDArray[np.uint8], full_sc
     for _ in range(levels):
         a, b, mask = pyramid[-1]
         pyramid.append((cv2.pyrDown(a), cv2.pyrDown(b), np.ascontiguousarray(cv2.erode(mask, _NEIGHBOURS)[::2, ::2])))
-    shifted = np.column_stack([np.eye(2), _shift(*pyramid[-1][:2])])
-    starts = [start.astype(np.float32) for start in (_STILL, shifted)]
-    _, found = max((_climbed(*pyramid[-1], start, _ITERATIONS) for start in starts), key=lambda one: one[0])
-    for a, b, mask in reversed(pyramid[1:-1]):
-        found = _climbed(a, b, mask, _full_size(found, 2.0).astype(np.float32), _ITERATIONS_NEAR)[1]
-    found = _full_size(found, 2.0 if levels else 1.0).astype(np.float32)
+    coarsest, shifted = Climb(*pyramid[-1]), np.column_stack([np.eye(2), _shift(*pyramid[-1][:2])])
+    _, found = max((_climbed(coarsest, start, _ITERATIONS) for start in (_STILL, shifted)), key=lambda one: one[0])
+    for pictures in reversed(pyramid[1:-1]):
+        found = _climbed(Climb(*pictures), _full_size(found, 2.0), _ITERATIONS_NEAR)[1]
+    found = _full_size(found, 2.0 if levels else 1.0)
     # What moved through the scene pulls at the first estimate: it is left out of the last, and of the judgement.
-    steady = inside & _steady(still, other, inside, np.asarray(found, np.float64))
-    reached, found = _summit(still, other, steady, found)
+    steady = inside & _steady(still, other, inside, found)
+    reached, found = _summit(Climb(still, other, steady), found)
     if reached <= 0.0:
         return None
-    return _believed(still, other, steady, np.asarray(found, np.float64))
+    return _believed(still, other, steady, found)
 
 
-def _climbed(a: Image, b: Image, inside: NDArray[np.uint8], start: Any, iterations: int) -> tuple[float, Any]:
-    """Return the highest correlation of two pictures near a movement, and the movement there; −1 where it has none.
-
-    Source: Evangelidis and Psarakis 2008, IEEE Trans. PAMI 30, 1858, as OpenCV has it.
-    """
-    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, iterations, _LEAST_STEP)
+def _climbed(pair: Climb, start: Array, iterations: int) -> tuple[float, Array]:
+    """Return the highest correlation of two pictures near a movement, and the movement there; −1 where it has none."""
     try:
-        reached, found = cv2.findTransformECC(a, b, start.copy(), cv2.MOTION_EUCLIDEAN, criteria, inside, _BLUR_PX)
-    except cv2.error:
+        return pair.climbed(start, iterations)
+    except MeasurementError:
         return -1.0, start
-    return float(reached), found
 
 
-def _summit(a: Image, b: Image, inside: NDArray[np.uint8], start: Any) -> tuple[float, Any]:
+def _summit(pair: Climb, start: Array) -> tuple[float, Array]:
     """Return the highest correlation near a movement that is nearly right, and the movement there.
 
     Where few grey values or a mask make the correlation uneven the steps may go to and fro between two places: the
     better of the two is taken.
     """
-    reached, last = _climbed(a, b, inside, start, _ITERATIONS_NEAR)
+    reached, last = _climbed(pair, start, _ITERATIONS_NEAR)
     if reached < 0.0:
         return reached, last
-    at_last, following = _climbed(a, b, inside, last, 1)
-    if Movement(_STILL + following - last).largest_px(a.shape) < _ARRIVED_PX:
+    at_last, following = _climbed(pair, last, 1)
+    if Movement(_STILL + following - last).largest_px(pair.shape) < _ARRIVED_PX:
         return at_last, last
-    at_following, _ = _climbed(a, b, inside, following, 1)
+    at_following, _ = _climbed(pair, following, 1)
     return max((at_last, last), (at_following, following), key=lambda one: one[0])
 
 
@@ -345,7 +339,7 @@ def _believed(a: Image, b: Image, steady: NDArray[np.uint8], movement: Array) ->
     size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP
     moved = cv2.warpAffine(b, movement, size, flags=flags | cv2.INTER_LINEAR)
     shown = cv2.warpAffine(steady, movement, size, flags=flags | cv2.INTER_NEAREST) & steady
-    smooth = [cv2.GaussianBlur(one, (_BLUR_PX, _BLUR_PX), 0) for one in (a, moved, b)]
+    smooth = [cv2.GaussianBlur(one, (BLUR_PX, BLUR_PX), 0) for one in (a, moved, b)]
     after, before = (float(np.mean((one - smooth[0])[shown > 0] ** 2)) for one in smooth[1:])
     mends = after <= _LEAST_GAIN * before
     return _PairMovement(movement if mends else _STILL, _corner_u_px(a, moved, shown, after), mends)
@@ -353,7 +347,7 @@ def _believed(a: Image, b: Image, steady: NDArray[np.uint8], movement: Array) ->
 
 def _inside(picture: Image, rim_dn: float = 0.0) -> NDArray[np.uint8]:
     """Return 1 where a picture shows something: a rim is what another program left when it turned it."""
-    near = cv2.dilate(_rim(picture, rim_dn).astype(np.uint8), np.ones((2 * _BLUR_PX + 1,) * 2, np.uint8))
+    near = cv2.dilate(_rim(picture, rim_dn).astype(np.uint8), np.ones((2 * BLUR_PX + 1,) * 2, np.uint8))
     return np.asarray(1 - near, np.uint8)
 
 
@@ -415,7 +409,7 @@ def _parts(planes: Image) -> Iterator[Array]:
 def _derivatives(picture: Image) -> Image:
     """Return by what shifts in x and y, and a turn that moves the corners by a pixel, change a picture."""
     height, width = picture.shape
-    down, right = np.gradient(cv2.GaussianBlur(picture, (_BLUR_PX, _BLUR_PX), 0))
+    down, right = np.gradient(cv2.GaussianBlur(picture, (BLUR_PX, BLUR_PX), 0))
     half_diagonal = 0.5 * math.hypot(height, width)
     y, x = (
         ((place - 0.5 * size) / half_diagonal).astype(np.float32)
@@ -474,7 +468,7 @@ def _steady(a: Image, b: Image, inside: NDArray[np.uint8], movement: Array) -> N
     The noise is that of the smaller nine tenths of the differences, counted as a normal distribution's.
     """
     size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP | cv2.INTER_LINEAR
-    smooth = [cv2.GaussianBlur(one, (_BLUR_PX, _BLUR_PX), 0) for one in (a, b)]
+    smooth = [cv2.GaussianBlur(one, (BLUR_PX, BLUR_PX), 0) for one in (a, b)]
     gap = cv2.warpAffine(smooth[1], movement, size, flags=flags) - smooth[0]
     shown = (cv2.warpAffine(inside.astype(np.float32), movement, size, flags=flags) > 0.999) & (inside > 0)
     size_of_gap = np.abs(gap)
@@ -483,6 +477,6 @@ def _steady(a: Image, b: Image, inside: NDArray[np.uint8], movement: Array) -> N
     square = np.partition(seen, kept - 1)[:kept].astype(np.float64) ** 2 if seen.size else seen
     limit = _MOVED_SIGMA * math.sqrt(float(square.mean()) / _KEPT_VARIANCE) if seen.size else math.inf
     other = ((size_of_gap > limit) & shown).astype(np.uint8)
-    near = cv2.dilate(other, np.ones((2 * _BLUR_PX + 1,) * 2, np.uint8))
+    near = cv2.dilate(other, np.ones((2 * BLUR_PX + 1,) * 2, np.uint8))
     there = cv2.warpAffine(near, movement, size, flags=cv2.INTER_NEAREST)
     return np.asarray(there == 0, np.uint8)
