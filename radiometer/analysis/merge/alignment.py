@@ -299,7 +299,9 @@ def _pair_movement(here: Image, there: Image, inside: NDArray[np.uint8], full_sc
     for _ in range(levels):
         a, b, mask = pyramid[-1]
         pyramid.append((cv2.pyrDown(a), cv2.pyrDown(b), np.ascontiguousarray(cv2.erode(mask, _NEIGHBOURS)[::2, ::2])))
-    coarsest, shifted = Climb(*pyramid[-1]), np.column_stack([np.eye(2), _shift(*pyramid[-1][:2])])
+    # First the shift: where a picture's sides are a transform's, OpenCV leaves its window in the picture.
+    shifted = np.column_stack([np.eye(2), _shift(*pyramid[-1][:2])])
+    coarsest = Climb(*pyramid[-1])
     _, found = max((_climbed(coarsest, start, _ITERATIONS) for start in (_STILL, shifted)), key=lambda one: one[0])
     for pictures in reversed(pyramid[1:-1]):
         found = _climbed(Climb(*pictures), _full_size(found, 2.0), _ITERATIONS_NEAR)[1]
