@@ -9,7 +9,7 @@ is then the one of highest correlation, sought from coarse to fine.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -17,7 +17,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.merge.climb import BLUR_PX, Climb
 from radiometer.data import Bracket, Frame
+from radiometer.errors import MeasurementError
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -30,16 +32,16 @@ _COARSEST_PX: Final = 48
 # From afar; where a coarser picture has said where, a few steps of Gauss and Newton lead to the top or there is none.
 _ITERATIONS: Final = 60
 _ITERATIONS_NEAR: Final = 15
-_LEAST_STEP: Final = 1e-6
 # A step of less in pixels is none.
 _ARRIVED_PX: Final = 0.02
-_BLUR_PX: Final = 5
 # Corners that move less count as still: a resampling would change more than it mends.
 LEAST_MOVE_PX: Final = 0.25
 # A movement must lessen the mean square difference of neighbours to this share, or it is noise.
 _LEAST_GAIN: Final = 0.97
 # A movement that is known worse than this is not told.
 _WORST_U_PX: Final = 0.2
+# Grey values are counted in so many steps.
+_STEPS: Final = 65536
 # So many blurred pixels differ alike.
 _ALIKE_PX: Final = 16.0
 # The picture is looked at in so many by so many parts.
@@ -149,10 +151,10 @@ def find_alignment(bracket: Bracket) -> Alignment:
         bracket: Frames of one scene from the shortest exposure to the longest; of colour photographs one channel.
     """
     reference = _reference(bracket)
-    white_rims = _has_white_rims(
-        [_reduced(frame.dn, _GLANCE_PIXELS) for frame in bracket], bracket.frames[0].full_scale_dn
-    )
-    glance, fine = (_Pictures(bracket, pixels, white_rims) for pixels in (_GLANCE_PIXELS, _ENOUGH_PIXELS))
+    small = [_reduced(frame.dn, _GLANCE_PIXELS) for frame in bracket]
+    white_rims = _has_white_rims(small, bracket.frames[0].full_scale_dn)
+    glance = _Pictures(bracket, small.__getitem__, white_rims)
+    fine = _Pictures(bracket, lambda k: _reduced(bracket.frames[k].dn, _ENOUGH_PIXELS), white_rims)
     found: dict[int, Movement] = {reference: Movement(_STILL)}
     for step in (1, -1):
         for k in range(reference + step, len(bracket) if step > 0 else -1, step):
@@ -163,10 +165,10 @@ def find_alignment(bracket: Bracket) -> Alignment:
 
 
 class _Pictures:
-    """The frames of a bracket in so many pixels at most, two of them in memory at a time."""
+    """The frames of a bracket as smaller pictures, made of two of them at a time."""
 
-    def __init__(self, bracket: Bracket, pixels: int, white_rims: bool) -> None:
-        self._bracket, self._pixels, self._white_rims = bracket, pixels, white_rims
+    def __init__(self, bracket: Bracket, reduced: Callable[[int], Image], white_rims: bool) -> None:
+        self._bracket, self._reduced, self._white_rims = bracket, reduced, white_rims
         self._made: dict[int, tuple[Image, NDArray[np.uint8]]] = {}
 
     def movement(self, first: int, second: int) -> Array | None:
@@ -188,10 +190,10 @@ class _Pictures:
 
     def _picture(self, k: int) -> tuple[Image, NDArray[np.uint8]]:
         """Return a frame and 1 where it shows something."""
-        frame = self._bracket.frames[k]
-        picture = _reduced(frame.dn, self._pixels)
+        picture = self._reduced(k)
         shown = _inside(picture)
-        return picture, shown & _inside(picture, frame.full_scale_dn) if self._white_rims else shown
+        top = self._bracket.frames[k].full_scale_dn
+        return picture, shown & _inside(picture, top) if self._white_rims else shown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -297,46 +299,42 @@ def _pair_movement(here: Image, there: Image, inside: NDArray[np.uint8], full_sc
     for _ in range(levels):
         a, b, mask = pyramid[-1]
         pyramid.append((cv2.pyrDown(a), cv2.pyrDown(b), np.ascontiguousarray(cv2.erode(mask, _NEIGHBOURS)[::2, ::2])))
+    # First the shift: where a picture's sides are a transform's, OpenCV leaves its window in the picture.
     shifted = np.column_stack([np.eye(2), _shift(*pyramid[-1][:2])])
-    starts = [start.astype(np.float32) for start in (_STILL, shifted)]
-    _, found = max((_climbed(*pyramid[-1], start, _ITERATIONS) for start in starts), key=lambda one: one[0])
-    for a, b, mask in reversed(pyramid[1:-1]):
-        found = _climbed(a, b, mask, _full_size(found, 2.0).astype(np.float32), _ITERATIONS_NEAR)[1]
-    found = _full_size(found, 2.0 if levels else 1.0).astype(np.float32)
+    coarsest = Climb(*pyramid[-1])
+    _, found = max((_climbed(coarsest, start, _ITERATIONS) for start in (_STILL, shifted)), key=lambda one: one[0])
+    for pictures in reversed(pyramid[1:-1]):
+        found = _climbed(Climb(*pictures), _full_size(found, 2.0), _ITERATIONS_NEAR)[1]
+    found = _full_size(found, 2.0 if levels else 1.0)
     # What moved through the scene pulls at the first estimate: it is left out of the last, and of the judgement.
-    steady = inside & _steady(still, other, inside, np.asarray(found, np.float64))
-    reached, found = _summit(still, other, steady, found)
+    steady = inside & _steady(still, other, inside, found)
+    reached, found = _summit(Climb(still, other, steady), found)
     if reached <= 0.0:
         return None
-    return _believed(still, other, steady, np.asarray(found, np.float64))
+    return _believed(still, other, steady, found)
 
 
-def _climbed(a: Image, b: Image, inside: NDArray[np.uint8], start: Any, iterations: int) -> tuple[float, Any]:
-    """Return the highest correlation of two pictures near a movement, and the movement there; −1 where it has none.
-
-    Source: Evangelidis and Psarakis 2008, IEEE Trans. PAMI 30, 1858, as OpenCV has it.
-    """
-    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, iterations, _LEAST_STEP)
+def _climbed(pair: Climb, start: Array, iterations: int) -> tuple[float, Array]:
+    """Return the highest correlation of two pictures near a movement, and the movement there; −1 where it has none."""
     try:
-        reached, found = cv2.findTransformECC(a, b, start.copy(), cv2.MOTION_EUCLIDEAN, criteria, inside, _BLUR_PX)
-    except cv2.error:
+        return pair.climbed(start, iterations)
+    except MeasurementError:
         return -1.0, start
-    return float(reached), found
 
 
-def _summit(a: Image, b: Image, inside: NDArray[np.uint8], start: Any) -> tuple[float, Any]:
+def _summit(pair: Climb, start: Array) -> tuple[float, Array]:
     """Return the highest correlation near a movement that is nearly right, and the movement there.
 
     Where few grey values or a mask make the correlation uneven the steps may go to and fro between two places: the
     better of the two is taken.
     """
-    reached, last = _climbed(a, b, inside, start, _ITERATIONS_NEAR)
+    reached, last = _climbed(pair, start, _ITERATIONS_NEAR)
     if reached < 0.0:
         return reached, last
-    at_last, following = _climbed(a, b, inside, last, 1)
-    if Movement(_STILL + following - last).largest_px(a.shape) < _ARRIVED_PX:
+    at_last, following = _climbed(pair, last, 1)
+    if Movement(_STILL + following - last).largest_px(pair.shape) < _ARRIVED_PX:
         return at_last, last
-    at_following, _ = _climbed(a, b, inside, following, 1)
+    at_following, _ = _climbed(pair, following, 1)
     return max((at_last, last), (at_following, following), key=lambda one: one[0])
 
 
@@ -345,7 +343,7 @@ def _believed(a: Image, b: Image, steady: NDArray[np.uint8], movement: Array) ->
     size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP
     moved = cv2.warpAffine(b, movement, size, flags=flags | cv2.INTER_LINEAR)
     shown = cv2.warpAffine(steady, movement, size, flags=flags | cv2.INTER_NEAREST) & steady
-    smooth = [cv2.GaussianBlur(one, (_BLUR_PX, _BLUR_PX), 0) for one in (a, moved, b)]
+    smooth = [cv2.GaussianBlur(one, (BLUR_PX, BLUR_PX), 0) for one in (a, moved, b)]
     after, before = (float(np.mean((one - smooth[0])[shown > 0] ** 2)) for one in smooth[1:])
     mends = after <= _LEAST_GAIN * before
     return _PairMovement(movement if mends else _STILL, _corner_u_px(a, moved, shown, after), mends)
@@ -353,7 +351,7 @@ def _believed(a: Image, b: Image, steady: NDArray[np.uint8], movement: Array) ->
 
 def _inside(picture: Image, rim_dn: float = 0.0) -> NDArray[np.uint8]:
     """Return 1 where a picture shows something: a rim is what another program left when it turned it."""
-    near = cv2.dilate(_rim(picture, rim_dn).astype(np.uint8), np.ones((2 * _BLUR_PX + 1,) * 2, np.uint8))
+    near = cv2.dilate(_rim(picture, rim_dn).astype(np.uint8), np.ones((2 * BLUR_PX + 1,) * 2, np.uint8))
     return np.asarray(1 - near, np.uint8)
 
 
@@ -394,12 +392,8 @@ def _corner_u_px(a: Image, b: Image, inside: NDArray[np.uint8], difference: floa
         inside: 1 where they show something.
         difference: Mean square difference.
     """
-    pairs = zip(*(np.array_split(_derivatives(one) * inside, _PARTS, axis=1) for one in (a, b)), strict=True)
-    parts = [
-        np.einsum("iyx,jyx->ij", one, two)
-        for rows in pairs
-        for one, two in zip(*(np.array_split(row, _PARTS, axis=2) for row in rows), strict=True)
-    ]
+    pairs = zip(*(_parts(_derivatives(one) * inside) for one in (a, b)), strict=True)
+    parts = [one @ two.T for one, two in pairs]
     best = max(parts, key=lambda part: part[0, 0] + part[1, 1])
     information = (np.sum(parts, axis=0) - best) / (max(difference, 1e-12) * _ALIKE_PX)
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
@@ -409,13 +403,23 @@ def _corner_u_px(a: Image, b: Image, inside: NDArray[np.uint8], difference: floa
     return math.sqrt(u2[0] + u2[1] + u2[2])
 
 
-def _derivatives(picture: Image) -> Array:
+def _parts(planes: Image) -> Iterator[Array]:
+    """Yield the pixels of every part of a picture, shape (planes, pixels) each."""
+    for rows in np.array_split(planes, _PARTS, axis=1):
+        for part in np.array_split(rows, _PARTS, axis=2):
+            yield part.reshape(len(planes), -1).astype(np.float64)
+
+
+def _derivatives(picture: Image) -> Image:
     """Return by what shifts in x and y, and a turn that moves the corners by a pixel, change a picture."""
     height, width = picture.shape
-    down, right = np.gradient(cv2.GaussianBlur(picture, (_BLUR_PX, _BLUR_PX), 0).astype(np.float64))
-    y, x = np.ogrid[:height, :width]
-    turned = (x - 0.5 * width) * down - (y - 0.5 * height) * right
-    return np.stack([right, down, turned / (0.5 * math.hypot(height, width))])
+    down, right = np.gradient(cv2.GaussianBlur(picture, (BLUR_PX, BLUR_PX), 0))
+    half_diagonal = 0.5 * math.hypot(height, width)
+    y, x = (
+        ((place - 0.5 * size) / half_diagonal).astype(np.float32)
+        for place, size in zip(np.ogrid[:height, :width], picture.shape, strict=True)
+    )
+    return np.stack([right, down, x * down - y * right])
 
 
 def _alike(
@@ -427,18 +431,34 @@ def _alike(
     swapped = float(here.mean()) > float(there.mean())
     dark, bright = (there, here) if swapped else (here, there)
     top = 0.97 * full_scale_dn
-    seen = [one[inside > 0] for one in (dark, bright)]
-    share = float((seen[1] < top).mean())
-    levels, ends = (np.quantile(one, np.linspace(0.0, 1.0, 1025)) for one in seen)
-    end = float(np.quantile(seen[0], share))
+    # The values are told apart to so many steps, 1/257 DN of 8 bits: counted so, no picture need be sorted.
+    step_dn = full_scale_dn / (_STEPS - 1)
+    steps = [np.rint(one * (1.0 / step_dn)).astype(np.uint16) for one in (dark, bright)]
+    counts = [cv2.calcHist([one], [0], inside, [_STEPS], [0, _STEPS]).ravel() for one in steps]
+    share = float(counts[1][: math.ceil(top / step_dn)].sum() / counts[1].sum())
+    levels, ends = (_quantiles(one, np.linspace(0.0, 1.0, 1025)) * step_dn for one in counts)
+    end = float(_quantiles(counts[0], np.array([share]))[0]) * step_dn
     if share < _LEAST_SHARE or end - levels[0] < 3.0 / 255.0 * full_scale_dn:
         return None, None
     ends, first = np.unique(ends, return_index=True)
     # A level that many pixels share is matched by the middle of its ranks.
     last = np.append(first[1:], levels.size) - 1
-    matched = np.minimum(np.interp(bright, ends, 0.5 * (levels[first] + levels[last])), end).astype(np.float32)
+    of_step = np.interp(step_dn * np.arange(_STEPS), ends, 0.5 * (levels[first] + levels[last]))
+    matched = np.minimum(of_step, end).astype(np.float32)[steps[1]]
     cut = np.minimum(dark, end)
     return (matched, cut) if swapped else (cut, matched)
+
+
+def _quantiles(counts: NDArray[np.float32], shares: Array) -> Array:
+    """Return the whole numbers below which these shares of the counted ones lie, between two of them in proportion.
+
+    Source: R. J. Hyndman, Y. Fan 1996, The American Statistician 50, 361–365, definition 7.
+    """
+    up_to = np.cumsum(counts, dtype=np.float64)
+    place = shares * (up_to[-1] - 1.0)
+    below = np.floor(place)
+    low, high = (np.searchsorted(up_to, np.minimum(rank, up_to[-1] - 1.0), "right") for rank in (below, below + 1.0))
+    return np.asarray(low + (high - low) * (place - below))
 
 
 def _shift(a: Image, b: Image) -> Array:
@@ -455,13 +475,15 @@ def _steady(a: Image, b: Image, inside: NDArray[np.uint8], movement: Array) -> N
     The noise is that of the smaller nine tenths of the differences, counted as a normal distribution's.
     """
     size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP | cv2.INTER_LINEAR
-    smooth = [cv2.GaussianBlur(one, (_BLUR_PX, _BLUR_PX), 0) for one in (a, b)]
+    smooth = [cv2.GaussianBlur(one, (BLUR_PX, BLUR_PX), 0) for one in (a, b)]
     gap = cv2.warpAffine(smooth[1], movement, size, flags=flags) - smooth[0]
     shown = (cv2.warpAffine(inside.astype(np.float32), movement, size, flags=flags) > 0.999) & (inside > 0)
-    square = gap[shown].astype(np.float64) ** 2
-    kept = np.sort(square)[: max(1, int(_KEPT * square.size))]
-    limit = _MOVED_SIGMA * math.sqrt(float(kept.mean()) / _KEPT_VARIANCE) if kept.size else math.inf
-    other = ((np.abs(gap) > limit) & shown).astype(np.uint8)
-    near = cv2.dilate(other, np.ones((2 * _BLUR_PX + 1,) * 2, np.uint8))
+    size_of_gap = np.abs(gap)
+    seen = size_of_gap[shown]
+    kept = max(1, int(_KEPT * seen.size))
+    square = np.partition(seen, kept - 1)[:kept].astype(np.float64) ** 2 if seen.size else seen
+    limit = _MOVED_SIGMA * math.sqrt(float(square.mean()) / _KEPT_VARIANCE) if seen.size else math.inf
+    other = ((size_of_gap > limit) & shown).astype(np.uint8)
+    near = cv2.dilate(other, np.ones((2 * BLUR_PX + 1,) * 2, np.uint8))
     there = cv2.warpAffine(near, movement, size, flags=cv2.INTER_NEAREST)
     return np.asarray(there == 0, np.uint8)

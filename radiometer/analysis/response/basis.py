@@ -53,6 +53,10 @@ class ValueBasis:
         """Return the design for every digital number, shape (2**bit_depth, size)."""
         return _all_values(self)
 
+    def values_at(self, dn: int) -> NDArray[np.float64]:
+        """Return the basis values of one digital number, shape (size,)."""
+        return np.asarray(self.all_values()[[dn], :].toarray()[0])
+
     def variances(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the variance of g at every digital number, shape (2**bit_depth,).
 
@@ -80,8 +84,7 @@ class ValueBasis:
         The third difference leaves the slow bend of real responses alone and acts on waves, above all on the wave
         of one stop's period that frames at whole stops cannot determine.
         """
-        bent = np.diff(np.eye(self.size), _ROUGHNESS_ORDER, axis=0)
-        return np.asarray(bent.T @ bent)
+        return _roughness(self.size)
 
     def _softening(self) -> float:
         # One part in 1024 of the range keeps the logarithm finite at both ends without bending the rest.
@@ -100,6 +103,14 @@ class ValueBasis:
 @lru_cache(maxsize=8)
 def _all_values(basis: ValueBasis) -> sp.csr_array:
     return basis.design(np.arange(1 << basis.bit_depth, dtype=np.float64))
+
+
+@lru_cache(maxsize=8)
+def _roughness(size: int) -> NDArray[np.float64]:
+    bent = np.diff(np.eye(size), _ROUGHNESS_ORDER, axis=0)
+    roughness = np.asarray(bent.T @ bent)
+    roughness.flags.writeable = False
+    return roughness
 
 
 def hat_weight(dn: NDArray[np.float64], limits: ValueLimits) -> NDArray[np.float64]:

@@ -151,7 +151,6 @@ def fit_response(
     design = basis.design(dn)
     labels = np.eye(samples.frame_log_time.size)[:, list(free)]
     expected = np.array(known or [UNKNOWN_LABEL] * len(free)).reshape(-1, 2)
-    modes = np.hstack([labels, time_error_modes(samples.frame_log_time)])
 
     def equations(patterns: Array) -> NormalEquations:
         columns = [design, sp.csr_array(-patterns[samples.frame])] if patterns.shape[1] else [design]
@@ -164,6 +163,7 @@ def fit_response(
 
     chosen = problem(equations(labels), labels, 0.0) if 0.0 in spreads else None
     if any(spreads):
+        modes = np.hstack([labels, time_error_modes(samples.frame_log_time)])
         with_times = equations(modes)
         freest = min((problem(with_times, modes, one) for one in spreads if one), key=lambda one: one.deviance)
         if chosen is None or freest.deviance < chosen.deviance - _CALLS_FOR_TIME_ERRORS:
@@ -201,7 +201,7 @@ class _Problem:
         free = len(expected)
         size = normal.matrix.shape[0]
         middle = np.zeros(size)
-        middle[: basis.size] = basis.design(np.array([float(1 << (samples.bit_depth - 1))])).toarray()[0]
+        middle[: basis.size] = basis.values_at(1 << (samples.bit_depth - 1))
         trace = float(np.trace(normal.matrix[: basis.size, : basis.size]))
         fixed = normal.matrix + np.outer(middle, middle) * trace / float(middle @ middle)
         labels = np.arange(basis.size, basis.size + free)

@@ -8,7 +8,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
-from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize_scalar
 
 from radiometer.analysis.response.curves import finished_curve, supported_range
@@ -87,6 +86,8 @@ def solve_linear_spline(samples: ResponseSamples) -> ResponseEstimate:
 
 def _misfit(log_exposure: Array, finer: ResponseCurve, valid_dn: tuple[int, int]) -> Array:
     """Return how far a curve lies off a finer one at each digital number or, if that is more, around it."""
+    from scipy.ndimage import uniform_filter1d
+
     known = finer.valid_dn or valid_dn  # outside it the finer curve is a straight line
     low, high = max(valid_dn[0], known[0]), min(valid_dn[1], known[1])
     inside = np.zeros(log_exposure.size)

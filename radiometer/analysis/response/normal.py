@@ -69,10 +69,12 @@ def eliminate_groups(design: sp.csr_array, target: Array, weight: Array, group: 
     mean_design = (over_group @ design).toarray() / total[:, None]
     mean_target = np.add.reduceat(target * weight, starts) / total
     centred = design.toarray()
-    centred -= mean_design[group]
+    # Dense matrices of all rows are some megabytes each: one for what is taken away, and then for what is weighted.
+    scaled = np.take(mean_design, group, axis=0)
+    centred -= scaled
     centred_target = target - mean_target[group]
     root = np.sqrt(weight)
-    scaled = centred * root[:, None]
+    np.multiply(centred, root[:, None], out=scaled)
     return NormalEquations(
         matrix=scaled.T @ scaled,
         right=scaled.T @ (root * centred_target),

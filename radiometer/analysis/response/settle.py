@@ -85,7 +85,7 @@ class FittedResponse:
         """Return the standard uncertainty of g − g(M_mid) that a covariance of the solution makes."""
         inner = covariance[: self.fit.basis_size, : self.fit.basis_size]
         every = self._basis.all_values()
-        middle = every[[every.shape[0] // 2], :].toarray()[0]
+        middle = self._basis.values_at(every.shape[0] // 2)
         with_middle = inner @ middle
         square = self._basis.variances(inner) - 2.0 * (every @ with_middle) + middle @ with_middle
         return np.asarray(np.sqrt(np.maximum(square, 0.0)))

@@ -18,6 +18,7 @@ from radiometer.analysis.merge.alignment import (
     _full_size,
     _has_white_rims,
     _inside,
+    _quantiles,
     _reduced,
     _reference,
     _rim,
@@ -334,6 +335,15 @@ def test_neighbours_are_brought_to_the_values_of_the_darker():
     assert _alike(flat, flat + 1.0, inside, 255) == (None, None)
 
 
+@pytest.mark.parametrize("count", [1, 2, 1000, 1025, 5000])
+def test_quantiles_of_counted_numbers_are_numpys(count):
+    """Of numbers that hardly repeat and of ones that many pixels share."""
+    rng, shares = np.random.default_rng(5), np.linspace(0.0, 1.0, 1025)
+    for values in (rng.integers(0, 9999, count), rng.integers(3, 9, count)):
+        counts = np.bincount(values, minlength=12000).astype(np.float32)
+        assert _quantiles(counts, shares) == pytest.approx(np.quantile(values, shares), abs=1e-8)
+
+
 def test_what_moved_is_left_out_with_its_surroundings():
     """A square that one picture alone shows, and five pixels around it; noise alone leaves all in."""
     rng = np.random.default_rng(4)
@@ -359,8 +369,7 @@ def test_of_two_places_the_better_is_taken_unless_they_are_one(monkeypatch, step
     second[0, 2] = step_px
     told = iter([(0.4, first), (here, second), (there, first)])
     monkeypatch.setattr(alignment, "_climbed", lambda *_: next(told))
-    picture = np.zeros((9, 9), np.float32)
-    height, place = _summit(picture, picture, np.ones((9, 9), np.uint8), first)
+    height, place = _summit(SimpleNamespace(shape=(9, 9)), first)
     assert (height, place is {"here": first, "there": second}[taken]) == ({"here": here, "there": there}[taken], True)
 
 
@@ -368,5 +377,4 @@ def test_where_nothing_correlates_no_further_step_is_made(monkeypatch):
     """A climb that fails says so by a negative height, and is asked once."""
     told = iter([(-1.0, np.eye(2, 3))])
     monkeypatch.setattr(alignment, "_climbed", lambda *_: next(told))
-    picture = np.zeros((9, 9), np.float32)
-    assert _summit(picture, picture, np.ones((9, 9), np.uint8), np.eye(2, 3))[0] == -1.0
+    assert _summit(SimpleNamespace(shape=(9, 9)), np.eye(2, 3))[0] == -1.0

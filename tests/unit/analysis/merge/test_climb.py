@@ -1,0 +1,88 @@
+"""Steps towards the movement of highest correlation, held against OpenCV's and against movements that were made."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from radiometer.analysis.merge.climb import BLUR_PX, Climb
+from radiometer.errors import MeasurementError
+
+STILL = np.eye(2, 3)
+
+
+def scene(seed=1, shape=(150, 200)):
+    """Return a smooth picture in DN."""
+    rough = np.random.default_rng(seed).normal(0.0, 400.0, shape).astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(rough, (0, 0), 3.0) + 100.0, np.float32)
+
+
+def place(right, down, degrees):
+    """Return a movement."""
+    cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return np.array([[cos, -sin, right], [sin, cos, down]])
+
+
+def moved(picture, movement):
+    """Return the picture that shows at each pixel's new place what the given one shows at the pixel."""
+    size = picture.shape[::-1]
+    return np.asarray(cv2.warpAffine(picture, movement, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT))
+
+
+@pytest.mark.parametrize("movement", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.0), (1.5, 0.7, 0.4), (-2.0, 1.0, -0.8)])
+def test_the_movement_that_was_made_is_found(movement):
+    """To two of the 32nd parts of a pixel that OpenCV moves pictures by."""
+    here, there = scene(), moved(scene(), place(*movement))
+    correlation, found = Climb(here, there, np.ones(here.shape, np.uint8)).climbed(STILL, 60)
+    assert found == pytest.approx(place(*movement), abs=0.0625)
+    assert correlation > 0.99
+
+
+@pytest.mark.parametrize("rows_of_a_block", [None, 1, 7])
+@pytest.mark.parametrize("steps", [1, 2, 3, 15])
+@pytest.mark.parametrize(("pedestal_dn", "left_out"), [(7.0, True), (40.0, False)])
+def test_steps_are_those_of_opencv(monkeypatch, rows_of_a_block, steps, pedestal_dn, left_out):
+    """One by one, with and without a part of the picture, in whatever blocks: to a ten thousandth of a pixel."""
+    here, there = scene(2) + pedestal_dn, 0.5 * moved(scene(2), place(0.8, -0.5, 0.3)) + pedestal_dn
+    there += np.random.default_rng(3).normal(0.0, 2.0, there.shape).astype(np.float32)
+    inside = np.ones(here.shape, np.uint8)
+    inside[40:70, 90:160] = not left_out
+    if rows_of_a_block is not None:
+        monkeypatch.setattr("radiometer.analysis.merge.climb._BLOCK_PX", rows_of_a_block * here.shape[1])
+    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, steps, 1e-6)
+    start = STILL.astype(np.float32)
+    expected, at = cv2.findTransformECC(here, there, start, cv2.MOTION_EUCLIDEAN, stop, inside, BLUR_PX)
+    correlation, found = Climb(here, there, inside).climbed(STILL, steps)
+    assert correlation == pytest.approx(expected, abs=2e-6)
+    assert found == pytest.approx(np.asarray(at, float), abs=1e-4)
+
+
+def test_a_start_is_left_as_it_is():
+    """A climb may be made again from the same place."""
+    here, start = scene(), place(0.4, 0.0, 0.1)
+    pair, kept = Climb(here, moved(here, place(1.0, 0.0, 0.0)), np.ones(here.shape, np.uint8)), start.copy()
+    first, again = (pair.climbed(start, 5) for _ in range(2))
+    assert np.array_equal(start, kept)
+    assert first[0] == again[0]
+    assert np.array_equal(first[1], again[1])
+
+
+@pytest.mark.parametrize("way", ["flat", "opposite", "nothing shown"])
+def test_pictures_that_are_not_alike_are_told(way):
+    """One without structure, one whose bright is the other's dark, and two of which nothing is shown."""
+    here = scene()
+    there = {"flat": np.full_like(here, 80.0), "opposite": 200.0 - here, "nothing shown": here}[way]
+    inside = np.full(here.shape, way != "nothing shown", np.uint8)
+    with pytest.raises(MeasurementError):
+        Climb(here, there, inside).climbed(STILL, 15)
+
+
+def test_stripes_are_left_where_they_are():
+    """A picture of one slope and its copy: no step is the right one along the stripes, and none is made."""
+    stripes = np.tile(100.0 + 50.0 * np.sin(np.arange(160.0) / 8.0), (90, 1)).astype(np.float32)
+    correlation, found = Climb(stripes, stripes, np.ones(stripes.shape, np.uint8)).climbed(STILL, 5)
+    assert correlation == pytest.approx(1.0, abs=1e-6)
+    assert found == pytest.approx(STILL, abs=1e-4)
