@@ -46,6 +46,21 @@ def test_hidden_effect_is_named_alone(name: str) -> None:
 
 
 @pytest.mark.usefixtures("laws_left_out")
+def test_a_bend_beyond_the_declared_full_well_keeps_its_name() -> None:
+    """Pixels that hold 1.7 times the declared full well: the quadratic bend is named alone, its size in that well."""
+    session = make_session("response_nonlinearity", camera_seed=5401, scale=3.0)
+    camera = session.header.camera.model_copy(update={"full_well_e": 0.6 * session.header.camera.full_well_e})
+    answer = reconcile(session.header.model_copy(update={"camera": camera}), list(session.frames()), with_limits=False)
+    assert str(answer.verdict) == "effects_found"
+    (found,) = answer.effects
+    assert found.name == "response_nonlinearity"
+    bend = found.parameters["a2"]
+    assert bend.u is not None
+    assert bend.value == pytest.approx(0.6 * session.truth["response_nonlinearity"]["a2"], abs=4.0 * bend.u)
+    assert found.gap_after < 1.05
+
+
+@pytest.mark.usefixtures("laws_left_out")
 def test_found_effect_shrinks_the_gap_of_a_fresh_session() -> None:
     """With what was found frozen, another session of the same rig is met to a reduced chi-square of 1.05."""
     answer = _ask(make_session("exposure_time_offset", camera_seed=4))
