@@ -143,7 +143,7 @@ def test_many_signals_are_rounded_as_each_by_itself() -> None:
 
 
 def test_less_than_no_noise_is_none() -> None:
-    """A variance below zero, which a step of a fit may try, is rounded as none: the code that the mean is nearest to."""
+    """A variance below zero, which a step of a fit may try, is rounded as none: to the code nearest to the mean."""
     mean = np.array([60.3, 7.8, 60.3, 7.8])
     average, variance, _ = rounded_normal(mean, np.array([-4.0, -1e-9, 0.0, 0.0]))
     np.testing.assert_allclose(average, [60.0, 8.0, 60.0, 8.0])
