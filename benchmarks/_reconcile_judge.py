@@ -66,6 +66,7 @@ PARAMETERS: dict[str, tuple[tuple[str, str, float], ...]] = {
     "mechanical_vignetting": (("depth", "strength", 1.4**2),),  # at f/2 what is said of f/2.8
     "natural_vignetting": (("k4", "k4", 1.0),),
     "parasitic_light_sensitivity": (("leak", "leak_s", 0.02 * 95 / 96),),  # times the read-out, up to the last row
+    "row_dependent_exposure": (("added_s", "added_s", 1.0), ("lost_share", "lost_share", 1.0)),
     "adc_saturation": (("clip_dn", "clip_dn", 1.0),),
 }
 

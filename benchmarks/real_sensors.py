@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks._lsst_flats import SENSORS, WELL_E, covariances, flats
+from benchmarks._lsst_flats import SENSORS, WELL_E, covariances, flats, u_of_slope
 from benchmarks._real_sets import SETS, Documented, RealSet, data_folder
 from benchmarks._sections import write_section
 from radiometer.importing import import_sources, imported_of
@@ -192,11 +192,17 @@ def of_covariances(folder: Path) -> Iterator[Row]:
             result = reconcile_capture(path).result
             seconds = time.process_time() - begun
         named = [effect for effect in result.added if isinstance(effect, BrighterFatter)]
-        alone = bool(named) and len(result.effects) == 1 and result.verdict == "effects_found"
+        alone = bool(named) and len(result.effects) == 1
+        u = u_of_slope()
+        u_rel = float(np.hypot(u / slope[0, 1], u / slope[1, 0]))
         said = f"{result.verdict}; " + ", ".join(found.name for found in result.effects)
         for effect in named:
             kernel = effect.slopes_per_e(WELL_E)
-            said += f"; C₀₀ {kernel[8, 8]:.3g}/e⁻, C₀₁/C₁₀ {kernel[8, 9] / kernel[9, 8]:.2f}, second neighbours "
+            said += f"; C₀₀ {kernel[8, 8]:.3g}/e⁻, C₀₁/C₁₀ {kernel[8, 9] / kernel[9, 8]:.2f} (the "
+            said += (
+                f"frames tell it to ± {100 * u_rel:.1f} %), sum over all lags {abs(kernel.sum() / kernel[8, 8]):.0e} "
+            )
+            said += "of C₀₀, second neighbours "
             said += f"{kernel[8, 10] + kernel[10, 8]:.2g}/e⁻ (measured {measured[0]:.2g} ± {measured[1]:.1g})"
         yield Row(
             f"flats with the measured covariances of LSST's {sensor} CCD",

@@ -71,7 +71,7 @@ def laws_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     from radiometer.reconcile import engine
 
-    monkeypatch.setattr(engine, "held_to_laws", lambda found, say: found)
+    monkeypatch.setattr(engine, "held_to_laws", lambda found, *further: found)
 
 
 @pytest.fixture

@@ -18,6 +18,10 @@ _FAR_PX: Final = 8.0  # farther than a push is seen: covariances of flats end in
 _STARTING_PX: Final = 0.5
 _KERNELS: Final = 64  # that are kept: those of the last steps of a fit
 _FULLEST: Final = 1.2  # of the full well, beyond which a pixel pushes no more
+_LARGEST: Final = 0.1 * _FULLEST  # share that moves at most
+_ORDER: Final = 6  # of what noise does in powers of the share: within 1e-6 of it for the largest
+_SMALL: Final = 1e-8  # exponent below which e^y − 1 is y
+_AGAIN: Final = (1.0, 5.0 / 6.0, 0.5)  # of √((e⁴ˣ − 1)/4x) in powers of x, what a push once does
 
 
 @dataclass(frozen=True)
@@ -66,31 +70,27 @@ class BrighterFatter(CatalogueEffect):
         """Return the electrons after the exchange: what leaves one pixel is in the next."""
         push = self._push()
         fill = self._moved_share(signal, context)
-        crossing_x = 0.5 * (fill[:, 1:] + fill[:, :-1]) * _through_borders(signal, push.across)[:, :-1]
-        crossing_y = 0.5 * (fill[1:] + fill[:-1]) * _through_borders(signal.T, push.down.T).T[:-1]
-        result = np.array(signal)
-        result[:, :-1] -= crossing_x
-        result[:, 1:] += crossing_x
-        result[:-1] -= crossing_y
-        result[1:] += crossing_y
+        fill_x, fill_y = 0.5 * (fill[:, 1:] + fill[:, :-1]), 0.5 * (fill[1:] + fill[:-1])
+        result, moved = np.array(signal), signal
+        for part in _AGAIN:
+            moved = _pushed(moved, push, fill_x, fill_y)
+            result += part * moved
         return result
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments of a tile whose pixels exchange charge.
 
-        White noise of variance V behind the kernel k = δ + x·κ has the variance V·Σk² and the covariances V·Σk·k′ of
-        neighbours, k′ the same kernel a pixel on.
+        The temporal noise of a flat as it gathers; a fixed pattern loses alike, to first order in the share.
         """
         push = self._push()
         share = self._moved_share(before.mean, context)
-        share2 = np.square(share)
-        kept = 1.0 + 2.0 * push.own * share + push.own_square * share2
+        kept = 1.0 + share * _powers(push.own, share)
         edge = self.edge_fill * push.last_line * np.max(share, axis=(-2, -1), keepdims=True)
         return after.changed(
             variance=after.variance * kept,
             spatial_variance=after.spatial_variance * kept,
-            neighbour_x=after.neighbour_x + (2.0 * push.beside * share + push.beside_square * share2) * after.variance,
-            neighbour_y=after.neighbour_y + (2.0 * push.below * share + push.below_square * share2) * after.variance,
+            neighbour_x=after.neighbour_x + share * _powers(push.beside, share) * after.variance,
+            neighbour_y=after.neighbour_y + share * _powers(push.below, share) * after.variance,
             edge_share=before.edge_share + edge,
         )
 
@@ -125,23 +125,17 @@ class Push(NamedTuple):
     Attributes:
         across: Through borders between columns, rightwards, (rows, borders), the pixel in the middle.
         down: Through borders between rows, downwards, (borders, columns).
-        own: What the pixel itself receives (κ in the middle), −4.
-        beside: What its right neighbour receives.
-        below: What the pixel below receives.
-        own_square: Σκ².
-        beside_square: Σκ·κ′, κ′ the kernel a column on.
-        below_square: The same a row on.
+        own: What the noise of a flat gains in variance, over the share, by powers of the share over the largest.
+        beside: What it has as covariance with the right neighbour, likewise.
+        below: The same of the pixel below.
         last_line: What the last line of pixels inside a straight border of a patch loses of the step there.
     """
 
     across: Signal
     down: Signal
-    own: float
-    beside: float
-    below: float
-    own_square: float
-    beside_square: float
-    below_square: float
+    own: Signal
+    beside: Signal
+    below: Signal
     last_line: float
 
     @property
@@ -167,17 +161,37 @@ def push_of(reach: int, height_x_px: float, height_y_px: float) -> Push:
     """
     across, down = _field(reach, height_x_px), _field(reach, height_y_px).T
     nearest = 0.5 * (across[reach - 1, reach] + down[reach, reach - 1])
-    bare = Push(across / nearest, down / nearest, *(0.0,) * 7)
-    kernel = bare.kernel
-    return bare._replace(
-        own=float(kernel[reach, reach]),
-        beside=float(kernel[reach, reach + 1]),
-        below=float(kernel[reach + 1, reach]),
-        own_square=float(np.sum(np.square(kernel))),
-        beside_square=float(np.sum(kernel[:, 1:] * kernel[:, :-1])),
-        below_square=float(np.sum(kernel[1:] * kernel[:-1])),
-        last_line=float(0.5 * (np.sum(bare.across[:, reach]) + np.sum(bare.down[reach]))),
-    )
+    none = np.zeros(0)
+    bare = Push(across / nearest, down / nearest, none, none, none, 0.0)
+    own, beside, below = _of_gathered_noise(bare.kernel)
+    edge = float(0.5 * (np.sum(bare.across[:, reach]) + np.sum(bare.down[reach])))
+    return bare._replace(own=own, beside=beside, below=below, last_line=edge)
+
+
+def _of_gathered_noise(kernel: Signal) -> tuple[Signal, Signal, Signal]:
+    """Return (variance − 1), and the covariances of neighbours, over the share, as polynomials of it.
+
+    The mean over all waves of ((e^y − 1)/y − 1)/b, y = 4·b·κ, at as many shares as the polynomial has terms.
+    """
+    side = 4 * kernel.shape[0]
+    wide = np.zeros((side, side))
+    reach = kernel.shape[0] // 2
+    wide[: kernel.shape[0], : kernel.shape[1]] = kernel
+    waves = np.fft.fft2(np.roll(wide, (-reach, -reach), (0, 1))).real
+    turned = np.cos(2.0 * np.pi * np.arange(side) / side)
+    shares = _LARGEST * (0.5 - 0.5 * np.cos(np.pi * (np.arange(_ORDER + 1) + 0.5) / (_ORDER + 1)))
+    y = 4.0 * shares[:, None, None] * waves
+    y = np.where(np.abs(y) < _SMALL, _SMALL, y)
+    gained = (np.expm1(y) / y - 1.0) / shares[:, None, None]
+    means = [gained, gained * turned, gained * turned[:, None]]
+    powers = np.vander(shares / _LARGEST, increasing=True)
+    own, beside, below = np.linalg.solve(powers, np.stack([one.mean(axis=(1, 2)) for one in means], axis=1)).T
+    return own, beside, below
+
+
+def _powers(factors: Signal, share: Signal) -> Signal:
+    """Return a polynomial of the share over the largest."""
+    return cast(Signal, np.polynomial.polynomial.polyval(share / _LARGEST, factors))
 
 
 def _field(reach: int, height_px: float) -> Signal:
@@ -191,6 +205,18 @@ def _field(reach: int, height_px: float) -> Signal:
         return np.asarray(end / (2.0 * s2 * (s2 + np.square(end))) + np.arctan(end / np.sqrt(s2)) / (2.0 * s2**1.5))
 
     return np.asarray(x * (up_to(y + 0.5) - up_to(y - 0.5)))
+
+
+def _pushed(charge: Signal, push: Push, fill_x: Signal, fill_y: Signal) -> Signal:
+    """Return what each pixel gains where all push once, by the fill at each border; the sum is nothing."""
+    crossing_x = fill_x * _through_borders(charge, push.across)[:, :-1]
+    crossing_y = fill_y * _through_borders(charge.T, push.down.T).T[:-1]
+    gained = np.zeros_like(charge)
+    gained[:, :-1] -= crossing_x
+    gained[:, 1:] += crossing_x
+    gained[:-1] -= crossing_y
+    gained[1:] += crossing_y
+    return gained
 
 
 def _through_borders(charge: Signal, across: Signal) -> Signal:

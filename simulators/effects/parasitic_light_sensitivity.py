@@ -16,7 +16,8 @@ from simulators.effects.context import ExposureContext
 class ParasiticLightSensitivity(Scaling):
     """Adds light during readout: H' = H·(1 + p·r^n/t), r the share of rows read before, p = leak × readout time.
 
-    n is 1 where all rows leak alike.
+    n is 1 where all rows leak alike. A leak takes nothing away: rows that are exposed for less time the later they are
+    read are those of `row_dependent_exposure`.
 
     Source: Balluff note on parasitic light sensitivity: non-linear at short exposures, with a row gradient.
     """
@@ -34,7 +35,7 @@ class ParasiticLightSensitivity(Scaling):
     )
     fitted = ("leak_s",)
     settles = "the gradient along image_y at the shortest exposure"
-    leak_s: float = parameter(0.0, "s", -0.01, 0.01, source="1/PLS × readout time: 1/10000 × 10 ms = 1 µs")
+    leak_s: float = parameter(0.0, "s", 0.0, 0.01, source="1/PLS × readout time: 1/10000 × 10 ms = 1 µs")
 
     row_power: float = parameter(1.0, "1", 0.2, 5.0, source="shading of the storage nodes; 1 for none")
 

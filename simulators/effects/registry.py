@@ -82,6 +82,7 @@ from simulators.effects.reciprocity_failure import ReciprocityFailure
 from simulators.effects.residual_charge import ResidualCharge
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from simulators.effects.rolling_shutter_banding import RollingShutterBanding
+from simulators.effects.row_dependent_exposure import RowDependentExposure
 from simulators.effects.row_pattern import RowPattern
 from simulators.effects.row_temporal_noise import RowTemporalNoise
 from simulators.effects.series_settling import SeriesSettling
@@ -155,6 +156,7 @@ EFFECTS: Final[dict[str, type[Effect]]] = {
     "residual_charge": ResidualCharge,
     "response_nonlinearity": ResponseNonlinearity,
     "rolling_shutter_banding": RollingShutterBanding,
+    "row_dependent_exposure": RowDependentExposure,
     "row_pattern": RowPattern,
     "row_temporal_noise": RowTemporalNoise,
     "series_settling": SeriesSettling,

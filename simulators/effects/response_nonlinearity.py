@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -11,10 +11,15 @@ from simulators.effects.base import ELECTRONS, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, well_e
 from simulators.effects.context import ExposureContext, Signal
 
+_BENT_TO: Final = 4.0  # declared full wells; a well that is declared at less than a quarter is no figure of the sensor
+
 
 @dataclass(frozen=True)
 class ResponseNonlinearity(CatalogueEffect):
     """Bends the response: S' = S·(1 − a₂·z − a₃·z²), z = S/S_FW.
+
+    S_FW is the full well that is declared, which pixels may pass: the curve goes on up to where it rises no more, and
+    straight on from there or from four full wells.
 
     Source: EMVA Standard 1288, release 4.0, linearity error; typical 0.1 to 3 %.
     """
@@ -41,10 +46,21 @@ class ResponseNonlinearity(CatalogueEffect):
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the electrons as the bent response gives them."""
-        z = np.clip(signal / well_e(context), 0.0, 1.2)
-        return cast(Signal, (signal * (1.0 - self.a2 * z - self.a3 * z**2)).astype(signal.dtype))
+        well = well_e(context)
+        z = np.asarray(signal / well)
+        bent = np.clip(z, 0.0, self._end())
+        curve = bent * (1.0 - self.a2 * bent - self.a3 * bent**2)
+        return cast(Signal, (well * (curve + self._rise(bent) * (z - bent))).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
         """Return 1 − 2·a₂·z − 3·a₃·z²."""
-        z = np.clip(signal / well_e(context), 0.0, 1.2)
+        return self._rise(np.clip(signal / well_e(context), 0.0, self._end()))
+
+    def _rise(self, z: Any) -> Any:
         return 1.0 - 2.0 * self.a2 * z - 3.0 * self.a3 * z**2
+
+    def _end(self) -> float:
+        """Return the fill z from which the response goes straight on: where it rises no more, or `_BENT_TO`."""
+        roots = np.roots([-3.0 * self.a3, -2.0 * self.a2, 1.0])
+        ends = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)]
+        return float(min(ends.min(initial=_BENT_TO), _BENT_TO))

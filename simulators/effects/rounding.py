@@ -75,7 +75,7 @@ def excess_kurtosis(before: Moments) -> Signal:
     found, coarse = np.zeros(mean.shape), variance < _FINE
     if not coarse.any():
         return found
-    at, sigma = mean[coarse], np.maximum(np.sqrt(variance[coarse]), _LEAST_SIGMA_DN)
+    at, sigma = mean[coarse], np.sqrt(np.maximum(variance[coarse], _LEAST_SIGMA_DN**2))
     codes = np.rint(at)[:, None] + np.arange(-_CODES, _CODES + 1)
     chance = ndtr((codes + 0.5 - at[:, None]) / sigma[:, None]) - ndtr((codes - 0.5 - at[:, None]) / sigma[:, None])
     apart = codes - np.sum(chance * codes, axis=1, keepdims=True)
@@ -109,7 +109,7 @@ def _of_coarse(mean: Signal, variance: Signal, pattern2: Signal, shared2: Signal
 
 def rounded_normal(mean: Signal, variance: Signal) -> tuple[Signal, Signal, Signal]:
     """Return mean, variance and d(mean)/d(mean before) of a rounded normal variable."""
-    sigma = np.maximum(np.sqrt(variance), _LEAST_SIGMA_DN)
+    sigma = np.sqrt(np.maximum(variance, _LEAST_SIGMA_DN**2))  # a step of a fit may try less than no noise
     nearest = np.rint(mean)
     # E[n] and E[n²] about the nearest code are sums of the chances to lie beyond each border between codes.
     first, second, rise = np.zeros_like(mean), np.zeros_like(mean), np.zeros_like(mean)

@@ -46,6 +46,47 @@ def test_hidden_effect_is_named_alone(name: str) -> None:
 
 
 @pytest.mark.usefixtures("laws_left_out")
+@pytest.mark.parametrize(
+    ("form", "parameter", "allowed"),
+    [
+        ("adc_saturation:clamped_bits", ("clip_dn", "clip_dn"), 1.0),
+        ("black_level_offset:taken_off", ("offset_dn", "offset_dn"), 0.5),
+        ("pwm_flicker:refresh", ("frequency_hz", "frequency_Hz"), None),
+    ],
+)
+def test_hidden_processing_and_a_panel_s_beat_are_named(
+    form: str, parameter: tuple[str, str], allowed: float | None
+) -> None:
+    """Bits cut off, a black level taken off and cut at zero, a panel's refresh: right name, right size.
+
+    Codes within one of rounding, a frequency within four of its u.
+    """
+    session = make_session(form, camera_seed=5201, scale=2.0)
+    answer = _ask(session)
+    found = answer.effects[0]
+    assert found.name == form.partition(":")[0]
+    assert len(answer.effects) <= (2 if "taken_off" in form else 1)  # what is taken off lowers the highest code, too
+    fitted = found.parameters[parameter[0]]
+    assert fitted.u is not None
+    assert fitted.value == pytest.approx(session.truth[form][parameter[1]], abs=allowed or 4.0 * fitted.u)
+
+
+@pytest.mark.usefixtures("laws_left_out")
+def test_a_bend_beyond_the_declared_full_well_keeps_its_name() -> None:
+    """Pixels that hold 1.7 times the declared full well: the quadratic bend is named alone, its size in that well."""
+    session = make_session("response_nonlinearity", camera_seed=5401, scale=3.0)
+    camera = session.header.camera.model_copy(update={"full_well_e": 0.6 * session.header.camera.full_well_e})
+    answer = reconcile(session.header.model_copy(update={"camera": camera}), list(session.frames()), with_limits=False)
+    assert str(answer.verdict) == "effects_found"
+    (found,) = answer.effects
+    assert found.name == "response_nonlinearity"
+    bend = found.parameters["a2"]
+    assert bend.u is not None
+    assert bend.value == pytest.approx(0.6 * session.truth["response_nonlinearity"]["a2"], abs=4.0 * bend.u)
+    assert found.gap_after < 1.05
+
+
+@pytest.mark.usefixtures("laws_left_out")
 def test_found_effect_shrinks_the_gap_of_a_fresh_session() -> None:
     """With what was found frozen, another session of the same rig is met to a reduced chi-square of 1.05."""
     answer = _ask(make_session("exposure_time_offset", camera_seed=4))

@@ -18,6 +18,7 @@ PARAMETERS = {
     "correlated_read_noise": ("sigma_e", "sigma_e"),
     "residual_charge": ("share", "share"),
     "event_offset": ("tau_s", "tau_s"),
+    "row_dependent_exposure": ("added_s", "added_s"),
 }
 
 
@@ -36,3 +37,14 @@ def test_it_is_named_with_its_size(
     fitted = found.effects[0].parameters[own]
     assert fitted.u is not None
     assert fitted.value == pytest.approx(session.truth[name][true], abs=4.0 * fitted.u)
+
+
+def test_a_leak_is_not_told_from_rows_of_longer_exposure(
+    hidden_session: Callable[..., Session], request: pytest.FixtureRequest
+) -> None:
+    """The same equation: the one of fewer parameters has the name, the other stands beside it."""
+    request.getfixturevalue("laws_left_out")
+    session = hidden_session("parasitic_light_sensitivity", camera_seed=5102)
+    (found,) = reconcile(session.header, list(session.frames()), with_limits=False).effects
+    assert found.name == "parasitic_light_sensitivity"
+    assert "row_dependent_exposure" in found.alternatives

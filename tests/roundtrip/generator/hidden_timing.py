@@ -28,6 +28,19 @@ def exposure_quantisation(world: World, rng: np.random.Generator, scale: float) 
     return {"step_s": line}
 
 
+@entry("row_dependent_exposure", "image_y", "exposure_s")
+def row_dependent_exposure(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Let the second curtain of the shutter be 4 µs faster or slower over the frame, and both slow down by 1 %."""
+    added, lost = sign(rng) * 4e-6 * scale, 0.01 * scale
+    down = np.linspace(0.0, 1.0, world.rig.rows)[:, None]
+
+    def rows(expected: np.ndarray, rate: np.ndarray, shot: Shot, before: np.ndarray) -> np.ndarray:
+        return expected + rate * (added - lost * shot.setting.exposure_s) * down
+
+    world.electrons.append(rows)
+    return {"added_s": added, "lost_share": lost}
+
+
 @entry("reciprocity_failure", "exposure_s")
 def reciprocity_failure(world: World, rng: np.random.Generator, scale: float) -> Truth:
     """Let the response to light go as t to the power 1.003, equal at 1 ms; the dark current keeps the clock's time."""

@@ -254,3 +254,32 @@ def patchy_prnu(world: World, rng: np.random.Generator, scale: float) -> Truth:
     sensitivity = 1 + 0.005 * scale * drawn / drawn.std()
     world.electrons.append(lambda expected, rate, shot, before: expected * sensitivity)
     return {"sigma_rel": 0.005 * scale}
+
+
+@variant("adc_saturation", "clamped_bits", "signal", "exposure_s")
+def clamped_bits(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Write fewer bits by cutting off what is above them, not by scaling: nothing beyond 255 DN over black."""
+    top = world.rig.black_dn + 255.0
+    world.code.append(lambda codes, shot: np.minimum(codes, top))
+    return {"clip_dn": top}
+
+
+@variant("black_level_offset", "taken_off", "none", "exposure_s", "signal", accepted=("adc_saturation",))
+def black_taken_off(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Take off the black level behind the converter, unsaid, and cut what comes out below zero."""
+    black = world.rig.black_dn
+    world.code.append(lambda codes, shot: np.maximum(codes - black, 0.0))
+    return {"offset_dn": -black}
+
+
+@variant("pwm_flicker", "refresh", "exposure_s", "frame", accepted=("mains_ripple",))
+def refreshing_panel(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Light of a panel that is drawn anew 69.2 times a second and fades between: whole periods show nothing of it."""
+    depth, hertz = 0.025 * scale, 69.2
+
+    def beat(shot: Shot, t: float, dice: np.random.Generator) -> float:
+        phase = dice.uniform(0, 2 * np.pi)
+        return float(1 + depth * sum(np.sinc(k * hertz * t) * np.sin(k * phase) / k for k in (1, 2, 3)))
+
+    world.lamp.append(beat)
+    return {"depth": depth, "frequency_Hz": hertz}

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import least_squares
+from scipy.signal import fftconvolve
 
 from simulators.effects.brighter_fatter import BrighterFatter, push_of
 from simulators.effects.catalogue import well_e
@@ -32,10 +33,12 @@ def test_borders_move_by_the_field_over_them() -> None:
         across = border(i + 0.5, j, 0.6) / nearest
         assert push.across[j + 2, i + 3] == pytest.approx(across, rel=1e-9)
         assert push.down[i + 3, j + 2] == pytest.approx(border(i + 0.5, j, 0.4) / nearest, rel=1e-9)
-    assert push.own == pytest.approx(-4.0)
-    assert push.beside == pytest.approx(
-        (border(0.5, 0, 0.6) - border(1.5, 0, 0.6) - 2 * border(0.5, 1, 0.4)) / nearest, rel=1e-9
-    )
+    assert push.kernel[3, 3] == pytest.approx(-4.0)
+    beside = (border(0.5, 0, 0.6) - border(1.5, 0, 0.6) - 2 * border(0.5, 1, 0.4)) / nearest
+    assert push.kernel[3, 4] == pytest.approx(beside, rel=1e-9)
+    assert push.own[0] == pytest.approx(2.0 * -4.0, rel=1e-5)  # to first order in the share
+    assert push.beside[0] == pytest.approx(2.0 * beside, rel=1e-4)
+    assert push.below[0] == pytest.approx(2.0 * push.kernel[4, 3], rel=1e-4)
 
 
 def test_four_neighbours_share_where_only_the_nearest_borders_move() -> None:
@@ -43,11 +46,11 @@ def test_four_neighbours_share_where_only_the_nearest_borders_move() -> None:
     well = well_e(_context())
     spot = np.zeros((9, 9))
     spot[4, 4] = well
-    moved = BrighterFatter(share=0.01).sample(spot, _context(), np.random.default_rng(0)) - spot
+    moved = BrighterFatter(share=1e-6).sample(spot, _context(), np.random.default_rng(0)) - spot
     expected = np.zeros((9, 9))
-    expected[[3, 5, 4, 4], [4, 4, 3, 5]] = 0.5 * 0.01 * well
-    expected[4, 4] = -4 * 0.5 * 0.01 * well
-    np.testing.assert_allclose(moved, expected, atol=1e-9 * well)
+    expected[[3, 5, 4, 4], [4, 4, 3, 5]] = 0.5 * 1e-6 * well
+    expected[4, 4] = -4 * 0.5 * 1e-6 * well
+    np.testing.assert_allclose(moved, expected, atol=1e-11 * well)  # what is pushed again goes with the square
 
 
 def test_no_charge_is_lost_however_far_it_pushes() -> None:
@@ -77,11 +80,53 @@ def test_noise_of_flats_has_the_moments_that_are_predicted() -> None:
     assert lags[0, 1] == pytest.approx(told.neighbour_x.item(), abs=5 * u)
     assert lags[1, 0] == pytest.approx(told.neighbour_y.item(), abs=5 * u)
     assert told.neighbour_y.item() > told.neighbour_x.item() + 10 * u  # what is nearer the charge is pushed more
-    kernel = push_of(8, 0.6, 0.4).kernel * 0.1 * level / well_e(context)
+    expected = level * _of_gathered_noise(strong, level)
+    middle = expected.shape[0] // 2
+    assert told.variance.item() == pytest.approx(expected[middle, middle], rel=1e-5)
+    for (i, j), seen in lags.items():
+        assert seen == pytest.approx(expected[middle + i, middle + j], abs=5 * math.sqrt(2) * u), (i, j)
+    assert lags[1, 1] > 10 * u  # beyond the nearest
+
+
+def _of_gathered_noise(effect: BrighterFatter, level: float, terms: int = 16) -> np.ndarray:
+    """Return covariances over shot noise by lag: Σ (2aμ)ⁿ/(n+1)! of Astier et al. (2019), powers by convolution."""
+    a = effect.slopes_per_e(well_e(_context())) * level
+    total = np.zeros((97, 97))
+    total[48, 48] = 1.0
+    power = total.copy()
+    for n in range(1, terms):
+        power = fftconvolve(power, 2.0 * a, mode="same")
+        total += power / math.factorial(n + 1)
+    return total
+
+
+def test_noise_gathers_while_borders_move() -> None:
+    """Charge that comes in 150 steps, each moved by what has come, has the variance that is told, to 5 sigma.
+
+    A push of all charge at the end would leave 5 % less.
+    """
+    context, size, level, steps, flats, strong = _context(), 128, 5000.0, 150, 12, replace(FAR, share=0.06)
+    a = strong.slopes_per_e(well_e(context))
+    wide = np.zeros((size, size))
+    wide[: a.shape[0], : a.shape[1]] = a
+    waves = np.fft.rfft2(np.roll(wide, (-8, -8), (0, 1)))
+    rng, step, variance, beside = np.random.default_rng(4), level / steps, 0.0, 0.0
+    for _ in range(flats):
+        come = np.zeros((size, size))
+        for _ in range(steps):
+            shot = math.sqrt(step) * rng.standard_normal((size, size))
+            moved = np.fft.irfft2(np.fft.rfft2(come + 0.5 * shot) * waves, s=come.shape)
+            come = come + shot + step * moved
+        variance += float(np.mean(np.square(come))) / flats
+        beside += float(np.mean(come[:, 1:] * come[:, :-1])) / flats
+    one = np.full((1, 1, 1), level)
+    told = strong.moments(replace(TileMoments.exactly(one), variance=one), context)
+    u = level / size / math.sqrt(flats)
+    assert variance == pytest.approx(told.variance.item(), abs=5 * math.sqrt(2) * u)
+    assert beside == pytest.approx(told.neighbour_x.item(), abs=5 * u)
+    kernel = 0.5 * level * a
     kernel[8, 8] += 1.0
-    assert lags[1, 1] == pytest.approx(level * np.sum(kernel[1:, 1:] * kernel[:-1, :-1]), abs=5 * u)
-    assert lags[0, 2] == pytest.approx(level * np.sum(kernel[:, 2:] * kernel[:, :-2]), abs=5 * u)
-    assert lags[0, 2] > 5 * u
+    assert variance > level * np.sum(np.square(kernel)) + 8 * u
 
 
 def test_a_step_between_patches_loses_what_its_last_line_does() -> None:
@@ -89,12 +134,12 @@ def test_a_step_between_patches_loses_what_its_last_line_does() -> None:
     well = well_e(_context())
     low, step = 0.5 * well, 1e-3 * well
     halves = np.where(np.arange(60) < 30, low + step, low)[None, :] * np.ones((60, 1))
-    even = replace(FAR, edge_fill=1.0, height_y_px=FAR.height_x_px)
+    even = replace(FAR, share=1e-4, edge_fill=1.0, height_y_px=FAR.height_x_px)
     moved = even.sample(halves, _context(), np.random.default_rng(0)) - halves
     lost = -moved[30, 29] / step
     told = even.moments(TileMoments.exactly(np.full((1, 1, 1), low)), _context()).edge_share.item()
     assert lost == pytest.approx(told, rel=5e-3)
-    assert lost > 1.2 * 0.01 * 0.5  # more than the nearest border alone
+    assert lost > 1.2 * 1e-4 * 0.5  # more than the nearest border alone
 
 
 def test_a_fit_may_take_the_far_form() -> None:

@@ -13,7 +13,7 @@ from radiometer.data import CameraDescription, FrameSettings
 from simulators.effects.base import Moments
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.missing_codes import MissingCodes
-from simulators.effects.rounding import excess_kurtosis, rounded, rounding_amplitude
+from simulators.effects.rounding import excess_kurtosis, rounded, rounded_normal, rounding_amplitude
 from simulators.effects.tile_moments import TileMoments
 
 _CONTEXT = ExposureContext(FrameSettings(1e-3), FrameGeometry.of_image(8, 6), CameraDescription(bit_depth=12))
@@ -140,3 +140,11 @@ def test_many_signals_are_rounded_as_each_by_itself() -> None:
         for field in ("mean", "variance", "spatial_variance", "common_variance"):
             values = np.broadcast_to(getattr(together, field), (len(CASES),))
             assert values[number] == pytest.approx(float(np.ravel(getattr(alone, field))[0]), rel=1e-9), (field, case)
+
+
+def test_less_than_no_noise_is_none() -> None:
+    """A variance below zero, which a step of a fit may try, is rounded as none: to the code nearest to the mean."""
+    mean = np.array([60.3, 7.8, 60.3, 7.8])
+    average, variance, _ = rounded_normal(mean, np.array([-4.0, -1e-9, 0.0, 0.0]))
+    np.testing.assert_allclose(average, [60.0, 8.0, 60.0, 8.0])
+    np.testing.assert_allclose(variance, 0.0, atol=1e-9)
