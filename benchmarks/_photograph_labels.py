@@ -115,9 +115,10 @@ class Labels:
             f"a stop to two thirds: {found} of {self.planted} found "
             f"(missed{_names(self.missed) or ': none'}), {len(self.ties)} told as one of several that it may be"
             f"{_names(self.ties)}; another named beside or instead: {len(self.others)}"
-            f"{_names(self.others)}. Scenes whose exposures are off their labels by one time, the shutter's offset (taken "
-            f"as the truth of the planted labels' sizes, too): {'; '.join(self.offsets) or 'none'}. The G9's last frame really has 0.833 (i1) and 0.823 (i2, where the third is some "
-            f"7 % short too): {'. '.join(self.really)}."
+            f"{_names(self.others)}. Scenes whose exposures are off their labels by one time, the shutter's offset "
+            f"(the sizes of planted labels are held against it, too): {'; '.join(self.offsets) or 'none'}. The "
+            f"G9's last frame really has 0.833 (i1) and 0.823 (i2, where the third is some 7 % short too): "
+            f"{'. '.join(self.really)}."
         )
 
 

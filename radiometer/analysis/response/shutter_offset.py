@@ -14,10 +14,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.response.left_out import prediction_error_dn
+from radiometer.analysis.response.left_out import error_dn, prediction_error_dn
 from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import ResponseSamples
-from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, fit_with, refit, settle
+from radiometer.analysis.response.settle import FittedResponse, fit_with, refit, settle
 from radiometer.analysis.response.wrong_labels import (
     LEAST_GAIN,
     UNTOLD_OFFSET_S,
@@ -58,7 +58,7 @@ class ShutterOffset:
 
     Attributes:
         seconds: The time in s; negative for shorter exposures.
-        u_seconds: Its standard uncertainty in s, from the fit, from quadrants and from exposures left out.
+        u_seconds: Its standard uncertainty in s, from the fit, from shares of the picture and from exposures left out.
         gain: Mean error of left-out exposures that it moves, over that with the labels as they are.
     """
 
@@ -143,7 +143,8 @@ def find_offset(planes: Sequence[Plane], wrong: Sequence[int] = ()) -> ShutterOf
 
     It must be plausible for a shutter and stand out of its uncertainty. Of the exposures that it moves by a percent or
     more each is left out in turn and predicted with what the others tell of the offset: their mean error must fall by a
-    tenth, whichever of them is not counted it must fall, and left-out quadrants must be predicted no worse.
+    tenth, whichever of them is not counted it must fall, and over all frames left-out shares of the picture, all of
+    which see what short exposures show, must be predicted no worse.
 
     Args:
         planes: Colours of the same photographs, in the same order of frames.
@@ -163,7 +164,7 @@ def find_offset(planes: Sequence[Plane], wrong: Sequence[int] = ()) -> ShutterOf
 
 def _settled(plane: Plane, wrong: Sequence[int]) -> list[tuple[Plane, FittedResponse]]:
     """Return a plane with fewer groups and without some frames, and its fit; nothing where it is too dark or small."""
-    if not plane.samples.quadrants:
+    if not plane.samples.shares:
         return []
     try:
         samples = thinned(plane.samples)
@@ -228,7 +229,7 @@ class _Told:
             return None
         before, after = np.array(moved).T
         without_one = after.sum() - after < before.sum() - before
-        if after.sum() > LEAST_GAIN * before.sum() or not np.all(without_one) or not self._quadrants_no_worse():
+        if after.sum() > LEAST_GAIN * before.sum() or not np.all(without_one) or not self._shares_no_worse():
             return None
         return ShutterOffset(self.seconds, u, float(after.sum() / before.sum()))
 
@@ -238,7 +239,7 @@ class _Told:
         Args:
             without: The offset in s that the others tell without each frame in turn.
         """
-        parts = zip(*[plane.samples.without_quadrant for plane in self.planes], strict=True)
+        parts = zip(*[plane.samples.without_share for plane in self.planes], strict=True)
         places = np.array([self._of_parts(part) for part in parts])
         of_places = float(np.sqrt((places.size - 1) * places.var()))
         count = max(len(without), 1)
@@ -279,15 +280,23 @@ class _Told:
             return None
         return seconds, float(sizes[0].mean()), float(sizes[1].mean())
 
-    def _quadrants_no_worse(self) -> bool:
-        """Tell whether left-out quadrants are predicted as well as with the labels as they are, or better."""
-        before = [error_of_quadrants(plane.samples, fit) for plane, fit in zip(self.planes, self.plain, strict=True)]
+    def _shares_no_worse(self) -> bool:
+        """Tell whether left-out shares are predicted as well as with the labels as they are, or better."""
+        before = [_error_of_shares(plane.samples, fit) for plane, fit in zip(self.planes, self.plain, strict=True)]
         after = []
         for plane, fit in zip(self.planes, self.free, strict=True):
-            timed = with_offset(plane.samples, self.seconds)
-            fixed = fit_with(timed, fit.log_exposure, replace(fit.choices, u_offset_s=0.0))
-            after.append(error_of_quadrants(timed, fixed))
-        return bool(np.nansum(after) <= np.nansum(before))
+            fixed = replace(fit, choices=replace(fit.choices, u_offset_s=0.0))
+            after.append(_error_of_shares(with_offset(plane.samples, self.seconds), fixed))
+        return sum(after) <= sum(before)
+
+
+def _error_of_shares(samples: ResponseSamples, fitted: FittedResponse) -> float:
+    """Return the mean size of the error in DN of left-out shares, each predicted by the same fit without it."""
+    errors = []
+    for train, test in zip(samples.without_share, samples.shares, strict=True):
+        part = refit(train, fitted) or fitted
+        errors.append(prediction_error_dn(test, part.log_exposure))
+    return error_dn(np.concatenate(errors))
 
 
 def _errors(samples: ResponseSamples, fitted: FittedResponse, frame: int) -> Array:
