@@ -128,7 +128,12 @@ def outcome(result: ReconcileResult, frames: Sequence[FrameFinding]) -> str:
         return f"The printed exposures of all {len(frames)} photographs agree."
     said = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else parts[0]
     rivals = [text for effect in result.effects for text in effect.alternatives]
-    others = f"or, as these photographs cannot tell, {' or '.join(rivals)} instead" if rivals else "the others agree"
+    agree = (
+        "the others agree"
+        if wrong or all(effect.name != OFFSET for effect in result.effects)
+        else "with that all agree"
+    )
+    others = f"or, as these photographs cannot tell, {' or '.join(rivals)} instead" if rivals else agree
     return f"{said[0].upper() if not wrong else said[0]}{said[1:]}; {others}."
 
 
