@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.merge.bracket import merge
-from radiometer.analysis.response import shutter_offset
+from radiometer.analysis.response import auto, shutter_offset
 from radiometer.analysis.response.auto import recover_colours_auto, recover_response_auto
 from radiometer.analysis.response.settle import FittedResponse
 from radiometer.analysis.response.shutter_offset import (
@@ -185,10 +185,10 @@ def test_its_uncertainty_is_of_the_fit_or_of_shares_and_of_exposures() -> None:
     sample = SimpleNamespace(without_share=(0, 1, 2, 3))
     told = SimpleNamespace(seconds=10e-6, u_fit=1e-6, planes=[SimpleNamespace(samples=sample)])
     told._of_parts = lambda _: next(parts)
-    of_shares, of_frames = math.sqrt(3.0) * 1e-6, math.sqrt(0.5 * (9.0 + 4.0)) * 1e-6
-    assert _Told._u(told, [13e-6, 8e-6]) == pytest.approx(math.hypot(of_shares, of_frames))  # type: ignore[arg-type]
+    of_shares, of_frames = math.sqrt(3.0) * 1e-6, math.sqrt((9.0 + 4.0) * 2.0 / 3.0) * 1e-6
+    assert _Told._u(told, [13e-6, 8e-6, 10e-6]) == pytest.approx(math.hypot(of_shares, of_frames))  # type: ignore[arg-type]
     told.u_fit = 5e-6
-    assert _Told._u(told, [13e-6, 8e-6]) == pytest.approx(math.hypot(5e-6, of_frames))  # type: ignore[arg-type]
+    assert _Told._u(told, [13e-6, 8e-6, 10e-6]) == pytest.approx(math.hypot(5e-6, of_frames))  # type: ignore[arg-type]
 
 
 def test_planes_that_disagree_widen_it() -> None:
@@ -273,6 +273,19 @@ def test_the_response_says_it_and_holds_it(tmp_path: Any) -> None:
     assert np.all(found.curve.u_log_exposure[dn] < 0.05)
 
 
+@pytest.mark.parametrize(("seconds", "said"), [(2e-5, "20.0 ± 1.5 µs longer"), (-2e-5, "20.0 ± 1.5 µs shorter")])
+def test_a_curve_holds_what_every_label_is_off_by(seconds: float, said: str) -> None:
+    """The offset and what the fit found besides, frame by frame; and the offset with its u, in figures and words."""
+    curve = ResponseCurve(np.linspace(-1.0, 1.0, 4), np.zeros(4))
+    stated_s, besides = np.array([1e-4, 1e-3]), np.array([0.01, -0.01])
+    known = Exposures(ShutterOffset(seconds, 1.5e-6, 0.5), ())
+    told = auto._with_offset_told(curve, known, besides, stated_s).provenance
+    assert told.parameters["log_time_errors"] == pytest.approx(np.log1p(seconds / stated_s) + besides)
+    assert (told.parameters["shutter_offset_s"], told.parameters["u_shutter_offset_s"]) == (seconds, 1.5e-6)
+    assert told.assumptions == (f"all exposures {said} than stated, the shutter's offset as these frames tell it",)
+    assert auto._with_offset_told(curve, Exposures(None, ()), besides, stated_s) is curve
+
+
 @pytest.mark.slow
 def test_a_response_without_it_says_nothing_of_it() -> None:
     """No key, no note, the labels as they are."""
@@ -287,8 +300,6 @@ def test_a_response_without_it_says_nothing_of_it() -> None:
 @pytest.mark.slow
 def test_what_the_offset_leaves_open_is_in_the_curve(monkeypatch: pytest.MonkeyPatch) -> None:
     """A u ten times as large makes the curve's larger, by what so much more time would change it."""
-    from radiometer.analysis.response import auto
-
     bracket = photographed(OFFSET_S)
     found = []
     for u in (1e-9, 2e-5):
