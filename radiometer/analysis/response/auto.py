@@ -30,6 +30,7 @@ from radiometer.one_thread import on_one_blas_thread
 Array = NDArray[np.float64]
 
 METHOD = "auto"
+_AS_STATED = "exposure times as stated"
 # Times are freed only where the error of predicting left-out quadrants falls to this part.
 _LEAST_GAIN_OF_TIMES = 0.9
 
@@ -228,10 +229,9 @@ def _with_offset_told(curve: ResponseCurve, exposures: Exposures, errors: Array,
     origin = curve.provenance
     told = {"log_time_errors": [float(error) for error in whole], **_offset_parameters(exposures)}
     text = f"all exposures {exposures.offset.told()} than stated, the shutter's offset as these frames tell it"
-    return replace(
-        curve,
-        provenance=replace(origin, parameters={**origin.parameters, **told}, assumptions=(*origin.assumptions, text)),
-    )
+    assumed = (*(other for other in origin.assumptions if other != _AS_STATED), text)
+    parameters = {**origin.parameters, **told}
+    return replace(curve, provenance=replace(origin, parameters=parameters, assumptions=assumed))
 
 
 def _offset_note(exposures: Exposures, printed: ResponseSamples) -> tuple[str, ...]:
@@ -246,7 +246,7 @@ def _offset_note(exposures: Exposures, printed: ResponseSamples) -> tuple[str, .
 
 
 def _curve(samples: ResponseSamples, result: FittedResponse, u: Array) -> ResponseCurve:
-    times = "exposure times as stated" if not result.fit.time_modes.size else "exposure times right on average"
+    times = _AS_STATED if not result.fit.time_modes.size else "exposure times right on average"
     return finished_curve(
         result.log_exposure,
         u,

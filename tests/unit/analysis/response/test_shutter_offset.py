@@ -26,7 +26,7 @@ from radiometer.analysis.response.shutter_offset import (
 )
 from radiometer.analysis.response.wrong_labels import UNTOLD_OFFSET_S, WrongLabel
 from radiometer.cli.photograph_response import relative_calibration, with_found_times
-from radiometer.data import CameraDescription, LensDescription, ResponseCurve
+from radiometer.data import CameraDescription, LensDescription, Provenance, ResponseCurve
 from tests.unit.analysis.response.brackets_of_a_shutter import LABELS_S, photographed, plane, scene
 
 OFFSET_S = 25e-6
@@ -276,13 +276,15 @@ def test_the_response_says_it_and_holds_it(tmp_path: Any) -> None:
 @pytest.mark.parametrize(("seconds", "said"), [(2e-5, "20.0 ± 1.5 µs longer"), (-2e-5, "20.0 ± 1.5 µs shorter")])
 def test_a_curve_holds_what_every_label_is_off_by(seconds: float, said: str) -> None:
     """The offset and what the fit found besides, frame by frame; and the offset with its u, in figures and words."""
-    curve = ResponseCurve(np.linspace(-1.0, 1.0, 4), np.zeros(4))
+    before = Provenance("auto", assumptions=("noise", "exposure times as stated"))
+    curve = ResponseCurve(np.linspace(-1.0, 1.0, 4), np.zeros(4), provenance=before)
     stated_s, besides = np.array([1e-4, 1e-3]), np.array([0.01, -0.01])
     known = Exposures(ShutterOffset(seconds, 1.5e-6, 0.5), ())
     told = auto._with_offset_told(curve, known, besides, stated_s).provenance
     assert told.parameters["log_time_errors"] == pytest.approx(np.log1p(seconds / stated_s) + besides)
     assert (told.parameters["shutter_offset_s"], told.parameters["u_shutter_offset_s"]) == (seconds, 1.5e-6)
-    assert told.assumptions == (f"all exposures {said} than stated, the shutter's offset as these frames tell it",)
+    offset = f"all exposures {said} than stated, the shutter's offset as these frames tell it"
+    assert told.assumptions == ("noise", offset)
     assert auto._with_offset_told(curve, Exposures(None, ()), besides, stated_s) is curve
 
 
