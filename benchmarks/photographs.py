@@ -4,7 +4,8 @@
 
 Needs the real stacks in shared/data; says so and leaves where they are absent. Every program gets the same frames
 (every n-th pixel of large ones) and one stack per fit. Nothing is tuned to them: λ, times and labels are judged within
-each stack.
+each stack. `auto` tells a shutter's offset from the frames that it is given, never from the one left out, and exposures
+are then longer than their labels by it; no other program tells one, and theirs are as labelled.
 """
 
 from __future__ import annotations
@@ -21,10 +22,11 @@ from benchmarks._photograph_labels import Labels
 from benchmarks._photograph_sets import CAMERAS, HIGHEST_DN, LOWEST_DN, Array, RealStack, real_stacks, stacks_folder
 from benchmarks._response_peers import failures_of, opencv_debevec, peers
 from benchmarks._sections import write_section
+from radiometer.analysis.response.estimate import ResponseEstimate
 from radiometer.analysis.response.limits import find_limits
 from radiometer.analysis.response.methods import METHODS
 from radiometer.analysis.response.weights import dn_at
-from radiometer.data import Bracket, ResponseCurve
+from radiometer.data import Bracket, Frame, ResponseCurve
 from radiometer.errors import RadiometerError
 
 OURS = "radiometer auto"
@@ -35,7 +37,27 @@ _SAMPLES = range(50, 131, 4)
 _PIXELS = 40_000
 # Values so near to what the frames show of black and white are no exposure of a pixel; the hat's half width in DN.
 _CLEAR_OF_BLACK, _CLEAR_OF_WHITE, _HALF_HAT = 8.0, 5.0, 121.0
-Recover = Callable[[Bracket], Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recovered:
+    """What a program makes of a bracket.
+
+    Attributes:
+        g: ln H of every digital number.
+        offset_s: Time by which it takes all exposures for longer than their labels; 0 for programs that tell none.
+    """
+
+    g: Array
+    offset_s: float = 0.0
+
+    def seconds(self, frame: Frame) -> float:
+        """Return the effective exposure in s that it takes a frame for."""
+        stated = frame.settings
+        return stated.effective_exposure_s * (1.0 + self.offset_s / stated.exposure_s)
+
+
+Recover = Callable[[Bracket], Recovered]
 
 
 @dataclass
@@ -77,8 +99,13 @@ def told_of_samples(by_camera: dict[str, list[list[float]]]) -> str:
 
 def programs() -> Iterator[tuple[str, Recover]]:
     for name in METHODS:
-        yield f"radiometer {name}", lambda bracket, name=name: METHODS[name]([bracket]).curve.log_exposure
-    yield from peers()
+        yield f"radiometer {name}", lambda bracket, name=name: recovered(METHODS[name]([bracket]))
+    for name, peer in peers():
+        yield name, lambda bracket, peer=peer: Recovered(peer(bracket))
+
+
+def recovered(estimate: ResponseEstimate) -> Recovered:
+    return Recovered(estimate.curve.log_exposure, float(estimate.details.get("shutter_offset_s", 0.0)))
 
 
 def rms_of_truth(stack: RealStack, g: Array) -> tuple[float, Array]:
@@ -108,21 +135,21 @@ def left_out_dn(stack: RealStack, recover: Recover, failures: type[Exception]) -
     for k in chosen:
         rest = Bracket.from_frames([f for i, f in enumerate(bracket) if i != k], origin=bracket.origin)
         try:
-            g = recover(rest)
+            found = recover(rest)
         except failures as error:
             print(f"no curve without frame {k} of {stack.camera} {stack.name}: {error}")
             return float("nan")
-        errors.append(predicted(rest, bracket.frames[k].dn, bracket.frames[k].settings.effective_exposure_s, g))
+        errors.append(predicted(rest, bracket.frames[k].dn, found.seconds(bracket.frames[k]), found))
     return float(np.mean(np.abs(np.concatenate(errors))))
 
 
-def predicted(rest: Bracket, dn: Array, seconds: float, g: Array) -> Array:
+def predicted(rest: Bracket, dn: Array, seconds: float, recovered: Recovered) -> Array:
     """Return predicted minus found digital number of one frame: hat-weighted mean exposure of the others through g.
 
     The hat stands on what the other frames show of black (a film's fog) and white: for no program is fog an exposure,
     nor 0 DN what a film shows without light.
     """
-    step = max(1, int(np.sqrt(dn.size / _PIXELS)))
+    step, g = max(1, int(np.sqrt(dn.size / _PIXELS))), recovered.g
     if not np.any(np.isfinite(g)):
         return np.full(1, np.nan)
     g = np.maximum.accumulate(np.where(np.isfinite(g), g, np.nanmin(g[np.isfinite(g)])))
@@ -133,7 +160,7 @@ def predicted(rest: Bracket, dn: Array, seconds: float, g: Array) -> Array:
         value = frame.dn[::step, ::step]
         clear = np.minimum(value - (limits.black_dn + _CLEAR_OF_BLACK), limits.saturated_dn - _CLEAR_OF_WHITE - value)
         hat = np.clip(clear / _HALF_HAT, 0.0, 1.0)
-        total += hat * (g[value] - np.log(frame.settings.effective_exposure_s))
+        total += hat * (g[value] - np.log(recovered.seconds(frame)))
         weights += hat
     here = dn[::step, ::step]
     used = (weights > 0.05) & (here >= LOWEST_DN) & (here <= HIGHEST_DN)
@@ -165,7 +192,7 @@ def measure(stack: RealStack, tallies: dict[str, Tally], runs: list[tuple[str, R
         tally = tallies.setdefault(name, Tally())
         if stack.has_truth:
             try:
-                rms = rms_of_truth(stack, recover(stack.bracket))[0]
+                rms = rms_of_truth(stack, recover(stack.bracket).g)[0]
             except failures_of(name) as error:
                 print(f"{name} fails on {stack.camera} {stack.name}: {error}")
                 rms = float("inf")
@@ -203,7 +230,8 @@ def told(
         table(tallies, "truth", with_truth, 100.0, "%") if with_truth else "No set with raw values was asked for.",
         of_samples,
         "**Left-out frames**: mean size of the error in DN with which a frame left out of the fit is predicted "
-        "(hat-weighted mean exposure of the other frames, the same for all programs):",
+        "(hat-weighted mean exposure of the other frames, the same for all programs; exposures as labelled, for `auto` "
+        "with the shutter's offset where it tells one from the other frames, which no other program does):",
         table(tallies, "left_out", cameras, 1.0, "DN"),
         "**Are the stated uncertainties true?** rms difference over both uncertainties: from the raw values (theirs is "
         "what a smooth curve leaves of the patches, and for the Flea3 what cutting 12 bits to 8 does), and between the "

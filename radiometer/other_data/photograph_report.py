@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+OFFSET: Final = "exposure_time_offset"
 _BINS: Final = 24
 _LONGEST_NAME: Final = 18
 _COVERAGE: Final = 2.0
@@ -39,11 +40,13 @@ class FrameFinding:
         ratio: Exposure that the others say over that of the label.
         u_ratio: Its standard uncertainty, the curve that the others leave open included; infinite where too few pixels
             show the frame.
-        named_from: Real over stated exposure, or its inverse, from which the label would be named; infinite where none.
+        named_from: Real exposure over that of label and offset, or its inverse, from which the label would be named;
+            infinite where none.
         wrong: Whether the label was found wrong.
         dn: Digital numbers of the frame, shape (rows,).
         error_dn: Predicted from the others minus found, same shape; NaN where no other frame shows it.
         error_as_printed_dn: The same with all labels as printed.
+        expected: What the label and the shutter's offset make together, over the label; 1 where no offset was taken.
     """
 
     name: str
@@ -56,6 +59,7 @@ class FrameFinding:
     dn: Array
     error_dn: Array
     error_as_printed_dn: Array
+    expected: float = 1.0
 
 
 def report_html(result: ReconcileResult, frames: Sequence[FrameFinding], sentence: str, title: str) -> str:
@@ -68,6 +72,7 @@ def report_html(result: ReconcileResult, frames: Sequence[FrameFinding], sentenc
         title: What was reconciled.
     """
     wrong = [one for one in frames if one.wrong]
+    line = "the line of 1" if all(one.expected == 1.0 for one in frames) else "what label and shutter's offset make"
     return page(
         title,
         outcome(result, frames),
@@ -76,13 +81,13 @@ def report_html(result: ReconcileResult, frames: Sequence[FrameFinding], sentenc
             picture(
                 partial(_draw_ratios, frames=frames),
                 "What the other photographs say of each one's exposure, over its label, with U (k = 2): "
-                + ("those off the line of 1 are named." if wrong else "all lie about 1.")
+                + (f"those off {line} are named." if wrong else f"all lie about {line}.")
                 + " Within the grey band no label is called wrong: one tone curve for all pictures is no better known.",
                 (10.0, 4.2),
                 (4.0, 4.4),
             ),
             *[_label_section(one) for one in wrong],
-            _what_to_do(wrong),
+            _what_to_do(wrong, result),
             section(
                 "Each photograph against its prediction",
                 picture(
@@ -108,6 +113,11 @@ def outcome(result: ReconcileResult, frames: Sequence[FrameFinding]) -> str:
     parts = []
     if any(effect.name == "nominal_settings" for effect in result.effects):
         parts.append("the printed times are rounded stops")
+    for effect in (one for one in result.effects if one.name == OFFSET):
+        found = effect.parameters["offset_s"]
+        size = with_u(1e6 * abs(found.value), _COVERAGE * 1e6 * (found.u or 0.0), "µs")
+        longer = "longer" if found.value > 0 else "shorter"
+        parts.append(f"all exposures are {size} (k = {_COVERAGE:g}) {longer} than printed (the shutter's offset)")
     parts += [
         f"{one.name} had {with_u(one.ratio, _COVERAGE * one.u_ratio)} of its printed exposure (k = {_COVERAGE:g})"
         for one in wrong
@@ -118,7 +128,12 @@ def outcome(result: ReconcileResult, frames: Sequence[FrameFinding]) -> str:
         return f"The printed exposures of all {len(frames)} photographs agree."
     said = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else parts[0]
     rivals = [text for effect in result.effects for text in effect.alternatives]
-    others = f"or, as these photographs cannot tell, {' or '.join(rivals)} instead" if rivals else "the others agree"
+    agree = (
+        "the others agree"
+        if wrong or all(effect.name != OFFSET for effect in result.effects)
+        else "with that all agree"
+    )
+    others = f"or, as these photographs cannot tell, {' or '.join(rivals)} instead" if rivals else agree
     return f"{said[0].upper() if not wrong else said[0]}{said[1:]}; {others}."
 
 
@@ -137,9 +152,14 @@ def _label_section(one: FrameFinding) -> str:
     )
 
 
-def _what_to_do(wrong: Sequence[FrameFinding]) -> str:
-    if not wrong:
+def _what_to_do(wrong: Sequence[FrameFinding], result: ReconcileResult) -> str:
+    if not wrong and all(effect.name != OFFSET for effect in result.effects):
         return ""
+    if not wrong:
+        return paragraph(
+            "-o exposures.txt writes the exposures that agree, which every command takes from beside the photographs.",
+            "do",
+        )
     names = ", ".join(one.name for one in wrong)
     return paragraph(
         f"Look at the EXIF record of {names}, or take {'it' if len(wrong) == 1 else 'them'} again; -o exposures.txt "
@@ -191,8 +211,12 @@ def _draw_ratios(figure: Figure, narrow: bool, frames: Sequence[FrameFinding]) -
                 capsize=2,
                 label=text,
             )
-    axes.axhline(1.0, color=RULE, lw=0.8)
-    axes.axhspan(math.exp(-_TOLERATED), math.exp(_TOLERATED), color=DIMMED, alpha=0.15, lw=0)
+    expected = np.array([one.expected for one in frames])
+    ends = np.repeat(place, 2) + np.tile([-0.5, 0.5], len(frames))
+    middle = np.repeat(expected, 2)
+    axes.plot(ends, middle, color=RULE, lw=0.8)
+    tolerated = math.exp(_TOLERATED)
+    axes.fill_between(ends, middle / tolerated, middle * tolerated, color=DIMMED, alpha=0.15, lw=0)
     names = [f"{label(shortened(one.name, _LONGEST_NAME))}\n{_seconds(one.stated_s)}" for one in frames]
     axes.set_xticks(
         place, names, rotation=60 if narrow or len(names) > 8 else 0, ha="right" if len(names) > 8 else "center"
@@ -262,4 +286,4 @@ def _seconds(seconds: float) -> str:
     return f"1/{1.0 / seconds:.4g} s" if seconds < 0.3 else f"{seconds:.4g} s"
 
 
-__all__ = ["FrameFinding", "outcome", "report_html"]
+__all__ = ["OFFSET", "FrameFinding", "outcome", "report_html"]

@@ -1,7 +1,8 @@
 """Reconciles a stack of photographs through an unknown tone curve with its printed exposures.
 
 The response is unknown, so that only what breaks the agreement of all photographs with one curve can be told: stops
-that were rounded when printed, and single labels that are not the real exposure. The judge is the prediction of digital
+that were rounded when printed, a shutter that exposes longer by one time, and single labels that are not the real
+exposure. The judge is the prediction of digital
 numbers: a quadrant of the picture is left out, curve and exposures come from the rest, and each photograph's values
 there are predicted from the other photographs. What does not predict them better is not named.
 """
@@ -24,10 +25,10 @@ from radiometer.analysis.response.left_out import dial_step_dn, follow_no_curve,
 from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, settle
+from radiometer.analysis.response.shutter_offset import Exposures, ShutterOffset, find_exposures
 from radiometer.analysis.response.wrong_labels import (
     LEAST_GAIN,
     WrongLabel,
-    find_wrong_labels,
     freed_one_by_one,
     most_wrong_labels,
     smallest_label_error,
@@ -37,7 +38,7 @@ from radiometer.data import Bracket, Frame
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import CaptureError, InputError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.other_data.photograph_report import FrameFinding, report_html
+from radiometer.other_data.photograph_report import OFFSET, FrameFinding, report_html
 from radiometer.reconcile.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.units import exact_exposure_s
 
@@ -57,7 +58,8 @@ class PhotographsReconciled:
     Attributes:
         result: The verdict and what was found.
         exposures_s: Exposure of each photograph in s, as it agrees with the others.
-        u_rel: Relative standard uncertainty of those that were not taken from their label; 0 for the others.
+        u_rel: Relative standard uncertainty of those that were not taken from their label; 0 for the others. That of
+            the shutter's offset is one error, which all share.
         findings: What the others say of each photograph.
         sentence: How well left-out parts are predicted, in a sentence.
         origin: Where they came from.
@@ -128,7 +130,7 @@ def reconcile_photographs(
     result = _result(judged, bracket, names)
     seconds = [f.settings.exposure_s for f in bracket]
     shift = judged.log_time - samples.frame_log_time
-    u_rel = dict.fromkeys(names, 0.0) | {names[one.frame]: one.u_ratio / one.ratio for one in judged.labels}
+    u_rel = dict(zip(names, judged.u_rel, strict=True))
     return PhotographsReconciled(
         replace(result, seconds=time.monotonic() - begun),
         {name: float(s * math.exp(d)) for name, s, d in zip(names, seconds, shift, strict=True)},
@@ -147,10 +149,36 @@ class _Judged:
     fitted: FittedResponse
     log_time: Array
     rounded: bool
-    labels: tuple[WrongLabel, ...]
+    exposures: Exposures
     errors: tuple[float, float, float]  # as printed, with the exact stops, with the labels found
     told: Sequence[tuple[float, float]] = ()  # of each frame ln of real over stated exposure by the others, and its u
     can_tell: bool = True  # whether enough photographs show something to tell a wrong label
+
+    @property
+    def labels(self) -> tuple[WrongLabel, ...]:
+        """Return the labels that are wrong, their ratios to the exact stop and the shutter's offset."""
+        return self.exposures.wrong
+
+    @property
+    def offset(self) -> ShutterOffset | None:
+        """Return the time by which the shutter exposes longer; None where none was taken."""
+        return self.exposures.offset
+
+    @property
+    def u_rel(self) -> list[float]:
+        """Return the relative standard uncertainty of every exposure that was not taken from its label; 0 else."""
+        u = np.zeros(self.log_time.size)
+        if self.offset is not None:
+            u = self.offset.u_seconds / self.samples.exposures_s
+        for one in self.labels:
+            u[one.frame] = one.u_ratio / one.ratio
+        return [float(value) for value in u]
+
+    @property
+    def expected(self) -> Array:
+        """Return what label and shutter's offset make together over the label, shape (frames,)."""
+        seconds = 0.0 if self.offset is None else self.offset.seconds
+        return np.asarray(self.samples.exposures_s / (self.samples.exposures_s - seconds))
 
     @property
     def follow_no_curve(self) -> bool:
@@ -179,24 +207,26 @@ def _judge(plane: Plane, others: Sequence[Plane], exact: Array) -> _Judged:
 
     def planes_of(timed: ResponseSamples) -> list[Plane]:
         times = timed.frame_log_time
-        return [Plane(timed, start), *(replace(one, samples=_with_times(one.samples, times)) for one in others)]
+        return [Plane(timed, start), *(replace(one, samples=one.samples.timed(times)) for one in others)]
 
-    printed, stops = thinned(samples), thinned(_with_times(samples, exact))
+    printed, stops = thinned(samples), thinned(samples.timed(exact))
     before = error_of_quadrants(printed, settle(printed, start))
     chosen, rounded, now = samples, False, before
     if np.ptp(exact - samples.frame_log_time) > 1e-3:
         after = error_of_quadrants(stops, settle(stops, start))
         if after.sum() <= LEAST_GAIN * before.sum() and np.all(after <= before):
-            chosen, rounded, now = _with_times(samples, exact), True, after
-    labels = find_wrong_labels(planes_of(chosen))
-    if labels and rounded:
+            chosen, rounded, now = samples.timed(exact), True, after
+    found = find_exposures(planes_of(chosen))
+    if found.wrong and rounded:
         # A wrong label may make the exact stops look better by chance: they must still do so beside it.
-        free = tuple(one.frame for one in labels)
-        as_printed = error_of_quadrants(printed, settle(printed, start, free))
-        as_stops = error_of_quadrants(stops, settle(stops, start, free))
+        free = tuple(one.frame for one in found.wrong)
+        as_printed, as_stops = (
+            error_of_quadrants(timed, settle(timed, start, free)) for timed in map(found.timed, (printed, stops))
+        )
         if as_stops.sum() > LEAST_GAIN * as_printed.sum():
             chosen, rounded, now = samples, False, before
-            labels = find_wrong_labels(planes_of(chosen))
+            found = find_exposures(planes_of(chosen))
+    labels, chosen = found.wrong, found.timed(chosen)
     thin = thinned(chosen)
     known = tuple(one.log_ratio for one in labels) if others else ()
     fitted = settle(thin, start, tuple(one.frame for one in labels), known=known)
@@ -209,20 +239,11 @@ def _judge(plane: Plane, others: Sequence[Plane], exact: Array) -> _Judged:
         fitted,
         log_time,
         rounded,
-        labels,
+        found,
         (float(before.mean()), float(now.mean()), float(final.mean())),
         freed_one_by_one(planes_of(chosen), tuple(one.frame for one in labels)),
         most_wrong_labels([plane, *others]) > 0,
     )
-
-
-def _with_times(samples: ResponseSamples, log_time: Array) -> ResponseSamples:
-    """Return the samples with other exposure times."""
-
-    def timed(one: ResponseSamples) -> ResponseSamples:
-        return replace(one, frame_log_time=log_time, log_time=log_time[one.frame])
-
-    return samples.changed(timed)
 
 
 def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> ReconcileResult:
@@ -232,6 +253,18 @@ def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> Reconcil
         share = {"share": FittedParameter(1.0, None, "1")}
         effects.append(
             FoundEffect("nominal_settings", share, "exposure_s", before / after, stops / after, block="left-out DN")
+        )
+    if (offset := judged.offset) is not None:
+        effects.append(
+            FoundEffect(
+                OFFSET,
+                {"offset_s": FittedParameter(offset.seconds, offset.u_seconds, "s")},
+                "exposure_s",
+                stops / after,
+                1.0,
+                gain_nats=0.5 * (offset.seconds / offset.u_seconds) ** 2,
+                block="left-out DN",
+            )
         )
     for label in judged.labels:
         stated = bracket.frames[label.frame].settings.exposure_s
@@ -246,7 +279,7 @@ def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> Reconcil
                 "exposure_s",
                 stops / after,
                 1.0,
-                _rivals(label, names),
+                _rivals(label, judged, names),
                 {"description": f"take the exposure of {names[label.frame]} again, or read its EXIF record"},
                 # Of a normal distribution as wide as the uncertainty: the label as printed against the ratio found.
                 gain_nats=0.5 * (label.log_ratio[0] / label.log_ratio[1]) ** 2,
@@ -286,17 +319,18 @@ def _of_printed(label: WrongLabel, judged: _Judged, bracket: Bracket) -> tuple[f
     return ratio, label.log_ratio[1] * ratio
 
 
-def _rivals(label: WrongLabel, names: Sequence[str]) -> tuple[str, ...]:
+def _rivals(label: WrongLabel, judged: _Judged, names: Sequence[str]) -> tuple[str, ...]:
     """Return which other labels predict left-out parts nearly as well, each alone in its place."""
-    return tuple(f"{_LABEL} of {names[frame]} (ratio {ratio:.3f})" for frame, ratio in label.rivals)
+    return tuple(
+        f"{_LABEL} of {names[frame]} (ratio {ratio * judged.expected[frame]:.3f})" for frame, ratio in label.rivals
+    )
 
 
 def _limits(judged: _Judged) -> list[float]:
     """Return of each frame ln of real over stated exposure from which its label is named; infinite where none is."""
-    times = np.exp(judged.samples.frame_log_time)
     return [
-        smallest_label_error(float(seconds)) + _SURE * u if judged.can_tell else math.inf
-        for seconds, (_, u) in zip(times, judged.told, strict=True)
+        smallest_label_error(float(seconds), judged.exposures.allowed_s) + _SURE * u if judged.can_tell else math.inf
+        for seconds, (_, u) in zip(judged.samples.exposures_s, judged.told, strict=True)
     ]
 
 
@@ -310,7 +344,7 @@ def _error_sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> 
     before, _, after = judged.errors
     if judged.follow_no_curve:
         return _no_curve(judged, bracket, names)
-    if not judged.labels and not judged.rounded:
+    if not judged.labels and not judged.rounded and judged.offset is None:
         return f"Left-out parts of the picture are predicted by the other photographs to {after:.2g} DN on average."
     return (
         f"Left-out parts of the picture are then predicted by the other photographs to {after:.2g} DN on average, "
@@ -346,16 +380,18 @@ def _known_rows(samples: ResponseSamples, values: Array) -> list[NDArray[np.bool
 
 def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     before, _, after = judged.errors
-    if not judged.labels and not judged.rounded:
+    if not judged.labels and not judged.rounded and judged.offset is None:
         if judged.follow_no_curve:
             return _no_curve(judged, bracket, names)
         few = "" if judged.can_tell else "; a wrong one of so few may hide in the tone curve"
         predicted = f"left-out parts of the picture are predicted to {after:.2g} DN on average"
         return f"All printed exposures agree: {predicted}{few}."
     parts = ["the printed times are rounded stops"] if judged.rounded else []
+    if judged.offset is not None:
+        parts.append(f"all exposures are {judged.offset.told()} than printed (the shutter's offset, k = 1)")
     for one in judged.labels:
         ratio, u_ratio = _of_printed(one, judged, bracket)
-        rivals = "".join(f", or {names[frame]} {other:.3f}" for frame, other in one.rivals)
+        rivals = "".join(f", or {names[frame]} {other * judged.expected[frame]:.3f}" for frame, other in one.rivals)
         tie = f"{rivals}: which of them, these cannot tell" if rivals else ""
         parts.append(
             f"{names[one.frame]}, labelled {exposure_label(bracket, one.frame)}, had "
@@ -380,7 +416,8 @@ def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[
     for k, (name, frame) in enumerate(zip(names, bracket, strict=True)):
         stated, here = frame.settings.exposure_s, rows.frame == k
         log_ratio, u = judged.told[k]
-        ratio, u_ratio = math.exp(log_ratio), math.exp(log_ratio) * u
+        expected = float(judged.expected[k])
+        ratio, u_ratio = expected * math.exp(log_ratio), expected * math.exp(log_ratio) * u
         if k in wrong:
             ratio, u_ratio = _of_printed(wrong[k], judged, bracket)
         taken = stated * math.exp(float(times[k]))
@@ -396,6 +433,7 @@ def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[
                 rows.dn[here],
                 final[here],
                 before[here],
+                expected,
             )
         )
     return tuple(found)

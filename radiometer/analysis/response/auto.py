@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,9 @@ from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.predicting import MANY_AS_ONE, Judged, judge_by_prediction, without_frames
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, refit, settle
+from radiometer.analysis.response.shutter_offset import Exposures, find_exposures, with_offset
 from radiometer.analysis.response.unseen import unseen_factor
-from radiometer.analysis.response.wrong_labels import WrongLabel, find_wrong_labels
+from radiometer.analysis.response.wrong_labels import WrongLabel
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.one_thread import on_one_blas_thread
@@ -29,6 +30,7 @@ from radiometer.one_thread import on_one_blas_thread
 Array = NDArray[np.float64]
 
 METHOD = "auto"
+_AS_STATED = "exposure times as stated"
 # Times are freed only where the error of predicting left-out quadrants falls to this part.
 _LEAST_GAIN_OF_TIMES = 0.9
 
@@ -39,7 +41,8 @@ def recover_response_auto(brackets: Bracket | Sequence[Bracket]) -> ResponseEsti
     Maximises Σ over groups and frames of the Gaussian likelihood of ln H, with ln E of every group eliminated, minus
     λ times the bend of g. Its variances are those of shot noise, read noise and rounding, with amplitudes fitted to
     the stack's own residuals; λ, and errors of the exposure times where these raise the likelihood clearly, come from
-    the restricted likelihood. Starts from Debevec and Malik's curve.
+    the restricted likelihood. Starts from Debevec and Malik's curve. Where left-out frames are predicted better with
+    it, all exposures are longer than their labels by one time, the shutter's offset (`find_offset`).
 
     The bend is the third difference over the basis variable. Frames at whole stops leave a wave in ln H with a
     period of one stop undetermined, whatever the method: there the curve is as smooth as the data allow. Other
@@ -68,7 +71,8 @@ def recover_colours_auto(colours: Sequence[Bracket | Sequence[Bracket]]) -> list
         colours: One bracket or several of each colour, the same photographs in the same order.
 
     Returns:
-        An estimate for each colour, as by `recover_response_auto`; labels are found wrong by all colours together.
+        An estimate for each colour, as by `recover_response_auto`; the shutter's offset and wrong labels are told by
+        all colours together.
 
     Raises:
         InputError: If the brackets do not fit together or hold one exposure only.
@@ -82,10 +86,10 @@ def recover_colours_auto(colours: Sequence[Bracket | Sequence[Bracket]]) -> list
 def solve_colours_auto(samples: Sequence[ResponseSamples]) -> list[ResponseEstimate]:
     """Recover the responses of several colours from gathered samples; see `recover_colours_auto`."""
     planes = [Plane(one, curve_debevec1997(one).log_exposure) for one in samples]
-    wrong = find_wrong_labels(planes)
+    found = find_exposures(planes)
     # A colour by itself finds its labels again; several hold each other to what they found together.
-    known = tuple(label.log_ratio for label in wrong) if len(planes) > 1 else ()
-    return [_estimate(plane, wrong, known) for plane in planes]
+    known = tuple(label.log_ratio for label in found.wrong) if len(planes) > 1 else ()
+    return [_estimate(plane, found, known) for plane in planes]
 
 
 def solve_auto(samples: ResponseSamples) -> ResponseEstimate:
@@ -93,17 +97,23 @@ def solve_auto(samples: ResponseSamples) -> ResponseEstimate:
     return solve_colours_auto([samples])[0]
 
 
-def _estimate(plane: Plane, wrong: tuple[WrongLabel, ...], known: tuple[tuple[float, float], ...]) -> ResponseEstimate:
-    samples, start = plane.samples, plane.start
+def _estimate(plane: Plane, exposures: Exposures, known: tuple[tuple[float, float], ...]) -> ResponseEstimate:
+    samples, start, wrong = exposures.timed(plane.samples), plane.start, exposures.wrong
+    offset, stated_s = exposures.offset, plane.samples.exposures_s
     free = tuple(label.frame for label in wrong)
     settled = _with_times(samples, settle(samples, start, free, known=known))
     judged = judge_by_prediction(samples, start, settled, wrong)
     result = judged.best
     parts = _Parts.of(samples, result)
-    shared = np.hypot(_u_shared(samples, judged), judged.u_among(judged.other_labels))
-    curve = _curve(samples, result, np.sqrt(parts.u_log_exposure(result) ** 2 + shared**2))
     fit, times = result.fit, samples.frame_log_time
+    shared = np.hypot(_u_shared(samples, judged), judged.u_among(judged.other_labels))
+    of_parts = parts.u_log_exposure(result)
+    u_curve = np.sqrt(of_parts**2 + shared**2 + _u_of_offset(samples, result, exposures) ** 2)
+    curve = _with_offset_told(_curve(samples, result, u_curve), exposures, fit.log_time_errors, stated_s)
     ratios, u_ratios = _exposure_ratios(fit, times, parts)
+    if offset is not None:
+        u_ratios = np.hypot(u_ratios, ratios * np.abs(np.diff(1.0 / samples.exposures_s)) * offset.u_seconds)
+    told = [exposures.of_printed(label, stated_s) for label in wrong]
     inner = inner_range(supported_range(result.samples))
     return ResponseEstimate(
         curve=curve,
@@ -117,7 +127,7 @@ def _estimate(plane: Plane, wrong: tuple[WrongLabel, ...], known: tuple[tuple[fl
         exposure_ratios=ratios,
         u_exposure_ratios=u_ratios,
         gauge=_gauge(fit),
-        notes=_notes(result, samples, wrong, parts),
+        notes=(*_offset_note(exposures, plane.samples), *_notes(result, plane.samples, told, parts, exposures.stated)),
         agreement=parts.agreement(inner),
         details={
             "noise": result.noise.to_mapping(),
@@ -126,7 +136,8 @@ def _estimate(plane: Plane, wrong: tuple[WrongLabel, ...], known: tuple[tuple[fl
             "groups_that_count_as_one": result.choices.inflation,
             "time_spread": fit.time_spread,
             "log_time_errors": [float(error) for error in fit.log_time_errors],
-            "wrong_labels": [{"frame": label.frame, "ratio": label.ratio, "u_ratio": label.u_ratio} for label in wrong],
+            "wrong_labels": [{"frame": label.frame, "ratio": label.ratio, "u_ratio": label.u_ratio} for label in told],
+            **_offset_parameters(exposures),
         },
     )
 
@@ -194,8 +205,48 @@ def _u_shared(samples: ResponseSamples, judged: Judged) -> Array:
     return np.asarray(np.hypot(of_smoothness, of_exponent))
 
 
+def _u_of_offset(samples: ResponseSamples, result: FittedResponse, exposures: Exposures) -> Array:
+    """Return the standard uncertainty of g − g(M_mid) that the offset's makes: what one more u of it changes."""
+    if exposures.offset is None:
+        return np.zeros(result.log_exposure.size)
+    moved = refit(with_offset(samples, exposures.offset.u_seconds), result)
+    return np.zeros(result.log_exposure.size) if moved is None else np.abs(moved.relative - result.relative)
+
+
+def _offset_parameters(exposures: Exposures) -> dict[str, float]:
+    """Return the shutter's offset as it stands in files; nothing where none was taken."""
+    offset = exposures.offset
+    if offset is None:
+        return {}
+    return {"shutter_offset_s": offset.seconds, "u_shutter_offset_s": offset.u_seconds}
+
+
+def _with_offset_told(curve: ResponseCurve, exposures: Exposures, errors: Array, stated_s: Array) -> ResponseCurve:
+    """Return a curve whose provenance tells the offset, and with it what every label is off by."""
+    if exposures.offset is None:
+        return curve
+    whole = errors + exposures.offset.log_ratios(stated_s)
+    origin = curve.provenance
+    told = {"log_time_errors": [float(error) for error in whole], **_offset_parameters(exposures)}
+    text = f"all exposures {exposures.offset.told()} than stated, the shutter's offset as these frames tell it"
+    assumed = (*(other for other in origin.assumptions if other != _AS_STATED), text)
+    parameters = {**origin.parameters, **told}
+    return replace(curve, provenance=replace(origin, parameters=parameters, assumptions=assumed))
+
+
+def _offset_note(exposures: Exposures, printed: ResponseSamples) -> tuple[str, ...]:
+    offset = exposures.offset
+    if offset is None:
+        return ()
+    shortest = int(np.argmin(printed.exposures_s))
+    return (
+        f"all exposures are {offset.told()} than their labels (the shutter's offset; {_label(printed, shortest)} has "
+        f"{1.0 + offset.seconds / printed.exposures_s[shortest]:.3f} of that); they were taken as found",
+    )
+
+
 def _curve(samples: ResponseSamples, result: FittedResponse, u: Array) -> ResponseCurve:
-    times = "exposure times as stated" if not result.fit.time_modes.size else "exposure times right on average"
+    times = _AS_STATED if not result.fit.time_modes.size else "exposure times right on average"
     return finished_curve(
         result.log_exposure,
         u,
@@ -230,7 +281,11 @@ def _gauge(fit: ResponseFit) -> str:
 
 
 def _notes(
-    result: FittedResponse, samples: ResponseSamples, wrong: Sequence[WrongLabel], parts: _Parts
+    result: FittedResponse,
+    samples: ResponseSamples,
+    wrong: Sequence[WrongLabel],
+    parts: _Parts,
+    stated: str = "their labels",
 ) -> tuple[str, ...]:
     fit = result.fit
     notes = [
@@ -243,7 +298,7 @@ def _notes(
         errors = fit.log_time_errors
         worst = int(np.argmax(np.abs(errors)))
         notes.append(
-            f"the exposure times differ from their labels by some {100 * fit.time_spread:.2g} %; most for "
+            f"the exposure times differ from {stated} by some {100 * fit.time_spread:.2g} %; most for "
             f"{_label(samples, worst)}, which has {np.exp(errors[worst]):.4g} of that"
         )
     if samples.edge_scatter:

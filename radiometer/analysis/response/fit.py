@@ -126,6 +126,7 @@ def fit_response(
     smoothing: float | None = None,
     free: Sequence[int] = (),
     known: Sequence[tuple[float, float]] = (),
+    u_offset_s: float = 0.0,
 ) -> ResponseFit:
     """Return the response that best explains group means of known variance.
 
@@ -139,6 +140,8 @@ def fit_response(
         smoothing: λ relative to tr(N)/tr(P); None to have it chosen.
         free: Frames whose exposure is not taken from their label.
         known: ln of true over stated exposure of each of these and its standard uncertainty, where other data say so.
+        u_offset_s: Standard deviation in s of a time by which all exposures are longer than stated, as one more
+            amplitude (in units of this) after those of the freed frames; 0 for none.
 
     Raises:
         MeasurementError: If the data leave the curve undetermined.
@@ -151,6 +154,9 @@ def fit_response(
     design = basis.design(dn)
     labels = np.eye(samples.frame_log_time.size)[:, list(free)]
     expected = np.array(known or [UNKNOWN_LABEL] * len(free)).reshape(-1, 2)
+    if u_offset_s:
+        labels = np.column_stack([labels, u_offset_s / samples.exposures_s])
+        expected = np.vstack([expected, (0.0, 1.0)])
 
     def equations(patterns: Array) -> NormalEquations:
         columns = [design, sp.csr_array(-patterns[samples.frame])] if patterns.shape[1] else [design]

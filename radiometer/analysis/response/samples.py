@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import numpy as np
@@ -61,6 +61,7 @@ class ResponseSamples:
         without_share: The same rows four times, each without every fourth cell of a grid over the picture, likewise.
         shares: The rows of these cells alone, likewise.
         frame_labels: What every frame's exposure is called: stated time, speed and file; empty for cut samples.
+        frame_log_gain: ln of every frame's gain factor, which its effective exposure holds, shape (frames,) or (1,).
     """
 
     dn: NDArray[np.float64]
@@ -81,6 +82,12 @@ class ResponseSamples:
     without_share: tuple[ResponseSamples, ...] = ()
     shares: tuple[ResponseSamples, ...] = ()
     frame_labels: tuple[str, ...] = ()
+    frame_log_gain: NDArray[np.float64] = field(default_factory=lambda: np.zeros(1))
+
+    @property
+    def exposures_s(self) -> NDArray[np.float64]:
+        """Return the exposure time of every frame in s, without its gain, shape (frames,)."""
+        return np.asarray(np.exp(self.frame_log_time - self.frame_log_gain))
 
     @property
     def group_count(self) -> int:
@@ -105,6 +112,14 @@ class ResponseSamples:
             without_share=each(self.without_share),
             shares=each(self.shares),
         )
+
+    def timed(self, frame_log_time: NDArray[np.float64]) -> ResponseSamples:
+        """Return the samples with other exposures, and so what was cut from them.
+
+        Args:
+            frame_log_time: ln of the effective exposure in s of every frame, shape (frames,).
+        """
+        return self.changed(lambda one: replace(one, frame_log_time=frame_log_time, log_time=frame_log_time[one.frame]))
 
     def kept(self, keep: NDArray[np.bool_]) -> ResponseSamples:
         """Return the rows to keep, without groups of which only one row is left.
@@ -268,6 +283,7 @@ def _rows(
         frame_bracket=np.full(len(bracket), index, dtype=np.intp),
         pixel_count=int(np.prod(bracket.shape)),
         channel=str(bracket.frames[0].extra.get("channel", "mono")),
+        frame_log_gain=log_time - np.log([frame.settings.exposure_s for frame in bracket]),
     )
 
 
@@ -374,6 +390,7 @@ def _joined(parts: Sequence[ResponseSamples]) -> ResponseSamples:
         pixel_count=sum(p.pixel_count for p in parts),
         channel=first.channel,
         edge_scatter=max(p.edge_scatter for p in parts),
+        frame_log_gain=np.concatenate([p.frame_log_gain for p in parts]),
     )
 
 
@@ -401,4 +418,5 @@ def _select(samples: ResponseSamples, keep: NDArray[np.bool_]) -> ResponseSample
         pixel_count=samples.pixel_count,
         channel=samples.channel,
         edge_scatter=samples.edge_scatter,
+        frame_log_gain=samples.frame_log_gain,
     )

@@ -40,6 +40,8 @@ class Choices:
         free: Frames whose exposure is not taken from their label.
         known: What other data say of these, as in `fit_response`.
         noise: Noise of the stack; None to take it from the residuals.
+        u_offset_s: Standard deviation in s of a time that all exposures share beyond their labels, as in
+            `fit_response`; 0 for none.
     """
 
     inflation: float = 1.0
@@ -48,6 +50,7 @@ class Choices:
     free: tuple[int, ...] = ()
     known: tuple[tuple[float, float], ...] = ()
     noise: LogNoise | None = None
+    u_offset_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,6 +83,13 @@ class FittedResponse:
         """Return the posterior covariance of ln of real over stated exposure of the freed frames."""
         labels = slice(self.fit.basis_size, self.fit.basis_size + len(self.choices.free))
         return self.fit.inverse[labels, labels]
+
+    @property
+    def offset_s(self) -> tuple[float, float]:
+        """Return the time in s by which all exposures are longer than the samples', and its standard uncertainty."""
+        place = len(self.choices.free)
+        scale, row = self.choices.u_offset_s, self.fit.basis_size + place
+        return scale * float(self.fit.time_modes[place]), scale * float(np.sqrt(self.fit.inverse[row, row]))
 
     def u_of(self, covariance: Array) -> Array:
         """Return the standard uncertainty of g − g(M_mid) that a covariance of the solution makes."""
@@ -132,6 +142,7 @@ def fit_with(samples: ResponseSamples, start: Array, choices: Choices) -> Fitted
             smoothing=choices.smoothing,
             free=choices.free,
             known=choices.known,
+            u_offset_s=choices.u_offset_s,
         )
 
     fit = fitted(start, found, choices.time_spread)
@@ -151,6 +162,7 @@ def settle(
     free: tuple[int, ...] = (),
     time_spread: float | None = 0.0,
     known: tuple[tuple[float, float], ...] = (),
+    u_offset_s: float = 0.0,
 ) -> FittedResponse:
     """Return the fit whose smoothness counts tones and places, not groups of pixels, as independent.
 
@@ -160,8 +172,9 @@ def settle(
         free: Frames whose exposure is not taken from their label.
         time_spread: Relative standard deviation of the exposure times; None to choose it.
         known: What other data say of the freed frames, as in `fit_response`.
+        u_offset_s: Standard deviation in s of a time that all exposures share beyond their labels; 0 for none.
     """
-    choices = Choices(free=free, known=known, time_spread=time_spread)
+    choices = Choices(free=free, known=known, time_spread=time_spread, u_offset_s=u_offset_s)
     found = fit_with(samples, start, choices)
     for _ in range(_ROUNDS):
         inflation = max(found.choices.inflation, _inflation(samples, found))

@@ -25,10 +25,11 @@ LEAST_GAIN: Final = 0.9
 _LEAST_GAIN_OF_FRAME: Final = 0.8
 # Nor where it falls by less than the rounding to whole numbers may shift all that a frame shows.
 _LEAST_FALL_DN: Final = 0.5
-# ln of real over stated exposure from which a label is wrong (a ninth of a stop); below, shutters scatter. Those with
-# curtains are off by a time besides, which counts in short exposures: at 1/8000 s a third of a stop is no wrong label.
+# ln of real over stated exposure from which a label is wrong (a ninth of a stop); below, shutters scatter.
 SMALLEST_LABEL_ERROR: Final = 0.08
-_SHUTTER_S: Final = 30e-6
+# Shutters are off by a time besides, the same in all exposures. Where the frames do not tell it, so much is allowed:
+# at 1/8000 s a third of a stop is then no wrong label.
+UNTOLD_OFFSET_S: Final = 30e-6
 # It must stand out of its own uncertainty by this factor: 95 % where four shares tell it (Student's t, three degrees of
 # freedom), and one frame in some 400 by chance where the fit does.
 _SIGMA: Final = 3.0
@@ -72,7 +73,7 @@ class WrongLabel:
         return math.log(self.ratio), self.u_ratio / self.ratio
 
 
-def find_wrong_labels(planes: Sequence[Plane]) -> tuple[WrongLabel, ...]:
+def find_wrong_labels(planes: Sequence[Plane], shutter_s: float = UNTOLD_OFFSET_S) -> tuple[WrongLabel, ...]:
     """Return the frames whose label is wrong, in the order in which they were found.
 
     One label after the other is freed, the same for all planes. It stays freed where the shares of the picture, each
@@ -82,6 +83,7 @@ def find_wrong_labels(planes: Sequence[Plane]) -> tuple[WrongLabel, ...]:
 
     Args:
         planes: Colours of the same photographs, in the same order of frames; those without shares say nothing.
+        shutter_s: Time in s by which all exposures may differ from their labels, as in `smallest_label_error`.
     """
     most = most_wrong_labels(planes)
     settled = [pair for one in planes for pair in _settled(one)] if most else []
@@ -93,11 +95,12 @@ def find_wrong_labels(planes: Sequence[Plane]) -> tuple[WrongLabel, ...]:
     while len(found) < most:
         freed = tuple(label.frame for label in found)
         options = [one for k in _candidates(thin, freed) for one in _freed(thin, (*freed, k), now)]
-        convincing = [one for one in options if _convincing(*one, now)]
+        convincing = [one for one in options if _convincing(*one, now, shutter_s)]
         if not convincing:
             break
         best = min(convincing, key=lambda one: one[0].gain)
-        rivals = [label for label, tried in options if label is not best[0] and _as_well(label, tried, *best)]
+        others = [one for one in options if one[0] is not best[0]]
+        rivals = [label for label, tried in others if _as_well(label, tried, *best, shutter_s)]
         found.append(replace(best[0], rivals=tuple((label.frame, label.ratio) for label in rivals)))
         now = best[1]
     return _together(found, now)
@@ -133,9 +136,14 @@ def freed_one_by_one(planes: Sequence[Plane], wrong: tuple[int, ...] = ()) -> li
     return [told(frame) for frame in range(frames)]
 
 
-def smallest_label_error(seconds: float) -> float:
-    """Return ln of real over stated exposure from which the label of so long an exposure counts as wrong."""
-    return SMALLEST_LABEL_ERROR + _SHUTTER_S / seconds
+def smallest_label_error(seconds: float, shutter_s: float = UNTOLD_OFFSET_S) -> float:
+    """Return ln of real over stated exposure from which the label of so long an exposure counts as wrong.
+
+    Args:
+        seconds: The exposure in s.
+        shutter_s: Time in s by which all exposures may differ from their labels.
+    """
+    return SMALLEST_LABEL_ERROR + shutter_s / seconds
 
 
 def most_wrong_labels(planes: Sequence[Plane]) -> int:
@@ -225,10 +233,10 @@ def _freed(planes: Sequence[Plane], free: tuple[int, ...], now: _Tried) -> list[
     return [(WrongLabel(free[-1], float(np.exp(value)), float(np.exp(value) * u), gain), tried)]
 
 
-def _convincing(label: WrongLabel, tried: _Tried, now: _Tried) -> bool:
+def _convincing(label: WrongLabel, tried: _Tried, now: _Tried, shutter_s: float = UNTOLD_OFFSET_S) -> bool:
     """Tell whether a label is wrong: large enough, and what was left out is predicted better without it."""
     size, u = np.abs(label.log_ratio)
-    if size < max(_smallest(tried, label.frame), _SIGMA * u) or label.gain > 1.0:
+    if size < max(_smallest(tried, label.frame, shutter_s), _SIGMA * u) or label.gain > 1.0:
         return False
     then, since = (one.left_out.means_without_one_dn(label.frame) for one in (now, tried))
     if then.size < _FEWEST_SHARES or not np.all(since <= then):
@@ -237,13 +245,15 @@ def _convincing(label: WrongLabel, tried: _Tried, now: _Tried) -> bool:
     return after <= min(_LEAST_GAIN_OF_FRAME * before, before - _LEAST_FALL_DN)
 
 
-def _smallest(tried: _Tried, frame: int) -> float:
-    return smallest_label_error(float(np.exp(tried.joint.fits[0].samples.frame_log_time[frame])))
+def _smallest(tried: _Tried, frame: int, shutter_s: float) -> float:
+    return smallest_label_error(float(tried.joint.fits[0].samples.exposures_s[frame]), shutter_s)
 
 
-def _as_well(label: WrongLabel, tried: _Tried, best: WrongLabel, tried_best: _Tried) -> bool:
+def _as_well(
+    label: WrongLabel, tried: _Tried, best: WrongLabel, tried_best: _Tried, shutter_s: float = UNTOLD_OFFSET_S
+) -> bool:
     """Tell whether another label, wrong in place of the best, predicts both frames nearly as well."""
-    if abs(label.log_ratio[0]) < _smallest(tried, label.frame):
+    if abs(label.log_ratio[0]) < _smallest(tried, label.frame, shutter_s):
         return False
     here, there = (one.left_out.mean_dn(label.frame, best.frame) for one in (tried, tried_best))
     return here <= _AS_WELL * there

@@ -83,7 +83,7 @@ def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Plain]]:
 
 
 def same(here: Plain, there: Plain, rel: float) -> bool:
-    """Tell whether two figures are one, numbers but for a share `rel` of their size."""
+    """Tell whether two figures are one, numbers but for a share `rel` of their size, nothing but for its rounding."""
     numbers = all(isinstance(one, int | float) and not isinstance(one, bool) for one in (here, there))
     if not numbers:
         return type(here) is type(there) and here == there
@@ -91,7 +91,8 @@ def same(here: Plain, there: Plain, rel: float) -> bool:
     assert isinstance(there, int | float)
     if math.isnan(here) or math.isnan(there):
         return math.isnan(here) and math.isnan(there)
-    return here == there or abs(here - there) <= rel * max(abs(here), abs(there)) + 1e-300
+    rounding = 1e-15 if 0.0 in (here, there) else 0.0
+    return abs(here - there) <= rel * max(abs(here), abs(there)) + rounding
 
 
 def moved(name: str, figures: Mapping[str, Any], *, rel: float = SUMS) -> list[str]:

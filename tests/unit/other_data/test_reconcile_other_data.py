@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
+from radiometer.analysis.response.shutter_offset import Exposures
 from radiometer.analysis.response.wrong_labels import WrongLabel
 from radiometer.cli.main import run
 from radiometer.data import Bracket, Frame, FrameSettings
@@ -206,7 +207,7 @@ def test_report_of_photographs_tells_the_story(tmp_path: Path) -> None:
 def _named(monkeypatch: pytest.MonkeyPatch, *rivals: tuple[int, float]) -> PhotographsReconciled:
     """Return a stack whose third label is found 0.8 ± 0.016 of the truth, with rivals."""
     label = WrongLabel(2, 0.8, 0.016, 0.5, rivals)
-    monkeypatch.setattr(photographs, "find_wrong_labels", lambda _planes: (label,))
+    monkeypatch.setattr(photographs, "find_exposures", lambda _planes: Exposures(None, (label,)))
     return reconcile_photographs(_photographs([EXACT[3], EXACT[2], EXACT[1] / 0.8, EXACT[0]], EXACT[3::-1]))
 
 

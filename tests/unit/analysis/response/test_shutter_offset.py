@@ -1,0 +1,343 @@
+"""The shutter's offset: a known time comes back with its uncertainty, none comes of none, and a wrong label is none."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.analysis.merge.bracket import merge
+from radiometer.analysis.response import auto, shutter_offset
+from radiometer.analysis.response.auto import recover_colours_auto, recover_response_auto
+from radiometer.analysis.response.settle import FittedResponse
+from radiometer.analysis.response.shutter_offset import (
+    LARGEST_S,
+    Exposures,
+    ShutterOffset,
+    _together,
+    _Told,
+    find_exposures,
+    find_offset,
+    with_offset,
+)
+from radiometer.analysis.response.wrong_labels import UNTOLD_OFFSET_S, WrongLabel
+from radiometer.cli.photograph_response import relative_calibration, with_found_times
+from radiometer.data import CameraDescription, LensDescription, Provenance, ResponseCurve
+from tests.unit.analysis.response.brackets_of_a_shutter import LABELS_S, photographed, plane, scene
+
+OFFSET_S = 25e-6
+# Of the shortest label, 1/8192 s, it makes so much more.
+OF_SHORTEST = 1.0 + OFFSET_S * 8192
+
+
+@pytest.mark.parametrize("offset_s", [OFFSET_S, -20e-6, 5e-6])
+def test_a_known_time_comes_back(offset_s: float) -> None:
+    """Within three of its u, which is 1.5 us at most: a hundredth of the shortest exposure."""
+    found = find_offset([plane(photographed(offset_s))])
+    assert found is not None
+    assert found.u_seconds < 1.5e-6
+    assert found.seconds == pytest.approx(offset_s, abs=min(3.0 * found.u_seconds, 1e-6))
+    assert found.gain < 0.5
+
+
+@pytest.mark.slow
+def test_its_uncertainty_holds_what_every_exposure_is_off_by_itself() -> None:
+    """Of shutters that scatter by a percent: over eight brackets the error is about the u, which holds that."""
+    found = [find_offset([plane(photographed(OFFSET_S, scatter=0.01, seed=seed))]) for seed in range(8)]
+    z = np.array([(one.seconds - OFFSET_S) / one.u_seconds for one in found if one is not None])
+    assert z.size >= 7  # one may not stand out of its u
+    assert 0.05 < np.sqrt(np.mean(z**2)) < 1.5
+    assert min(one.u_seconds for one in found if one is not None) > 2e-6
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.02])
+def test_no_time_comes_of_none(scatter: float) -> None:
+    """Not of exact labels, nor of exposures that scatter by 2 %: nothing is taken, and samples stay what they are."""
+    one = plane(photographed(0.0, scatter=scatter, seed=3))
+    found = find_exposures([one])
+    assert found == Exposures(None, ())
+    assert found.timed(one.samples) is one.samples
+
+
+@pytest.mark.slow
+def test_colours_tell_it_together() -> None:
+    """Two colours of other curves: one time, and better known than by either."""
+    colours = [plane(photographed(OFFSET_S, power=power, scatter=0.0, seed=4)) for power in (0.6, 0.5)]
+    each = [find_offset([one]) for one in colours]
+    both = find_offset(colours)
+    assert both is not None
+    assert both.seconds == pytest.approx(OFFSET_S, abs=1e-6)
+    assert both.u_seconds < max(one.u_seconds for one in each if one is not None)
+
+
+@pytest.mark.parametrize(
+    ("slower", "offset_s", "found"),
+    [
+        (8, 2.5e-4, True),  # of 1/1024 s
+        (8, 3.5e-4, False),  # more than curtains are adjusted to
+        (1, 70e-6, False),  # more than half of 1/8192 s
+        (512, 1e-3, False),  # of 1/16 s and longer: nothing that a shutter does counts
+    ],
+)
+def test_only_what_a_shutter_can_do_is_taken(slower: int, offset_s: float, found: bool) -> None:
+    """Up to 0.3 ms, half of the shortest label, and of labels up to 10 ms."""
+    told = find_offset([plane(photographed(offset_s, labels_s=slower * LABELS_S))])
+    assert (told is not None) is found
+    assert told is None or told.seconds == pytest.approx(offset_s, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", [0, 1, 2])
+@pytest.mark.parametrize("ratio", [1.4, 1 / 1.4])
+def test_one_wrong_short_label_is_no_offset(wrong: int, ratio: float) -> None:
+    """It is named with its ratio, and the shutter stays as labelled."""
+    found = find_exposures([plane(photographed(0.0, wrong, ratio))])
+    assert found.offset is None
+    (label,) = found.wrong
+    assert label.frame == wrong
+    assert label.ratio == pytest.approx(ratio, abs=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("wrong", "ratio"), [(0, 1.5), (1, 1 / 1.5), (2, 1.5), (6, 0.7)])
+def test_a_wrong_label_beside_an_offset_is_named(wrong: int, ratio: float) -> None:
+    """Both come out: the time without that frame, and the frame against label and time."""
+    found = find_exposures([plane(photographed(OFFSET_S, wrong, ratio))])
+    assert found.offset is not None
+    assert found.offset.seconds == pytest.approx(OFFSET_S, abs=1.5e-6)
+    (label,) = found.wrong
+    assert (label.frame, label.ratio) == (wrong, pytest.approx(ratio, rel=0.03))
+    stated = found.of_printed(label, LABELS_S)
+    assert stated.ratio == pytest.approx(ratio * (1.0 + OFFSET_S / LABELS_S[wrong]), rel=0.03)
+
+
+def test_the_time_is_not_multiplied_by_the_gain() -> None:
+    """At twice and four times the gain it is the same time of the shutter, and so it is estimated."""
+    gains = np.where(np.arange(LABELS_S.size) < 2, 4.0, 1.0)
+    bracket = photographed(OFFSET_S, gains=gains)
+    samples = plane(bracket).samples
+    stated = np.array([frame.settings.exposure_s for frame in bracket])
+    assert samples.exposures_s == pytest.approx(stated)
+    longer = with_offset(samples, 1e-4)
+    gain = np.array([frame.settings.effective_exposure_s for frame in bracket]) / stated
+    assert np.exp(longer.frame_log_time) == pytest.approx((stated + 1e-4) * gain)
+    assert longer.log_time == pytest.approx(longer.frame_log_time[longer.frame])
+    for part in (*longer.shares, *longer.without_share, *longer.quadrants, *longer.without_quadrant):
+        assert part.log_time == pytest.approx(longer.frame_log_time[part.frame])
+    found = find_offset([plane(bracket)])
+    assert found is not None
+    assert found.seconds == pytest.approx(OFFSET_S, abs=1e-6)
+
+
+class Judged:
+    """Stands for what planes tell: of four exposures the errors in DN as labelled and with the offset, left out."""
+
+    def __init__(self, before: Any, after: Any, *, u: float = 1e-6, u_fit: float = 1e-6, shares: bool = True) -> None:
+        self.seconds, self.u_fit = 1e-5, u_fit
+        self.planes = [SimpleNamespace(samples=SimpleNamespace(exposures_s=np.array([1e-4, 2e-4, 9e-4, 2e-3])))]
+        self._left = {k: (1e-5, *pair) for k, pair in enumerate(zip(before, after, strict=True)) if pair[0] is not None}
+        self._shown_u, self._shares = u, shares
+
+    def _without(self, frame: int) -> tuple[float, float, float] | None:
+        return self._left.get(frame)
+
+    def _u(self, without: Any) -> float:
+        assert list(without) == [1e-5] * len(self._left)
+        return self._shown_u
+
+    def _shares_no_worse(self) -> bool:
+        return self._shares
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "changes", "taken"),
+    [
+        ((5, 3, 1, 1), (1, 1, 1, 1), {}, True),
+        ((5, 3, 1, 1), (1, 1, 1, 9), {}, True),  # the last is moved by half a percent: it does not count
+        ((5, 3, 2, 1), (4.5, 2.5, 2.0, 1), {}, True),  # by a tenth
+        ((5, 3, 2, 1), (4.6, 2.5, 2.0, 1), {}, False),
+        ((9, 3, 2, 1), (1, 3.2, 2.1, 1), {}, False),  # by one exposure alone
+        ((9, None, None, 1), (1, None, None, 1), {}, False),  # one exposure alone
+        ((9, 3, None, 1), (1, 2, None, 1), {}, True),
+        ((5, 3, 1, 1), (1, 1, 1, 1), {"u": 3.3e-6}, True),
+        ((5, 3, 1, 1), (1, 1, 1, 1), {"u": 3.4e-6}, False),
+        ((5, 3, 1, 1), (1, 1, 1, 1), {"u_fit": 3.4e-6}, False),
+        ((5, 3, 1, 1), (1, 1, 1, 1), {"shares": False}, False),
+    ],
+)
+def test_it_is_taken_where_left_out_exposures_are_predicted_better(
+    before: Any, after: Any, changes: dict[str, Any], taken: bool
+) -> None:
+    """By a tenth over those that it moves, whichever is not counted, beyond three u, shares no worse."""
+    found = _Told.offset(Judged(before, after, **changes), np.arange(4))  # type: ignore[arg-type]
+    assert (found is not None) is taken
+    if found is not None and not changes and None not in before:
+        assert found == ShutterOffset(1e-5, 1e-6, sum(after[:3]) / sum(before[:3]))
+
+
+def test_its_uncertainty_is_of_the_fit_or_of_shares_and_of_exposures() -> None:
+    """The larger of the first two, and the jackknife over the exposures left out, in quadrature."""
+    parts = iter([9e-6, 11e-6, 9e-6, 11e-6] * 2)
+    sample = SimpleNamespace(without_share=(0, 1, 2, 3))
+    told = SimpleNamespace(seconds=10e-6, u_fit=1e-6, planes=[SimpleNamespace(samples=sample)])
+    told._of_parts = lambda _: next(parts)
+    of_shares, of_frames = math.sqrt(3.0) * 1e-6, math.sqrt((9.0 + 4.0) * 2.0 / 3.0) * 1e-6
+    assert _Told._u(told, [13e-6, 8e-6, 10e-6]) == pytest.approx(math.hypot(of_shares, of_frames))  # type: ignore[arg-type]
+    told.u_fit = 5e-6
+    assert _Told._u(told, [13e-6, 8e-6, 10e-6]) == pytest.approx(math.hypot(5e-6, of_frames))  # type: ignore[arg-type]
+
+
+def test_planes_that_disagree_widen_it() -> None:
+    """The mean by inverse variance; Birge's ratio where they lie farther apart than their u."""
+
+    def of(*pairs: tuple[float, float]) -> tuple[float, float]:
+        return _together([SimpleNamespace(offset_s=pair) for pair in pairs])  # type: ignore[misc]
+
+    assert of((3.0, 0.5)) == pytest.approx((3.0, 0.5))
+    assert of((1.0, 1.0), (2.0, 2.0)) == pytest.approx((1.2, 1.0 / math.sqrt(1.25)))
+    assert of((0.0, 1.0), (6.0, 1.0)) == pytest.approx((3.0, math.sqrt(18.0 / 2.0)))
+
+
+def test_a_fit_tells_it_in_seconds() -> None:
+    """Its amplitude stands behind those of freed labels, in units of the spread that it may have; so does its u."""
+    fit = SimpleNamespace(basis_size=2, time_modes=np.array([9.0, 0.1]), inverse=np.diag([9.0, 9.0, 9.0, 4.0]))
+    choices = SimpleNamespace(free=(5,), u_offset_s=LARGEST_S)
+    found = FittedResponse(None, None, fit, choices, None).offset_s  # type: ignore[arg-type]
+    assert found == pytest.approx((0.1 * LARGEST_S, 2.0 * LARGEST_S))
+
+
+def test_a_label_may_differ_by_what_the_offset_may_still_be() -> None:
+    """Three of its u, 30 us at most; 30 us where none was taken."""
+    assert Exposures(None, ()).allowed_s == UNTOLD_OFFSET_S == 30e-6
+    assert Exposures(ShutterOffset(2e-5, 2e-6, 0.5), ()).allowed_s == pytest.approx(6e-6)
+    assert Exposures(ShutterOffset(2e-5, 2e-5, 0.5), ()).allowed_s == 30e-6
+
+
+def test_labels_are_told_of_what_is_printed() -> None:
+    """Ratio, u and rivals by what the offset makes of each frame's label."""
+    offset, label = ShutterOffset(2e-5, 1e-6, 0.5), WrongLabel(1, 0.5, 0.01, 0.9, ((0, 2.0),))
+    told = Exposures(offset, (label,)).of_printed(label, np.array([1e-4, 4e-4]))
+    assert (told.frame, told.ratio, told.u_ratio) == (1, pytest.approx(0.5 * 1.05), pytest.approx(0.01 * 1.05))
+    assert told.rivals == ((0, pytest.approx(2.0 * 1.2)),)
+    assert Exposures(None, (label,)).of_printed(label, np.array([1e-4, 4e-4])) is label
+
+
+def test_the_offset_is_told_without_wrong_labels_and_labels_with_the_offset(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was found wrong says nothing of the offset; the labels found with it count."""
+    asked: list[Any] = []
+    label = WrongLabel(2, 1.4, 0.01, 0.5)
+    later = ShutterOffset(OFFSET_S, 1e-6, 0.5)
+
+    def offset(_planes: Any, wrong: Any = ()) -> ShutterOffset | None:
+        asked.append(tuple(wrong))
+        return later if wrong else None
+
+    def wrong(planes: Any, allowed_s: float) -> tuple[WrongLabel, ...]:
+        asked.append((float(planes[0].samples.exposures_s[0]), allowed_s))
+        return (label,)
+
+    monkeypatch.setattr(shutter_offset, "find_offset", offset)
+    monkeypatch.setattr(shutter_offset, "find_wrong_labels", wrong)
+    found = find_exposures([plane(photographed(0.0))])
+    assert found == Exposures(later, (label,))
+    first = float(LABELS_S[0])
+    assert asked == [(), (pytest.approx(first), 30e-6), (2,), (pytest.approx(first + OFFSET_S), pytest.approx(3e-6))]
+
+
+@pytest.mark.slow
+def test_the_response_says_it_and_holds_it(tmp_path: Any) -> None:
+    """In notes, details, the file and the exposure ratios; the curve is the true one, which the labels bend."""
+    bracket = photographed(OFFSET_S)
+    found = recover_response_auto(bracket)
+    seconds, u = found.details["shutter_offset_s"], found.details["u_shutter_offset_s"]
+    assert seconds == pytest.approx(OFFSET_S, abs=1e-6)
+    assert f"all exposures are {1e6 * seconds:.1f} ± {1e6 * u:.1f} µs longer than their labels" in found.notes[0]
+    assert f"0.0001221 s has {1.0 + 8192 * seconds:.3f} of that" in found.notes[0]
+    assert found.exposure_ratios[0] == pytest.approx(2.0 * (1 + 4096 * seconds) / (1 + 8192 * seconds))
+    step = found.exposure_ratios[0] * (1.0 / (2.0**-13 + seconds) - 1.0 / (2.0**-12 + seconds))
+    assert found.u_exposure_ratios[0] == pytest.approx(step * u, rel=1e-6)
+    found.curve.write(tmp_path / "curve.yaml")
+    kept = ResponseCurve.read(tmp_path / "curve.yaml").provenance
+    assert kept.parameters["shutter_offset_s"] == pytest.approx(seconds)
+    assert kept.parameters["u_shutter_offset_s"] == pytest.approx(u)
+    assert np.exp(kept.parameters["log_time_errors"]) == pytest.approx(1.0 + seconds / LABELS_S)
+    assert any("the shutter's offset as these frames tell it" in text for text in kept.assumptions)
+    dn = np.arange(20, 236)
+    exposure = 0.3 / ((255.0 / dn) ** (1 / 0.6) - 1.0)
+    gap = found.curve.log_exposure[dn] - np.log(exposure)
+    assert np.std(gap) < 0.004
+    assert np.all(found.curve.u_log_exposure[dn] < 0.05)
+
+
+@pytest.mark.parametrize(("seconds", "said"), [(2e-5, "20.0 ± 1.5 µs longer"), (-2e-5, "20.0 ± 1.5 µs shorter")])
+def test_a_curve_holds_what_every_label_is_off_by(seconds: float, said: str) -> None:
+    """The offset and what the fit found besides, frame by frame; and the offset with its u, in figures and words."""
+    before = Provenance("auto", assumptions=("noise", "exposure times as stated"))
+    curve = ResponseCurve(np.linspace(-1.0, 1.0, 4), np.zeros(4), provenance=before)
+    stated_s, besides = np.array([1e-4, 1e-3]), np.array([0.01, -0.01])
+    known = Exposures(ShutterOffset(seconds, 1.5e-6, 0.5), ())
+    told = auto._with_offset_told(curve, known, besides, stated_s).provenance
+    assert told.parameters["log_time_errors"] == pytest.approx(np.log1p(seconds / stated_s) + besides)
+    assert (told.parameters["shutter_offset_s"], told.parameters["u_shutter_offset_s"]) == (seconds, 1.5e-6)
+    offset = f"all exposures {said} than stated, the shutter's offset as these frames tell it"
+    assert told.assumptions == ("noise", offset)
+    assert auto._with_offset_told(curve, Exposures(None, ()), besides, stated_s) is curve
+
+
+@pytest.mark.slow
+def test_a_response_without_it_says_nothing_of_it() -> None:
+    """No key, no note, the labels as they are."""
+    found = recover_response_auto(photographed(0.0))
+    assert "shutter_offset_s" not in found.details
+    assert "shutter_offset_s" not in found.curve.provenance.parameters
+    assert not any("offset" in note for note in found.notes)
+    assert found.exposure_ratios == pytest.approx(np.full(LABELS_S.size - 1, 2.0))
+    assert not any(found.curve.provenance.parameters["log_time_errors"])
+
+
+@pytest.mark.slow
+def test_what_the_offset_leaves_open_is_in_the_curve(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A u ten times as large makes the curve's larger, by what so much more time would change it."""
+    bracket = photographed(OFFSET_S)
+    found = []
+    for u in (1e-9, 2e-5):
+        known = Exposures(ShutterOffset(OFFSET_S, u, 0.5), ())
+        monkeypatch.setattr(auto, "find_exposures", lambda _planes, known=known: known)
+        found.append(recover_response_auto(bracket).curve)
+    more = Exposures(ShutterOffset(OFFSET_S + 2e-5, 1e-9, 0.5), ())
+    monkeypatch.setattr(auto, "find_exposures", lambda _planes: more)
+    moved = recover_response_auto(bracket).curve
+    dn = slice(30, 226)
+    wider = np.sqrt(found[1].u_log_exposure[dn] ** 2 - found[0].u_log_exposure[dn] ** 2)
+    apart = np.abs(moved.log_exposure[dn] - found[0].log_exposure[dn])
+    assert float(np.max(apart)) > 0.01
+    assert np.sqrt(np.mean(wider**2)) == pytest.approx(np.sqrt(np.mean(apart**2)), rel=0.3)
+
+
+@pytest.mark.slow
+def test_maps_are_made_with_it() -> None:
+    """A pixel that short frames show and one that long ones show stand in their true ratio, which the labels miss."""
+    bracket, (light, _) = photographed(OFFSET_S), scene(0)
+    (found,) = recover_colours_auto([bracket])
+    camera, lens, gaps = CameraDescription(bit_depth=8), LensDescription(), []
+    timed = with_found_times(bracket, found.curve)
+    assert [f.settings.exposure_s for f in timed] == pytest.approx(LABELS_S + OFFSET_S, abs=1e-6)
+    for frames in (timed, bracket):
+        known, _ = relative_calibration(frames, found.curve, camera, lens)
+        radiance = merge(frames, camera, lens, known).radiance
+        bright, dim = light > 1500.0, light < 20.0
+        apart = np.log(radiance / light)
+        gaps.append(float(np.median(apart[bright]) - np.median(apart[dim])))
+    assert gaps[0] == pytest.approx(0.0, abs=0.01)
+    assert 0.05 < gaps[1] < math.log(OF_SHORTEST)
+
+
+def test_planes_without_shares_tell_nothing() -> None:
+    """Nor do brackets of too few frames that show anything."""
+    one = plane(photographed(OFFSET_S))
+    assert find_offset([replace(one, samples=replace(one.samples, shares=()))]) is None
+    assert find_offset([plane(photographed(OFFSET_S, labels_s=LABELS_S[:3]))]) is None
