@@ -92,7 +92,7 @@ def same(here: Plain, there: Plain, rel: float) -> bool:
     if math.isnan(here) or math.isnan(there):
         return math.isnan(here) and math.isnan(there)
     rounding = 1e-15 if 0.0 in (here, there) else 0.0
-    return abs(here - there) <= rel * max(abs(here), abs(there)) + rounding
+    return here == there or abs(here - there) <= rel * max(abs(here), abs(there)) + rounding
 
 
 def moved(name: str, figures: Mapping[str, Any], *, rel: float = SUMS) -> list[str]:
