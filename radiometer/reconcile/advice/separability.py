@@ -14,6 +14,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -37,6 +38,7 @@ _ASKED: Final = (Asked(20.0**2, _LARGEST_FACTOR), Asked(SHOWN, _LARGEST_FACTOR))
 _REACH: Final = 2.0  # scales by which a parameter may leave its start: beyond, its derivative there is another effect
 _WORTH_A_FIT: Final = 0.5  # share of another's χ² that an entry must follow at its start to be fitted in its place
 _FITTED: Final = 3  # forms of an entry that a fit begins from
+_SAME: Final = 0.1  # χ² by which fits that came to the same differ at most
 _DIRECTION: Final = 1e-6  # share of a column that the others of its entry must leave
 
 
@@ -186,7 +188,8 @@ def inseparable(
     if not directions.forms[chosen.name]:
         return ()
     (target,) = directions.forms[chosen.name]
-    found = (fitted_like(directions, target, name) for name in kinds)
+    alike = Alike(directions, target)
+    found = (alike.fitted(name) for name in kinds)
     return tuple(effect for effect in found if effect is not None)
 
 
@@ -222,28 +225,58 @@ def left_by_fit(exact: FitState, truth: CatalogueEffect, start: Candidate) -> tu
         start: Where the fit begins.
     """
     fitted = fit_candidate(exact, start).effect
-    own, foreign = (refit(with_effects(exact, (*exact.effects, effect))) for effect in (truth, fitted))
-    return max(foreign.cost - own.cost, 0.0) + _paid(truth, fitted), fitted
+    return _left(exact, truth, fitted, _refitted_cost(exact, truth)), fitted
 
 
-def fitted_like(directions: Directions, target: _Form, name: str) -> CatalogueEffect | None:
-    """Return an entry that fits the noiseless data of another's start; None where these captures tell the two apart.
+def _left(exact: FitState, truth: CatalogueEffect, fitted: CatalogueEffect, least: float) -> float:
+    return max(_refitted_cost(exact, fitted) - least, 0.0) + _paid(truth, fitted)
+
+
+def _refitted_cost(exact: FitState, effect: CatalogueEffect) -> float:
+    return refit(with_effects(exact, (*exact.effects, effect))).cost
+
+
+@dataclass(eq=False)
+class Alike:
+    """Which entries fit the noiseless data of another's start.
 
     Derivatives tell where an entry may be the other. They do not reach far enough to tell that it is: a change that is
     a small difference of large ones, or bends, is no such sum. Only what follows for the most part is fitted.
 
-    Args:
+    Attributes:
         directions: Of the starts of all entries.
         target: The other's start.
-        name: The entry.
     """
-    exact, context = noiseless(directions.state, target.effect), directions.state.model.context
-    for near in directions.near(target, name)[:_FITTED]:  # a limit that hardly acts shows no way to where it would
-        start = Candidate(near, directions.shown(target), max(len(near.free()), 1))
-        left, effect = left_by_fit(exact, target.effect, start)
-        if left < 2.0 * RIVAL_NATS and not effect.unlike_itself(context):
-            return effect
-    return None
+
+    directions: Directions
+    target: _Form
+
+    @cached_property
+    def _exact(self) -> FitState:
+        return noiseless(self.directions.state, self.target.effect)
+
+    @cached_property
+    def _least(self) -> float:
+        """Return the χ² that the other itself leaves: of priors, for the data are its own."""
+        return _refitted_cost(self._exact, self.target.effect)
+
+    def fitted(self, name: str) -> CatalogueEffect | None:
+        """Return an entry that fits the noiseless data; None where these captures tell the two apart.
+
+        Args:
+            name: The entry.
+        """
+        context, gains = self._exact.model.context, list[float]()
+        for near in self.directions.near(self.target, name)[:_FITTED]:  # a limit that hardly acts shows no way on
+            start = Candidate(near, self.directions.shown(self.target), max(len(near.free()), 1))
+            found = fit_candidate(self._exact, start)
+            if any(abs(found.gain - known) < _SAME for known in gains):
+                continue  # it came to where another form had come to
+            gains.append(found.gain)
+            left = _left(self._exact, self.target.effect, found.effect, self._least)
+            if left < 2.0 * RIVAL_NATS and not found.effect.unlike_itself(context):
+                return found.effect
+        return None
 
 
 def _spread(starts: Sequence[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
@@ -320,11 +353,10 @@ def _together(state: FitState, seen: Mapping[str, CatalogueEffect], *, every: bo
     told, context = set[frozenset[str]](), state.model.context
     directions = Directions.of(state, {n: (own, *_spread(type(own).starts(context))) for n, own in seen.items()})
     for name in seen:
-        target = directions.forms[name][0]
-        alike = (fitted_like(directions, target, other) for other in seen if other != name)
-        others = [effect for effect in alike if effect is not None]
+        alike = Alike(directions, directions.forms[name][0])
+        others = [effect for other in seen if other != name and (effect := alike.fitted(other)) is not None]
         names = frozenset({name, *(effect.name for effect in others)})
         if others and (every or names not in told):
             told.add(names)
-            capture = None if every else tells_apart(state, target.effect, others)
+            capture = None if every else tells_apart(state, alike.target.effect, others)
             yield Together(name, tuple(effect.name for effect in others), capture)

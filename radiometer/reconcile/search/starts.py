@@ -18,7 +18,8 @@ from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Array
 from radiometer.reconcile.measure.row_bands import RowBins, wave_power
 from radiometer.reconcile.noise.shared_errors import mixing_of_bands, relative_bands
-from simulators.effects.catalogue import CatalogueEffect, Scaling
+from simulators.effects.base import DIGITAL_NUMBER
+from simulators.effects.catalogue import CatalogueEffect, Offset, Scaling
 from simulators.effects.tile_moments import TileMoments
 
 Starts = tuple[CatalogueEffect, ...]
@@ -52,7 +53,7 @@ class StartPool:
         starts = self._starts[kind.name]
         if len(starts) <= _MANY:
             return starts
-        if issubclass(kind, Scaling):
+        if issubclass(kind, Scaling | Offset) and _goes_by_captures(state, starts[0]):
             return self._of_captures(state, starts)
         picks: Mapping[str, Callable[[FitState, Starts], Starts]] = {"common": self._of_frames, "bands": _of_bands}
         return picks[kind.block](state, starts) if kind.block in picks and kind.acts_by_square else starts
@@ -62,9 +63,10 @@ class StartPool:
         return len(self._starts.get(kind.name, (None,)))
 
     def _of_captures(self, state: FitState, starts: Starts) -> Starts:
-        """Return the likeliest of those that scale whole captures."""
-        moves = self._known(starts[0].name, lambda: np.stack([_factor(state, start) for start in starts])) - 1.0
-        gram, slope = _of_all_captures(state)
+        """Return the likeliest of those that scale whole captures, or add something to them."""
+        moves = self._known(starts[0].name, lambda: np.stack([_of_each_capture(state, start) for start in starts]))
+        unit = state.sensitivity if isinstance(starts[0], Scaling) else np.ones_like(state.sensitivity)
+        gram, slope = _of_all_captures(state, unit)
         rise = moves @ slope
         curvature = np.einsum("sc,cd,sd->s", moves, gram, moves, optimize=True)
         free = bool(starts[0].free())  # what has no amplitude acts as it is or not at all
@@ -105,32 +107,41 @@ def _variant(start: CatalogueEffect) -> tuple[object, ...]:
     return tuple(value for name, value in start.values().items() if name not in free)
 
 
-def _of_all_captures(state: FitState) -> tuple[Array, Array]:
-    """Return the Gram matrix and the slope of χ² for factors on the light of each capture, nuisances following.
+def _of_all_captures(state: FitState, unit: Array) -> tuple[Array, Array]:
+    """Return the Gram matrix and the slope of χ² for changes of each capture's means, nuisances following.
 
-    A factor f on the light of capture c moves its means by s·(f − 1).
+    Args:
+        state: The fitted model.
+        unit: What a change of 1 moves of means in DN, (captures, tiles).
     """
-    moves = _moves(state)
+    captures, tiles = unit.shape
+    raw = np.zeros((captures, tiles, captures))
+    index = np.arange(captures)
+    raw[index, :, index] = unit
+    moves = state.comparison.whiten("mean", raw).reshape(captures * tiles, captures)
     cut = state.comparison.cuts["mean"]
     part = state.fit.half(state.fit.pull(moves, cut.start))
     return moves.T @ moves - part.T @ part, moves.T @ state.fit.projected[cut]
 
 
-def _moves(state: FitState) -> Array:
-    """Return the whitened change of all means per unit factor of each capture, (entries, captures)."""
-    captures, tiles = state.sensitivity.shape
-    raw = np.zeros((captures, tiles, captures))
-    index = np.arange(captures)
-    raw[index, :, index] = state.sensitivity
-    return state.comparison.whiten("mean", raw).reshape(captures * tiles, captures)
+def _goes_by_captures(state: FitState, start: CatalogueEffect) -> bool:
+    """Tell whether a start changes whole captures alike: in proportion, or by so many DN."""
+    if isinstance(start, Scaling):
+        return True
+    if not isinstance(start, Offset) or start.unit_out != DIGITAL_NUMBER:
+        return False
+    return np.size(start.offset(state.model.context)) == len(state.design.captures)
 
 
-def _factor(state: FitState, start: CatalogueEffect) -> Array:
-    if not isinstance(start, Scaling):
-        raise TypeError(f"{start.name} is searched densely but is no Scaling")
-    factor: Any = start.factor(state.model.context)
-    captures = len(state.design.captures)
-    return np.asarray(np.broadcast_to(np.asarray(factor).reshape(-1), (captures,)))
+def _of_each_capture(state: FitState, start: CatalogueEffect) -> Array:
+    """Return by what share of its light, or by how many DN, a start changes each capture, (captures,)."""
+    if isinstance(start, Scaling):
+        change: Any = np.asarray(start.factor(state.model.context)) - 1.0
+    elif isinstance(start, Offset):
+        change = np.asarray(start.offset(state.model.context))
+    else:
+        raise TypeError(f"{start.name} is searched densely but is neither Scaling nor Offset")
+    return np.asarray(np.broadcast_to(change.reshape(-1), (len(state.design.captures),)))
 
 
 # ---- waves along the rows -------------------------------------------------------------------------------------

@@ -15,10 +15,10 @@ from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter
 from radiometer.reconcile import engine
 from radiometer.reconcile.advice.separability import (
+    Alike,
     Directions,
     Separability,
     asked_sizes,
-    fitted_like,
     inseparable,
     left_by_fit,
     noiseless,
@@ -192,7 +192,7 @@ def test_likeness_by_derivatives_is_held_to_a_fit(plain: FitState) -> None:
     directions = Directions.of(plain, {"mains_ripple": (shaken,), "series_settling": settling})
     (target,) = directions.forms["mains_ripple"]
     assert min(directions.left(target, form)[0] for form in directions.forms["series_settling"]) < 10.0
-    assert fitted_like(directions, target, "series_settling") is None
+    assert Alike(directions, target).fitted("series_settling") is None
 
 
 @pytest.mark.parametrize("itself", [True, False])
