@@ -27,7 +27,9 @@ def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
     return with_effects(state, effects)
 
 
-def included(state: FitState, effect: CatalogueEffect, *, far: bool, most: float = np.inf) -> FitState:
+def included(
+    state: FitState, effect: CatalogueEffect, *, far: bool, most: float = np.inf, hurried: bool = False
+) -> FitState:
     """Return the state with the effect in the model, refitted in full.
 
     Args:
@@ -35,6 +37,7 @@ def included(state: FitState, effect: CatalogueEffect, *, far: bool, most: float
         effect: The effect at its best parameters, nuisances having followed linearly.
         far: Whether the nuisances stand so far off that they had better move first, and the effect's parameters then.
         most: χ² under the weights of the state that it may leave, to be refitted under its own.
+        hurried: Whether it ends where it creeps (`refit`).
 
     Raises:
         UnfitError: If with it the model predicts what no camera does, or leaves more than that.
@@ -44,11 +47,11 @@ def included(state: FitState, effect: CatalogueEffect, *, far: bool, most: float
         if far:
             own = following.parameters.owner
             mine = frozenset(i for i, at in enumerate(own) if following.effects[at].name == effect.name)
-            following = replace(approached(replace(following, frozen=mine)), frozen=frozenset())
-        near = approached(following)
+            following = replace(approached(replace(following, frozen=mine), hurried=hurried), frozen=frozenset())
+        near = approached(following, hurried=hurried)
         if near.cost > most:
             raise UnfitError(effect.name)
-        return settled(near)
+        return settled(near, hurried=hurried)
     except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
         raise UnfitError(effect.name) from error
 
@@ -58,7 +61,8 @@ class FullFits:
 
     Attributes:
         state: The model.
-        most: χ² under its weights that a fit may leave.
+        most: χ² under its weights that a fit may leave; with such a bound fits are hurried, for they are held against
+            what was found.
     """
 
     def __init__(self, state: FitState, most: float = np.inf) -> None:
@@ -70,7 +74,8 @@ class FullFits:
         for known, was_far, fitted in self._known:
             if known is effect and was_far is far:
                 return fitted
-        fitted = included(self.state, effect, far=far, most=self.most)
+        hurried = bool(np.isfinite(self.most))
+        fitted = included(self.state, effect, far=far, most=self.most, hurried=hurried)
         self._known.append((effect, far, fitted))
         return fitted
 
