@@ -22,6 +22,7 @@ from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 from simulators.effects.event_offset import EventOffset
+from simulators.effects.exposure_quantisation import ExposureQuantisation
 from simulators.effects.missing_codes import MissingCodes
 from simulators.effects.pwm_flicker import PwmFlicker
 
@@ -67,6 +68,19 @@ def test_of_many_offsets_those_are_picked_that_explain_most(make_capture: Callab
     assert len({*picked} & {candidate.effect for candidate in whole[:10]}) >= 6
     assert abs(picked[0].values()["event_s"] - 100.0) < 12.0
     assert picked[0].values()["offset_dn"] > 0
+
+
+def test_of_many_rounded_clocks_those_are_picked_that_explain_most(make_capture: Callable[..., Any]) -> None:
+    """Exposures in steps of 40 µs: the best pick is the best of all by the whole chain, whose order the others keep."""
+    plan = [{"t": float(t), "d": d} for d in (0.9, 0.3) for t in np.geomspace(2e-4, 4e-3, 10)]
+    state = _state(make_capture(9, plan=plan, exposure=lambda t: round(t / 40e-6) * 40e-6))
+    starts = ExposureQuantisation.starts(state.model.context)
+    assert len(starts) > 100
+    picked = StartPool().likeliest(state, ExposureQuantisation)
+    by_all = {candidate.effect: candidate.gain for candidate in _rigid(state, starts)}
+    gains = [by_all[start] for start in picked]
+    assert gains[0] == pytest.approx(max(by_all.values()), rel=0.01)
+    assert gains == pytest.approx(sorted(by_all.values(), reverse=True)[:8], rel=0.05)
 
 
 @pytest.mark.slow
