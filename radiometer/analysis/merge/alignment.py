@@ -299,7 +299,6 @@ def _pair_movement(here: Image, there: Image, inside: NDArray[np.uint8], full_sc
     for _ in range(levels):
         a, b, mask = pyramid[-1]
         pyramid.append((cv2.pyrDown(a), cv2.pyrDown(b), np.ascontiguousarray(cv2.erode(mask, _NEIGHBOURS)[::2, ::2])))
-    # First the shift: where a picture's sides are a transform's, OpenCV leaves its window in the picture.
     shifted = np.column_stack([np.eye(2), _shift(*pyramid[-1][:2])])
     coarsest = Climb(*pyramid[-1])
     _, found = max((_climbed(coarsest, start, _ITERATIONS) for start in (_STILL, shifted)), key=lambda one: one[0])
@@ -464,7 +463,8 @@ def _quantiles(counts: NDArray[np.float32], shares: Array) -> Array:
 def _shift(a: Image, b: Image) -> Array:
     """Return the translation that takes pixels of one small picture to another, by phase correlation."""
     window = cv2.createHanningWindow((a.shape[1], a.shape[0]), cv2.CV_32F)
-    (x, y), response = cv2.phaseCorrelate(a, b, window)
+    # OpenCV leaves its window in pictures whose sides are a transform's.
+    (x, y), response = cv2.phaseCorrelate(a.copy(), b.copy(), window)
     far = max(abs(x) / a.shape[1], abs(y) / a.shape[0]) > 0.25
     return np.array([0.0, 0.0]) if far or response < 0.05 else np.array([x, y])
 
