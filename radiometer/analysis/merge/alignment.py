@@ -38,7 +38,7 @@ _ARRIVED_PX: Final = 0.02
 LEAST_MOVE_PX: Final = 0.25
 # A movement must lessen the mean square difference of neighbours to this share, or it is noise.
 _LEAST_GAIN: Final = 0.97
-# A movement that is known worse than this is not told.
+# A movement that is known worse than this, in pixels of the bracket, is not told.
 _WORST_U_PX: Final = 0.2
 # Grey values are counted in so many steps.
 _STEPS: Final = 65536
@@ -174,7 +174,7 @@ class _Pictures:
     def movement(self, first: int, second: int) -> Array | None:
         """Return the movement in pixels of the bracket that takes those of one frame to another; None if not known."""
         pair, scale = self._pair(first, second)
-        return None if pair is None or pair.u_px > _WORST_U_PX else _full_size(pair.to_frame, scale)
+        return None if pair is None or pair.u_px * scale > _WORST_U_PX else _full_size(pair.to_frame, scale)
 
     def stand_still(self, first: int, second: int) -> bool:
         """Tell whether two frames lie in one place, known as well as any movement must be."""

@@ -275,11 +275,11 @@ def test_corners_that_move_by_a_quarter_pixel_call_for_alignment(shift, degrees,
 
 @pytest.mark.parametrize(
     ("u_px", "moved", "told", "still"),
-    [(0.09, True, True, False), (0.19, True, True, False), (0.21, True, False, False),
-     (0.09, False, True, True), (0.11, False, True, False)],
+    [(0.04, True, True, False), (0.09, True, True, False), (0.11, True, False, False), (0.19, True, False, False),
+     (0.09, False, True, True), (0.11, False, False, False)],
 )  # fmt: skip
 def test_a_movement_known_to_a_fifth_of_a_pixel_is_told(monkeypatch, u_px, moved, told, still):
-    """In pictures reduced to half a shift of 3 is one of 6; standing still is believed to a fifth of a whole pixel."""
+    """In pictures reduced to half a shift of 3 is one of 6, and its u twice as large; of standing still likewise."""
     shift = np.array([[1.0, 0.0, 3.0], [0.0, 1.0, -2.0]])
     pair = SimpleNamespace(u_px=u_px, to_frame=shift, moved=moved)
     monkeypatch.setattr(_Pictures, "_pair", lambda self, first, second: (pair, 2.0))
