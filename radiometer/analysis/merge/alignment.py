@@ -340,6 +340,8 @@ def _summit(pair: Climb, start: Array) -> tuple[float, Array]:
 def _believed(a: Image, b: Image, steady: NDArray[np.uint8], movement: Array) -> _PairMovement:
     """Return a movement with its uncertainty, or none at all where it mends nothing."""
     size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP
+    # Beyond the edge stands black, which the blur draws in: up to the edges a high pedestal hides what is mended. With
+    # the edge repeated there, half a pixel is believed of a camera that stood still and shows but stray light.
     moved = cv2.warpAffine(b, movement, size, flags=flags | cv2.INTER_LINEAR)
     shown = cv2.warpAffine(steady, movement, size, flags=flags | cv2.INTER_NEAREST) & steady
     smooth = [cv2.GaussianBlur(one, (BLUR_PX, BLUR_PX), 0) for one in (a, moved, b)]
@@ -472,14 +474,17 @@ def _shift(a: Image, b: Image) -> Array:
 def _steady(a: Image, b: Image, inside: NDArray[np.uint8], movement: Array) -> NDArray[np.uint8]:
     """Return 1 where the second picture, at its own place, shows what the first shows within the noise.
 
-    The noise is that of the smaller nine tenths of the differences, counted as a normal distribution's.
+    The noise is that of the smaller nine tenths of the differences, counted as a normal distribution's. Where both are
+    cut off they do not differ, whatever the noise.
     """
     size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP | cv2.INTER_LINEAR
     smooth = [cv2.GaussianBlur(one, (BLUR_PX, BLUR_PX), 0) for one in (a, b)]
-    gap = cv2.warpAffine(smooth[1], movement, size, flags=flags) - smooth[0]
+    smooth[1] = cv2.warpAffine(smooth[1], movement, size, flags=flags)
+    gap = smooth[1] - smooth[0]
+    below = np.minimum(*smooth) < float(a.max()) * (1.0 - 1e-5)
     shown = (cv2.warpAffine(inside.astype(np.float32), movement, size, flags=flags) > 0.999) & (inside > 0)
     size_of_gap = np.abs(gap)
-    seen = size_of_gap[shown]
+    seen = size_of_gap[shown & below]
     kept = max(1, int(_KEPT * seen.size))
     square = np.partition(seen, kept - 1)[:kept].astype(np.float64) ** 2 if seen.size else seen
     limit = _MOVED_SIGMA * math.sqrt(float(square.mean()) / _KEPT_VARIANCE) if seen.size else math.inf

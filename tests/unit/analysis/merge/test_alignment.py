@@ -17,6 +17,7 @@ from radiometer.analysis.merge.alignment import (
     _pair_movement,
     _Pictures,
     _shift,
+    _steady,
     aligned,
     find_alignment,
 )
@@ -244,6 +245,20 @@ def test_a_black_level_moves_nothing(waves, black_dn, dn, top):
     gap = Movement(found.to_frame - place + np.eye(2, 3)).largest_px(shape)
     assert found.moved
     assert gap < 3.0 * found.u_px < 0.15
+
+
+def test_what_is_cut_off_says_nothing_of_the_noise():
+    """Nine tenths of two pictures are cut off and do not differ: the noise of the rest is still no movement."""
+    rng = np.random.default_rng(7)
+    one, two = (np.full((200, 200), 100.0, np.float32) for _ in range(2))
+    for picture in (one, two):
+        picture[:20] = 50.0 + rng.normal(0.0, 2.0, (20, 200))
+    inside = np.ones(one.shape, np.uint8)
+    assert _steady(one, two, inside, np.eye(2, 3)).mean() > 0.999
+    two[5:15, 50:60] += 30.0
+    steady = _steady(one, two, inside, np.eye(2, 3))
+    assert steady[5:15, 50:60].max() == 0
+    assert 0.98 < steady.mean() < 0.996
 
 
 def test_what_all_frames_show_is_left_by_the_largest_displacement():
