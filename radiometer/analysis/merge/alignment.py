@@ -38,7 +38,7 @@ _ARRIVED_PX: Final = 0.02
 LEAST_MOVE_PX: Final = 0.25
 # A movement must lessen the mean square difference of neighbours to this share, or it is noise.
 _LEAST_GAIN: Final = 0.97
-# A movement that is known worse than this is not told.
+# A movement that is known worse than this, in pixels of the bracket, is not told.
 _WORST_U_PX: Final = 0.2
 # Grey values are counted in so many steps.
 _STEPS: Final = 65536
@@ -174,7 +174,7 @@ class _Pictures:
     def movement(self, first: int, second: int) -> Array | None:
         """Return the movement in pixels of the bracket that takes those of one frame to another; None if not known."""
         pair, scale = self._pair(first, second)
-        return None if pair is None or pair.u_px > _WORST_U_PX else _full_size(pair.to_frame, scale)
+        return None if pair is None or pair.u_px * scale > _WORST_U_PX else _full_size(pair.to_frame, scale)
 
     def stand_still(self, first: int, second: int) -> bool:
         """Tell whether two frames lie in one place, known as well as any movement must be."""
@@ -299,7 +299,6 @@ def _pair_movement(here: Image, there: Image, inside: NDArray[np.uint8], full_sc
     for _ in range(levels):
         a, b, mask = pyramid[-1]
         pyramid.append((cv2.pyrDown(a), cv2.pyrDown(b), np.ascontiguousarray(cv2.erode(mask, _NEIGHBOURS)[::2, ::2])))
-    # First the shift: where a picture's sides are a transform's, OpenCV leaves its window in the picture.
     shifted = np.column_stack([np.eye(2), _shift(*pyramid[-1][:2])])
     coarsest = Climb(*pyramid[-1])
     _, found = max((_climbed(coarsest, start, _ITERATIONS) for start in (_STILL, shifted)), key=lambda one: one[0])
@@ -341,6 +340,8 @@ def _summit(pair: Climb, start: Array) -> tuple[float, Array]:
 def _believed(a: Image, b: Image, steady: NDArray[np.uint8], movement: Array) -> _PairMovement:
     """Return a movement with its uncertainty, or none at all where it mends nothing."""
     size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP
+    # Beyond the edge stands black, which the blur draws in: up to the edges a high pedestal hides what is mended. With
+    # the edge repeated there, half a pixel is believed of a camera that stood still and shows but stray light.
     moved = cv2.warpAffine(b, movement, size, flags=flags | cv2.INTER_LINEAR)
     shown = cv2.warpAffine(steady, movement, size, flags=flags | cv2.INTER_NEAREST) & steady
     smooth = [cv2.GaussianBlur(one, (BLUR_PX, BLUR_PX), 0) for one in (a, moved, b)]
@@ -464,7 +465,8 @@ def _quantiles(counts: NDArray[np.float32], shares: Array) -> Array:
 def _shift(a: Image, b: Image) -> Array:
     """Return the translation that takes pixels of one small picture to another, by phase correlation."""
     window = cv2.createHanningWindow((a.shape[1], a.shape[0]), cv2.CV_32F)
-    (x, y), response = cv2.phaseCorrelate(a, b, window)
+    # OpenCV leaves its window in pictures whose sides are a transform's.
+    (x, y), response = cv2.phaseCorrelate(a.copy(), b.copy(), window)
     far = max(abs(x) / a.shape[1], abs(y) / a.shape[0]) > 0.25
     return np.array([0.0, 0.0]) if far or response < 0.05 else np.array([x, y])
 
@@ -472,14 +474,17 @@ def _shift(a: Image, b: Image) -> Array:
 def _steady(a: Image, b: Image, inside: NDArray[np.uint8], movement: Array) -> NDArray[np.uint8]:
     """Return 1 where the second picture, at its own place, shows what the first shows within the noise.
 
-    The noise is that of the smaller nine tenths of the differences, counted as a normal distribution's.
+    The noise is that of the smaller nine tenths of the differences, counted as a normal distribution's. Where both are
+    cut off they do not differ, whatever the noise.
     """
     size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP | cv2.INTER_LINEAR
     smooth = [cv2.GaussianBlur(one, (BLUR_PX, BLUR_PX), 0) for one in (a, b)]
-    gap = cv2.warpAffine(smooth[1], movement, size, flags=flags) - smooth[0]
+    smooth[1] = cv2.warpAffine(smooth[1], movement, size, flags=flags)
+    gap = smooth[1] - smooth[0]
+    below = np.minimum(*smooth) < float(a.max()) * (1.0 - 1e-5)
     shown = (cv2.warpAffine(inside.astype(np.float32), movement, size, flags=flags) > 0.999) & (inside > 0)
     size_of_gap = np.abs(gap)
-    seen = size_of_gap[shown]
+    seen = size_of_gap[shown & below]
     kept = max(1, int(_KEPT * seen.size))
     square = np.partition(seen, kept - 1)[:kept].astype(np.float64) ** 2 if seen.size else seen
     limit = _MOVED_SIGMA * math.sqrt(float(square.mean()) / _KEPT_VARIANCE) if seen.size else math.inf

@@ -4,6 +4,11 @@ The method is that of OpenCV's findTransformECC for a shift and a turn, whose ev
 for a dozen arrays as large as the picture. Here all of a pair's climbs share what is made of the two pictures, and the
 sums of a step are made in blocks of rows that stay in a core's caches: less than half of the processor time.
 
+Every sum is one over the pixels that both pictures show, of what differs from its mean over these: so the coefficient
+is defined, and its slopes with it. OpenCV lets the slopes reach beyond them, where the moved picture is not centred:
+little contrast on a high pedestal then leads astray by tens of pixels. Where nothing slopes at the rim of what is shown
+the steps are the same.
+
 Source: G. D. Evangelidis, E. Z. Psarakis 2008, IEEE Trans. PAMI 30, 1858–1865 (forward additive).
 """
 
@@ -27,10 +32,10 @@ _LEAST_STEP: Final = 1e-6  # of the correlation
 _SHOWN_SHARE: Final = 0.95
 _BLOCK_PX: Final = 16384
 _CENTRAL: Final = np.array([[-0.5, 0.0, 0.5]], np.float32)
-# Of a movement: a turn, a shift to the right and one down. A block holds the moved picture's derivatives by these, then
-# the moved picture and the still one where they show something, 1 where they do, the moved picture everywhere, and 1.
+# Of a movement: a turn, a shift to the right and one down. A block holds the moved picture's derivatives by these, the
+# moved picture and the still one, all of them where both show something, and 1 there.
 _PARAMETERS: Final = 3
-_MOVING, _STILL, _SHOWN, _EVERYWHERE, _ONE, _ROWS = 3, 4, 5, 6, 7, 8
+_MOVING, _STILL, _SHOWN, _ROWS = 3, 4, 5, 6
 
 
 class Climb:
@@ -46,17 +51,14 @@ class Climb:
         """
         blur = (BLUR_PX, BLUR_PX)
         self.shape = (int(still.shape[0]), int(still.shape[1]))
-        self._still = cv2.GaussianBlur(still, blur, 0)
-        blurred = cv2.GaussianBlur(moving, blur, 0)
-        self._shown = (cv2.GaussianBlur(inside.astype(np.float32), blur, 0) > _SHOWN_SHARE).astype(np.uint8)
-        slopes = [cv2.filter2D(blurred, -1, kernel) * self._shown for kernel in (_CENTRAL, _CENTRAL.T)]
         # Sums of squares in 32 bits are those of what differs from a mean, or little contrast would drown in them.
-        self._middle = float(blurred.mean())
-        self._still -= float(self._still.mean())
+        self._still, blurred = (cv2.GaussianBlur(one - np.float32(one.mean()), blur, 0) for one in (still, moving))
+        self._shown = (cv2.GaussianBlur(inside.astype(np.float32), blur, 0) > _SHOWN_SHARE).astype(np.uint8)
+        slopes = [cv2.filter2D(blurred, -1, kernel) for kernel in (_CENTRAL, _CENTRAL.T)]
         # Four channels are moved at once, faster than three.
-        self._moving = cv2.merge([blurred - self._middle, *slopes, slopes[0]])
+        self._moving = cv2.merge([blurred, *slopes, slopes[0]])
         self._rows = max(1, _BLOCK_PX // self.shape[1])
-        self._block = np.ones((_ROWS, self._rows, self.shape[1]), np.float32)
+        self._block = np.empty((_ROWS, self._rows, self.shape[1]), np.float32)
         self._moved, self._moved_shown = np.empty_like(self._moving), np.empty_like(self._shown)
 
     def climbed(self, start: Array, iterations: int) -> tuple[float, Array]:
@@ -80,21 +82,18 @@ class Climb:
     def _step(self, movement: Array) -> tuple[float, Array]:
         """Return the correlation at a movement, and the movement a step further up."""
         products, pixels = self._products(movement)
-        mean = products[_MOVING:, _SHOWN] / max(pixels, 1)
-        # Products with what differs from the means of the pixels shown.
-        moving, still = (products[:, k] - products[:, _SHOWN] * mean[k - _MOVING] for k in (_MOVING, _STILL))
-        square, both, still_square = moving[_MOVING], moving[_STILL], still[_STILL]
+        # Products of what differs from the means of the pixels shown.
+        sums = products[:, _SHOWN]
+        centred = products[:, :_SHOWN] - np.outer(sums, sums) / max(pixels, 1)
+        slopes = slice(_PARAMETERS)
+        square, both, still_square = centred[_MOVING, _MOVING], centred[_MOVING, _STILL], centred[_STILL, _STILL]
+        of_moving, of_still = centred[slopes, _MOVING], centred[slopes, _STILL]
         if not square * still_square > 0.0:
             raise MeasurementError("the pictures show nothing in common by which they could be brought together")
-        slopes = slice(_PARAMETERS)
         try:
-            inverse = np.linalg.inv(products[slopes, slopes])
+            inverse = np.linalg.inv(centred[slopes, slopes])
         except np.linalg.LinAlgError:  # no slope: nowhere to go
             inverse = np.zeros((_PARAMETERS, _PARAMETERS))
-        # Where a slope reaches beyond what is shown, OpenCV leaves the moved picture as it is, and so do we.
-        beyond = products[slopes, _ONE] - products[slopes, _SHOWN]
-        of_moving = products[slopes, _EVERYWHERE] - products[slopes, _SHOWN] * mean[0] + self._middle * beyond
-        of_still = still[slopes]
         towards = inverse @ of_moving
         brighter, darker = square - of_moving @ towards, both - of_still @ towards
         if not darker > 0.0:
@@ -106,15 +105,16 @@ class Climb:
         return reached, np.column_stack([turned, movement[:, 2] + (right, down)])
 
     def _products(self, movement: Array) -> tuple[Array, int]:
-        """Return sums of products over pixels, shape (5, 8), as a block's rows have them, and how many they are."""
+        """Return sums of products over pixels, shape (5, 6), as a block's rows have them, and how many they are."""
         (height, width), flags = self.shape, cv2.WARP_INVERSE_MAP
+        # Half a pixel beyond its edge a picture still counts as shown.
         moved = cv2.warpAffine(
             self._moving,
             movement,
             (width, height),
             dst=self._moved,
             flags=flags | cv2.INTER_LINEAR,
-            borderValue=(-self._middle, 0.0, 0.0, 0.0),
+            borderMode=cv2.BORDER_REPLICATE,
         )
         shown = cv2.warpAffine(
             self._shown, movement, (width, height), dst=self._moved_shown, flags=flags | cv2.INTER_NEAREST
@@ -125,11 +125,11 @@ class Climb:
         for top in range(0, height, self._rows):
             rows = slice(top, min(top + self._rows, height))
             block, part = self._block[:, : rows.stop - top], moved[rows]
-            block[_EVERYWHERE], block[1], block[2] = (part[..., k] for k in range(_PARAMETERS))
+            block[_SHOWN] = shown[rows]
+            for k, row in enumerate((_MOVING, 1, 2)):
+                np.multiply(part[..., k], block[_SHOWN], out=block[row])
             np.multiply(-sin * x - cos * y[rows], block[1], out=block[0])
             block[0] += (cos * x - sin * y[rows]) * block[2]
-            block[_SHOWN] = shown[rows]
-            np.multiply(block[_EVERYWHERE], block[_SHOWN], out=block[_MOVING])
             np.multiply(self._still[rows], block[_SHOWN], out=block[_STILL])
             flat = block.reshape(_ROWS, -1)
             found += flat[:_SHOWN] @ flat.T
