@@ -27,6 +27,7 @@ class Prediction:
         mixed_x: (captures, tiles) correlation of neighbours in a row that exchange charge, without what rows share.
         mixed_y: The same in a column.
         limit_variance: (captures, tiles) part of `fixed` in DN² that limits which differ from pixel to pixel leave.
+        renewed_variance: (captures, tiles) part of it that each setting has a pattern of its own for.
     """
 
     mean: Array
@@ -54,6 +55,7 @@ class Prediction:
     mixed_x: Array
     mixed_y: Array
     limit_variance: Array
+    renewed_variance: Array
 
     @cached_property
     def waves(self) -> bool:

@@ -87,6 +87,7 @@ class TileMoments(Moments):
         comb_step: Spacing of the codes in use; 1 for all.
         comb_kept: How many codes of each spacing occur.
         limit_variance: Part of the fixed-pattern variance that limits which differ from pixel to pixel leave.
+        renewed_variance: Part of it that each setting has a pattern of its own for.
         band_frequency: Periods of that wave per row.
     """
 
@@ -99,6 +100,7 @@ class TileMoments(Moments):
         "neighbour_x",
         "neighbour_y",
         "limit_variance",
+        "renewed_variance",
     )
     linear: ClassVar[tuple[str, ...]] = ("first_excess",)
     figures: ClassVar[tuple[str, ...]] = ("comb_step", "comb_kept", "band_frequency")
@@ -115,6 +117,7 @@ class TileMoments(Moments):
     comb_step: float = 1.0
     band_frequency: float = 0.0
     limit_variance: Signal | float = 0.0
+    renewed_variance: Signal | float = 0.0
     comb_kept: float = 1.0
 
     @property

@@ -252,6 +252,7 @@ class TileModel:
             mixed_x=tiles(final.neighbour_x) / safe,
             mixed_y=tiles(final.neighbour_y) / safe,
             limit_variance=tiles(np.broadcast_to(final.limit_variance, final.mean.shape)),
+            renewed_variance=tiles(np.broadcast_to(final.renewed_variance, final.mean.shape)),
         )
 
 
