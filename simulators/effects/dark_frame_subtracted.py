@@ -149,7 +149,7 @@ def _cut(shifted: Moments, pattern: Any) -> Moments:
 
     if not isinstance(shifted, TileMoments):
         return unevenly_limited(shifted, beside)
-    after = unevenly_limited(shifted.changed(limit_variance=0.0), beside)
+    after = cast(TileMoments, unevenly_limited(shifted.changed(limit_variance=0.0), beside))
     left = after.limit_variance  # all of it: what the cut leaves of the pattern
     return after.changed(limit_variance=shifted.limit_variance, renewed_variance=after.renewed_variance + left)
 
