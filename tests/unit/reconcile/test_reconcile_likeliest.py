@@ -15,6 +15,7 @@ from radiometer.reconcile.fit.full_fit import UnfitError, included
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconcile.noise.fixed_patterns import renewed_patterns
 from radiometer.reconcile.noise.shared_errors import mixing_of_bands, mixing_of_lines
 from radiometer.reconcile.search.screening import of_seen_codes
 from radiometer.reconcile.search.starts import StartPool
@@ -126,6 +127,20 @@ def test_charge_that_is_pushed_far_stays_in_the_means_of_lines(make_capture: Cal
         float(bands[0]), abs=4 / np.sqrt(len(seen[near]) * of_rows.shape[1])
     )
     assert told_rows > 2.0 * x / variance * 1.02  # the nearest alone tell less
+
+
+@pytest.mark.slow
+def test_captures_of_one_setting_tell_its_own_pattern_once(make_capture: Callable[..., Any]) -> None:
+    """Means scatter by the pattern over the root of their pixels; m captures of one setting by √m of that each."""
+    state = _state(make_capture(8))
+    assert renewed_patterns(state.design, state.seen, state.prediction) == {}
+    pattern = replace(state.prediction, renewed_variance=4.0 * np.ones_like(state.prediction.mean))
+    found = renewed_patterns(state.design, state.seen, pattern)
+    number = np.array([np.sum(state.design.setting_id == one) for one in state.design.setting_id])
+    np.testing.assert_allclose(found["mean"], 2.0 * np.sqrt(number[:, None] / state.seen.pixels))
+    assert np.all(found["spatial"][number == 1] == 0.0)
+    assert np.all(found["spatial"][number > 1] > 0.0)
+    assert set(found) == {"mean", "slope_x", "slope_y", "spatial"}
 
 
 @dataclass(frozen=True)
