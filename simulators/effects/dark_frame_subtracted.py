@@ -82,8 +82,9 @@ class DarkFrameSubtracted(CatalogueEffect):
         return cast(Signal, np.maximum(self._lifted(signal, context), 0.0).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return 1, and 0 where all is cut."""
-        return (self._lifted(signal, context) > 0).astype(signal.dtype)
+        """Return 1, and 0 where all is cut or the converter is full."""
+        inside = (self._lifted(signal, context) > 0) & (signal < context.full_scale_dn)
+        return cast(Signal, inside.astype(signal.dtype))
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         """Return the frame less the dark of its setting, which is the same for all frames of it."""
@@ -92,7 +93,8 @@ class DarkFrameSubtracted(CatalogueEffect):
         dice = np.random.default_rng((context.device_seed, zlib.crc32(setting.encode())))
         level, variance = self._mean_of_darks(context)
         dark = np.rint(level + np.sqrt(variance) * dice.standard_normal(signal.shape))
-        return cast(Signal, np.maximum(signal - dark + np.rint(self.pedestal_dn), 0.0).astype(signal.dtype))
+        read = np.minimum(signal, context.full_scale_dn)
+        return cast(Signal, np.maximum(read - dark + np.rint(self.pedestal_dn), 0.0).astype(signal.dtype))
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
         """Return the moments of what is left: a pattern more, the highest code lower, no value negative."""
@@ -110,7 +112,7 @@ class DarkFrameSubtracted(CatalogueEffect):
         return after.changed(renewed_variance=after.renewed_variance + pattern2)
 
     def _lifted(self, signal: Signal, context: ExposureContext) -> Any:
-        return signal - self._taken(context)[0] + self.pedestal_dn
+        return np.minimum(signal, context.full_scale_dn) - self._taken(context)[0] + self.pedestal_dn
 
     def _taken(self, context: ExposureContext) -> tuple[Any, Any]:
         """Return mean and variance from pixel to pixel of the whole codes that are taken off, in DN and DN²."""
