@@ -68,6 +68,7 @@ PARAMETERS: dict[str, tuple[tuple[str, str, float], ...]] = {
     "parasitic_light_sensitivity": (("leak", "leak_s", 0.02 * 95 / 96),),  # times the read-out, up to the last row
     "row_dependent_exposure": (("added_s", "added_s", 1.0), ("lost_share", "lost_share", 1.0)),
     "adc_saturation": (("clip_dn", "clip_dn", 1.0),),
+    "dark_frame_subtracted": (("share", "share", 1.0), ("pedestal_dn", "pedestal_dn", 1.0)),
 }
 
 
@@ -86,7 +87,7 @@ SIZES: dict[str, tuple[str, float]] = {name: (pairs[0][0], pairs[0][2]) for name
     "stray_light_kernel": ("fraction", 1.0),
     "ambient_light_leak": ("fraction", 15.708),  # of 5 W·sr⁻¹·m⁻², as irradiance: π·L
 }
-for _name in ("gamma_enabled", "full_well_saturation", "adc_saturation", "natural_vignetting"):
+for _name in ("gamma_enabled", "full_well_saturation", "adc_saturation", "natural_vignetting", "dark_frame_subtracted"):
     del SIZES[_name]  # what is compared does nothing at another value than 0, or is not the size
 
 

@@ -256,7 +256,7 @@ class Scatter:
         """
         base = self.base
         white_x = base.neighbour_x - base.row_variance[:, None] / np.maximum(base.variance, 1e-30)
-        return np.maximum(1.0 + 2.0 * (white_x + base.neighbour_y), 0.5)
+        return np.maximum(1.0 + 2.0 * (white_x + base.neighbour_y + base.beyond_x + base.beyond_rows), 0.5)
 
     @cached_property
     def kurtosis(self) -> Array:

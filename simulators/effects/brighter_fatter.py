@@ -91,6 +91,9 @@ class BrighterFatter(CatalogueEffect):
             spatial_variance=after.spatial_variance * kept,
             neighbour_x=after.neighbour_x + share * _powers(push.beside, share) * after.variance,
             neighbour_y=after.neighbour_y + share * _powers(push.below, share) * after.variance,
+            beyond_x=after.beyond_x + share * _powers(push.beyond_x, share) * after.variance,
+            beyond_y=after.beyond_y + share * _powers(push.beyond_y, share) * after.variance,
+            beyond_rows=after.beyond_rows + share * _powers(push.beyond_rows, share) * after.variance,
             edge_share=before.edge_share + edge,
         )
 
@@ -128,6 +131,9 @@ class Push(NamedTuple):
         own: What the noise of a flat gains in variance, over the share, by powers of the share over the largest.
         beside: What it has as covariance with the right neighbour, likewise.
         below: The same of the pixel below.
+        beyond_x: The same of all that are farther right in the row, summed.
+        beyond_y: The same of all that are farther down in the column.
+        beyond_rows: The same of all in the rows below, but for the pixel below.
         last_line: What the last line of pixels inside a straight border of a patch loses of the step there.
     """
 
@@ -136,6 +142,9 @@ class Push(NamedTuple):
     own: Signal
     beside: Signal
     below: Signal
+    beyond_x: Signal
+    beyond_y: Signal
+    beyond_rows: Signal
     last_line: float
 
     @property
@@ -162,16 +171,17 @@ def push_of(reach: int, height_x_px: float, height_y_px: float) -> Push:
     across, down = _field(reach, height_x_px), _field(reach, height_y_px).T
     nearest = 0.5 * (across[reach - 1, reach] + down[reach, reach - 1])
     none = np.zeros(0)
-    bare = Push(across / nearest, down / nearest, none, none, none, 0.0)
-    own, beside, below = _of_gathered_noise(bare.kernel)
+    bare = Push(across / nearest, down / nearest, none, none, none, none, none, none, 0.0)
+    noise = _of_gathered_noise(bare.kernel)
     edge = float(0.5 * (np.sum(bare.across[:, reach]) + np.sum(bare.down[reach])))
-    return bare._replace(own=own, beside=beside, below=below, last_line=edge)
+    return bare._replace(**noise, last_line=edge)
 
 
-def _of_gathered_noise(kernel: Signal) -> tuple[Signal, Signal, Signal]:
-    """Return (variance − 1), and the covariances of neighbours, over the share, as polynomials of it.
+def _of_gathered_noise(kernel: Signal) -> dict[str, Signal]:
+    """Return (variance − 1), and covariances, over the share, as polynomials of it, by their names in `Push`.
 
-    The mean over all waves of ((e^y − 1)/y − 1)/b, y = 4·b·κ, at as many shares as the polynomial has terms.
+    The mean over all waves of ((e^y − 1)/y − 1)/b, y = 4·b·κ, at as many shares as the polynomial has terms. Waves that
+    run across a line alone hold the sum over all its pixels, and the one that does not vary that over all pixels.
     """
     side = 4 * kernel.shape[0]
     wide = np.zeros((side, side))
@@ -183,10 +193,18 @@ def _of_gathered_noise(kernel: Signal) -> tuple[Signal, Signal, Signal]:
     y = 4.0 * shares[:, None, None] * waves
     y = np.where(np.abs(y) < _SMALL, _SMALL, y)
     gained = (np.expm1(y) / y - 1.0) / shares[:, None, None]
-    means = [gained, gained * turned, gained * turned[:, None]]
+    own, beside, below = (np.mean(gained * by, axis=(1, 2)) for by in (1.0, turned, turned[:, None]))
+    row, column, everything = gained[:, :, 0].mean(axis=1), gained[:, 0].mean(axis=1), gained[:, 0, 0]
+    sums = {
+        "own": own,
+        "beside": beside,
+        "below": below,
+        "beyond_x": 0.5 * (row - own) - beside,
+        "beyond_y": 0.5 * (column - own) - below,
+        "beyond_rows": 0.5 * (everything - row) - below,
+    }
     powers = np.vander(shares / _LARGEST, increasing=True)
-    own, beside, below = np.linalg.solve(powers, np.stack([one.mean(axis=(1, 2)) for one in means], axis=1)).T
-    return own, beside, below
+    return dict(zip(sums, np.linalg.solve(powers, np.stack([*sums.values()], axis=1)).T, strict=True))
 
 
 def _powers(factors: Signal, share: Signal) -> Signal:

@@ -39,6 +39,7 @@ from simulators.effects.crosstalk import Crosstalk
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.dark_current_clamped import DarkCurrentClamped
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
+from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted
 from simulators.effects.defocus import Defocus
 from simulators.effects.display_black_leak import DisplayBlackLeak
 from simulators.effects.display_gamma_error import DisplayGammaError
@@ -114,6 +115,7 @@ EFFECTS: Final[dict[str, type[Effect]]] = {
     "dark_current": DarkCurrent,
     "dark_current_clamped": DarkCurrentClamped,
     "dark_current_nonuniformity": DarkCurrentNonuniformity,
+    "dark_frame_subtracted": DarkFrameSubtracted,
     "defocus": Defocus,
     "display_black_leak": DisplayBlackLeak,
     "display_gamma_error": DisplayGammaError,

@@ -87,6 +87,10 @@ class TileMoments(Moments):
         comb_step: Spacing of the codes in use; 1 for all.
         comb_kept: How many codes of each spacing occur.
         limit_variance: Part of the fixed-pattern variance that limits which differ from pixel to pixel leave.
+        renewed_variance: Part of it that each setting has a pattern of its own for.
+        beyond_x: Sum of the covariances with the pixels of a row from the second neighbour on, to one side.
+        beyond_y: The same of a column.
+        beyond_rows: The same with all pixels of the rows below, but for the vertical neighbour.
         band_frequency: Periods of that wave per row.
     """
 
@@ -99,6 +103,10 @@ class TileMoments(Moments):
         "neighbour_x",
         "neighbour_y",
         "limit_variance",
+        "renewed_variance",
+        "beyond_x",
+        "beyond_y",
+        "beyond_rows",
     )
     linear: ClassVar[tuple[str, ...]] = ("first_excess",)
     figures: ClassVar[tuple[str, ...]] = ("comb_step", "comb_kept", "band_frequency")
@@ -115,6 +123,10 @@ class TileMoments(Moments):
     comb_step: float = 1.0
     band_frequency: float = 0.0
     limit_variance: Signal | float = 0.0
+    renewed_variance: Signal | float = 0.0
+    beyond_x: Signal | float = 0.0
+    beyond_y: Signal | float = 0.0
+    beyond_rows: Signal | float = 0.0
     comb_kept: float = 1.0
 
     @property

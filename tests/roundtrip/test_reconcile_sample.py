@@ -52,14 +52,16 @@ def test_hidden_effect_is_named_alone(name: str) -> None:
         ("adc_saturation:clamped_bits", ("clip_dn", "clip_dn"), 1.0),
         ("black_level_offset:taken_off", ("offset_dn", "offset_dn"), 0.5),
         ("pwm_flicker:refresh", ("frequency_hz", "frequency_Hz"), None),
+        ("dark_frame_subtracted", ("share", "share"), None),
+        ("dark_frame_subtracted:cut", ("share", "share"), None),
     ],
 )
 def test_hidden_processing_and_a_panel_s_beat_are_named(
     form: str, parameter: tuple[str, str], allowed: float | None
 ) -> None:
-    """Bits cut off, a black level taken off and cut at zero, a panel's refresh: right name, right size.
+    """Bits cut off, a black level taken off and cut at zero, a panel's refresh, darks subtracted: right name and size.
 
-    Codes within one of rounding, a frequency within four of its u.
+    Codes within one of rounding, a frequency and the share of the darks' noise within four of their u.
     """
     session = make_session(form, camera_seed=5201, scale=2.0)
     answer = _ask(session)

@@ -21,6 +21,7 @@ from radiometer.reconcile.measure.row_bands import RowBins, wave_power
 from radiometer.reconcile.measure.seen import COMB_PERIODS, CaptureStatistics
 from radiometer.reconcile.noise.dark_errors import errors_of_darkness
 from radiometer.reconcile.noise.darkness import Darkness
+from radiometer.reconcile.noise.fixed_patterns import renewed_patterns
 from radiometer.reconcile.noise.repeatability import steady_wander2
 from radiometer.reconcile.noise.shared import Part, whiteners
 from radiometer.reconcile.noise.shared_errors import (
@@ -376,11 +377,12 @@ def _deviations(
 ) -> dict[str, Array]:
     """Return the standard uncertainty of each entry by itself, by statistic."""
     found = {name: row.sigma(scatter) for name, row in STATISTICS.items()}
-    more = [unsteady_phases(scatter.design, scatter.seen, scatter.base), floors]
+    given = (scatter.design, scatter.seen, scatter.base)
+    more = [unsteady_phases(*given), renewed_patterns(*given), floors]
     if variance_response is not None:
         light_u_rel = max(repeatability.tau, _LIGHT_U_REL)
         follow = (name for name, row in STATISTICS.items() if row.follows_light)
-        more.insert(1, dict.fromkeys(follow, light_u_rel * variance_response))
+        more.insert(2, dict.fromkeys(follow, light_u_rel * variance_response))
     for further in more:
         found |= {name: np.hypot(found[name], values) for name, values in further.items()}
     return found

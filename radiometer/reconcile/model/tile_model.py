@@ -204,6 +204,9 @@ class TileModel:
         def captures(values: Signal) -> Array:
             return of_tiles(values[..., 0], (*values.shape[:-3], shape[0]))
 
+        def everywhere(values: Signal | float) -> Array:
+            return tiles(np.broadcast_to(values, final.mean.shape))
+
         mean, variance = tiles(final.mean), tiles(final.variance)
         if not self.design.uniform:  # a scene's noise is that of the later frames, without the first one's own light
             n = self.design.frame_count[:, None]
@@ -251,7 +254,11 @@ class TileModel:
             band_frequency=final.band_frequency,
             mixed_x=tiles(final.neighbour_x) / safe,
             mixed_y=tiles(final.neighbour_y) / safe,
-            limit_variance=tiles(np.broadcast_to(final.limit_variance, final.mean.shape)),
+            limit_variance=everywhere(final.limit_variance),
+            renewed_variance=everywhere(final.renewed_variance),
+            beyond_x=everywhere(final.beyond_x) / safe,
+            beyond_y=everywhere(final.beyond_y) / safe,
+            beyond_rows=everywhere(final.beyond_rows) / safe,
         )
 
 

@@ -73,7 +73,7 @@ def fixed_errors(
     plain = [effect for effect, electrons in own if electrons is None]
     additive = any(not effect.proportional for effect in plain)
     terms: list[FixedError] = []
-    others = np.zeros_like(prediction.fixed)
+    others = prediction.renewed_variance
     for effect, electrons in own:
         if electrons is not None:
             unit = _unit_of_electrons(np.broadcast_to(electrons, (*prediction.mean.shape, 1))[:, :, 0])
@@ -101,6 +101,32 @@ def fixed_errors(
         if additive and float(np.max(_lines(name, prediction))) > 0:
             terms.append(_spread_of_lines_in_tiles(name, seen, design))
     return tuple(terms)
+
+
+def renewed_patterns(design: Design, seen: CaptureStatistics, prediction: Prediction) -> dict[str, Array]:
+    """Return how far a pattern that each setting has for itself scatters means, slopes and its spread, by statistic.
+
+    The m captures of one setting have the same pattern: each counts as if it were √m times as uncertain, so that
+    together they tell no more than one of them.
+
+    Args:
+        design: Captures and tiles.
+        seen: What was measured.
+        prediction: Expected statistics.
+    """
+    pattern2 = prediction.renewed_variance
+    if not pattern2.any():
+        return {}
+    alike = np.bincount(design.setting_id)[design.setting_id][:, None]
+    sigma = np.sqrt(alike * pattern2)
+    share = pattern2 / np.maximum(prediction.spatial, 1e-30)
+    lengths = slope_lengths(design)
+    return {
+        "mean": sigma / np.sqrt(np.maximum(seen.pixels, 1.0)),
+        "slope_x": sigma / lengths[0],
+        "slope_y": sigma / lengths[1],
+        "spatial": share * np.sqrt(2.0 * (alike - 1.0) / np.maximum(seen.spatial_dof, 1.0)),
+    }
 
 
 def error_of_borders(usable: NDArray[np.bool_]) -> tuple[FixedError, ...]:

@@ -264,10 +264,10 @@ def line_excess(design: Design, seen: CaptureStatistics, prediction: Prediction,
 
 
 def mixing_of_lines(prediction: Prediction, design: Design, name: str) -> Array:
-    """Return by what neighbours that exchange charge raise the ratio of a profile of lines, (captures,).
+    """Return by what pixels that exchange charge raise the ratio of a profile of lines, (captures,).
 
-    Along a line of w pixels that correlate by ρ the variance of the mean is 1 + 2ρ·(1 − 1/w) times that of white
-    noise. A fixed profile holds the noise that the mean of the frames leaves.
+    Along a line of w pixels that correlate by ρ, summed over those to one side, the variance of the mean is
+    1 + 2ρ·(1 − 1/w) times that of white noise. A fixed profile holds the noise that the mean of the frames leaves.
 
     Args:
         prediction: Expected statistics.
@@ -275,7 +275,8 @@ def mixing_of_lines(prediction: Prediction, design: Design, name: str) -> Array:
         name: row_temporal, rows or columns.
     """
     length = design.tile_height if name == "columns" else design.tile_width
-    together = prediction.mixed_y if name == "columns" else prediction.mixed_x
+    x, y = prediction.mixed_x + prediction.beyond_x, prediction.mixed_y + prediction.beyond_y
+    together = y if name == "columns" else x
     noise, share = prediction.variance, np.ones_like(prediction.variance)
     if name != "row_temporal":
         noise, share = prediction.spatial, prediction.variance / design.frame_count[:, None] / prediction.spatial
@@ -285,17 +286,22 @@ def mixing_of_lines(prediction: Prediction, design: Design, name: str) -> Array:
 
 
 def mixing_of_bands(prediction: Prediction, design: Design) -> Array:
-    """Return by what such neighbours raise the ratios of the bands, (captures, orders).
+    """Return by what such pixels raise the ratios of the bands, (captures, orders).
 
-    Bands of coarse rows gain more than those of fine ones, by 1 + 2ρ·cos(2πν) for ν periods per row.
+    Bands of coarse rows gain more than those of fine ones, by 1 + 2ρ·cos(2πν) for ν periods per row; what lies beyond
+    the nearest rows counts as in them.
     """
     bins = RowBins.of(design)
     weight = np.square(np.maximum(prediction.signal, 0.0)) / prediction.variance
     weight = weight / np.maximum(np.sum(weight, axis=-1, keepdims=True), 1e-300)
-    x, y = (np.sum(weight * mixed, axis=-1)[..., None] for mixed in (prediction.mixed_x, prediction.mixed_y))
+    x, y, beyond_x, beyond_rows = (
+        np.sum(weight * mixed, axis=-1)[..., None]
+        for mixed in (prediction.mixed_x, prediction.mixed_y, prediction.beyond_x, prediction.beyond_rows)
+    )
     turn = np.pi * np.arange(1, bins.orders + 1) / bins.number  # of one order from bin to bin
     inside, beside = 1.0 - 1.0 / bins.step, 1.0 / bins.step
-    mixed = (1.0 + 2.0 * x) * (1.0 + 2.0 * y * (inside + beside * np.cos(turn))) - 1.0
+    rows = inside + beside * np.cos(turn)
+    mixed = (1.0 + 2.0 * x) * (1.0 + 2.0 * y * rows) - 1.0 + 2.0 * (beyond_x + beyond_rows * rows)
     return np.asarray(np.maximum(mixed, _LEAST_EXCESS))
 
 

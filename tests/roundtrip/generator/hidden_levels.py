@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.roundtrip.generator.registry import Truth, entry
+from tests.roundtrip.generator.plan import Shot
+from tests.roundtrip.generator.registry import Truth, entry, variant
 from tests.roundtrip.generator.world import World
 
 BASE_C = 35.0
@@ -140,3 +141,42 @@ def line_start_offset(world: World, rng: np.random.Generator, scale: float) -> T
     along = (np.arange(world.rig.columns) + 0.5) / world.rig.columns
     world.digital.append(lambda value, shot: value + start * np.exp(-along / share)[None, :])
     return {"offset_dn": start, "decay_share": share}
+
+
+@entry("dark_frame_subtracted", "exposure_s", "none", "signal", "gain_db")
+def dark_frame_subtracted(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Take the mean of 1 to 9 darks of each setting off its frames, 64 DN kept, and cut what comes out below zero."""
+    return _without_darks(world, rng, count=int(rng.choice([1, 3, 5, 9])), pedestal=64.0)
+
+
+@variant("dark_frame_subtracted", "cut", "exposure_s", "none", "signal", "gain_db")
+def dark_frame_cut(world: World, rng: np.random.Generator, scale: float) -> Truth:
+    """Keep no pedestal: half of a dark frame's values are cut at zero."""
+    return _without_darks(world, rng, count=int(rng.choice([1, 3, 5, 9])), pedestal=0.0)
+
+
+def _without_darks(world: World, rng: np.random.Generator, *, count: int, pedestal: float) -> Truth:
+    """Draw darks as the rig has them, one stack for each exposure, gain and temperature, and subtract their mean."""
+    rig, kept, dice = (
+        world.rig,
+        dict[tuple[float, float, float], np.ndarray](),
+        np.random.default_rng(rng.integers(2**32)),
+    )
+
+    def drawn(shot: Shot) -> np.ndarray:
+        s = shot.setting
+        warmer = s.temperature_c - rig.dark_reference_c
+        expected = rig.dark_e_per_s * 2 ** (warmer / rig.dark_doubling_k) * s.exposure_s
+        charge = dice.poisson(expected, (count, *world.shape)) + rig.read_noise_e * dice.standard_normal(
+            (count, *world.shape)
+        )
+        return np.rint(np.rint(charge * 10 ** (s.gain_db / 20) / rig.e_per_dn + rig.black_dn).mean(axis=0))  # codes
+
+    def subtracted(codes: np.ndarray, shot: Shot) -> np.ndarray:
+        key = (shot.setting.exposure_s, shot.setting.gain_db, shot.setting.temperature_c)
+        if key not in kept:
+            kept[key] = drawn(shot)
+        return np.clip(codes - kept[key] + pedestal, 0.0, rig.top_dn)
+
+    world.code.append(subtracted)
+    return {"share": 1.0 / count, "pedestal_dn": pedestal}

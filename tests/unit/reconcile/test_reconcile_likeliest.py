@@ -15,10 +15,12 @@ from radiometer.reconcile.fit.full_fit import UnfitError, included
 from radiometer.reconcile.fit.state import FitState
 from radiometer.reconcile.measure.design import Design
 from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconcile.noise.fixed_patterns import renewed_patterns
 from radiometer.reconcile.noise.shared_errors import mixing_of_bands, mixing_of_lines
 from radiometer.reconcile.search.screening import _rigid, of_seen_codes
 from radiometer.reconcile.search.starts import StartPool
 from simulators.effects.base import EXPOSURE, Stage, parameter
+from simulators.effects.brighter_fatter import push_of
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 from simulators.effects.event_offset import EventOffset
@@ -120,6 +122,61 @@ def test_charge_that_neighbours_exchange_stays_in_the_means_of_lines(make_captur
         near = slice(max(int(middle) - 40, 1), int(middle) + 40)
         uncertainty = 1.0 / np.sqrt(len(power[near]) * of_rows.shape[1])
         assert float(power[near].mean()) - 1.0 == pytest.approx(float(bands[order - 1]), abs=4 * uncertainty)
+
+
+@pytest.mark.slow
+def test_charge_that_is_pushed_far_stays_in_the_means_of_lines(make_capture: Callable[..., Any]) -> None:
+    """Flats with covariances of many lags: rows, columns, bands of rows and tiles scatter as told, to 4 sigma."""
+    state = _state(make_capture(6))
+    height, width = state.design.tiles[0].height, state.design.tiles[0].width
+    push = push_of(8, 0.56, 0.45)
+    kernel, middle = push.kernel, push.kernel.shape[0] // 2
+    shape = (height * 200, width * 200)
+    wide = np.zeros(shape)
+    wide[: kernel.shape[0], : kernel.shape[1]] = kernel
+    power = 1.0 + 0.2 / 8.0 * 2.0 * np.fft.rfft2(np.roll(wide, (-middle, -middle), (0, 1))).real
+    white = np.fft.rfft2(np.random.default_rng(2).standard_normal(shape))
+    noise = np.fft.irfft2(white * np.sqrt(power), s=shape)
+    whole = np.fft.irfft2(power, s=shape)  # covariance by lag
+    variance, x, y = (float(whole[at]) for at in ((0, 0), (0, 1), (1, 0)))
+    sums = {
+        "beyond_x": whole[0, 2:20].sum(),
+        "beyond_y": whole[2:20, 0].sum(),
+        "beyond_rows": whole[1:20].sum() - y,
+    }
+    ones = np.ones_like(state.prediction.variance)
+    figures = {name: value / variance * ones for name, value in ({"mixed_x": x, "mixed_y": y} | sums).items()}
+    mixed = replace(state.prediction, **figures)
+    rows = noise.reshape(-1, width).mean(axis=1).var() * width / variance - 1.0
+    columns = noise.reshape(-1, height, shape[1]).mean(axis=1).var() * height / variance - 1.0
+    told_rows = float(mixing_of_lines(mixed, state.design, "row_temporal")[0])
+    share = state.prediction.variance[0] / state.design.frame_count[0] / state.prediction.spatial[0]
+    told_columns = float(mixing_of_lines(mixed, state.design, "columns")[0] / share.mean())
+    assert rows == pytest.approx(told_rows, abs=4 * np.sqrt(2 * width / noise.size))
+    assert columns == pytest.approx(told_columns, abs=4 * np.sqrt(2 * height / noise.size))
+    bands = mixing_of_bands(mixed, state.design)[0]
+    of_rows = noise.reshape(noise.shape[0], -1, width).mean(axis=2)
+    seen = (np.abs(np.fft.rfft(of_rows, axis=0)) ** 2).mean(axis=1) * width / noise.shape[0] / variance
+    at = round(0.5 / state.design.shape[0] * (seen.size - 1))  # the slowest band
+    near = slice(max(at - 40, 1), at + 40)
+    assert float(seen[near].mean()) - 1.0 == pytest.approx(
+        float(bands[0]), abs=4 / np.sqrt(len(seen[near]) * of_rows.shape[1])
+    )
+    assert told_rows > 2.0 * x / variance * 1.02  # the nearest alone tell less
+
+
+@pytest.mark.slow
+def test_captures_of_one_setting_tell_its_own_pattern_once(make_capture: Callable[..., Any]) -> None:
+    """Means scatter by the pattern over the root of their pixels; m captures of one setting by √m of that each."""
+    state = _state(make_capture(8))
+    assert renewed_patterns(state.design, state.seen, state.prediction) == {}
+    pattern = replace(state.prediction, renewed_variance=4.0 * np.ones_like(state.prediction.mean))
+    found = renewed_patterns(state.design, state.seen, pattern)
+    number = np.array([np.sum(state.design.setting_id == one) for one in state.design.setting_id])
+    np.testing.assert_allclose(found["mean"], 2.0 * np.sqrt(number[:, None] / state.seen.pixels))
+    assert np.all(found["spatial"][number == 1] == 0.0)
+    assert np.all(found["spatial"][number > 1] > 0.0)
+    assert set(found) == {"mean", "slope_x", "slope_y", "spatial"}
 
 
 @dataclass(frozen=True)

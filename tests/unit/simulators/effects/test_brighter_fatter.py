@@ -100,6 +100,32 @@ def _of_gathered_noise(effect: BrighterFatter, level: float, terms: int = 16) ->
     return total
 
 
+def test_sums_over_farther_pixels_are_those_of_all_covariances() -> None:
+    """Along a row, a column, and over all rows below; all lags together sum to the shot noise: no charge is lost."""
+    level, strong = 6000.0, replace(FAR, share=0.08)
+    one = np.full((1, 1, 1), level)
+    told = strong.moments(replace(TileMoments.exactly(one), variance=one), _context())
+    expected = level * _of_gathered_noise(strong, level)
+    middle = expected.shape[0] // 2
+    beyond_x, beyond_y = float(np.ravel(told.beyond_x)[0]), float(np.ravel(told.beyond_y)[0])
+    assert beyond_x == pytest.approx(expected[middle, middle + 2 :].sum(), rel=1e-4)
+    assert beyond_y == pytest.approx(expected[middle + 2 :, middle].sum(), rel=1e-4)
+    below = expected[middle + 1 :].sum() - expected[middle + 1, middle]
+    beyond_rows = float(np.ravel(told.beyond_rows)[0])
+    assert beyond_rows == pytest.approx(below, rel=1e-3)
+    sides = told.neighbour_x.item() + told.neighbour_y.item() + beyond_x + beyond_rows
+    assert told.variance.item() + 2.0 * sides == pytest.approx(level, rel=1e-6)
+
+
+def test_the_nearest_borders_alone_leave_little_beyond() -> None:
+    """The plain form gives four neighbours all to first order: farther ones have what is pushed again."""
+    level = 6000.0
+    one = np.full((1, 1, 1), level)
+    told = BrighterFatter(share=0.002).moments(replace(TileMoments.exactly(one), variance=one), _context())
+    assert abs(float(np.ravel(told.beyond_x)[0])) < 0.01 * told.neighbour_x.item()
+    assert abs(float(np.ravel(told.beyond_rows)[0])) < 0.02 * told.neighbour_x.item()
+
+
 def test_noise_gathers_while_borders_move() -> None:
     """Charge that comes in 150 steps, each moved by what has come, has the variance that is told, to 5 sigma.
 

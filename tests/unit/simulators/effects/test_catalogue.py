@@ -46,7 +46,7 @@ defocus fnumber_tstop_error angle_dependence polarisation spectral_mismatch sour
 led_thermal_droop pwm_flicker mains_ripple display_gamma_error display_black_leak ambient_light_leak
 quantum_efficiency_temperature nominal_settings exposure_label_error source_not_proportional_to_exposure
 lamp_step first_frame_offset readout_dark_charge series_settling line_start_offset
-correlated_read_noise row_dependent_exposure
+correlated_read_noise row_dependent_exposure dark_frame_subtracted
 """.split()  # noqa: SIM905
 
 # Those whose flexible forms need no further settings than those of one frame.
