@@ -100,9 +100,11 @@ def test_what_stands_beside_is_followed_without_new_derivatives(plain: FitState)
 def test_one_step_fits_nothing_twice(plain: FitState, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same start is fitted once near and once far; another start of equal values is its own."""
     fitted: list[tuple[object, bool]] = []
+    in_a_hurry: list[bool] = []
 
-    def counted(state: FitState, effect: Any, *, far: bool, most: float) -> FitState:
+    def counted(state: FitState, effect: Any, *, far: bool, most: float, hurried: bool) -> FitState:
         fitted.append((effect, far))
+        in_a_hurry.append(hurried)
         return with_effects(state, [effect])
 
     monkeypatch.setattr(full_fit, "included", counted)
@@ -111,6 +113,8 @@ def test_one_step_fits_nothing_twice(plain: FitState, monkeypatch: pytest.Monkey
     assert fits.included(effect, far=True) is first
     assert fits.included(effect, far=False) is not first
     assert fitted == [(effect, True), (effect, False)]
+    FullFits(plain, 1e6).included(effect, far=True)  # held against what was found
+    assert in_a_hurry == [False, False, True]
 
 
 def test_what_leaves_more_than_it_may_is_not_refitted_under_its_own_weights(plain: FitState) -> None:

@@ -160,6 +160,7 @@ def scatter(**changes: Any) -> Scatter:
         "gain": np.array([0.5, 0.5]), "signal": np.full((2, 1), 40.0), "variance": np.full((2, 1), 30.0),
         "neighbour_x": np.zeros((2, 1)), "neighbour_y": np.zeros((2, 1)), "row_variance": np.zeros(2),
         "rounding": np.zeros((2, 1)), "kurtosis": np.zeros((2, 1)),
+        "beyond_x": np.zeros((2, 1)), "beyond_rows": np.zeros((2, 1)),
     }  # fmt: skip
     seen = {
         "variance": np.array([[25.0], [36.0]]), "pixels": np.full((2, 1), 100.0),
@@ -178,6 +179,8 @@ def test_how_far_a_mean_scatters():
     shared = scatter(neighbour_x=np.full((2, 1), 0.1), neighbour_y=np.full((2, 1), 0.05), row_variance=np.full(2, 3.0))
     # Rows that move together are taken apart: of 0.1, 3/30 is theirs.
     assert shared.mean == pytest.approx(plain * math.sqrt(1.0 + 2.0 * 0.05))
+    farther = scatter(beyond_x=np.full((2, 1), 0.03), beyond_rows=np.full((2, 1), 0.04))  # each of two sides
+    assert farther.mean == pytest.approx(plain * math.sqrt(1.0 + 2.0 * 0.07))
     assert scatter(neighbour_x=np.full((2, 1), -0.9)).mean == pytest.approx(plain * math.sqrt(0.5))
     assert scatter(rounding=np.full((2, 1), 0.5)).mean == pytest.approx(np.hypot(plain, 0.05))
     assert scatter().first == pytest.approx(np.sqrt(np.array([[25.0 / 100 * 8 / 7], [30.0 / 100 * 2.0]])))
