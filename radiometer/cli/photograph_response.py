@@ -13,6 +13,7 @@ from radiometer.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from radiometer.analysis.response.displacement import Displacement
+    from radiometer.analysis.response.shutter_offset import ShutterOffset
     from radiometer.data import Bracket, Calibration, RadianceMap, ResponseCurve, SensorNoise
 
 # Enough for a response; larger photographs are read on a lattice for it.
@@ -208,6 +209,58 @@ def with_found_times(bracket: Bracket, curve: ResponseCurve) -> Bracket:
         for f, error in zip(bracket, errors, strict=True)
     ]
     return type(bracket).from_frames([*frames, *bracket.dark_frames], origin=bracket.origin)
+
+
+def shutter_offset_of(curve: ResponseCurve | None) -> ShutterOffset | None:
+    """Return the shutter's offset that a response was recovered with; None where its file tells none."""
+    from radiometer.analysis.response.shutter_offset import ShutterOffset
+
+    parameters = curve.provenance.parameters if curve is not None else {}
+    try:
+        seconds, u_seconds = (float(parameters[name]) for name in ("shutter_offset_s", "u_shutter_offset_s"))
+    except (KeyError, TypeError, ValueError):
+        return None
+    return ShutterOffset(seconds, u_seconds, 1.0) if math.isfinite(seconds) and math.isfinite(u_seconds) else None
+
+
+def offset_told(curve: ResponseCurve) -> str | None:
+    """Return what a map says of the shutter's offset that its photographs told; None where they told none."""
+    offset = shutter_offset_of(curve)
+    return f"all exposures {offset.told()} than their labels, the shutter's offset" if offset else None
+
+
+def with_offset_of_response(
+    bracket: Bracket, curve: ResponseCurve | None, listed: str | None
+) -> tuple[Bracket, str | None, bool]:
+    """Return photographs with the exposures that the shutter's offset of a given response makes of their labels.
+
+    The offset belongs to the camera's shutter, as the curve does to the camera. It is not taken where a list gives the
+    exposures, which may hold it, or where it is not short beside them.
+
+    Args:
+        bracket: Photographs as labelled.
+        curve: As given; None where they are linear.
+        listed: Name of the list that gives their exposures; None where EXIF does.
+
+    Returns:
+        The photographs, what to say (None where the response tells no offset), and whether it was taken.
+    """
+    from radiometer.analysis.response.shutter_offset import is_possible
+
+    offset = shutter_offset_of(curve)
+    if offset is None:
+        return bracket, None, False
+    shortest_s = min(frame.settings.exposure_s for frame in bracket)
+    not_taken = f"the shutter's offset of the response (exposures {offset.told()} than their labels) is not taken"
+    if listed is not None:
+        return bracket, f"{not_taken}: {listed} gives the exposures", False
+    if not is_possible(offset.seconds, shortest_s):
+        return bracket, f"{not_taken}: it is too large beside {1e6 * shortest_s:.3g} µs", False
+    timed = [
+        replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s + offset.seconds)) for f in bracket
+    ]
+    text = f"all exposures {offset.told()} than their labels, the shutter's offset that the response was recovered with"
+    return type(bracket).from_frames([*timed, *bracket.dark_frames], origin=bracket.origin), text, True
 
 
 def relative_calibration(
