@@ -271,7 +271,7 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
         brackets = [with_found_times(b, curves[str(b.frames[0].extra.get("channel", "mono"))]) for b in brackets]
         said = {channel: offset_told(curve) for channel, curve in curves.items()}
     else:
-        brackets, said = _with_offsets(path, brackets, curves)
+        brackets, said = _with_offsets(path, brackets, curves, calibration)
     asked = placed.common if options.linear and not (calibration or raw) else []
     doubts = {str(b.frames[0].extra.get("channel", "mono")): doubt for b in asked if (doubt := linear_doubt(b))}
     for name, doubt in doubts.items():
@@ -286,12 +286,12 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
 
 
 def _with_offsets(
-    path: Path, brackets: Sequence[Bracket], curves: dict[str, ResponseCurve]
+    path: Path, brackets: Sequence[Bracket], curves: dict[str, ResponseCurve], calibration: Calibration | None
 ) -> tuple[list[Bracket], dict[str, str | None]]:
-    """Return photographs with the shutter's offset of given responses, which is said, and what their maps say of it."""
+    """Return photographs with the shutter's offset of what was given, which is said, and what their maps say of it."""
     from radiometer.bench.sources import exposure_list
     from radiometer.cli.console import note
-    from radiometer.cli.photograph_response import with_offset_of_response
+    from radiometer.cli.photograph_response import with_offset_of_calibration, with_offset_of_response
 
     listed = exposure_list(path)
     timed: list[Bracket] = []
@@ -300,7 +300,10 @@ def _with_offsets(
     for bracket in brackets:
         channel = str(bracket.frames[0].extra.get("channel", "mono"))
         curve = _of_channel(curves, channel) if curves else None
-        one, text, taken = with_offset_of_response(bracket, curve, listed)
+        if calibration:
+            one, text, taken = with_offset_of_calibration(bracket, calibration, listed)
+        else:
+            one, text, taken = with_offset_of_response(bracket, curve, listed)
         timed.append(one)
         said[channel] = text if taken else None
         if text:

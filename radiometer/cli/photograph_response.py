@@ -263,6 +263,20 @@ def with_offset_of_response(
     return type(bracket).from_frames([*timed, *bracket.dark_frames], origin=bracket.origin), text, True
 
 
+def with_offset_of_calibration(
+    bracket: Bracket, calibration: Calibration, listed: str | None
+) -> tuple[Bracket, str | None, bool]:
+    """Return photographs with the exposures that the shutter's offset of a calibration makes of their labels.
+
+    Args:
+        bracket: Photographs as labelled.
+        calibration: One whose model holds an offset of exposures takes that instead.
+        listed: As for `with_offset_of_response`, whose results these are.
+    """
+    held = calibration.found.exposure_offset_s != 0.0
+    return with_offset_of_response(bracket, None if held else calibration.response, listed)
+
+
 def relative_calibration(
     bracket: Bracket, curve: ResponseCurve | None, camera: Any, lens: Any
 ) -> tuple[Calibration, Displacement | None]:

@@ -1,4 +1,4 @@
-"""A response that was recovered with a shutter's offset, given for other photographs of the camera."""
+"""A response recovered with a shutter's offset, given for other photographs of the camera or in a calibration."""
 
 from __future__ import annotations
 
@@ -11,8 +11,26 @@ from PIL import Image
 
 from radiometer.analysis.response.shutter_offset import is_possible
 from radiometer.cli.main import run
-from radiometer.cli.photograph_response import offset_told, shutter_offset_of, with_offset_of_response
-from radiometer.data import Bracket, Frame, FrameSettings, Provenance, ResponseCurve
+from radiometer.cli.photograph_response import (
+    offset_told,
+    shutter_offset_of,
+    with_offset_of_calibration,
+    with_offset_of_response,
+)
+from radiometer.data import (
+    BlackLevel,
+    Bracket,
+    Calibration,
+    CameraDescription,
+    FoundEffects,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    Provenance,
+    ResponseCurve,
+    Scale,
+    SensorNoise,
+)
 
 OFFSET_S, U_S = 3e-5, 4e-6
 LABELS_S = tuple(2.0**-k for k in (13, 12, 11, 10))
@@ -81,6 +99,52 @@ def test_exif_times_are_lengthened_by_it_which_is_said(photographs, capsys):
     assert plain["exposures_s"] == list(LABELS_S)
     assert found["values"] == by_list["values"]
     assert found["values"]["median"] < 0.98 * plain["values"]["median"]
+
+
+def test_a_calibration_and_its_readings_have_it(tmp_path, capsys):
+    """A source of 1 W/(sr m²) at 1/8192 s gives the scale, by which one of 0.5 at 1/512 s is read and mapped."""
+    of_offset().write(tmp_path / "offset.yaml")
+    for name, radiance, label in (("known", 1.0, 2.0**-13), ("other", 0.5, 2.0**-9)):
+        dn = np.full((24, 36), 60.0 * radiance * (label + OFFSET_S) / 2.0**-11)
+        dn = np.random.default_rng(6).normal(dn, 0.7)
+        exif = Image.Exif()
+        exif.get_ifd(0x8769).update({33434: label, 33437: 8.0, 34855: 100})
+        (tmp_path / name).mkdir()
+        Image.fromarray(np.rint(dn).astype(np.uint8)).save(tmp_path / name / "p.jpg", exif=exif, quality=100)
+    known, other = str(tmp_path / "known"), str(tmp_path / "other")
+    patch, scale = ["--patch", "4,4,20,16"], ["--calibration", str(tmp_path / "cal.yaml")]
+    source = ["--radiance", "1", "--u-rel", "0.01", "--response", str(tmp_path / "offset.yaml")]
+
+    def told(*words: str) -> dict:
+        capsys.readouterr()
+        assert run(list(words)) == 0
+        found = capsys.readouterr()
+        assert SAID in found.err
+        return json.loads(found.out)
+
+    told("calibrate", known, *patch, *source, "-o", str(tmp_path / "cal.yaml"), "--json")
+    read = told("measure", "--photographs", other, *patch, *scale, "--json")["radiance"]["value"]
+    assert read == pytest.approx(0.5, rel=0.01)
+    found = told("merge", other, *scale, "-o", str(tmp_path / "map.exr"), "--json")
+    assert found["values"]["median"] == pytest.approx(0.5, rel=0.02)
+    assert SAID in found["assumptions"]
+
+
+def test_a_model_that_holds_an_offset_takes_its_own():
+    """What `reconcile` found of exposures is in a calibration's effects, and is not added twice."""
+    camera = CameraDescription(bit_depth=8)
+    calibration = Calibration(
+        camera=camera,
+        lens=LensDescription(),
+        scale=Scale(value=1.0, u_rel=0.01, method="known_radiance"),
+        response=of_offset(),
+        noise=SensorNoise.of(camera),
+        black_level=BlackLevel(dn=0.0),
+    )
+    labelled = bracket(*LABELS_S)
+    assert with_offset_of_calibration(labelled, calibration, None)[1:] == (SAID, True)
+    held = replace(calibration, found=FoundEffects(exposure_offset_s=1e-5))
+    assert with_offset_of_calibration(labelled, held, None) == (labelled, None, False)
 
 
 def test_every_exposure_is_longer_by_it():
