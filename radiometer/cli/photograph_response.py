@@ -175,6 +175,7 @@ def linear_doubt(bracket: Bracket) -> str | None:
 def _recovered(brackets: Mapping[str, Bracket], key: str, say: Callable[[str], None]) -> dict[str, ResponseCurve]:
     """Return the response of every colour, their labels judged by all of them, with the photographs' fingerprint."""
     from radiometer.analysis.response.auto import recover_colours_auto
+    from radiometer.analysis.response.estimate import telling
     from radiometer.analysis.response.labels import refuse_lying_labels
     from radiometer.data.provenance import source_hash
 
@@ -182,7 +183,8 @@ def _recovered(brackets: Mapping[str, Bracket], key: str, say: Callable[[str], N
         refuse_lying_labels(bracket)
     curves, found = {}, recover_colours_auto(list(brackets.values()))
     of_colours: dict[str, list[str]] = {}
-    for channel, estimate in zip(brackets, found, strict=True):
+    for (channel, bracket), estimate in zip(brackets.items(), found, strict=True):
+        telling(estimate, f"{bracket.origin}, {channel}" if len(brackets) > 1 else bracket.origin)
         for text in estimate.notes:
             of_colours.setdefault(text, []).append(channel)
     for text, channels in of_colours.items():
