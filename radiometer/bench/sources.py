@@ -66,6 +66,12 @@ def open_brackets(
     )
 
 
+def exposure_list(path: Path) -> str | None:
+    """Return the name of the list that gives the exposures of a folder of photographs; None where EXIF does."""
+    listing = find_list(path)
+    return listing.name if listing else None
+
+
 def lensfun_falloff(path: Path, bracket: Bracket, lens: str | None = None) -> tuple[FlatField, str]:
     """Return the fall-off of the lens of a folder of photographs by lensfun's database, and from what it was taken.
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         LensDescription,
         Patch,
         PatchDescription,
+        ResponseCurve,
         Scale,
         SpectralResponse,
         StatedUncertainties,
@@ -132,6 +133,8 @@ def command(
     if camera_file is not None:
         preset = CameraPreset.read(camera_file)
         description = preset.applied_to(description, str(camera_file))
+    if seen is not None and capture is not None and model is None and is_photographs(capture):
+        seen = _with_offset(seen, capture, curve)
     black = _black_level(black_level, seen)
     base = make.unscaled_calibration(description, lens, curve, spectrum, black, validity_days)
     if seen is not None:
@@ -197,6 +200,18 @@ def _seen(
     if camera is not None or bench is not None:
         return _seen_by_camera(camera, bench, patch)
     return None
+
+
+def _with_offset(seen: _Seen, path: Path, curve: ResponseCurve | None) -> _Seen:
+    """Return what photographs showed, their exposures with the shutter's offset of the response, which is said."""
+    from radiometer.bench.sources import exposure_list
+    from radiometer.cli.console import note
+    from radiometer.cli.photograph_response import with_offset_of_response
+
+    bracket, text, _ = with_offset_of_response(seen.bracket, curve, exposure_list(path))
+    if text:
+        note(text)
+    return replace(seen, bracket=bracket)
 
 
 def _seen_in_photographs(path: Path, patch: str | None, channel: str, speeds: IsoSpeeds, *, needed: bool) -> _Seen:

@@ -159,10 +159,15 @@ def _photographed(
 ) -> tuple[Reading, PatchSituation, str | None]:
     """Return the reading of a patch in a folder of photographs, what it was made from, and how the frames lay."""
     from radiometer.analysis.patch.reading import patch_situation, read_patch
-    from radiometer.bench.sources import open_brackets
+    from radiometer.bench.sources import exposure_list, open_brackets
     from radiometer.cli.iso_record import with_iso_in_reading
     from radiometer.cli.photograph_alignment import in_one_place
-    from radiometer.cli.photograph_response import in_their_own_depth, refuse_another_channel, told_by_themselves
+    from radiometer.cli.photograph_response import (
+        in_their_own_depth,
+        refuse_another_channel,
+        told_by_themselves,
+        with_offset_of_calibration,
+    )
     from radiometer.data import Calibration, CameraDescription, LensDescription
     from radiometer.data.capture_set import HEADER_NAME
     from radiometer.importing import is_foreign
@@ -181,7 +186,12 @@ def _photographed(
     bracket = placed.without_absent()
     camera = known.camera if known else CameraDescription(bit_depth=bracket.bit_depth)
     lens = LensDescription()
-    if known is None and not (is_foreign(path) or (path / HEADER_NAME).exists()):
+    photographs = not (is_foreign(path) or (path / HEADER_NAME).exists())
+    if known is not None and photographs:
+        bracket, text, _ = with_offset_of_calibration(bracket, known, exposure_list(path))
+        if text:
+            note(text)
+    if known is None and photographs:
         known, bracket = told_by_themselves(bracket, placed.common[0], camera, lens, note, linear=linear)
     elif known is not None and spectrum is not None:
         known = replace(known, spectrum=spectrum)

@@ -237,6 +237,7 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
         curves_of,
         in_their_own_depth,
         linear_doubt,
+        offset_told,
         recovered_curves,
         refuse_another_channel,
         with_found_times,
@@ -268,6 +269,9 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
     if not (calibration or curves or raw or options.linear):
         curves, files = recovered_curves(placed.common, options.beside, note)
         brackets = [with_found_times(b, curves[str(b.frames[0].extra.get("channel", "mono"))]) for b in brackets]
+        said = {channel: offset_told(curve) for channel, curve in curves.items()}
+    else:
+        brackets, said = _with_offsets(path, brackets, curves, calibration)
     asked = placed.common if options.linear and not (calibration or raw) else []
     doubts = {str(b.frames[0].extra.get("channel", "mono")): doubt for b in asked if (doubt := linear_doubt(b))}
     for name, doubt in doubts.items():
@@ -276,8 +280,37 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
     maps: dict[str, RadianceMap] = {}
     for bracket in several:
         maps |= _merged(bracket, calibration, curves, placed.absent, flat, without_ghosts=options.without_ghosts)
-    maps = {name: _with_assumption(found, doubts.get(name)) for name, found in maps.items()}
+    for texts in (doubts, said):
+        maps = {name: _with_assumption(found, texts.get(name)) for name, found in maps.items()}
     return maps, _Beside(tuple(files), placed.sentence, falloff)
+
+
+def _with_offsets(
+    path: Path, brackets: Sequence[Bracket], curves: dict[str, ResponseCurve], calibration: Calibration | None
+) -> tuple[list[Bracket], dict[str, str | None]]:
+    """Return photographs with the shutter's offset of what was given, which is said, and what their maps say of it."""
+    from radiometer.bench.sources import exposure_list
+    from radiometer.cli.console import note
+    from radiometer.cli.photograph_response import with_offset_of_calibration, with_offset_of_response
+
+    listed = exposure_list(path)
+    timed: list[Bracket] = []
+    said: dict[str, str | None] = {}
+    notes: dict[str, list[str]] = {}
+    for bracket in brackets:
+        channel = str(bracket.frames[0].extra.get("channel", "mono"))
+        curve = _of_channel(curves, channel) if curves else None
+        if calibration:
+            one, text, taken = with_offset_of_calibration(bracket, calibration, listed)
+        else:
+            one, text, taken = with_offset_of_response(bracket, curve, listed)
+        timed.append(one)
+        said[channel] = text if taken else None
+        if text:
+            notes.setdefault(text, []).append(channel)
+    for text, channels in notes.items():
+        note(f"{', '.join(channels)}: {text}")
+    return timed, said
 
 
 def _with_assumption(found: RadianceMap, text: str | None) -> RadianceMap:

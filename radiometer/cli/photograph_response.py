@@ -13,6 +13,7 @@ from radiometer.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from radiometer.analysis.response.displacement import Displacement
+    from radiometer.analysis.response.shutter_offset import ShutterOffset
     from radiometer.data import Bracket, Calibration, RadianceMap, ResponseCurve, SensorNoise
 
 # Enough for a response; larger photographs are read on a lattice for it.
@@ -174,6 +175,7 @@ def linear_doubt(bracket: Bracket) -> str | None:
 def _recovered(brackets: Mapping[str, Bracket], key: str, say: Callable[[str], None]) -> dict[str, ResponseCurve]:
     """Return the response of every colour, their labels judged by all of them, with the photographs' fingerprint."""
     from radiometer.analysis.response.auto import recover_colours_auto
+    from radiometer.analysis.response.estimate import telling
     from radiometer.analysis.response.labels import refuse_lying_labels
     from radiometer.data.provenance import source_hash
 
@@ -181,7 +183,8 @@ def _recovered(brackets: Mapping[str, Bracket], key: str, say: Callable[[str], N
         refuse_lying_labels(bracket)
     curves, found = {}, recover_colours_auto(list(brackets.values()))
     of_colours: dict[str, list[str]] = {}
-    for channel, estimate in zip(brackets, found, strict=True):
+    for (channel, bracket), estimate in zip(brackets.items(), found, strict=True):
+        telling(estimate, f"{bracket.origin}, {channel}" if len(brackets) > 1 else bracket.origin)
         for text in estimate.notes:
             of_colours.setdefault(text, []).append(channel)
     for text, channels in of_colours.items():
@@ -208,6 +211,72 @@ def with_found_times(bracket: Bracket, curve: ResponseCurve) -> Bracket:
         for f, error in zip(bracket, errors, strict=True)
     ]
     return type(bracket).from_frames([*frames, *bracket.dark_frames], origin=bracket.origin)
+
+
+def shutter_offset_of(curve: ResponseCurve | None) -> ShutterOffset | None:
+    """Return the shutter's offset that a response was recovered with; None where its file tells none."""
+    from radiometer.analysis.response.shutter_offset import ShutterOffset
+
+    parameters = curve.provenance.parameters if curve is not None else {}
+    try:
+        seconds, u_seconds = (float(parameters[name]) for name in ("shutter_offset_s", "u_shutter_offset_s"))
+    except (KeyError, TypeError, ValueError):
+        return None
+    return ShutterOffset(seconds, u_seconds, 1.0) if math.isfinite(seconds) and math.isfinite(u_seconds) else None
+
+
+def offset_told(curve: ResponseCurve) -> str | None:
+    """Return what a map says of the shutter's offset that its photographs told; None where they told none."""
+    offset = shutter_offset_of(curve)
+    return f"all exposures {offset.told()} than their labels, the shutter's offset" if offset else None
+
+
+def with_offset_of_response(
+    bracket: Bracket, curve: ResponseCurve | None, listed: str | None
+) -> tuple[Bracket, str | None, bool]:
+    """Return photographs with the exposures that the shutter's offset of a given response makes of their labels.
+
+    The offset belongs to the camera's shutter, as the curve does to the camera. It is not taken where a list gives the
+    exposures, which may hold it, or where it is not short beside them.
+
+    Args:
+        bracket: Photographs as labelled.
+        curve: As given; None where they are linear.
+        listed: Name of the list that gives their exposures; None where EXIF does.
+
+    Returns:
+        The photographs, what to say (None where the response tells no offset), and whether it was taken.
+    """
+    from radiometer.analysis.response.shutter_offset import is_possible
+
+    offset = shutter_offset_of(curve)
+    if offset is None:
+        return bracket, None, False
+    shortest_s = min(frame.settings.exposure_s for frame in bracket)
+    not_taken = f"the shutter's offset of the response (exposures {offset.told()} than their labels) is not taken"
+    if listed is not None:
+        return bracket, f"{not_taken}: {listed} gives the exposures", False
+    if not is_possible(offset.seconds, shortest_s):
+        return bracket, f"{not_taken}: it is too large beside {1e6 * shortest_s:.3g} µs", False
+    timed = [
+        replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s + offset.seconds)) for f in bracket
+    ]
+    text = f"all exposures {offset.told()} than their labels, the shutter's offset that the response was recovered with"
+    return type(bracket).from_frames([*timed, *bracket.dark_frames], origin=bracket.origin), text, True
+
+
+def with_offset_of_calibration(
+    bracket: Bracket, calibration: Calibration, listed: str | None
+) -> tuple[Bracket, str | None, bool]:
+    """Return photographs with the exposures that the shutter's offset of a calibration makes of their labels.
+
+    Args:
+        bracket: Photographs as labelled.
+        calibration: One whose model holds an offset of exposures takes that instead.
+        listed: As for `with_offset_of_response`, whose results these are.
+    """
+    held = calibration.found.exposure_offset_s != 0.0
+    return with_offset_of_response(bracket, None if held else calibration.response, listed)
 
 
 def relative_calibration(

@@ -15,7 +15,7 @@ import typer
 from radiometer.analysis.exports.curves import CURVE_SUFFIXES, write_curves
 from radiometer.analysis.response.auto import recover_colours_auto
 from radiometer.analysis.response.compare import compare_methods
-from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty
+from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling
 from radiometer.analysis.response.labels import refuse_lying_labels
 from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, method_names
 from radiometer.bench.sources import open_brackets
@@ -38,9 +38,6 @@ _RATIO_HELP = (
 _CHANNEL_HELP = "Channel of colour photographs: luminance, red, green, blue, or each (one curve per colour)."
 
 _LN_2 = math.log(2.0)
-# Less than this is no curve but a point, and one that is not known to a factor of e says nothing.
-_FEWEST_STOPS = 0.1
-_LARGEST_U_LOG = 1.0
 
 Report = Callable[[int, int], None]
 # Every n-th pixel of larger photographs is taken: the noise of so many is far below what frames and places differ by.
@@ -175,31 +172,16 @@ def _recover(
             report(done, len(names))
             try:
                 if name == DEFAULT_METHOD and with_other_colours is not None:
-                    yield _telling(with_other_colours, brackets[0])
+                    yield telling(with_other_colours, brackets[0].origin)
                 elif name in RATIO_METHODS and known_ratios:
-                    yield _telling(RATIO_METHODS[name](brackets, known_ratios=known_ratios), brackets[0])
+                    yield telling(RATIO_METHODS[name](brackets, known_ratios=known_ratios), brackets[0].origin)
                 else:
-                    yield _telling(METHODS[name](brackets), brackets[0])
+                    yield telling(METHODS[name](brackets), brackets[0].origin)
             except MeasurementError as error:
                 if len(names) == 1 or name == DEFAULT_METHOD:
                     raise
                 note(f"{name} gives no curve: {error}")
         report(len(names), len(names))
-
-
-def _telling(estimate: ResponseEstimate, bracket: Bracket) -> ResponseEstimate:
-    """Refuse a curve that says nothing: no range, or one that is not known to a factor of e."""
-    curve = estimate.curve
-    low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
-    stops = float(curve.log_exposure[high] - curve.log_exposure[low]) / _LN_2
-    u = median_uncertainty(curve)
-    if stops >= _FEWEST_STOPS and not u > _LARGEST_U_LOG:
-        return estimate
-    raise MeasurementError(
-        f"{bracket.origin or 'the frames'}: no response can be told from these frames: between {low} and {high} DN "
-        f"they give {stops:.3g} stops of exposure, ln H known to {u:.2g} (k = 1); look whether the pictures differ as "
-        "their exposure times say, or take more of them, a stop apart"
-    )
 
 
 @contextmanager

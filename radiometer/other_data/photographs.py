@@ -20,7 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
-from radiometer.analysis.response.labels import exposure_label, frame_name, refuse_falling_brightness
+from radiometer.analysis.response.labels import (
+    exposure_label,
+    frame_name,
+    refuse_equal_throughout,
+    refuse_falling_brightness,
+)
 from radiometer.analysis.response.left_out import dial_step_dn, follow_no_curve, prediction_error_dn
 from radiometer.analysis.response.planes import Plane
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
@@ -104,13 +109,14 @@ def reconcile_photographs(
             same, and all colours together tell a wrong one.
 
     Raises:
-        CaptureError: If there are too few, or they hardly overlap.
+        CaptureError: If there are too few, they hardly overlap, or all are equally bright.
     """
     begun = time.monotonic()
     light = [frame for frame in frames if not frame.settings.is_dark]
     if len({f.settings.exposure_s for f in light}) < 3:
         raise CaptureError("a stack of photographs needs at least three different exposures to be reconciled")
     bracket = Bracket.from_frames(light).thinned(_ENOUGH_PIXELS)
+    refuse_equal_throughout(bracket)
     try:
         samples = gather_samples(bracket)
         if not samples.quadrants:

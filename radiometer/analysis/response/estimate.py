@@ -10,6 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data.response_curve import ResponseCurve
+from radiometer.errors import MeasurementError
+
+# Less than this is no curve but a point, and one that is not known to a factor of e says nothing.
+_FEWEST_STOPS = 0.1
+_LARGEST_U_LOG = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,3 +164,26 @@ def compare_thirds(curves: list[ResponseCurve], whole: ResponseCurve) -> Stabili
     free = expected > 1e-6 * float(expected.max(initial=0.0))
     chi2 = float(np.mean(gaps[free] ** 2 / expected[free])) if np.any(free) else float("nan")
     return Stability(float(np.sqrt(np.mean(gaps**2))), float(np.abs(gaps).max()), chi2)
+
+
+def telling(estimate: ResponseEstimate, where: str) -> ResponseEstimate:
+    """Refuse a curve that says nothing: no range, or one that is not known to a factor of e.
+
+    Args:
+        estimate: As recovered; handed back where it says something.
+        where: Where the frames came from; "" where nobody knows.
+
+    Raises:
+        MeasurementError: If it says nothing.
+    """
+    curve = estimate.curve
+    low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
+    stops = float(curve.log_exposure[high] - curve.log_exposure[low]) / float(np.log(2.0))
+    u = median_uncertainty(curve)
+    if stops >= _FEWEST_STOPS and not u > _LARGEST_U_LOG:
+        return estimate
+    raise MeasurementError(
+        f"{where or 'the frames'}: no response can be told from these frames: between {low} and {high} DN "
+        f"they give {stops:.3g} stops of exposure, ln H known to {u:.2g} (k = 1); look whether the pictures differ as "
+        "their exposure times say, or take more of them, a stop apart"
+    )

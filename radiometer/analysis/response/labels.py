@@ -64,20 +64,44 @@ def _refuse_falling(where: str, rising: int, count: int) -> None:
         )
 
 
+def refuse_equal_throughout(bracket: Bracket) -> None:
+    """Refuse a bracket all of whose pictures are alike though their labels are not: none of them tells which is wrong.
+
+    Args:
+        bracket: Frames sorted by their stated exposure.
+
+    Raises:
+        CaptureError: If no frame is brighter than the one before it; names them.
+    """
+    apart, alike = _alike(bracket)
+    if apart == len(alike):
+        _refuse_alike(bracket, alike)
+
+
 def _refuse_equal_frames(bracket: Bracket) -> None:
     """Refuse neighbouring frames that are alike in their middle tones though their labels are not."""
+    _refuse_alike(bracket, _alike(bracket)[1])
+
+
+def _alike(bracket: Bracket) -> tuple[int, list[str]]:
+    """Return how many neighbouring frames have different labels, and which of them are alike in their middle tones."""
     full_scale = bracket.frames[0].full_scale_dn
     times = bracket.effective_exposures_s
     step = max(1, int(np.sqrt(np.prod(bracket.shape) / _COMPARED_PIXELS)))
     pixels = [frame.dn[::step, ::step].ravel().astype(np.float32) / full_scale for frame in bracket]
+    apart = np.flatnonzero(times[1:] >= _LEAST_LABEL_RATIO * times[:-1]).tolist()
     alike = []
-    for i in np.flatnonzero(times[1:] >= _LEAST_LABEL_RATIO * times[:-1]).tolist():
+    for i in apart:
         middle = (pixels[i] > _MIDDLE[0]) & (pixels[i] < _MIDDLE[1])
         enough = middle.sum() >= max(_LEAST_MIDDLE_PART * middle.size, _LEAST_COMMON_PIXELS)
         if enough and abs(float(np.mean(pixels[i + 1][middle] - pixels[i][middle]))) < _TOLERATED_DROP:
             alike.append(
                 f"{frame_name(bracket, i)} ({times[i]:.4g} s) and {frame_name(bracket, i + 1)} ({times[i + 1]:.4g} s)"
             )
+    return len(apart), alike
+
+
+def _refuse_alike(bracket: Bracket, alike: list[str]) -> None:
     if alike:
         raise CaptureError(
             f"{bracket.origin or 'bracket'}: equally bright though their stated exposures differ: "

@@ -133,6 +133,11 @@ def _judged(planes: Sequence[Plane], offset: ShutterOffset | None) -> Exposures:
     return replace(found, wrong=find_wrong_labels(timed, found.allowed_s))
 
 
+def is_possible(seconds: float, shortest_s: float) -> bool:
+    """Tell whether a shutter can expose longer by a time in s whose shortest label is `shortest_s`."""
+    return abs(seconds) < min(LARGEST_S, _LARGEST_PART * shortest_s)
+
+
 def with_offset(samples: ResponseSamples, seconds: float) -> ResponseSamples:
     """Return samples whose exposures are all longer by a time in s."""
     return samples.timed(samples.frame_log_time + np.log1p(seconds / samples.exposures_s))
@@ -206,7 +211,7 @@ class _Told:
             fits = [settle(one, start, u_offset_s=LARGEST_S) for one, start in zip(timed, starts, strict=True)]
             step, u = _together(fits)
             seconds += step
-            if not abs(seconds) < min(LARGEST_S, _LARGEST_PART * shortest):
+            if not is_possible(seconds, shortest):
                 return None
             if abs(step) <= _SETTLED * u:
                 break
@@ -268,7 +273,7 @@ class _Told:
                 for p, f in zip(rest, self.free, strict=True)
             ]
             seconds += _together(fits)[0]
-            if not abs(seconds) < min(LARGEST_S, _LARGEST_PART * float(self.planes[0].samples.exposures_s.min())):
+            if not is_possible(seconds, float(self.planes[0].samples.exposures_s.min())):
                 return None
         labelled = [fit_with(p, f.log_exposure, f.choices) for p, f in zip(rest, self.plain, strict=True)]
         before, after = [], []

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from PIL import Image
 
-from radiometer.analysis.response.estimate import ResponseEstimate
+from radiometer.analysis.response.estimate import ResponseEstimate, telling
 from radiometer.cli.main import run
-from radiometer.cli.response import _telling
 from radiometer.data import ResponseCurve
 from radiometer.errors import MeasurementError
 
@@ -50,11 +47,27 @@ def estimate(stops, u):
 @pytest.mark.parametrize(("stops", "u", "refused"), [(0.05, 0.01, True), (5.0, 1.2, True), (5.0, 0.9, False)])
 def test_no_range_or_no_factor_of_e_is_refused(stops, u, refused):
     """A twentieth of a stop is no curve; neither is one known to a factor of 3; the message says both figures."""
-    bracket = SimpleNamespace(origin="photos")
     if not refused:
-        assert _telling(estimate(stops, u), bracket).curve.log_exposure[-1] > 0.0
+        assert telling(estimate(stops, u), "photos").curve.log_exposure[-1] > 0.0
         return
     with pytest.raises(
         MeasurementError, match=rf"photos: no response .* {stops:.3g} stops of exposure, ln H known to {u:.2g}"
     ):
-        _telling(estimate(stops, u), bracket)
+        telling(estimate(stops, u), "photos")
+
+
+def test_no_map_is_made_with_a_curve_that_says_nothing(tmp_path, capsys):
+    """Plain walls that grow by 1.5 DN a stop: `merge` refuses as `response` does, and writes neither curve nor map."""
+    rng = np.random.default_rng(0)
+
+    def wall(index):
+        return np.rint(rng.normal(100.0 + 1.5 * index, 1.0, (60, 80))).astype(np.uint8)
+
+    folder = photographs(tmp_path / "walls", (1, 2, 4, 8), wall)
+    assert run(["response", str(folder)]) == 1
+    by_itself = capsys.readouterr().err.splitlines()[-1]
+    assert run(["merge", str(folder), "-o", str(tmp_path / "map.exr")]) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == by_itself
+    assert "no response can be told from these frames" in by_itself
+    assert run(["measure", "--photographs", str(folder), "--uncalibrated", "--patch", "4,4,9,9"]) == 1
+    assert not list(tmp_path.glob("map*"))

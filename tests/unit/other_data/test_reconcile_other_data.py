@@ -255,3 +255,19 @@ def test_emva_descriptor_becomes_a_capture_set(shared_data: Path) -> None:
     assert capture.header.frames[0].exposure_s == pytest.approx(40e-6)
     assert {entry.shutter for entry in capture.header.frames} == {"open", "closed"}
     assert capture.read_frame(0).dn.shape == (480, 640)
+
+
+def test_pictures_that_are_all_alike_are_refused_by_name() -> None:
+    """Labels of 0.5 to 4 s on four equal pictures: none of them tells which are wrong."""
+    picture = np.random.default_rng(4).uniform(60.0, 180.0, (40, 60))
+    frames = [
+        Frame(
+            np.rint(picture + np.random.default_rng(k).normal(0.0, 1.0, picture.shape)).astype(np.uint8),
+            8,
+            FrameSettings(0.5 * 2.0**k),
+            extra={"file": f"{k}.jpg"},
+        )
+        for k in range(4)
+    ]
+    with pytest.raises(CaptureError, match=r"equally bright.*0\.jpg \(0\.5 s\) and 1\.jpg \(1 s\)"):
+        reconcile_photographs(frames)

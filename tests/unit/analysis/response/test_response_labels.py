@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.analysis.response.labels import exposure_labels, refuse_lying_labels
+from radiometer.analysis.response.labels import exposure_labels, refuse_equal_throughout, refuse_lying_labels
 from radiometer.data import Bracket, Frame, FrameSettings
 from radiometer.errors import CaptureError
 
@@ -48,6 +48,19 @@ def test_equal_frames_with_different_labels_are_refused_by_name(make_stack):
     ]
     with pytest.raises(CaptureError, match=r"0\.jpg \(0\.5 s\) and 1\.jpg \(1 s\).*2\.jpg \(2 s\) and 3\.jpg \(4 s\)"):
         refuse_lying_labels(Bracket.from_frames(frames))
+    with pytest.raises(CaptureError, match=r"0\.jpg \(0\.5 s\) and 1\.jpg \(1 s\)"):
+        refuse_equal_throughout(Bracket.from_frames(frames))
+
+
+def test_one_frame_that_is_brighter_can_tell_which_label_is_wrong(make_stack):
+    """Where not all are alike, or all labels are the same, nothing is refused before labels are judged."""
+    first, brighter = make_stack("gamma", bit_depth=8).frames[4:6]
+    times = [replace(first.settings, exposure_s=one) for one in (0.5, 1.0, 2.0)]
+    alike = [replace(first, settings=one) for one in times]
+    refuse_equal_throughout(
+        Bracket.from_frames([*alike, replace(brighter, settings=replace(times[0], exposure_s=4.0))])
+    )
+    refuse_equal_throughout(Bracket.from_frames([alike[0], alike[0]]))
 
 
 def test_equal_black_frames_are_no_lie(make_stack):

@@ -1,0 +1,205 @@
+"""A response recovered with a shutter's offset, given for other photographs of the camera or in a calibration."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from radiometer.analysis.response.shutter_offset import is_possible
+from radiometer.cli.main import run
+from radiometer.cli.photograph_response import (
+    offset_told,
+    shutter_offset_of,
+    with_offset_of_calibration,
+    with_offset_of_response,
+)
+from radiometer.data import (
+    BlackLevel,
+    Bracket,
+    Calibration,
+    CameraDescription,
+    FoundEffects,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    Provenance,
+    ResponseCurve,
+    Scale,
+    SensorNoise,
+)
+
+OFFSET_S, U_S = 3e-5, 4e-6
+LABELS_S = tuple(2.0**-k for k in (13, 12, 11, 10))
+SAID = "all exposures 30.0 ± 4.0 µs longer than their labels, the shutter's offset that the response was recovered with"
+NOT_TAKEN = "the shutter's offset of the response (exposures 30.0 ± 4.0 µs longer than their labels) is not taken"
+
+
+def curve(**parameters: object) -> ResponseCurve:
+    dn = np.arange(256.0)
+    g = np.log(np.maximum(dn, 0.25) / 128.0)
+    return ResponseCurve(g, np.full(256, 1e-4), valid_dn=(1, 254), provenance=Provenance("auto", parameters=parameters))
+
+
+def of_offset(seconds: float = OFFSET_S) -> ResponseCurve:
+    return curve(shutter_offset_s=seconds, u_shutter_offset_s=U_S)
+
+
+def bracket(*labels_s: float) -> Bracket:
+    dark = Frame(np.zeros((2, 2), np.uint8), 8, FrameSettings(1.0, shutter="closed"))
+    light = [Frame(np.full((2, 2), 9, np.uint8), 8, FrameSettings(one)) for one in labels_s]
+    return Bracket.from_frames([*light, dark], origin="here")
+
+
+@pytest.fixture
+def photographs(tmp_path):
+    """Return a folder of four linear photographs whose EXIF times are too short by the offset, and a response."""
+    folder = tmp_path / "photographs"
+    folder.mkdir()
+    rng = np.random.default_rng(5)
+    light = rng.uniform(0.05, 3.0, (40, 60))
+    for k, label in enumerate(LABELS_S):
+        dn = 100.0 * light * (label + OFFSET_S) / 2.0**-12 + rng.normal(0.0, 0.5, light.shape)
+        exif = Image.Exif()
+        exif.get_ifd(0x8769).update({33434: label, 33437: 8.0, 34855: 100})
+        Image.fromarray(np.clip(np.rint(dn), 0, 255).astype(np.uint8)).save(
+            folder / f"p{k}.jpg", exif=exif, quality=100
+        )
+    of_offset().write(tmp_path / "offset.yaml")
+    curve().write(tmp_path / "plain.yaml")
+    return folder
+
+
+def merged(folder, response, capsys) -> tuple[dict, str]:
+    """Return what `merge` reports, and what it notes."""
+    capsys.readouterr()
+    words = ["--response", str(folder.parent / response), "-o", str(folder.parent / "map.exr"), "--align", "off"]
+    assert run(["merge", str(folder), *words, "--json"]) == 0
+    told = capsys.readouterr()
+    return json.loads(told.out), told.err
+
+
+def test_exif_times_are_lengthened_by_it_which_is_said(photographs, capsys):
+    """The map is that of exposures listed as label and offset, and tells it among its assumptions."""
+    found, said = merged(photographs, "offset.yaml", capsys)
+    assert f"{SAID}\n" in said
+    assert SAID in found["assumptions"]
+    plain, nothing = merged(photographs, "plain.yaml", capsys)
+    assert "shutter" not in nothing + " ".join(plain["assumptions"])
+    listed = "".join(f"p{k}.jpg {label + OFFSET_S!r}\n" for k, label in enumerate(LABELS_S))
+    (photographs / "exposures.txt").write_text(listed)
+    by_list, refused = merged(photographs, "offset.yaml", capsys)
+    assert f"{NOT_TAKEN}: exposures.txt gives the exposures\n" in refused
+    assert NOT_TAKEN not in " ".join(by_list["assumptions"])
+    assert SAID not in by_list["assumptions"]
+    assert found["exposures_s"] == by_list["exposures_s"] == [label + OFFSET_S for label in LABELS_S]
+    assert plain["exposures_s"] == list(LABELS_S)
+    assert found["values"] == by_list["values"]
+    assert found["values"]["median"] < 0.98 * plain["values"]["median"]
+
+
+def test_a_calibration_and_its_readings_have_it(tmp_path, capsys):
+    """A source of 1 W/(sr m²) at 1/8192 s gives the scale, by which one of 0.5 at 1/512 s is read and mapped."""
+    of_offset().write(tmp_path / "offset.yaml")
+    for name, radiance, label in (("known", 1.0, 2.0**-13), ("other", 0.5, 2.0**-9)):
+        dn = np.full((24, 36), 60.0 * radiance * (label + OFFSET_S) / 2.0**-11)
+        dn = np.random.default_rng(6).normal(dn, 0.7)
+        exif = Image.Exif()
+        exif.get_ifd(0x8769).update({33434: label, 33437: 8.0, 34855: 100})
+        (tmp_path / name).mkdir()
+        Image.fromarray(np.rint(dn).astype(np.uint8)).save(tmp_path / name / "p.jpg", exif=exif, quality=100)
+    known, other = str(tmp_path / "known"), str(tmp_path / "other")
+    patch, scale = ["--patch", "4,4,20,16"], ["--calibration", str(tmp_path / "cal.yaml")]
+    source = ["--radiance", "1", "--u-rel", "0.01", "--response", str(tmp_path / "offset.yaml")]
+
+    def told(*words: str) -> dict:
+        capsys.readouterr()
+        assert run(list(words)) == 0
+        found = capsys.readouterr()
+        assert SAID in found.err
+        return json.loads(found.out)
+
+    told("calibrate", known, *patch, *source, "-o", str(tmp_path / "cal.yaml"), "--json")
+    read = told("measure", "--photographs", other, *patch, *scale, "--json")["radiance"]["value"]
+    assert read == pytest.approx(0.5, rel=0.01)
+    found = told("merge", other, *scale, "-o", str(tmp_path / "map.exr"), "--json")
+    assert found["values"]["median"] == pytest.approx(0.5, rel=0.02)
+    assert SAID in found["assumptions"]
+
+
+def test_a_model_that_holds_an_offset_takes_its_own():
+    """What `reconcile` found of exposures is in a calibration's effects, and is not added twice."""
+    camera = CameraDescription(bit_depth=8)
+    calibration = Calibration(
+        camera=camera,
+        lens=LensDescription(),
+        scale=Scale(value=1.0, u_rel=0.01, method="known_radiance"),
+        response=of_offset(),
+        noise=SensorNoise.of(camera),
+        black_level=BlackLevel(dn=0.0),
+    )
+    labelled = bracket(*LABELS_S)
+    assert with_offset_of_calibration(labelled, calibration, None)[1:] == (SAID, True)
+    held = replace(calibration, found=FoundEffects(exposure_offset_s=1e-5))
+    assert with_offset_of_calibration(labelled, held, None) == (labelled, None, False)
+
+
+def test_every_exposure_is_longer_by_it():
+    """Frames keep their numbers, dark ones their times, and what is said says how much."""
+    timed, text, taken = with_offset_of_response(bracket(*LABELS_S), of_offset(), None)
+    assert [frame.settings.exposure_s for frame in timed] == [label + OFFSET_S for label in sorted(LABELS_S)]
+    assert [frame.settings.exposure_s for frame in timed.dark_frames] == [1.0]
+    assert timed.origin == "here"
+    assert (text, taken) == (SAID, True)
+
+
+def test_it_is_not_taken_where_it_is_half_of_the_shortest_exposure():
+    """Then the response is of another kind of shutter: labels stay, which is said."""
+    short = bracket(6e-5, 1e-3)
+    timed, text, taken = with_offset_of_response(short, of_offset(), None)
+    assert timed is short
+    assert (text, taken) == (f"{NOT_TAKEN}: it is too large beside 60 µs", False)
+    assert with_offset_of_response(bracket(6.1e-5, 1e-3), of_offset(), None)[2]
+
+
+def test_no_shutter_is_off_by_more_than_its_curtains():
+    """By 0.3 ms or by half of the shortest exposure, either way."""
+    assert is_possible(2.99e-4, 1.0)
+    assert not is_possible(3e-4, 1.0)
+    assert is_possible(-4.9e-5, 1e-4)
+    assert not is_possible(-5e-5, 1e-4)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {},
+        {"shutter_offset_s": OFFSET_S},
+        {"shutter_offset_s": "long", "u_shutter_offset_s": U_S},
+        {"shutter_offset_s": float("nan"), "u_shutter_offset_s": U_S},
+        {"shutter_offset_s": OFFSET_S, "u_shutter_offset_s": float("inf")},
+        {"shutter_offset_s": None, "u_shutter_offset_s": U_S},
+    ],
+)
+def test_a_response_that_tells_none_changes_nothing(parameters):
+    """Nor does one whose file holds no number there."""
+    labelled = bracket(*LABELS_S)
+    assert shutter_offset_of(curve(**parameters)) is None
+    assert with_offset_of_response(labelled, curve(**parameters), None) == (labelled, None, False)
+
+
+def test_without_a_response_nothing_changes():
+    """Linear photographs have none."""
+    labelled = bracket(*LABELS_S)
+    assert with_offset_of_response(labelled, None, "exposures.txt") == (labelled, None, False)
+
+
+def test_a_response_of_the_same_photographs_tells_it_in_the_map():
+    """Shorter exposures are said to be shorter."""
+    said = "all exposures 30.0 ± 4.0 µs {} than their labels, the shutter's offset"
+    assert offset_told(of_offset()) == said.format("longer")
+    assert offset_told(of_offset(-OFFSET_S)) == said.format("shorter")
+    assert offset_told(replace(curve(), channel="red")) is None
