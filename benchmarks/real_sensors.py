@@ -192,7 +192,7 @@ def of_covariances(folder: Path) -> Iterator[Row]:
             result = reconcile_capture(path).result
             seconds = time.process_time() - begun
         named = [effect for effect in result.added if isinstance(effect, BrighterFatter)]
-        alone = bool(named) and len(result.effects) == 1
+        alone = bool(named) and len(result.effects) == 1 and result.verdict == "effects_found"
         u = u_of_slope()
         u_rel = float(np.hypot(u / slope[0, 1], u / slope[1, 0]))
         said = f"{result.verdict}; " + ", ".join(found.name for found in result.effects)
