@@ -21,6 +21,9 @@ from simulators.effects.base import Effect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
+# Where the description of the dark current says neither, as in the ideal chain.
+_DARK_REFERENCE_C: Final = 25.0
+_DARK_DOUBLING_K: Final = 7.0
 _TOLD_RATIO: Final = 2.0  # of the longest dark exposure to the shortest
 _COMPARABLE_K: Final = 10.0  # one doubling to two of a dark current in silicon
 _PIXELS: Final = ndtri((np.arange(64) + 0.5) / 64.0)
@@ -279,6 +282,14 @@ def warmer_k(context: ExposureContext, reference_c: float) -> Any:
     if temperature is None:
         return 0.0
     return np.where(np.isnan(temperature), 0.0, np.asarray(temperature) - reference_c)
+
+
+def declared_dark_e(context: ExposureContext) -> Any:
+    """Return the electrons that heat frees within the exposure, as the camera's description has them."""
+    camera = context.camera
+    reference = _DARK_REFERENCE_C if camera.dark_current_reference_C is None else camera.dark_current_reference_C
+    warmer = 2.0 ** (warmer_k(context, reference) / (camera.dark_current_doubling_K or _DARK_DOUBLING_K))
+    return (camera.dark_current_e_per_s or 0.0) * warmer * context.settings.exposure_s * context.geometry.binning**2
 
 
 def dark_temperatures_c(context: ExposureContext) -> Any:

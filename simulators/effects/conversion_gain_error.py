@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
 from radiometer.data import CameraDescription
 from simulators.effects.base import ELECTRONS, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, warmer_k
+from simulators.effects.catalogue import CatalogueEffect, declared_dark_e
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
@@ -61,7 +61,7 @@ class ConversionGainError(CatalogueEffect):
         """Return the moments at the mean that was there before."""
         error, factor = self.error_rel, 1.0 + self.error_rel
         shot = np.maximum(before.mean, 0.0)
-        dark = self._dark_e(context)
+        dark = declared_dark_e(context)  # their number is not in question, unlike that of the light's
         read2 = (before.variance - shot) * (1.0 + self.read_share * (factor**2 - 1.0))
         return replace(
             before, mean=before.mean + error * dark, variance=shot * factor + dark * (factor**2 - factor) + read2
@@ -75,10 +75,3 @@ class ConversionGainError(CatalogueEffect):
         told = stated / (1.0 + self.error_rel)
         told_u = told * relative / (1.0 + self.error_rel)
         return f"gain: stated {stated:.4g} e-/DN, the noise says {told:.4g} ± {told_u:.2g}"
-
-    def _dark_e(self, context: ExposureContext) -> Any:
-        """Return the declared thermal electrons: their number is not in question, unlike that of the light's."""
-        camera = context.camera
-        reference = 25.0 if camera.dark_current_reference_C is None else camera.dark_current_reference_C
-        warmer = warmer_k(context, reference) / (camera.dark_current_doubling_K or 7.0)
-        return (camera.dark_current_e_per_s or 0.0) * 2.0**warmer * context.settings.exposure_s

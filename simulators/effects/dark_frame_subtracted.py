@@ -10,7 +10,7 @@ import numpy as np
 
 from radiometer.units import gain_factor
 from simulators.effects.base import DIGITAL_NUMBER, Moments, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, warmer_k
+from simulators.effects.catalogue import CatalogueEffect, declared_dark_e
 from simulators.effects.clipping import censored_above, censored_below, is_reached, limited, unevenly_limited
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.rounding import rounded
@@ -18,7 +18,6 @@ from simulators.effects.tile_moments import TileMoments
 
 _FAR_SIGMAS = 9.0  # above zero, beyond which nothing is cut
 _HIDDEN_DN = 0.25  # noise of a whole level, of which one pixel in 20 shows another code
-_DARK_REFERENCE_C, _DOUBLING_K = 25.0, 7.0  # where the description says nothing, as in the ideal chain
 
 
 @dataclass(frozen=True)
@@ -119,21 +118,16 @@ class DarkFrameSubtracted(CatalogueEffect):
         level, variance = np.broadcast_arrays(*map(np.atleast_1d, self._mean_of_darks(context)))
         nothing = np.zeros((1,) * level.ndim)
         codes = rounded(Moments(level, variance, nothing, nothing))
-        return (
-            (codes.mean, codes.variance) if np.ndim(context.settings.exposure_s) else (codes.mean[0], codes.variance[0])
-        )
+        if np.ndim(context.settings.exposure_s):
+            return codes.mean, codes.variance
+        return codes.mean[0], codes.variance[0]
 
     def _mean_of_darks(self, context: ExposureContext) -> tuple[Any, Any]:
         """Return level and variance of the mean of n darks in output DN and DN², before it is rounded itself."""
-        gain, scale = (
-            gain_factor(context.settings.gain_db) / (context.camera.conversion_gain_e_per_dn or 1.0),
-            context.output_scale,
-        )
-        electrons, read = _dark_e(context), context.camera.read_noise_e or 0.0
+        gain = gain_factor(context.settings.gain_db) / (context.camera.conversion_gain_e_per_dn or 1.0)
+        scale, electrons, read = context.output_scale, declared_dark_e(context), context.camera.read_noise_e or 0.0
         one = np.square(gain * scale) * (read**2 + electrons)
-        rounding = (
-            max(self.share - self.share**2, 0.0) / 12.0
-        )  # that of each dark; a single one is in whole codes already
+        rounding = max(self.share - self.share**2, 0.0) / 12.0  # of each dark; a single one is in whole codes already
         return (_black_dn(context) + gain * electrons) * scale, self.share * one + rounding
 
 
@@ -159,12 +153,3 @@ def _cut(shifted: Moments, pattern: Any) -> Moments:
 def _black_dn(context: ExposureContext) -> Any:
     level = context.settings.black_level_dn
     return (context.camera.black_level_dn or 0.0) if level is None else level
-
-
-def _dark_e(context: ExposureContext) -> Any:
-    """Return the electrons that heat frees within the exposure, as the description has them."""
-    camera = context.camera
-    reference = _DARK_REFERENCE_C if camera.dark_current_reference_C is None else camera.dark_current_reference_C
-    warmer = 2.0 ** (warmer_k(context, reference) / (camera.dark_current_doubling_K or _DOUBLING_K))
-    rate = camera.dark_current_e_per_s or 0.0
-    return rate * warmer * context.settings.exposure_s * context.geometry.binning**2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from radiometer.data import CameraDescription, FrameSettings, LensDescription
 from radiometer.errors import ConfigurationError, MeasurementError
 from simulators.camera_model import CameraModel
 from simulators.effects.base import ELECTRONS, Effect, Stage, parameter
+from simulators.effects.catalogue import declared_dark_e
 from simulators.effects.context import ExposureContext, FrameGeometry, Signal
 from simulators.effects.registry import EFFECTS, make_effect
 
@@ -202,6 +203,19 @@ def test_binned_pixels_collect_four_times_light_and_dark_current(model: CameraMo
     until = Stage.WELL
     assert model.mean(radiance, binned, until)[0, 0] == pytest.approx(4 * model.mean(radiance, single, until)[0, 0])
     assert model.mean(np.full((1, 1), 99.0), binned, until)[0, 0] == pytest.approx(4 * 10_500)
+
+
+@pytest.mark.parametrize(("binning", "temperature_c"), [(1, None), (2, None), (2, 39.0), (1, 18.0)])
+def test_declared_dark_charge_is_what_the_chain_collects(
+    model: CameraModel, binning: int, temperature_c: float | None
+) -> None:
+    """What effects take for declared is what a frame without light holds: 1 e⁻/s at 25 °C, twice that every 7 K."""
+    settings = replace(SETTINGS, temperature_c=temperature_c)
+    context = model.context(settings, FrameGeometry.of_image(1, 1, binning=binning))
+    dark = model.mean(np.zeros((1, 1)), context, until=Stage.WELL)[0, 0]
+    warmer = 2.0 ** ((25.0 if temperature_c is None else temperature_c) / 7.0 - 25.0 / 7.0)
+    assert declared_dark_e(context) == pytest.approx(0.01 * warmer * binning**2, rel=1e-12)
+    assert dark == pytest.approx(0.01 * warmer * binning**2, rel=1e-6)
 
 
 def test_cos4_falls_off_with_the_field_angle() -> None:
