@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -151,6 +152,7 @@ class FrameStream:
         Raises:
             LossyLink: If MAX_ATTEMPTS frames in a row came incomplete.
         """
+        how = Counter[str]()
         for _ in range(MAX_ATTEMPTS):
             if trigger is not None:
                 trigger()
@@ -159,13 +161,15 @@ class FrameStream:
                 self._tally.timeouts += 1
                 return None
             frame = self._accept(buffer)
+            how[buffer.get_status().value_nick] += 1
             self._stream.push_buffer(buffer)
             if frame is not None:
                 self._tally.frames += 1
                 return frame
             self._tally.retried += 1
         raise LossyLink(
-            f"{self._name}: {MAX_ATTEMPTS} frames in a row came incomplete; the link loses packets "
+            f"{self._name}: {MAX_ATTEMPTS} frames in a row came incomplete "
+            f"({', '.join(f'{name} {count} times' for name, count in how.items())}); the link loses packets "
             "(`radiometer doctor` checks packet size and socket buffers)"
         )
 

@@ -123,14 +123,21 @@ class FreshFrames:
         )
 
     def _next_whole(self, deadline_s: float) -> RawFrame | None:
-        """Return the next whole frame; the camera is slowed down as far as it goes where none comes whole."""
+        """Return the next whole frame; the camera is slowed down as far as it goes where none comes whole.
+
+        Before that is an error the stream is opened once more: its state may be what is wrong, not the link.
+        """
+        renewed = False
         while True:
             try:
                 return self._running().next_frame(deadline_s, self._trigger())
             except LossyLink:
                 self.stop()
                 if not self._session.slow_down():
-                    raise
+                    if renewed:
+                        raise
+                    renewed = True
+                    self._tally.extra["restarts"] += 1
 
     def _running(self) -> FrameStream:
         if self._stream is None:
