@@ -6,13 +6,17 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiometer.data import CameraDescription, LensDescription
 from simulators.chain import place_for
 from simulators.effects.base import DIGITAL_NUMBER, PHOTONS, Effect, Stage, parameter
 from simulators.effects.catalogue import Offset
 from simulators.effects.context import ExposureContext, Signal
+from simulators.effects.conversion_gain import ConversionGain
 from simulators.effects.dark_current import DarkCurrent
+from simulators.effects.full_well_saturation import FullWellSaturation
+from simulators.effects.read_noise import ReadNoise
 from simulators.ideal_chain import ideal_chain
 
 # Stand in where a description says nothing; they are fitted then, and told as assumptions.
@@ -35,7 +39,7 @@ class Undeclared:
         log_read: The same of the read noise's variance.
         black_dn: Black level in DN over the declared one.
         dark_e_per_s: Dark current over the declared one.
-        texture: Relative variance of the scene's radiance within each tile, (tiles,).
+        texture: Relative variance of the scene's radiance within each tile, (patterns, tiles).
     """
 
     log_responsivity: float = 0.0
@@ -43,7 +47,7 @@ class Undeclared:
     log_read: float = 0.0
     black_dn: float = 0.0
     dark_e_per_s: float = 0.0
-    texture: Signal = field(default_factory=lambda: np.zeros(1))
+    texture: Signal = field(default_factory=lambda: np.zeros((1, 1)))
 
 
 def completed(camera: CameraDescription, off: Undeclared | None = None) -> CameraDescription:
@@ -51,17 +55,25 @@ def completed(camera: CameraDescription, off: Undeclared | None = None) -> Camer
     off = off or Undeclared()
     figures = {key: getattr(camera, key) or usual for key, usual in _TYPICAL.items()}
     read = _TYPICAL["read_noise_e"] if camera.read_noise_e is None else camera.read_noise_e
-    e_per_dn = figures["conversion_gain_e_per_dn"] * float(np.exp(-off.log_gain))
+    e_per_dn = _allowed(ConversionGain, figures["conversion_gain_e_per_dn"] * float(np.exp(-off.log_gain)))
     figures |= {
         "conversion_gain_e_per_dn": e_per_dn,
-        "read_noise_e": read * float(np.exp(off.log_read / 2.0)),
-        "full_well_e": camera.full_well_e or _MARGIN_BITS * camera.full_scale_dn * e_per_dn,
+        "read_noise_e": _allowed(ReadNoise, read * float(np.exp(off.log_read / 2.0))),
+        "full_well_e": _allowed(
+            FullWellSaturation, camera.full_well_e or _MARGIN_BITS * camera.full_scale_dn * e_per_dn
+        ),
     }
     return camera.model_copy(update=figures)
 
 
+def _allowed(kind: type[Effect], value: float) -> float:
+    """Return a fitted figure within the bounds of the link that has it as its first parameter."""
+    known = kind.parameters()[0]
+    return min(max(value, known.low), known.high)
+
+
 def undeclared_chain(
-    camera: CameraDescription, lens: LensDescription, off: Undeclared, *, ends_in_well: bool
+    camera: CameraDescription, lens: LensDescription, off: Undeclared, pattern: NDArray[np.intp], *, ends_in_well: bool
 ) -> tuple[Effect, ...]:
     """Return the chain from radiance to codes, without the ends of the converter's range: what clips is not compared.
 
@@ -69,6 +81,7 @@ def undeclared_chain(
         camera: What is declared of the camera.
         lens: The lens.
         off: What is not, or not rightly.
+        pattern: Position of each capture's pattern, (captures,).
         ends_in_well: Whether the full well limits anything.
     """
     figures = completed(camera, off)
@@ -78,7 +91,7 @@ def undeclared_chain(
         if not getattr(effect, "saturates", "") or (effect.stage is Stage.WELL and ends_in_well)
     ]
     reference_c = 25.0 if figures.dark_current_reference_C is None else figures.dark_current_reference_C
-    further: list[Effect] = [_Light(float(np.exp(off.log_responsivity)), off.texture)]
+    further: list[Effect] = [_Light(float(np.exp(off.log_responsivity)), off.texture, pattern)]
     if off.dark_e_per_s:
         further.append(_FurtherDark(off.dark_e_per_s, reference_c, figures.dark_current_doubling_K or 7.0))
     if off.black_dn:
@@ -98,6 +111,7 @@ class _Light(Effect):
     unit_out = PHOTONS
     factor: float = parameter(1.0, "1", 0.0, np.inf, source="fitted")
     texture: Any = parameter(0.0, "1", -np.inf, np.inf, source="fitted, of each tile")  # noqa: RUF009
+    pattern: Any = parameter(0.0, "1", 0.0, np.inf, source="of each capture")  # noqa: RUF009
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the light that counts."""
@@ -111,7 +125,7 @@ class _Light(Effect):
         """Return the variance of the scene within each tile."""
         if not np.any(self.texture):
             return 0.0
-        return np.asarray(np.maximum(self.texture, 0.0)[None, :, None] * np.square(self.factor * signal))
+        return np.asarray(np.maximum(self.texture, 0.0)[self.pattern][..., None] * np.square(self.factor * signal))
 
 
 @dataclass(frozen=True)

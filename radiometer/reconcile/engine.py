@@ -24,8 +24,7 @@ from radiometer.reconcile.fit.covariance import fitted_parameters, is_misfit
 from radiometer.reconcile.fit.descent import first_state
 from radiometer.reconcile.fit.nuisances import dark_current_is_free
 from radiometer.reconcile.fit.state import FitState
-from radiometer.reconcile.measure.design import Design
-from radiometer.reconcile.measure.reduce import FrameReader, frame_reader, reduce_frames
+from radiometer.reconcile.measure.reduce import FrameReader, frame_reader
 from radiometer.reconcile.noise.darkness import drift_of_black, wander_of_black
 from radiometer.reconcile.noise.repeats import repeats_of
 from radiometer.reconcile.propose.beyond import held_to_laws
@@ -143,14 +142,13 @@ def gaps_of(
         frames: Its frames.
     """
     held = frames if isinstance(frames, Sequence) else list(frames)
-    design = Design.of(header, held[0].shape)
-    reduced = reduce_frames(design, frame_reader(held))
+    design, _, reduced = shown_by(header, held[0].shape, frame_reader(held))
     gaps = []
     for entry in found:
         if isinstance(entry, CameraModel):  # it may state another black level, which the reduction goes by
             changed, given = _adopted(header, entry)
-            own = Design.of(changed, held[0].shape)
-            gaps.append(first_state(own, *reduce_frames(own, frame_reader(held)), given).gap)
+            own, _, read = shown_by(changed, held[0].shape, frame_reader(held))
+            gaps.append(first_state(own, *read, given).gap)
         else:
             gaps.append(first_state(design, *reduced, () if entry is None else entry.added).gap)
     return tuple(gaps)
@@ -213,8 +211,9 @@ def plan_of(
     """
     captured = open_capture(path)
     header, given = _adopted(captured.header, model)
-    design, total = Design.of(header, captured.read_frame(0).shape), len(header.frames)
-    read = reduce_frames(design, captured.read_frame, (lambda done: progress(done, total)) if progress else None)
+    shape, total = captured.read_frame(0).shape, len(header.frames)
+    reading = (lambda done: progress(done, total)) if progress else None
+    design, _, read = shown_by(header, shape, captured.read_frame, reading)
     start = first_state(design, *read, given)
     return separability(start, whole_catalogue() if catalogue is None else catalogue)
 
@@ -261,6 +260,9 @@ def examine(
         notes.append(
             f"the black level is not declared, and one setting does not tell it: {taken_dn:.4g} DN is taken, {told}"
         )
+    scenes = set(design.patterns).difference(frame.pattern for frame in header.frames)
+    if scenes:
+        notes.append(f"the scene changes: {1 + len(scenes)} are shown, each a pattern of its own")
     found = search(start, entries, say, is_doubted)
     outcome = _spared("laws of no entry", lambda: held_to_laws(found, entries, say), notes) or found
     result = _result(outcome, entries, again, total, begun, notes, with_limits=with_limits)

@@ -76,7 +76,8 @@ class CapturePool:
         old = state.nuisance
         more = len(self.design.patterns) - old.log_radiance.shape[0]
         rows = np.concatenate([np.arange(old.log_radiance.shape[0]), np.zeros(more, dtype=np.intp)])
-        return model.predict(replace(old, log_radiance=old.log_radiance[rows], slope=old.slope[rows]))
+        shown = replace(old, log_radiance=old.log_radiance[rows], slope=old.slope[rows])
+        return model.predict(shown.with_off(texture=old.off.texture[rows]))
 
     def separation(self, first: Prediction, second: Prediction) -> Array:
         """Return for each capture the χ² by which two predictions would differ in its unclipped tiles, (captures,)."""

@@ -87,7 +87,7 @@ class NuisanceLayout:
         prior += [*own, *_shared_priors(design, shared, own)]
         if free_scene:
             count = len(patterns) * len(design.tiles)
-            prior += [_FREE_SLOPE] * (2 * count) + [_FREE_TEXTURE] * len(design.tiles)
+            prior += [_FREE_SLOPE] * (2 * count) + [_FREE_TEXTURE] * count
         return cls(tuple(scalars), patterns, len(design.tiles), shared, free_scene, np.array(prior))
 
     @property
@@ -118,11 +118,10 @@ class NuisanceLayout:
         index = list(self.patterns)
         if index:
             radiance[index] = self._light(values)[0]
-        if self.free_scene:
-            at = self._common.stop
-            count = 2 * len(index) * self.tiles
-            slope[index] = values[at : at + count].reshape(len(index), 2, self.tiles)
-            texture = values[at + count : at + count + self.tiles]
+        if self.free_scene and index:
+            rises = slice(self._common.stop, self._common.stop + 2 * len(index) * self.tiles)
+            slope[index] = values[rises].reshape(len(index), 2, self.tiles)
+            texture[index] = values[rises.stop :].reshape(len(index), self.tiles)
         known = dict(zip(self.scalars, values[: len(self.scalars)].tolist(), strict=True))
         # The means fix responsivity times gain: what K gains the responsivity loses.
         known["log_responsivity"] -= known.get("log_gain", 0.0)
@@ -157,7 +156,7 @@ class NuisanceLayout:
         for number, pattern in enumerate(self.patterns if scene else ()):
             for axis, name in enumerate(("slope_x", "slope_y")):
                 tiles.write(scene[0], start + (2 * number + axis) * self.tiles, (name,), only=pattern)
-            tiles.write(scene[1], start + 2 * len(self.patterns) * self.tiles, ("spatial",), only=pattern)
+            tiles.write(scene[1], start + (2 * len(self.patterns) + number) * self.tiles, ("spatial",), only=pattern)
         return RowBlock(rows, tiles.matrix), self._followers(comparison, light, values)
 
     def _share(self, matrix: Array, values: Array) -> None:

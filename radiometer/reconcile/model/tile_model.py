@@ -44,7 +44,7 @@ class Nuisance:
     def start(cls, design: Design) -> Nuisance:
         """Return nuisances that change nothing."""
         patterns, tiles = len(design.patterns), len(design.tiles)
-        off = Undeclared(texture=np.zeros(tiles))
+        off = Undeclared(texture=np.zeros((patterns, tiles)))
         return cls(off, np.zeros((patterns, tiles)), np.zeros((patterns, 2, tiles)))
 
     def with_off(self, **figures: Any) -> Nuisance:
@@ -118,7 +118,7 @@ class TileModel:
             return like.links
         header = self.design.header
         ends = header.camera.full_well_e is not None and not self.passes_well
-        links = undeclared_chain(header.camera, header.lens, nuisance.off, ends_in_well=ends)
+        links = undeclared_chain(header.camera, header.lens, nuisance.off, self.design.pattern_index, ends_in_well=ends)
         known = {} if like is None else {type(link): link for link in like.links}
         return tuple(_as_known(link, known.get(type(link))) for link in links)
 

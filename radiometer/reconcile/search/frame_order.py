@@ -20,6 +20,7 @@ from scipy.special import fdtrc
 from radiometer.data import Frame
 from radiometer.reconcile.measure.design import Array, Design
 from radiometer.reconcile.measure.reduce import FrameReader
+from radiometer.reconcile.measure.scenes import FineStructure
 from radiometer.reconcile.measure.seen import CaptureStatistics
 from radiometer.reconcile.measure.sums import light_of_frames
 from radiometer.reconcile.thresholds import PERIOD_SIGNIFICANCE
@@ -50,20 +51,28 @@ class Periodic:
 
 
 class FrameLight:
-    """Hands frames on and keeps the light of each: the sum of its tiles above black, in DN."""
+    """Hands frames on and keeps what each shows: the light of its tiles above black in DN, and of a scene its details.
+
+    Attributes:
+        structures: Fine structure of each frame with light, by its position; empty where the scene is known.
+    """
 
     def __init__(self, design: Design, read: FrameReader) -> None:
         self._design, self._read = design, read
         black = np.nan_to_num(design.black_level_dn)
         self._black = {frame: black[n] for n, capture in enumerate(design.captures) for frame in capture.frames}
         self._light: dict[int, Array] = {}
+        self.structures: dict[int, FineStructure] = {}
 
     def __call__(self, index: int) -> Frame:
         """Return a frame by its position in the header."""
         frame = self._read(index)
         if frame.shape == self._design.shape:
             means = [float(frame.dn[tile.slices].mean()) for tile in self._design.tiles]
-            self._light[index] = np.array(means) - self._black.get(index, 0.0)
+            black_dn = self._black.get(index, 0.0)
+            self._light[index] = np.array(means) - black_dn
+            if not (self._design.uniform or self._design.header.frames[index].settings.is_dark):
+                self.structures[index] = FineStructure.of(frame.dn, black_dn, frame.full_scale_dn)
         return frame
 
     def of_tiles(self, frames: tuple[int, ...]) -> Array:
