@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.special import stdtrit
 
-from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.archive.sessions import LightSeries, Session
 from radiometer.data import Quantity
 
@@ -26,26 +27,55 @@ _CHANGED_SIGMAS: Final = 3.0
 _JUMP_SIGMAS: Final = 5.0
 _SMALLEST_JUMP_REL: Final = 0.002
 _LIGHT_CHANGED_REL: Final = 0.01
+_PARAMETERS: Final = 2  # of a law of the dark current
+_COVERED: Final = 0.97725  # of a normal distribution, below two sigma
+_STEP_K: Final = 0.01
+_ZERO_C_K: Final = 273.15
+_CARRIERS_POWER, _CARRIERS_K = 2.54, 6726.0  # of silicon
+
+
+@dataclass(frozen=True, slots=True)
+class SessionDoubling:
+    """The doubling of one session by itself, and what the law of all makes of its temperatures."""
+
+    session: str
+    measured_k: Quantity
+    expected_k: float
 
 
 @dataclass(frozen=True, slots=True)
 class DarkLaw:
-    """One law of the dark current over all sessions: D = D_0·2^(T / T_d), T in °C.
+    """One law of the dark current over all sessions, of T in °C.
 
     Attributes:
-        doubling_k: T_d with its standard uncertainty, widened by the points' scatter about the law.
-        rate_at_0: D_0 in DN/s.
+        doubling_k: T_d on average between the temperatures, its standard uncertainty widened by the points' scatter.
+        between_c: The lowest and the highest of these in °C.
+        rate_at_0: Dark current at 0 °C in DN/s.
+        generation_share: Share of what is generated in the depletion region halfway between them, the rest being
+            diffusion; None where D = D_0·2^(T / T_d) describes the points better.
         birge_ratio: Scatter over what the points' uncertainties allow.
         offset: Largest relative offset of one session from the law of the others, its u widened by the scatter; None
             where one session is all there is, or temperatures and sessions cannot be told apart.
         points: (session, temperature in °C, dark current in DN/s, its distance from the law in u).
+        doublings: Doublings of the single sessions: with two mechanisms they differ with the temperature.
     """
 
     doubling_k: Quantity
+    between_c: tuple[float, float]
     rate_at_0: Quantity
+    generation_share: Quantity | None
     birge_ratio: float
     offset: Quantity | None
     points: tuple[tuple[str, float, float, float], ...]
+    doublings: tuple[SessionDoubling, ...]
+
+    @property
+    def doublings_apart_u(self) -> float | None:
+        """Return how far sessions' doublings scatter about what the law says they differ by, in u; None of one."""
+        if len(self.doublings) < 2:
+            return None
+        apart, u = np.array([(d.measured_k.value - d.expected_k, d.measured_k.u) for d in self.doublings]).T
+        return math.sqrt(float(np.sum(np.square((apart - np.average(apart, weights=u**-2)) / u)) / (apart.size - 1)))
 
     @property
     def is_one(self) -> bool:
@@ -100,7 +130,9 @@ class Passport:
             if law is None
             else {
                 "doubling_K": law.doubling_k.to_mapping(),
+                "doubling_between_C": list(law.between_c),
                 "rate_at_0C": law.rate_at_0.to_mapping(),
+                "generation_share": None if law.generation_share is None else law.generation_share.to_mapping(),
                 "birge_ratio": law.birge_ratio,
                 "one_law": law.is_one,
                 "session_offset": None if law.offset is None else law.offset.to_mapping(),
@@ -108,6 +140,15 @@ class Passport:
                     {"session": name, "temperature_C": t, "rate_dn_per_s": rate, "distance_u": z}
                     for name, t, rate, z in law.points
                 ],
+                "session_doublings": [
+                    {
+                        "session": one.session,
+                        "doubling_K": one.measured_k.to_mapping(),
+                        "expected_K": one.expected_k,
+                    }
+                    for one in law.doublings
+                ],
+                "session_doublings_apart_u": law.doublings_apart_u,
             },
             "gain": list(self.gain),
             "changes": [asdict(change) for change in self.changes],
@@ -144,50 +185,164 @@ def _passport(camera: tuple[str, ...], sessions: Sequence[Session]) -> Passport:
 def fit_dark_law(sessions: Sequence[Session]) -> DarkLaw | None:
     """Return the law of the dark current over all plateaus of all sessions; None with fewer than two temperatures.
 
-    ln D is a line over T. Each point's uncertainty holds that of its temperature; scatter beyond it widens the law's.
+    ln D is a line over T, or D the sum of diffusion and generation in silicon, which have the same two parameters: the
+    one that describes three points and more better is taken. Each point's uncertainty holds that of its temperature;
+    scatter beyond it widens the law's.
 
-    Source: EMVA Standard 1288, release 4.0, equation (17); JCGM 100:2008, annex H.3.
+    Source: EMVA Standard 1288, release 4.0, equation (17); Widenhorn et al., Proc. SPIE 4669 (2002), for the sum;
+    JCGM 100:2008, annex H.3.
     """
     points = [(s.name, t, u, rate) for s in sessions for t, u, rate in s.dark_rates if rate.value > 2 * rate.u]
     temperatures = np.array([t for _, t, _, _ in points])
     if len(points) < 2 or np.ptp(temperatures) < 1.0:
         return None
     logs = np.array([math.log(rate.value) for _, _, _, rate in points])
-    slope = math.log(2) / 5.0
+    slope = np.full(logs.size, math.log(2) / 5.0)
     for _ in range(3):
-        u = np.array([math.hypot(rate.u_rel, slope * u_t) for _, _, u_t, rate in points])
-        centre = float(np.average(temperatures, weights=u**-2))
-        line = fit_line(temperatures - centre, logs, u)
-        if line.slope <= 0:
+        u = np.array([math.hypot(rate.u_rel, own * u_t) for own, (_, _, u_t, rate) in zip(slope, points, strict=True)])
+        laws = [law for fit in (_doubling_law, _two_mechanisms) if (law := fit(temperatures, logs, u)) is not None]
+        if not laws:
             return None
-        slope = line.slope
-    distances = (logs - line.intercept - line.slope * (temperatures - centre)) / u
-    at_0 = line.intercept - line.slope * centre
-    u_at_0 = math.hypot(line.u_intercept, centre * line.u_slope)
+        # Two points lie on either law, and tell nothing between them.
+        found = min(laws, key=lambda law: law.chi2) if logs.size > _PARAMETERS else laws[0]
+        slope = found.slope(temperatures)
+    ends = np.array([temperatures.min(), temperatures.max()])
+    birge = math.sqrt(found.chi2 / (logs.size - _PARAMETERS)) if logs.size > _PARAMETERS else 1.0
+    factor = max(1.0, birge)
+    steepness = float(np.ptp(found.log_rate(ends)) / np.ptp(ends))
+    across = np.diff(found.derivatives(ends), axis=0)[0] / np.ptp(ends)
+    u_steepness = factor * math.sqrt(float(across @ found.covariance @ across))
+    names = [name for name, _, _, _ in points]
+    offset = _largest_offset(names, found, temperatures, logs, u)
+    others = [
+        other for law in laws if law is not found if (other := _largest_offset(names, law, temperatures, logs, u))
+    ]
+    if offset is not None:  # nobody knows which law it is, and what curves between sessions lies off in one of them
+        form = max((abs(abs(other.value) - abs(offset.value)) for other in others), default=0.0) / math.sqrt(3.0)
+        offset = replace(offset, u=math.hypot(offset.u, form))
+    at_0 = math.exp(float(found.log_rate(0.0)))
     return DarkLaw(
-        Quantity(math.log(2) / line.slope, math.log(2) / line.slope**2 * line.u_slope, "K"),
-        Quantity(math.exp(at_0), math.exp(at_0) * u_at_0, "DN/s"),
-        line.birge_ratio,
-        _largest_offset([name for name, _, _, _ in points], temperatures - centre, logs, u, line.birge_ratio),
-        tuple((name, float(t), rate.value, float(z)) for (name, t, _, rate), z in zip(points, distances, strict=True)),
+        Quantity(math.log(2) / steepness, math.log(2) / steepness**2 * u_steepness, "K"),
+        (float(ends[0]), float(ends[1])),
+        Quantity(at_0, at_0 * factor * found.u_of_log_rate(0.0), "DN/s"),
+        found.generation(float(ends.mean()), factor),
+        birge,
+        offset,
+        tuple(
+            (name, float(t), rate.value, float(z))
+            for (name, t, _, rate), z in zip(points, (logs - found.log_rate(temperatures)) / u, strict=True)
+        ),
+        tuple(_doublings(sessions, found)),
     )
 
 
-def _largest_offset(
-    names: Sequence[str], temperatures: Array, logs: Array, u: Array, birge_ratio: float
-) -> Quantity | None:
+@dataclass(frozen=True, slots=True)
+class _Fitted:
+    """D = Σ amplitudeᵢ·shapeᵢ(T) or, of one shape, ln D = a + b·T: parameters, their covariance, and χ².
+
+    Attributes:
+        parameters: (a, b), or the amplitudes of diffusion and generation at 0 °C in DN/s.
+        covariance: (2, 2) of them, for the points' uncertainties as stated.
+        chi2: Of the logarithms.
+        is_sum: Whether it is the sum of two mechanisms.
+    """
+
+    parameters: Array
+    covariance: Array
+    chi2: float
+    is_sum: bool
+
+    def log_rate(self, celsius: float | Array) -> Array:
+        """Return ln D at temperatures."""
+        if not self.is_sum:
+            return np.asarray(self.parameters[0] + self.parameters[1] * np.asarray(celsius))
+        return np.asarray(np.log(_mechanisms(celsius) @ self.parameters))
+
+    def slope(self, celsius: float | Array) -> Array:
+        """Return d(ln D)/dT at temperatures, in 1/K."""
+        low, high = (self.log_rate(np.asarray(celsius) + step) for step in (-_STEP_K, _STEP_K))
+        return np.asarray((high - low) / (2.0 * _STEP_K))
+
+    def derivatives(self, celsius: float | Array) -> Array:
+        """Return d(ln D)/d(parameter), (temperatures, 2)."""
+        if not self.is_sum:
+            return np.stack(np.broadcast_arrays(1.0, np.asarray(celsius, dtype=np.float64)), axis=-1)
+        return np.asarray(_mechanisms(celsius) / np.exp(self.log_rate(celsius))[..., None])
+
+    def u_of_log_rate(self, celsius: float) -> float:
+        """Return the standard uncertainty of ln D at a temperature."""
+        towards = self.derivatives(celsius)
+        return math.sqrt(float(towards @ self.covariance @ towards))
+
+    def generation(self, celsius: float, factor: float) -> Quantity | None:
+        """Return the share of generation at a temperature, its u widened by a factor; None where it is no sum."""
+        if not self.is_sum:
+            return None
+        parts = _mechanisms(celsius) * self.parameters
+        share = float(parts[1] / parts.sum())
+        towards = np.array([-share, 1.0 - share]) * _mechanisms(celsius) / parts.sum()
+        return Quantity(share, factor * math.sqrt(float(towards @ self.covariance @ towards)), "1")
+
+
+def _doubling_law(temperatures: Array, logs: Array, u: Array) -> _Fitted | None:
+    design = np.column_stack([np.ones_like(logs), temperatures]) / u[:, None]
+    covariance = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
+    parameters = covariance @ design.T @ (logs / u)
+    residual = design @ parameters - logs / u
+    return _Fitted(parameters, covariance, float(residual @ residual), is_sum=False) if parameters[1] > 0 else None
+
+
+def _mechanisms(celsius: float | Array) -> Array:
+    """Return what diffusion and generation have grown by since 0 °C, (temperatures, 2).
+
+    The former goes with the square of the intrinsic density of carriers n_i, the latter with n_i.
+
+    Source: Misiakos, Tsamakis, J. Appl. Phys. 74 (1993) 3293: n_i = 5.29e19 cm⁻³ (T/300 K)^2.54 exp(−6726 K/T).
+    """
+    kelvin = np.asarray(celsius, dtype=np.float64) + _ZERO_C_K
+    carriers = np.power(kelvin / _ZERO_C_K, _CARRIERS_POWER) * np.exp(_CARRIERS_K * (1.0 / _ZERO_C_K - 1.0 / kelvin))
+    return np.stack([np.square(carriers), carriers], axis=-1)
+
+
+def _two_mechanisms(temperatures: Array, logs: Array, u: Array) -> _Fitted | None:
+    """Return the sum of both mechanisms, neither below zero, at the least χ² of the logarithms."""
+    shapes = _mechanisms(temperatures)
+    rate = np.exp(logs)
+    for _ in range(20):  # deviations of D over D are those of ln D near the law
+        parameters = nnls(shapes / (rate * u)[:, None], np.exp(logs) / (rate * u))[0]
+        rate = shapes @ parameters
+    if not (rate > 0).all():
+        return None
+    towards = shapes / (rate * u)[:, None]
+    covariance = np.asarray(np.linalg.inv(towards.T @ towards), dtype=np.float64)
+    return _Fitted(parameters, covariance, float(np.sum(np.square((logs - np.log(rate)) / u))), is_sum=True)
+
+
+def _doublings(sessions: Sequence[Session], law: _Fitted) -> Iterator[SessionDoubling]:
+    for session in sessions:
+        temperatures = [t for t, _, _ in session.dark_rates]
+        if "T_d" in session.figures and len(temperatures) > 1:
+            ends = np.array([min(temperatures), max(temperatures)])
+            expected = math.log(2) * float(np.ptp(ends)) / float(np.ptp(law.log_rate(ends)))
+            yield SessionDoubling(session.name, session.figures["T_d"], expected)
+
+
+def _largest_offset(names: Sequence[str], law: _Fitted, temperatures: Array, logs: Array, u: Array) -> Quantity | None:
     """Return the offset of ln D of the session that lies farthest, in u, off the law that all share."""
     worst: Quantity | None = None
+    shared = law.derivatives(temperatures)
+    beside = (logs - law.log_rate(temperatures)) / u
     for name in dict.fromkeys(names):
         own = np.array([other == name for other in names], dtype=np.float64)
-        design = np.column_stack([np.ones_like(logs), temperatures, own]) / u[:, None]
-        if own.all() or np.linalg.matrix_rank(design) < 3:
+        design = np.column_stack([shared / np.abs(shared).max(axis=0), own]) / u[:, None]
+        if own.all() or np.linalg.matrix_rank(design) <= _PARAMETERS:
             continue
         normal = np.linalg.inv(design.T @ design)
-        solution = normal @ design.T @ (logs / u)
-        freedom = logs.size - 3
-        residual = design @ solution - logs / u
-        scatter = math.sqrt(float(residual @ residual) / freedom) if freedom > 0 else birge_ratio
+        solution = normal @ design.T @ beside
+        freedom = logs.size - _PARAMETERS - 1
+        scatter = float(np.linalg.norm(design @ solution - beside)) / math.sqrt(max(freedom, 1))
+        if scatter > 1.0:  # a u from the scatter of few points is itself hardly known: two u cover as Student's t does
+            scatter *= float(stdtrit(freedom, _COVERED)) / _AGREE_SIGMAS
         found = Quantity(float(solution[2]), math.sqrt(float(normal[2, 2])) * max(1.0, scatter), "1")
         if worst is None or abs(found.value) / found.u > abs(worst.value) / worst.u:
             worst = found

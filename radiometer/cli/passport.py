@@ -50,10 +50,23 @@ def _show(passport: Passport) -> None:
     law = passport.dark_law
     if law is not None:
         out.print(
-            f"dark current doubles per ({law.doubling_k.value:.2f} ± {2 * law.doubling_k.u:.2f}) K (k = 2), "
-            f"{law.rate_at_0.value:.3g} DN/s at 0 °C; points scatter {law.birge_ratio:.1f} times their u: "
-            f"{'one law' if law.is_one else 'no one law'}"
+            f"dark current doubles per ({law.doubling_k.value:.2f} ± {2 * law.doubling_k.u:.2f}) K (k = 2) from "
+            f"{law.between_c[0]:.0f} to {law.between_c[1]:.0f} °C, {law.rate_at_0.value:.3g} DN/s at 0 °C; "
+            f"points scatter {law.birge_ratio:.1f} times their u: {'one law' if law.is_one else 'no one law'}"
         )
+        share = law.generation_share
+        if share is not None:
+            out.print(
+                f"  ({100 * share.value:.0f} ± {200 * share.u:.0f}) % of it (k = 2) are generation, the rest "
+                "diffusion: the colder, the slower it doubles"
+            )
+        for one in law.doublings:
+            out.print(
+                f"  {one.session} by itself: ({one.measured_k.value:.2f} ± {2 * one.measured_k.u:.2f}) K (k = 2), "
+                f"by the law {one.expected_k:.2f} K there"
+            )
+        if law.doublings_apart_u is not None:
+            out.print(f"  these differ as the law says, to {law.doublings_apart_u:.1f} u")
         for name, temperature_c, rate, distance in law.points:
             out.print(f"  {temperature_c:6.1f} °C  {rate:9.4g} DN/s  {distance:+.1f} u  {name}")
     for line in passport.gain:

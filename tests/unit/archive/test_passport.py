@@ -6,12 +6,13 @@ import datetime as dt
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from astropy.io import fits
 
-from radiometer.archive.passport import fit_dark_law, light_line, passports
+from radiometer.archive.passport import _two_mechanisms, fit_dark_law, light_line, passports
 from radiometer.archive.sessions import LightSeries, Session, find_sessions, read_sessions
 from radiometer.cli.main import run
 from radiometer.data import Quantity
@@ -34,6 +35,83 @@ def test_one_law_over_two_sessions():
     assert law.rate_at_0.value == pytest.approx(0.7)
     assert law.is_one
     assert law.doubling_k.u == pytest.approx(4.8 * 0.05 * math.sqrt(4 / np.var([-10, -5, 0, 10])) / 2 / 2, rel=0.2)
+
+
+def silicon(celsius, diffusion, generation):
+    """Return a dark current in DN/s that goes with n_i² and with n_i, by the amounts at 0 °C.
+
+    n_i goes with T^1.5 and the half gap, which goes with T by Varshni's formula.
+    """
+    carriers = []
+    for T in (celsius + 273.15, 273.15):
+        gap_ev = 1.17 - 4.73e-4 * T**2 / (T + 636.0)
+        carriers.append(T**1.5 * math.exp(-gap_ev / (2.0 * 8.617e-5 * T)))
+    return diffusion * (carriers[0] / carriers[1]) ** 2 + generation * carriers[0] / carriers[1]
+
+
+def of_silicon(name, temperatures, parts):
+    one = session(name)
+    rates = [silicon(t, *parts) for t in temperatures]
+    figures = {"T_d": Quantity((temperatures[-1] - temperatures[0]) / math.log2(rates[-1] / rates[0]), 0.05, "K")}
+    known = tuple((t, 0.05, Quantity(r, 0.01 * r, "DN/s")) for t, r in zip(temperatures, rates, strict=True))
+    return replace(one, dark_rates=known, figures=figures)
+
+
+def test_diffusion_and_generation_are_one_law_whose_doubling_goes_with_the_temperature():
+    """Sessions of one sensor, 40 % generation at 0 °C: each doubles otherwise, the law says how, and all are one."""
+    cold, warm = of_silicon("a", (-20.0, -10.0), (0.42, 0.28)), of_silicon("b", (0.0, 10.0, 20.0), (0.42, 0.28))
+    law = fit_dark_law([cold, warm])
+    assert law.birge_ratio < 0.5
+    assert law.is_one
+    assert law.rate_at_0.value == pytest.approx(0.7, rel=0.01)
+    assert law.generation_share.value == pytest.approx(0.4, abs=0.03)  # halfway, at 0 °C
+    assert law.between_c == (-20.0, 20.0)
+    growth = math.log2(silicon(20.0, 0.42, 0.28) / silicon(-20.0, 0.42, 0.28))
+    assert law.doubling_k.value == pytest.approx(40.0 / growth, rel=0.005)
+    measured = [one.measured_k.value for one in law.doublings]
+    assert [one.expected_k for one in law.doublings] == pytest.approx(measured, abs=0.1)
+    assert measured[0] - measured[1] > 0.4
+    assert law.doublings_apart_u < 2.0
+    off = fit_dark_law([cold, replace(warm, figures={"T_d": Quantity(measured[1] - 0.5, 0.1, "K")})])
+    first, second = (one.measured_k.value - one.expected_k for one in off.doublings)
+    assert off.doublings_apart_u == pytest.approx(abs(first - second) / math.hypot(0.05, 0.1))
+
+
+def test_the_law_of_two_mechanisms_says_how_well_it_is_known():
+    """Rate at 0 °C and share of generation scatter over noisy sessions as their u say."""
+    rng, celsius, u = np.random.default_rng(3), np.linspace(-20.0, 20.0, 9), np.full(9, 0.03)
+    clean = np.log([silicon(t, 0.42, 0.28) for t in celsius])
+    laws = [_two_mechanisms(celsius, clean + u * rng.standard_normal(9), u) for _ in range(200)]
+    assert np.mean([law.chi2 for law in laws]) == pytest.approx(7.0, abs=0.8)
+    rates = [float(law.log_rate(0.0)) for law in laws]
+    assert np.mean(rates) == pytest.approx(math.log(0.7), abs=0.006)
+    assert np.std(rates) == pytest.approx(np.mean([law.u_of_log_rate(0.0) for law in laws]), rel=0.15)
+    shares = [law.generation(0.0, 1.0) for law in laws]
+    assert np.mean([share.value for share in shares]) == pytest.approx(0.4, abs=0.02)
+    assert np.std([share.value for share in shares]) == pytest.approx(np.mean([share.u for share in shares]), rel=0.15)
+    assert shares[0].u * 2.0 == pytest.approx(laws[0].generation(0.0, 2.0).u)
+
+
+def test_an_offset_by_one_degree_of_freedom_is_hardly_known():
+    """Four scattered points and a session's own level leave one: two u cover 14 times the scatter, by Student's t."""
+    a, b = session("a", temperatures=(-10, -5), u_k=0.0), session("b", temperatures=(0, 10), u_k=0.0)
+    (cold, u_k, rate), warm = a.dark_rates
+    law = fit_dark_law([replace(a, dark_rates=((cold, u_k, replace(rate, value=1.1 * rate.value)), warm)), b])
+    assert law.birge_ratio > 5.0
+    assert law.doubling_k.u == pytest.approx(law.birge_ratio * fit_dark_law([a, b]).doubling_k.u, rel=0.3)
+    assert abs(law.offset.value) > 0.02
+    assert law.is_one
+
+
+def test_what_either_law_makes_of_a_session_is_within_the_u_of_its_offset():
+    """Silicon of two mechanisms, each session cold or warm: by doublings the warm one is off, and the u knows of it."""
+    sessions = [of_silicon("a", (-20.0, -10.0), (0.42, 0.28)), of_silicon("b", (10.0, 20.0), (0.42, 0.28))]
+    law = fit_dark_law(sessions)
+    cold, warm = (float(np.mean([math.log(r.value) for _, _, r in one.dark_rates])) for one in sessions)
+    slope = sum(math.log(one.dark_rates[1][2].value / one.dark_rates[0][2].value) for one in sessions) / 20.0
+    by_doublings = warm - cold - 30.0 * slope
+    assert abs(law.offset.value) < 0.01
+    assert 1.0 < law.offset.u / (abs(by_doublings) / math.sqrt(3.0)) < 1.6
 
 
 def test_a_sensor_that_ages_follows_no_one_law():
@@ -158,7 +236,9 @@ def test_the_command_tells_people_the_same(archive, capsys):
     assert run(["passport", str(archive)]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "CCD: " in said
-    assert re.search(r"dark current doubles per \([\d.]+ ± [\d.]+\) K \(k = 2\), \S+ DN/s at 0 °C", said)
+    assert re.search(
+        r"dark current doubles per \([\d.]+ ± [\d.]+\) K \(k = 2\) from -?\d+ to -?\d+ °C, \S+ DN/s at 0 °C", said
+    )
     assert ": one law" in said
     assert "gain: " in said
     assert re.search(r"K: unchanged \(", said)
@@ -178,7 +258,10 @@ def test_the_real_camera_over_two_years(shared_data):
     sessions = [one for year in (2017, 2019) for one in read_sessions(shared_data / "sensors" / f"sbig_stl1001_{year}")]
     (found,) = passports(sessions)
     assert 4.6 < found.dark_law.doubling_k.value < 4.9
+    assert found.dark_law.doubling_k.u < 0.1
     assert found.dark_law.is_one
+    assert found.dark_law.doublings_apart_u < 2.0
+    assert 0.3 < found.dark_law.generation_share.value < 0.7
     assert any("off by +6." in line and "wrong" in line for line in found.gain)
     assert any("light and darks agree" in line for line in found.gain)
     assert any("wandered" in line for line in found.light)
