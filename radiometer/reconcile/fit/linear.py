@@ -59,6 +59,12 @@ class RowBlock:
         vars(found)["normal"] = normal + np.diag(below**2)
         return found
 
+    def within(self, place: NDArray[np.intp]) -> RowBlock:
+        """Return the block in rows that have other places, by the place of each; −1 for those that are left out."""
+        own = place[self.rows]
+        order = np.argsort(own)[np.count_nonzero(own < 0) :]
+        return RowBlock(own[order], self.values[order])
+
     @property
     def columns(self) -> int:
         """Return the number of columns."""
@@ -228,6 +234,20 @@ class LinearFit:
         left = self.residual - self.effects @ self.step[known:]
         left[self.nuisances.rows] -= self.nuisances.values @ self.step[:known]
         return np.asarray(left)
+
+    def within(self, rows: NDArray[np.intp]) -> LinearFit:
+        """Return the fit as vectors see it that are zero outside some rows, all those of the followers among these.
+
+        Args:
+            rows: The rows, in the order in which the vectors have them.
+        """
+        place = np.full(self.residual.size, -1, dtype=np.intp)
+        place[rows] = np.arange(rows.size)
+        nuisances, followers = (block.within(place) for block in (self.nuisances, self.followers))
+        found = LinearFit(self.residual[rows], nuisances, self.effects[rows], followers)
+        vars(nuisances)["factor"] = self.nuisances.factor
+        vars(found).update({"factor": self.factor, "_crossed": self._crossed})
+        return found
 
     def extended(self, columns: Array, residual: Array | None = None) -> LinearFit:
         """Return the fit with further effect columns, and possibly another residual, followers followed in both."""

@@ -7,13 +7,12 @@ would be, and judged as names are. Source of the score: docs/decisions/0011.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from scipy.special import ndtr
 
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
@@ -21,22 +20,18 @@ from radiometer.reconcile.fit.candidate_fit import Candidate, FittedCandidate, f
 from radiometer.reconcile.fit.covariance import fitted_parameters, is_far
 from radiometer.reconcile.fit.full_fit import FullFits, UnfitError, contenders_of, included
 from radiometer.reconcile.fit.state import FitState
-from radiometer.reconcile.measure.design import Array
-from radiometer.reconcile.model.tile_context import from_grid, rise_of
 from radiometer.reconcile.propose.effect_file import Law, effect_of, round_to
-from radiometer.reconcile.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
+from radiometer.reconcile.propose.first_look import Screened, known_values, screened
+from radiometer.reconcile.propose.grammar import PLACES, finer, terms_of
 from radiometer.reconcile.propose.proposal import Proposal, Rival
 from radiometer.reconcile.search.free_forms import free_forms, worth
 from radiometer.reconcile.search.screening import best_start
-from radiometer.reconcile.statistics import STATISTICS
 from radiometer.reconcile.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
-from simulators.effects.surroundings import column_light, picture_mean
 from simulators.law_stages import LINKS
 
 _NOISES: Final = {"1": (0.002, 0.01), "DN": (0.5, 3.0)}  # standard deviations that laws of noise start from, by unit
 _OF_NOISE: Final = ("power", "step")  # forms that are nowhere below 0
-_AT_ONCE: Final = 128  # columns that are projected together
 _FITTED: Final = 16  # laws that are fitted to all statistics
 _JUDGED: Final = 9
 _MULTIPLIED: Final = 5  # laws of one term that are multiplied by another
@@ -50,25 +45,8 @@ _STARTS: Final = 10
 _PLACES: Final = 60  # where a law of a sharp place starts: the means alone hardly tell rows of one tile apart
 _REFINED: Final = (("step", "border"), ("step",))  # in two turns: a border is found to half a pixel in the first
 _FINER: Final = 6  # laws of a sharp place that are refined
-_FAINT: Final = 1e-9
-_FOLLOWING: Final = ("mean", *(name for name, row in STATISTICS.items() if row.follows_light))
 
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Screened:
-    """A law as the means alone show it: best amplitude, χ² that it would explain, and starts that do about as well."""
-
-    law: Law
-    amplitude: float
-    gain: float
-    others: tuple[Screened, ...] = ()
-
-    @property
-    def score(self) -> float:
-        """Return nats less what the parameters cost."""
-        return 0.5 * self.gain - PARAMETER_NATS * self.law.size
 
 
 @on_one_blas_thread
@@ -83,13 +61,14 @@ def propose_law(
         along: Covariates to which laws are confined, of one term then; by default all, and products of two terms.
         most: χ² under the weights of the starting camera that a law may leave at best.
     """
-    singles = screened(state, (law for law in _singles(state) if not along or set(law.covariates) <= set(along)), say)
+    singles = screened(state, (law for law in _singles(state) if not along or set(law.covariates) <= set(along)))
     for forms in _REFINED:
-        singles += screened(state, _finer(state, singles, forms), say)
+        singles += screened(state, _finer(state, singles, forms))
+    say(f"{len(singles)} laws of one term looked at")
     plain = {_formula(entry.law): entry.score for entry in sorted(singles, key=lambda entry: entry.score)}
     products = [
         entry
-        for entry in (screened(state, _products(state, singles), say) if not along else ())
+        for entry in (screened(state, _products(state, singles)) if not along else ())
         if entry.score > plain.get(_formula(entry.law)[:1], 0.0) + NAMED_NATS
     ]
     fits = FullFits(state, most)
@@ -217,185 +196,6 @@ def _chosen(entries: Iterable[Screened]) -> list[Screened]:
         if (len(alike) <= _OF_A_KIND or entry.law.link in _PLAIN) and entry.score > 0:
             taken.append(entry)
     return taken[:_FITTED]
-
-
-# ---- a first look at the means -----------------------------------------------------------------------------
-
-
-def screened(state: FitState, laws: Iterable[Law], say: Say = lambda line: None) -> list[Screened]:
-    """Return the laws with the amplitude and the χ² that the tile means alone give them, nuisances following.
-
-    Statistics that go with the light of a tile move with the law as well: the nuisances take them along, and a law that
-    left them where they were would seem to disagree with them as soon as a radiance makes room for it.
-    """
-    terms, frames = _Terms(state), state.design.frame_count[:, None, None]
-    response = {key: _response(state, key) for key, link in LINKS.items() if not link.is_noise}
-    waiting, found, laws = [], list[Screened](), iter(laws)
-    while waiting := list(islice(laws, _AT_ONCE // 2)):
-        pairs = [[_shown(values, response[law.link], frames) for values in terms.of_law(law)] for law in waiting]
-        found += _gains(state, waiting, pairs)
-    say(f"{len(found)} laws looked at")
-    return found
-
-
-def known_values(state: FitState) -> dict[str, Array]:
-    """Return the covariates that vary within a capture set, by name, each broadcasting to captures × tiles × points.
-
-    What differs between the first frame of a series and the others has an axis in front: first, others.
-    """
-    context, design = state.model.context, state.design
-    side = max(design.shape)
-    settings: Any = context.settings
-    signal = state.prediction.signal[:, :, None]
-    found = {
-        "exposure_s": settings.exposure_s,
-        "timestamp_s": np.stack([settings.timestamp_s] * 2),
-        "temperature_C": settings.temperature_c,
-        "gain_db": settings.gain_db,
-        "f_number": settings.f_number,
-        "source_level": settings.source_level,
-        "image_x": context.geometry.x_px / side,
-        "image_y": context.geometry.y_px / side,
-        "signal": signal,
-        "value": signal * state.prediction.gain[:, None, None],
-        "column_light": column_light(np.repeat(signal, 4, axis=2), context),
-    }
-    parts = (context.first_frame, context.later_frames)
-    if design.has_timestamps and None not in parts:
-        found["timestamp_s"] = np.stack([np.asarray(part.settings.timestamp_s) for part in parts if part])
-        found["since_frame_s"] = np.stack([np.asarray(part.since_frame_s) for part in parts if part])
-    lit = design.source_level > 0  # a closed shutter is no level of the source
-    if not lit.any() or not _varies(design.source_level[lit]):
-        del found["source_level"]
-    shown = picture_mean(state.model.radiance[design.pattern_index][:, :, None] * settings.source_level, context)
-    if lit.any() and _varies(shown[lit]):
-        found["picture_mean"] = shown
-    known = {name: np.asarray(v, dtype=np.float64) for name, v in found.items() if _varies(np.asarray(v))}
-    return known | ({} if None in parts else {"frame": np.stack([part.frame_numbers for part in parts if part])})
-
-
-def _varies(values: Array) -> bool:
-    finite = values[np.isfinite(values)]
-    return finite.size > 0 and not np.isnan(values).any() and float(np.ptp(finite)) > 1e-9 * float(np.abs(finite).max())
-
-
-def _response(state: FitState, link: str) -> dict[str, Array]:
-    """Return what a unit of a constant law changes of means and of what goes with the light, (captures, tiles) each."""
-    exposure = state.design.exposure_s
-    step = {
-        "1": 1e-3,
-        "s": 1e-3 * float(np.median(exposure)),
-        "e-": 1.0,
-        "e- s-1": 1.0 / float(exposure.max()),
-        "DN": 0.1,
-        "W m-2": 1e-3 * np.pi * state.model.context.peak_radiance / 64.0,
-    }[LINKS[link].unit]
-    moved = state.comparison.expected(state.predicted_with((*state.effects, effect_of(Law(link), step))))
-    base = state.comparison.expected(state.prediction)
-    return {name: np.asarray((moved[name] - base[name]) / step) for name in _FOLLOWING}
-
-
-class _Terms:
-    """The values of terms in one state; what laws at several places of the chain share is worked out once."""
-
-    def __init__(self, state: FitState) -> None:
-        self._state, self._known = state, known_values(state)
-        self._found: dict[tuple[object, ...], Array] = {}
-
-    def of_law(self, law: Law) -> list[Array]:
-        """Return the values of a law of amplitude 1, and of a wave those of a quarter period later too."""
-        found = [self._product(law.terms)]
-        if any("phase" in term.values for term in law.terms):
-            found.append(self._product([_ahead(term) for term in law.terms]))
-        return found
-
-    def _product(self, terms: Sequence[Term]) -> Array:
-        product: Array = np.ones((1, 1, 1, 1))
-        for term in terms:
-            key = (term.form, term.covariate, *term.constants.items(), *term.values.items())
-            if key not in self._found:
-                self._found[key] = values_of(self._state, term, self._known)
-            product = product * self._found[key]
-        return product
-
-
-def _ahead(term: Term) -> Term:
-    """Return a wave a quarter of a period later; anything else as it is."""
-    later = {name: value + 0.5 * np.pi for name, value in term.values.items() if name == "phase"}
-    return replace(term, values={**term.values, **later})
-
-
-def values_of(state: FitState, term: Term, known: Mapping[str, Array]) -> Array:
-    """Return a term's values, broadcasting to frames × captures × tiles × points.
-
-    Frames are the first of each capture and the others where these differ, else one for all.
-    """
-    own = {name: known[name] for name in term.covariates}
-    if term.form == "step" and term.covariate in ("signal", "value"):
-        noise = np.sqrt(state.prediction.variance) / (
-            1.0 if term.covariate == "value" else state.prediction.gain[:, None]
-        )
-        share = ndtr((own[term.covariate] - term.values["at"]) / noise[:, :, None])  # of pixels beyond it
-        return np.asarray(share[None])
-    grid = state.model.context.grid
-    if grid is not None and FORMS[term.form].is_steep and set(term.covariates) & set(PLACES):
-        side = max(state.design.shape)
-        fine = {"image_x": grid.x_px / side, "image_y": grid.y_px / side}
-        points, _ = from_grid(term.evaluated(own | {name: fine[name] for name in own if name in fine}))
-        return np.asarray(points[None])
-    frames = (0, 1) if set(own) & set(PER_FRAME) else (0,)
-    parts = [term.evaluated({n: v[i] if n in PER_FRAME else v for n, v in own.items()}) for i in frames]
-    return np.stack(parts)
-
-
-def _shown(values: Array, response: Mapping[str, Array], frames: Array) -> dict[str, Array]:
-    """Return what a law does to the statistics of tiles that are looked at, (captures, tiles) each.
-
-    Args:
-        values: Its values, as `values_of` gives them.
-        response: What a constant law of amplitude 1 does to each statistic, (captures, tiles).
-        frames: (captures, 1, 1) number of frames.
-    """
-    first, others = np.nan_to_num(values[[0, -1]])
-    average = first if values.shape[0] == 1 else (first + (frames - 1.0) * others) / frames
-    rise_x, rise_y = rise_of(np.broadcast_to(average, (*average.shape[:-1], 4)))
-    of_tiles, mean = average.mean(axis=-1), response["mean"]
-    return {name: of_tiles * own for name, own in response.items()} | {
-        "slope_x": rise_x * mean,
-        "slope_y": rise_y * mean,
-        "first": (first - others).mean(axis=-1) * mean,
-    }
-
-
-def _gains(state: FitState, laws: list[Law], shown: list[list[dict[str, Array]]]) -> list[Screened]:
-    comparison, columns = state.comparison, [column for pair in shown for column in pair]
-    changes = np.zeros((comparison.size, len(columns)))
-    for block in columns[0]:
-        every = np.stack([column[block] for column in columns], axis=-1)
-        if every.any():
-            changes[comparison.cuts[block]] = comparison.whiten(block, every).reshape(-1, len(columns))
-    followed, part = state.fit.followed_with_half(changes)
-    slope = followed.T @ state.fit.projected[: comparison.size]
-    squares, rows = np.einsum("ij,ij->j", changes, changes), np.ascontiguousarray(followed.T)
-    found, at = [], 0
-    for law, pair in zip(laws, shown, strict=True):
-        own = slice(at, at := at + len(pair))
-        curvature = rows[own] @ rows[own].T - part[:, own].T @ part[:, own]
-        whole = float(squares[own].sum())
-        if float(np.linalg.eigvalsh(curvature)[0]) < 1e-6 * whole or whole < _FAINT:
-            continue  # nothing of it is left beside the nuisances
-        best = np.linalg.solve(curvature, slope[own])
-        found.append(_turned(law, np.asarray(best), float(best @ slope[own])))
-    return found
-
-
-def _turned(law: Law, best: Array, gain: float) -> Screened:
-    """Return the law with the amplitude, and of a wave with the phase, that two columns gave."""
-    if best.size == 1:
-        return Screened(law, float(best[0]), gain)
-    phase = float(np.arctan2(best[1], best[0]))
-    terms = tuple(replace(t, values={**t.values, "phase": phase}) if "phase" in t.values else t for t in law.terms)
-    return Screened(Law(law.link, terms), float(np.hypot(*best)), gain)
 
 
 # ---- judged as effects -------------------------------------------------------------------------------------
