@@ -17,6 +17,7 @@ from simulators.effects.tile_moments import TileMoments
 _USUAL_DOUBLING_K: Final = 7.0
 _TOLD_K: Final = 2.0  # by which darks must differ to tell a law
 _LEAST_E: Final = 1e-12  # a pattern that is none
+_SURELY: Final = 9.0  # sigmas of the leak's logarithm below which less than 1e-18 of the pixels lie
 _SMOOTH: Final = ("rise_x", "rise_y", "bend_x", "bend_y")
 _THIRD: Final = 1.0 / 3.0  # mean of x² from −1 to 1
 
@@ -90,8 +91,10 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         signal = signal + self._smooth(context) * pattern
         average, spread = self._lognormal()
         emptied = average - signal * spread / pattern  # leaks, over their median, that would leave less than nothing
-        share, held = self._above(emptied)
-        found = signal * share + (held - average * share) * pattern / spread
+        found = signal
+        if np.max(emptied) > math.exp(-_SURELY * self.shape):  # else no pixel would be, to rounding
+            share, held = self._above(emptied)
+            found = signal * share + (held - average * share) * pattern / spread
         if getattr(context, "frames", None) is not None:
             found = found - self._left_out(signal, context) * pattern
         return cast(Signal, found.astype(signal.dtype))
