@@ -27,6 +27,7 @@ _CAMERA_KEYS: Final = (
 )  # fmt: skip
 _OWN_KEYS: Final = ("vendor", "model", "serial", "band", "binning")  # what a camera is called by among several
 _MASKED_SAME_DN: Final = 1.0
+_UNEVEN_PERCENT: Final = 0.5  # of light that a calibration moves, from which it is told
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +103,7 @@ def assemble(
     record = ImportRecord(
         taken_from(ordered),
         tuple(_missing(ordered, camera)),
-        (*doubts_about(ordered), *disagreeing, *codes.doubts, *_black_by_gain(ordered)),
+        (*doubts_about(ordered), *disagreeing, *codes.doubts, *_black_by_gain(ordered), *_uncorrected(ordered)),
         tuple(lines),
     )
     header = CaptureHeader.model_validate(
@@ -253,6 +254,29 @@ def _black_by_gain(frames: Sequence[FoundFrame]) -> list[str]:
     said = ", ".join(f"{offset:+.0f} DN at {gain:g} dB" for gain, offset in offsets.items())
     kind = "black_level_offset and black_level_gain_slope" if len(offsets) > 1 else "black_level_offset"
     return [f"masked rows lie off the black level tag by {said}: {kind}"]
+
+
+def _uncorrected(frames: Sequence[FoundFrame]) -> list[str]:
+    """Return what the maker's calibration says of rows and corners: raw frames hold it, nothing here takes it out."""
+    lines = []
+    rows = [100.0 * (f.extra["maker_row_gain_last"] - 1.0) for f in frames if "maker_row_gain_last" in f.extra]
+    if rows and max(map(abs, rows)) > _UNEVEN_PERCENT:
+        lines.append(
+            "the maker's calibration has rows exposed for times of their own, the last one with "
+            f"{_span(rows, '+.1f')} % of the first one's light more, which the frames hold: row_dependent_exposure"
+        )
+    corners = [v for frame in frames for v in frame.lens.get("maker_corner_illumination", ())]
+    if corners and 100.0 * (1.0 - min(corners)) > _UNEVEN_PERCENT:
+        lines.append(
+            f"the maker's calibration leaves the corners {_span(corners, '.2f')} of the middle's light, "
+            "which the frames hold: natural_vignetting or mechanical_vignetting"
+        )
+    return lines
+
+
+def _span(values: Sequence[float], how: str) -> str:
+    low, high = f"{min(values):{how}}", f"{max(values):{how}}"
+    return low if low == high else f"{low} to {high}"
 
 
 def _missing(frames: Sequence[FoundFrame], camera: CameraDescription) -> list[str]:

@@ -199,6 +199,9 @@ def test_real_multispectral_frames(shared_data):
     corners = [c for header in red_edge for c in header.lens.model_extra["maker_corner_illumination"]]
     assert 0.53 < min(corners) < 0.56
     assert 0.80 < max(corners) < 0.86
+    told = [line for header in red_edge for line in header.model_extra["imported"]["doubts"]]
+    assert sum("row_dependent_exposure" in line for line in told) == len(red_edge)
+    assert sum("corners" in line and "natural_vignetting" in line for line in told) == len(red_edge)
 
 
 def test_a_copy_has_the_pixels_of_the_crop(write_fits, tmp_path):

@@ -78,6 +78,18 @@ def test_the_frame_carries_corners_and_row_gain(write_raw_tiff):
     assert header.frames[0].model_extra["maker_row_gain_last"] == pytest.approx(
         1 + 1e-7 * 39 / 0.002 + 5e-6 * 39, abs=1e-4
     )
+    said = header.model_extra["imported"]["doubts"]
+    assert any("corners 0.83 to 0.85 of the middle" in line and "natural_vignetting" in line for line in said), said
+    assert not any("row_dependent_exposure" in line for line in said)  # 0.2 % are too little to be told
+
+
+def test_rows_that_are_exposed_for_times_of_their_own_are_told_by_the_entrys_name(write_raw_tiff):
+    """A row more has 0.02 and 0.04 % of the light more at two exposures: 0.8 and 1.6 % over 40 rows."""
+    for name, exposure_s in (("a.tif", (1, 2000)), ("b.tif", (1, 4000))):
+        path = write_raw_tiff(name, PICTURE, exposure=exposure_s)
+    said = open_capture(path.parent).header.model_extra["imported"]["doubts"]
+    (line,) = [line for line in said if "row_dependent_exposure" in line]
+    assert "+0.8 to +1.6 % of the first one's light more" in line
 
 
 def test_xmp_attributes_and_sequences():
