@@ -200,11 +200,11 @@ def fit_dark_law(sessions: Sequence[Session]) -> DarkLaw | None:
     slope = np.full(logs.size, math.log(2) / 5.0)
     for _ in range(3):
         u = np.array([math.hypot(rate.u_rel, own * u_t) for own, (_, _, u_t, rate) in zip(slope, points, strict=True)])
-        laws = [law for fit in (_doubling_law, _two_mechanisms) if (law := fit(temperatures, logs, u)) is not None]
-        if not laws:
+        doubling, silicon = _doubling_law(temperatures, logs, u), _two_mechanisms(temperatures, logs, u)
+        if doubling is None:
             return None
         # Two points lie on either law, and tell nothing between them.
-        found = min(laws, key=lambda law: law.chi2) if logs.size > _PARAMETERS else laws[0]
+        found, other = (doubling, silicon) if logs.size == _PARAMETERS else _better(doubling, silicon)
         slope = found.slope(temperatures)
     ends = np.array([temperatures.min(), temperatures.max()])
     birge = math.sqrt(found.chi2 / (logs.size - _PARAMETERS)) if logs.size > _PARAMETERS else 1.0
@@ -212,14 +212,6 @@ def fit_dark_law(sessions: Sequence[Session]) -> DarkLaw | None:
     steepness = float(np.ptp(found.log_rate(ends)) / np.ptp(ends))
     across = np.diff(found.derivatives(ends), axis=0)[0] / np.ptp(ends)
     u_steepness = factor * math.sqrt(float(across @ found.covariance @ across))
-    names = [name for name, _, _, _ in points]
-    offset = _largest_offset(names, found, temperatures, logs, u)
-    others = [
-        other for law in laws if law is not found if (other := _largest_offset(names, law, temperatures, logs, u))
-    ]
-    if offset is not None:  # nobody knows which law it is, and what curves between sessions lies off in one of them
-        form = max((abs(abs(other.value) - abs(offset.value)) for other in others), default=0.0) / math.sqrt(3.0)
-        offset = replace(offset, u=math.hypot(offset.u, form))
     at_0 = math.exp(float(found.log_rate(0.0)))
     return DarkLaw(
         Quantity(math.log(2) / steepness, math.log(2) / steepness**2 * u_steepness, "K"),
@@ -227,7 +219,7 @@ def fit_dark_law(sessions: Sequence[Session]) -> DarkLaw | None:
         Quantity(at_0, at_0 * factor * found.u_of_log_rate(0.0), "DN/s"),
         found.generation(float(ends.mean()), factor),
         birge,
-        offset,
+        _largest_offset([name for name, _, _, _ in points], (found, other), temperatures, logs, u),
         tuple(
             (name, float(t), rate.value, float(z))
             for (name, t, _, rate), z in zip(points, (logs - found.log_rate(temperatures)) / u, strict=True)
@@ -304,15 +296,13 @@ def _mechanisms(celsius: float | Array) -> Array:
     return np.stack([np.square(carriers), carriers], axis=-1)
 
 
-def _two_mechanisms(temperatures: Array, logs: Array, u: Array) -> _Fitted | None:
+def _two_mechanisms(temperatures: Array, logs: Array, u: Array) -> _Fitted:
     """Return the sum of both mechanisms, neither below zero, at the least χ² of the logarithms."""
     shapes = _mechanisms(temperatures)
     rate = np.exp(logs)
     for _ in range(20):  # deviations of D over D are those of ln D near the law
         parameters = nnls(shapes / (rate * u)[:, None], np.exp(logs) / (rate * u))[0]
         rate = shapes @ parameters
-    if not (rate > 0).all():
-        return None
     towards = shapes / (rate * u)[:, None]
     covariance = np.asarray(np.linalg.inv(towards.T @ towards), dtype=np.float64)
     return _Fitted(parameters, covariance, float(np.sum(np.square((logs - np.log(rate)) / u))), is_sum=True)
@@ -327,26 +317,47 @@ def _doublings(sessions: Sequence[Session], law: _Fitted) -> Iterator[SessionDou
             yield SessionDoubling(session.name, session.figures["T_d"], expected)
 
 
-def _largest_offset(names: Sequence[str], law: _Fitted, temperatures: Array, logs: Array, u: Array) -> Quantity | None:
-    """Return the offset of ln D of the session that lies farthest, in u, off the law that all share."""
-    worst: Quantity | None = None
-    shared = law.derivatives(temperatures)
-    beside = (logs - law.log_rate(temperatures)) / u
+def _better(first: _Fitted, second: _Fitted) -> tuple[_Fitted, _Fitted]:
+    """Return the law that lies nearer to the points, and the other."""
+    return (first, second) if first.chi2 <= second.chi2 else (second, first)
+
+
+def _largest_offset(
+    names: Sequence[str], laws: tuple[_Fitted, _Fitted], temperatures: Array, logs: Array, u: Array
+) -> Quantity | None:
+    """Return the offset of ln D of the session that lies farthest, in u, off the law that all share.
+
+    Args:
+        names: Session of each point.
+        laws: The law that is taken and the other: nobody knows which it is, so that what curves between sessions lies
+            off in one of them, and the u holds how far.
+        temperatures: In °C.
+        logs: ln D.
+        u: Its standard uncertainty.
+    """
+    found = []
     for name in dict.fromkeys(names):
         own = np.array([other == name for other in names], dtype=np.float64)
-        design = np.column_stack([shared / np.abs(shared).max(axis=0), own]) / u[:, None]
-        if own.all() or np.linalg.matrix_rank(design) <= _PARAMETERS:
-            continue
-        normal = np.linalg.inv(design.T @ design)
-        solution = normal @ design.T @ beside
-        freedom = logs.size - _PARAMETERS - 1
-        scatter = float(np.linalg.norm(design @ solution - beside)) / math.sqrt(max(freedom, 1))
-        if scatter > 1.0:  # a u from the scatter of few points is itself hardly known: two u cover as Student's t does
-            scatter *= float(stdtrit(freedom, _COVERED)) / _AGREE_SIGMAS
-        found = Quantity(float(solution[2]), math.sqrt(float(normal[2, 2])) * max(1.0, scatter), "1")
-        if worst is None or abs(found.value) / found.u > abs(worst.value) / worst.u:
-            worst = found
-    return worst
+        offset, other = (_offset(law, own, temperatures, logs, u) for law in laws)
+        if offset is not None and other is not None:
+            form = abs(other.value - offset.value) / math.sqrt(3.0)
+            found.append(replace(offset, u=math.hypot(offset.u, form)))
+    return max(found, key=lambda offset: abs(offset.value) / offset.u, default=None)
+
+
+def _offset(law: _Fitted, own: Array, temperatures: Array, logs: Array, u: Array) -> Quantity | None:
+    """Return by how much the points of one session, told by ones, lie off a law beside the others; None if unknown."""
+    shared, beside = law.derivatives(temperatures), (logs - law.log_rate(temperatures)) / u
+    design = np.column_stack([shared / np.abs(shared).max(axis=0), own]) / u[:, None]
+    if own.all() or np.linalg.matrix_rank(design) <= _PARAMETERS:
+        return None
+    normal = np.linalg.inv(design.T @ design)
+    solution = normal @ design.T @ beside
+    freedom = logs.size - _PARAMETERS - 1
+    scatter = float(np.linalg.norm(design @ solution - beside)) / math.sqrt(max(freedom, 1))
+    if scatter > 1.0:  # a u from the scatter of few points is itself hardly known: two u cover as Student's t does
+        scatter *= float(stdtrit(freedom, _COVERED)) / _AGREE_SIGMAS
+    return Quantity(float(solution[2]), math.sqrt(float(normal[2, 2])) * max(1.0, scatter), "1")
 
 
 def _compared(name: str, sessions: Sequence[Session]) -> Change | None:

@@ -123,6 +123,12 @@ def test_a_sensor_that_ages_follows_no_one_law():
     assert [change.changed for change in found.changes if change.quantity == "dark current"] == [True]
 
 
+def test_a_dark_current_that_falls_with_the_temperature_follows_no_law():
+    """Light that leaks in is no dark current: neither of the laws is fitted to it."""
+    assert fit_dark_law([session("a", temperatures=(-10, 0, 10), doubling_k=-4.8)]) is None
+    assert fit_dark_law([session("a", temperatures=(-10, 10), doubling_k=-4.8)]) is None
+
+
 def test_temperatures_that_go_with_sessions_judge_nothing():
     """One temperature per session cannot tell an older sensor from a warmer one."""
     law = fit_dark_law([session("a", temperatures=(-10,)), session("b", temperatures=(10,))])
