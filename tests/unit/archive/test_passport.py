@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from radiometer.archive.passport import _two_mechanisms, fit_dark_law, light_line, passports
+from radiometer.archive.passport import _doubling_law, _offset, _two_mechanisms, fit_dark_law, light_line, passports
 from radiometer.archive.sessions import LightSeries, Session, find_sessions, read_sessions
 from radiometer.cli.main import run
 from radiometer.data import Quantity
@@ -99,8 +99,20 @@ def test_an_offset_by_one_degree_of_freedom_is_hardly_known():
     law = fit_dark_law([replace(a, dark_rates=((cold, u_k, replace(rate, value=1.1 * rate.value)), warm)), b])
     assert law.birge_ratio > 5.0
     assert law.doubling_k.u == pytest.approx(law.birge_ratio * fit_dark_law([a, b]).doubling_k.u, rel=0.3)
-    assert abs(law.offset.value) > 0.02
     assert law.is_one
+
+    celsius, own, logs = (
+        np.array([-10.0, -5.0, 0.0, 10.0]),
+        np.array([1.0, 1.0, 0.0, 0.0]),
+        np.array([0.1, 0.7, 1.5, 3.0]),
+    )
+    design = np.column_stack([np.ones(4), celsius, own])
+    best, (left,), *_ = np.linalg.lstsq(design, logs, rcond=None)
+    expected = math.sqrt(left * np.linalg.inv(design.T @ design)[2, 2]) * 13.97 / 2.0
+    u = np.full(4, 1e-3)
+    found = _offset(_doubling_law(celsius, logs, u), own, celsius, logs, u)
+    assert found.value == pytest.approx(best[2])
+    assert found.u == pytest.approx(expected, rel=1e-3)
 
 
 def test_what_either_law_makes_of_a_session_is_within_the_u_of_its_offset():
