@@ -18,6 +18,7 @@ from radiometer.reconcile.measure.design import Array
 
 _MOST_BLOCKS: Final = 32  # along either side of a frame
 _SMALLEST_BLOCK_PX: Final = 4
+_SAMPLES: Final = 12  # pixels along a block's side that are looked at, every n-th of large frames
 _FEWEST_BLOCKS: Final = 100  # that both frames show, beyond the smooth terms
 _FAINTEST: Final = 10.0  # times the noise of a block's mean
 _LEAST_CONTRAST: Final = 0.05  # standard deviation of the logarithm: even fields have a hundredth and less
@@ -46,6 +47,8 @@ class FineStructure:
             black_dn: Black level; 0 where nobody states one.
             full_scale_dn: Highest code: a block that holds it is clipped.
         """
+        step = max(1, max(dn.shape) // (_MOST_BLOCKS * _SAMPLES))
+        dn = dn[::step, ::step]
         side = max(_SMALLEST_BLOCK_PX, -(-max(dn.shape) // _MOST_BLOCKS))
         rows, columns = dn.shape[0] // side, dn.shape[1] // side
         blocks = dn[: rows * side, : columns * side].reshape(rows, side, columns, side)

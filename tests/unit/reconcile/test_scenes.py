@@ -75,6 +75,15 @@ def test_the_noise_of_a_block_is_that_of_its_pixels_over_their_root() -> None:
     assert seen[0].log_light.mean() == pytest.approx(np.log(400.0), abs=1e-3)
 
 
+def test_of_large_frames_every_nth_pixel_is_looked_at() -> None:
+    """32 blocks along the longer side whatever the size; as noisy as the pixels that were looked at, no less."""
+    even = taken(np.ones((800, 1200)), 800.0, 3)
+    seen = FineStructure.of(even, BLACK, FULL)
+    assert seen.log_light.shape == (20, 30)  # blocks of 13 × 13 of every third pixel
+    assert np.var(seen.log_light, ddof=1) == pytest.approx(817.0 / 800.0**2 / 13.0**2, rel=0.15)
+    assert seen.noise2.mean() == pytest.approx(817.0 / 800.0**2 / 13.0**2, rel=0.05)
+
+
 def reconciled(*shots: tuple[Picture, float]) -> Any:
     """Return what is said of frames with exposures of 10 ms for 4000 electrons, two of each."""
     entries, frames = [], []
