@@ -101,6 +101,8 @@ def _end(fit: BranchFit, name: str, best: float, step: float, limit: float) -> f
         outer = inner + step
         total, nonlinear = _profile(fit, name, outer, start)
         if total > limit:
+            if _excess(fit, name, start, limit, inner) >= 0.0:  # without noise: nothing but rounding lies between
+                return inner
             return float(brentq(partial(_excess, fit, name, start, limit), inner, outer, xtol=1e-4))
         start, inner, step = nonlinear, outer, 1.3 * step
     return float(np.copysign(np.inf, step))

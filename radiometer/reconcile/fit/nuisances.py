@@ -28,6 +28,7 @@ _SCALAR_STEP: Final = {"black_dn": 1e-2, "dark_e_per_s": 1e-2}
 _FREE_BLACK: Final = 2.5  # of the full scale: anywhere in the converter's range
 _SCALAR_PRIOR: Final = {"log_responsivity": _FREE_RESPONSIVITY, "dark_e_per_s": 1e3}
 _STATED: Final = 1.0  # prior standard deviation below which a radiance counts as stated
+_DIMMEST: Final = 600.0  # logarithm of a factor that a step of a fit may ask for: it stays a number above zero
 _LINEAR: Final = (-0.5, 1.0)  # relative errors of a radiance between which its factor is linear
 _TOLD_K: Final = 2.0  # span of temperatures of darks from which they tell how dark current grows
 _FREE_SLOPE: Final = 3.0
@@ -269,7 +270,7 @@ def _light_factor(relative: Array) -> tuple[Array, Array]:
     low, high = _LINEAR
     below, above = relative < low, relative > high
     middle = 1.0 + np.clip(relative, low, high)
-    slope = np.where(below, np.exp(np.minimum(relative - low, 0.0) / (1.0 + low)), 1.0)
+    slope = np.where(below, np.exp(np.clip((relative - low) / (1.0 + low), -_DIMMEST, 0.0)), 1.0)
     slope = np.where(above, np.exp(np.maximum(relative - high, 0.0) / (1.0 + high)), slope)
     return np.asarray(middle * slope), np.asarray(slope)
 

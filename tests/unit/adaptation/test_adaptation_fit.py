@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from radiometer.adaptation import intervals
 from radiometer.adaptation.adaptation_fit import FitRequest, _derived_estimates, fit_adaptation, makes_sense
 from radiometer.adaptation.branch_fit import fit_model
 from radiometer.adaptation.branch_models import CONE_S2, CONE_S2_S3, MODELS, ONE_BRANCH
@@ -105,6 +106,14 @@ def test_rod_intercept_is_where_s2_meets_the_criterion():
     found = fit_adaptation(series(0.0), FitRequest(-3.0, bootstrap_draws=0), np.random.default_rng(0))
     expected = 9 + (-3.0 - (-1 + 2 * np.exp(-9 / 1.6))) / -0.24
     assert found.estimates["criterion_min"].value == pytest.approx(expected, rel=2e-3)
+
+
+def test_a_profile_without_width_ends_where_it_begins(monkeypatch):
+    """Without noise the least sum of squares is exceeded at the fit itself, by rounding: no root lies between."""
+    fit = fit_model(series(0.05), ONE_BRANCH)
+    monkeypatch.setattr(intervals, "_profile", lambda fit, name, value, start: (fit.sum_of_squares + 1e9, start))
+    found = profile_interval(fit, "plateau")
+    assert (found.low, found.high) == (fit.values["plateau"], fit.values["plateau"])
 
 
 @pytest.mark.slow

@@ -82,8 +82,15 @@ def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Plain]]:
         yield path, value
 
 
-def same(here: Plain, there: Plain, rel: float) -> bool:
-    """Tell whether two figures are one, numbers but for a share `rel` of their size, nothing but for its rounding."""
+def same(here: Plain, there: Plain, rel: float, scale: float = 0.0) -> bool:
+    """Tell whether two figures are one, numbers but for a share `rel` of their size, nothing but for its rounding.
+
+    Args:
+        here: The one.
+        there: The other.
+        rel: That share.
+        scale: Size of what a number is the mean of: it may cancel to nothing, but what it is summed from does not.
+    """
     numbers = all(isinstance(one, int | float) and not isinstance(one, bool) for one in (here, there))
     if not numbers:
         return type(here) is type(there) and here == there
@@ -92,7 +99,7 @@ def same(here: Plain, there: Plain, rel: float) -> bool:
     if math.isnan(here) or math.isnan(there):
         return math.isnan(here) and math.isnan(there)
     rounding = 1e-15 if 0.0 in (here, there) else 0.0
-    return here == there or abs(here - there) <= rel * max(abs(here), abs(there)) + rounding
+    return here == there or abs(here - there) <= rel * max(abs(here), abs(there), scale) + rounding
 
 
 def moved(name: str, figures: Mapping[str, Any], *, rel: float = SUMS) -> list[str]:
@@ -120,5 +127,13 @@ def _moved(path: Path, now: Any, rel: float) -> list[str]:
     return [
         f"{key}: held {held.get(key, 'nothing')}, now {found.get(key, 'nothing')}"
         for key in {**held, **found}
-        if key not in held or key not in found or not same(held[key], found[key], rel)
+        if key not in held or key not in found or not same(held[key], found[key], rel, _scale(held, key))
     ]
+
+
+def _scale(held: Mapping[str, Plain], key: str) -> float:
+    """Return the root mean square of the array whose mean a figure is, in its digest; 0 for any other figure."""
+    of, _, place = key.rpartition(".")
+    size, known, rms = (held.get(f"{of}.{name}") for name in ("#", "0", "2"))
+    is_mean = place in ("1", "3") and size == 4 and type(known) is int
+    return abs(rms) if is_mean and isinstance(rms, int | float) else 0.0

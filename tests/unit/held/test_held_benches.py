@@ -294,6 +294,8 @@ def test_a_fit_of_adaptation_is_as_it_was(kind):
     request = FitRequest(-3.0, 0.05, 0, 0.95, InterceptRule(-2.8, 12.0, 0.05, 0.02))
     fit = fit_adaptation(series(kind), request, np.random.default_rng(1))
     told = to_mapping(fit) | {"says": [outcome(fit), *meaning(fit)]}
+    if kind == "one branch":  # what there is none of has any parameters
+        told["models"] = [{**one, "parameters": None} if number else one for number, one in enumerate(told["models"])]
     assert not moved(f"benches/fit_{kind.replace(' ', '_')}", told, rel=100 * FITS)
 
 

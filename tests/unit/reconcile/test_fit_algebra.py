@@ -198,6 +198,14 @@ def test_the_factor_of_light_stays_above_nought_with_the_slope_that_is_told():
     assert factor[6] == pytest.approx(factor[7], abs=3e-4)
 
 
+def test_a_radiance_that_a_step_of_a_fit_takes_to_nothing_stays_above_it() -> None:
+    """However far below the stated value: factor and slope are numbers, and so is the logarithm."""
+    factor, slope = _light_factor(np.array([-2000.0, -1e6]))
+    assert (factor > 0.0).all()
+    assert np.isfinite(np.log(factor)).all()
+    assert (slope / factor).tolist() == pytest.approx([2.0, 2.0])
+
+
 def test_settings_are_grouped_along_what_every_capture_states():
     """By setting, then by exposure and level in a few blocks; a temperature that one does not state is none."""
     size = 20
