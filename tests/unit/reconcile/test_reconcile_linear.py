@@ -39,6 +39,26 @@ def test_parameters_take_up_their_projection_of_many_changes_at_once() -> None:
     assert np.sum(half**2, axis=0) == pytest.approx(np.sum(taken**2, axis=0), rel=1e-9)
 
 
+def test_a_fit_within_some_rows_is_that_of_vectors_which_are_zero_elsewhere() -> None:
+    """Rows in another order, those of the followers among them: what follows and what is taken up is the same."""
+    rng = np.random.default_rng(11)
+    nuisances, followers, effects = (rng.standard_normal((40, n)) for n in (5, 5, 2))
+    nuisances[20:35], followers[:30] = 0.0, 0.0
+    fit = LinearFit(rng.standard_normal(40), RowBlock.of(nuisances), effects, RowBlock.of(followers))
+    rows = np.concatenate([np.arange(30, 40), np.arange(3, 9), np.arange(22, 27)])
+    vectors = np.zeros((40, 3))
+    vectors[rows] = rng.standard_normal((rows.size, 3))
+
+    whole, part = fit.followed_with_half(vectors)
+    within = fit.within(rows)
+    own, half = within.followed_with_half(vectors[rows])
+
+    assert own == pytest.approx(whole[rows], abs=1e-12)
+    assert half == pytest.approx(part, abs=1e-12)
+    assert within.residual.tolist() == fit.residual[rows].tolist()
+    assert not whole[np.setdiff1d(np.arange(40), rows)].any()
+
+
 @pytest.mark.parametrize("freedom", [1, 2, 7])
 def test_chances_of_chi2(freedom: int) -> None:
     """Tail and quantile are those of SciPy's χ² distribution, far out too."""
