@@ -55,13 +55,16 @@ def completed(camera: CameraDescription, off: Undeclared | None = None) -> Camer
     off = off or Undeclared()
     figures = {key: getattr(camera, key) or usual for key, usual in _TYPICAL.items()}
     read = _TYPICAL["read_noise_e"] if camera.read_noise_e is None else camera.read_noise_e
-    e_per_dn = _allowed(ConversionGain, figures["conversion_gain_e_per_dn"] * float(np.exp(-off.log_gain)))
+    e_per_dn = figures["conversion_gain_e_per_dn"] * float(np.exp(-off.log_gain))
+    read *= float(np.exp(off.log_read / 2.0))
+    # What is declared is refused out of its bounds; what a fit moves stays within.
+    e_per_dn = e_per_dn if camera.conversion_gain_e_per_dn else _allowed(ConversionGain, e_per_dn)
+    read = read if camera.read_noise_e is not None else _allowed(ReadNoise, read)
+    most_e = _allowed(FullWellSaturation, _MARGIN_BITS * camera.full_scale_dn * e_per_dn)
     figures |= {
         "conversion_gain_e_per_dn": e_per_dn,
-        "read_noise_e": _allowed(ReadNoise, read * float(np.exp(off.log_read / 2.0))),
-        "full_well_e": _allowed(
-            FullWellSaturation, camera.full_well_e or _MARGIN_BITS * camera.full_scale_dn * e_per_dn
-        ),
+        "read_noise_e": read,
+        "full_well_e": camera.full_well_e or most_e,
     }
     return camera.model_copy(update=figures)
 
