@@ -98,7 +98,19 @@ def run(
     wanted, controls = Watching(page or page_port > 0, page_port, audio, json, slow), Controls(linger_s=slow)
     seen = camera is not None or bench is not None
     box_request = BoxRequest(
-        box, calibration, white, fixation, accept_stale, seen, camera, bench, room, simulate, seed, preset
+        box,
+        calibration,
+        white,
+        fixation,
+        accept_stale,
+        seen,
+        camera,
+        bench,
+        room,
+        simulate,
+        seed,
+        preset,
+        f"{subject} {eye}",
     )
     with (
         _stage(chosen, box_request, _Screen(screen, display, port, eye)) as (stage, checks),
