@@ -323,10 +323,7 @@ def _port_of(serial: str | None) -> str:
 def _simulated(config: LightBoxConfig) -> OpenedBox:
     twin = LightBoxTwin(TwinSettings(serial=SIMULATED_SERIAL))
     line = VirtualLine(twin, latency_s=0.0003)
-    store = MemoryStore(line.now)
-    with store.change() as account:
-        account.begin(SIMULATED_SERIAL)  # a new box in a new world: no eye was before it
-    ledger = ExposureLedger(config.optics, store, config.allowed_fraction)
+    ledger = ExposureLedger(config.optics, MemoryStore(line.now, (SIMULATED_SERIAL,)), config.allowed_fraction)
     flash = config.flash.light if config.flash else None
     box = SerialLightBox(BoxLink(line), ledger, keep_alive=False, flash=flash)
 

@@ -273,9 +273,11 @@ class MemoryStore:
 
     Attributes:
         clock: Simulated time in s.
+        boxes: Serial numbers of the boxes of that world: no eye was before them.
     """
 
     clock: Callable[[], float]
+    boxes: tuple[str, ...] = ()
     holder: str = "this program"
     _account: Account | None = None
 
@@ -292,6 +294,8 @@ class MemoryStore:
         moment = Moment("simulated", self.clock(), self.clock())
         if self._account is None:
             self._account = Account(moment)
+            for serial in self.boxes:
+                self._account.begin(serial)
         self._account.advance(moment)
         return self._account
 

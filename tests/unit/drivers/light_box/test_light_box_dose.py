@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from drivers.light_box.box import SerialLightBox
 from drivers.light_box.link import BoxLink
 from radiometer.devices import CurrentRange, DriveLevel
+from radiometer.devices.exposure_account import MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceError, SettingOutOfRange, UnsafeStimulus, UsageError
@@ -42,7 +43,7 @@ def bench(calibration=None):
     twin = LightBoxTwin(TwinSettings())
     line = VirtualLine(twin, latency_s=0.0003)
     optics = dict.fromkeys(("bleach", "field", "spot", "spot_red"), BLUE)
-    box = SerialLightBox(BoxLink(line), ExposureLedger(optics, line.now), calibration, keep_alive=False)
+    box = SerialLightBox(BoxLink(line), ExposureLedger(optics, MemoryStore(line.now, ("TWIN0001",))), calibration, keep_alive=False)
     box.open()
     return twin, line, box
 

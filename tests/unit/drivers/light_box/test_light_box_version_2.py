@@ -9,6 +9,7 @@ import pytest
 from drivers.light_box.box import SerialLightBox
 from drivers.light_box.link import BoxLink
 from radiometer.devices import CurrentRange, DriveLevel
+from radiometer.devices.exposure_account import MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics, FlashLight
 from radiometer.errors import SettingOutOfRange, UnsafeStimulus, UsageError
@@ -27,7 +28,7 @@ def bench(version: int = 2, flash: FlashLight | None = FLASH) -> tuple[LightBoxT
     optics = dict.fromkeys(("bleach", "field"), FIELD) | {"spot": ChannelOptics(453.0, 22.0, 1.5, 4.0)}
     if flash is not None:
         optics["flash"] = flash.optics
-    box = SerialLightBox(BoxLink(line), ExposureLedger(optics, line.now), keep_alive=False, flash=flash)
+    box = SerialLightBox(BoxLink(line), ExposureLedger(optics, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False, flash=flash)
     box.open()
     return twin, line, box
 
