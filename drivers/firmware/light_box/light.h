@@ -40,6 +40,8 @@ void light_flash_state(uint8_t *left, uint16_t *wait_ms);
 /* Returns and clears the reason for which the box itself went dark: bit n: bucket of channel n empty, bit 6: button held,
  * bit 7: dead man. */
 uint8_t light_take_darkened(void);
+/* Keeps in the EEPROM what a reset must not forget; called by the main loop. */
+void light_keep(void);
 /* One millisecond has passed; called by the clock's interrupt. */
 void light_tick(void);
 
