@@ -49,15 +49,13 @@ class Killed(BaseException):
 
 @dataclass(slots=True)
 class Dose:
-    """The blue-light dose of one eye, exact within a sliding window.
+    """The dose of one eye within a sliding window, exact.
 
     Attributes:
         window_s: Length of the window.
-        most: Largest dose that any window held.
     """
 
     window_s: float
-    most: float = 0.0
     _parts: deque[tuple[float, float, float]] = field(default_factory=deque)  # begin, end, rate
     _sum: float = 0.0
 
@@ -67,7 +65,6 @@ class Dose:
             return
         self._parts.append((begin_s, end_s, rate))
         self._sum += rate * (end_s - begin_s)
-        self.most = max(self.most, self.within(end_s))
 
     def within(self, end_s: float) -> float:
         """Return the dose of the window that ends at a time."""
@@ -81,24 +78,32 @@ class Dose:
 
 @dataclass(slots=True)
 class Eye:
-    """What an eye has received: of large sources within 10⁴ s, of the small one within 100 s."""
+    """What an eye has received: of large sources within 10⁴ s, and the worst 100 s of the small one in that time.
 
-    large: Dose = field(default_factory=lambda: Dose(WINDOW_S))
-    small: Dose = field(default_factory=lambda: Dose(100.0))
+    Attributes:
+        most_share: Largest share of the blue-light limit at any time: of 10⁶ J·sr⁻¹·m⁻² and of 100 J·m⁻², in sum.
+    """
+
+    most_share: float = 0.0
+    _large: Dose = field(default_factory=lambda: Dose(WINDOW_S))
+    _small: Dose = field(default_factory=lambda: Dose(100.0))
+    _worst: deque[tuple[float, float]] = field(default_factory=deque)  # time and dose of 100 s, the worst first
 
     def see(self, begin_s: float, end_s: float, radiances: dict[str, float]) -> None:
         """Look at all channels at once."""
-        self.large.add(begin_s, end_s, sum(value for name, value in radiances.items() if name != SMALL))
-        self.small.add(begin_s, end_s, radiances.get(SMALL, 0.0) * SMALL_SOLID_ANGLE_SR)
+        self._large.add(begin_s, end_s, sum(value for name, value in radiances.items() if name != SMALL))
+        self._small.add(begin_s, end_s, radiances.get(SMALL, 0.0) * SMALL_SOLID_ANGLE_SR)
+        dose = self._small.within(end_s)
+        while self._worst and self._worst[-1][1] <= dose:
+            self._worst.pop()
+        self._worst.append((end_s, dose))
+        self.most_share = max(self.most_share, self.share(end_s))
 
-    @property
-    def most_share(self) -> float:
-        """Return the largest share of the blue-light limit that any window held: 10⁶ J·sr⁻¹·m⁻² and 100 J·m⁻²."""
-        return self.large.most / 1e6 + self.small.most / 100.0
-
-    def is_rested(self, now_s: float) -> bool:
-        """Tell whether it has seen nothing within the window."""
-        return self.large.within(now_s) < 1e-6 and (not self.small._parts or self.small._parts[-1][1] < now_s - WINDOW_S)
+    def share(self, now_s: float) -> float:
+        """Return the share of the limit that the window up to a time holds."""
+        while self._worst and self._worst[0][0] < now_s - WINDOW_S:
+            self._worst.popleft()
+        return self._large.within(now_s) / 1e6 + (self._worst[0][1] / 100.0 if self._worst else 0.0)
 
 
 class Hardware(Protocol):
@@ -551,7 +556,7 @@ class World:
     def _confirm(self) -> None:
         """Have an honest person confirm that no eye was exposed."""
         eyes = [*(box.looker for box in self.boxes), *self.eyes.values()]
-        if any(box.holder for box in self.boxes) or not all(eye.is_rested(self.now_s) for eye in eyes):
+        if any(box.holder for box in self.boxes) or any(eye.share(self.now_s) > 1e-9 for eye in eyes):
             return
         self.count["confirmed"] += 1
         for box in self.boxes:

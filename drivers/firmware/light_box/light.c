@@ -64,7 +64,6 @@ static uint8_t parts_within(uint8_t n, uint32_t units)
 /* A reset, however short or long, leaves in each bucket what the EEPROM holds: less than there was, never more. */
 void light_init(void)
 {
-    pwm_init();
     memory_read(&kept);
     for (uint8_t n = 0; n < CHANNELS; n++) {
         channels[n].mode = 'O';
@@ -72,6 +71,7 @@ void light_init(void)
     }
     flashes_left = kept.flashes;
     flash_wait_ms = flashes_left < FLASHES_IN_A_ROW ? FLASH_GAP_MS : 0;
+    pwm_init(); /* last: reading takes 7 ms, and the timers' interrupts would wait as long */
 }
 
 /* Writes the memory. What rises binds the buckets before it is written, what falls frees them after that. */

@@ -74,7 +74,7 @@ void memory_read(allowance_t *allowance)
         if (allowance->parts[n] > PARTS)
             allowance->parts[n] = 0;
     if (allowance->flashes > FLASHES_IN_A_ROW)
-        allowance->flashes = 0;
+        allowance->flashes = FLASHES_IN_A_ROW;
 }
 
 void memory_write(const allowance_t *allowance)
