@@ -27,6 +27,7 @@ from radiometer.devices.light_box import CurrentRange, DriveLevel
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, RadiometerError, UnsafeStimulus
 from simulators.light_box.box import LightBoxTwin, TwinSettings
+from testing.firmware_board import FirmwareBox
 
 PROMISED: Final = 0.1
 WINDOW_S: Final = 1e4
@@ -39,6 +40,7 @@ SMALL_SOLID_ANGLE_SR: Final = math.pi * math.radians(SUBTENSE_DEG[SMALL]) ** 2 /
 OPTICS: Final = {
     name: ChannelOptics(437.5, 0.5, SUBTENSE_DEG[name], bound, LOW_RATIO) for name, bound in RADIANCE.items()
 }
+CHANNEL_NAMES: Final = ("bleach", "spot", "spot_red", "fixation", "spot_green", "field")
 EXCHANGE_S: Final = 0.004
 SLICE_S: Final = 0.7  # how often programs look after their box; below its dead-man time
 
@@ -162,6 +164,57 @@ class TwinHardware:
             for state in self.twin.channels
             if (name := state.limits.name) in RADIANCE and state.mode != "O" and (duty := self.twin.duty(name)) > 0.0
         }
+
+
+@dataclass(slots=True)
+class FirmwareHardware:
+    """The firmware's own code, compiled for this machine.
+
+    Attributes:
+        power: Powers a box with a memory: content of the EEPROM, None for a rested box, and the flags of the reset.
+    """
+
+    power: Callable[[bytes | None, int], FirmwareBox]
+    look: Callable[[float, float, dict[str, float]], None]
+    _box: FirmwareBox | None = None
+    _ms: int = 0
+
+    def receive(self, raw: bytes, time_s: float) -> None:
+        """Take bytes."""
+        self.advance(time_s)
+        self._running.send(raw)
+
+    def advance(self, time_s: float) -> None:
+        """Let time pass, to whole milliseconds; a long rest in darkness is none of the eye's business."""
+        ms = int(time_s * 1000.0) - self._ms
+        while ms > 0:
+            part = min(ms, 500)
+            given = self._running.run_watched(part)
+            begin_s, end_s = self._ms / 1000.0, (self._ms + part) / 1000.0
+            mean = {
+                name: RADIANCE[name] * (high_s + LOW_RATIO * low_s) / (end_s - begin_s)
+                for name, (low_s, high_s) in zip(CHANNEL_NAMES, given, strict=True)
+                if name in RADIANCE and low_s + high_s > 0.0
+            }
+            if mean:
+                self.look(begin_s, end_s, mean)
+            self._ms, ms = self._ms + part, ms - part
+
+    def take(self) -> list[bytes]:
+        """Return the lines sent since the last call."""
+        return self._running.take().splitlines()
+
+    def restart(self, cause: str) -> None:
+        """Restart the box; its EEPROM stays."""
+        memory = self._running.memory
+        self._running.close()
+        self._box = self.power(memory, {"P": 1, "E": 2, "B": 4, "W": 8}[cause])
+
+    @property
+    def _running(self) -> FirmwareBox:
+        if self._box is None:
+            self._box = self.power(None, 1)
+        return self._box
 
 
 @dataclass(slots=True)

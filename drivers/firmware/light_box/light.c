@@ -61,17 +61,24 @@ static uint8_t parts_within(uint8_t n, uint32_t units)
     return (uint8_t)parts;
 }
 
-/* A reset, however short or long, leaves in each bucket what the EEPROM holds: less than there was, never more. */
 void light_init(void)
 {
-    memory_read(&kept);
-    for (uint8_t n = 0; n < CHANNELS; n++) {
+    pwm_init();
+    for (uint8_t n = 0; n < CHANNELS; n++)
         channels[n].mode = 'O';
-        channels[n].bucket = floors[n] = units_of(n, kept.parts[n]);
+}
+
+/* A reset, however short or long, leaves in each bucket what the EEPROM holds: less than there was, never more. */
+void light_remember(void)
+{
+    memory_read(&kept);
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        for (uint8_t n = 0; n < CHANNELS; n++)
+            channels[n].bucket = floors[n] = units_of(n, kept.parts[n]);
+        flashes_left = kept.flashes;
+        flash_wait_ms = flashes_left < FLASHES_IN_A_ROW ? FLASH_GAP_MS : 0;
     }
-    flashes_left = kept.flashes;
-    flash_wait_ms = flashes_left < FLASHES_IN_A_ROW ? FLASH_GAP_MS : 0;
-    pwm_init(); /* last: reading takes 7 ms, and the timers' interrupts would wait as long */
 }
 
 /* Writes the memory. What rises binds the buckets before it is written, what falls frees them after that. */

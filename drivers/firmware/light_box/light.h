@@ -22,6 +22,8 @@ typedef struct {
 } channel_state_t;
 
 void light_init(void);
+/* Fills the buckets, empty till then, from the EEPROM; takes 7 ms, with interrupts on. */
+void light_remember(void);
 /* Each returns 0 or an error code of protocol.h; on an error the channel is left as it was. */
 uint8_t light_steady(const stimulus_t *wanted);
 uint8_t light_ramp(const stimulus_t *wanted);

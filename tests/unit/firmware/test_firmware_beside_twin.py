@@ -73,6 +73,7 @@ class Pair:
     def reset(self):
         """Pull the reset line of both, their contacts open: what the memories hold is all that stays."""
         self.turn(False)
+        self.agree()
         self.box = self.power(self.kind, reset_flags=2, memory=self.box.memory)
         self.twin.reset("E")
         self.pass_ms(1)

@@ -81,6 +81,7 @@ void board_start(const char *memory, uint8_t reset_flags)
     sensors_init();
     TCNT0 = 2;
     protocol_init(reset_flags);
+    light_remember();
     poll();
     TCNT0 = 0;
 }
