@@ -41,6 +41,8 @@ OPTICS: Final = {
     name: ChannelOptics(437.5, 0.5, SUBTENSE_DEG[name], bound, LOW_RATIO) for name, bound in RADIANCE.items()
 }
 CHANNEL_NAMES: Final = ("bleach", "spot", "spot_red", "fixation", "spot_green", "field")
+REFILLED_MS: Final = 620_000
+DARK_MS: Final = 2_000
 EXCHANGE_S: Final = 0.004
 SLICE_S: Final = 0.7  # how often programs look after their box; below its dead-man time
 
@@ -185,8 +187,13 @@ class FirmwareHardware:
         self._running.send(raw)
 
     def advance(self, time_s: float) -> None:
-        """Let time pass, to whole milliseconds; a long rest in darkness is none of the eye's business."""
+        """Let time pass, to whole milliseconds. In a long rest the box is dark after a second, and full at REFILLED_MS."""
         ms = int(time_s * 1000.0) - self._ms
+        if ms > REFILLED_MS:
+            self.advance((self._ms + DARK_MS) / 1000.0)
+            self._running.run(REFILLED_MS - DARK_MS)
+            self._ms = int(time_s * 1000.0)
+            return
         while ms > 0:
             part = min(ms, 500)
             given = self._running.run_watched(part)
