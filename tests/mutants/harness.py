@@ -20,7 +20,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.patience import within
+from testing.patience import within
 
 ROOT = Path(__file__).resolve().parents[2]
 COPIED = (
@@ -28,6 +28,7 @@ COPIED = (
     "drivers",
     "simulators",
     "configs",
+    "testing",
     "tests",
     "docs",
     "benchmarks",
@@ -131,7 +132,7 @@ def run_tests(
     sys.path.insert(0, str(copy))
     if "NUMBA_CACHE_DIR" in environment:  # read by numba when it was imported
         sys.modules["numba"].config.CACHE_DIR = environment["NUMBA_CACHE_DIR"]
-    own = {"radiometer", "drivers", "simulators", "tests", "benchmarks"}
+    own = {"radiometer", "drivers", "simulators", "testing", "tests", "benchmarks"}
     for name in [name for name in sys.modules if name.partition(".")[0] in own]:
         del sys.modules[name]
     sys.dont_write_bytecode = any((copy / "radiometer").glob("__pycache__"))  # the sound run's code is kept

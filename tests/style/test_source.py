@@ -228,7 +228,13 @@ def test_nothing_names_a_package_registry():
     assert [file.name for file in files if host.search(file.read_text(encoding="utf-8"))] == []
 
 
-RECONCILE = [path for path in SOURCES if name_of(path).startswith("radiometer/reconcile/")]
+# The rooms beside these hold what other instruments' logs and files are reconciled with, each with its few effects.
+SUBJECTS = {"inputs", "logs"}
+RECONCILE = [
+    path
+    for path in SOURCES
+    if name_of(path).startswith("radiometer/reconciliation/") and not SUBJECTS & set(path.parts)
+]
 COMMON = {
     "__init__",
     "base",

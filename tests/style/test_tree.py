@@ -6,8 +6,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 UNIT = ROOT / "tests" / "unit"
-# Firmware is no package; figures from outside belong to many.
-OTHERS = {"firmware", "golden"}
+# Firmware is no package.
+OTHERS = {"firmware"}
 # Folders of files that a test compiles or reads.
 WITHOUT_TESTS = {"host", "recorded"}
 

@@ -14,7 +14,7 @@ from radiometer.daemon.epics import PvaOptions, PvaServer
 from radiometer.daemon.patches import MAIN, PatchLimits
 from radiometer.data import Flag
 from radiometer.errors import UsageError
-from tests.patience import within
+from testing.patience import within
 
 
 @pytest.fixture
@@ -151,12 +151,13 @@ async def test_a_flagged_reading_is_a_minor_alarm(served, station, instrument, m
 
 @pytest.mark.parametrize(("low", "high"), [(20.0, None), (None, 10.0), (None, None)])
 async def test_only_the_limit_that_is_set_alarms(served, station, eventually, low, high):
-    """A limit that nobody set is NaN without a severity; u and luminance have none; lifting the limit ends the alarm."""
+    """An unset limit is NaN without a severity; luminance has no limits; lifting the limit ends the alarm."""
     _, client = served
     station.set_limits(MAIN, PatchLimits(low=low, high=high))
     for _ in range(2):
         await station.measure()
-    await eventually(lambda: station.latest is not None and (low, high) == (None, None) or station.alarms.active)
+    unlimited = (low, high) == (None, None)
+    await eventually(lambda: station.latest if unlimited else station.alarms.active)
     found = (await _read(client, "radiance")).valueAlarm
     for limit, severity, value in (
         (found.lowAlarmLimit, found.lowAlarmSeverity, low),
@@ -164,7 +165,7 @@ async def test_only_the_limit_that_is_set_alarms(served, station, eventually, lo
     ):
         assert severity == (0 if value is None else 2)
         assert math.isnan(limit) if value is None else limit == value
-    assert found.active == ((low, high) != (None, None))
+    assert found.active is not unlimited
     assert not (await _read(client, "luminance")).valueAlarm.active
     station.set_limits(MAIN, PatchLimits())
     assert (await _read(client, "radiance")).alarm.severity == 0

@@ -1,4 +1,4 @@
-"""No result depends on the clock's zone of the machine; a time without a zone is UTC, and one with a zone is the same."""
+"""No result depends on the time zone of the machine: a time without a zone is UTC."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from radiometer.data import (
     SensorNoise,
 )
 from radiometer.data.provenance import utc_now
-from radiometer.other_data.columns import stamp_s
+from radiometer.errors import CalibrationError
+from radiometer.importing.columns import stamp_s
 
 NOON_S = 1_767_268_800  # 2026-01-01T12:00:00Z, as `date -u -d @1767268800` has it
 SAME = ["2026-01-01T12:00:00Z", "2026-01-01T12:00:00", "2026-01-01T13:00:00+01:00", "2026-01-02T01:00:00+13:00"]
@@ -73,8 +74,6 @@ def test_a_calibration_s_age_counts_from_its_moment(text):
 
 def test_a_calibration_file_whose_date_has_no_zone_is_refused(tmp_path):
     """Its age could be off by a day."""
-    from radiometer.errors import CalibrationError
-
     calibration = Calibration(
         camera=CameraDescription(bit_depth=12),
         lens=LensDescription(),
