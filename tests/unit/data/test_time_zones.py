@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import datetime as dt
+import json
 import time
 
+import numpy as np
 import pytest
+import tifffile
 
 from radiometer.archive.jobs import captured_at
 from radiometer.daemon.timestamps import iso_time, microseconds, parse_moment
@@ -21,6 +24,7 @@ from radiometer.data import (
 )
 from radiometer.data.provenance import utc_now
 from radiometer.errors import CalibrationError
+from radiometer.importing import open_capture
 from radiometer.importing.columns import stamp_s
 
 NOON_S = 1_767_268_800  # 2026-01-01T12:00:00Z, as `date -u -d @1767268800` has it
@@ -87,3 +91,17 @@ def test_a_calibration_file_whose_date_has_no_zone_is_refused(tmp_path):
     (tmp_path / "cal.yaml").write_text(text.replace(calibration.created, calibration.created.rstrip("Z")))
     with pytest.raises(CalibrationError, match="created"):
         Calibration.read(tmp_path / "cal.yaml")
+
+
+@pytest.mark.parametrize("text", SAME)
+def test_an_imported_stack_was_taken_when_its_file_says(tmp_path, text):
+    """Two frames of Micro-Manager, the second a minute later: the set's date is that of the first, in UTC."""
+    received = [text, text.replace(":00:00", ":01:00", 1)]
+    with tifffile.TiffWriter(tmp_path / "a_MMStack.ome.tif") as writer:
+        for moment in received:
+            said = json.dumps({"Exposure-ms": 4.0, "ReceivedTime": moment, "BitDepth": 12})
+            picture = np.full((4, 4), 100, np.uint16)
+            writer.write(picture, extratags=[(51123, "s", 0, said, True)], metadata=None, contiguous=False)
+    header = open_capture(tmp_path / "a_MMStack.ome.tif").header
+    assert microseconds(header.created) == NOON_S * 1_000_000
+    assert [entry.timestamp_s for entry in header.frames] == [0.0, 60.0]
