@@ -138,9 +138,7 @@ def _characterised_gains(
     return found
 
 
-def _at_gain(
-    gain_db: float, bright: list[GroupStatistics], dark: list[GroupStatistics], step_dn: int
-) -> _AtGain:
+def _at_gain(gain_db: float, bright: list[GroupStatistics], dark: list[GroupStatistics], step_dn: int) -> _AtGain:
     steps = make_steps(bright, dark, step_dn)
     main = max({s.region: s for s in bright}.values(), key=lambda s: (s.pixels, s.mean_dn)).region
     own = tuple(s for s in steps if s.bright.region == main)

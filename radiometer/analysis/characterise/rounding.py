@@ -18,8 +18,9 @@ from scipy.special import ndtr
 from radiometer.data import Quantity
 
 SHEPPARD: Final = 1.0 / 12.0  # squared code steps
-# From this variance after rounding on, Sheppard's correction is within 0.003 squared steps (EMVA 1288, 6.7).
-PLAIN_FROM: Final = 0.24
+PLAIN_FROM: Final = 0.24  # variance after rounding; below it, EMVA 1288 (6.7) gives an upper limit only
+# From here on Sheppard's correction errs by less than (1/π² + 4σ²)·exp(−2π²σ²) = 0.003 squared steps.
+_SHEPPARD_FROM: Final = 0.40
 _SIGMAS: Final = np.concatenate([[1e-3], np.geomspace(0.02, 0.75, 60)])  # noise before rounding, in steps
 _PHASES: Final = np.linspace(-0.5, 0.5, 41)  # places between codes, in steps
 # Pixel distributions are normal to a few per cent only; so is the predicted variance.
@@ -47,7 +48,7 @@ def unrounded_variance(
     """
     squared = float(step_dn) ** 2
     measured, u = variance_dn2 / squared, u_dn2 / squared
-    if measured >= PLAIN_FROM:
+    if measured >= _SHEPPARD_FROM:
         return Quantity((measured - SHEPPARD) * squared, u_dn2, "DN^2")
     spread = math.sqrt(max(spatial_variance_dn2, 0.0)) / step_dn
     predicted = _predicted(mean_dn / step_dn, spread)

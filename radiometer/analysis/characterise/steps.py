@@ -88,9 +88,7 @@ def _step(group: GroupStatistics, dark: Sequence[GroupStatistics], step_dn: int)
     light = group.photons if group.photons is not None else exposure * level
     same = [d for d in fitting if math.isclose(d.settings.exposure_s, exposure, rel_tol=_SAME_EXPOSURE_REL)]
     near = same[0] if same else min(fitting, key=lambda d: abs(d.settings.exposure_s - exposure))
-    noise = unrounded_variance(
-        near.variance_dn2, near.u_variance_dn2, near.mean_dn, near.spatial_variance_dn2, step_dn
-    )
+    noise = unrounded_variance(near.variance_dn2, near.u_variance_dn2, near.mean_dn, near.spatial_variance_dn2, step_dn)
     if same:
         mean, variance = (near.mean_dn, near.u_mean_dn), (near.variance_dn2, near.u_variance_dn2)
     else:
