@@ -89,8 +89,8 @@ def bent(transfer: PhotonTransfer) -> str:
     """Return the note for a photon transfer that bends: the local gains at its two ends."""
     low, high = transfer.local
     return (
-        f"the photon transfer bends: the local gain goes from {low:.3g} to {high:.3g} DN/e-. One K does not describe this "
-        "sensor; the U of K covers that range"
+        f"the photon transfer bends: the local gain goes from {low:.3g} to {high:.3g} DN/e-. One K does not describe "
+        "this sensor; the U of K covers that range"
     )
 
 
