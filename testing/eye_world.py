@@ -8,11 +8,13 @@ table 4.2 of IEC 62471, so that the blue-light dose of a large source is radianc
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import os
 import random
+import shutil
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,7 +29,7 @@ from radiometer.devices.light_box import CurrentRange, DriveLevel
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, RadiometerError, UnsafeStimulus
 from simulators.light_box.box import LightBoxTwin, TwinSettings
-from testing.firmware_board import FirmwareBox
+from testing.firmware_board import FirmwareBox, build, rested_memory
 
 PROMISED: Final = 0.1
 WINDOW_S: Final = 1e4
@@ -121,6 +123,12 @@ class Hardware(Protocol):
 
     def restart(self, cause: str) -> None: ...
 
+    def close(self) -> None: ...
+
+
+Look = Callable[[float, float, dict[str, float]], None]  # begin, end, radiance of each channel
+Maker = Callable[[str, float, Look], Hardware]  # serial number, rate of the clock in ppm
+
 
 @dataclass(slots=True)
 class TwinHardware:
@@ -128,7 +136,7 @@ class TwinHardware:
 
     serial: str
     clock_ppm: float
-    look: Callable[[float, float, dict[str, float]], None]
+    look: Look
     twin: LightBoxTwin = field(init=False)
     _since_s: float = 0.0
     _radiances: dict[str, float] = field(default_factory=dict)
@@ -156,6 +164,9 @@ class TwinHardware:
         """Restart the box."""
         self.twin.reset(cause)
 
+    def close(self) -> None:
+        """Do nothing: a twin holds nothing."""
+
     def _watch(self) -> None:
         now_s = self.twin.time_s
         if self._radiances:
@@ -173,11 +184,13 @@ class FirmwareHardware:
     """The firmware's own code, compiled for this machine.
 
     Attributes:
-        power: Powers a box with a memory: content of the EEPROM, None for a rested box, and the flags of the reset.
+        serial: Its serial number.
+        power: Powers a box with a content of its EEPROM and the flags of the reset.
     """
 
-    power: Callable[[bytes | None, int], FirmwareBox]
-    look: Callable[[float, float, dict[str, float]], None]
+    serial: str
+    power: Callable[[bytes, int], FirmwareBox]
+    look: Look
     _box: FirmwareBox | None = None
     _ms: int = 0
 
@@ -217,10 +230,14 @@ class FirmwareHardware:
         self._running.close()
         self._box = self.power(memory, {"P": 1, "E": 2, "B": 4, "W": 8}[cause])
 
+    def close(self) -> None:
+        """Forget the library."""
+        self._running.close()
+
     @property
     def _running(self) -> FirmwareBox:
         if self._box is None:
-            self._box = self.power(None, 1)
+            self._box = self.power(rested_memory(self.serial), 1)
         return self._box
 
 
@@ -343,7 +360,7 @@ class World:
 
     folder: Path
     rng: random.Random
-    make: Callable[[str, float, Callable[[float, float, dict[str, float]], None]], Hardware] = TwinHardware
+    make: Maker = TwinHardware
     now_s: float = 0.0
     boot: int = 0
     booted_s: float = 0.0
@@ -400,6 +417,8 @@ class World:
             for program in list(self.programs):
                 self._end(program, killed=True)
             self.pass_quietly(5.0)
+        for box in self.boxes:
+            box.hardware.close()
 
     @contextmanager
     def _watched_disk(self) -> Iterator[None]:
@@ -629,3 +648,38 @@ HAPPENINGS: Final = [
     ("replug", 3), ("restart", 2), ("lose", 4), ("clock", 3), ("reboot", 1.5), ("harm", 0.7), ("rest", 3),
     ("confirm", 3),
 ]  # fmt: skip
+
+
+@dataclass(slots=True)
+class Desks:
+    """What came of many sequences.
+
+    Attributes:
+        count: How often what happened, in sum.
+        shares: Largest share of the limit that an eye received, for each sequence.
+    """
+
+    count: Counter[str] = field(default_factory=Counter)
+    shares: list[float] = field(default_factory=list)
+
+
+def live_through(folder: Path, seeds: Iterable[int], make: Maker = TwinHardware, steps: int = 30) -> Desks:
+    """Let a sequence of `steps` things happen for each seed."""
+    desks = Desks()
+    for seed in seeds:
+        world = World(folder / str(seed), random.Random(seed), make)
+        world.live(steps)
+        desks.count += world.count
+        desks.shares.append(world.most_share)
+        shutil.rmtree(world.folder)
+    return desks
+
+
+def firmware_maker(firmware: Path, folder: Path) -> Maker:
+    """Return what makes boxes that run the firmware's code. Needs gcc."""
+    library, number = build(firmware, folder / "light_box.so"), itertools.count()
+
+    def power(memory: bytes, flags: int) -> FirmwareBox:
+        return FirmwareBox(library, folder / f"{next(number)}.so", flags, memory=memory)
+
+    return lambda serial, clock_ppm, look: FirmwareHardware(serial, power, look)

@@ -87,7 +87,8 @@ class Phase:
 
     def blue(self, bright_s: float = math.inf) -> float:
         """Return the fraction of the blue-light limit for at most so many bright seconds of it."""
-        return min(self.blue_per_s * min(bright_s, self.bright_s), self.blue_most)
+        lit_s = min(bright_s, self.bright_s)
+        return min(self.blue_per_s * lit_s, self.blue_most) if self.blue_per_s else 0.0
 
 
 @dataclass(frozen=True, slots=True)
