@@ -53,6 +53,7 @@ LISTEN_S: Final = 0.02
 BOOT_S: Final = 2.2  # the boot loader's wait, after which the program of an Arduino runs
 FLASH: Final = "flash"  # its name in the account of the exposure
 WRONG_VERSION: Final = 9
+AUDIT_INTERVAL_S: Final = 5.0  # a twentieth of a per mille of the window
 # The box's dead man waits 1 s by its own clock; the rest is what USB adapters and operating systems hold back.
 DARK_AFTER_S: Final = 1.5
 
@@ -92,6 +93,7 @@ class SerialLightBox:
     _channels: dict[str, ChannelCapabilities] = field(default_factory=dict)
     _buckets: dict[str, int] = field(default_factory=dict)
     _tended_s: float = -math.inf
+    _audited_s: float = -math.inf
     _lock: threading.RLock = field(default_factory=threading.RLock)
     _closing: threading.Event = field(default_factory=threading.Event)
     _keeper: threading.Thread | None = None
@@ -318,6 +320,14 @@ class SerialLightBox:
         self.synchronise()
         if self.link.take_turned_off():
             self.ledger.darken()
+        if self.link.line.now() - self._audited_s >= AUDIT_INTERVAL_S:
+            self._audited_s = self.link.line.now()
+            if not self.ledger.is_kept():
+                self.safe()
+                self.link.give_up(
+                    f"{self._name}: the account of its exposure was lost while it was lit; every channel was darkened,"
+                    " reopen it"
+                )
 
     def tend_if_due(self) -> None:
         """Tend the box if a quarter of its dead-man time has passed since it was tended last."""

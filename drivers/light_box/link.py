@@ -93,7 +93,7 @@ class BoxLink:
                 continue
             self._take_times(fields, sent_s, received, request_bytes)
             return
-        self._fail(f"light box on {self.line.name} does not tell its time; {DARK_SOON}")
+        self.give_up(f"light box on {self.line.name} does not tell its time; {DARK_SOON}")
 
     def listen(self, timeout_s: float) -> None:
         """Take in what comes by itself for `timeout_s`. Raises DeviceLost."""
@@ -122,6 +122,11 @@ class BoxLink:
     def fault(self) -> str | None:
         """Return why nothing can be asked any more until the box is opened again; None where it can."""
         return self._fault
+
+    def give_up(self, message: str) -> NoReturn:
+        """Take no request any more until the box is opened again. Raises DeviceLost."""
+        self._fault = message
+        raise DeviceLost(message)
 
     def ask_for_darkness(self) -> None:
         """Ask for darkness without waiting for an answer: a box may hear what it cannot answer. Never raises."""
@@ -195,10 +200,10 @@ class BoxLink:
     def _take_times(self, fields: tuple[str, ...], sent_s: float, received: Received, request_bytes: int) -> None:
         times = parse_times(fields)
         if times is None:
-            self._fail(f"light box on {self.line.name} answered TM with {' '.join(fields)!r}; flash its firmware")
+            self.give_up(f"light box on {self.line.name} answered TM with {' '.join(fields)!r}; flash its firmware")
         box_received_s, box_answered_s, latest_event = times
         if self.clock.samples and box_received_s < self.clock.samples[-1].box_received_s:
-            self._fail(self._restarted())
+            self.give_up(self._restarted())
         answer_bytes = len(received.text) + 1
         self.clock.add(
             ClockSample(
@@ -249,7 +254,3 @@ class BoxLink:
 
     def _restarted(self) -> str:
         return f"light box on {self.line.name} has restarted; every channel is dark, reopen it"
-
-    def _fail(self, message: str) -> NoReturn:
-        self._fault = message
-        raise DeviceLost(message)

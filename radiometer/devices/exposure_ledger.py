@@ -168,6 +168,14 @@ class ExposureLedger:
         ended = {name for name, known in self._open.items() if channel in (None, known.channel)}
         self._end(ended, self.store.now_s() + within_s)
 
+    def is_kept(self) -> bool:
+        """Tell whether the account still holds what is lit: it may be deleted or damaged meanwhile."""
+        try:
+            account = self.store.look()
+        except UnsafeStimulus:
+            return True  # no other program can read it either, so none gives light beside this one's
+        return all(name in account.planned for name, known in self._open.items() if known.over_s > account.now_s)
+
     def _end(self, names: set[str], dark_s: float) -> None:
         now_s = self.store.now_s()
         for name in names:

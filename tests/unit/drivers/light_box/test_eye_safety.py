@@ -152,6 +152,19 @@ def test_a_box_is_darkened_whatever_the_account_is(tmp_path):
             account.begin("TWIN0001")
 
 
+def test_light_whose_account_is_lost_goes_dark(tmp_path):
+    """Another program would give the same eye as much again: within 5 s the box is dark, and the reason is given."""
+    bench = Bench(tmp_path, replace(FIELD, radiance_bound_w_sr_m2=10.0))
+    box = bench.open()
+    box.set_level("field", DriveLevel(30000))
+    bench.wait(6.0, box)
+    assert bench.twin.duty("field") > 0
+    bench.store.path.unlink()
+    with pytest.raises(DeviceLost, match="account of its exposure was lost"):
+        bench.wait(6.0, box)
+    assert bench.twin.duty("field") == 0
+
+
 def test_levels_that_round_up_count_as_what_they_give(tmp_path):
     """Level 33 of 65535 is one of 1024 duty steps: twice as much light."""
     bench = Bench(tmp_path, ChannelOptics(437.5, 0.5, 40.0, 2000.0), rate=1.0)
