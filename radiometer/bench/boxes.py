@@ -26,7 +26,7 @@ from radiometer.devices.exposure_account import AccountStore, FileStore, MemoryS
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import LightBoxIdentity
 from radiometer.devices.retinal_safety import BLUE_WINDOW_S, DEFAULT_FRACTION, ChannelOptics, FlashLight
-from radiometer.errors import CalibrationError, ConfigurationError, DeviceInUse, DeviceNotFound, InputError
+from radiometer.errors import CalibrationError, ConfigurationError, DeviceInUse, DeviceNotFound, InputError, UsageError
 from simulators.light_box.box import LightBoxTwin, TwinSettings
 from simulators.light_box.virtual_line import VirtualLine
 
@@ -219,6 +219,21 @@ def confirm_no_exposure(serial: str) -> None:
     """
     with exposure_store().change() as account:
         account.confirm(serial)
+
+
+def require_known_box(serial: str | None) -> str:
+    """Return a serial number that the account knows.
+
+    Raises:
+        UsageError: If none is named, or the account does not know it: a box is known once it was opened.
+        UnsafeStimulus: If the account cannot be read.
+    """
+    known = sorted(key.removeprefix("box ") for key in exposure_store().look().given if key.startswith("box "))
+    if serial is None or serial not in known:
+        named = "name a light box by its serial number" if serial is None else f"the account knows no light box {serial}"
+        there = f"it knows {', '.join(known)}" if known else "it knows none"
+        raise UsageError(f"{named}: --box SERIAL; {there}. A box is known once a command has opened it")
+    return serial
 
 
 @dataclass(frozen=True, slots=True)
