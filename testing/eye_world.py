@@ -78,8 +78,10 @@ class Dose:
         while self._parts and self._parts[0][1] <= oldest_s:
             begin_s, ended_s, rate = self._parts.popleft()
             self._sum -= rate * (ended_s - begin_s)
-        outside = sum(rate * (oldest_s - begin) for begin, end, rate in self._parts if begin < oldest_s < end)
-        return self._sum - outside
+        if not self._parts:
+            return 0.0
+        begin_s, _, rate = self._parts[0]  # the parts follow each other: only the first may lie across the edge
+        return self._sum - rate * max(oldest_s - begin_s, 0.0)
 
 
 @dataclass(slots=True)

@@ -298,8 +298,7 @@ class SerialLightBox:
     def synchronise(self) -> ClockEstimate:
         """Compare the clocks once more and return the estimate."""
         with self._exchanging():
-            self.link.compare_clocks()
-            self._tended_s = self.link.line.now()
+            self._compare_clocks()
             return self.link.clock.estimate()
 
     def buttons(self, timeout_s: float) -> Iterator[ButtonEvent]:
@@ -317,17 +316,22 @@ class SerialLightBox:
 
     def tend(self) -> None:
         """Let the box know that the host is there, compare the clocks, fetch lost events. Raises DeviceLost."""
-        self.synchronise()
-        if self.link.take_turned_off():
-            self.ledger.darken()
-        if self.link.line.now() - self._audited_s >= AUDIT_INTERVAL_S:
-            self._audited_s = self.link.line.now()
-            if not self.ledger.is_kept():
-                self.safe()
-                self.link.give_up(
-                    f"{self._name}: the account of its exposure was lost while it was lit; every channel was darkened,"
-                    " reopen it"
-                )
+        with self._exchanging():
+            self._compare_clocks()
+            if self.link.take_turned_off():
+                self.ledger.darken()
+            if self.link.line.now() - self._audited_s >= AUDIT_INTERVAL_S:
+                self._audited_s = self.link.line.now()
+                if not self.ledger.is_kept():
+                    self.safe()
+                    self.link.give_up(
+                        f"{self._name}: the account of its exposure was lost while it was lit; every channel was darkened,"
+                        " reopen it"
+                    )
+
+    def _compare_clocks(self) -> None:
+        self.link.compare_clocks()
+        self._tended_s = self.link.line.now()
 
     def tend_if_due(self) -> None:
         """Tend the box if a quarter of its dead-man time has passed since it was tended last."""

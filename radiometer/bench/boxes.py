@@ -141,7 +141,10 @@ def candidate_ports() -> list[str]:
     named = [port for port in os.environ.get(PORT_VARIABLE, "").split(os.pathsep) if port]
     folder = simulated_port_folder()
     simulated = sorted(str(link) for link in folder.glob("*") if link.exists()) if is_ours(folder) else []
-    return list(dict.fromkeys([*named, *simulated, *_box_like_ports()]))
+    by_device: dict[str, str] = {}
+    for port in [*named, *simulated, *_box_like_ports()]:  # a device counts once, by the first of its names
+        by_device.setdefault(os.path.realpath(port), port)
+    return list(by_device.values())
 
 
 def _box_like_ports() -> list[str]:

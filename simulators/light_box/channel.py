@@ -149,6 +149,8 @@ class Channel:
         return True
 
     def _raise(self) -> None:
+        if self.kept >= PARTS - 1:
+            return
         while (there := self._parts(self.bucket)) >= self.kept + PARTS_BEFORE_RAISING:
             self.kept = min(there - 1, self.kept + PARTS_BEFORE_RAISING - 1)
         if self.bucket == self.limits.bucket:
