@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("--twin", type=int, default=10_000, help="sequences with the simulated twin")
     parser.add_argument("--firmware", type=int, default=200, help="sequences with the firmware's code")
     wanted = parser.parse_args()
-    memory = "/dev/shm" if Path("/dev/shm").is_dir() else None  # noqa: S108 (each entry waits for the disk elsewhere)
+    memory = "/dev/shm" if Path("/dev/shm").is_dir() else None
     with tempfile.TemporaryDirectory(dir=memory) as name:
         folder = Path(name)
         found = {
@@ -64,7 +64,9 @@ def sequences(folder: Path, count: int, *, firmware: bool = False) -> Desks:
     whole = Desks()
     for first in range(FIRST_SEED, FIRST_SEED + count, PART):
         seeds = range(first, min(first + PART, FIRST_SEED + count))
-        found = live_through(folder, seeds, firmware_maker(FIRMWARE, folder)) if firmware else live_through(folder, seeds)
+        found = (
+            live_through(folder, seeds, firmware_maker(FIRMWARE, folder)) if firmware else live_through(folder, seeds)
+        )
         whole.count += found.count
         whole.shares += found.shares
         print(f"{len(whole.shares)} sequences, largest share {max(whole.shares):.2%}", flush=True)

@@ -43,7 +43,9 @@ async def box_station(
     server.start()
 
     def open_box() -> SerialLightBox:
-        return SerialLightBox(BoxLink(SerialLine(str(folder / "box"))), ExposureLedger(OPTICS, MemoryStore(time.monotonic, ("TWIN0001",))))
+        return SerialLightBox(
+            BoxLink(SerialLine(str(folder / "box"))), ExposureLedger(OPTICS, MemoryStore(time.monotonic, ("TWIN0001",)))
+        )
 
     instrument = BenchInstrument(write_small_bench(folder), uncalibrated=True)
     station = Station(instrument, Journal(folder / "journal.sqlite"), box=BenchLight(open_box), times=times)

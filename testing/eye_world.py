@@ -27,7 +27,7 @@ from radiometer.devices.exposure_account import FileStore, Moment, parse_account
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import CurrentRange, DriveLevel
 from radiometer.devices.retinal_safety import ChannelOptics
-from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, RadiometerError, UnsafeStimulus
+from radiometer.errors import DeviceInUse, DeviceLost, RadiometerError, UnsafeStimulus
 from simulators.light_box.box import LightBoxTwin, TwinSettings
 from testing.firmware_board import FirmwareBox, build, rested_memory
 
@@ -202,7 +202,7 @@ class FirmwareHardware:
         self._running.send(raw)
 
     def advance(self, time_s: float) -> None:
-        """Let time pass, to whole milliseconds. In a long rest the box is dark after a second, and full at REFILLED_MS."""
+        """Let time pass, to whole ms. In a long rest the box is dark after a second, and full after REFILLED_MS."""
         ms = int(time_s * 1000.0) - self._ms
         if ms > REFILLED_MS:
             self.advance((self._ms + DARK_MS) / 1000.0)
@@ -516,9 +516,11 @@ class World:
             "pulse": lambda box: box.pulse(channel, level, seconds),
             "set": lambda box: box.set_level(channel, level),
             "ramp": lambda box: box.ramp(channel, DriveLevel(rng.choice([0, 1, value]), level.current_range), seconds),
-            "blink": lambda box: box.blink(channel, level, 0.0015, 0.002, rng.choice([1, 50]))
-            if rng.random() < 0.3
-            else box.blink(channel, level, min(seconds, 5.0), rng.uniform(0.1, 1.0), rng.choice([0, 1, 5])),
+            "blink": lambda box: (
+                box.blink(channel, level, 0.0015, 0.002, rng.choice([1, 50]))
+                if rng.random() < 0.3
+                else box.blink(channel, level, min(seconds, 5.0), rng.uniform(0.1, 1.0), rng.choice([0, 1, 5]))
+            ),
         }
         self.count["asked"] += 1
         if self._acts(program, acts[verb]):
@@ -646,8 +648,8 @@ class World:
 
 
 HAPPENINGS: Final = [
-    ("open", 8), ("light", 30), ("greed", 12), ("wait", 12), ("off", 5), ("close", 4), ("kill", 5), ("kill_soon", 5), ("stall", 2),
-    ("replug", 3), ("restart", 2), ("lose", 4), ("clock", 3), ("reboot", 1.5), ("harm", 0.7), ("rest", 3),
+    ("open", 8), ("light", 30), ("greed", 12), ("wait", 12), ("off", 5), ("close", 4), ("kill", 5), ("kill_soon", 5),
+    ("stall", 2), ("replug", 3), ("restart", 2), ("lose", 4), ("clock", 3), ("reboot", 1.5), ("harm", 0.7), ("rest", 3),
     ("confirm", 3),
 ]  # fmt: skip
 

@@ -15,7 +15,20 @@ from zlib import crc32
 from simulators.light_box.avr_box import rested_eeprom
 
 HOST = Path(__file__).resolve().parents[1] / "tests" / "unit" / "firmware" / "host"
-SOURCES = ("clock", "uart", "pwm", "light", "memory", "limits", "button", "sensors", "text", "events", "commands", "protocol")
+SOURCES = (
+    "clock",
+    "uart",
+    "pwm",
+    "light",
+    "memory",
+    "limits",
+    "button",
+    "sensors",
+    "text",
+    "events",
+    "commands",
+    "protocol",
+)
 SERIAL = "LB000007"
 EEPROM_BYTES = 1024
 FLAGS = ("-O1", "-std=gnu11", "-shared", "-fPIC", "-fshort-enums", "-Wall", "-Wextra", "-Werror", "-DF_CPU=16000000UL")

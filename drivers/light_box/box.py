@@ -325,8 +325,8 @@ class SerialLightBox:
                 if not self.ledger.is_kept():
                     self.safe()
                     self.link.give_up(
-                        f"{self._name}: the account of its exposure was lost while it was lit; every channel was darkened,"
-                        " reopen it"
+                        f"{self._name}: the account of its exposure was lost while it was lit."
+                        " Every channel was darkened; reopen it"
                     )
 
     def _compare_clocks(self) -> None:

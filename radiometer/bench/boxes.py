@@ -233,7 +233,9 @@ def require_known_box(serial: str | None) -> str:
     """
     known = sorted(key.removeprefix("box ") for key in exposure_store().look().given if key.startswith("box "))
     if serial is None or serial not in known:
-        named = "name a light box by its serial number" if serial is None else f"the account knows no light box {serial}"
+        named = (
+            "name a light box by its serial number" if serial is None else f"the account knows no light box {serial}"
+        )
         there = f"it knows {', '.join(known)}" if known else "it knows none"
         raise UsageError(f"{named}: --box SERIAL; {there}. A box is known once a command has opened it")
     return serial

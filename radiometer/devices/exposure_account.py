@@ -209,9 +209,7 @@ class Account:
     def _change_boot(self, moment: Moment, passed_s: float) -> None:
         later_s = moment.uptime_s - passed_s - self.moment.uptime_s
         self.moment = moment
-        self.given = {
-            key: {end_s + later_s: blue for end_s, blue in bins.items()} for key, bins in self.given.items()
-        }
+        self.given = {key: {end_s + later_s: blue for end_s, blue in bins.items()} for key, bins in self.given.items()}
         self.assumed = {key: (until_s + later_s, why) for key, (until_s, why) in self.assumed.items()}
         for planned in self.planned.values():  # how long it shone is unknown: it counts whole, and as just ended
             self._give(planned, planned.blue(), moment.uptime_s)

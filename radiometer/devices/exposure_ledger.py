@@ -53,7 +53,7 @@ class Stimulus:
 
 @dataclass(frozen=True, slots=True)
 class _Open:
-    """A stimulus of this opening that the account holds: its channel, highest radiance, and when that may have ended."""
+    """A stimulus of this opening that the account holds: its channel, highest radiance, and when it is over at last."""
 
     channel: str
     radiance_w_sr_m2: float

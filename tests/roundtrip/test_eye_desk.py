@@ -1,4 +1,4 @@
-"""Ten thousand sequences on the simulated desk, and two hundred with the firmware's code: no eye gets its limit's tenth."""
+"""Ten thousand sequences on the simulated desk, two hundred of them by the firmware: no eye gets more than a tenth."""
 
 from __future__ import annotations
 

@@ -74,7 +74,10 @@ def firmware(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 
 def _driver(server: PtyServer, clock: Callable[[], float] = time.monotonic) -> SerialLightBox:
-    return SerialLightBox(BoxLink(SerialLine(server.port, clock=clock)), ExposureLedger(OPTICS, MemoryStore(clock, ("TWIN0001", "AVR00001"))))
+    return SerialLightBox(
+        BoxLink(SerialLine(server.port, clock=clock)),
+        ExposureLedger(OPTICS, MemoryStore(clock, ("TWIN0001", "AVR00001"))),
+    )
 
 
 def _twin_rig(link: Path) -> Rig:

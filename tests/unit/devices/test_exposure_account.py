@@ -284,7 +284,9 @@ def _take_three_percent(folder: Path, start: object, taken: object) -> None:
 
 def test_of_six_programs_at_once_three_get_three_percent_each(tmp_path, monkeypatch):
     """Six boxes before one eye, all asked at the same moment."""
-    monkeypatch.setattr("radiometer.devices.exposure_account.Account.meet", lambda account, serial: account.begin(serial))
+    monkeypatch.setattr(
+        "radiometer.devices.exposure_account.Account.meet", lambda account, serial: account.begin(serial)
+    )
     context = multiprocessing.get_context("fork")
     start, taken = context.Event(), context.Queue()
     programs = [context.Process(target=_take_three_percent, args=(tmp_path, start, taken)) for _ in range(6)]

@@ -157,5 +157,3 @@ def test_a_spectrum_is_one_in_all_and_white_has_two_fifths_of_its_power_in_blue(
     pump = white - 0.6 * phosphor
     assert pump.sum() == pytest.approx(0.4)
     assert pump @ wavelength_nm / 0.4 == pytest.approx(450.0, abs=0.1)
-
-

@@ -45,7 +45,9 @@ class Bench:
         self.eye.see(self._since_s, now_s, {"field": self._radiance})
         high = self.twin.channels[5].high
         self._since_s = now_s
-        self._radiance = self._rate * self.optics.radiance_bound_w_sr_m2 * self.twin.duty("field") * (1 if high else 0.01)
+        self._radiance = (
+            self._rate * self.optics.radiance_bound_w_sr_m2 * self.twin.duty("field") * (1 if high else 0.01)
+        )
 
     def open(self, *, reset: bool = True) -> SerialLightBox:
         """Open the box by a new program; that resets an Arduino."""

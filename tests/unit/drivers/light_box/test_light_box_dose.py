@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -42,7 +41,9 @@ def bench(calibration=None):
     twin = LightBoxTwin(TwinSettings())
     line = VirtualLine(twin, latency_s=0.0003)
     optics = dict.fromkeys(("bleach", "field", "spot", "spot_red"), BLUE)
-    box = SerialLightBox(BoxLink(line), ExposureLedger(optics, MemoryStore(line.now, ("TWIN0001",))), calibration, keep_alive=False)
+    box = SerialLightBox(
+        BoxLink(line), ExposureLedger(optics, MemoryStore(line.now, ("TWIN0001",))), calibration, keep_alive=False
+    )
     box.open()
     return twin, line, box
 
@@ -220,27 +221,6 @@ def test_a_box_that_shines_otherwise_than_asked_is_darkened(monkeypatch):
     with pytest.raises(DeviceError, match="every channel was darkened"):
         box.set_level("field", DriveLevel(100, LOW))
     assert twin.duty("field") == 0.0
-
-
-def test_the_keeper_looks_often_enough_for_the_box_to_stay_lit(monkeypatch):
-    """What it waits between two looks and a quarter of the dead-man time together stay far below that second."""
-    _, line, box = bench()
-    waited, tended = [], []
-
-    def wait(seconds):
-        waited.append(seconds)
-        line.wait(seconds)
-        return len(waited) > 40
-
-    synchronise = SerialLightBox.synchronise
-    monkeypatch.setattr(SerialLightBox, "synchronise", lambda self: tended.append(line.now()) or synchronise(self))
-    box._closing = SimpleNamespace(wait=wait)
-    begun_s = line.now()
-    box._keep()
-    apart = [later - earlier for earlier, later in itertools.pairwise([begun_s, *tended])]
-    assert len(tended) >= 5
-    assert max(apart) < 0.4
-    assert min(apart[1:]) >= 0.25
 
 
 def test_a_keeper_whose_box_is_gone_ends(monkeypatch):

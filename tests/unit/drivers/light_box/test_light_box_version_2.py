@@ -28,7 +28,9 @@ def bench(version: int = 2, flash: FlashLight | None = FLASH) -> tuple[LightBoxT
     optics = dict.fromkeys(("bleach", "field"), FIELD) | {"spot": ChannelOptics(453.0, 22.0, 1.5, 4.0)}
     if flash is not None:
         optics["flash"] = flash.optics
-    box = SerialLightBox(BoxLink(line), ExposureLedger(optics, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False, flash=flash)
+    box = SerialLightBox(
+        BoxLink(line), ExposureLedger(optics, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False, flash=flash
+    )
     box.open()
     return twin, line, box
 
