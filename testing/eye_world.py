@@ -619,9 +619,9 @@ class World:
         """Delete, cut, damage or forward the account."""
         self.count["account harmed"] += 1
         path = self.folder / "exposure-account.json"
-        if not path.exists():
+        content = path.read_bytes() if path.exists() else b""
+        if not content:
             return
-        content = path.read_bytes()
         kind = self.rng.choice(["delete", "cut", "flip", "empty", "future"])
         if kind == "delete":
             path.unlink()
