@@ -210,13 +210,11 @@ class SerialLightBox:
             CalibrationError: If the box's preset says nothing of a flash.
             UsageError: If the box speaks version 1 of the protocol, which has no flash.
         """
-        with self._exchanging():
-            light = self._flash_light()
-            self._require_flash()
-            radiance = light.exposure_bound_j_sr_m2 / light.duration_s
-            return read_flash(
-                self._name, self._give(Stimulus(FLASH, radiance, light.duration_s, light.duration_s), "FL")
-            )
+        light = self._flash_light()
+        self._require_flash()
+        radiance = light.exposure_bound_j_sr_m2 / light.duration_s
+        with self._giving(Stimulus(FLASH, radiance, light.duration_s, light.duration_s), "FL") as answer:
+            return read_flash(self._name, answer)
 
     def flash_state(self) -> FlashState:
         """Return what the box allows of its flash. Raises UsageError for a box of protocol version 1."""
@@ -412,33 +410,38 @@ class SerialLightBox:
         lasting_s: float,
         ramp_s: float = 0.0,
     ) -> ChannelState:
-        with self._exchanging():
-            index = self._index(channel)
-            drive = self._drive(channel, level)
-            words = " ".join(
-                str(word) for word in (verb, index, RANGE_LETTERS[drive.current_range], drive.level, *times)
-            )
-            if drive.level == 0 and not ramp_s:
-                self.link.request(words)  # darkness needs no account
+        index, drive = self._index(channel), self._drive(channel, level)
+        words = " ".join(str(word) for word in (verb, index, RANGE_LETTERS[drive.current_range], drive.level, *times))
+        if drive.level == 0 and not ramp_s:  # darkness needs no account
+            with self._exchanging():
+                self.link.request(words)
                 self.ledger.darken(channel)
-            else:
-                radiance = self._highest_radiance(channel, drive)
-                self._give(Stimulus(channel, radiance, bright_s, lasting_s, ramp_s), words)
+                return self.read_channel(channel)
+        radiance = self._highest_radiance(channel, drive)
+        with self._giving(Stimulus(channel, radiance, bright_s, lasting_s, ramp_s), words):
             state = self.read_channel(channel)
             self._refuse_other_than(drive, state, steady=verb == "SL")
             return state
 
-    def _give(self, stimulus: Stimulus, words: str) -> tuple[str, ...]:
-        """Enter a stimulus into the account, ask the box for it and return the answer; raises as `request`."""
+    @contextmanager
+    def _giving(self, stimulus: Stimulus, words: str) -> Iterator[tuple[str, ...]]:
+        """Enter a stimulus into the account, then have the box for the block with its answer; raises as `request`.
+
+        The box is tended while the account is stored, for the disk may take long.
+        """
         name = self.ledger.reserve(stimulus)
-        try:
-            answer = self.link.request(words)
-        except DeviceError:
-            if self.link.fault is None:  # refused, nothing was changed; else it may be on: see `_exchanging`
-                self.ledger.withdraw(name)
-            raise
-        self.ledger.begun(name)
-        return answer
+        with self._exchanging():
+            if not self.ledger.holds(name):
+                raise DeviceError(f"{self._name}: {stimulus.channel} was darkened before its light began; ask again")
+            try:
+                answer = self.link.request(words)
+            except DeviceError:
+                if self.link.fault is None:  # refused, nothing was changed; else it may be on: see `_exchanging`
+                    self.ledger.withdraw(name)
+                raise
+            self.ledger.begun(name)
+            yield answer
+        self.ledger.settle()
 
     def _refuse_other_than(self, drive: DriveLevel, state: ChannelState, *, steady: bool) -> None:
         if steady and drive.level and state.drive != drive:

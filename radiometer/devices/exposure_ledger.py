@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -81,22 +82,24 @@ class ExposureLedger:
     _box: str = ""
     _open: dict[str, _Open] = field(default_factory=dict)  # by name in the account
     _dark_s: dict[str, float] = field(default_factory=dict)  # by name: from when on it is dark, where not yet stored
+    _lock: threading.RLock = field(default_factory=threading.RLock)
 
     def open(self, serial: str) -> None:
         """Take up the account of a box that has just gone dark; what a program that ended left open is over now.
 
         An account that cannot be had is no error here, for darkness needs none: every light is refused then.
         """
-        self._box = serial
-        try:
-            with self.store.change() as account:
-                account.meet(serial)
-                for name, planned in list(account.planned.items()):
-                    if planned.box == serial and not self.store.lives(planned.holder):
-                        account.settle(name, account.now_s)
-        except UnsafeStimulus:
-            return  # `reserve` meets the same trouble and says so
-        self._open, self._dark_s = {}, {}
+        with self._lock:
+            self._box = serial
+            try:
+                with self.store.change() as account:
+                    account.meet(serial)
+                    for name, planned in list(account.planned.items()):
+                        if planned.box == serial and not self.store.lives(planned.holder):
+                            account.settle(name, account.now_s)
+            except UnsafeStimulus:
+                return  # `reserve` meets the same trouble and reports it
+            self._open, self._dark_s = {}, {}
 
     def refuse_unsafe(self, channel: str, radiance_w_sr_m2: float, bright_s: float) -> None:
         """Raise UnsafeStimulus if a stimulus, with all that was given before, exceeds the allowed fraction.
@@ -106,9 +109,11 @@ class ExposureLedger:
             radiance_w_sr_m2: Highest radiance while bright, in W·sr⁻¹·m⁻².
             bright_s: Planned bright time in s; `math.inf` where no end is planned.
         """
-        account = self._looked_at()
-        planned = self._planned(account, Stimulus(channel, radiance_w_sr_m2, bright_s, math.inf))
-        if (refusal := self._refusal(account, planned)) is not None:
+        with self._lock:
+            account = self._looked_at()
+            planned = self._planned(account, Stimulus(channel, radiance_w_sr_m2, bright_s, math.inf))
+            refusal = self._refusal(account, planned)
+        if refusal is not None:
             raise refusal
 
     def refuse_further(self, where: str, used: HazardFractions) -> None:
@@ -118,7 +123,8 @@ class ExposureLedger:
             where: What is planned, for the message.
             used: Fractions of the limits that it would use up.
         """
-        before = self._used(self._looked_at(), channel=None)
+        with self._lock:
+            before = self._used(self._looked_at(), channel=None)
         whole = HazardFractions(used.blue_light + before.blue_light, used.thermal + before.thermal)
         refuse_unsafe(where, whole, self.allowed_fraction)
 
@@ -129,28 +135,37 @@ class ExposureLedger:
             UnsafeStimulus: If it is too much with all that was given before, or cannot be stored; it was not entered.
         """
         name = uuid.uuid4().hex
-        with self.store.change() as account:
-            account.meet(self._box)
-            self._settle_known(account)
-            planned = self._planned(account, stimulus)
-            refusal = self._refusal(account, planned)
-            if refusal is None:
-                account.planned[name] = planned
-        self._dark_s = {}
-        if refusal is not None:
-            raise refusal
-        highest = max(self._before(stimulus, planned.start_s), stimulus.radiance_w_sr_m2)
-        self._open[name] = _Open(stimulus.channel, highest, planned.over_s)
+        with self._lock:
+            with self.store.change() as account:
+                account.meet(self._box)
+                self._settle_known(account)
+                planned = self._planned(account, stimulus)
+                refusal = self._refusal(account, planned)
+                if refusal is None:
+                    account.planned[name] = planned
+            self._dark_s = {}
+            if refusal is not None:
+                raise refusal
+            highest = max(self._before(stimulus, planned.start_s), stimulus.radiance_w_sr_m2)
+            self._open[name] = _Open(stimulus.channel, highest, planned.over_s)
         return name
+
+    def holds(self, name: str) -> bool:
+        """Tell whether a stimulus that was entered may still begin: nothing has darkened its channel since."""
+        with self._lock:
+            return name in self._open
 
     def withdraw(self, name: str) -> None:
         """Take out a stimulus that the box has refused."""
-        self._end({name}, -math.inf)
+        with self._lock:
+            self._end({name}, -math.inf)
+            self.settle()
 
     def begun(self, name: str) -> None:
-        """Note that a stimulus is on; what its channel did before has ended."""
-        channel = self._open[name].channel
-        self._end({n for n, known in self._open.items() if known.channel == channel and n != name}, self.store.now_s())
+        """Note that a stimulus is on; what its channel did before has ended, which `settle` stores."""
+        with self._lock:
+            channel = self._open[name].channel
+            self._end({n for n, known in self._open.items() if known.channel == channel and n != name})
 
     def note(self, stimulus: Stimulus) -> None:
         """Enter light that was given without having been asked for. Raises UnsafeStimulus where it cannot be stored."""
@@ -165,30 +180,36 @@ class ExposureLedger:
         What it has given stays in the account. Never raises: where that cannot be stored, the account holds the whole
         plan until it can.
         """
-        ended = {name for name, known in self._open.items() if channel in (None, known.channel)}
-        self._end(ended, self.store.now_s() + within_s)
+        with self._lock:
+            self._end({name for name, known in self._open.items() if channel in (None, known.channel)}, within_s)
+            self.settle()
 
     def is_kept(self) -> bool:
         """Tell whether the account still holds what is lit: it may be deleted or damaged meanwhile."""
-        try:
-            account = self.store.look()
-        except UnsafeStimulus:
-            return True  # no other program can read it either, so none gives light beside this one's
-        return all(name in account.planned for name, known in self._open.items() if known.over_s > account.now_s)
+        with self._lock:
+            try:
+                account = self.store.look()
+            except UnsafeStimulus:
+                return True  # no other program can read it either, so none gives light at the same time
+            return all(name in account.planned for name, known in self._open.items() if known.over_s > account.now_s)
 
-    def _end(self, names: set[str], dark_s: float) -> None:
+    def _end(self, names: set[str], within_s: float = 0.0) -> None:
         now_s = self.store.now_s()
         for name in names:
             if self._open.pop(name).over_s > now_s:  # else the account settles it by itself
-                self._dark_s[name] = dark_s
-        if not names or not self._dark_s:
-            return
-        try:
-            with self.store.change() as account:
-                self._settle_known(account)
-        except UnsafeStimulus:
-            return  # darkness needs no account; the next stimulus stores it
-        self._dark_s = {}
+                self._dark_s[name] = now_s + within_s
+
+    def settle(self) -> None:
+        """Store what has ended; never raises, for the account holds the whole plan until it can be stored."""
+        with self._lock:
+            if not self._dark_s:
+                return
+            try:
+                with self.store.change() as account:
+                    self._settle_known(account)
+            except UnsafeStimulus:
+                return  # darkness needs no account; the next stimulus stores it
+            self._dark_s = {}
 
     def _settle_known(self, account: Account) -> None:
         for name, dark_s in self._dark_s.items():

@@ -61,7 +61,11 @@ class Desk:
         return ledger
 
     def pulse(self, ledger: ExposureLedger, seconds: float, radiance: float = 1000.0, channel: str = "a") -> None:
-        ledger.begun(ledger.reserve(Stimulus(channel, radiance, seconds, seconds)))
+        self.light(ledger, Stimulus(channel, radiance, seconds, seconds))
+
+    def light(self, ledger: ExposureLedger, stimulus: Stimulus) -> None:
+        ledger.begun(ledger.reserve(stimulus))
+        ledger.settle()
 
 
 @pytest.fixture
@@ -212,7 +216,7 @@ def test_a_ramp_counts_as_the_higher_of_its_levels(desk, before, after):
     ledger = desk.open()
     if before:
         desk.pulse(ledger, 30.0, before)
-    ledger.begun(ledger.reserve(Stimulus("a", after, math.inf, math.inf, ramp_s=60.0)))
+    desk.light(ledger, Stimulus("a", after, math.inf, math.inf, ramp_s=60.0))
     desk.clock.wait(100.0)
     ledger.darken("a")
     given = max(before, after) * 60.0 * SLOW + after * 100.0
