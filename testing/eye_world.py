@@ -510,7 +510,7 @@ class World:
         level = DriveLevel(value, CurrentRange.HIGH if high else CurrentRange.LOW)
         seconds = rng.choice([rng.uniform(0.05, 3.0), rng.uniform(3.0, 45.0)])
         verb = rng.choice(["pulse", "pulse", "pulse", "set", "ramp", "blink"])
-        if verb == "ramp":  # the twin takes each of its milliseconds by itself: few of them
+        if verb == "ramp" and rng.random() < 0.9:  # the twin takes each ms of a ramp by itself: few are long
             seconds = rng.choice([0.001, rng.uniform(0.01, 1.5)])
         acts: dict[str, Callable[[SerialLightBox], object]] = {
             "pulse": lambda box: box.pulse(channel, level, seconds),
@@ -534,7 +534,7 @@ class World:
         if (program := self._any()) is None:
             return
         channel = self.rng.choice(["field", "bleach"])
-        for seconds in (45.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.3):
+        for seconds in (45.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.3, 0.1):
             self.count["asked"] += 1
             if self._acts(program, lambda box, s=seconds: box.pulse(channel, DriveLevel(60_000), s)):  # type: ignore[misc]
                 self.count["given"] += 1
