@@ -15,8 +15,9 @@ from radiometer.reconciliation.inputs.sources import DoneCapture
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.propose import propose_law, search
-from radiometer.reconciliation.propose.effect_file import Law, effect_of
 from radiometer.reconciliation.propose.grammar import Term
+from radiometer.reconciliation.propose.law import Law
+from radiometer.reconciliation.propose.law_effect import effect_of
 from radiometer.reconciliation.propose.search import _plainest
 from radiometer.reconciliation.result import FoundEffect
 from testing.generator.session import make_session
