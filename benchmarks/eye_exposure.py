@@ -29,13 +29,13 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--twin", type=int, default=10_000, help="sequences with the simulated twin")
     parser.add_argument("--firmware", type=int, default=200, help="sequences with the firmware's code")
-    wanted = parser.parse_args()
+    options = parser.parse_args()
     memory = "/dev/shm" if Path("/dev/shm").is_dir() else None
     with tempfile.TemporaryDirectory(dir=memory) as name:
         folder = Path(name)
         found = {
-            "simulated twin": sequences(folder, wanted.twin),
-            "firmware's code": sequences(folder, wanted.firmware, firmware=True),
+            "simulated twin": sequences(folder, options.twin),
+            "firmware's code": sequences(folder, options.firmware, firmware=True),
         }
     body = [
         "| box | sequences | largest share of the limit in any 10⁴ s | median | above 9 % | above 10 % |",

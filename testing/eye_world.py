@@ -80,7 +80,7 @@ class Dose:
             self._sum -= rate * (ended_s - begin_s)
         if not self._parts:
             return 0.0
-        begin_s, _, rate = self._parts[0]  # the parts follow each other: only the first may lie across the edge
+        begin_s, _, rate = self._parts[0]  # the parts follow each other: only the first may be cut by the edge
         return self._sum - rate * max(oldest_s - begin_s, 0.0)
 
 
@@ -439,7 +439,7 @@ class World:
             yield
 
     def _store(self, program: Program | None) -> FileStore:
-        name = program.name if program else "nobody"
+        name = program.name if program else "the desk"
         return FileStore(self.folder, self.moment, self._sleep, name, lambda holder: holder in self._living())
 
     def _living(self) -> set[str]:

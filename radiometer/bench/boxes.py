@@ -205,8 +205,9 @@ def calibration_file(serial: str) -> Path:
 
 def exposure_store() -> FileStore:
     """Return the account of retinal exposure of this user: in RADIOMETER_STATE, else in the XDG state folder."""
-    base = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
-    return FileStore(Path(os.environ.get(STATE_VARIABLE) or Path(base) / "radiometer"))
+    base = Path(os.environ.get("XDG_STATE_HOME") or Path(".local") / "state")
+    # A relative path begins at the user's home: the same one whatever folder a command runs in.
+    return FileStore(Path.home() / (os.environ.get(STATE_VARIABLE) or base / "radiometer"))
 
 
 def confirm_no_exposure(serial: str) -> None:

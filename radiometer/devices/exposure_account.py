@@ -42,7 +42,7 @@ class Moment:
 
     Attributes:
         boot: Which start of the machine `uptime_s` counts from.
-        uptime_s: Time since that start in s, also while the machine slept; nobody can set it.
+        uptime_s: Time since that start in s, also while the machine slept; it cannot be set.
         wall_s: Time of day as Unix time in s; may be set to anything.
     """
 
@@ -190,7 +190,7 @@ class Account:
     def advance(self, moment: Moment) -> bool:
         """Bring the account to a later moment; return False where the moment is before the account was written.
 
-        Within a boot the uptime counts, which nobody can set. Across boots the time that passed is the wall clock's or
+        Within a boot the uptime counts, which cannot be set. Across boots the time that passed is the wall clock's or
         the uptime of the new boot, whichever is less: how long the machine was off is not known.
         """
         before = self.moment

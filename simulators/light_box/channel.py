@@ -157,7 +157,7 @@ class Channel:
             self.kept = max(self.kept, PARTS - 1)
 
     def _parts(self, units: int) -> int:
-        """Return the 64ths, short of all, that are no more than so many units."""
+        """Return the 64ths, short of all, that are at most so many units."""
         return min(PARTS - 1, ((units + 1) * PARTS - 1) // self.limits.bucket)
 
     def _ramp(self) -> None:

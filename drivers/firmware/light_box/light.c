@@ -50,7 +50,7 @@ static uint32_t units_of(uint8_t n, uint8_t parts)
     return full / PARTS * parts + full % PARTS * parts / PARTS;
 }
 
-/* The most parts, short of all, that are no more than so many units. */
+/* The most parts, short of all, that are at most so many units. */
 static uint8_t parts_within(uint8_t n, uint32_t units)
 {
     uint32_t parts = units / (channel_limits[n].bucket / PARTS);

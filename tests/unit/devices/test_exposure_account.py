@@ -109,7 +109,7 @@ def test_a_program_that_lives_keeps_its_light_in_the_account_whoever_opens_a_box
 
 @pytest.mark.parametrize("step_s", [-1e7, -3600.0, 3600.0, 1e7])
 def test_setting_the_clock_changes_nothing(desk, step_s):
-    """8 % given just now stay 8 % whatever the time of day is said to be."""
+    """8 % given just now stay 8 % whatever the wall clock shows."""
     desk.pulse(desk.open(), 80.0)
     desk.clock.wait(90.0)
     desk.clock.wall_s += step_s
@@ -200,7 +200,7 @@ def test_a_box_that_this_computer_has_never_seen_counts_as_used_up(desk):
 
 
 def test_an_eye_carries_its_exposure_from_box_to_box(desk):
-    """6 % in one box and 6 % in another are too much for one eye, and for nobody else."""
+    """6 % in one box and 6 % in another are too much for one eye, and not for the other eye."""
     with desk.store("setup").change() as account:
         account.begin("LB000002")
     desk.pulse(desk.open("LB000001", "S07 right"), 60.0)
@@ -237,7 +237,7 @@ def test_thermal_limits_of_lights_together_add_up(desk):
 
 
 def test_what_still_shines_counts_to_its_planned_end(desk):
-    """50 s under way count whole beside another channel; their own channel's next light ends them."""
+    """50 s under way count whole when another channel is asked for; their own channel's next light ends them."""
     ledger = desk.open()
     desk.pulse(ledger, 50.0)
     desk.clock.wait(10.0)
@@ -313,7 +313,7 @@ doses = st.lists(
 @settings(max_examples=60, deadline=None)
 @given(doses)
 def test_the_account_is_the_sum_over_the_last_ten_thousand_seconds(given_doses):
-    """Whatever was shone, in whichever channel: what is left is a tenth less Σ L·t / 10⁶ of the window, to 50 s."""
+    """Whatever was shone, in whichever channel: the rest is a tenth less Σ L·t / 10⁶ of the window, to 50 s."""
     clock = Clock()
     ledger = ExposureLedger({"a": BLUE, "b": BLUE, "c": BLUE}, MemoryStore(lambda: clock.uptime_s, ("LB000001",)))
     ledger.open("LB000001")
