@@ -33,6 +33,7 @@ LOCK_LOOK_S: Final = 0.005
 # Steps of the wall clock below this at a restart are corrections of a drifting clock; time counts as standing still.
 CLOCK_STEP_S: Final = 60.0
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
+_MACHINE_ID: Final = Path("/etc/machine-id")
 _UNKNOWN_BOOT: Final = uuid.uuid4().hex  # where the system names no boot, each program counts as a new one
 
 
@@ -44,11 +45,13 @@ class Moment:
         boot: Which start of the machine `uptime_s` counts from.
         uptime_s: Time since that start in s, also while the machine slept; it cannot be set.
         wall_s: Time of day as Unix time in s; may be set to anything.
+        machine: Which computer it is.
     """
 
     boot: str
     uptime_s: float
     wall_s: float
+    machine: str = ""
 
 
 def machine_moment() -> Moment:
@@ -57,7 +60,11 @@ def machine_moment() -> Moment:
         boot = _BOOT_ID.read_text(encoding="ascii").strip()
     except OSError:
         boot = _UNKNOWN_BOOT
-    return Moment(boot, time.clock_gettime(time.CLOCK_BOOTTIME), time.time())
+    try:
+        machine = _MACHINE_ID.read_text(encoding="ascii", errors="replace").strip()
+    except OSError:
+        machine = ""
+    return Moment(boot, time.clock_gettime(time.CLOCK_BOOTTIME), time.time(), machine)
 
 
 def process_name(pid: int) -> str:
@@ -188,12 +195,14 @@ class Account:
         return math.fsum(self.given.get(key, {}).values())
 
     def advance(self, moment: Moment) -> bool:
-        """Bring the account to a later moment; return False where the moment is before the account was written.
+        """Bring the account to a later moment; return False where it was written after that, or by another computer.
 
         Within a boot the uptime counts, which cannot be set. Across boots the time that passed is the wall clock's or
         the uptime of the new boot, whichever is less: how long the machine was off is not known.
         """
         before = self.moment
+        if moment.machine != before.machine:  # neither its uptime nor its wall clock can be compared with ours
+            return False
         if moment.boot == before.boot:
             if moment.uptime_s < before.uptime_s:
                 return False
@@ -398,7 +407,7 @@ class FileStore:
         if account is None:
             return Account(moment, reason=f"the exposure account {self.path} was damaged")
         if not account.advance(moment):
-            return Account(moment, reason=f"the exposure account {self.path} was from the future")
+            return Account(moment, reason=f"the exposure account {self.path} was from the future or another computer")
         return account
 
     def _write(self, account: Account, folder: int) -> None:
@@ -421,7 +430,7 @@ def render_account(account: Account) -> str:
     body = json.dumps(
         {
             "format": FORMAT,
-            "moment": [account.moment.boot, account.moment.uptime_s, account.moment.wall_s],
+            "moment": [account.moment.boot, account.moment.uptime_s, account.moment.wall_s, account.moment.machine],
             "given": {key: sorted(bins.items()) for key, bins in account.given.items()},
             "assumed": account.assumed,
             "planned": {name: _planned_to_json(planned) for name, planned in account.planned.items()},
@@ -441,8 +450,9 @@ def parse_account(content: bytes) -> Account | None:
         known = json.loads(body)
         if known["format"] != FORMAT:
             return None
+        boot, uptime_s, wall_s, machine = known["moment"]
         return Account(
-            Moment(str(known["moment"][0]), *(float(clock) for clock in known["moment"][1:])),
+            Moment(str(boot), float(uptime_s), float(wall_s), str(machine)),
             {key: {float(end_s): float(blue) for end_s, blue in bins} for key, bins in known["given"].items()},
             {key: (float(until_s), str(why)) for key, (until_s, why) in known["assumed"].items()},
             {name: _planned_from_json(entry) for name, entry in known["planned"].items()},

@@ -129,7 +129,8 @@ def test_light_of_separate_commands_adds_up_until_it_is_refused(served, capsys, 
         "channels:\n  field: {peak_nm: null, subtense_deg: 1, radiance_bound_W_per_sr_m2: 6500}\n",
         encoding="utf-8",
     )
-    pulse = ["light", "pulse", "field", "--level", "30000", "--duration", "4s", "--preset", str(preset), "--box", served]
+    light = ["--level", "30000", "--duration", "4s", "--preset", str(preset), "--box", served]
+    pulse = ["light", "pulse", "field", *light]
     assert [run(pulse) for _ in range(3)] == [0, 0, 1]
     assert "of the blue-light exposure limit" in capsys.readouterr().err
     assert run(["light", "off"]) == 0

@@ -6,6 +6,7 @@ import fcntl
 import math
 import multiprocessing
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -27,10 +28,10 @@ class Clock:
     """Both clocks of a computer, turned by the test."""
 
     def __init__(self) -> None:
-        self.boot, self.uptime_s, self.wall_s = 0, 5000.0, 1.7e9
+        self.boot, self.uptime_s, self.wall_s, self.machine = 0, 5000.0, 1.7e9, "one"
 
     def __call__(self) -> Moment:
-        return Moment(f"boot {self.boot}", self.uptime_s, self.wall_s)
+        return Moment(f"boot {self.boot}", self.uptime_s, self.wall_s, self.machine)
 
     def wait(self, duration_s: float) -> None:
         self.uptime_s += duration_s
@@ -152,14 +153,25 @@ def harm(desk: Desk, kind: str) -> None:
     elif kind == "from the future":
         account = parse_account(content)
         assert account is not None
-        account.moment = Moment(account.moment.boot, account.moment.uptime_s + 3600.0, account.moment.wall_s + 3600.0)
+        account.moment = replace(account.moment, uptime_s=account.moment.uptime_s + 3600.0)
         desk.file.write_text(render_account(account), encoding="ascii")
     elif kind == "of another boot, from the future":
         desk.clock.reboot(off_s=-1e6)
+    elif kind == "of another computer":
+        desk.clock.boot, desk.clock.machine = 7, "another"
 
 
 @pytest.mark.parametrize(
-    "kind", ["missing", "cut", "edited", "endless", "from the future", "of another boot, from the future"]
+    "kind",
+    [
+        "missing",
+        "cut",
+        "edited",
+        "endless",
+        "from the future",
+        "of another boot, from the future",
+        "of another computer",
+    ],
 )
 def test_an_account_that_cannot_be_believed_counts_as_used_up_until_the_window_is_over(desk, kind):
     """Every light is refused with the way out, darkness is not; after 10⁴ s it is let through again."""
