@@ -213,7 +213,7 @@ def test_bucket_runs_dry_and_says_so(avr, ask):
 
 
 def test_opening_the_port_gives_no_energy_back(small_bucket_hex):
-    """Half of the field's 0.75 s given, then a reset: the bucket holds at most as much as before, the flash is remembered."""
+    """Half of the field's 0.75 s given, then a reset: the bucket holds no more, the flash is remembered."""
     avr = AvrBox(small_bucket_hex)
     avr.run(0.05)
 
