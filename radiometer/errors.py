@@ -5,6 +5,7 @@
     │   └── ConfigurationError       a configuration file holds something not allowed
     ├── InputError                   the data handed in cannot be used
     │   ├── CaptureError             a capture set or photograph folder is unfinished or inconsistent
+    │   │   └── DamagedFileError     one file of pictures is damaged or cut short
     │   ├── UnsettledError           a file states a number whose unit or place is not known; an option settles it
     │   └── CalibrationError         a calibration does not fit the camera or the question
     ├── MeasurementError             the measurement cannot be done with this scene or these frames
@@ -46,6 +47,10 @@ class InputError(RadiometerError):
 
 class CaptureError(InputError):
     """A capture set or photograph folder is unfinished or inconsistent."""
+
+
+class DamagedFileError(CaptureError):
+    """A file of pictures is damaged or cut short; others beside it may be whole."""
 
 
 class UnsettledError(InputError):

@@ -128,6 +128,9 @@ _LEVEL: Final = {
     **_all("%|percent|per cent|pct|0-100", _times(0.01)),
     **_all("share|fraction|0-1|normalised|normalized|of 1", _times(1.0)),
 }
+# Gain steps by the maker's name in the header. ZWO: "ASI Cameras software development kit", ASI_GAIN, tenths of a dB.
+# QHY, Atik, Touptek and Player One count in steps that differ between models: their unit is unknown.
+_MAKERS_GAIN: Final = {"ZWO": "0.1dB", "ASI": "0.1dB"}
 # The sentinels: 65535 and 4294967295 are full 16- and 32-bit counters, the others are what makers' programs write.
 _COUNTERS: Final = frozenset({65_535.0, 4_294_967_295.0, -32_768.0, -1.0, -999.0, -9999.0})
 QUANTITIES: Final[Mapping[str, Quantity]] = {
@@ -193,6 +196,11 @@ def unit_of(spelling: str, quantity: str) -> Unit | None:
         count = float(counted["count"])
         return Unit(quantity, spelling.strip(), lambda value: inner.to_base(value * count))
     return None
+
+
+def gain_unit_of_maker(camera: str) -> str:
+    """Return the unit in which a camera's maker counts gain, by the camera's name; "" where it is not known."""
+    return next((unit for maker, unit in _MAKERS_GAIN.items() if re.search(rf"\b{maker}(?=\b|\d)", camera)), "")
 
 
 def is_unknown(written: Any) -> bool:
@@ -446,6 +454,10 @@ class StatementMap:
             "map": {fact: [str(place) for place in found] for fact, found in self.places.items()},
         }
 
+    def words(self) -> tuple[str, ...]:
+        """Return the map in the words of `--map`, for a record."""
+        return tuple(f"{fact}={place}" for fact, found in self.places.items() for place in found)
+
     def find(self, fact: str, header: Mapping[str, Statement], where: str) -> tuple[Place, Statement] | None:
         """Return the mapped place of a fact that a header has, and what stands there; None where none is mapped.
 
@@ -463,6 +475,56 @@ class StatementMap:
             named = ", ".join(str(p) for p in self.places[fact])
             raise UnsettledError(f"{where}: states nothing under {named}, which --map {fact} names; it has {_some(header)}")
         return None
+
+
+def first_stated(
+    fact: str,
+    header: Mapping[str, Statement],
+    places: Iterable[Place],
+    mapped: StatementMap,
+    doubts: list[str],
+    where: str,
+) -> tuple[str, float] | None:
+    """Return where a fact stands first and its value in the base unit: the user's place, else the format's own.
+
+    Args:
+        fact: A key of `FACTS`.
+        header: What the file states.
+        places: Where the format has it, the best first, each with the unit that its definition gives.
+        mapped: Where the user states that facts stand.
+        doubts: Lines to which is added what is reported.
+        where: The file, for messages.
+
+    Raises:
+        UnsettledError: If a unit is missing or not known, or the user's place is not there.
+    """
+    if (found := mapped.find(fact, header, where)) is not None:
+        place, statement = found
+        value = value_of(statement, fact, place.name, doubts, where=where)
+        return None if value is None else (f"{place} (--map)", value)
+    for place in places:
+        if place.name in header:
+            value = value_of(header[place.name], fact, place.name, doubts, defined=place.unit, where=where)
+            if value is not None:
+                return place.name, value
+    return None
+
+
+def text_stated(
+    fact: str, header: Mapping[str, Statement], places: Iterable[str], mapped: StatementMap, where: str
+) -> tuple[str, str] | None:
+    """Return where a fact in words stands first, and the words; None where nothing does."""
+    if (found := mapped.find(fact, header, where)) is not None and not is_unknown(found[1].written):
+        return found[0].name, str(found[1].written).strip("\x00 ")
+    for place in places:
+        if place in header and not is_unknown(words := str(header[place].written).strip("\x00 ")):
+            return place, words
+    return None
+
+
+def places(text: str) -> tuple[Place, ...]:
+    """Return the places of words such as "XPOSURE:s EXPTIME:s ITIME"."""
+    return tuple(Place.parse(word) for word in text.split())
 
 
 def _entry(header: Mapping[str, Statement], name: str) -> Statement | None:

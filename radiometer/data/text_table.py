@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -188,10 +189,13 @@ def read_table(path: Path, needs: str, text: str | None = None) -> TextTable:
         raise InputError(f"{path} is empty; it needs {needs}")
     separator = _separator([line for _, line in content], forced)
     cells = [(n, _split(line, separator)) for n, line in content]
-    width = len(cells[-1][1])
-    start = next(n for n in range(len(cells)) if all(len(row) == width for _, row in cells[n:]))
+    width = Counter(len(row) for _, row in cells).most_common(1)[0][0]
+    start = next(n for n, (_, row) in enumerate(cells) if len(row) == width)
     preamble, body = cells[:start], cells[start:]
-    _refuse_ragged(path, preamble, width, separator)
+    for line, row in (*preamble, *body):
+        is_data = sum(_is_number(c) or bool(_COMMA.fullmatch(c)) for c in row) >= max(1, len(row) - 1)
+        if len(row) != width and (line > body[0][0] or (is_data and len(row) > 1)):
+            raise _ragged(path, line, row, width, separator)
     header, body = _heading(body)
     if not header and preamble and len(preamble[-1][1]) > 1:
         raise _ragged(path, *preamble[-1], width, separator)
@@ -245,18 +249,10 @@ def _split(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
 
 
-def _refuse_ragged(path: Path, preamble: Sequence[tuple[int, list[str]]], width: int, separator: str) -> None:
-    """Refuse rows of numbers that have another number of cells than the last row."""
-    for line, row in preamble:
-        numbers = [cell for cell in row if _is_number(cell) or _COMMA.fullmatch(cell)]
-        if numbers and len(numbers) >= len(row) - 1 and len(row) > 1:
-            raise _ragged(path, line, row, width, separator)
-
-
 def _ragged(path: Path, line: int, row: Sequence[str], width: int, separator: str) -> InputError:
     comma = " (decimal commas between commas?)" if separator == "," else ""
     return InputError(
-        f"{path}, line {line}: {len(row)} cells, the last line has {width}{comma}; give all lines one number of cells"
+        f"{path}, line {line}: {len(row)} cells, most lines have {width}{comma}; give all lines one number of cells"
     )
 
 
