@@ -109,7 +109,8 @@ _CONVERSION: Final = {
 }
 _LUMINANCE: Final = {
     **_all(
-        "cd/m2|cd/m^2|cd m2|cd m-2|cd m^-2|cd*m-2|cd.m-2|cd per m2|cd/sqm|cd/qm|nit|nits|lm/sr/m2|candela/m2", _times(1.0)
+        # "cd" alone: in a column of luminance nothing else can be meant.
+        "cd|cd/m2|cd/m^2|cd m2|cd m-2|cd m^-2|cd*m-2|cd.m-2|cd per m2|cd/sqm|cd/qm|nit|nits|lm/sr/m2|candela/m2", _times(1.0)
     ),
     **_all("mcd/m2|mcd m2|mcd m-2|mnit", _times(1e-3)),
     **_all("kcd/m2|kcd m2", _times(1e3)),
@@ -156,7 +157,7 @@ QUANTITIES: Final[Mapping[str, Quantity]] = {
 FACTS: Final[Mapping[str, str]] = {
     **{name: name for name in QUANTITIES if name not in ("number", "text", "time", "level", "wavelength")},
     "timestamp": "time", "kind": "text", "filter": "text", "model": "text", "serial": "text", "mode": "text",
-    "level": "level", "wavelength": "wavelength", "power": "number", "mean": "number", "variance": "number",
+    "level": "level", "wavelength": "wavelength", "power": "number", "number": "number", "mean": "number", "variance": "number",
     "sigma": "number", "frames": "number", "pixels": "number", "photons": "number", "source_level": "number",
 }  # fmt: skip
 _MISSING: Final = frozenset(
@@ -187,9 +188,9 @@ def unit_of(spelling: str, quantity: str) -> Unit | None:
             return Unit(quantity, spelling.strip(), known[candidate])
     lower = text.lower()
     matches = {id(convert): convert for name, convert in known.items() if name.lower() == lower}
-    # One letter before a unit may be a prefix whose size depends on its case (mS, Ms, MS).
-    prefixed = len(text) == 2 and text[0].isalpha() and quantity in ("exposure", "time")
-    if len(matches) == 1 and not prefixed:
+    # Where case tells a prefix (mS, Ms, MS) or a name (A is ångström, a is none), it counts.
+    by_case = (len(text) == 2 and quantity in ("exposure", "time")) or (len(text) == 1 and quantity == "wavelength")
+    if len(matches) == 1 and not by_case:
         return Unit(quantity, spelling.strip(), next(iter(matches.values())))
     counted = _COUNTED_UNIT.fullmatch(text)
     if counted and (inner := unit_of(counted["unit"], quantity)) is not None:
@@ -350,6 +351,8 @@ def _unit_stated(
         raise UnsettledError.of_unit(where, place, statement.written, both, fact, tuple(_names(quantity)))
     if stated:
         return next(iter(stated.values()))
+    if quantity == "number":
+        defined = "1"
     named = unit_of(defined, quantity) if defined else None
     if named is None:
         raise UnsettledError.of_unit(where, place, statement.written, "", fact, tuple(_names(quantity)))

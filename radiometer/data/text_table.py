@@ -167,13 +167,14 @@ def _has_unit(cell: str, fact: str) -> bool:
     return bool(found) and unit_of(found[1], FACTS[fact]) is not None if found else False
 
 
-def read_table(path: Path, needs: str, text: str | None = None) -> TextTable:
+def read_table(path: Path, needs: str, text: str | None = None, *, named: bool = False) -> TextTable:
     """Return a table of columns parted by tabs, semicolons, commas or blanks.
 
     Args:
         path: Its file.
         needs: What it needs, for messages.
         text: Its content, where that is at hand.
+        named: Refuse a table whose columns have no names.
 
     Raises:
         InputError: If it cannot be read, holds no table, or its separator or decimal mark is ambiguous.
@@ -201,6 +202,8 @@ def read_table(path: Path, needs: str, text: str | None = None) -> TextTable:
         raise _ragged(path, *preamble[-1], width, separator)
     if not header:
         header = _heading_above(comments, width)
+    if named and not header:
+        raise InputError(f"{path}: has no line that names its columns; it needs {needs}")
     decimal_comma = _decimal_comma(path, [row for _, row in body], separator)
     rows = tuple((n, tuple(_pointed(c) for c in row)) for n, row in body) if decimal_comma else tuple(body)
     how = f"columns separated by {_SEPARATORS.get(separator, repr(separator))}, decimal {'commas' if decimal_comma else 'points'}"

@@ -158,7 +158,7 @@ def _rows(path: Path) -> tuple[list[Row], tuple[str, ...]]:
     if _suffix(path) not in (".csv", ".tsv"):
         return _json_rows(text, path), ()
     try:
-        table = read_table(path, "columns of exposure, mean and variance", text)
+        table = read_table(path, "columns of exposure, mean and variance", text, named=True)
     except InputError as error:
         raise CaptureError(str(error)) from error
     keys = [_key(name) for name in table.header]
