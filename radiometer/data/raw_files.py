@@ -24,8 +24,9 @@ class RawColours:
     """The three colours of a mosaic, or the one of a sensor without filters.
 
     Attributes:
-        values: Shape (height, width) of a sensor without filters, else (height, width, 3), red, green and blue: of the pixels of one colour in a cell the first (at half
-            size for Bayer's mosaic, a third for X-Trans), or of every pixel where interpolated.
+        values: Shape (height, width) of a sensor without filters, else (height, width, 3), red, green and blue: of the
+            pixels of one colour in a cell the first (at half size for Bayer's mosaic, a third for X-Trans), or of every
+            pixel where interpolated.
         bit_depth: Bits per value, 9 to 16; numbers at the file's white level are full scale.
         black_levels_dn: Black level of red, green and blue.
     """

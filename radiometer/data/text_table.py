@@ -16,19 +16,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from radiometer.data.statements import (
-    FACTS,
-    Place,
-    Statement,
-    StatementMap,
-    heading_parts,
-    is_unknown,
-    plain_name,
-    unit_of,
-    value_of,
-)
+from radiometer.data.statements import FACTS, Place, Statement, StatementMap, is_unknown, value_of
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError, UnsettledError
+from radiometer.units import heading_parts, plain_name, unit_of
 
 _SEPARATORS: Final = {"\t": "tabs", ";": "semicolons", ",": "commas", "": "blanks"}
 _COMMENT_SIGNS: Final = "#%!"
@@ -82,7 +73,7 @@ class TextTable:
 
         Args:
             fact: A key of `FACTS`.
-            names: Plain names without units, the best first; a column whose heading is a unit of the fact alone counts last.
+            names: Plain names without units, the best first; a heading that is a unit of the fact alone counts last.
             mapped: Where the user states that facts stand.
 
         Raises:
@@ -101,7 +92,9 @@ class TextTable:
                 return at[0]
         return None
 
-    def values(self, at: int, fact: str, doubts: list[str], mapped: StatementMap | None = None, defined: str = "") -> list[float | None]:
+    def values(
+        self, at: int, fact: str, doubts: list[str], mapped: StatementMap | None = None, defined: str = ""
+    ) -> list[float | None]:
         """Return a column in the base unit of a fact; None in rows that state it as unknown.
 
         Args:
@@ -123,7 +116,9 @@ class TextTable:
         for line, cells in self.rows:
             cell = cells[at]
             if not is_unknown(cell) and not _is_number(cell) and "/" not in cell and not _has_unit(cell, fact):
-                raise InputError(f"{self.where(line)}: {heading}: {cell!r} is no number; correct it, or leave the row out")
+                raise InputError(
+                    f"{self.where(line)}: {heading}: {cell!r} is no number; correct it, or leave the row out"
+                )
             said: list[str] = []
             found.append(value_of(Statement(cell, stated), fact, heading, said, defined=defined, where=str(self.path)))
             doubts += [f"{line_said} (line {line})" for line_said in said]
@@ -153,7 +148,8 @@ class TextTable:
             if name.lower() in (heading.lower(), plain_name(heading)):
                 return n
         raise UnsettledError(
-            f"{self.path}: has no column {name!r}, which --map {fact} names; it has {', '.join(self.header) or 'no heading'}"
+            f"{self.path}: has no column {name!r}, which --map {fact} names; "
+            f"it has {', '.join(self.header) or 'no heading'}"
         )
 
 
@@ -206,7 +202,8 @@ def read_table(path: Path, needs: str, text: str | None = None, *, named: bool =
         raise InputError(f"{path}: has no line that names its columns; it needs {needs}")
     decimal_comma = _decimal_comma(path, [row for _, row in body], separator)
     rows = tuple((n, tuple(_pointed(c) for c in row)) for n, row in body) if decimal_comma else tuple(body)
-    how = f"columns separated by {_SEPARATORS.get(separator, repr(separator))}, decimal {'commas' if decimal_comma else 'points'}"
+    mark = "commas" if decimal_comma else "points"
+    how = f"columns separated by {_SEPARATORS.get(separator, repr(separator))}, decimal {mark}"
     kept = tuple(f"line {n}: {' '.join(row)[:60]}" for n, row in preamble)
     return TextTable(path, header, tuple((n, tuple(row)) for n, row in rows), how, comments, kept)
 
@@ -267,7 +264,14 @@ def _heading(body: list[tuple[int, list[str]]]) -> tuple[tuple[str, ...], list[t
     names, rest = list(first), body[1:]
     if len(rest) > 1 and not any(_is_number(c) or _COMMA.fullmatch(c) for c in rest[0][1]):
         units = [cell.strip("[]() ") for cell in rest[0][1]]
-        if any(units) and all(not u or any(unit_of(u, q) for q in ("exposure", "luminance", "wavelength", "level", "temperature", "gain", "black_level")) for u in units):
+        if any(units) and all(
+            not u
+            or any(
+                unit_of(u, q)
+                for q in ("exposure", "luminance", "wavelength", "level", "temperature", "gain", "black_level")
+            )
+            for u in units
+        ):
             names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
             rest = rest[1:]
     return tuple(names), rest
@@ -295,7 +299,9 @@ def _decimal_comma(path: Path, rows: Sequence[Sequence[str]], separator: str) ->
         return False
     points = [c for c in cells if _POINT.fullmatch(c) and "." in c]
     if points:
-        raise InputError(f"{path}: {points[0]!r} has a decimal point, {commas[0]!r} a comma; write all numbers in one way")
+        raise InputError(
+            f"{path}: {points[0]!r} has a decimal point, {commas[0]!r} a comma; write all numbers in one way"
+        )
     if all(_THOUSANDS.fullmatch(c) for c in commas):
         raise InputError(
             f"{path}: the comma in {commas[0]!r} may be a decimal mark or part thousands; write decimal points"
@@ -344,7 +350,9 @@ def finite(values: Sequence[float | None], table: TextTable, at: int) -> list[fl
     """Return values all of which are known. Raises InputError that names the first line whose value is not."""
     for (line, _), value in zip(table.rows, values, strict=True):
         if value is None or not math.isfinite(value):
-            raise InputError(f"{table.where(line)}: {table.header[at] if table.header else at + 1} is missing; leave the row out")
+            raise InputError(
+                f"{table.where(line)}: {table.header[at] if table.header else at + 1} is missing; leave the row out"
+            )
     return [float(v) for v in values if v is not None]
 
 

@@ -28,7 +28,9 @@ _ALIASES: Final = {"ISOSpeedRatings": "PhotographicSensitivity"}
 _RATIONALS: Final = (5, 10)  # TIFF types RATIONAL and SRATIONAL: pairs of numerator and denominator
 _EXPOSURE: Final = places("ExposureTime:s")
 # Exif 2.3, annex G: 65535 in the 16-bit tag means "more"; the speed is then in one of the others.
-_ISO: Final = places("PhotographicSensitivity:ISO RecommendedExposureIndex:ISO ISOSpeed:ISO StandardOutputSensitivity:ISO")
+_ISO: Final = places(
+    "PhotographicSensitivity:ISO RecommendedExposureIndex:ISO ISOSpeed:ISO StandardOutputSensitivity:ISO"
+)
 _F_NUMBER: Final = places("FNumber:1")
 DAMAGE: Final = (
     tifffile.TiffFileError, OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, struct.error,
@@ -38,7 +40,7 @@ DAMAGE: Final = (
 
 
 def statements_of_page(page: Any, *parents: Any) -> dict[str, Statement]:
-    """Return what a TIFF directory states, then what only the directories above it state, by name and by "tag NUMBER"."""
+    """Return by name and by "tag NUMBER" what a TIFF directory states, then what only those above it state."""
     found: dict[str, Statement] = {}
     for directory in (page, *parents):
         for tag in directory.tags:
@@ -47,7 +49,8 @@ def statements_of_page(page: Any, *parents: Any) -> dict[str, Statement]:
                     found.setdefault(_ALIASES.get(name, name), Statement(_of_exif(value)))
                 continue
             statement = Statement(_single(numbers_of(tag)))
-            found.setdefault(_NAMES.get(tag.code, _ALIASES.get(tag.name, tag.name)), statement)
+            name = str(tag.name)
+            found.setdefault(_NAMES.get(tag.code) or _ALIASES.get(name) or name, statement)
             found.setdefault(f"tag {tag.code}", statement)
     return found
 
@@ -87,7 +90,7 @@ def exposure_of(header: Header, doubts: list[str], where: str) -> tuple[str, flo
 
 
 def iso_of(header: Header, doubts: list[str], where: str) -> tuple[str, float] | None:
-    """Return where the ISO speed stands, and the speed; None where it is unknown, which is doubted where it is tried."""
+    """Return where the ISO speed stands, and the speed; None, and doubts, where it is unknown."""
     said = list[str]()
     found = first_stated("iso", header, _ISO, StatementMap(), said, where)
     if found is None:
@@ -104,8 +107,8 @@ def f_number_of(header: Header, doubts: list[str], where: str) -> float | None:
 def read_exif_header(path: Path) -> dict[str, Statement]:
     """Return the tags of a photograph: JPEG, PNG, TIFF or camera raw file; empty where it has none or is damaged.
 
-    Of TIFF and the raw files built on it all directories count (the mosaic of many stands in the first, EXIF in
-    another); of others EXIF as Pillow finds it; of raw files that neither reads (CR3, RAF, ORF, RW2), what LibRaw finds.
+    All directories of a TIFF and of raw files built on it count, for the mosaic may stand in one and EXIF in another.
+    Pillow finds EXIF in other files, and LibRaw in raw files that neither reads (CR3, RAF, ORF, RW2).
     """
     found = _of_tiff(path) or _of_pillow(path)
     if "ExposureTime" not in found and path.suffix.lower() in RAW_SUFFIXES:

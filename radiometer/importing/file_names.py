@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from radiometer.data.statements import unit_of
+from radiometer.units import unit_of
 
 _NUMBER: Final = r"(\d+(?:[.p]\d+)?)"
 _UNITS: Final = "ns|us|µs|μs|usec|ms|msec|s|sec|secs|min"

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from radiometer.data.frame import FrameSettings
 from radiometer.data.guards import refuse_size
 from radiometer.data.statements import (
-    BASE_ISO,
     Place,
     Statement,
     StatementMap,
@@ -26,22 +25,31 @@ from radiometer.data.statements import (
     gain_unit_of_maker,
     is_unknown,
     places,
-    read_number,
     text_stated,
-    unit_in_words,
     value_of,
 )
 from radiometer.errors import CaptureError, DamagedFileError, MissingLibrary
 from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.file_names import claims_of, contradictions
 from radiometer.importing.found import FoundFrame
+from radiometer.units import BASE_ISO, read_number, unit_in_words
 
 Header = Mapping[str, Statement]
 # Places in the order in which they are believed, each with the unit that its definition gives: XPOSURE and TELAPSE by
 # the FITS standard 4.0, table 34; EXPTIME and EXPOSURE by HEASARC's keyword dictionary; EXPOINUS by ZWO's ASICap. The
 # others are in use without a definition: their unit must be stated.
 _EXPOSURE: Final = places("XPOSURE:s EXPTIME:s EXPOSURE:s EXPOINUS:us EXP_TIME ITIME INTTIME EXPTIME1 TEXP EXPOSED")
-_TEMPERATURE: Final = ("CCD-TEMP", "CCDTEMP", "DET-TEMP", "DETTEMP", "SENSTEMP", "TEMPERAT", "CHIPTEMP", "CAMTEMP", "TEMP")
+_TEMPERATURE: Final = (
+    "CCD-TEMP",
+    "CCDTEMP",
+    "DET-TEMP",
+    "DETTEMP",
+    "SENSTEMP",
+    "TEMPERAT",
+    "CHIPTEMP",
+    "CAMTEMP",
+    "TEMP",
+)
 _SET_TEMPERATURE: Final = ("SET-TEMP", "SETTEMP", "CCD-TSET")
 _TIME: Final = ("DATE-OBS", "DATE-BEG", "DATE_OBS", "DATE")
 _CAMERA_NAME: Final = ("INSTRUME", "CAMERA", "DETECTOR", "DETNAM")
@@ -66,7 +74,7 @@ _SETTLED_K: Final = 1.0
 _EXPOSURES_SAME_REL: Final = 0.01  # by which two keywords of the exposure may differ unnoticed
 
 
-def read_fits_headers(path: Path, mapped: StatementMap = StatementMap()) -> list[FoundFrame]:  # noqa: B008 (frozen)
+def read_fits_headers(path: Path, mapped: StatementMap = StatementMap()) -> list[FoundFrame]:
     """Return the frames of a FITS file, gzipped or not, without keeping their pixels.
 
     A picture with a header and an exposure of its own is a frame; of pictures without, the first is. All other units
@@ -363,7 +371,9 @@ def _temperature(
     said = list[str]()
     asked = first_stated("temperature", header, _celsius(header, _SET_TEMPERATURE), StatementMap(), said, str(path))
     if "temperature_C" in taken and _is_kelvin_by_size(header, taken["temperature_C"]):
-        doubts.append(f"{taken['temperature_C']} states {header[taken['temperature_C']].written} without a unit: K is assumed")
+        doubts.append(
+            f"{taken['temperature_C']} states {header[taken['temperature_C']].written} without a unit: K is assumed"
+        )
     if known is None:
         if asked is not None:
             taken["temperature_C"] = asked[0]

@@ -11,9 +11,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.data.statements import heading_parts, read_number, unit_of
 from radiometer.data.text_table import TextTable, read_table, stamp_s
 from radiometer.errors import InputError, UnsettledError, UsageError
+from radiometer.units import heading_parts, read_number, unit_of
 
 Array = NDArray[np.float64]
 
@@ -206,7 +206,11 @@ def _assembled(
     value = np.array(columns["value"], dtype=np.float64) - (said.black_dn if black is None else black)
     exposure = np.array(columns["exposure"], dtype=np.float64) * (seconds.to_base(1.0) if seconds else 1.0)
     gain = column("gain")
-    gain_db = np.zeros(value.size) if gain is None else _decibels(gain, table.header[places["gain"]], said.gain_unit, table.path)
+    gain_db = (
+        np.zeros(value.size)
+        if gain is None
+        else _decibels(gain, table.header[places["gain"]], said.gain_unit, table.path)
+    )
     reference, unit = (np.ones(value.size), "1")
     if "reference" in columns:
         reference, unit = linear(np.array(columns["reference"], dtype=np.float64), name["reference"], assumed)

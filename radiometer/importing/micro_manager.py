@@ -16,8 +16,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from radiometer.data.statements import Statement, StatementMap, heading_parts, value_of
+from radiometer.data.statements import Statement, StatementMap, value_of
 from radiometer.importing.found import FoundFrame
+from radiometer.units import heading_parts
 
 TAG: Final = 51123  # MicroManagerMetadata; also in the TIFF tag tables of ImageJ and tifffile
 FACT: Final = "acquisition"

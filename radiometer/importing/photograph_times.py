@@ -11,11 +11,10 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Final
 
-from radiometer.data.statements import unit_of
 from radiometer.data.storage import read_text
 from radiometer.errors import CaptureError, InputError
 from radiometer.importing.exif import exposure_of, f_number_of, iso_of, read_exif_header
-from radiometer.units import exact_exposure_s, exact_f_number
+from radiometer.units import exact_exposure_s, exact_f_number, unit_of
 
 _LONGEST_NUMBER: Final = 40
 _GAP: Final = re.compile(r"[,;\s]+")

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from radiometer.data import CameraDescription, CaptureHeader, SettingStatistics, SourceDescription
-from radiometer.data.statements import Statement, StatementMap, heading_parts, is_unknown, value_of
+from radiometer.data.statements import Statement, StatementMap, is_unknown, value_of
 from radiometer.data.text_table import read_table
 from radiometer.errors import CaptureError, InputError, UnsettledError
 from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.record import ImportRecord
+from radiometer.units import heading_parts
 
 TABLE_SUFFIXES: Final = (".csv", ".tsv", ".jsonl", ".ndjson", ".json")
 _ASSUMED_PIXELS: Final = 10_000
@@ -65,7 +66,7 @@ def is_statistics_table(path: Path, mapped: StatementMap | None = None) -> bool:
     return has["mean"] and (has["variance"] or has["sigma"])
 
 
-def _heading(path: Path) -> list[Row]:
+def _heading(path: Path) -> Sequence[Row]:
     """Return the keys of a table's first row, with its values where it is JSON; what follows may be damaged."""
     text = read_bytes(path).decode("utf-8-sig", "replace")
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
@@ -73,7 +74,7 @@ def _heading(path: Path) -> list[Row]:
         return []
     if _suffix(path) in (".csv", ".tsv"):
         # Of a first line alone any separator may be meant: under one of them it names a mean and a variance.
-        return [dict.fromkeys(map(_key, re.split(mark, lines[0]))) for mark in (",", ";", "\t")][:3]
+        return [dict.fromkeys(map(_key, lines[0].split(mark))) for mark in (",", ";", "\t")]
     return _json_rows(text if text.lstrip().startswith("[") else lines[0], path)[:1]
 
 
@@ -99,7 +100,8 @@ def read_statistics_table(path: Path, mapped: StatementMap | None = None) -> Cap
     columns = _columns(rows, path, map_of)
     pixels = _pixels(rows, missing, doubts)
     entries = [
-        _entry(row, columns, pixels, f"{path}, row {number}", map_of, doubts) for number, row in enumerate(rows, start=1)
+        _entry(row, columns, pixels, f"{path}, row {number}", map_of, doubts)
+        for number, row in enumerate(rows, start=1)
     ]
     bits = _bit_depth(rows, entries, missing)
     if "kind" not in columns and "dark" not in columns:

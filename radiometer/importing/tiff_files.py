@@ -19,7 +19,7 @@ from PIL import Image
 
 from radiometer.data.frame import FrameSettings
 from radiometer.data.guards import refuse_size
-from radiometer.data.statements import BASE_ISO, Statement, StatementMap, first_stated, places
+from radiometer.data.statements import Statement, StatementMap, first_stated, places
 from radiometer.errors import CaptureError, DamagedFileError, UnsettledError
 from radiometer.importing.exif import (
     DAMAGE,
@@ -36,6 +36,7 @@ from radiometer.importing.found import FoundFrame
 from radiometer.importing.maker_models import corners_of_plane, fall_off_of, row_exposure_of
 from radiometer.importing.micro_manager import completed, planes_of
 from radiometer.importing.xmp import numbers, read_xmp
+from radiometer.units import BASE_ISO
 
 _XMP, _MAKE, _MODEL, _DATE_TIME = 700, 271, 272, 306
 _WHITE_LEVEL, _SERIAL = 50717, 50735  # DNG 1.7, chapter 4
@@ -45,7 +46,7 @@ _BLACK_LEVEL, _BLACK_REPEATS, _BLACK_DELTAS = 50714, 50713, (50715, 50716)
 _DOUBTFUL_BLACK_SHARE: Final = 0.01  # of the stated black level: what masked rows may differ from it unnoticed
 
 
-def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list[FoundFrame]:  # noqa: B008 (frozen)
+def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list[FoundFrame]:
     """Return the frames of a TIFF file, one per full-size directory, without keeping their pixels.
 
     Every directory's own tags count, then those of the directory that holds it. Directories of reduced pictures are
@@ -94,7 +95,8 @@ _STRIPS, _TILES = 273, 324  # where the data of a directory lie
 
 
 def _with_pillow(path: Path, page: Any) -> NDArray[Any]:
-    """Return the values of a directory whose compression Pillow decodes (libtiff); it is found by where its data lie."""
+    """Return the values of a directory that Pillow decodes; it is found by where its data lie."""
+    image: Any
     with Image.open(io.BytesIO(read_bytes(path))) as image:
         for number in range(getattr(image, "n_frames", 1)):
             image.seek(number)
@@ -160,9 +162,7 @@ class _Facts:
     further: Mapping[str, Statement]
     xmp: Mapping[str, tuple[str, ...]]
 
-    def by_user(
-        self, fact: str, mapped: StatementMap, doubts: list[str], where: str
-    ) -> tuple[str, float] | None:
+    def by_user(self, fact: str, mapped: StatementMap, doubts: list[str], where: str) -> tuple[str, float] | None:
         """Return what the user's place of a fact states; None where there is none."""
         return first_stated(fact, {**self.further, **self.header}, (), mapped, doubts, where)
 
@@ -239,7 +239,9 @@ def _black_level(
     repeats = facts.tags.get(_BLACK_REPEATS, (1, 1))
     if len(set(levels)) > 1 and isinstance(repeats, tuple) and len(levels) % max(1, math.prod(repeats)):
         doubts.append(f"tag BlackLevel has {len(levels)} values, BlackLevelRepeatDim {repeats}: their mean is used")
-    deltas = [d for code in _BLACK_DELTAS if isinstance(d := facts.tags.get(code), tuple) and np.isfinite(d).all() and d]
+    deltas = [
+        d for code in _BLACK_DELTAS if isinstance(d := facts.tags.get(code), tuple) and np.isfinite(d).all() and d
+    ]
     spread = [max(values) - min(values) for values in (levels, *deltas)]
     if max(spread) > 0:
         doubts.append(f"the black level differs by up to {max(spread):g} DN over the pixels: its mean is used")
@@ -318,9 +320,7 @@ def _camera(facts: _Facts, taken: dict[str, str]) -> dict[str, Any]:
     return camera
 
 
-def _lens(
-    facts: _Facts, shape: tuple[int, ...], exposure_s: float | None, extra: dict[str, Any]
-) -> dict[str, Any]:
+def _lens(facts: _Facts, shape: tuple[int, ...], exposure_s: float | None, extra: dict[str, Any]) -> dict[str, Any]:
     lens: dict[str, Any] = {}
     model, rows = fall_off_of(facts.xmp), row_exposure_of(facts.xmp)
     corners = model.corners((shape[0], shape[1])) if model else corners_of_plane(facts.xmp)

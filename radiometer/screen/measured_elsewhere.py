@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data import Provenance
-from radiometer.data.statements import StatementMap, heading_parts
+from radiometer.data.statements import StatementMap
 from radiometer.data.text_table import TextTable, finite, read_table
 from radiometer.errors import InputError, UnsettledError
 from radiometer.screen.calibration import ChannelCurve, ScreenCalibration
 from radiometer.screen.run import Light
+from radiometer.units import heading_parts
 
 Array = NDArray[np.float64]
 # Colorimeters of the i1Display and SpyderX kind are specified to some 4 % on displays they were not matched to.
@@ -304,7 +305,9 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
     channels = _rgb_columns(table) if level_at is None else None
     if not table.header:
         if table.width != 2:
-            raise InputError(f"{path}: {table.width} columns without a heading; write one, such as level,luminance_cd_m2")
+            raise InputError(
+                f"{path}: {table.width} columns without a heading; write one, such as level,luminance_cd_m2"
+            )
         level_at, light_at = 0, 1
         doubts.append("no heading: the first column is read as the level, the second as the luminance in cd/m²")
     if light_at is None or (level_at is None and channels is None):
@@ -314,9 +317,7 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
             f"--map {lacking}=COLUMN"
         )
     plain = not table.header or heading_parts(table.header[light_at], "luminance")[0] in _PLAIN_LUMINANCE
-    luminance = finite(
-        table.values(light_at, "luminance", doubts, mapped, "cd/m2" if plain else ""), table, light_at
-    )
+    luminance = finite(table.values(light_at, "luminance", doubts, mapped, "cd/m2" if plain else ""), table, light_at)
     drives = [_drives(table, at, doubts, mapped) for at in (channels or (level_at,) * 3)]
     groups: dict[str, dict[int, list[float]]] = {name: {} for name in _AXES}
     for red, green, blue, value in zip(*drives, luminance, strict=True):
@@ -363,8 +364,8 @@ def _drives(table: TextTable, at: int | None, doubts: list[str], mapped: Stateme
     top, whole = max(raw), all(v.is_integer() for v in raw)
     if min(raw) < 0 or top > FULL or (top > 100 and not whole):
         raise UnsettledError(
-            f"{table.path}: levels from {min(raw):g} to {top:g} in {heading or 'the first column'}; they are 0 to 255 in "
-            "whole steps, 0 to 1 or per cent. Name the unit: --map level=COLUMN:UNIT with 8bit, 10bit, % or share"
+            f"{table.path}: levels from {min(raw):g} to {top:g} in {heading or 'the first column'}; levels are "
+            "0 to 255 in whole steps, 0 to 1 or per cent. Name the unit: --map level=COLUMN:UNIT with 8bit, 10bit, % or share"
         )
     unit = 1.0 if top <= 1.0 else 100.0 if top == 100.0 or not whole else float(FULL)
     name = {1.0: "0 to 1", 100.0: "per cent", 255.0: "0 to 255"}[unit]

@@ -186,14 +186,17 @@ def spectral_columns(
     return wavelength, columns
 
 
-def _places(
-    table: TextTable, wanted: Mapping[str, Sequence[str]], form: str
-) -> dict[str, tuple[int, str, str]]:
+def _places(table: TextTable, wanted: Mapping[str, Sequence[str]], form: str) -> dict[str, tuple[int, str, str]]:
     """Return column, fact and defined unit by quantity."""
     if not table.header:
         if table.width != 1 + len(wanted):
             raise InputError(f"{table.path}: {table.width} columns without a heading; expected the columns {form}")
-        return {name: (n, *kind) for n, (name, kind) in enumerate({"wavelength": ("wavelength", "nm"), **dict.fromkeys(wanted, ("number", "1"))}.items())}
+        return {
+            name: (n, *kind)
+            for n, (name, kind) in enumerate(
+                {"wavelength": ("wavelength", "nm"), **dict.fromkeys(wanted, ("number", "1"))}.items()
+            )
+        }
     first = table.find_fact("wavelength", _WAVELENGTH_NAMES)
     if first is None:
         raise InputError(

@@ -33,7 +33,9 @@ def import_command(
     gamma: Annotated[float, typer.Option(min=0.1, max=10.0, help="Exponent that a .cal was made for.")] = 2.2,
     mapped: Annotated[
         list[str] | None,
-        typer.Option("--map", help="Column of a table and its unit: level=drive:8bit, luminance=Y:cd/m2; or a YAML file."),
+        typer.Option(
+            "--map", help="Column of a table and its unit: level=drive:8bit, luminance=Y:cd/m2; or a YAML file."
+        ),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Report as one JSON object on standard output.")] = False,
 ) -> None:

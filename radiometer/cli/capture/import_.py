@@ -54,9 +54,7 @@ def command(
     )
     with progress_bar(shown=not json) as bar:
         task = bar.add_task("reading headers", total=None)
-        sets = import_into(
-            sources, output, options, lambda done, total: bar.update(task, completed=done, total=total)
-        )
+        sets = import_into(sources, output, options, lambda done, total: bar.update(task, completed=done, total=total))
     if json:
         print(json_module.dumps({"capture_sets": [_summary(one) for one in sets]}, ensure_ascii=False))
         return

@@ -17,12 +17,11 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
-from radiometer.errors import InputError
-from radiometer.data.statements import read_number, unit_of
 from radiometer.data.text_table import column_for, read_table
+from radiometer.errors import InputError
 from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
-from radiometer.units import exact_exposure_s, exact_f_number
+from radiometer.units import exact_exposure_s, exact_f_number, read_number, unit_of
 
 _GAP_UNIT: Final = "standard deviation of ln K within a source"
 _COINCIDENCE: Final = 2e-3  # rows that agree to this, though printed values scatter by more, are no chance

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from radiometer.cli.main import run
-from radiometer.errors import UnsettledError, InputError, UsageError
+from radiometer.errors import InputError, UnsettledError, UsageError
 from radiometer.importing.log_table import LogColumns, read_log
 from radiometer.reconciliation.logs.log_fit import fit_log
 from testing.sky_log import Camera, sky_log, write
