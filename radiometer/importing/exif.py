@@ -46,11 +46,11 @@ def statements_of_page(page: Any, *parents: Any) -> dict[str, Statement]:
         for tag in directory.tags:
             if tag.code == EXIF_DIRECTORY and isinstance(tag.value, Mapping):
                 for name, value in tag.value.items():
-                    found.setdefault(_ALIASES.get(name, name), Statement(_of_exif(value)))
+                    found.setdefault(_ALIASES.get(str(name), str(name)), Statement(_of_exif(value)))
                 continue
             statement = Statement(_single(numbers_of(tag)))
-            name = str(tag.name)
-            found.setdefault(_NAMES.get(tag.code) or _ALIASES.get(name) or name, statement)
+            own_name = _ALIASES.get(str(tag.name), str(tag.name))
+            found.setdefault(_NAMES.get(int(tag.code), own_name), statement)
             found.setdefault(f"tag {tag.code}", statement)
     return found
 

@@ -365,7 +365,8 @@ def _drives(table: TextTable, at: int | None, doubts: list[str], mapped: Stateme
     if min(raw) < 0 or top > FULL or (top > 100 and not whole):
         raise UnsettledError(
             f"{table.path}: levels from {min(raw):g} to {top:g} in {heading or 'the first column'}; levels are "
-            "0 to 255 in whole steps, 0 to 1 or per cent. Name the unit: --map level=COLUMN:UNIT with 8bit, 10bit, % or share"
+            "0 to 255 in whole steps, 0 to 1 or per cent. Name the unit: --map level=COLUMN:UNIT with 8bit, 10bit, "
+            "% or share"
         )
     unit = 1.0 if top <= 1.0 else 100.0 if top == 100.0 or not whole else float(FULL)
     name = {1.0: "0 to 1", 100.0: "per cent", 255.0: "0 to 255"}[unit]
