@@ -229,7 +229,8 @@ def heading_parts(heading: str, quantity: str) -> tuple[str, Unit | None, str]:
                 return plain_name(name), unit, unit_text.strip("_ ")
             more, _, unit_text = unit_text.partition(separator)
             name = f"{name}{separator}{more}"
-    return plain_name(heading), None, ""
+    sign = next((sign for sign in "%‰" if sign in heading), "")  # no letter: a plain name would lose it
+    return plain_name(heading), None, sign
 
 
 def plain_name(name: str) -> str:
@@ -241,18 +242,18 @@ def plain_name(name: str) -> str:
 def unit_in_words(comment: str, quantity: str) -> tuple[Unit | None, str]:
     """Return the unit that a comment names, and its spelling; (None, spelling) where it names several or none known.
 
-    A unit in square brackets counts first (FITS standard 4.0, section 4.3.2); then one in other brackets; then words
-    such as "seconds", "in ms", "degrees C", "electrons per ADU".
+    Units stand in square brackets (FITS standard 4.0, section 4.3.2), in other brackets, and in words such as
+    "seconds", "in ms", "degrees C", "electrons per ADU". All that a comment names must be one unit.
     """
+    named: dict[str, Unit] = {}
     for found in re.finditer(r"[\[(]([^\])]*)[\])]", comment):
         if (unit := unit_of(found[1], quantity)) is not None:
-            return unit, found[1].strip()
-        # Letters alone in square brackets are a unit by the standard, though one that is not known.
-        if comment.lstrip().startswith("[") and re.fullmatch(r"\s*[^\W\d_]{1,12}(/[\w-]+)?\s*", found[1]):
+            named[found[1].strip()] = unit
+        # A short word in square brackets is a unit by the standard, though one that is not known.
+        elif comment.lstrip().startswith("[") and re.fullmatch(r"\s*[^\W\d_]{1,12}(/[\w-]+)?\s*", found[1]):
             return None, found[1].strip()
     text = _normal(comment)
     spellings = [s for s in SPELLINGS[quantity] if len(s) > 3 or "/" in s or s in _SURE_WORDS]
-    named: dict[str, Unit] = {}
     for spelling in sorted(spellings, key=len, reverse=True):
         pattern = rf"(?<![\w/]){re.escape(spelling)}(?![\w/])"
         if re.search(pattern, text, re.IGNORECASE if len(spelling) > 3 else 0) and (
@@ -260,9 +261,11 @@ def unit_in_words(comment: str, quantity: str) -> tuple[Unit | None, str]:
         ):
             text = re.sub(pattern, " ", text, flags=re.IGNORECASE)
             named[spelling] = unit
-    found_in = re.search(r"\b(?:in|deg|degrees?)\s+([a-zA-Z]{1,3})\b", text)
-    if found_in and (unit := unit_of(found_in[1], quantity)) is not None:
-        named[found_in[1]] = unit
+    last = re.search(r"\b(in|deg|degrees?)\s+([^\s()\[\]]+)(\s*$)?", text)
+    if last and (unit := unit_of(last[2], quantity)) is not None:
+        named[last[2]] = unit
+    elif last and last[1] == "in" and last[3] is not None and quantity == "exposure":
+        return None, last[2]  # "exposure time in ticks"; a temperature may be "in the dewar"
     sizes = {unit.to_base(1.0) for unit in named.values()}
     if len(sizes) == 1:
         return next(iter(named.items()))[1], next(iter(named))

@@ -94,13 +94,13 @@ def read_statistics_table(path: Path, mapped: StatementMap | None = None) -> Cap
     """
     map_of = mapped or StatementMap()
     missing, doubts = list[str](), list[str]()
-    rows, how = _rows(path)
+    rows, spelled, how = _rows(path)
     if not rows:
         raise CaptureError(f"{path}: the table has no rows")
     columns = _columns(rows, path, map_of)
     pixels = _pixels(rows, missing, doubts)
     entries = [
-        _entry(row, columns, pixels, f"{path}, row {number}", map_of, doubts)
+        _entry(row, columns, spelled, pixels, f"{path}, row {number}", map_of, doubts)
         for number, row in enumerate(rows, start=1)
     ]
     bits = _bit_depth(rows, entries, missing)
@@ -151,14 +151,16 @@ def _suffix(path: Path) -> str:
     return Path(name).suffix
 
 
-def _rows(path: Path) -> tuple[list[Row], tuple[str, ...]]:
-    """Return the rows by key, and how the table was read."""
+def _rows(path: Path) -> tuple[list[Row], dict[str, str], tuple[str, ...]]:
+    """Return the rows by key, the keys as they are spelled (case tells units apart), and how the table was read."""
     try:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise CaptureError(f"{path} is not a text file (byte {error.start} is not UTF-8)") from error
     if _suffix(path) not in (".csv", ".tsv"):
-        return _json_rows(text, path), ()
+        rows = _json_rows(text, path)
+        spelled = re.findall(r'"((?:[^"\\]|\\.)*)"\s*:', text)
+        return rows, {_key(name): name for name in reversed(spelled)}, ()
     try:
         table = read_table(path, "columns of exposure, mean and variance", text, named=True)
     except InputError as error:
@@ -167,7 +169,8 @@ def _rows(path: Path) -> tuple[list[Row], tuple[str, ...]]:
     if len(set(keys)) < len(keys):
         twice = next(name for name in keys if keys.count(name) > 1)
         raise CaptureError(f"{path}: two columns are called {twice!r}; rename one")
-    return [dict(zip(keys, cells, strict=True)) for _, cells in table.rows], (table.how,)
+    rows = [dict(zip(keys, cells, strict=True)) for _, cells in table.rows]
+    return rows, dict(zip(keys, table.header, strict=True)), (table.how,)
 
 
 def _json_rows(text: str, path: Path) -> list[Row]:
@@ -220,14 +223,20 @@ def _has(rows: Sequence[Row], fact: str) -> bool:
 
 
 def _entry(
-    row: Row, columns: Mapping[str, str], pixels: int, where: str, mapped: StatementMap, doubts: list[str]
+    row: Row,
+    columns: Mapping[str, str],
+    spelled: Mapping[str, str],
+    pixels: int,
+    where: str,
+    mapped: StatementMap,
+    doubts: list[str],
 ) -> SettingStatistics:
     def value(fact: str) -> float | None:
         name = columns.get(fact)
         return None if name is None or name not in row or is_unknown(row[name]) else _number(row[name], where, name)
 
     def stated(fact: str, defined: str = "") -> float | None:
-        return _stated(fact, row, columns, mapped, doubts, where, defined)
+        return _stated(fact, row, columns, spelled, mapped, doubts, where, defined)
 
     exposure_s = stated("exposure")
     mean, variance, sigma = value("mean"), value("variance"), value("sigma")
@@ -261,7 +270,14 @@ def _entry(
 
 
 def _stated(
-    fact: str, row: Row, columns: Mapping[str, str], mapped: StatementMap, doubts: list[str], where: str, defined: str
+    fact: str,
+    row: Row,
+    columns: Mapping[str, str],
+    spelled: Mapping[str, str],
+    mapped: StatementMap,
+    doubts: list[str],
+    where: str,
+    defined: str,
 ) -> float | None:
     """Return a fact in its base unit, by the unit that the user, the cell or the name of the column states."""
     name = columns.get(fact)
@@ -271,8 +287,8 @@ def _stated(
     if place is not None and place.constant is not None:
         statement = Statement(place.constant, place.unit)
     else:
-        _, unit, spelling = heading_parts(name, fact)
-        statement = Statement(row.get(name), place.unit if place and place.unit else spelling if unit else "")
+        _, _, spelling = heading_parts(spelled.get(name, name), fact)
+        statement = Statement(row.get(name), place.unit if place and place.unit else spelling)
     try:
         return value_of(statement, fact, name, doubts, defined=defined, where=where)
     except OverflowError as error:

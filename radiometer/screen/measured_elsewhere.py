@@ -357,7 +357,7 @@ def _drives(table: TextTable, at: int | None, doubts: list[str], mapped: Stateme
         raise InputError(f"{table.path}: no column of levels")
     heading = table.header[at] if table.header else ""
     stated = mapped.places.get("level")
-    if (stated and stated[0].unit) or heading_parts(heading, "level")[1] is not None:
+    if (stated and stated[0].unit) or heading_parts(heading, "level")[2]:
         known = finite(table.values(at, "level", doubts, mapped), table, at)
         return [round(FULL * share, 6) for share in known]
     raw = finite(table.values(at, "number", doubts), table, at)

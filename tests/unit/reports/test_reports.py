@@ -1,0 +1,176 @@
+"""Public reports of misread files, one line each: the report, the input, the right value.
+
+Values are those the input was made with. A refusal is right where the file leaves the value open.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from radiometer.cli.main import run
+from radiometer.data import CaptureSet, ResponseCurve
+from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
+from tests.unit.reports import inputs
+
+SHORTS, RATIONALS = (50713, "H", 2, (2, 2), True), (50714, "2I", 4, (256, 1) * 4, True)
+SERIES, CHANNELS_FIRST = [(0, t) for t in range(4)], [(0, 0), (0, 1), (1, 0), (1, 1)]
+
+
+def imported(source: Path, out: Path, *words: str) -> CaptureSet:
+    """Return what `radiometer import` writes of a source."""
+    assert run(["import", str(source), "-o", str(out), *words]) == 0
+    return CaptureSet.read(out)
+
+
+TIMES = {
+    "sunpy/sunpy/pull/4882 TIMEUNIT": lambda p: inputs.fits_frames(p, lambda s: {"EXPTIME": 1e3 * s, "TIMEUNIT": "ms"}),
+    "sunpy/sunpy/issues/6513 XPOSURE": lambda p: inputs.fits_frames(p, lambda s: {"XPOSURE": s}),
+    "nfo.edu EXPTIME in ms": lambda p: inputs.fits_frames(p, lambda s: {"EXPTIME": (1e3 * s, "exposure time in ms")}),
+    "AstroDMx EXPOINUS": lambda p: inputs.fits_frames(p, lambda s: {"EXPOINUS": round(1e6 * s)}),
+    "haraldk/TwelveMonkeys/issues/412": lambda p: inputs.tiff(
+        p / "s.tif",
+        [inputs.flat(256 + 2e4 * s) for s in inputs.SECONDS],
+        [[inputs.exposure_tag(s)] for s in inputs.SECONDS],
+    ),
+}
+
+
+@pytest.mark.parametrize("make", TIMES.values(), ids=TIMES)
+def test_exposures_have_the_unit_that_the_file_states(make, tmp_path):
+    """10, 20, 50 and 100 ms, each page and file its own."""
+    found = imported(make(tmp_path / "in"), tmp_path / "out")
+    assert sorted({e.exposure_s for e in found.header.frames}) == pytest.approx(inputs.SECONDS)
+
+
+@pytest.mark.parametrize(
+    ("unit", "per_ms", "places", "sizes"),
+    [
+        ("\u00b5s", 1e3, SERIES, (1, 4)),
+        ("\u03bcs", 1e3, SERIES, (1, 4)),  # jkroso/parse-duration/issues/13, dustin/go-humanize/pull/144
+        ("ns", 1e6, SERIES, (1, 4)),  # ome/bioformats/issues/3560
+        ("ms", 1, CHANNELS_FIRST, (2, 2)),  # ome/ZarrReader/pull/31
+    ],
+)
+def test_exposures_of_ome_planes_are_those_of_their_pages(unit, per_ms, places, sizes, tmp_path):
+    """Page n has 100 DN + 2 DN per ms of its own exposure."""
+    found = imported(inputs.ome(tmp_path / "a.ome.tif", unit, per_ms, places, sizes), tmp_path / "out")
+    for index, entry in enumerate(found.header.frames):
+        level = float(found.read_frame(index).dn.mean())
+        assert entry.exposure_s == pytest.approx((level - 100.0) / 2000.0, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    "forms",
+    [
+        [SHORTS, (50714, "H", 4, (256,) * 4, True)],
+        [SHORTS, RATIONALS],  # timothybrooks/hdr-plus/issues/58
+        [(50713, "H", 2, (1, 2), True), (50714, "H", 2, (256, 256), True)],  # darktable-org/rawspeed/pull/216
+        [(50714, "2I", 1, (0, 1), True), (50716, "2i", 48, (256, 1) * 48, True)],  # dnglab/dnglab/issues/820
+        [(50714, "I", 1, 200, True), (50715, "2i", 64, (56, 1) * 64, True)],
+    ],
+)
+def test_black_levels_of_all_forms_of_dng(forms, tmp_path):
+    """256 DN, as shorts, rationals, one or several, with deltas by row or column."""
+    found = imported(inputs.black_level(tmp_path / "in", *forms), tmp_path / "out")
+    assert {e.black_level_dn for e in found.header.frames} == {256.0}
+
+
+@pytest.mark.parametrize(
+    ("cards", "other", "differing"),
+    [
+        ({"GAIN": 0, "OFFSET": 10}, {"GAIN": 60, "OFFSET": 10}, "GAIN_60"),  # deepskystacker/DSS/issues/56
+        ({"GAIN": 0, "OFFSET": 10}, {"GAIN": 0, "OFFSET": 50}, "OFFSET_50"),
+        ({"READOUTM": "High Gain"}, {"READOUTM": "Low Noise"}, "Low_Noise"),  # indilib/indi-3rdparty/issues/1380
+    ],
+)
+def test_settings_of_unknown_unit_are_never_pooled(cards, other, differing, tmp_path, capsys):
+    """Frames of two gains or offsets are two sets; what needs one set refuses them by name."""
+    folder = inputs.fits_frames(tmp_path / "in", lambda s: {"EXPTIME": s, **cards})
+    inputs.fits_frames(folder, lambda s: {"EXPTIME": s, **other}, scale=2.0, black=500)
+    assert run(["characterise", str(folder)]) == 1
+    assert differing in capsys.readouterr().err
+    assert run(["import", str(folder), "-o", str(tmp_path / "out")]) == 0
+    levels = sorted(float(np.median(CaptureSet.read(one).read_frame(0).dn)) for one in (tmp_path / "out").iterdir())
+    assert len(levels) == 2
+
+
+SCREENS = {
+    "point": ("level,luminance", lambda i, n, v: f"{n},{v:.3f}", False),
+    "jasp-stats/jasp-issues/issues/3608": ("Stufe;Leuchtdichte", lambda i, n, v: f"{n};{v:.3f}", True),
+    "running number": ("No,level,Lv (cd/m2)", lambda i, n, v: f"{i},{n},{v:.3f}", False),
+    "pkgforge-dev/Anylinux-AppImages/issues/390": ("R,G,B,cd/m2", lambda i, n, v: f"{n},{n},{n},{v:.3f}", False),
+    "swapped": ("luminance,level", lambda i, n, v: f"{v:.3f},{n}", False),
+    "millicandela": ("level\tL [mcd/m2]", lambda i, n, v: f"{n}\t{1e3 * v:.1f}", False),
+}
+
+
+@pytest.mark.parametrize("form", SCREENS.values(), ids=SCREENS)
+def test_tables_of_a_screen_are_read_by_their_headings(form, tmp_path):
+    """Black 0.20, level 120 at 43.9 and white 230.2 cd/m²."""
+    heading, row, comma = form
+    file = inputs.screen(tmp_path / "s.csv", heading, row, comma=comma)
+    assert run(["screen", "import", str(file), "-o", str(tmp_path / "s.yaml")]) == 0
+    curve = ScreenCalibration.read(tmp_path / "s.yaml").channel("grey")
+    expected = [0.2 + 230 * (n / 255) ** 2.2 for n in (0, 120, 255)]
+    assert [curve.at(n, LUMINANCE).value for n in (0, 120, 255)] == pytest.approx(expected, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("heading", "separator", "comma"), [("wavelength_nm,relative", ",", False), ("nm;relativ", ";", True)]
+)
+def test_a_spectrum_is_the_same_in_either_decimal_mark(heading, separator, comma, tmp_path, capsys):
+    """114.6 cd/m² of the simulated bench with both (Open-Systems-Pharmacology/MoBi/issues/210)."""
+    file = inputs.white_led(tmp_path / "s.csv", heading, separator, comma=comma)
+    assert run(["measure", "--camera", "sim", "--spectrum", str(file)]) == 0
+    assert float(re.search(r"luminance +([\d.]+)", capsys.readouterr().out)[1]) == pytest.approx(114.6, abs=0.3)
+
+
+def test_the_iso_speed_65535_means_more(tmp_path):
+    """ln H of gamma 2.2 to 0.02 (darktable-org/rawspeed/issues/276); read as the speed, 65535 puts it off by 0.6."""
+    folder = inputs.photographs(tmp_path / "p")
+    assert run(["response", str(folder), "-o", str(tmp_path / "curve.csv")]) == 0
+    curve = ResponseCurve.read(tmp_path / "curve.csv")
+    dn = np.array([10, 30, 60, 200, 240])
+    expected = 2.2 * np.log(dn / 128.0)
+    found = curve.log_exposure[dn] - curve.log_exposure[128]
+    assert found == pytest.approx(expected, abs=0.02)
+
+
+@pytest.mark.parametrize("photometric", [32803, 34892])
+def test_raw_photographs_with_exif_in_the_first_directory(photometric, tmp_path):
+    """1/100 and 1/25 s (RawTherapee/RawTherapee/issues/5391); one colour per pixel, or one sample without filters."""
+    folder = inputs.raw_photographs(tmp_path / "p", photometric)
+    assert run(["merge", str(folder), "-o", str(tmp_path / "o.tiff")]) == 0
+
+
+def test_lzw_compression_is_read(tmp_path):
+    """OpenCV packs TIFF by LZW unless asked not to; the pixels are the same."""
+    picture = inputs.flat(900.0).astype(np.uint16)
+    path = tmp_path / "exp10ms.tif"
+    cv2.imwrite(str(path), picture)
+    found = imported(path, tmp_path / "out")
+    assert np.array_equal(found.read_frame(0).dn, picture)
+    assert found.header.frames[0].exposure_s == pytest.approx(0.01)
+
+
+def test_a_damaged_file_of_a_folder_is_named_and_the_others_are_imported(tmp_path, capsys):
+    """Whether its directory or its packed data are damaged."""
+    for n in range(4):
+        cv2.imwrite(str(tmp_path / f"exp{n + 1}ms.tif"), inputs.flat(900.0, n).astype(np.uint16))
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for file in tmp_path.glob("*.tif"):
+        file.rename(folder / file.name)
+    packed = bytearray((folder / "exp2ms.tif").read_bytes())
+    packed[100:3000] = b"\xff" * 2900
+    (folder / "exp2ms.tif").write_bytes(packed)
+    (folder / "exp3ms.tif").write_bytes(packed[:60])
+    assert len(imported(folder, tmp_path / "out").header.frames) == 2
+    said = capsys.readouterr().err
+    assert "left out" in said
+    assert all(name in said for name in ("exp2ms.tif", "exp3ms.tif"))
