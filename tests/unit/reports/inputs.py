@@ -69,8 +69,8 @@ def ome(path: Path, unit: str, per_ms: float, places: Sequence[tuple[int, int]],
         planes += f'<Plane TheZ="0" TheC="{c}" TheT="{t}" ExposureTime="{ms * per_ms}" ExposureTimeUnit="{unit}"/>'
     xml = (
         '<?xml version="1.0" encoding="UTF-8"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06">'
-        '<Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="64" SizeY="48" SizeZ="1" '
-        f'SizeC="{sizes[0]}" SizeT="{sizes[1]}">{data}{planes}</Pixels></Image></OME>'
+        '<Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="64" SizeY="48" '
+        f'SizeZ="1" SizeC="{sizes[0]}" SizeT="{sizes[1]}">{data}{planes}</Pixels></Image></OME>'
     )
     pages = np.stack([flat(100 + 2 * ms) for ms in (5, 10, 20, 40)]).astype(np.uint16)
     tifffile.imwrite(path, pages, description=xml.encode(), metadata=None, photometric="minisblack")
