@@ -92,7 +92,7 @@ def assemble(
         CaptureError: If no frame's exposure is known, or frames of several unknown gains are mixed.
     """
     known = [f for f in frames if f.exposure_known and (f.settings.exposure_s > 0 or f.settings.is_dark)]
-    without = by_wording((f.label, ("no exposure time is known", *f.doubts)) for f in frames if f not in known)
+    without = by_wording((f.label, _why_no_exposure(f)) for f in frames if f not in known)
     if not known:
         raise CaptureError(
             f"{root}: {'; '.join(without)}. Name it: radiometer import … --map exposure=PLACE:UNIT, "
@@ -124,6 +124,11 @@ def assemble(
         }
     )
     return Assembled(title, header, {name: frame for name, (frame, _) in entries.items()})
+
+
+def _why_no_exposure(frame: FoundFrame) -> tuple[str, ...]:
+    said = tuple(doubt for doubt in frame.doubts if "exposure" in doubt)
+    return said or ("no exposure time is known",)
 
 
 def _by_time(frames: Sequence[FoundFrame]) -> list[FoundFrame]:

@@ -58,7 +58,7 @@ _READ_NOISE: Final = places("RDNOISE:e- READNOIS:e- RON:e- READNOISE:e-")
 _F_NUMBER: Final = places("FNUMBER:1 FRATIO:1")
 # Settings that change gain or offset by steps of the maker's own: frames that differ in one are sets of their own.
 _MODE: Final = (
-    "OFFSET", "BLKLEVEL", "BRIGHTNS", "READOUTM", "READMODE", "EMGAIN", "EMREALGN", "CONVGAIN", "PREAMP", "PREAMPG",
+    "OFFSET", "BLKLEVEL", "READOUTM", "READMODE", "EMGAIN", "EMREALGN", "CONVGAIN", "LOWNOISE", "FULLWELL", "PREAMP",
 )  # fmt: skip
 # Extensions that hold no frames: errors, flags, weights (NASA and ESO use these names).
 _NO_FRAMES: Final = ("ERR", "ERROR", "DQ", "MASK", "VAR", "VARIANCE", "UNCERT", "WHT", "WEIGHT", "BPM")
@@ -239,7 +239,7 @@ def _frames(
         f_number=_fact("f_number", "f_number", path, header, _F_NUMBER, mapped, taken, doubts),
         black_level_dn=_fact("black_level", "black_level_dn", path, header, (), mapped, taken, doubts),
         temperature_c=_temperature(path, header, mapped, taken, doubts),
-        timestamp_s=_timestamp(header, taken),
+        timestamp_s=_timestamp(header, mapped, taken),
         pattern=filters[1] if filters else "default",
         shutter="closed" if is_dark else "open",
     )
@@ -395,8 +395,9 @@ def _is_kelvin_by_size(header: Header, key: str) -> bool:
     return value is not None and not stated and _KELVINS[0] < value < _KELVINS[1]
 
 
-def _timestamp(header: Header, taken: dict[str, str]) -> float | None:
-    key = next((k for k in _TIME if k in header), None)
+def _timestamp(header: Header, mapped: StatementMap, taken: dict[str, str]) -> float | None:
+    named = (place.name for place in mapped.places.get("timestamp", ()))
+    key = next((k for k in (*named, *_TIME) if k in header), None)
     if key is None:
         return None
     said = str(header[key].written).strip()
