@@ -50,7 +50,7 @@ class CaptureError(InputError):
 
 
 class DamagedFileError(CaptureError):
-    """A file of pictures is damaged or cut short; others beside it may be whole."""
+    """A file of pictures is damaged or cut short; others in the folder may be whole."""
 
 
 class UnsettledError(InputError):

@@ -191,7 +191,7 @@ def _normal(spelling: str) -> str:
 def unit_of(spelling: str, quantity: str) -> Unit | None:
     """Return the unit of a quantity that a spelling names, such as "ms", "0.1dB" or "100 ns"; None where it names none.
 
-    Capital letters count where they tell units apart: "Ms" is a megasecond and not known, "SEC" is a second.
+    Capital letters count where units differ by them: "Ms" is a megasecond and not known, "SEC" is a second.
     """
     text = _normal(spelling)
     known = SPELLINGS[quantity]
@@ -200,7 +200,7 @@ def unit_of(spelling: str, quantity: str) -> Unit | None:
             return Unit(quantity, spelling.strip(), known[candidate])
     lower = text.lower()
     matches = {id(convert): convert for name, convert in known.items() if name.lower() == lower}
-    # Where case tells a prefix (mS, Ms, MS) or a name (A is ångström, a is none), it counts.
+    # Case counts where a prefix (mS, Ms, MS) or a name (A is ångström, a is none) depends on it.
     by_case = (len(text) == 2 and quantity in ("exposure", "time")) or (len(text) == 1 and quantity == "wavelength")
     if len(matches) == 1 and not by_case:
         return Unit(quantity, spelling.strip(), next(iter(matches.values())))
@@ -242,7 +242,7 @@ def plain_name(name: str) -> str:
 def unit_in_words(comment: str, quantity: str) -> tuple[Unit | None, str]:
     """Return the unit that a comment names, and its spelling; (None, spelling) where it names several or none known.
 
-    Units stand in square brackets (FITS standard 4.0, section 4.3.2), in other brackets, and in words such as
+    Units are in square brackets (FITS standard 4.0, section 4.3.2), in other brackets, and in words such as
     "seconds", "in ms", "degrees C", "electrons per ADU". All that a comment names must be one unit.
     """
     named: dict[str, Unit] = {}

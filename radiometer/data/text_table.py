@@ -82,9 +82,9 @@ class TextTable:
         if place := self._mapped(fact, mapped):
             return self._named(place.name, fact)
         bare = [(*heading_parts(name, FACTS[fact]), plain_name(name)) for name in self.header]
-        for wanted in (*names, ""):
-            at = [n for n, (name, _, _, whole) in enumerate(bare) if wanted in ((name, whole) if wanted else (name,))]
-            at = [n for n in at if wanted or bare[n][1] is not None]
+        for known in (*names, ""):
+            at = [n for n, (name, _, _, whole) in enumerate(bare) if known in ((name, whole) if known else (name,))]
+            at = [n for n in at if known or bare[n][1] is not None]
             if len(at) > 1:
                 both = " and ".join(repr(self.header[n]) for n in at)
                 raise UnsettledError(f"{self.path}: {both} may both be {fact}; name one: --map {fact}=COLUMN")
@@ -119,9 +119,11 @@ class TextTable:
                 raise InputError(
                     f"{self.where(line)}: {heading}: {cell!r} is no number; correct it, or leave the row out"
                 )
-            said: list[str] = []
-            found.append(value_of(Statement(cell, stated), fact, heading, said, defined=defined, where=str(self.path)))
-            doubts += [f"{line_said} (line {line})" for line_said in said]
+            reported: list[str] = []
+            found.append(
+                value_of(Statement(cell, stated), fact, heading, reported, defined=defined, where=str(self.path))
+            )
+            doubts += [f"{doubt} (line {line})" for doubt in reported]
         return found
 
     def not_used(self, used: Sequence[int | None]) -> list[str]:
@@ -257,7 +259,7 @@ def _ragged(path: Path, line: int, row: Sequence[str], width: int, separator: st
 
 
 def _heading(body: list[tuple[int, list[str]]]) -> tuple[tuple[str, ...], list[tuple[int, list[str]]]]:
-    """Return the names of the columns and the rows below; a second row of units goes with the names."""
+    """Return the names of the columns and the rows below; a second row of units belongs to the names."""
     first = body[0][1]
     if not first or any(_is_number(c) or _COMMA.fullmatch(c) for c in first) or all(is_unknown(c) for c in first):
         return (), body

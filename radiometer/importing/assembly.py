@@ -42,7 +42,7 @@ class Assembled:
 def by_camera(frames: Iterable[FoundFrame]) -> dict[str, list[FoundFrame]]:
     """Return the frames by camera: maker, model, serial number, band, binning, own settings and frame size.
 
-    Frames that state no gain are a set of their own where others state one: their gain is unknown, and not 0 dB.
+    Frames that state no gain are a separate set where others state one: their gain is unknown, and not 0 dB.
     """
     keys: dict[tuple[Any, ...], list[FoundFrame]] = {}
     for frame in frames:
@@ -127,8 +127,8 @@ def assemble(
 
 
 def _why_no_exposure(frame: FoundFrame) -> tuple[str, ...]:
-    said = tuple(doubt for doubt in frame.doubts if "exposure" in doubt)
-    return said or ("no exposure time is known",)
+    reported = tuple(doubt for doubt in frame.doubts if "exposure" in doubt)
+    return reported or ("no exposure time is known",)
 
 
 def _by_time(frames: Sequence[FoundFrame]) -> list[FoundFrame]:

@@ -1,4 +1,4 @@
-"""EXIF and TIFF tags of a file as statements by their names, whatever directory they stand in."""
+"""EXIF and TIFF tags of a file as statements by their names, from whatever directory."""
 
 from __future__ import annotations
 
@@ -91,10 +91,10 @@ def exposure_of(header: Header, doubts: list[str], where: str) -> tuple[str, flo
 
 def iso_of(header: Header, doubts: list[str], where: str) -> tuple[str, float] | None:
     """Return where the ISO speed stands, and the speed; None, and doubts, where it is unknown."""
-    said = list[str]()
-    found = first_stated("iso", header, _ISO, StatementMap(), said, where)
+    reported = list[str]()
+    found = first_stated("iso", header, _ISO, StatementMap(), reported, where)
     if found is None:
-        doubts += said
+        doubts += reported
     return found
 
 
@@ -107,7 +107,7 @@ def f_number_of(header: Header, doubts: list[str], where: str) -> float | None:
 def read_exif_header(path: Path) -> dict[str, Statement]:
     """Return the tags of a photograph: JPEG, PNG, TIFF or camera raw file; empty where it has none or is damaged.
 
-    All directories of a TIFF and of raw files built on it count, for the mosaic may stand in one and EXIF in another.
+    All directories of a TIFF and of raw files built on it count, for the mosaic may be in one and EXIF in another.
     Pillow finds EXIF in other files, and LibRaw in raw files that neither reads (CR3, RAF, ORF, RW2).
     """
     found = _of_tiff(path) or _of_pillow(path)

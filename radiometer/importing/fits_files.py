@@ -56,7 +56,7 @@ _CAMERA_NAME: Final = ("INSTRUME", "CAMERA", "DETECTOR", "DETNAM")
 _ELECTRONS_PER_DN: Final = places("EGAIN:e-/DN E-GAIN:e-/DN GAINEL:e-/DN CCDGAIN:e-/DN")
 _READ_NOISE: Final = places("RDNOISE:e- READNOIS:e- RON:e- READNOISE:e-")
 _F_NUMBER: Final = places("FNUMBER:1 FRATIO:1")
-# Settings that change gain or offset by steps of the maker's own: frames that differ in one are sets of their own.
+# Settings that change gain or offset by a maker's steps: frames that differ in one are separate sets.
 _MODE: Final = (
     "OFFSET", "BLKLEVEL", "READOUTM", "READMODE", "EMGAIN", "EMREALGN", "CONVGAIN", "LOWNOISE", "FULLWELL", "PREAMP",
 )  # fmt: skip
@@ -77,7 +77,7 @@ _EXPOSURES_SAME_REL: Final = 0.01  # by which two keywords of the exposure may d
 def read_fits_headers(path: Path, mapped: StatementMap = StatementMap()) -> list[FoundFrame]:
     """Return the frames of a FITS file, gzipped or not, without keeping their pixels.
 
-    A picture with a header and an exposure of its own is a frame; of pictures without, the first is. All other units
+    A picture whose header states an exposure is a frame; of pictures without, the first is. All other units
     of the file are reported as not used.
 
     Args:
@@ -149,7 +149,7 @@ def _planes(unit: Any) -> int:
 
 
 def _is_frame(unit: Any, mapped: StatementMap) -> bool:
-    """Tell whether a unit states an exposure of its own and is no map of errors or flags."""
+    """Tell whether a unit states an exposure itself and is no map of errors or flags."""
     names = {*(place.name for place in _EXPOSURE), *(place.name for place in mapped.places.get("exposure", ()))}
     return any(name in unit.header for name in names) and str(unit.name).upper() not in _NO_FRAMES
 
@@ -368,8 +368,8 @@ def _temperature(
     path: Path, header: Header, mapped: StatementMap, taken: dict[str, str], doubts: list[str]
 ) -> float | None:
     known = _fact("temperature", "temperature_C", path, header, _celsius(header, _TEMPERATURE), mapped, taken, doubts)
-    said = list[str]()
-    asked = first_stated("temperature", header, _celsius(header, _SET_TEMPERATURE), StatementMap(), said, str(path))
+    ignored = list[str]()
+    asked = first_stated("temperature", header, _celsius(header, _SET_TEMPERATURE), StatementMap(), ignored, str(path))
     if "temperature_C" in taken and _is_kelvin_by_size(header, taken["temperature_C"]):
         doubts.append(
             f"{taken['temperature_C']} states {header[taken['temperature_C']].written} without a unit: K is assumed"

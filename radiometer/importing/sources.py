@@ -233,7 +233,7 @@ def import_into(
         OutputError: If the folder exists already and is not empty, or cannot be written.
         CaptureError: If nothing can be read.
         UnsettledError: If a number has no unit that is known.
-        UsageError: If a table of statistics is named beside other sources.
+        UsageError: If a table of statistics is named with other sources.
     """
     taking = options or ImportOptions()
     existed = output.exists()

@@ -82,7 +82,7 @@ def read_statistics_table(path: Path, mapped: StatementMap | None = None) -> Cap
     """Return a table's rows as the header of a capture set without pictures.
 
     Units stand in the names of the columns, such as exposure_ms. Without a column of frames, two columns that end in
-    _a and _b tell of pairs.
+    _a and _b mean pairs.
 
     Args:
         path: CSV, TSV, JSON or JSON lines.
@@ -105,7 +105,7 @@ def read_statistics_table(path: Path, mapped: StatementMap | None = None) -> Cap
     ]
     bits = _bit_depth(rows, entries, missing)
     if "kind" not in columns and "dark" not in columns:
-        missing.append("no column tells which rows are dark: all are taken with light (but exposures of 0)")
+        missing.append("no column states which rows are dark: all are taken with light (but exposures of 0)")
     used = {*columns.values(), *(name for name in rows[0] if _SHARE_AT.match(name) or _is_of_pair(name))}
     left = [name for name in rows[0] if name not in used]
     record = ImportRecord(
@@ -152,7 +152,7 @@ def _suffix(path: Path) -> str:
 
 
 def _rows(path: Path) -> tuple[list[Row], dict[str, str], tuple[str, ...]]:
-    """Return the rows by key, the keys as they are spelled (case tells units apart), and how the table was read."""
+    """Return the rows by key, the keys as they are spelled (units depend on case), and how the table was read."""
     try:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -207,10 +207,10 @@ def _key(heading: str) -> str:
 
 def _column(rows: Sequence[Row], fact: str, names: Sequence[str] | None = None) -> str | None:
     """Return the first column of a fact, its unit apart."""
-    for wanted in names or _NAMES[fact]:
+    for known in names or _NAMES[fact]:
         for row in rows[:1]:
             for name in row:
-                if wanted == name or (fact in _WITH_UNIT and heading_parts(name, fact)[0] == wanted):
+                if known == name or (fact in _WITH_UNIT and heading_parts(name, fact)[0] == known):
                     return str(name)
     return None
 

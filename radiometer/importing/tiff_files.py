@@ -91,18 +91,18 @@ def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
 
 # LZW (OpenCV's default) and the JPEG and CCITT kinds: tifffile needs a further library for them, Pillow has them.
 _OF_PILLOW: Final = (2, 3, 4, 5, 7)
-_STRIPS, _TILES = 273, 324  # where the data of a directory lie
+_STRIPS, _TILES = 273, 324  # where the data of a directory begin
 
 
 def _with_pillow(path: Path, page: Any) -> NDArray[Any]:
-    """Return the values of a directory that Pillow decodes; it is found by where its data lie."""
+    """Return the values of a directory that Pillow decodes; it is found by where its data begin."""
     image: Any
     with Image.open(io.BytesIO(read_bytes(path))) as image:
         for number in range(getattr(image, "n_frames", 1)):
             image.seek(number)
             if image.tag_v2.get(_STRIPS, image.tag_v2.get(_TILES, (None,)))[0] == page.dataoffsets[0]:
                 return np.asarray(image).astype(page.dtype, copy=False)
-    raise CaptureError(f"{path}: a directory of this compression lies within another; save it without compression")
+    raise CaptureError(f"{path}: a directory of this compression is within another; save it without compression")
 
 
 def _full_size(tiff: Any) -> tuple[list[tuple[Any, tuple[Any, ...]]], tuple[str, ...]]:

@@ -65,7 +65,7 @@ def read_screen_readings(
         path: ArgyllCMS .ti3 or .cal, pacsdisplay uLR, or a table of level and luminance.
         white_cd_m2: Luminance of white, which a .cal does not hold.
         gamma: Exponent that a .cal was made for.
-        mapped: Where the user states that level and luminance stand in a table.
+        mapped: Where the user states that a table has level and luminance.
 
     Raises:
         InputError: If the file cannot be read or holds none of these.
@@ -299,6 +299,8 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
     Columns are found by their names. Without a heading the first is the level and the second the luminance.
     """
     table = read_table(path, "columns of level and luminance", text)
+    if len(table.rows) < 3:
+        raise InputError(f"{path}: {len(table.rows)} rows of level and luminance; three at least are needed")
     doubts = list[str]()
     light_at = table.find_fact("luminance", _LUMINANCE_NAMES, mapped)
     level_at = table.find_fact("level", _LEVEL_NAMES, mapped)
@@ -325,8 +327,6 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
         for name, axis in _AXES.items():
             if all(v == top * on for v, on in zip((red, green, blue), axis, strict=True)):
                 groups[name].setdefault(round(top), []).append(value)
-    if len(luminance) < 3:
-        raise InputError(f"{path}: {len(luminance)} rows of level and luminance; three at least are needed")
     left = table.not_used([light_at, *(channels or (level_at,))])
     return ScreenReadings(
         path.stem,

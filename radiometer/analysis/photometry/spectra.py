@@ -154,23 +154,23 @@ _WAVELENGTH_NAMES: Final = (
 
 
 def spectral_columns(
-    path: Path, wanted: Mapping[str, Sequence[str]]
+    path: Path, names: Mapping[str, Sequence[str]]
 ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
     """Return (wavelengths in nm, rising; values by name) of a table of text.
 
-    Columns are found by their names; a single quantity may have any name where it is the only one beside the
-    wavelength. Without a heading the wavelength comes first, then the quantities in the order in which they are wanted.
+    Columns are found by their names; a single quantity may have any name where it is the only one next to the
+    wavelength. Without a heading the wavelength comes first, then the quantities in the order of the names.
 
     Args:
         path: The table; any separator, decimal points or commas.
-        wanted: Names of columns by quantity.
+        names: Names of columns by quantity.
 
     Raises:
         InputError: If the file cannot be read, a column is missing or ambiguous, or its numbers are no spectrum.
     """
-    form = f"wavelength_nm,{','.join(wanted)}"
+    form = f"wavelength_nm,{','.join(names)}"
     table = read_table(path, form)
-    places = _places(table, wanted, form)
+    places = _places(table, names, form)
     doubts = list[str]()
     columns = {
         name: np.array(finite(table.values(at, quantity, doubts, defined=unit), table, at))
@@ -186,15 +186,15 @@ def spectral_columns(
     return wavelength, columns
 
 
-def _places(table: TextTable, wanted: Mapping[str, Sequence[str]], form: str) -> dict[str, tuple[int, str, str]]:
+def _places(table: TextTable, names: Mapping[str, Sequence[str]], form: str) -> dict[str, tuple[int, str, str]]:
     """Return column, fact and defined unit by quantity."""
     if not table.header:
-        if table.width != 1 + len(wanted):
+        if table.width != 1 + len(names):
             raise InputError(f"{table.path}: {table.width} columns without a heading; expected the columns {form}")
         return {
             name: (n, *kind)
             for n, (name, kind) in enumerate(
-                {"wavelength": ("wavelength", "nm"), **dict.fromkeys(wanted, ("number", "1"))}.items()
+                {"wavelength": ("wavelength", "nm"), **dict.fromkeys(names, ("number", "1"))}.items()
             )
         }
     first = table.find_fact("wavelength", _WAVELENGTH_NAMES)
@@ -205,9 +205,9 @@ def _places(table: TextTable, wanted: Mapping[str, Sequence[str]], form: str) ->
         )
     found = {"wavelength": (first, "wavelength", "nm")}
     others = [n for n in range(table.width) if n != first and not table.is_index(n)]
-    for name, names in wanted.items():
-        at = table.find(names)
-        if at is None and len(wanted) == 1 and len(others) == 1:
+    for name, aliases in names.items():
+        at = table.find(aliases)
+        if at is None and len(names) == 1 and len(others) == 1:
             at = others[0]
         if at is None:
             raise InputError(

@@ -53,8 +53,8 @@ def import_command(
     found = imported(readings, lights(white, primaries), meter_u_rel, file.name)
     found.write(out)
     if json:
-        said = {"taken": list(readings.taken), "doubts": list(readings.doubts)}
-        print(json_module.dumps({"file": str(out), **said, **found.to_mapping()}, allow_nan=False))
+        report = {"taken": list(readings.taken), "doubts": list(readings.doubts)}
+        print(json_module.dumps({"file": str(out), **report, **found.to_mapping()}, allow_nan=False))
         return
     for line in readings.taken:
         note(f"taken: {line}")

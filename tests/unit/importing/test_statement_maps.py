@@ -1,4 +1,4 @@
-"""A user states where facts stand: by `--map`, one by one or as a file; units, sentinels and what a file leaves open."""
+"""`--map` states where facts are, one by one or as a file; units, sentinels and what a file leaves open."""
 
 from __future__ import annotations
 
@@ -105,12 +105,12 @@ def test_what_is_not_used_is_named(write_fits, tmp_path):
     with fits.open(path, mode="append") as units:
         units.append(fits.ImageHDU(PICTURE, name="ERR"))
         units.append(fits.BinTableHDU.from_columns([fits.Column("x", "E", array=[1.0])], name="EVENTS"))
-    said = " ".join(import_sources([path])[0].header.model_extra["imported"]["not_used"])
-    assert "ERR" in said
-    assert "EVENTS" in said
+    reported = " ".join(import_sources([path])[0].header.model_extra["imported"]["not_used"])
+    assert "ERR" in reported
+    assert "EVENTS" in reported
 
 
-def test_pictures_with_exposures_of_their_own_are_all_frames(tmp_path):
+def test_pictures_that_each_state_an_exposure_are_all_frames(tmp_path):
     """A bracket in the extensions of one file: each has the exposure of its header."""
     from astropy.io import fits
 

@@ -33,7 +33,7 @@ def fits_frames(folder: Path, cards: Callable[[float], dict[str, Any]], *, level
 
 
 def tiff(path: Path, pages: Sequence[Any], tags: Sequence[Sequence[Any]], **options: Any) -> Path:
-    """Write a TIFF, each page with tags of its own."""
+    """Write a TIFF, each page with separate tags."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with tifffile.TiffWriter(path) as writer:
         for page, own in zip(pages, tags, strict=True):
@@ -62,7 +62,7 @@ def black_level(folder: Path, *forms: tuple[Any, ...]) -> Path:
 
 
 def ome(path: Path, unit: str, per_ms: float, places: Sequence[tuple[int, int]], sizes: tuple[int, int]) -> Path:
-    """Write an OME-TIFF of 5, 10, 20, 40 ms: 2 DN per ms above 100 DN; pages lie where TiffData states them."""
+    """Write an OME-TIFF of 5, 10, 20, 40 ms: 2 DN per ms above 100 DN; pages are where TiffData states them."""
     data, planes = "", ""
     for page, ((c, t), ms) in enumerate(zip(places, (5, 10, 20, 40), strict=True)):
         data += f'<TiffData FirstC="{c}" FirstT="{t}" FirstZ="0" IFD="{page}" PlaneCount="1"/>'

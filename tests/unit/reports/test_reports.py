@@ -57,7 +57,7 @@ def test_exposures_have_the_unit_that_the_file_states(make, tmp_path):
     ],
 )
 def test_exposures_of_ome_planes_are_those_of_their_pages(unit, per_ms, places, sizes, tmp_path):
-    """Page n has 100 DN + 2 DN per ms of its own exposure."""
+    """Page n has 100 DN + 2 DN per ms of its exposure."""
     found = imported(inputs.ome(tmp_path / "a.ome.tif", unit, per_ms, places, sizes), tmp_path / "out")
     for index, entry in enumerate(found.header.frames):
         level = float(found.read_frame(index).dn.mean())
@@ -171,6 +171,6 @@ def test_a_damaged_file_of_a_folder_is_named_and_the_others_are_imported(tmp_pat
     (folder / "exp2ms.tif").write_bytes(packed)
     (folder / "exp3ms.tif").write_bytes(packed[:60])
     assert len(imported(folder, tmp_path / "out").header.frames) == 2
-    said = capsys.readouterr().err
-    assert "left out" in said
-    assert all(name in said for name in ("exp2ms.tif", "exp3ms.tif"))
+    shown = capsys.readouterr().err
+    assert "left out" in shown
+    assert all(name in shown for name in ("exp2ms.tif", "exp3ms.tif"))

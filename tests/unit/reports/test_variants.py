@@ -76,7 +76,7 @@ def of_import(path: Path) -> Read:
 
 @st.composite
 def fits_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
-    """Return a FITS header whose exposure, temperature and gain stand in some unit, stated somewhere or nowhere."""
+    """Return a FITS header whose exposure, temperature and gain have some unit, stated somewhere or nowhere."""
     seconds, celsius = draw(st.sampled_from(EXPOSURES)), -5.0
     key = draw(st.sampled_from(["XPOSURE", "EXPTIME", "EXPOSURE", "EXPOINUS", "ITIME", "IMG_EXP"]))
     own = {"EXPOINUS": 1e-6}.get(key, 1.0 if key in ("XPOSURE", "EXPTIME", "EXPOSURE") else None)
@@ -163,7 +163,7 @@ def _states_exposure(tags: list[Any]) -> bool:
 
 @st.composite
 def ome_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
-    """Return an OME-TIFF whose pages lie in some order, stated by TiffData or by DimensionOrder, in some unit."""
+    """Return an OME-TIFF whose pages have some order, stated by TiffData or by DimensionOrder, in some unit."""
     spelling = draw(st.sampled_from(sorted(TIME_UNITS)))
     factor = TIME_UNITS[spelling]
     order = draw(st.sampled_from(["XYZCT", "XYZTC", "XYTCZ", "XYCTZ"]))
@@ -331,7 +331,7 @@ def list_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Call
 
 @st.composite
 def exif_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
-    """Return a photograph whose ISO speed stands in one or more tags, 65535 and 0 among them."""
+    """Return a photograph whose ISO speed is in one or more tags, 65535 and 0 among them."""
     speed = draw(st.sampled_from([400, 102_400]))
     tags = [(33434, "2I", 1, (7, 1000), True)]
     for code in draw(st.permutations([34855, 34866, 34867])):
