@@ -193,21 +193,27 @@ def read_table(path: Path, needs: str, text: str | None = None, *, named: bool =
     preamble, body = cells[:start], cells[start:]
     for line, row in (*preamble, *body):
         is_data = sum(_is_number(c) or bool(_COMMA.fullmatch(c)) for c in row) >= max(1, len(row) - 1)
-        if len(row) != width and (line > body[0][0] or (is_data and len(row) > 1)):
+        if len(row) != width and (line > body[0][0] or is_data):
             raise _ragged(path, line, row, width, separator)
     header, body = _heading(body)
+    if (
+        not header
+        and preamble
+        and _names_rows(preamble[-1][1], width, separator, [line for _, line in content[start:]])
+    ):
+        header, preamble = ("row", *preamble[-1][1]), preamble[:-1]
     if not header and preamble and len(preamble[-1][1]) > 1:
         raise _ragged(path, *preamble[-1], width, separator)
     if not header:
         header = _heading_above(comments, width)
     if named and not header:
         raise InputError(f"{path}: has no line that names its columns; it needs {needs}")
-    decimal_comma = _decimal_comma(path, [row for _, row in body], separator)
-    rows = tuple((n, tuple(_pointed(c) for c in row)) for n, row in body) if decimal_comma else tuple(body)
-    mark = "commas" if decimal_comma else "points"
+    commas = _comma_columns(path, [row for _, row in body], separator)
+    rows = tuple((n, tuple(_pointed(cell) if at in commas else cell for at, cell in enumerate(row))) for n, row in body)
+    mark = "commas" if commas else "points"
     how = f"columns separated by {_SEPARATORS.get(separator, repr(separator))}, decimal {mark}"
     kept = tuple(f"line {n}: {' '.join(row)[:60]}" for n, row in preamble)
-    return TextTable(path, header, tuple((n, tuple(row)) for n, row in rows), how, comments, kept)
+    return TextTable(path, header, rows, how, comments, kept)
 
 
 def _is_comment(line: str) -> bool:
@@ -251,10 +257,16 @@ def _split(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
 
 
+def _names_rows(names: Sequence[str], width: int, separator: str, lines: Sequence[str]) -> bool:
+    """Tell whether a heading names all columns but the first: R's write.table names no column for the row names."""
+    quoted = all(line.lstrip().startswith('"') for line in lines)
+    return len(names) == width - 1 and (quoted or not separator) and not any(_is_number(name) for name in names)
+
+
 def _ragged(path: Path, line: int, row: Sequence[str], width: int, separator: str) -> InputError:
     comma = " (decimal commas between commas?)" if separator == "," else ""
     return InputError(
-        f"{path}, line {line}: {len(row)} cells, most lines have {width}{comma}; give all lines one number of cells"
+        f"{path}, line {line}: cells: {len(row)}; most lines have {width}{comma}; give all lines one number of cells"
     )
 
 
@@ -282,33 +294,39 @@ def _heading(body: list[tuple[int, list[str]]]) -> tuple[tuple[str, ...], list[t
 def _heading_above(comments: Sequence[str], width: int) -> tuple[str, ...]:
     """Return the names in the last comment that has as many as the table has columns; () where none has."""
     for line in reversed(comments):
-        for separator in _SEPARATORS:
+        for separator in filter(None, _SEPARATORS):  # words with blanks between them are a remark
             names = tuple(_split(line, separator))
             if len(names) == width > 1 and not any(_is_number(name) for name in names):
                 return names
     return ()
 
 
-def _decimal_comma(path: Path, rows: Sequence[Sequence[str]], separator: str) -> bool:
-    """Tell whether numbers have decimal commas.
+def _comma_columns(path: Path, rows: Sequence[Sequence[str]], separator: str) -> set[int]:
+    """Return the columns whose numbers have decimal commas.
 
     Raises:
-        InputError: If points and commas are mixed, or every comma may as well part thousands.
+        InputError: If points and commas are mixed in a column, or every comma may as well part thousands.
     """
-    cells = [cell for row in rows for cell in row]
-    commas = [c for c in cells if _COMMA.fullmatch(c) or _THOUSANDS.fullmatch(c)]
-    if separator == "," or not commas:
-        return False
-    points = [c for c in cells if _POINT.fullmatch(c) and "." in c]
-    if points:
+    if separator == ",":
+        return set()
+    sure, unsure = set[int](), dict[int, str]()
+    for at, cells in enumerate(zip(*rows, strict=True)):
+        commas = [c for c in cells if _COMMA.fullmatch(c) or _THOUSANDS.fullmatch(c)]
+        points = [c for c in cells if _POINT.fullmatch(c) and "." in c]
+        if commas and points:
+            raise InputError(
+                f"{path}: {points[0]!r} has a decimal point, {commas[0]!r} a comma; write all numbers in one way"
+            )
+        if commas and all(_THOUSANDS.fullmatch(c) for c in commas):
+            unsure[at] = commas[0]
+        elif commas:
+            sure.add(at)
+    if unsure and not sure:
         raise InputError(
-            f"{path}: {points[0]!r} has a decimal point, {commas[0]!r} a comma; write all numbers in one way"
+            f"{path}: the comma in {next(iter(unsure.values()))!r} may be a decimal mark or part thousands; "
+            "write decimal points"
         )
-    if all(_THOUSANDS.fullmatch(c) for c in commas):
-        raise InputError(
-            f"{path}: the comma in {commas[0]!r} may be a decimal mark or part thousands; write decimal points"
-        )
-    return True
+    return sure | set(unsure)
 
 
 def _pointed(cell: str) -> str:
