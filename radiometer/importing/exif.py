@@ -20,9 +20,9 @@ EXIF_DIRECTORY: Final = 34665
 # Exif 2.32, sections 4.6.3 and 4.6.5, and DNG 1.7, chapter 4: names by code, for writers' libraries differ in them.
 _NAMES: Final = {
     33434: "ExposureTime", 33437: "FNumber", 34855: "PhotographicSensitivity", 34865: "StandardOutputSensitivity",
-    34866: "RecommendedExposureIndex", 34867: "ISOSpeed", 36867: "DateTimeOriginal", 37386: "FocalLength",
-    37521: "SubsecTimeOriginal", 50713: "BlackLevelRepeatDim", 50714: "BlackLevel", 50715: "BlackLevelDeltaH",
-    50716: "BlackLevelDeltaV",
+    34866: "RecommendedExposureIndex", 34867: "ISOSpeed", 36867: "DateTimeOriginal", 37377: "ShutterSpeedValue",
+    37386: "FocalLength", 37521: "SubsecTimeOriginal", 50713: "BlackLevelRepeatDim", 50714: "BlackLevel",
+    50715: "BlackLevelDeltaH", 50716: "BlackLevelDeltaV",
 }  # fmt: skip
 _ALIASES: Final = {"ISOSpeedRatings": "PhotographicSensitivity"}
 _RATIONALS: Final = (5, 10)  # TIFF types RATIONAL and SRATIONAL: pairs of numerator and denominator
@@ -32,6 +32,7 @@ _ISO: Final = places(
     "PhotographicSensitivity:ISO RecommendedExposureIndex:ISO ISOSpeed:ISO StandardOutputSensitivity:ISO"
 )
 _F_NUMBER: Final = places("FNumber:1")
+_LARGEST_APEX: Final = 32.0  # 2³² s and 2⁻³² s: no shutter has them
 DAMAGE: Final = (
     tifffile.TiffFileError, OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, struct.error,
     RuntimeError, ZeroDivisionError, OverflowError,
@@ -85,8 +86,15 @@ def _of_exif(value: Any) -> Any:
 
 
 def exposure_of(header: Header, doubts: list[str], where: str) -> tuple[str, float] | None:
-    """Return where the exposure in s stands, and the exposure; None where it is unknown."""
-    return first_stated("exposure", header, _EXPOSURE, StatementMap(), doubts, where)
+    """Return where the exposure in s stands, and the exposure; None where it is unknown.
+
+    Without ExposureTime, ShutterSpeedValue is read, which is −log2 of the exposure in s (Exif 2.32, annex C: APEX).
+    """
+    found = first_stated("exposure", header, _EXPOSURE, StatementMap(), doubts, where)
+    speed = first_stated("number", header, places("ShutterSpeedValue"), StatementMap(), [], where)
+    if found is None and speed is not None and abs(speed[1]) < _LARGEST_APEX:
+        return speed[0], float(2.0 ** -speed[1])
+    return found
 
 
 def iso_of(header: Header, doubts: list[str], where: str) -> tuple[str, float] | None:
@@ -123,6 +131,15 @@ def directories(tiff: Any) -> Iterator[tuple[Any, tuple[Any, ...]]]:
         yield whole, ()
         for inner in whole.pages or ():
             yield inner.aspage(), (whole,)
+
+
+def count_pictures(path: Path) -> int:
+    """Return how many full-size pictures a TIFF holds; 1 of any other file."""
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            return max(1, sum(not page.is_reduced for page, _ in directories(tiff)))
+    except DAMAGE:
+        return 1  # reported when its pixels are read
 
 
 def _of_tiff(path: Path) -> dict[str, Statement]:

@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tifffile
 
 from radiometer.cli.main import run
 from radiometer.data import CaptureSet, ResponseCurve
@@ -174,3 +175,26 @@ def test_a_damaged_file_of_a_folder_is_named_and_the_others_are_imported(tmp_pat
     shown = capsys.readouterr().err
     assert "left out" in shown
     assert all(name in shown for name in ("exp2ms.tif", "exp3ms.tif"))
+
+
+def test_a_stack_among_photographs_is_not_read_by_its_first_page(tmp_path, capsys):
+    """Its pages may have other exposures (haraldk/TwelveMonkeys/issues/412): the command that reads all is named."""
+    for n in range(2):
+        pages = [inputs.flat(256 + 2e4 * s) for s in inputs.SECONDS]
+        inputs.tiff(tmp_path / "p" / f"{n}.tif", pages, [[inputs.exposure_tag(s)] for s in inputs.SECONDS])
+    assert run(["merge", str(tmp_path / "p"), "-o", str(tmp_path / "o.tiff")]) == 1
+    assert "radiometer import" in capsys.readouterr().err
+
+
+def test_the_picture_of_a_raw_file_may_be_within_another_directory(tmp_path):
+    """A small colour picture comes first, with EXIF; the sensor's picture is in a directory of it."""
+    colour = np.zeros((24, 32, 3), np.uint8)
+    with tifffile.TiffWriter(tmp_path / "a.dng.tif") as writer:
+        exposure = [inputs.exposure_tag(0.04)]
+        writer.write(colour, photometric="rgb", subfiletype=1, subifds=1, metadata=None, extratags=exposure)
+        raw = inputs.flat(900.0).astype(np.uint16)
+        black = [(50714, "H", 1, 256, True)]
+        writer.write(raw, photometric="minisblack", subfiletype=0, metadata=None, extratags=black)
+    found = imported(tmp_path / "a.dng.tif", tmp_path / "out")
+    assert np.array_equal(found.read_frame(0).dn, raw)
+    assert (found.header.frames[0].exposure_s, found.header.frames[0].black_level_dn) == (0.04, 256.0)
