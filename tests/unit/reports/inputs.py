@@ -17,13 +17,18 @@ SECONDS = (0.01, 0.02, 0.05, 0.1)
 _MATRIX = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
 
 
-def fits_frames(folder: Path, cards: Callable[[float], dict[str, Any]], *, level: float = 1e5, **kind: Any) -> Path:
-    """Write pairs of light and dark frames at four exposures: light DN/s above 100 DN, 0.5 DN/e⁻, 5 e⁻ of noise."""
+def fits_frames(
+    folder: Path, cards: Callable[[float], dict[str, Any]], *, level: float = 1e5, dark: float = 0.0, **kind: Any
+) -> Path:
+    """Write pairs of light and dark frames at four exposures: e⁻/s of light and of dark current above 100 DN.
+
+    The gain is 0.5 DN/e⁻ and the noise 5 e⁻.
+    """
     folder.mkdir(exist_ok=True)
     rng = np.random.default_rng(1)
     scale, black = kind.pop("scale", 0.5), kind.pop("black", 100)
     for seconds in SECONDS:
-        for name, rate in (("Light1", level), ("Light2", level), ("Dark1", 0.0), ("Dark2", 0.0)):
+        for name, rate in (("Light1", level + dark), ("Light2", level + dark), ("Dark1", dark), ("Dark2", dark)):
             electrons = rng.poisson(rate * seconds, (48, 48)) + rng.normal(0.0, 5.0, (48, 48))
             unit = fits.PrimaryHDU(np.rint(black + scale * electrons).clip(0, 65_535).astype(np.uint16))
             for key, value in {"IMAGETYP": name[:-1], "INSTRUME": "CAM", **kind, **cards(seconds)}.items():
@@ -128,3 +133,58 @@ def raw_photographs(folder: Path, photometric: int = 32803) -> Path:
             with tifffile.TiffFile(path, mode="r+b") as file:
                 file.pages[0].tags[262].overwrite(photometric)
     return folder
+
+
+def ramp_bracket(folder: Path, top: int, step: int = 1, **cards: Any) -> Path:
+    """Write FITS frames and darks of a ramp of 800 000 DN/s above 500 DN that saturates at a digital number."""
+    folder.mkdir(exist_ok=True)
+    rng = np.random.default_rng(6)
+    ramp = np.linspace(0.02, 1, 96)[None, :] * np.ones((64, 1))
+    for n, seconds in enumerate((1 / 256, 1 / 64, 1 / 16, 1 / 4)):
+        for kind, rate in (("Light", 8e5), ("Dark", 0.0)):
+            mean = rate * seconds * ramp
+            dn = np.minimum(500 + rng.normal(mean, np.sqrt(0.5 * mean + 9)), top)
+            unit = fits.PrimaryHDU((np.floor(dn / step) * step).clip(0, 65_535).astype(np.uint16))
+            unit.header.update(EXPTIME=seconds, IMAGETYP=kind, **cards)
+            unit.writeto(folder / f"{kind}{n}.fits")
+    return folder
+
+
+def raw_ramp(folder: Path, spread_dn: float, strays: int) -> Path:
+    """Write DNG of a ramp of 240 000 DN/s in green whose sensor saturates at 15 780 DN, the tag stating 16 383."""
+    rng = np.random.default_rng(3)
+    times = (1 / 256, 1 / 64, 1 / 16, 1 / 4)
+    colour = np.ones((128, 192))
+    colour[0::2, 0::2], colour[1::2, 1::2] = 0.5, 0.3
+    for n, seconds in enumerate(times):
+        mean = 240_000 * seconds * np.linspace(0.02, 1, 192)[None, :] * colour
+        dn = 600 + rng.normal(mean, np.sqrt(0.3 * mean + 9))
+        dn = np.minimum(dn, 15_780 + rng.normal(0.0, spread_dn, dn.shape))
+        full = np.flatnonzero(dn.ravel() >= 15_779)
+        if full.size > strays:
+            dn.ravel()[rng.choice(full, strays, replace=False)] = rng.integers(15_780, 16_180, strays)
+        tags = [
+            (50706, "B", 4, (1, 4, 0, 0), True), (50708, "s", 0, "Test Camera", True), (33421, "H", 2, (2, 2), True),
+            (33422, "B", 4, (0, 1, 1, 2), True), (50714, "H", 1, 600, True), (50717, "I", 1, 16_383, True),
+            (50721, "2i", 9, _MATRIX, True), (50728, "2I", 3, (1, 1) * 3, True), (50778, "H", 1, 21, True),
+        ]  # fmt: skip
+        tiff(folder / f"p{n}.dng", [np.rint(dn).clip(0, 16_383)], [tags], photometric=32803)
+    (folder / "exposures.txt").write_text("".join(f"p{n}.dng {seconds}\n" for n, seconds in enumerate(times)))
+    return folder
+
+
+def steady_log(path: Path) -> Path:
+    """Write six nights of a camera that lacks nothing, whose exposure keeps the value at 30 000 DN ± 0.5 %."""
+    rng = np.random.default_rng(3)
+    lines = ["utc,adu,exposure_s,gain_db,sqm"]
+    for night in range(6):
+        phase, base = rng.uniform(0, 6), rng.uniform(19.5, 21)
+        for k in range(45):
+            magnitude = base + 0.5 * math.sin(k / 9 + phase) + rng.normal(0, 0.01)
+            light = 10.8e4 * 10 ** (-0.4 * magnitude)
+            seconds = round(0.0015 / light, 3)
+            value = 2e7 * light * seconds * (1 + rng.normal(0, 0.005))
+            stamp = f"2026-03-{1 + night:02d}T{20 + k * 8 // 60 % 4:02d}:{k * 8 % 60:02d}:00"
+            lines.append(f"{stamp},{value:.1f},{seconds:.6g},0,{magnitude:.2f}")
+    path.write_text("\n".join(lines) + "\n")
+    return path

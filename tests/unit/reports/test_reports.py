@@ -198,3 +198,52 @@ def test_the_picture_of_a_raw_file_may_be_within_another_directory(tmp_path):
     found = imported(tmp_path / "a.dng.tif", tmp_path / "out")
     assert np.array_equal(found.read_frame(0).dn, raw)
     assert (found.header.frames[0].exposure_s, found.header.frames[0].black_level_dn) == (0.04, 256.0)
+
+
+def test_dark_frames_of_a_set_count_when_it_is_calibrated(tmp_path, capsys):
+    """The frames that were calibrated at 1 W·sr⁻¹·m⁻² read 1.00 (DaveStrickland/AstroPhotography/issues/5)."""
+    folder = inputs.fits_frames(tmp_path / "f", lambda s: {"EXPTIME": s}, level=44_000.0, dark=4_000.0)
+    words = ["--patch", "10,10,20,20", "--f-number", "4"]
+    calibration = str(tmp_path / "cal.yaml")
+    scale = ["--radiance", "1", "--u-rel", "0.01", "--black-level", "100", "-o", calibration]
+    assert run(["calibrate", str(folder), *words, *scale]) == 0
+    capsys.readouterr()
+    assert run(["measure", "--photographs", str(folder), "--calibration", calibration, *words]) == 0
+    assert float(re.search(r"radiance +([\d.]+)", capsys.readouterr().out)[1]) == pytest.approx(1.0, abs=0.01)
+
+
+BRACKETS = {
+    "full scale": lambda p: inputs.ramp_bracket(p, 65_535),
+    "panoptes/POCS/issues/899 14 bits": lambda p: inputs.ramp_bracket(
+        p, 65_532, 4, INSTRUME="ZWO ASI294MM Pro", GAIN=0
+    ),
+    "EtalumaSupport/LumaViewPro/issues/730": lambda p: inputs.ramp_bracket(
+        p, 65_520, 16, INSTRUME="ZWO ASI178MM", GAIN=0
+    ),
+    "legacysurvey/legacypipe/issues/627": lambda p: inputs.ramp_bracket(p, 50_000, SATURATE=50_000),
+}
+
+
+@pytest.mark.parametrize("make", BRACKETS.values(), ids=BRACKETS)
+def test_frames_that_saturate_below_their_container_are_merged_right(make, tmp_path):
+    """800 000 DN/s at the right end, within 1 % from the darkest column to the brightest."""
+    imported(make(tmp_path / "in"), tmp_path / "set")
+    assert run(["merge", str(tmp_path / "set"), "-o", str(tmp_path / "o.tiff")]) == 0
+    found = tifffile.imread(tmp_path / "o.tiff", key=0).mean(axis=0)
+    assert found[2:] == pytest.approx((8e5 * np.linspace(0.02, 1, 96))[2:], rel=0.01)
+
+
+@pytest.mark.parametrize(("spread_dn", "strays"), [(0.0, 0), (0.0, 40), (1.0, 0)])
+def test_a_raw_file_that_saturates_below_its_white_level(spread_dn, strays, tmp_path):
+    """240 000 DN/s within 1 %, whatever lies above the sensor's end (jcelaya/hdrmerge/issues/126)."""
+    folder = inputs.raw_ramp(tmp_path / "p", spread_dn, strays)
+    assert run(["merge", str(folder), "--channel", "green", "-o", str(tmp_path / "o.tiff")]) == 0
+    found = tifffile.imread(tmp_path / "o.tiff", key=0).mean(axis=0)
+    expected = (240_000 * np.linspace(0.02, 1, 192))[1::2][: found.size]
+    assert found[4:] == pytest.approx(expected[4:], rel=0.01)
+
+
+def test_a_log_whose_value_hardly_moves_names_no_effect(tmp_path, capsys):
+    """It agrees: a value of 30 000 DN ± 0.5 % shows neither a black level nor a bend."""
+    assert run(["log-fit", str(inputs.steady_log(tmp_path / "nights.csv"))]) == 0
+    assert "inf" not in capsys.readouterr().out
