@@ -173,9 +173,9 @@ def raw_ramp(folder: Path, spread_dn: float, strays: int) -> Path:
     return folder
 
 
-def steady_log(path: Path) -> Path:
+def steady_log(path: Path, seed: int) -> Path:
     """Write six nights of a camera that lacks nothing, whose exposure keeps the value at 30 000 DN ± 0.5 %."""
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(seed)
     lines = ["utc,adu,exposure_s,gain_db,sqm"]
     for night in range(6):
         phase, base = rng.uniform(0, 6), rng.uniform(19.5, 21)
