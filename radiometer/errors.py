@@ -72,8 +72,8 @@ class UnsettledError(InputError):
         """
         has = f"in {unit}, which is not one known unit" if unit else "without a unit"
         return cls(
-            f"{where}{': ' if where else ''}{place} states {str(written).strip()[:40]} {has}; "
-            f"name it: --map {fact}={place}:UNIT with one of {', '.join(offered)}"
+            f"{where}{': ' if where else ''}{place} states {str(written).strip()[:40]} {has}. State the unit in the "
+            f"file, or import it with --map {fact}={place}:UNIT (UNIT: {', '.join(offered)})"
         )
 
 

@@ -17,7 +17,7 @@ BASE_ISO: Final = 100.0  # the ISO speed that counts as 0 dB
 ZERO_CELSIUS_K: Final = 273.15
 _LONGEST_NUMBER: Final = 40  # characters; a fraction of 10^99999999 would fill the memory
 _HUGE_POWER: Final = re.compile(r"[eE][+-]?0*\d{3}")
-_PREFIXES: Final = {"k": 1e3, "": 1.0, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12}
+_PREFIXES: Final = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12, "c": 1e-2, "d": 1e-1, "k": 1e3}
 
 # Printed by half-stop dials alone, though rounded so far that a third of a stop lies as near.
 _HALF_STOPS_ONLY_S: Final = (1.5, 3.0, 1.0 / 3.0)
@@ -81,12 +81,10 @@ class Unit:
     """A unit of a quantity.
 
     Attributes:
-        quantity: Name of the quantity, a key of `SPELLINGS`.
         name: How the unit is reported.
         to_base: Turns a number in this unit into one in the quantity's base unit.
     """
 
-    quantity: str
     name: str
     to_base: Callable[[float], float]
 
@@ -138,7 +136,7 @@ _CONVERSION: Final = {
 _LUMINANCE: Final = {
     **_all(
         # "cd" alone: in a column of luminance nothing else can be meant.
-        "cd|cd/m2|cd/m^2|cd m2|cd m-2|cd m^-2|cd*m-2|cd.m-2|cd per m2|cd/sqm|cd/qm|nit|nits|lm/sr/m2|candela/m2",
+        "cd/m2|cd/m^2|cd|cd m2|cd m-2|cd m^-2|cd*m-2|cd.m-2|cd per m2|cd/sqm|cd/qm|nit|nits|lm/sr/m2|candela/m2",
         _times(1.0),
     ),
     **_all("mcd/m2|mcd m2|mcd m-2|mnit", _times(1e-3)),
@@ -197,17 +195,17 @@ def unit_of(spelling: str, quantity: str) -> Unit | None:
     known = SPELLINGS[quantity]
     for candidate in (text, text.replace("_", "/"), text.replace("_", " ")):
         if candidate in known:
-            return Unit(quantity, spelling.strip(), known[candidate])
+            return Unit(spelling.strip(), known[candidate])
     lower = text.lower()
     matches = {id(convert): convert for name, convert in known.items() if name.lower() == lower}
     # Case counts where a prefix (mS, Ms, MS) or a name (A is ångström, a is none) depends on it.
     by_case = (len(text) == 2 and quantity in ("exposure", "time")) or (len(text) == 1 and quantity == "wavelength")
     if len(matches) == 1 and not by_case:
-        return Unit(quantity, spelling.strip(), next(iter(matches.values())))
+        return Unit(spelling.strip(), next(iter(matches.values())))
     counted = _COUNTED_UNIT.fullmatch(text)
     if counted and (inner := unit_of(counted["unit"], quantity)) is not None:
         count = float(counted["count"])
-        return Unit(quantity, spelling.strip(), lambda value: inner.to_base(value * count))
+        return Unit(spelling.strip(), lambda value: inner.to_base(value * count))
     return None
 
 
