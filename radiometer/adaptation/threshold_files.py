@@ -75,7 +75,7 @@ def read_table(path: Path) -> TakenTable:
         rows = [[str(value) for value in pair] for pair in zip(*numbers, strict=True)]
         how = [f"a file of R: time and thrs of {name}"]
         return _taken(path, ["time", "thrs"], list(enumerate(rows, 1)), {}, how)
-    text = _text(raw)
+    text = text_table.decode_export(raw)
     lists = _r_lists(text)
     facts: dict[str, str] = {}
     if lists is not None:
@@ -94,15 +94,6 @@ def _raw(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-
-
-def _text(raw: bytes) -> str:
-    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return raw.decode("utf-16", errors="replace")
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
 
 
 def _r_lists(text: str) -> tuple[list[str], list[str]] | None:

@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Final
 
 from radiometer.data.statements import FACTS, Place, Statement, StatementMap, is_unknown, value_of
-from radiometer.data.storage import read_text
 from radiometer.errors import InputError, UnsettledError
 from radiometer.units import heading_parts, plain_name, unit_of
 
 _SEPARATORS: Final = {"\t": "tabs", ";": "semicolons", ",": "commas", "": "blanks"}
+_LONGEST_LINE: Final = 100_000  # Python's csv takes cells of up to 131 072 characters
 _COMMENT_SIGNS: Final = "#%!"
 _POINT: Final = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _COMMA: Final = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
@@ -177,7 +177,7 @@ def read_table(path: Path, needs: str, text: str | None = None, *, named: bool =
     Raises:
         InputError: If it cannot be read, holds no table, or its separator or decimal mark is ambiguous.
     """
-    lines = (read_text(path) if text is None else text).splitlines()
+    lines = (read_export(path) if text is None else text).splitlines()
     numbered = [(n, line) for n, line in enumerate(lines, 1) if line.strip()]
     comments = tuple(_uncommented(line) for _, line in numbered if _is_comment(line))
     content = [(n, line) for n, line in numbered if not _is_comment(line)]
@@ -186,6 +186,8 @@ def read_table(path: Path, needs: str, text: str | None = None, *, named: bool =
         forced, content = found[1], content[1:]
     if not content:
         raise InputError(f"{path} is empty; it needs {needs}")
+    if (long := next((n for n, line in content if len(line) > _LONGEST_LINE), None)) is not None:
+        raise InputError(f"{path}, line {long}: longer than {_LONGEST_LINE} characters; this is no table")
     separator = _separator([line for _, line in content], forced)
     cells = [(n, _split(line, separator)) for n, line in content]
     width = Counter(len(row) for _, row in cells).most_common(1)[0][0]
@@ -214,6 +216,28 @@ def read_table(path: Path, needs: str, text: str | None = None, *, named: bool =
     how = f"columns separated by {_SEPARATORS.get(separator, repr(separator))}, decimal {mark}"
     kept = tuple(f"line {n}: {' '.join(row)[:60]}" for n, row in preamble)
     return TextTable(path, header, rows, how, comments, kept)
+
+
+def read_export(path: Path) -> str:
+    """Return the text of a file that a meter's program or a spreadsheet wrote: UTF-8, UTF-16, else Windows-1252.
+
+    Raises:
+        InputError: If it cannot be read.
+    """
+    try:
+        return decode_export(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def decode_export(raw: bytes) -> str:
+    """Return bytes as text: UTF-16 where they begin with its mark, UTF-8, else Windows-1252 ("cd/m²", "µs")."""
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return raw.decode("utf-16", errors="replace")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("cp1252", errors="replace")
 
 
 def _is_comment(line: str) -> bool:

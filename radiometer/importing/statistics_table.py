@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from radiometer.data import CameraDescription, CaptureHeader, SettingStatistics, SourceDescription
 from radiometer.data.statements import Statement, StatementMap, is_unknown, value_of
-from radiometer.data.text_table import read_table
+from radiometer.data.text_table import decode_export, read_table
 from radiometer.errors import CaptureError, InputError, UnsettledError
 from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.record import ImportRecord
@@ -153,10 +153,7 @@ def _suffix(path: Path) -> str:
 
 def _rows(path: Path) -> tuple[list[Row], dict[str, str], tuple[str, ...]]:
     """Return the rows by key, the keys as they are spelled (units depend on case), and how the table was read."""
-    try:
-        text = read_bytes(path).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise CaptureError(f"{path} is not a text file (byte {error.start} is not UTF-8)") from error
+    text = decode_export(read_bytes(path))
     if _suffix(path) not in (".csv", ".tsv"):
         rows = _json_rows(text, path)
         spelled = re.findall(r'"((?:[^"\\]|\\.)*)"\s*:', text)

@@ -135,6 +135,8 @@ def _opened(path: Path) -> Iterator[Any]:
     except (CaptureError, UnsettledError):
         raise
     except DAMAGE as error:
+        if "imagecodecs" in str(error):  # what tifffile names where it has no decoder
+            raise CaptureError(f"{path}: its compression is not read ({error}); save it without compression") from error
         said = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise DamagedFileError(f"{path}: not a readable TIFF file (damaged or truncated): {said}") from error
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from radiometer.data import Provenance
 from radiometer.data.statements import StatementMap
-from radiometer.data.text_table import TextTable, finite, read_table
+from radiometer.data.text_table import TextTable, finite, read_export, read_table
 from radiometer.errors import InputError, UnsettledError
 from radiometer.screen.calibration import ChannelCurve, ScreenCalibration
 from radiometer.screen.run import Light
@@ -71,10 +71,7 @@ def read_screen_readings(
         InputError: If the file cannot be read or holds none of these.
         UnsettledError: If a table's columns or units are not known.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    text = read_export(path)
     first = text.lstrip()[:4].upper()
     if first.startswith("CTI3"):
         return _ti3(path, text)

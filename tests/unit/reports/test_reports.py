@@ -202,6 +202,16 @@ def test_the_picture_of_a_raw_file_may_be_within_another_directory(tmp_path):
     assert (found.header.frames[0].exposure_s, found.header.frames[0].black_level_dn) == (0.04, 256.0)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_tables_are_read_in_the_encodings_of_meters_and_spreadsheets(encoding, tmp_path):
+    """The ² of cd/m² is one byte in Windows-1252, two in the others."""
+    file = inputs.screen(tmp_path / "s.csv", "level;Lv (cd/m²)", lambda i, n, v: f"{n};{v:.3f}", comma=True)
+    file.write_text(file.read_text(encoding="utf-8"), encoding=encoding)
+    assert run(["screen", "import", str(file), "-o", str(tmp_path / "s.yaml")]) == 0
+    curve = ScreenCalibration.read(tmp_path / "s.yaml").channel("grey")
+    assert curve.at(255, LUMINANCE).value == pytest.approx(230.2, rel=1e-3)
+
+
 @OPEN
 def test_dark_frames_of_a_set_count_when_it_is_calibrated(tmp_path, capsys):
     """The frames that were calibrated at 1 W·sr⁻¹·m⁻² read 1.00 (DaveStrickland/AstroPhotography/issues/5)."""
