@@ -65,10 +65,10 @@ def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
         if not pages:
             raise CaptureError(f"{path}: the TIFF holds no page")
         top = [page for page, _ in pages]
-        said = planes_of(path, top, tiff.ome_metadata if tiff.is_ome else None)
+        planes = planes_of(path, top, tiff.ome_metadata if tiff.is_ome else None)
         stated = _image_j(tiff)
         frames = []
-        for number, ((page, parents), plane) in enumerate(zip(pages, said, strict=True)):
+        for number, ((page, parents), plane) in enumerate(zip(pages, planes, strict=True)):
             facts = _facts(page, parents, {**stated, **(plane.header() if plane else {})})
             frame = _frame(path, page, number, len(pages), facts, mapped)
             frames.append(frame if plane is None else completed(frame, plane, mapped))
@@ -137,8 +137,8 @@ def _opened(path: Path) -> Iterator[Any]:
     except DAMAGE as error:
         if "imagecodecs" in str(error):  # what tifffile names where it has no decoder
             raise CaptureError(f"{path}: its compression is not read ({error}); save it without compression") from error
-        said = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise DamagedFileError(f"{path}: not a readable TIFF file (damaged or truncated): {said}") from error
+        why = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        raise DamagedFileError(f"{path}: not a readable TIFF file (damaged or truncated): {why}") from error
 
 
 def _refuse_cut_short(path: Path, page: Any, size: int) -> None:

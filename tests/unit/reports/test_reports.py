@@ -250,7 +250,7 @@ def test_frames_that_saturate_below_their_container_are_merged_right(make, tmp_p
 @OPEN
 @pytest.mark.parametrize(("spread_dn", "strays"), [(0.0, 0), (0.0, 40), (1.0, 0)])
 def test_a_raw_file_that_saturates_below_its_white_level(spread_dn, strays, tmp_path):
-    """240 000 DN/s within 1 %, whatever lies above the sensor's end (jcelaya/hdrmerge/issues/126)."""
+    """240 000 DN/s within 1 %, whatever is above the sensor's end (jcelaya/hdrmerge/issues/126)."""
     folder = inputs.raw_ramp(tmp_path / "p", spread_dn, strays)
     assert run(["merge", str(folder), "--channel", "green", "-o", str(tmp_path / "o.tiff")]) == 0
     found = tifffile.imread(tmp_path / "o.tiff", key=0).mean(axis=0)
