@@ -21,11 +21,12 @@ _CELLS: Final = {(2, 2): 2, (6, 6): 3}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawColours:
-    """The three colours of a mosaic.
+    """The three colours of a mosaic, or the one of a sensor without filters.
 
     Attributes:
-        values: Shape (height, width, 3), red, green and blue: of the pixels of one colour in a cell the first (at half
-            size for Bayer's mosaic, a third for X-Trans), or of every pixel where interpolated.
+        values: Shape (height, width) of a sensor without filters, else (height, width, 3), red, green and blue: of the
+            pixels of one colour in a cell the first (at half size for Bayer's mosaic, a third for X-Trans), or of every
+            pixel where interpolated.
         bit_depth: Bits per value, 9 to 16; numbers at the file's white level are full scale.
         black_levels_dn: Black level of red, green and blue.
     """
@@ -36,7 +37,9 @@ class RawColours:
 
     @property
     def green(self) -> NDArray[np.uint16]:
-        """Return the green plane: what a frame of a tethered camera consists of."""
+        """Return the green plane, or the only one: what a frame of a tethered camera consists of."""
+        if self.values.ndim == 2:
+            return self.values
         return np.ascontiguousarray(self.values[..., _LETTERS.index("G")])
 
 
@@ -49,7 +52,7 @@ def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
             from a clipped pixel counts as clipped.
 
     Raises:
-        CaptureError: If it is missing, damaged, or its mosaic is neither Bayer's nor X-Trans.
+        CaptureError: If it is missing, damaged, developed, or its mosaic is neither Bayer's nor X-Trans.
         MissingLibrary: If rawpy is not installed.
     """
     try:
@@ -60,19 +63,22 @@ def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
         ) from error
     try:
         with rawpy.imread(str(path)) as raw:
-            if raw.raw_type != rawpy.RawType.Flat or raw.raw_pattern is None:
+            grey = raw.raw_type == rawpy.RawType.Flat and raw.num_colors == 1
+            if not grey and (raw.raw_type != rawpy.RawType.Flat or raw.raw_pattern is None):
                 raise CaptureError(f"{path}: is not a mosaic of colours, or was developed; develop it to linear TIFF")
             mosaic, pattern = raw.raw_image_visible.copy(), raw.raw_pattern
             white, black = int(raw.white_level), raw.black_level_per_channel
             names = raw.color_desc.decode("ascii", "replace")
-            developed = _developed(raw, rawpy) if interpolated else None
+            developed = _developed(raw, rawpy) if interpolated and not grey else None
     except (rawpy.LibRawError, OSError) as error:
         said = error.args[0] if error.args else error
         told = said.decode("utf-8", "replace") if isinstance(said, bytes) else error
         raise CaptureError(f"{path}: not a readable camera raw file: {told}") from error
-    if pattern.shape not in _CELLS:
+    if not grey and pattern.shape not in _CELLS:
         raise CaptureError(f"{path}: its colour mosaic is neither Bayer's nor X-Trans; develop it to linear TIFF")
     bit_depth = max(9, min(16, int(np.ceil(np.log2(white + 1)))))
+    if grey:
+        return RawColours(_below_white(mosaic, white, bit_depth), bit_depth, (float(black[0]),) * 3)
     levels = [float(np.mean([black[k] for k in set(pattern.ravel().tolist()) if names[k] == c])) for c in _LETTERS]
     letters = np.array(list(names))[pattern]
     if developed is not None:
@@ -83,9 +89,14 @@ def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
     if _CELLS[pattern.shape] == 2:  # the green that is read has a black level of its own
         row, column = np.argwhere(letters == "G")[0]
         levels[1] = float(black[pattern[row, column]])
-    values = np.minimum(np.stack(planes, axis=2), (1 << bit_depth) - 1).astype(np.uint16)
-    values[values >= white] = (1 << bit_depth) - 1
+    values = _below_white(np.stack(planes, axis=2), white, bit_depth)
     return RawColours(values, bit_depth, (levels[0], levels[1], levels[2]))
+
+
+def _below_white(values: NDArray[np.uint16], white: int, bit_depth: int) -> NDArray[np.uint16]:
+    """Return values with all from the white level on as full scale."""
+    full = (1 << bit_depth) - 1
+    return np.where(values >= white, full, np.minimum(values, full)).astype(np.uint16)
 
 
 def _plane(mosaic: NDArray[np.uint16], letters: NDArray[np.str_], letter: str) -> NDArray[np.uint16]:

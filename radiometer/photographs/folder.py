@@ -226,7 +226,7 @@ def _absent(listed: Path, absent: list[str], here: set[str]) -> str:
 
 def _with_exif_aperture(path: Path, known: PhotographSettings) -> PhotographSettings:
     exif = read_exif(path)
-    return known if exif is None else replace(known, f_number=exif.f_number, iso=exif.iso)
+    return known if exif is None else replace(known, f_number=exif.f_number, iso=exif.iso, iso_doubt=exif.iso_doubt)
 
 
 def _from_exif(folder: Path) -> dict[str, PhotographSettings]:
@@ -255,6 +255,12 @@ def _from_a_dial(settings: Iterable[PhotographSettings]) -> bool:
 
 def _refuse_unknown_speed(folder: Path, settings: dict[str, PhotographSettings]) -> None:
     """Refuse photographs of several ISO speeds of which some state none: any of them may be theirs."""
+    doubted = [name for name, known in settings.items() if known.iso_doubt]
+    if doubted and len(settings) > 1:
+        raise CaptureError(
+            f"{folder}: {doubted[0]}: {settings[doubted[0]].iso_doubt}. Write the speed into its tag ISOSpeed, or take "
+            "the whole bracket at one lower speed"
+        )
     silent = [name for name, known in settings.items() if not known.iso]
     stated = sorted({known.iso for known in settings.values() if known.iso})
     if silent and len(stated) > 1:
