@@ -31,6 +31,7 @@ class FrameSettings:
         pattern: Name of the displayed pattern.
         shutter: "closed" for a dark frame.
         iso: ISO speed of a photograph; None for a machine camera.
+        white_level_dn: Digital number from which pixels are saturated; None where only full scale is known.
     """
 
     exposure_s: float
@@ -43,6 +44,7 @@ class FrameSettings:
     pattern: str = "default"
     shutter: Shutter = "open"
     iso: float | None = None
+    white_level_dn: float | None = None
 
     @property
     def is_dark(self) -> bool:
