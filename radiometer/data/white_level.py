@@ -14,7 +14,7 @@ distinguishes saturated pixels is how they behave while the exposure grows:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -38,7 +38,7 @@ _DIFFERENT_EXPOSURE = 1.1
 # The pile reaches down to this many standard deviations of its spread; 3e-5 of a normal distribution lie below.
 _EDGE_SIGMAS = 4.0
 _QUARTILES_OF_PILE = 1.28  # quartile range over standard deviation of a normal distribution cut off at that density
-# A pile ends where its density has fallen to this part of its middle: at 2 standard deviations of a normal distribution.
+# A pile ends where its middle is so many times as dense: 2 standard deviations away in a normal distribution.
 _DENSER = 8.0
 _FEWEST_PIXELS = 24  # in a pile: fewer can halve their spread by chance
 _RANKS_PER_DOUBLING = 4
@@ -359,8 +359,9 @@ def _standstill(
         step: Distance between codes in DN.
     """
     width = pile.top_dn - pile.saturated_dn + step
-    middle = floor_dn + 0.1 * (pile.centre_dn - floor_dn)  # above the noise at black
-    darker = np.flatnonzero((shorter.flat < pile.saturated_dn - step) & (shorter.flat > middle))
+    lit = shorter.pixels_from(pile.saturated_dn)
+    brighter = int(shorter.value(np.array([lit + (shorter.pixels - lit + 3) // 4]))[0])
+    darker = np.flatnonzero((shorter.flat < pile.saturated_dn) & (shorter.flat >= brighter))
     if already.size < _FEWEST_PIXELS or darker.size < _FEWEST_PIXELS:
         return 0.0
     darker = darker[:: max(darker.size // _PIXELS_COMPARED, 1)]
