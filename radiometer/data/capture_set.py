@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol, Self
 
@@ -211,7 +211,8 @@ class CaptureSet:
             dn = dn.astype(np.uint16)
         masked = (entry.model_extra or {}).get(MASKED_PIXELS)
         extra = {} if masked is None else {MASKED_PIXELS: masked}
-        frame = Frame(dn, bit_depth, entry.settings, frame_id=index, extra=extra)
+        settings = replace(entry.settings, white_level=self.header.camera.white_level)
+        frame = Frame(dn, bit_depth, settings, frame_id=index, extra=extra)
         highest = int(dn.max(initial=0))
         if highest > self.header.camera.full_scale_dn:
             raise CaptureError(

@@ -26,18 +26,22 @@ class RawColours:
     Attributes:
         values: Shape (height, width, 3), red, green and blue: of the pixels of one colour in a cell the first (at half
             size for Bayer's mosaic, a third for X-Trans), or of every pixel where interpolated.
-        bit_depth: Bits per value, 9 to 16; numbers at the file's white level are full scale.
+        bit_depth: Bits per value, 9 to 16.
+        white_level_dn: White level as the file states it.
         black_levels_dn: Black level of red, green and blue.
     """
 
     values: NDArray[np.uint16]
     bit_depth: int
+    white_level_dn: int
     black_levels_dn: tuple[float, float, float]
 
     @property
     def green(self) -> NDArray[np.uint16]:
-        """Return the green plane: what a frame of a tethered camera consists of."""
-        return np.ascontiguousarray(self.values[..., _LETTERS.index("G")])
+        """Return the green plane of a frame that has no place for a white level: what reaches it is at full scale."""
+        plane = np.ascontiguousarray(self.values[..., _LETTERS.index("G")])
+        plane[plane >= self.white_level_dn] = (1 << self.bit_depth) - 1
+        return plane
 
 
 def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
@@ -78,14 +82,13 @@ def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
     if developed is not None:
         values = developed
         values[_near_clipped(mosaic, letters, white)] = (1 << bit_depth) - 1
-        return RawColours(values, bit_depth, (0.0, 0.0, 0.0))
+        return RawColours(values, bit_depth, white, (0.0, 0.0, 0.0))
     planes = [_plane(mosaic, letters, letter) for letter in _LETTERS]
     if _CELLS[pattern.shape] == 2:  # the green that is read has a black level of its own
         row, column = np.argwhere(letters == "G")[0]
         levels[1] = float(black[pattern[row, column]])
     values = np.minimum(np.stack(planes, axis=2), (1 << bit_depth) - 1).astype(np.uint16)
-    values[values >= white] = (1 << bit_depth) - 1
-    return RawColours(values, bit_depth, (levels[0], levels[1], levels[2]))
+    return RawColours(values, bit_depth, white, (levels[0], levels[1], levels[2]))
 
 
 def _plane(mosaic: NDArray[np.uint16], letters: NDArray[np.str_], letter: str) -> NDArray[np.uint16]:
