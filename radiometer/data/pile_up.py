@@ -32,12 +32,14 @@ _LN_RATIO_SIGMA = 1.17 * math.sqrt(2.0)
 _COLLAPSE = 2.0
 # Exposures whose labels differ by less do not count as different: shutters are true to a few per cent.
 _DIFFERENT_EXPOSURE = 1.1
-_QUARTILES_OF_PILE = 1.28  # quartile range over standard deviation of a normal distribution cut off at that density
+_NORMAL_QUARTILES = 1.349  # quartile range of a normal distribution over its standard deviation
 # A pile ends where its middle is so many times as dense: 2 standard deviations away in a normal distribution.
 _DENSER = 8.0
+_CUT_OFF_SPREAD = 0.89  # standard deviation of a normal distribution cut off there, over that of the whole
 _FEWEST_PIXELS = 24  # in a pile: fewer can halve their spread by chance
 _RANKS_PER_DOUBLING = 4
-_CODES_BELOW = 16  # below a pile: their median count is that of ordinary pixels
+_LEAST_SHARE = 0.01  # of a pile that a code below it must hold to belong to it: 99 % are marked then
+_CODES_BESIDE = 8  # next to a pile, which say how dense ordinary pixels lie
 _PILES_TRIED = 6  # distinct ones in a frame
 _PIXELS_COMPARED = 4096  # of a pile: quartile ranges are then known to 2 per cent
 _FRAMES_LOOKED_AT = 5  # of one gain, evenly over the exposures: every pair of them is compared
@@ -192,13 +194,7 @@ def _pile_of_gain(frames: Sequence[_Ranks], gain_db: float, step: int) -> _Pile 
         pile = _pile_in(longer, shorter, step)
         if pile is not None:
             found.append(pile)
-    if not found:
-        return None
-    best = max(found, key=lambda pile: pile.sigmas)
-    same = [
-        p for p in found if abs(p.centre_dn - best.centre_dn) <= EDGE_SIGMAS * (p.spread_dn + best.spread_dn) + step
-    ]
-    return replace(best, saturated_dn=min(pile.saturated_dn for pile in same))
+    return max(found, key=lambda pile: pile.sigmas, default=None)
 
 
 def _is_shorter(one: _Ranks, other: _Ranks) -> bool:
@@ -219,7 +215,7 @@ def _pile_in(longer: _Ranks, shorter: Sequence[_Ranks], step: int) -> _Pile | No
         if centre.size == 0:
             return None
         pile, low, high = _extent(longer, int(upper[0]), int(centre[0]), int(lower[0]), step)
-        if pile.strays <= pile.pixels:
+        if pile is not None:
             sigmas = max(_evidence(longer, one, pile, step) for one in shorter)
             if sigmas >= _SIGMAS:
                 return replace(pile, sigmas=sigmas)
@@ -242,8 +238,11 @@ def _dense_runs(frame: _Ranks, step: int) -> tuple[NDArray[np.int64], NDArray[np
     return upper[order], centre[order], lower[order]
 
 
-def _extent(frame: _Ranks, upper: int, centre: int, lower: int, step: int) -> tuple[_Pile, int, int]:
-    """Return the pile around a dense run of given quartiles, and where its density has fallen to an eighth."""
+def _extent(frame: _Ranks, upper: int, centre: int, lower: int, step: int) -> tuple[_Pile | None, int, int]:
+    """Return the pile around a dense run of given quartiles, and the range that it takes out of the search.
+
+    There is no pile where the codes next to the run are about as dense: it is a part of something wider.
+    """
     width = max((upper - lower) // 2 // step, 1) * step
     starts = np.arange((centre - width // 2) % width, frame.full_scale_dn + 1, width)
     counts = np.add.reduceat(frame.counts, starts)
@@ -252,20 +251,42 @@ def _extent(frame: _Ranks, upper: int, centre: int, lower: int, step: int) -> tu
     place = int(np.searchsorted(sparse, middle))
     low = int(starts[sparse[place - 1] + 1]) if place > 0 else 0
     high = int(starts[sparse[place]]) if place < sparse.size else frame.full_scale_dn + 1
-    first, last = frame.pixels_from(high), frame.pixels_from(low)
-    ranks = np.array([first + (part * (last - first) + 3) // 4 for part in (1, 2, 3)])
-    upper, centre, lower = (int(value) for value in frame.value(ranks))
-    spread = (upper - lower) / _QUARTILES_OF_PILE
+    # Below, a soft shoulder may lead up to the pile; above, there is nothing but full scale.
+    spread = (
+        _half_spread(frame, centre, high, 1) if high <= frame.full_scale_dn else _half_spread(frame, centre, low, -1)
+    )
     end = max(math.ceil(centre - EDGE_SIGMAS * spread - 0.5 * step), 1)
-    # Rounding hides a spread of less than a code, and noise behind the clipping may reach further down than the
-    # quartiles suggest: values that stand out of those below belong to the pile.
-    background = float(np.median(frame.counts[max(end - _CODES_BELOW * step, 0) : end : step])) if end > step else 0.0
-    most = background + _SIGMAS * math.sqrt(background + 1.0)
-    while end > step and frame.counts[end - step] > most:
+    reach = _CODES_BESIDE * step
+    fewest = _LEAST_SHARE * frame.pixels_from(end)
+    while end - step > reach:
+        count = frame.counts[end - step]
+        if count <= max(fewest, _DENSER * _per_code(frame, end - step - reach, end - step, step)):
+            break
         end -= step
     top = math.floor(centre + EDGE_SIGMAS * max(spread, step / 2.0))
+    inner = step * round(spread / step)
+    dense = _per_code(frame, centre - inner, centre + inner + 1, step)
+    margin = max(reach, math.ceil(EDGE_SIGMAS * spread))
+    beside = max(_per_code(frame, end - margin, end, step), _per_code(frame, top + 1, top + 1 + margin, step))
     above = frame.pixels_from(top + 1)
-    return _Pile(float(centre), spread, end, top, frame.pixels_from(end) - above, above, 0.0), low, high
+    pixels = frame.pixels_from(end) - above
+    is_pile = end > margin and dense > _DENSER * beside and above <= pixels
+    return _Pile(float(centre), spread, end, top, pixels, above, 0.0) if is_pile else None, low, high
+
+
+def _half_spread(frame: _Ranks, centre: int, end: int, side: int) -> float:
+    """Return the standard deviation in DN of one half of a pile, from its centre to where its density ends."""
+    codes = np.arange(centre, end, side)
+    counts = frame.counts[codes].astype(np.float64)
+    counts[:1] *= 0.5
+    total = float(np.sum(counts))
+    return math.sqrt(float(np.sum(counts * (codes - centre) ** 2.0)) / total) / _CUT_OFF_SPREAD if total else 0.0
+
+
+def _per_code(frame: _Ranks, low: int, high: int, step: int) -> float:
+    """Return the mean count of the codes from `low` up to below `high`."""
+    low, high = max(low, 0), min(high, frame.full_scale_dn + 1)
+    return float(np.sum(frame.counts[low:high])) * step / (high - low) if high > low else 0.0
 
 
 def _evidence(longer: _Ranks, shorter: _Ranks, pile: _Pile, step: int) -> float:
@@ -282,7 +303,7 @@ def _evidence(longer: _Ranks, shorter: _Ranks, pile: _Pile, step: int) -> float:
     collapse = 0.0
     if predicted > pile.centre_dn + step + EDGE_SIGMAS * pile.spread_dn:
         # Rounding to codes may take one step off a range or add one.
-        ln_ratio = math.log(max(high - low - step, 1e-9) / (pile.spread_dn * _QUARTILES_OF_PILE + step))
+        ln_ratio = math.log(max(high - low - step, 1e-9) / (pile.spread_dn * _NORMAL_QUARTILES + step))
         collapse = ln_ratio * math.sqrt(before.size) / _LN_RATIO_SIGMA if ln_ratio >= math.log(_COLLAPSE) else 0.0
     # The pixels next to these have their level, and noise of their own.
     neighbours = shorter.flat[np.where(places > 0, places - 1, 1)[_in(pile, before)]]
