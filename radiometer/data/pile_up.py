@@ -38,6 +38,7 @@ _DENSER = 8.0
 _CUT_OFF_SPREAD = 0.89  # standard deviation of a normal distribution cut off there, over that of the whole
 _FEWEST_PIXELS = 24  # in a pile: fewer can halve their spread by chance
 _RANKS_PER_DOUBLING = 4
+_SINGLE_SHARE = 0.5  # of the strays may have another next to them: in an area nearly all have
 _LEAST_SHARE = 0.01  # of a pile that a code below it must hold to belong to it: 99 % are marked then
 _CODES_BESIDE = 8  # next to a pile, which say how dense ordinary pixels lie
 _PILES_TRIED = 6  # distinct ones in a frame
@@ -215,7 +216,7 @@ def _pile_in(longer: _Ranks, shorter: Sequence[_Ranks], step: int) -> _Pile | No
         if centre.size == 0:
             return None
         pile, low, high = _extent(longer, int(upper[0]), int(centre[0]), int(lower[0]), step)
-        if pile is not None:
+        if pile is not None and _strays_are_single(longer, pile):
             sigmas = max(_evidence(longer, one, pile, step) for one in shorter)
             if sigmas >= _SIGMAS:
                 return replace(pile, sigmas=sigmas)
@@ -272,6 +273,15 @@ def _extent(frame: _Ranks, upper: int, centre: int, lower: int, step: int) -> tu
     pixels = frame.pixels_from(end) - above
     is_pile = end > margin and dense > _DENSER * beside and above <= pixels
     return _Pile(float(centre), spread, end, top, pixels, above, 0.0) if is_pile else None, low, high
+
+
+def _strays_are_single(frame: _Ranks, pile: _Pile) -> bool:
+    """Tell whether the pixels above a pile lie apart: an area of them records light that a full sensor would not."""
+    if pile.strays < _FEWEST_PIXELS:
+        return True
+    above = frame.flat > pile.top_dn
+    together = np.count_nonzero(above[1:] & above[:-1])
+    return bool(together < _SINGLE_SHARE * pile.strays)
 
 
 def _half_spread(frame: _Ranks, centre: int, end: int, side: int) -> float:
