@@ -9,7 +9,6 @@ from pathlib import Path
 from radiometer.data import Bracket, CaptureSet, FlatField, Frame
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.iso_speeds import IsoSpeeds
-from radiometer.data.pile_up import with_white_levels
 from radiometer.errors import CaptureError
 from radiometer.importing import is_foreign, open_capture
 from radiometer.importing.photograph_times import find_list
@@ -99,8 +98,7 @@ def _capture_brackets(capture: CaptureSet, report: Callable[[int, int], None] | 
         if report is not None:
             report(len(frames), len(capture))
     dark = [frame for frame in frames if frame.settings.is_dark]
-    lit = [frame for frame in frames if not frame.settings.is_dark and frame.settings.source_level > 0]
-    light = with_white_levels(lit)
+    light = [frame for frame in frames if not frame.settings.is_dark and frame.settings.source_level > 0]
     groups: dict[tuple[str, float], list[Frame]] = {}
     for frame in light:
         groups.setdefault((frame.settings.pattern, frame.settings.source_level), []).append(frame)

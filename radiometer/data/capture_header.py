@@ -46,6 +46,11 @@ class CameraDescription(FileSection):
             return WhiteLevel.stated(min(self.white_level_dn, highest_code_dn))
         return WhiteLevel(highest_code_dn, "assumed", highest_code_dn) if (self.code_step_dn or 1) > 1 else None
 
+    @property
+    def saturated_dn(self) -> int:
+        """Return the digital number from which pixels are saturated as far as this description knows."""
+        return self.full_scale_dn if self.white_level is None else self.white_level.saturated_dn
+
 
 class LensDescription(FileSection):
     """The lens: focal length in mm, f-number, transmittance with relative standard uncertainty, vignetting.

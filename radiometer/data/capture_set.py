@@ -21,6 +21,7 @@ from radiometer.data.capture_header import (
 from radiometer.data.decoding import decoded
 from radiometer.data.frame import MASKED_PIXELS, DigitalNumbers, Frame, FrameSettings
 from radiometer.data.guards import refuse_large_picture
+from radiometer.data.pile_up import streamed_with_white_levels
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import FileSection, validate
@@ -230,14 +231,14 @@ class CaptureSet:
         return self.store.read(file) if self.store else read_digital_numbers(self.path / file)
 
     def frames(self) -> Iterator[Frame]:
-        """Yield all frames in the header's order, one in memory at a time.
+        """Yield all frames in the header's order with the white level that they show together, few in memory at a time.
 
         Raises:
             CaptureError: If a file is unreadable or sizes differ.
         """
         shape: tuple[int, int] | None = None
-        for index, entry in enumerate(self.header.frames):
-            frame = self.read_frame(index)
+        settings = [entry.settings for entry in self.header.frames]
+        for entry, frame in zip(self.header.frames, streamed_with_white_levels(settings, self.read_frame), strict=True):
             if shape is not None and frame.shape != shape:
                 raise CaptureError(
                     f"{self.path / entry.file}: is {frame.shape[1]} × {frame.shape[0]} pixels, the frames before "

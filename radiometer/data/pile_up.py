@@ -43,7 +43,8 @@ _LEAST_SHARE = 0.01  # of a pile that a code below it must hold to belong to it:
 _CODES_BESIDE = 8  # next to a pile, which say how dense ordinary pixels lie
 _PILES_TRIED = 6  # distinct ones in a frame
 _PIXELS_COMPARED = 4096  # of a pile: quartile ranges are then known to 2 per cent
-_FRAMES_LOOKED_AT = 5  # of one gain, evenly over the exposures: every pair of them is compared
+_FRAMES_LOOKED_AT = 5  # of one gain and light, evenly over the exposures: every pair of them is compared
+_LIGHTS_LOOKED_AT = 3  # patterns and drives of the source
 
 
 class _Ranks:
@@ -138,16 +139,19 @@ def _is_compared(settings: FrameSettings) -> bool:
 
 
 def _looked_at(settings: Sequence[FrameSettings]) -> list[int]:
-    """Return which frames are enough to find the white level: some of each gain and light, evenly over exposures."""
+    """Return which frames are enough to find the white level: of each gain some, evenly over the exposures."""
     groups: dict[tuple[float, str, float], list[int]] = {}
     for index, one in enumerate(settings):
         if not one.is_dark:
             groups.setdefault((one.gain_db, one.pattern, one.source_level), []).append(index)
     chosen: list[int] = []
-    for group in groups.values():
-        ordered = sorted(group, key=lambda index: settings[index].exposure_s)
-        places = np.unique(np.linspace(0, len(ordered) - 1, _FRAMES_LOOKED_AT).round().astype(int))
-        chosen += [ordered[place] for place in places]
+    for gain in {key[0] for key in groups}:
+        of_gain = [sorted(g, key=lambda k: settings[k].exposure_s) for key, g in groups.items() if key[0] == gain]
+        # The longest exposures under the brightest light show most; more than a few kinds of light show the same.
+        of_gain.sort(key=lambda g: settings[g[-1]].exposure_s * settings[g[-1]].source_level, reverse=True)
+        for group in of_gain[:_LIGHTS_LOOKED_AT]:
+            places = np.unique(np.linspace(0, len(group) - 1, _FRAMES_LOOKED_AT).round().astype(int))
+            chosen += [group[place] for place in places]
     return chosen
 
 
