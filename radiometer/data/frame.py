@@ -45,7 +45,7 @@ class FrameSettings:
     pattern: str = "default"
     shutter: Shutter = "open"
     iso: float | None = None
-    white_level: WhiteLevel | None = None
+    white_level: WhiteLevel | None = field(default=None, compare=False)  # found from frames, not set
 
     @property
     def is_dark(self) -> bool:

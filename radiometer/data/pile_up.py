@@ -40,6 +40,7 @@ _FEWEST_PIXELS = 24  # in a pile: fewer can halve their spread by chance
 _RANKS_PER_DOUBLING = 4
 _SINGLE_SHARE = 0.5  # of the strays may have another next to them: in an area nearly all have
 _LEAST_SHARE = 0.01  # of a pile that a code below it must hold to belong to it: 99 % are marked then
+_FEWEST_CODES = 10  # different ones: all even by chance once in a thousand
 _CODES_BESIDE = 8  # next to a pile, which say how dense ordinary pixels lie
 _PILES_TRIED = 6  # distinct ones in a frame
 _PIXELS_COMPARED = 4096  # of a pile: quartile ranges are then known to 2 per cent
@@ -185,7 +186,7 @@ def _decided(frames: Sequence[_Ranks], pile: _Pile | None, lowest: _Pile | None)
 def _code_step(frames: Sequence[_Ranks]) -> int:
     """Return the distance between codes in DN: more than 1 where the low bits are padding."""
     occupied = np.flatnonzero(sum(one.counts for one in frames))
-    return max(int(np.gcd.reduce(occupied)), 1) if occupied.size > 2 else 1
+    return max(int(np.gcd.reduce(occupied)), 1) if occupied.size >= _FEWEST_CODES else 1
 
 
 def _pile_of_gain(frames: Sequence[_Ranks], gain_db: float, step: int) -> _Pile | None:
@@ -204,7 +205,7 @@ def _pile_of_gain(frames: Sequence[_Ranks], gain_db: float, step: int) -> _Pile 
 
 def _is_shorter(one: _Ranks, other: _Ranks) -> bool:
     a, b = one.settings, other.settings
-    same_light = a.pattern == b.pattern and a.source_level == b.source_level
+    same_light = (a.pattern, a.source_level, one.pixels) == (b.pattern, b.source_level, other.pixels)
     # A higher gain has more noise at the same value, which says nothing of saturation.
     return (
         same_light and a.gain_db <= b.gain_db and a.effective_exposure_s * _DIFFERENT_EXPOSURE <= b.effective_exposure_s
