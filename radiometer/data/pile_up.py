@@ -39,7 +39,6 @@ _CUT_OFF_SPREAD = 0.89  # standard deviation of a normal distribution cut off th
 _FEWEST_PIXELS = 24  # in a pile: fewer can halve their spread by chance
 _RANKS_PER_DOUBLING = 4
 _SINGLE_SHARE = 0.5  # of the strays may have another next to them: in an area nearly all have
-_LEAST_SHARE = 0.01  # of a pile that a code below it must hold to belong to it: 99 % are marked then
 _FEWEST_CODES = 10  # different ones: all even by chance once in a thousand
 _CODES_BESIDE = 8  # next to a pile, which say how dense ordinary pixels lie
 _PILES_TRIED = 6  # distinct ones in a frame
@@ -258,26 +257,42 @@ def _extent(frame: _Ranks, upper: int, centre: int, lower: int, step: int) -> tu
     low = int(starts[sparse[place - 1] + 1]) if place > 0 else 0
     high = int(starts[sparse[place]]) if place < sparse.size else frame.full_scale_dn + 1
     # Below, a soft shoulder may lead up to the pile; above, there is nothing but full scale.
-    spread = (
-        _half_spread(frame, centre, high, 1) if high <= frame.full_scale_dn else _half_spread(frame, centre, low, -1)
-    )
-    end = max(math.ceil(centre - EDGE_SIGMAS * spread - 0.5 * step), 1)
-    reach = _CODES_BESIDE * step
-    fewest = _LEAST_SHARE * frame.pixels_from(end)
-    while end - step > reach:
-        count = frame.counts[end - step]
-        if count <= max(fewest, _DENSER * _per_code(frame, end - step - reach, end - step, step)):
-            break
-        end -= step
+    side, bound = (1, high) if high <= frame.full_scale_dn else (-1, low)
+    spread = _half_spread(frame, centre, bound, side)
+    centre = _mean_near(frame, centre, spread, step) if side > 0 else centre
+    spread = _half_spread(frame, centre, bound, side)
+    end = _lower_end(frame, max(math.ceil(centre - EDGE_SIGMAS * spread - 0.5 * step), 1), step)
     top = math.floor(centre + EDGE_SIGMAS * max(spread, step / 2.0))
     inner = step * round(spread / step)
     dense = _per_code(frame, centre - inner, centre + inner + 1, step)
-    margin = max(reach, math.ceil(EDGE_SIGMAS * spread))
+    margin = max(_CODES_BESIDE * step, math.ceil(EDGE_SIGMAS * spread))
     beside = max(_per_code(frame, end - margin, end, step), _per_code(frame, top + 1, top + 1 + margin, step))
     above = frame.pixels_from(top + 1)
     pixels = frame.pixels_from(end) - above
     is_pile = end > margin and dense > _DENSER * beside and above <= pixels
     return _Pile(float(centre), spread, end, top, pixels, above, 0.0) if is_pile else None, low, high
+
+
+def _lower_end(frame: _Ranks, end: int, step: int) -> int:
+    """Return the lowest code of a pile: codes below `end` belong to it that stand out of those below them.
+
+    Rounding hides a spread of less than a code, and noise may be wider below the middle of a pile than above it.
+    """
+    reach = _CODES_BESIDE * step
+    while end - step > reach:
+        ordinary = _per_code(frame, end - step - reach, end - step, step)
+        if frame.counts[end - step] <= max(_DENSER * ordinary, ordinary + _SIGMAS * math.sqrt(ordinary + 1.0)):
+            break
+        end -= step
+    return end
+
+
+def _mean_near(frame: _Ranks, centre: int, spread: float, step: int) -> int:
+    """Return the mean of the values within two standard deviations of a first guess, as a code."""
+    reach = step * round(2.0 * spread / step)
+    codes = np.arange(max(centre - reach, 0), min(centre + reach, frame.full_scale_dn) + 1, step)
+    mean = float(np.average(codes, weights=frame.counts[codes]))
+    return int(codes[np.argmin(np.abs(codes - mean))])
 
 
 def _strays_are_single(frame: _Ranks, pile: _Pile) -> bool:
