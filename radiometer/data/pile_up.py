@@ -7,7 +7,7 @@ distinguishes saturated pixels is how they behave while the exposure grows:
 
 * The longer exposure makes the values of these pixels more alike than the shorter one did. Where light is still
   recorded it does the reverse: differences between pixels grow with the exposure, and so does the noise of the light.
-  The pixels also lie below what the shorter exposure predicts.
+  The pixels also stay below what the shorter exposure predicts.
 * Or these pixels have the same value in two exposures, while darker pixels rise.
 """
 
@@ -40,7 +40,7 @@ _FEWEST_PIXELS = 24  # in a pile: fewer can halve their spread by chance
 _RANKS_PER_DOUBLING = 4
 _SINGLE_SHARE = 0.5  # of the strays may have another next to them: in an area nearly all have
 _FEWEST_CODES = 10  # different ones: all even by chance once in a thousand
-_CODES_BESIDE = 8  # next to a pile, which say how dense ordinary pixels lie
+_CODES_BESIDE = 8  # next to a pile, which show how dense ordinary pixels are
 _PILES_TRIED = 6  # distinct ones in a frame
 _PIXELS_COMPARED = 4096  # of a pile: quartile ranges are then known to 2 per cent
 _FRAMES_LOOKED_AT = 5  # of one gain and light, evenly over the exposures: every pair of them is compared
@@ -266,10 +266,10 @@ def _extent(frame: _Ranks, upper: int, centre: int, lower: int, step: int) -> tu
     inner = step * round(spread / step)
     dense = _per_code(frame, centre - inner, centre + inner + 1, step)
     margin = max(_CODES_BESIDE * step, math.ceil(EDGE_SIGMAS * spread))
-    beside = max(_per_code(frame, end - margin, end, step), _per_code(frame, top + 1, top + 1 + margin, step))
+    around = max(_per_code(frame, end - margin, end, step), _per_code(frame, top + 1, top + 1 + margin, step))
     above = frame.pixels_from(top + 1)
     pixels = frame.pixels_from(end) - above
-    is_pile = end > margin and dense > _DENSER * beside and above <= pixels
+    is_pile = end > margin and dense > _DENSER * around and above <= pixels
     return _Pile(float(centre), spread, end, top, pixels, above, 0.0) if is_pile else None, low, high
 
 
@@ -296,7 +296,7 @@ def _mean_near(frame: _Ranks, centre: int, spread: float, step: int) -> int:
 
 
 def _strays_are_single(frame: _Ranks, pile: _Pile) -> bool:
-    """Tell whether the pixels above a pile lie apart: an area of them records light that a full sensor would not."""
+    """Tell whether the pixels above a pile are single: an area of them records light that a full sensor would not."""
     if pile.strays < _FEWEST_PIXELS:
         return True
     above = frame.flat > pile.top_dn

@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 Basis = Literal["measured", "stated", "assumed"]
 
-# The pile of saturated pixels reaches down to so many standard deviations; 3e-5 of a normal distribution lie below.
+# The pile of saturated pixels reaches down to so many standard deviations; 3e-5 of a normal distribution are below.
 EDGE_SIGMAS: Final = 4.0
 
 

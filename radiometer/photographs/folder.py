@@ -118,7 +118,7 @@ class PhotographFolder:
         for done, (name, photograph) in enumerate(self._photographs(most_pixels, interpolated), start=1):
             if report is not None:
                 report(done, len(self.settings))
-            # A luma says little of the white level, which each colour has of its own.
+            # Each colour has its white level, of which a luma shows little.
             by_parts = channel == "luminance" and not photograph.is_grey and photograph.bit_depth > _BITS_OF_PICTURES
             for wanted in _wanted(photograph, "each" if by_parts else channel):
                 frames.setdefault(wanted, []).append(self._frame(name, photograph, wanted))

@@ -14,7 +14,7 @@ from radiometer.data.frame import Frame
 from radiometer.data.pile_up import with_white_levels
 from radiometer.errors import MeasurementError
 
-# Black gathers whatever lies below it: its count stands out from so many neighbours by this factor.
+# Black gathers whatever is below it: its count stands out from so many neighbours by this factor.
 _PILE_UP, _NEIGHBOURS = 8.0, 8
 # Fog holds still while the exposure grows: over this many frames, by this factor in all, to this share of full scale,
 # with this share of the picture in the peak.
@@ -42,7 +42,7 @@ def find_limits(brackets: Sequence[Bracket]) -> ValueLimits:
     Saturation is the lowest white level that the frames of a bracket show or state. Black is 0, the stated black
     level, or the lowest value where it gathers far more pixels than those next above it. Besides, a value at which
     much of the shortest frames stands still while their exposure grows is black: the fog of a film, or a black level
-    that nobody stated.
+    that is not stated.
 
     Raises:
         MeasurementError: If every value of every frame is clipped.

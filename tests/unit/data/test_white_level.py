@@ -103,7 +103,7 @@ def test_saturated_pixels_are_marked_and_others_are_not(scene, share, spread_dn,
 def test_light_below_saturation_is_no_pile_up(scene, reached):
     """A wall just below the end, a ramp, or patches: the bit depth counts, and what the frames reach is known."""
     rng = np.random.default_rng(31)
-    sensor = Sensor(1.2 * FULL)  # its end lies beyond that of the converter
+    sensor = Sensor(1.2 * FULL)  # the converter ends first
     taken = sensor.bracket(reached * (FULL - 600 - BLACK) * scene(rng), (1 / 16, 1 / 4, 1.0), rng)
     level = level_of([frame for frame, _ in taken])
     assert (level.basis, level.saturated_dn, level.measured_dn) == ("assumed", FULL, None)
@@ -138,7 +138,7 @@ def test_an_exposure_that_was_not_changed_is_no_saturation():
     [(FULL, "measured", "as the frames show: .* the file states 16383 DN"), (11_000, "stated", "the lower of the two")],
 )
 def test_a_stated_level_that_the_frames_contradict_is_reported(stated, used, words):
-    """The lower of both counts: above the pile is no light, above the statement nobody promises proportion."""
+    """The lower of both counts: above the pile is no light, above the statement proportion is not promised."""
     rng = np.random.default_rng(43)
     sensor = Sensor(13_000, 1.0)
     taken = sensor.bracket(3.0 * 12_400 * ramp(rng), (1 / 16, 1 / 4, 1.0), rng)
@@ -151,7 +151,7 @@ def test_a_stated_level_that_the_frames_contradict_is_reported(stated, used, wor
 
 
 def test_a_single_exposure_says_what_is_assumed():
-    """One frame cannot show where pixels saturate: the bit depth is taken, and said."""
+    """One frame cannot show where pixels saturate: the bit depth is taken, and the note states it."""
     rng = np.random.default_rng(47)
     ((frame, _),) = Sensor(13_000).bracket(40_000 * ramp(rng), (1.0,), rng)
     level = level_of([frame])
