@@ -92,8 +92,8 @@ def find_white_levels(frames: Iterable[Frame]) -> dict[float, WhiteLevel]:
     """Return the white level of every gain in dB among frames of one camera and pixel format.
 
     Frames are compared where pattern and drive of the source are the same. Where the frames of a gain show no pile,
-    the lowest that another gain shows is used for it: a converter ends at one number for all gains, and a full well
-    ends lower at lower gains only.
+    the lowest that another gain shows is used for it unless areas of their pixels are above it: a converter ends at
+    one number for all gains, and a full well ends lower at lower gains only.
 
     Args:
         frames: Dark frames are left out. Frames state their white level in their settings where a file does.
@@ -106,7 +106,12 @@ def find_white_levels(frames: Iterable[Frame]) -> dict[float, WhiteLevel]:
     piles = {gain: _pile_of_gain(ranked, gain, step) for gain in gains}
     shown = [pile for pile in piles.values() if pile is not None]
     lowest = min(shown, key=lambda pile: pile.saturated_dn, default=None)
-    return {gain: _decided([r for r in ranked if r.settings.gain_db == gain], piles[gain], lowest) for gain in gains}
+    found = {}
+    for gain in gains:
+        of_gain = [one for one in ranked if one.settings.gain_db == gain]
+        holds = lowest is not None and all(_strays_are_single(one, lowest.top_dn) for one in of_gain)
+        found[gain] = _decided(of_gain, piles[gain], lowest if holds else None)
+    return found
 
 
 def with_white_levels(frames: Sequence[Frame]) -> list[Frame]:
@@ -220,7 +225,7 @@ def _pile_in(longer: _Ranks, shorter: Sequence[_Ranks], step: int) -> _Pile | No
         if centre.size == 0:
             return None
         pile, low, high = _extent(longer, int(upper[0]), int(centre[0]), int(lower[0]), step)
-        if pile is not None and _strays_are_single(longer, pile):
+        if pile is not None and _strays_are_single(longer, pile.top_dn):
             sigmas = max(_evidence(longer, one, pile, step) for one in shorter)
             if sigmas >= _SIGMAS:
                 return replace(pile, sigmas=sigmas)
@@ -295,13 +300,13 @@ def _mean_near(frame: _Ranks, centre: int, spread: float, step: int) -> int:
     return int(codes[np.argmin(np.abs(codes - mean))])
 
 
-def _strays_are_single(frame: _Ranks, pile: _Pile) -> bool:
+def _strays_are_single(frame: _Ranks, top_dn: int) -> bool:
     """Tell whether the pixels above a pile are single: an area of them records light that a full sensor would not."""
-    if pile.strays < _FEWEST_PIXELS:
+    strays = frame.pixels_from(top_dn + 1)
+    if strays < _FEWEST_PIXELS:
         return True
-    above = frame.flat > pile.top_dn
-    together = np.count_nonzero(above[1:] & above[:-1])
-    return bool(together < _SINGLE_SHARE * pile.strays)
+    above = frame.flat > top_dn
+    return bool(np.count_nonzero(above[1:] & above[:-1]) < _SINGLE_SHARE * strays)
 
 
 def _half_spread(frame: _Ranks, centre: int, end: int, side: int) -> float:

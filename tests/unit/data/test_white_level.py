@@ -169,6 +169,17 @@ def test_a_full_well_ends_lower_than_the_converter_at_low_gain():
     assert found[12.0].saturated_dn == FULL
 
 
+@pytest.mark.parametrize(("share", "expected"), [(0.7, 9_600), (1.5, FULL)])
+def test_a_gain_that_shows_no_pile_takes_that_of_another_unless_it_goes_higher(share, expected):
+    """One exposure at 12 dB: it ends where the frames at 0 dB do, but for areas of light above."""
+    rng = np.random.default_rng(67)
+    low = Sensor(9_600).bracket(40_000 * ramp(rng), (1 / 16, 1 / 4, 1.0), rng)
+    high = Sensor(FULL).bracket(share * 9_000 / 4.0 * ramp(rng), (1.0,), rng, gain_db=12.0)
+    found = {f.settings.gain_db: f.settings.white_level for f in with_white_levels([f for f, _ in (*low, *high)])}
+    assert found[0.0].saturated_dn == pytest.approx(9_600, abs=2)
+    assert found[12.0].saturated_dn == pytest.approx(expected, abs=2)
+
+
 def test_padded_numbers_end_at_their_highest_code():
     """Twelve bits in sixteen, padded with zeros, end at 65520 even where no pixel reaches it."""
     camera = CameraDescription(bit_depth=16, code_step_dn=16)
