@@ -226,7 +226,8 @@ def _pile_in(longer: _Ranks, shorter: Sequence[_Ranks], step: int) -> _Pile | No
             return None
         pile, low, high = _extent(longer, int(upper[0]), int(centre[0]), int(lower[0]), step)
         if pile is not None and _strays_are_single(longer, pile.top_dn):
-            sigmas = max(_evidence(longer, one, pile, step) for one in shorter)
+            places = _places_in(longer, pile)
+            sigmas = max(_evidence(longer, one, pile, places, step) for one in shorter)
             if sigmas >= _SIGMAS:
                 return replace(pile, sigmas=sigmas)
         elsewhere = (centre < low) | (centre > high)
@@ -324,10 +325,16 @@ def _per_code(frame: _Ranks, low: int, high: int, step: int) -> float:
     return float(np.sum(frame.counts[low:high])) * step / (high - low) if high > low else 0.0
 
 
-def _evidence(longer: _Ranks, shorter: _Ranks, pile: _Pile, step: int) -> float:
+def _places_in(frame: _Ranks, pile: _Pile) -> NDArray[np.intp]:
+    """Return where pixels of a pile are; of many only some, evenly over the frame."""
+    # An odd step does not fall into step with the rows of most frames.
+    apart = max(pile.pixels // _PIXELS_COMPARED, 1) | 1
+    some = frame.flat[::apart]
+    return np.flatnonzero((some >= pile.saturated_dn) & (some <= pile.top_dn)) * apart
+
+
+def _evidence(longer: _Ranks, shorter: _Ranks, pile: _Pile, places: NDArray[np.intp], step: int) -> float:
     """Return by how many standard deviations a shorter exposure shows that a pile is one of saturated pixels."""
-    places = np.flatnonzero((longer.flat >= pile.saturated_dn) & (longer.flat <= pile.top_dn))
-    places = places[:: max(places.size // _PIXELS_COMPARED, 1)]
     before = shorter.flat[places]
     if before.size < _FEWEST_PIXELS:
         return 0.0
@@ -367,10 +374,11 @@ def _standstill(
     width = pile.top_dn - pile.saturated_dn + step
     lit = shorter.pixels_from(pile.saturated_dn)
     brighter = int(shorter.value(np.array([lit + (shorter.pixels - lit + 3) // 4]))[0])
-    darker = np.flatnonzero((shorter.flat < pile.saturated_dn) & (shorter.flat >= brighter))
+    apart = max(shorter.pixels // (16 * _PIXELS_COMPARED), 1) | 1  # a quarter of them or less will be darker
+    some = shorter.flat[::apart]
+    darker = np.flatnonzero((some < pile.saturated_dn) & (some >= brighter)) * apart
     if already.size < _FEWEST_PIXELS or darker.size < _FEWEST_PIXELS:
         return 0.0
-    darker = darker[:: max(darker.size // _PIXELS_COMPARED, 1)]
     rise = np.median(longer.flat[darker].astype(np.int32) - shorter.flat[darker])
     lacking = (longer.exposure_s / shorter.exposure_s - 1.0) * (np.median(already) - floor_dn)
     return float(_SIGMAS * lacking / (2.0 * width)) if rise > width else 0.0
