@@ -27,20 +27,22 @@ class RawColours:
         values: Shape (height, width) of a sensor without filters, else (height, width, 3), red, green and blue: of the
             pixels of one colour in a cell the first (at half size for Bayer's mosaic, a third for X-Trans), or of every
             pixel where interpolated.
-        bit_depth: Bits per value, 9 to 16; numbers at the file's white level are full scale.
+        bit_depth: Bits per value, 9 to 16.
+        white_level_dn: White level as the file states it.
         black_levels_dn: Black level of red, green and blue.
     """
 
     values: NDArray[np.uint16]
     bit_depth: int
+    white_level_dn: int
     black_levels_dn: tuple[float, float, float]
 
     @property
     def green(self) -> NDArray[np.uint16]:
-        """Return the green plane, or the only one: what a frame of a tethered camera consists of."""
-        if self.values.ndim == 2:
-            return self.values
-        return np.ascontiguousarray(self.values[..., _LETTERS.index("G")])
+        """Return the green or only plane of a frame without a white level: what reaches it is at full scale."""
+        plane = np.ascontiguousarray(self.values if self.values.ndim == 2 else self.values[..., _LETTERS.index("G")])
+        plane[plane >= self.white_level_dn] = (1 << self.bit_depth) - 1
+        return plane
 
 
 def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
@@ -78,25 +80,20 @@ def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
         raise CaptureError(f"{path}: its colour mosaic is neither Bayer's nor X-Trans; develop it to linear TIFF")
     bit_depth = max(9, min(16, int(np.ceil(np.log2(white + 1)))))
     if grey:
-        return RawColours(_below_white(mosaic, white, bit_depth), bit_depth, (float(black[0]),) * 3)
+        values = np.minimum(mosaic, (1 << bit_depth) - 1).astype(np.uint16)
+        return RawColours(values, bit_depth, white, (float(black[0]),) * 3)
     levels = [float(np.mean([black[k] for k in set(pattern.ravel().tolist()) if names[k] == c])) for c in _LETTERS]
     letters = np.array(list(names))[pattern]
     if developed is not None:
         values = developed
         values[_near_clipped(mosaic, letters, white)] = (1 << bit_depth) - 1
-        return RawColours(values, bit_depth, (0.0, 0.0, 0.0))
+        return RawColours(values, bit_depth, white, (0.0, 0.0, 0.0))
     planes = [_plane(mosaic, letters, letter) for letter in _LETTERS]
     if _CELLS[pattern.shape] == 2:  # the green that is read has a black level of its own
         row, column = np.argwhere(letters == "G")[0]
         levels[1] = float(black[pattern[row, column]])
-    values = _below_white(np.stack(planes, axis=2), white, bit_depth)
-    return RawColours(values, bit_depth, (levels[0], levels[1], levels[2]))
-
-
-def _below_white(values: NDArray[np.uint16], white: int, bit_depth: int) -> NDArray[np.uint16]:
-    """Return values with all from the white level on as full scale."""
-    full = (1 << bit_depth) - 1
-    return np.where(values >= white, full, np.minimum(values, full)).astype(np.uint16)
+    values = np.minimum(np.stack(planes, axis=2), (1 << bit_depth) - 1).astype(np.uint16)
+    return RawColours(values, bit_depth, white, (levels[0], levels[1], levels[2]))
 
 
 def _plane(mosaic: NDArray[np.uint16], letters: NDArray[np.str_], letter: str) -> NDArray[np.uint16]:

@@ -244,7 +244,25 @@ def _camera(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOptions)
     blacks = {f.settings.black_level_dn for f in frames if f.settings.black_level_dn is not None}
     if len(blacks) == 1:
         facts["black_level_dn"] = blacks.pop()
-    return CameraDescription.model_validate(facts), doubts
+    top_dn, doubtful = _white_level(frames, codes, options)
+    if top_dn is not None:
+        facts["white_level_dn"] = top_dn
+    return CameraDescription.model_validate(facts), [*doubts, *doubtful]
+
+
+def _white_level(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOptions) -> tuple[float | None, list[str]]:
+    """Return the digital number from which the files say that pixels are saturated, and what is doubtful of it."""
+    full_scale = (1 << codes.bit_depth) - 1
+    stated = sorted({f.camera["stated_top_dn"] + options.pedestal for f in frames if "stated_top_dn" in f.camera})
+    if not stated or options.full_scale is not None:  # scaled numbers are none that a header speaks of
+        return None, []
+    lowest, highest = stated[0], stated[-1]
+    if highest > full_scale + options.pedestal:
+        return None, [f"headers state saturation at {highest:g}, above the {full_scale} of the files: not used"]
+    doubts = (
+        [f"headers state saturation from {lowest:g} to {highest:g}: the lowest is taken"] if lowest < highest else []
+    )
+    return (lowest if lowest < full_scale else None), doubts
 
 
 def _lens(frames: Sequence[FoundFrame]) -> LensDescription:

@@ -68,7 +68,7 @@ def composite(measurement: Measurement, response: ResponseCurve | None, sequence
 
 def _signal(frame: Frame, response: ResponseCurve | None) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return the exposure per s (up to a constant) and where the frame clips."""
-    clipped = frame.dn >= frame.full_scale_dn * 0.98
+    clipped = frame.dn >= frame.saturated_dn * 0.98
     if response is not None and response.log_exposure.size > frame.full_scale_dn:
         linear = np.exp(np.nan_to_num(response.log_exposure, nan=-30.0, neginf=-30.0, posinf=30.0))
         signal = linear.astype(np.float32)[frame.dn]
