@@ -133,7 +133,7 @@ class PvaServer:
 
     def _post(self) -> None:
         """Post the latest reading with the alarms that are up now."""
-        reading = self._station.latest
+        reading = self._station.shown.latest
         if reading is None:
             return
         common = {"alarm": self._alarm(reading), "timeStamp": _time_stamp(reading)}
@@ -142,7 +142,7 @@ class PvaServer:
         self._variables["flags"].post({"value": ",".join(reading.flags)} | common)
 
     async def _post_map(self) -> None:
-        measurement, reading = self._station.latest_measurement, self._station.latest
+        measurement, reading = self._station.shown.measurement, self._station.shown.latest
         if not self._watched or measurement is None or reading is None or not measurement.frames:
             return
         from radiometer.daemon.http.picture import composite
@@ -162,7 +162,7 @@ class PvaServer:
     def _number(self, name: str, reading: Reading) -> dict[str, Any]:
         quantity = reading.radiance if name.endswith("radiance") else reading.luminance
         value = math.nan if quantity is None else quantity.u if name.startswith("u_") else quantity.value
-        limits = self._station.watches[MAIN].limits
+        limits = self._station.patches.watches[MAIN].limits
         low, high = (limits.low, limits.high) if name == "radiance" else (None, None)
         alarm = {
             "active": low is not None or high is not None,

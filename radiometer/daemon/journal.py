@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import json
 import math
 import os
 import sqlite3
@@ -20,6 +19,7 @@ from typing import IO, Any, Final, Self
 
 from radiometer.daemon.timestamps import microseconds, now_us
 from radiometer.data import Reading
+from radiometer.data.json_text import json_text
 from radiometer.errors import OutputError
 
 APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": tells `file` and us that this is a radiometer journal
@@ -406,6 +406,6 @@ def _row(reading: Reading) -> tuple[int, int, float | None, str, str, str, str]:
         value if math.isfinite(value) else None,
         flags,
         reading.to_json(),
-        json.dumps(budget),
+        json_text(budget),
         stream_of(reading),
     )

@@ -11,6 +11,7 @@ import structlog
 
 from radiometer.daemon.hub import Event, Subscription
 from radiometer.daemon.station import Station
+from radiometer.data.json_text import json_text
 from radiometer.errors import MissingLibrary, UsageError
 
 _log = structlog.get_logger(__name__)
@@ -131,7 +132,7 @@ class MqttPublisher:
             assert self._subscription is not None
             event = await self._subscription.next()
             if event is None:
-                if self._station.latest is None or self._client is None:
+                if self._station.shown.latest is None or self._client is None:
                     return
                 self._subscription = self._station.hub.subscribe(_QUEUED_MESSAGES)
                 continue
@@ -167,9 +168,9 @@ class MqttPublisher:
 
     def _back(self) -> None:
         self._station.alarms.clear(ALARM, "the MQTT broker is back")
-        self._publish("status", json.dumps(self._station.status(), ensure_ascii=False))
-        if self._station.latest_line:
-            self._publish("reading", self._station.latest_line)
+        self._publish("status", json_text(self._station.status()))
+        if self._station.shown.line:
+            self._publish("reading", self._station.shown.line)
 
 
 def _topic_of(event: Event) -> str:

@@ -14,7 +14,7 @@ from aiohttp.http_exceptions import HttpProcessingError
 
 from radiometer.daemon.http import control, patches, picture, readings
 from radiometer.daemon.http.openapi import description
-from radiometer.daemon.http.route import LIMITS, QUERIES, STATION, Route
+from radiometer.daemon.http.route import LIMITS, QUERIES, STATION, Route, json_reply
 from radiometer.daemon.http.security import guard, report_errors
 from radiometer.daemon.limits import Limits, is_loopback
 from radiometer.daemon.places import Places
@@ -176,7 +176,7 @@ def application(
 
 
 async def _show_openapi(request: web.Request) -> web.Response:
-    return web.json_response(description(ROUTES))
+    return json_reply(description(ROUTES))
 
 
 def _page_route(path: str, name: str, kind: str) -> Route:

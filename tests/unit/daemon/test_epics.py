@@ -40,8 +40,8 @@ async def test_client_reads_the_reading(served, station, eventually):
     before = await _read(client, "radiance")
     assert math.isnan(before.value)
     assert (before.alarm.severity, before.alarm.message) == (3, "no reading yet")
-    reading = await station.measure()
-    await eventually(lambda: station.latest is not None)
+    reading = await station.acquisition.measure()
+    await eventually(lambda: station.shown.latest is not None)
     found = await _read(client, "radiance")
     assert found.getID().startswith("epics:nt/NTScalar")
     assert found.value == reading.radiance.value == 17.0
@@ -60,10 +60,10 @@ async def test_client_reads_the_reading(served, station, eventually):
 async def test_alarms_and_limits_are_epics_own(served, station, instrument, eventually):
     """Limits of the patch are those of display and alarm; a broken limit is major, a lost camera invalid."""
     _, client = served
-    await station.measure()
-    station.set_limits(MAIN, PatchLimits(low=1.0, high=10.0))
+    await station.acquisition.measure()
+    station.patches.set_limits(MAIN, PatchLimits(low=1.0, high=10.0))
     for _ in range(2):
-        await station.measure()
+        await station.acquisition.measure()
     await eventually(lambda: station.alarms.active)
     found = await _read(client, "radiance")
     assert (found.display.limitLow, found.display.limitHigh) == (1.0, 10.0)
@@ -83,7 +83,7 @@ async def test_map_is_an_nt_nd_array(served, station, eventually):
     seen = []
     watching = await asyncio.to_thread(client.monitor, "lab:4711:map", seen.append)
     await eventually(lambda: server._watched)
-    reading = await station.measure()
+    reading = await station.acquisition.measure()
     await eventually(lambda: seen)
     found = seen[-1]
     assert found.getID().startswith("epics:nt/NTNDArray")
