@@ -311,3 +311,16 @@ async def test_lights_off_works_whatever_else_of_the_page_does_not(
         await browser.evaluate("document.getElementById('lights-off').click()")
         await browser.wait_for("document.getElementById('lights-said').textContent === 'all channels are off'")
     assert set(daemon.get("/status")["light"].values()) == {0.0}
+
+
+async def test_a_level_that_cannot_be_known_is_not_shown_as_dark(tmp_path: Path) -> None:
+    """While the daemon is gone, the level of each channel is unknown and the button is lit."""
+    with DaemonProcess(tmp_path, "--every", "0.3", "--box", "sim") as running:
+        running.post("/light", {"channel": "spot", "level": 0.001})
+        async with headless(tmp_path / "profile", SIZES[0]) as browser:
+            await _shown_size(browser, running, SIZES[0])
+            spot = "document.querySelector('#lights [data-channel=spot] output')?.textContent"
+            await browser.wait_for(f"{spot} === '0.1 %'")
+            running.kill()
+            await browser.wait_for(f"{spot} === 'unknown'")
+            assert await browser.evaluate("document.getElementById('lights-off').classList.contains('lit')")

@@ -62,7 +62,7 @@ async function follow() {
       const reader = reply.body.pipeThrough(new TextDecoderStream()).getReader();
       let rest = "";
       for (;;) {
-        const { value, done } = await Promise.race([reader.read(), new Promise((_, fail) => setTimeout(() => fail(new Error("silent")), 40000))]);
+        const { value, done } = await Promise.race([reader.read(), new Promise((_, fail) => setTimeout(() => fail(new Error("silent")), 20000))]);
         if (done) break;
         const parts = (rest + value).split("\n\n");
         rest = parts.pop();
