@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from radiometer.data import Frame, PatchDescription, SourceDescription
-from simulators.camera_model import CameraModel
+from simulators.cameras.simulated_camera import SimulatedCamera
+from simulators.chain.camera_model import CameraModel
 from simulators.displays.base import SimulatedDisplay
 from simulators.scenes.base import SceneImage
-from simulators.simulated_camera import SimulatedCamera
 
 # Brighter than any dimming cycle's mean: the source level of a frame is relative to it.
 _HEADROOM = 4.0
@@ -58,7 +58,7 @@ class WatchingCamera(SimulatedCamera):
     Args:
         model: The camera, its lens and their effects.
         display: What it looks at.
-        wavelength_nm: Wavelength that stands for the display's light in nm.
+        wavelength_nm: Wavelength that represents the display's light in nm.
         options: As of SimulatedCamera.
     """
 

@@ -32,7 +32,7 @@ from radiometer.errors import (
     SettingOutOfRange,
     UsageError,
 )
-from tests.patience import within
+from testing.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
 

@@ -1,0 +1,48 @@
+"""The photographic flash at the simulated light box: when it may fire, and what it gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+GAP_MS: Final = 5000
+IN_A_ROW: Final = 8
+REFILL_MS: Final = 75_000
+
+
+@dataclass(slots=True)
+class Flash:
+    """A flash behind a diffuser, fired by the box's trigger.
+
+    Attributes:
+        exposure_j_sr_m2: Radiant exposure of one flash at the eye, in J·sr⁻¹·m⁻².
+        fired_ms: Box times of the flashes since power-on.
+    """
+
+    exposure_j_sr_m2: float = 100.0
+    fired_ms: list[int] = field(default_factory=list)
+    _left: int = IN_A_ROW
+    _refilled_ms: int = 0
+
+    def reset(self) -> None:
+        """Forget what was fired: the box has restarted."""
+        self.fired_ms.clear()
+        self._left, self._refilled_ms = IN_A_ROW, 0
+
+    def state(self, now_ms: int) -> tuple[int, int]:
+        """Return how many flashes are left and after how many ms one may be fired."""
+        while self._left < IN_A_ROW and now_ms - self._refilled_ms >= REFILL_MS:
+            self._left, self._refilled_ms = self._left + 1, self._refilled_ms + REFILL_MS
+        wait_ms = max(0, self.fired_ms[-1] + GAP_MS - now_ms) if self.fired_ms else 0
+        return self._left, wait_ms
+
+    def fire(self, now_ms: int) -> bool:
+        """Fire, and return whether the box's limits let it."""
+        left, wait_ms = self.state(now_ms)
+        if left == 0 or wait_ms:
+            return False
+        if left == IN_A_ROW:
+            self._refilled_ms = now_ms
+        self._left -= 1
+        self.fired_ms.append(now_ms)
+        return True
