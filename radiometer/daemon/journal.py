@@ -162,7 +162,7 @@ class Journal:
             if last < self._last_sequence:
                 raise JournalError(
                     f"the content of the journal {self.path} was replaced: its last number is {last}, though"
-                    f" {self._last_sequence} was given already; put the newer file back, or restart with another journal"
+                    f" {self._last_sequence} was given already; put the newer file back, or name another with --journal"
                 )
             for sequence, reading in enumerate(readings, start=last + 1):
                 numbered.append(replace(reading, sequence=sequence))

@@ -8,9 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 
-def json_text(
-    content: Any, *, indent: int | None = None, sort_keys: bool = False, ascii_only: bool = False, compact: bool = False
-) -> str:
+def json_text(content: Any, *, indent: int | None = None, sort_keys: bool = False, ascii_only: bool = False) -> str:
     """Return content as JSON that every reader accepts.
 
     Args:
@@ -18,7 +16,6 @@ def json_text(
         indent: Blanks per level; None writes one line.
         sort_keys: Whether keys are sorted.
         ascii_only: Whether characters beyond ASCII are escaped.
-        compact: Whether blanks after commas and colons are left out.
 
     Raises:
         TypeError: If a value is none of these.
@@ -29,7 +26,6 @@ def json_text(
         sort_keys=sort_keys,
         ensure_ascii=ascii_only,
         allow_nan=False,
-        separators=(",", ":") if compact else None,
     )
 
 
