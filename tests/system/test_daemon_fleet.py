@@ -117,7 +117,7 @@ def _serials() -> list[str]:
 def _readings_per_instrument(subscriber: Subscriber) -> dict[str, int]:
     numbers: dict[str, set[int]] = {}
     for topic, text, _ in list(subscriber.messages):
-        if topic.endswith("/reading"):
+        if topic.endswith("/reading") and text:  # an empty one clears what was retained
             reading = json.loads(text)
             assert reading["instrument"] == topic.split("/")[1]
             numbers.setdefault(reading["instrument"], set()).add(reading["sequence"])

@@ -18,7 +18,7 @@ from radiometer.daemon.http.patches import trend_columns
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, TrendPoint
-from radiometer.daemon.mqtt import _topic_of
+from radiometer.daemon.mqtt import topic_level, topic_of
 from radiometer.daemon.patches import NamedPatch, PatchLimits, PatchWatch, check_name
 from radiometer.daemon.station import Station
 from radiometer.daemon.timestamps import iso_time, microseconds
@@ -51,7 +51,7 @@ async def test_a_patch_with_a_name_is_measured_beside_the_shared_one(
     assert shown == {("reading", 16), ("patch", 5)}
     assert b'radiometer_patch_radiance{patch="lamp",unit="W sr-1 m-2"} 6.0' in station.metrics.render()
     assert b'radiometer_radiance{unit="W sr-1 m-2"} 17.0' in station.metrics.render()
-    assert {_topic_of(e) for e in events if e is not None and e.kind in ("reading", "patch")} == {
+    assert {topic_of(e) for e in events if e is not None and e.kind in ("reading", "patch")} == {
         "reading",
         "patch/lamp/reading",
     }
@@ -311,3 +311,12 @@ def test_a_low_limit_is_the_mirror_of_a_high_one(
     above, below = (make_reading(radiance=Quantity(v, 0.1, "W sr-1 m-2")) for v in (value, -value))
     assert high.breach(above, standing=standing) == ("high" if outside else "")
     assert low.breach(below, standing=standing) == ("low" if outside else "")
+
+
+@given(names=st.lists(st.text(" ._-+aB1", min_size=1, max_size=8), min_size=2, unique=True))
+def test_no_two_patches_share_a_topic(names: list[str]) -> None:
+    """Each name is one level of its own, without wildcards; a plain name stays as it is."""
+    levels = [topic_level(name) for name in names]
+    assert len(set(levels)) == len(names)
+    assert not any(sign in level for level in levels for sign in "+#/ ")
+    assert topic_level("lamp_1.b-c") == "lamp_1.b-c"

@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import aiohttp
-import pytest
 
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.journal import _SCHEMA, Journal
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
-from radiometer.daemon.mqtt import MqttPublisher, MqttTarget
 from radiometer.daemon.station import Station
 from radiometer.data import Flag, Patch, Reading
 
@@ -134,18 +132,6 @@ async def test_each_session_gets_the_picture_of_its_reading(connect: Any, instru
     await a.ask(f"MEAS:RAD? {OTHER_X + 1},1,2,3")
     await b.send("TRAC:SIZE?")
     assert (await b.ask("SYST:ERR?")).startswith("-230")  # its frames are gone; another's are not given in their stead
-
-
-async def test_mqtt_publishes_the_shared_patch_only(station: Station) -> None:
-    """What reaches the broker is what the hub tells, and the retained reading is the shared one."""
-    pytest.importorskip("paho.mqtt.client")
-    publisher = MqttPublisher(station, MqttTarget("127.0.0.1"))
-    sent: list[tuple[str, str]] = []
-    publisher._client = type("Client", (), {"publish": lambda self, topic, line, **_: sent.append((topic, line))})()
-    await station.acquisition.measure()
-    await station.acquisition.measure(station.settings.__class__(patch=Patch(OTHER_X, 1, 2, 3)), session="b")
-    publisher._back()
-    assert [json.loads(line)["sequence"] for topic, line in sent if topic.endswith("/reading")] == [1]
 
 
 def test_the_journal_of_the_version_before_is_taken_over(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:
