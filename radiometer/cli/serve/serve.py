@@ -114,12 +114,12 @@ def command(
 
 
 async def _serve(station: Station, options: ServiceOptions) -> None:
+    from radiometer.daemon.descriptors import raise_limit
     from radiometer.daemon.memory import limit_arenas
-    from radiometer.daemon.promptness import be_prompt
     from radiometer.daemon.service import Service
 
     limit_arenas()
-    be_prompt()
+    raise_limit()
     await Service(station, options, announce=note).run()
 
 

@@ -12,6 +12,7 @@ import structlog
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
+from radiometer.daemon.descriptors import listen
 from radiometer.daemon.http import control, patches, picture, readings
 from radiometer.daemon.http.openapi import description
 from radiometer.daemon.http.route import LIMITS, QUERIES, STATION, Route, json_reply
@@ -94,7 +95,7 @@ class HttpServer:
             )
         await self._runner.setup()
         try:
-            self._server = await asyncio.get_running_loop().create_server(self._accept, address, port)
+            self._server = await listen(self._accept, address, port)
         except OSError as error:
             raise OutputError(f"cannot listen for HTTP on {address}:{port}: {error.strerror or error}") from error
         return int(self._server.sockets[0].getsockname()[1])
