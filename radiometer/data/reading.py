@@ -42,6 +42,8 @@ class Flag(StrEnum):
     LENS_CHANGED = "lens_changed"
     POLARISATION = "polarisation"
     LINEARITY = "linearity"
+    EXPOSURE_UNCONFIRMED = "exposure_unconfirmed"
+    REPEATED_FRAME = "repeated_frame"
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -11,6 +11,7 @@ const MEANING = {
   saturated: "pixels clip: the value is a lower bound", below_noise: "not above the noise: an upper limit",
   extrapolated: "beyond the measured part of the response curve", flicker: "exposures disagree: the light flickers or moves",
   stale_calibration: "the calibration is too old", uncalibrated: "relative values: no calibration", nonuniform: "the patch is not uniform",
+  exposure_unconfirmed: "the camera states another exposure time than it was given", repeated_frame: "the camera delivered the same frame again",
 };
 
 // ---- parts ----------------------------------------------------------------------------------------------------------
