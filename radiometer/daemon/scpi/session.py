@@ -234,7 +234,7 @@ class Session:
                     -250
                     if alarm.name == "journal"
                     else -200
-                    if alarm.name.split()[0] in ("measurement", "limit")
+                    if alarm.name.split()[0] in ("measurement", "limit", "period", "reading")
                     else -240
                 )
                 self.status.push(ScpiError(number, alarm.message))

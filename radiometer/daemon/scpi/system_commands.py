@@ -161,7 +161,7 @@ COMMANDS: Final = (
             example="SYST:VERS?", group=SYSTEM),
     Command("SYSTem:ALARm", "Lists the alarms that are up.", ask=_alarms, reply='"alarm",…', example="SYST:ALAR?",
             group=SYSTEM),
-    Command("SYSTem:DEVice", "Lists the devices, each ready, overdue, lost or closed.", ask=_devices,
+    Command("SYSTem:DEVice", "Lists the devices, each ready, overdue, failing, lost or closed.", ask=_devices,
             reply='"device: state",…', example="SYST:DEV?", group=SYSTEM),
     Command("SYSTem:STATe", "Replies the state of everything as JSON in a block, as GET /status does.", ask=_state,
             reply="block", example="SYST:STAT?", group=SYSTEM),

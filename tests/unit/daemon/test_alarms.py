@@ -211,3 +211,37 @@ async def test_no_number_of_the_camera_makes_anything_but_json(
         assert event is not None
         json.loads(event.line, parse_constant=refuse)
     await server.close()
+
+
+@pytest.mark.parametrize(
+    "request_bytes",
+    [
+        b"SYST:HELP:HEAD?\n" * 2000,
+        b"GET /readings/stream HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        b"GET /readings/stream?format=jsonl HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        b"GET /readings?format=csv&stream=all HTTP/1.1\r\nHost: localhost\r\n\r\n" * 20,
+        b"GET /frame.png?width=2048 HTTP/1.1\r\nHost: localhost\r\n\r\n" * 20,
+        b"POST /measure HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 90\r\n\r\n{",
+    ],
+    ids=["replies", "events", "lines", "table", "pictures", "half a body"],
+)
+async def test_clients_that_do_not_read_delay_no_reading(
+    station: Station, scpi: Any, instrument: Any, eventually: Eventually, request_bytes: bytes
+) -> None:
+    """Ten of each kind ask and never read, nor finish what they send; the shared patch is measured on and on."""
+    http = HttpServer(station, limits=Limits(http_requests_per_s=1e4))
+    ports = {True: await http.listen("127.0.0.1", 0), False: await scpi.listen_tcp("127.0.0.1", 0)}
+    instrument.measure_s = 0.0
+    station.set_every(0.0)
+    deaf = []
+    for _ in range(10):
+        _, writer = await asyncio.open_connection("127.0.0.1", ports[b"HTTP" in request_bytes], limit=1024)
+        writer.transport.pause_reading()  # type: ignore[attr-defined]
+        writer.write(request_bytes)
+        deaf.append(writer)
+    begun = station.shown.latest.sequence if station.shown.latest else 0
+    await eventually(lambda: station.shown.latest and station.shown.latest.sequence > begun + 300)
+    assert station.troubles() == []
+    for writer in deaf:
+        writer.transport.abort()
+    await http.close()
