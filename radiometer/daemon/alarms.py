@@ -18,7 +18,7 @@ class AlarmKind:
     """One of the alarms that the daemon knows.
 
     Attributes:
-        name: Its name; a word in capitals stands for a channel or the name of a patch.
+        name: Its name; a word in capitals is to be read as a channel or the name of a patch.
         cause: When it goes up.
         end: When it goes down.
     """
@@ -39,10 +39,10 @@ KINDS: Final = (
     AlarmKind("measurement PATCH", "a patch with a name cannot be measured", "it was measured, or was deleted"),
     AlarmKind("period", "fewer than two thirds of the measurements due in the last 10 s (5 periods, if longer) began",
               "nine tenths of them began, or another period was set"),
-    AlarmKind("reading", "no reading of the shared patch for 5 periods (at least 10 s, and 3 times its last duration)",
+    AlarmKind("reading", "no reading of the shared patch for 5 periods, 10 s and 3 times its last duration",
               "a reading of it is in the journal, or continuous measurement ended"),
     AlarmKind("reading PATCH", "the same for a patch with a name", "a reading of it came, or it was deleted"),
-    AlarmKind("limit PATCH", "two readings in a row lie beyond a limit of the patch",
+    AlarmKind("limit PATCH", "two readings in a row are beyond a limit of the patch",
               "two in a row are back inside by the hysteresis, or the limits or the patch changed"),
     AlarmKind("calibration", "the calibration could not be read again, and the old one stays in use",
               "it was read again"),

@@ -16,6 +16,7 @@ from typing import Any, Final
 import structlog
 
 from radiometer.daemon.hub import Subscription
+from radiometer.daemon.lateness import READING
 from radiometer.daemon.patches import MAIN
 from radiometer.daemon.station import Station
 from radiometer.data import Reading
@@ -188,10 +189,11 @@ class PvaServer:
         return {"severity": _INVALID, "status": _RECORD_STATUS, "message": "no reading yet"}
 
     def _alarm(self, reading: Reading) -> dict[str, Any]:
-        """Return the alarm: invalid while the camera is lost, major with any alarm, minor with a flag."""
+        """Return the alarm: invalid while the camera is lost or readings stay away, major with any alarm, minor with a flag."""
         up = {alarm.name: alarm.message for alarm in self._station.alarms.active}
-        if "camera" in up:
-            return {"severity": _INVALID, "status": _DEVICE_STATUS, "message": up["camera"]}
+        for name in ("camera", READING):  # the value is no longer one of now
+            if name in up:
+                return {"severity": _INVALID, "status": _DEVICE_STATUS, "message": up[name]}
         if up:
             return {"severity": _MAJOR, "status": _DEVICE_STATUS, "message": next(iter(up.values()))}
         if reading.flags:

@@ -296,7 +296,7 @@ class Journal:
         return _Transaction(self, self._connected())
 
     def _connected(self) -> sqlite3.Connection:
-        """Return the connection, opened where it is not, to the file that stands at the journal's path."""
+        """Return the connection, opened where it is not, to the file at the journal's path."""
         if self._connection is None:
             self.open()
         self._require_in_place()
@@ -304,7 +304,7 @@ class Journal:
         return self._connection
 
     def _require_in_place(self) -> None:
-        """Refuse to write where the file was deleted, moved or replaced: nobody would find what is written.
+        """Refuse to write where the file was deleted, moved or replaced: its readers would never find what is written.
 
         A deleted file is written anew, for all that it held can still be read through the open connection.
         """
@@ -319,7 +319,7 @@ class Journal:
         if standing is None and held.st_nlink == 0:
             self._write_anew()
             raise JournalError(f"the journal {self.path} was deleted; it was written anew with all of its readings")
-        happened = "deleted, and another file stands in its place" if held.st_nlink == 0 else "moved or replaced"
+        happened = "deleted, and another file took its place" if held.st_nlink == 0 else "moved or replaced"
         remedy = "move that file away" if held.st_nlink == 0 else "put it back, or restart the daemon for a new one"
         raise JournalError(f"the journal {self.path} was {happened} while the daemon writes it; {remedy}")
 

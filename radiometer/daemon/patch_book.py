@@ -44,7 +44,7 @@ class PatchBook:
         self.watches: dict[str, PatchWatch] = {MAIN: PatchWatch()}
 
     def define(self, name: str, patch: Patch) -> None:
-        """Measure a patch with a name from now on, beside the one for all; one of that name is moved.
+        """Measure a patch with a name from now on, in addition to the one for all; one of that name is moved.
 
         Raises:
             UsageError: If the name cannot be one, the patch is not inside the picture, or there are too many.

@@ -314,7 +314,7 @@ def test_a_moved_journal_takes_no_reading_until_it_is_back(
         assert journal.append([make_reading()])[0].sequence == 6
         path.unlink()
         shutil.copy(other, path)
-        with pytest.raises(JournalError, match="another file stands in its place"):
+        with pytest.raises(JournalError, match="another file took its place"):
             journal.append([make_reading()])
         path.unlink()
         with pytest.raises(JournalError, match="anew"):
