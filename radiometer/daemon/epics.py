@@ -189,7 +189,7 @@ class PvaServer:
         return {"severity": _INVALID, "status": _RECORD_STATUS, "message": "no reading yet"}
 
     def _alarm(self, reading: Reading) -> dict[str, Any]:
-        """Return the alarm: invalid while the camera is lost or readings stay away, major with any alarm, minor with a flag."""
+        """Return the alarm: invalid while no reading can come, major with any alarm, minor with a flag."""
         up = {alarm.name: alarm.message for alarm in self._station.alarms.active}
         for name in ("camera", READING):  # the value is no longer one of now
             if name in up:
