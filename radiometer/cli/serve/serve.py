@@ -119,11 +119,13 @@ def command(
 
 async def _serve(station: Station, options: ServiceOptions) -> None:
     from radiometer.daemon.descriptors import raise_limit
+    from radiometer.daemon.log_throttle import LogThrottle
     from radiometer.daemon.memory import limit_arenas
     from radiometer.daemon.service import Service
 
     limit_arenas()
     raise_limit()
+    LogThrottle().install()
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     await Service(station, options, announce=note).run()
 

@@ -174,7 +174,7 @@ class ScpiConnection(asyncio.Protocol):
         self._resume = None
         assert self.session is not None
         for _ in range(_MESSAGES_AT_ONCE):
-            if not self._messages or self._cannot_write or self._transport is None:
+            if not self._messages or self._cannot_write or self._is_ending():
                 break
             if (pause_s := self._vetting_pause_s() or self._bucket.take()) > 0:
                 self._resume = asyncio.get_running_loop().call_later(pause_s, self._work)
