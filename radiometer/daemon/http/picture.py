@@ -184,9 +184,9 @@ async def show_frame(request: web.Request) -> web.Response:
     if scale not in ("log", "linear", "auto") or colours not in _MAPS:
         raise UsageError(f"scale must be log, linear or auto; map must be one of {', '.join(_MAPS)}")
     station = request.app[STATION]
-    if station.pictured is None or not station.pictured[0].frames:
+    if station.shown.pictured is None or not station.shown.pictured[0].frames:
         raise web.HTTPNotFound(text="there is no picture yet; POST /measure makes one")
-    measurement, reading = station.pictured
+    measurement, reading = station.shown.pictured
     response = station.instrument.response
 
     def work() -> tuple[bytes, dict[str, str]]:
