@@ -440,11 +440,11 @@ def _camera(
     if top is not None and top >= 1:
         camera["stated_top_dn"] = top
     # DATAMAX is the largest value of this frame's data (FITS standard 4.0, table 22), not where pixels are saturated.
-    key = next((k for k in _SATURATED_FROM if (_number(header, k) or 0.0) >= 1.0), None)
-    if key is not None and unit_in_words(header[key].comment, "read_noise")[0] is not None:
-        doubts.append(f"{key} is in electrons, not in DN: it is not used as the white level")
-    elif key is not None:
-        taken["white_level_dn"], camera["stated_white_dn"] = key, _number(header, key)
+    place = next((k for k in _SATURATED_FROM if (_number(header, k) or 0.0) >= 1.0), None)
+    if place is not None and unit_in_words(header[place].comment, "read_noise")[0] is not None:
+        doubts.append(f"{place} is in electrons, not in DN: it is not used as the white level")
+    elif place is not None:
+        taken["white_level_dn"], camera["stated_white_dn"] = place, _number(header, place)
     return camera
 
 
