@@ -1,4 +1,4 @@
-"""What the score of left-out frames can tell of a response: the fisheye's frames, and frames simulated after them.
+"""What the score of left-out frames can show of a response: the fisheye's frames, and frames simulated after them.
 
     python -m benchmarks.left_out_floor [COLOUR…]
 
@@ -107,7 +107,7 @@ def main() -> None:
     print(body)
     write_section(
         "left_out_floor",
-        "What the score of left-out frames can tell",
+        "What the score of left-out frames can show",
         f"OMP_NUM_THREADS=1 python -m benchmarks.left_out_floor {' '.join(sys.argv[1:])}".strip(),
         body,
     )
