@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from radiometer.devices import CameraCapabilities, CameraIdentity
 from radiometer.errors import DeviceError, DeviceLost, MeasurementError
 from testing.patience import within
 
+PORTS: WeakKeyDictionary[ScpiServer, int] = WeakKeyDictionary()  # where each server of a test listens
 QUICK = KeeperTimes(first_pause_s=0.01, longest_pause_s=0.05, check_every_s=0.05, overdue_s=1.0)
 
 
@@ -197,7 +199,7 @@ class LineClient:
 async def scpi(station: Station) -> AsyncIterator[ScpiServer]:
     """Return an SCPI server on a free loopback port."""
     server = ScpiServer(station)
-    await server.listen_tcp("127.0.0.1", 0)
+    PORTS[server] = await server.listen_tcp("127.0.0.1", 0)
     yield server
     await server.close()
 
@@ -208,8 +210,7 @@ async def connect(scpi: ScpiServer) -> AsyncIterator[Callable[[], Awaitable[Line
     clients: list[LineClient] = []
 
     async def make() -> LineClient:
-        port = scpi._servers[0].sockets[0].getsockname()[1]
-        clients.append(LineClient(*await asyncio.open_connection("127.0.0.1", port, limit=2**22)))
+        clients.append(LineClient(*await asyncio.open_connection("127.0.0.1", PORTS[scpi], limit=2**22)))
         return clients[-1]
 
     yield make

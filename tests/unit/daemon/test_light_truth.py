@@ -56,11 +56,13 @@ async def test_light_that_agrees_is_no_alarm(station: Station, box: Any, eventua
 
 @pytest.mark.parametrize(("off", "alarmed"), [(1.0 / 65535.0, True), (-1.0 / 65535.0, True), (0.5e-6, False)])
 async def test_light_that_is_off_by_one_step_of_the_box_is_an_alarm(
-    station: Station, off: float, alarmed: bool
+    station: Station, box: Any, eventually: Eventually, off: float, alarmed: bool
 ) -> None:
     """A level is one of 65,535: what is read back is the same number or it is another light."""
     await station.set_level("red", 0.5)
-    station._box_reported(DeviceReport(30.0, {}, {"red": 0.5 + off}))
+    asked: list[int] = []
+    box.check = lambda: asked.append(1) or DeviceReport(30.0, {}, {"red": 0.5 + off})
+    await eventually(lambda: len(asked) > 2)
     assert [alarm.name for alarm in station.alarms.active] == ["light red"] * alarmed
     assert station.levels["red"] == (0.5 + off if alarmed else 0.5)
 

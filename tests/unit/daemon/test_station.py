@@ -9,15 +9,11 @@ import threading
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from radiometer.daemon import station as station_module
-from radiometer.daemon.acquisition import Acquisition
-from radiometer.daemon.alarms import Alarms
-from radiometer.daemon.journal import Journal, JournalError
+from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.keeper import DeviceState
 from radiometer.daemon.state import identity_mapping
@@ -193,25 +189,6 @@ async def test_a_locked_journal_holds_readings_back(station: Station, eventually
     assert len(numbers) > 5
 
 
-@pytest.mark.slow
-async def test_measuring_pauses_when_too_much_waits(
-    instrument: Any, tmp_path: Path, eventually: Eventually, make_reading: Any
-) -> None:
-    """A journal that stays full stops the acquisition instead of losing readings or filling the memory."""
-    station = Station(instrument, Journal(tmp_path / "j.sqlite", max_bytes=50_000))
-    station.writer._capacity = 20
-    await station.start()
-    station.set_every(0.0)
-    await eventually(lambda: station.writer.depth >= 20)
-    await asyncio.sleep(0.3)
-    measured, waiting = len(instrument.measured), station.writer.depth
-    assert waiting <= 21
-    assert station.latest is not None
-    assert station.latest.sequence + waiting == measured
-    await eventually(lambda: any("paused" in alarm.message for alarm in station.alarms.active))
-    await station.stop()
-
-
 async def test_a_damaged_journal_ends_the_start(instrument: Any, tmp_path: Path) -> None:
     """A file that will never become a journal is refused with the way out."""
     (tmp_path / "j.sqlite").write_bytes(b"x" * 5000)
@@ -274,15 +251,6 @@ async def test_what_is_counted_of_measurements(station: Station, instrument: Any
     assert measuring >= 3 * 0.01
 
 
-async def test_a_daemon_tells_how_long_it_runs_to_a_tenth_of_a_second(
-    station: Station, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """12.34 s after its start it says 12.3."""
-    now = SimpleNamespace(monotonic=lambda: station.started + 12.34, perf_counter=time.perf_counter)
-    monkeypatch.setattr(station_module, "time", now)
-    assert station.status()["uptime_s"] == 12.3
-
-
 def test_a_hexadecimal_serial_number_is_told_in_decimal_too() -> None:
     """The state, and with it the page, shows the number as USB reports it and as its label has it."""
     blackfly = identity_mapping(CameraIdentity("FLIR", "BFS-U3-19S4M", "0138C343", "id"))
@@ -297,92 +265,3 @@ async def test_another_period_clears_no_alarm_and_its_end_does(station: Station)
     assert [alarm.name for alarm in station.alarms.active] == ["measurement"]
     station.set_every(None)
     assert station.alarms.active == ()
-
-
-async def test_after_a_lost_camera_the_next_turn_waits(station: Station, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Half a second from now, and no alarm besides the camera's own; a failed measurement waits for its period too."""
-    acquisition = station.acquisition
-
-    async def lost(origin: object) -> None:
-        raise DeviceError("unplugged")
-
-    async def failed(origin: object) -> None:
-        raise MeasurementError("too bright")
-
-    acquisition._every_s = 0.01
-    for attempt, alarms in ((lost, []), (failed, ["measurement"])):
-        monkeypatch.setattr(acquisition, "_measure", attempt)
-        before = time.monotonic()
-        await acquisition._measure_continuously()
-        assert before + 0.5 <= acquisition._due_at <= time.monotonic() + 0.5
-        assert [alarm.name for alarm in station.alarms.active] == alarms
-    acquisition._every_s = None
-
-
-async def test_when_measuring_ends_no_patch_waits_for_its_turn(make_acquisition: Callable[..., Acquisition]) -> None:
-    """Patches with a name that were still to come in the period are dropped: the loop would turn on them for ever."""
-    acquisition = make_acquisition(is_ready=True)
-    acquisition.set_every(60.0)
-    acquisition._round.extend(["lamp", "wall"])
-    acquisition.set_every(None)
-    waiting = asyncio.ensure_future(acquisition._wait_until_needed())
-    await asyncio.sleep(0)
-    over = waiting.done()
-    waiting.cancel()
-    assert not over
-
-
-async def test_a_camera_that_is_back_is_measured_with_within_a_tenth_of_a_second(
-    make_acquisition: Callable[..., Acquisition],
-) -> None:
-    """While it is away it is looked for as often; else the loop sleeps until the next turn, or until it is woken."""
-    away, there = make_acquisition(is_ready=False), make_acquisition(is_ready=True)
-    assert there._pause_s() is None
-    for acquisition in (away, there):
-        acquisition.set_every(60.0)
-        acquisition._due_at = time.monotonic() + 50.0
-    assert 0.0 < (away._pause_s() or 0.0) <= 0.1
-    assert there._pause_s() == pytest.approx(50.0, abs=5.0)
-
-
-@pytest.mark.parametrize(
-    ("trouble", "deadline_s", "waited_s", "told"),
-    [
-        ("", 120.0, 120.0, TimeoutError),
-        ("", 2.0, 2.0, TimeoutError),
-        ("the disk is full", 120.0, 5.0, JournalError),
-        ("the disk is full", 2.0, 2.0, JournalError),
-    ],
-)
-async def test_nobody_waits_long_for_a_journal_that_is_known_to_be_blocked(
-    station: Station,
-    monkeypatch: pytest.MonkeyPatch,
-    trouble: str,
-    deadline_s: float,
-    waited_s: float,
-    told: type[Exception],
-) -> None:
-    """Five seconds at most, and the journal's trouble is told; for a measurement as long as the client allows."""
-    asked: list[float] = []
-
-    async def measure(settings: object, wait_s: float, session: str) -> None:
-        asked.append(wait_s)
-        raise TimeoutError
-
-    monkeypatch.setattr(station, "_journal_trouble", lambda: trouble)
-    monkeypatch.setattr(station.acquisition, "measure", measure)
-    with pytest.raises(told, match=trouble or None):
-        await station.measure(deadline_s=deadline_s)
-    assert asked == [waited_s]
-
-
-@pytest.fixture
-def make_acquisition() -> Callable[..., Acquisition]:
-    """Return a maker of acquisitions that nothing drives, of a camera that is ready or not."""
-
-    def make(*, is_ready: bool) -> Acquisition:
-        keeper: Any = SimpleNamespace(is_ready=is_ready)
-        absent: Any = None
-        return Acquisition(absent, keeper, absent, Alarms(lambda *_: None), lambda *_: None)
-
-    return make

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,21 +11,18 @@ from matplotlib.figure import Figure
 
 from radiometer.analysis.characterise import characterise, report_plots
 from radiometer.analysis.characterise.dark_figures import doubling_of, gain_from_darks, typical_rates
-from radiometer.analysis.characterise.dark_signal import by_temperature, doubling_temperature, pooled_frame_sd
-from radiometer.analysis.characterise.dark_transfer import _bulk, _clipped_variance, _unmixed, dark_transfer
-from radiometer.analysis.characterise.frame_groups import _temperature_plateaus
+from radiometer.analysis.characterise.dark_signal import doubling_temperature, pooled_frame_sd
+from radiometer.analysis.characterise.dark_transfer import dark_transfer
 from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
-from radiometer.analysis.characterise.inconsistent import _beside, contradicting_darks, contradicting_steps
-from radiometer.analysis.characterise.nonuniformity import _root, best_stack, nonuniformity_by_part
+from radiometer.analysis.characterise.inconsistent import contradicting_darks, contradicting_steps
+from radiometer.analysis.characterise.nonuniformity import best_stack, nonuniformity_by_part
 from radiometer.analysis.characterise.partial import stated_gain_doubt
 from radiometer.analysis.characterise.photon_transfer import photon_transfer, transfer_of_few
-from radiometer.analysis.characterise.report import _dark, _figures, _noise, _range
 from radiometer.analysis.characterise.saturation import find_saturation
 from radiometer.analysis.characterise.sensitivity import propagated, responsivity
 from radiometer.analysis.characterise.spatial_split import SpatialSplit, typical_mean
 from radiometer.analysis.characterise.steps import make_steps
 from radiometer.analysis.characterise.subject import Subject
-from radiometer.analysis.characterise.symbols import SYMBOLS
 from radiometer.data import CameraDescription, FrameSettings, LensDescription, Quantity
 from radiometer.errors import MeasurementError
 
@@ -193,19 +188,6 @@ def test_a_dark_current_that_doubles_tells_by_how_many_kelvin(doubling_k):
     assert doubling_of([(None, 0.0, rates[0][1]), (30.0, 0.0, rates[1][1])]) is None
 
 
-def test_plateaus_of_temperature_lie_more_than_one_and_a_half_kelvin_apart():
-    """From one reading to the next; the coldest first; without a thermometer all is one."""
-    readings = [21.5, 20.0, 23.01, 30.0, 23.0]
-    darks = [group(BLACK_DN, 40.0, dark=True, celsius=t) for t in readings]
-    found = [[d.settings.temperature_c for d in plateau] for plateau in by_temperature(darks)]
-    assert found == [[20.0, 21.5, 23.0, 23.01], [30.0]]
-    apart = [group(BLACK_DN, 40.0, dark=True, celsius=t) for t in (20.0, 21.51)]
-    assert len(by_temperature(apart)) == 2
-    assert len(by_temperature([group(BLACK_DN, 40.0, dark=True), *darks])) == 2
-    assert _temperature_plateaus([21.5, None, 20.0, 23.01, 30.0]) == [0, -1, 0, 1, 2]
-    assert _temperature_plateaus([None]) == [-1]
-
-
 def test_means_of_frames_scatter_by_their_pooled_deviation():
     """Two groups of 3 and 2 frames: (2·9 + 1·36)/3 = 18 DN²; one frame alone says nothing of it."""
     several = [
@@ -257,35 +239,6 @@ def test_plateaus_of_darks_that_disagree_widen_their_mean(monkeypatch):
     assert gain_from_darks(SUBJECT, plateaus[0])[0].u == pytest.approx(0.01)
 
 
-def test_variances_that_a_line_has_mixed_come_out_again():
-    """E[r_i²] = Σ (I − H)_ij²·σ_j² of seven frames, solved for σ_j²; each known to √(2/N) and more by the mixing."""
-    x = np.arange(7.0)
-    design = np.column_stack([np.ones(7), x])
-    left = np.eye(7) - design @ np.linalg.inv(design.T @ design) @ design.T
-    truth = 4.0 + 0.5 * x
-    found, u = _unmixed(left**2, (left**2) @ truth, 5001)
-    assert found == pytest.approx(truth)
-    assert np.all(u > 0.9 * math.sqrt(2.0 / 5000.0) * (left**2 @ truth))
-    _, wide = _unmixed(left**2, (left**2) @ truth, 1251)
-    assert wide == pytest.approx(2.0 * u)
-
-
-def test_hot_and_hit_pixels_are_left_out_of_a_dark_transfer():
-    """Four robust deviations of the means, half a DN at least; six of what is left of a pixel; the rest keep all."""
-    mean = np.concatenate([np.linspace(99.0, 101.0, 101), [107.0]])
-    sigma = 1.4826 * np.median(np.abs(mean - np.median(mean)))
-    for off, kept in ((3.9, True), (4.1, False)):
-        mean[-1] = np.median(mean) + off * sigma
-        assert bool(_bulk(mean)[-1]) is kept
-    assert _bulk(np.array([100.0] * 9 + [102.0])).all()
-    assert not _bulk(np.array([100.0] * 9 + [102.1])).all()
-    noise = np.concatenate([np.linspace(-2.0, 2.0, 401), [0.0]])
-    spread = 1.4826 * np.median(np.abs(noise))
-    for off, larger in ((5.9, True), (6.2, False)):
-        noise[-1] = off * spread
-        assert bool(_clipped_variance(noise) > np.var(noise[:-1])) is larger
-
-
 def test_a_dark_transfer_needs_five_frames():
     """Shot noise of a dark current over five exposures gives K; four frames, or one exposure, give none."""
     rng = np.random.default_rng(8)
@@ -296,15 +249,6 @@ def test_a_dark_transfer_needs_five_frames():
     assert found.K.u < 0.05 * found.K.value
     assert dark_transfer(darks[:4]) is None
     assert dark_transfer([darks[0]] * 6) is None
-
-
-def test_the_root_of_a_variance_spans_it_by_twice_its_uncertainty():
-    """9 ± 0.5 DN² is 3 ± 0.083; of nothing, or less, the root is 0 and its u half the root of twice that of s²."""
-    found = _root(9.0, 0.5)
-    assert (found.value, found.u) == (3.0, pytest.approx((3.0 - math.sqrt(8.0)) / 2.0))
-    for variance in (0.0, -1.0):
-        nothing = _root(variance, 2.0)
-        assert (nothing.value, nothing.u) == (0.0, pytest.approx(1.0))
 
 
 def test_patterns_of_each_kind_are_light_s_less_darkness_s():
@@ -335,13 +279,6 @@ def test_a_typical_pixel_is_no_hot_one():
     reach = 4.0 * 1.4826 * 5.0
     assert typical_mean(np.append(spread, 100.0 + 1.06 * reach)) == pytest.approx(100.0)
     assert typical_mean(np.append(spread, 100.0 + 0.98 * reach)) == pytest.approx(100.0 + 0.98 * reach / 102.0)
-
-
-def test_neighbours_stand_on_both_sides():
-    """Two below and two above, fewer near the ends, none at an end."""
-    assert [_beside(k, 7) for k in range(7)] == [
-        [], [0, 2], [0, 1, 3, 4], [1, 2, 4, 5], [2, 3, 5, 6], [4, 6], []
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("part", "count", "named"), [(0.89, 16, 1), (0.91, 16, 0), (0.5, 6, 1), (0.5, 5, 0)])
@@ -395,20 +332,6 @@ def test_a_desk_s_picture_has_a_panel_beside_the_first_for_each_other(straight, 
     assert left.width / right[0].width == pytest.approx(1.25)
 
 
-def test_words_of_a_report_hold_their_figures():
-    """4 e⁻ of noise are met by 16 e⁻ of light, 8 DN at 0.5; 16 e⁻² at 2 e⁻/s take 8 s; SNR 200 is half a per cent."""
-    read, K = Quantity(4.0, 0.1, "e-"), Quantity(0.5, 0.01, "DN/e-")
-    assert "From 16 e⁻ (8 DN above black) on" in _noise(read, K)
-    assert _noise(replace(read, value=0.0), K) == _noise(read, None) == ""
-    assert "spans 60 dB; the best pixel of one frame is uncertain by 0.5 %" in _range(
-        Quantity(60.0, 1.0, "dB"), Quantity(200.0, 1.0, "1")
-    )
-    assert "reaches the read noise at 8 s" in _dark(Quantity(2.0, 0.1, "e-/s"), read)
-    assert _dark(Quantity(2.0, 1.0, "e-/s"), read).startswith("No dark current is seen")
-    assert _dark(Quantity(2.0, 0.99, "e-/s"), read).startswith("Every pixel gathers")
-    assert _dark(None, read) == _dark(Quantity(math.nan, 1.0, "e-/s"), read) == ""
-
-
 def test_a_dark_group_that_contradicts_those_of_its_gain_is_left_out_and_named():
     """One of eight at 0 dB shows 200 DN too much; those at 20 dB, three times as dark, are no judges of it."""
     bright = [group(BLACK_DN + s, 40.0 + 0.5 * s, s / 6000.0) for s in SIGNALS]
@@ -439,32 +362,3 @@ def test_shares_at_both_ends_are_of_all_frames():
     frames[2, 1, :3] = (255, 255, 256)
     (found,) = statistics_of_group(iter(frames), FrameSettings(1.0), (None,), 255)
     assert (found.floor_share, found.clipped_share, found.frames, found.pixels) == (3 / 24, 4 / 24, 3, 8)
-
-
-def test_a_sign_is_short_and_a_meaning_is_words():
-    """Each figure is printed as the letters of its name, Greek ones as such, and told in words without them."""
-    greek = str.maketrans({"η": "eta", "σ": "sigma", "μ": "mu", " ": "", ".": ""})
-    for name in SYMBOLS:
-        page = _figures(SimpleNamespace(figures={name: Quantity(2.0, 0.05, "e-")}))
-        sign, meaning, value, expanded, _ = re.findall(r"<td[^>]*>(.*?)</td>", page)
-        assert name.replace("_", "").startswith(sign.translate(greek)[:3]), name
-        assert len(meaning) > len(sign)
-        assert meaning.isascii()
-        assert (value, expanded.split()) == ("2.00", ["±", "0.10"])
-
-
-def test_the_fit_is_drawn_through_the_variances_that_it_is_of():
-    """A line of 40 DN² at no signal that rises by 0.5 DN² per DN, to the last step used; filled marks are its steps."""
-    bright = [group(BLACK_DN + s, 40.0 + 0.5 * s, s / 6000.0) for s in SIGNALS]
-    result = characterise(SUBJECT, [*bright, group(BLACK_DN, 40.0, dark=True)])
-    axes = Figure().add_subplot()
-    report_plots._variance(axes, result)
-    drawn = {line.get_label(): line for line in axes.get_lines()}
-    x, y = (np.asarray(values, float) for values in drawn["fit"].get_data())
-    last = max(step.signal_dn for step in result.transfer.used)
-    assert x.tolist() == [0.0, last]
-    assert y == pytest.approx([0.0, 0.5 * last], abs=0.1)
-    for label, count in (("steps of the fit", len(result.transfer.used)), ("steps left out", None)):
-        shown = np.asarray(drawn[label].get_data()[1], float)
-        assert len(shown) == (len(SIGNALS) - len(result.transfer.used) if count is None else count)
-        assert shown == pytest.approx(0.5 * np.asarray(drawn[label].get_data()[0], float))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime as dt
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from hypothesis import strategies as st
 
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
 from radiometer.analysis.reading.contributions import local_scatter
-from radiometer.analysis.reading.flags import _is_nonuniform
 from radiometer.analysis.reading.outside import conditions_of, frame_u_rel, stray_light
 from radiometer.analysis.reading.reading import read_patch
 from radiometer.data import (
@@ -454,17 +452,6 @@ def test_frames_that_do_not_belong_together_are_refused(rig):
         read(rig, calibrated(rig, defects=spots), frames=[first, second], patch=Patch(3, 5, 2, 3))
     kept = read(rig, calibrated(rig, defects=spots[:-1]), frames=[first, second], patch=Patch(3, 5, 2, 3))
     assert kept.radiance.value == pytest.approx(scene[0, 0], rel=0.05)
-
-
-@pytest.mark.parametrize(("excess", "nonuniform"), [(0.9, False), (1.2, True)])
-def test_what_chance_makes_of_noise_is_no_structure(excess, nonuniform):
-    """A slope over 10 × 10 noisy pixels counts from six standard deviations of their variance on, √(3/100) each."""
-    noise, rate = 0.2, 1.0
-    ramp = np.tile(np.linspace(-1.0, 1.0, 10), (10, 1))
-    pixels = rate + noise * np.sqrt(1.0 + excess) * ramp / ramp.std()
-    estimate = SimpleNamespace(pixel_rates=pixels, u_pixel=noise, rate=rate)
-    found = _is_nonuniform(SimpleNamespace(estimate=estimate, good=np.ones((10, 10), bool)))
-    assert found == nonuniform
 
 
 def test_what_all_pixels_share_grows_with_the_calibration_s_age(rig):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
+from radiometer.reconciliation.model.tile_context import TileContext
 from simulators.chain.camera_model import CameraModel
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.conversion_gain_error import ConversionGainError
@@ -38,8 +38,14 @@ def _context(**settings: Any) -> ExposureContext:
     return ExposureContext(own, FrameGeometry.of_image(8, 5), CameraDescription(bit_depth=12))
 
 
-def _series(times_s: np.ndarray) -> Any:
-    return replace(_context(), settings=cast(Any, SimpleNamespace(timestamp_s=times_s)))
+def _series(times_s: np.ndarray) -> ExposureContext:
+    return _context(timestamp_s=times_s)
+
+
+def _tiles(**more: Any) -> TileContext:
+    """Return the circumstances of a capture of several frames."""
+    plain = _context()
+    return TileContext(**({"settings": plain.settings, "geometry": plain.geometry, "camera": plain.camera} | more))
 
 
 def test_a_lamp_jumps_at_its_moment() -> None:
@@ -65,7 +71,7 @@ def test_an_event_lifts_black_and_is_forgotten() -> None:
 def test_an_event_within_a_series_is_in_the_frames_behind_it() -> None:
     """The first of four frames lies before it, the others on average half a time constant behind."""
     first, later = _series(np.array(90.0)), _series(np.array(110.0))
-    series = cast(Any, SimpleNamespace(frames=4.0, first_frame=first, later_frames=later, settings=later.settings))
+    series = _tiles(frames=4.0, first_frame=first, later_frames=later, settings=later.settings)
     effect = EventOffset(offset_dn=6.0, tau_s=20.0, event_s=100.0)
     assert float(effect.offset(series)) == pytest.approx(0.75 * 6.0 * math.exp(-0.5))
     after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
@@ -95,7 +101,7 @@ def test_the_first_frame_alone_is_off() -> None:
     effect, signal = FirstFrameOffset(offset_dn=4.0), np.full((5, 8), 100.0)
     assert float(effect.mean(signal, _context())[0, 0]) == 104.0
     assert float(effect.mean(signal, replace(_context(), frame_index=1))[0, 0]) == 100.0
-    series = cast(Any, SimpleNamespace(frames=np.full((1, 1, 1), 4.0), first_frame=None, later_frames=None))
+    series = _tiles(frames=np.full((1, 1, 1), 4.0))
     after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
     assert isinstance(after, TileMoments)
     assert float(after.mean[0, 0, 0]) == 101.0
@@ -133,7 +139,7 @@ def test_all_rows_wait_before_the_first_is_read() -> None:
 )
 def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c: tuple[float, ...], stated_c: float) -> None:
     """25 °C where a dark frame is within 10 K of it, else the nearest whole °C that they have, or the only one."""
-    session = replace(_context(), settings=cast(Any, SimpleNamespace(temperature_c=np.array(warm_c))))
+    session = _context(temperature_c=np.array(warm_c))
     for kind in (DarkCurrent, DarkCurrentClamped, DarkCurrentNonuniformity, HotPixels, ReadoutDarkCharge):
         starts = kind.starts(session)
         assert {start.reference_C for start in starts} == {stated_c}
@@ -143,8 +149,7 @@ def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c: tuple[float, .
 
 def test_a_rate_is_stated_at_a_temperature_of_darks() -> None:
     """Light at 25 and 45 °C beside darks at 40.2 °C alone: their very temperature, where no doubling matters."""
-    warm, dark = np.array([25.0, 40.2, 45.0]), np.array([False, True, False])
-    session = replace(_context(), settings=cast(Any, SimpleNamespace(temperature_c=warm, is_dark=dark)))
+    session = _context(temperature_c=np.array([25.0, 40.2, 45.0]), shutter=np.array(["open", "closed", "open"]))
     assert {start.reference_C for start in DarkCurrent.starts(session)} == {40.2}
     assert "doubling_K" not in DarkCurrentNonuniformity.starts(session)[0].free()
 
@@ -152,7 +157,7 @@ def test_a_rate_is_stated_at_a_temperature_of_darks() -> None:
 def test_leaks_bring_their_own_doubling_where_temperatures_differ() -> None:
     """Readings within 2 K tell no law: the doubling is the usual one and stays."""
     for warm_c, free in (((20.0, 45.0), True), ((24.9, 25.1), False), ((np.nan,), False)):
-        session = replace(_context(), settings=cast(Any, SimpleNamespace(temperature_c=np.array(warm_c))))
+        session = _context(temperature_c=np.array(warm_c))
         for start in DarkCurrentNonuniformity.starts(session):
             assert ("doubling_K" in start.free()) is free
 
@@ -166,10 +171,8 @@ def test_leaks_below_nothing_and_those_left_out_move_the_mean() -> None:
     for signal in (0.0, 10.0, 1000.0):
         told = float(effect.mean(np.full(1, signal), dark)[0])
         assert told == pytest.approx(float(np.maximum(signal + leak, 0.0).mean()), abs=0.06)
-    settings = SimpleNamespace(
-        exposure_s=np.array([1.0, 0.1])[:, None, None], temperature_c=None, is_dark=np.full((2, 1, 1), True)
-    )
-    series = cast(Any, SimpleNamespace(settings=settings, camera=dark.camera, frames=4.0, tile_pixels=1.0))
+    settings = FrameSettings(np.array([1.0, 0.1])[:, None, None], shutter=np.full((2, 1, 1), "closed"))
+    series = _tiles(settings=settings, camera=dark.camera, frames=4.0, tile_pixels=1.0)
     told = np.ravel(effect.mean(np.full((2, 1, 1), 1000.0), series)) - 1000.0
     spread = math.sqrt(math.exp(0.36) * (math.exp(0.36) - 1.0))
     noise2 = (1000.0 + 3.0**2) / 4.0
@@ -255,7 +258,7 @@ def test_tiles_have_mean_slope_and_columns_of_their_pixels(
     middle, side = np.array([255.5, 767.5]), np.array([-1.0, 1.0, -1.0, 1.0]) / math.sqrt(3.0)
     geometry = FrameGeometry((middle[:, None] + 256.0 * side)[None], np.zeros((1, 2, 4)), 1024, 512)
     ones = np.ones((1, 1, 1))
-    tiles = cast(Any, SimpleNamespace(geometry=geometry, tile_height=512 * ones, tile_pixels=512.0**2 * ones))
+    tiles = _tiles(geometry=geometry, tile_height=512 * ones, tile_pixels=512.0**2 * ones)
     points = np.asarray(effect.offset(tiles))[0]
     assert points.mean(axis=1) == pytest.approx(line.mean(axis=1), rel=1e-3, abs=1e-6)
     assert points @ side / (side @ side) * (u @ u) == pytest.approx(line @ u, rel=0.02, abs=0.05)
@@ -272,7 +275,7 @@ def test_a_source_settles_within_each_series(frames: int) -> None:
     effect = SeriesSettling(excess_rel=0.02, ratio=0.5)
     one = [float(effect.mean(np.full((1, 1), 100.0), replace(_context(), frame_index=k))[0, 0]) for k in range(frames)]
     assert one == pytest.approx([100.0 * (1 + 0.02 * 0.5**k) for k in range(frames)])
-    series = cast(Any, SimpleNamespace(frames=np.full((1, 1, 1), float(frames)), first_frame=None, later_frames=None))
+    series = _tiles(frames=np.full((1, 1, 1), float(frames)))
     after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
     assert isinstance(after, TileMoments)
     counted = one[1:] if frames > 2 else one  # of three and more the first has a statistic of its own
@@ -385,8 +388,7 @@ def test_what_was_fitted_is_fitted_on_where_the_axis_is_free() -> None:
 
 def test_a_table_does_not_stand_on_a_law_that_was_fitted() -> None:
     """What a looser form does not fit it does not hold either: the table over the gains begins at the exact gain."""
-    gains = SimpleNamespace(gain_db=np.array([0.0, 6.0, 12.0]))
-    (table,) = GainStepError(error_rel=0.02).loosened(replace(_context(), settings=cast(Any, gains)))
+    (table,) = GainStepError(error_rel=0.02).loosened(_context(gain_db=np.array([0.0, 6.0, 12.0])))
     assert table.error_rel == 0.0
     assert table.free() == ("errors_rel[1]", "errors_rel[2]")
 
