@@ -510,3 +510,23 @@ def test_a_falloff_counts_from_the_middle_to_the_corner_and_back(rig, corner_cal
     patch = Patch(5, 5, 2, 2) if corner_calibrated else Patch(11, 11, 1, 1)
     found = read(rig, calibration, camera=wide(rig), lens=lens, patch=patch)
     assert line(found, "fall-off") == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize(("level", "left"), [(0.9, 0.12), (0.5, math.sqrt(0.13**2 - 0.05**2 - 0.04**2))])
+def test_what_a_reading_shares_with_its_calibration_counts_once(rig, level, left):
+    """13 % without the 5 % of the clock are 12 %; read at the calibration's level the curve's 4 % drop out as well."""
+    base = calibrated(rig, ScaleConditions(inverse_exposure_per_s=1e3, temperature_c=25.0, level=level))
+    budget = {"exposure time": 0.05, "response curve": 0.04}
+    found = read(rig, replace(base, scale=base.scale.model_copy(update={"u_rel": 0.13, "budget": budget})))
+    assert line(found, "scale") == pytest.approx(left, rel=1e-6)
+
+
+@pytest.mark.parametrize("steps", [(1, -1, 2, 0, -2, 0), (3, -3), (1, 1, -2)])
+def test_a_source_that_fluctuates_is_known_by_its_sample_standard_deviation(rig, steps):
+    """s/√n, s with n − 1: of frames that differ by per cents, beside a noise of 0.05 %, to half a step of 12 %."""
+    full, rng = rig.radiance_of_full_scale(1e-3), np.random.default_rng(7)
+    frames = [rig.frame(np.full((12, 12), 0.5 * full * (1.0 + 0.02 * step)), 1e-3, rng) for step in steps]
+    found = next(one for one in read(rig, calibrated(rig), frames=frames).budget if one.name == "source fluctuation")
+    spread = 0.02 * float(np.std(steps, ddof=1)) / math.sqrt(len(steps))
+    assert found.u_rel == pytest.approx(spread / (1.0 + 0.02 * np.mean(steps)), rel=0.065)
+    assert found.degrees_of_freedom == len(steps) - 1

@@ -82,7 +82,7 @@ def test_fog_is_dark_and_a_knee_is_bright():
 
 @pytest.mark.parametrize(("beside", "count", "piled"), [(10, 80, False), (10, 81, True), (1, 8, False), (1, 9, True)])
 def test_the_highest_value_is_white_where_it_piles_up(beside, count, piled):
-    """Where it has more than eight times the mean of its eight neighbours below; the lowest is black in the same way."""
+    """Above eight times the mean of its eight inner neighbours; the lowest is black in the same way."""
     counts = {
         **dict.fromkeys(range(3000, 3008), beside),
         3008: count,
