@@ -11,7 +11,7 @@ from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_
 from radiometer.adaptation.report import curve_csv, report_html
 from radiometer.adaptation.rod_intercept import InterceptRule
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from tests.unit.reporting.test_page import HOSTILE
+from testing.report_checks import HOSTILE
 
 TIMES = np.linspace(0.5, 25.0, 45)
 TRUE_BREAK_MIN, TRUE_S2 = 9.0, -0.23

@@ -12,7 +12,7 @@ import pytest
 from radiometer.archive.history import read_histories
 from radiometer.archive.trend import MONTH_S, fit_trend
 from radiometer.archive.trend_report import advice, outcome, trend_report
-from tests.unit.reporting.test_page import HOSTILE
+from testing.report_checks import HOSTILE
 
 _START_S = 1.7e9
 

@@ -20,8 +20,8 @@ from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.server import ScpiConnection, ScpiServer
 from radiometer.daemon.scpi.status import Status
 from radiometer.daemon.station import Station
+from testing.fake_station import FakeInstrument
 from testing.virtual_time import run
-from tests.unit.daemon.conftest import FakeInstrument
 
 LIMITS = Limits(
     scpi_connections=3,

@@ -9,7 +9,7 @@ import pytest
 import structlog
 from hypothesis.stateful import run_state_machine_as_test
 
-from tests.unit.daemon.scpi_machine import ScpiMachine, machine_settings
+from testing.scpi_machine import ScpiMachine, machine_settings
 
 
 @pytest.fixture(autouse=True)

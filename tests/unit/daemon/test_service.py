@@ -20,7 +20,7 @@ from radiometer.daemon.limits import parse_networks
 from radiometer.daemon.service import Service, ServiceOptions
 from radiometer.daemon.station import Station
 from radiometer.errors import CalibrationError, OutputError, RadiometerError
-from tests.unit.daemon.conftest import QUICK, FakeBox, FakeInstrument
+from testing.fake_station import QUICK, FakeBox, FakeInstrument
 
 Eventually = Callable[..., Awaitable[None]]
 

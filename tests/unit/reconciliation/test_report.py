@@ -20,8 +20,7 @@ from radiometer.reporting.numbers import rounded
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.crosstalk import Crosstalk
 from testing.generator.session import make_session
-from testing.report_checks import assert_reports_hold
-from tests.unit.reporting.test_page import HOSTILE
+from testing.report_checks import HOSTILE, assert_reports_hold
 
 
 @pytest.fixture(scope="module")
