@@ -15,6 +15,7 @@ from radiometer.daemon.station import Station
 from radiometer.data import Patch, Quantity, Reading
 from testing.fake_station import PORTS, QUICK, FakeBox, FakeInstrument, LineClient
 from testing.patience import within
+from testing.watched_sqlite import Watched, watch
 
 
 @pytest.fixture
@@ -36,6 +37,12 @@ async def station(instrument: FakeInstrument, box: FakeBox, tmp_path: Path) -> A
     await running.start()
     yield running
     await running.stop()
+
+
+@pytest.fixture
+def connections(monkeypatch: pytest.MonkeyPatch) -> list[Watched]:
+    """Return the connections to SQLite that are opened from now on."""
+    return watch(monkeypatch)
 
 
 @pytest.fixture
