@@ -17,6 +17,7 @@ from radiometer.data import (
     Bracket,
     Calibration,
     CaptureSetWriter,
+    FlatField,
     Patch,
     RadianceMap,
 )
@@ -197,3 +198,9 @@ def test_a_point_that_is_not_fitted_is_the_lens_s_or_the_middle_pixel(rig, state
     lens = lens.model_copy(update={"principal_point_px": stated})
     flat = fit_flat_field(even_map(falloff()), camera, lens, fit_centre=False)
     assert flat.principal_point_px == (stated or (79.5, 59.5))
+
+
+def test_a_flat_field_without_coefficients_is_flat():
+    """1 at the axis and in every corner."""
+    flat = FlatField(principal_point_px=(50.0, 40.0), radius_px=64.0, shape=(80, 100))
+    assert flat.at(np.array([50.0, 0.0, 100.0]), np.array([40.0, 0.0, 80.0])) == pytest.approx([1.0, 1.0, 1.0])

@@ -515,3 +515,11 @@ def test_up_to_a_fifth_of_the_dark_groups_are_exceptions(off, named):
     means[list(off)] += 200.0
     darks = [group(mean, 40.0, time, dark=True) for mean, time in zip(means, times, strict=True)]
     assert [one.settings.exposure_s for one, _ in contradicting_darks(darks, 3000.0)] == [times[k] for k in off[:named]]
+
+
+def test_the_noise_that_an_average_keeps_is_parted_into_rows_columns_and_the_rest():
+    """9 DN² of a pixel, 2 of a row's mean and 1 of a column's, over 4 × 5 pixels and two frames: 6/0.6 are left."""
+    left = NoiseLeft.of(9.0, 2.0, 1.0, 2, (4, 5))
+    assert (left.row_means_dn2, left.column_means_dn2) == (1.0, 0.5)
+    assert left.rest_dn2 == pytest.approx(6.0 / ((1 - 1 / 4) * (1 - 1 / 5)) / 2)
+    assert NoiseLeft.of(2.0, 2.0, 1.0, 2, (4, 5)).rest_dn2 == 0.0
