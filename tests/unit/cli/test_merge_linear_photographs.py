@@ -139,6 +139,7 @@ def test_sixteen_bit_pictures_are_linear_where_that_is_said(tmp_path, capsys, en
     _agrees(tmp_path / "map.tiff", radiance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("gamma", "grows"), [(1.0, None), (2.2, "1.37")])
 def test_photographs_that_are_not_linear_are_told_of(tmp_path, capsys, gamma, grows):
     """Behind a gamma of 1/2.2 twice the exposure makes numbers 2^(1/2.2) as large: said beside map and in it."""

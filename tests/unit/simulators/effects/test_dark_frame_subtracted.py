@@ -53,7 +53,7 @@ def _told(light_e: float, context: ExposureContext, effect: DarkFrameSubtracted)
     return effect.moments(replace(TileMoments.exactly(held * one), variance=variance * one), context)
 
 
-@pytest.mark.parametrize("count", [1, 3, 9, 25])
+@pytest.mark.parametrize("count", [1, 9])
 @pytest.mark.parametrize(("pedestal", "dark_e"), [(0.0, 0.4), (32.0, 20.0)])
 @pytest.mark.parametrize(("light_e", "gain_db"), [(0.0, 0.0), (4.0, 0.0), (500.0, 0.0), (4.0, 12.0)])
 def test_moments_are_those_of_frames_less_a_drawn_dark(
