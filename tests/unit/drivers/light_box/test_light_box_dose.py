@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import math
+import threading
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
@@ -264,15 +263,6 @@ def test_thermal_limits_of_lights_together_add_up():
         account.refuse_unsafe("b", six_percent, 1.0)
 
 
-@pytest.mark.parametrize(("seconds", "milliseconds"), [(1.001, 1001), (0.0025, 2), (0.0035, 4), (16.32, 16320)])
-def test_durations_are_rounded_to_whole_milliseconds(seconds, milliseconds):
-    """What binary numbers hold a little below is not cut by a millisecond."""
-    _, _, box = bench()
-    assert box._milliseconds("duration", seconds, 600.0) == milliseconds
-    with pytest.raises(SettingOutOfRange):
-        box._milliseconds("duration", 600.001, 600.0)
-
-
 def test_a_box_that_shines_otherwise_than_asked_is_darkened(monkeypatch):
     """Another level read back is no level: every channel goes dark and it is said."""
     twin, _, box = bench()
@@ -285,53 +275,30 @@ def test_a_box_that_shines_otherwise_than_asked_is_darkened(monkeypatch):
     assert twin.duty("field") == 0.0
 
 
-def test_the_keeper_looks_often_enough_for_the_box_to_stay_lit(monkeypatch):
-    """What it waits between two looks and a quarter of the dead-man time together stay far below that second."""
-    _, line, box = bench()
-    waited, tended = [], []
-
-    def wait(seconds):
-        waited.append(seconds)
-        line.wait(seconds)
-        return len(waited) > 40
-
-    synchronise = SerialLightBox.synchronise
-    monkeypatch.setattr(SerialLightBox, "synchronise", lambda self: tended.append(line.now()) or synchronise(self))
-    box._closing = SimpleNamespace(wait=wait)
-    begun_s = line.now()
-    box._keep()
-    apart = [later - earlier for earlier, later in itertools.pairwise([begun_s, *tended])]
-    assert len(tended) >= 5
-    assert max(apart) < 0.4
-    assert min(apart[1:]) >= 0.25
+def keepers():
+    """Return how many threads keep a light box alive just now."""
+    return sum(thread.name == "light box" for thread in threading.enumerate())
 
 
-def test_a_keeper_whose_box_is_gone_ends(monkeypatch):
-    """It leaves the reason to whoever asks next, and asks no more."""
-    _, _, box = bench()
-    asked = []
-
-    def gone(self):
-        asked.append(1)
-        raise DeviceError("gone")
-
-    monkeypatch.setattr(SerialLightBox, "tend_if_due", gone)
-    box._closing = SimpleNamespace(wait=lambda _: False)
-    box._keep()
-    assert asked == [1]
-
-
-def test_a_box_that_is_opened_again_is_kept_alive_again(monkeypatch):
+def test_a_box_that_is_opened_again_is_kept_alive_again():
     """Each opening has a keeper that goes on until the box is closed; without keep-alive there is none."""
-    told_to_end = []
-    monkeypatch.setattr(SerialLightBox, "_keep", lambda self: told_to_end.append(self._closing.is_set()))
     _, _, box = bench()
-    assert (box._keeper, told_to_end) == (None, [])
+    before = keepers()
     box.close()
     box.keep_alive = True
     for _ in range(2):
         box.open()
-        assert box._keeper is not None
+        assert keepers() == before + 1
         box.close()
-        assert (box._keeper, box._closing.is_set()) == (None, True)
-    assert told_to_end == [False, False]
+        assert keepers() == before
+
+
+@pytest.mark.parametrize(("seconds", "taken"), [(600.0, True), (600.001, False), (0.0, False), (-1.0, False)])
+def test_a_pulse_lasts_ten_minutes_at_most(seconds, taken):
+    """What the box's timer holds is taken, and nothing beyond it or without a length."""
+    _, _, box = bench()
+    if taken:
+        assert box.pulse("field", DriveLevel(1), seconds).drive == DriveLevel(1)
+    else:
+        with pytest.raises(SettingOutOfRange, match="duration"):
+            box.pulse("field", DriveLevel(1), seconds)
