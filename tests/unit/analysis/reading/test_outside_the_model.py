@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
 from radiometer.analysis.reading.contributions import local_scatter
 from radiometer.analysis.reading.outside import conditions_of, frame_u_rel, stray_light
-from radiometer.analysis.reading.reading import read_patch
+from radiometer.analysis.reading.reading import patch_situation, read_patch
+from radiometer.analysis.uncertainty.monte_carlo import propagate_distributions
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -530,3 +531,18 @@ def test_a_source_that_fluctuates_is_known_by_its_sample_standard_deviation(rig,
     means = np.array([frame.dn[PATCH.slices].mean() - 64.0 for frame in frames])
     assert found.u_rel == pytest.approx(means.std(ddof=1) / math.sqrt(len(steps)) / means.mean(), rel=0.065)
     assert found.degrees_of_freedom == len(steps) - 1
+
+
+def test_four_equal_contributions_have_the_interval_of_the_guide_s_additive_model(rig):
+    """JCGM 101, 9.2.2: four normal inputs of u = 1 give u = 2.00 and, at 95.45 %, ±4.00; here 1 ‰ each."""
+    scene = np.full((120, 120), 0.5 * rig.radiance_of_full_scale(1e-3))
+    frames = rig.frames(scene, np.random.default_rng(3), STEADY)
+    stated = only(exposure_u_rel=1e-3, temperature_u_rel_per_k=1e-3, drift_u_rel_per_year=1e-3, gain_step_u_rel=1e-3)
+    conditions = ScaleConditions(inverse_exposure_per_s=1e3, temperature_c=24.0, gain_db=6.0)
+    calibration = calibrated(rig, conditions, uncertainties=stated, validity_days=3650.0)
+    later = NOON + dt.timedelta(days=365.25)
+    situation = patch_situation(frames, Patch(0, 0, 120, 120), calibration, rig.description, rig.lens, None, later)
+    found = propagate_distributions(situation, np.random.default_rng(1), 200_000)
+    assert found.u / found.mean == pytest.approx(2.0e-3, rel=0.01)
+    low, high = found.low / found.mean - 1.0, found.high / found.mean - 1.0
+    assert (low, high) == (pytest.approx(-4.0e-3, abs=1e-4), pytest.approx(4.0e-3, abs=1e-4))
