@@ -119,6 +119,7 @@ def test_stimulus_uncertainty_widens_levels_and_not_slopes():
     assert shared["criterion_min"].u == pytest.approx(np.hypot(plain["criterion_min"].u, moved), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_rising_rods_make_no_sense():
     """A fit whose "rod branch" does not fall is not physiological."""
     times = np.arange(0.5, 20, 0.5)

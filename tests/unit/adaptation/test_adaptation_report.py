@@ -51,6 +51,7 @@ def test_the_break_is_said_with_its_interval(broken):
     assert abs(slope + TRUE_S2) < 1.5 * half_slope
 
 
+@pytest.mark.slow
 def test_the_curve_in_a_file_is_thresholds_and_what_is_left_of_them(broken):
     """A line for each threshold: its time, itself, the curve within the noise of the true one, the rest, its weight."""
     head, *lines = curve_csv(broken).splitlines()

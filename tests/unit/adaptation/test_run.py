@@ -150,6 +150,7 @@ def test_catches_are_about_a_tenth_of_all_trials(tmp_path: Path, classic: Adapta
     assert share == pytest.approx(0.1, abs=4 * math.sqrt(0.1 * 0.9 / n))
 
 
+@pytest.mark.slow
 def test_csv_is_what_the_fit_reads(tmp_path: Path, classic: AdaptationProtocol) -> None:
     """Two columns, minutes and log10 threshold."""
     text = _run(tmp_path, ScriptedStage(eye, classic)).to_csv()

@@ -161,6 +161,7 @@ def test_photographs_that_are_not_linear_are_told_of(tmp_path, capsys, gamma, gr
     assert ("said to be linear" in capsys.readouterr().err) == (grows is not None)
 
 
+@pytest.mark.slow
 def test_jpeg_files_that_cannot_tell_are_told_of(tmp_path, capsys):
     """Of two JPEG files without a pixel in common no growth is known: that JPEG is not linear is said all the same."""
     folder, rng = tmp_path / "p", np.random.default_rng(7)
@@ -179,6 +180,7 @@ def test_linear_photographs_take_no_response(tmp_path, capsys):
     assert "leave --response out" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_raw_files_are_filled_in_for_pictures(tmp_path, capsys):
     """--demosaic gives the map at full size, in proportion to the light of each colour."""
     pytest.importorskip("rawpy")

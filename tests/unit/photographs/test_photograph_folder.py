@@ -50,6 +50,7 @@ def test_list_of_shutter_speeds_is_inverted(tmp_path):
     assert read_list(tmp_path / "image_list.txt")["a.png"].exposure_s == 4.0
 
 
+@pytest.mark.slow
 def test_memorial_list_holds_times_in_its_second_column(shared_data):
     """In the memorial list column 2 is the time: the first file, 32 s, is the brightest picture."""
     folder = shared_data / "stacks" / "memorial_film"

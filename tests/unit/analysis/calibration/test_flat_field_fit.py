@@ -59,6 +59,7 @@ def test_the_falloff_is_found(rig):
     np.testing.assert_allclose(flat.at(x, y), falloff(), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_its_stated_uncertainty_is_that_of_the_correction(rig):
     """Over 20 noisy maps the rms error of the correction stays within a factor of 2 of what is stated."""
     camera, lens = wide(rig)

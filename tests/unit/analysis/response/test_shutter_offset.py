@@ -49,6 +49,7 @@ def test_its_uncertainty_holds_what_every_exposure_is_off_by_itself() -> None:
     assert min(one.u_seconds for one in found if one is not None) > 2e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scatter", [0.0, 0.02])
 def test_no_time_comes_of_none(scatter: float) -> None:
     """Not of exact labels, nor of exposures that scatter by 2 %: nothing is taken, and samples stay what they are."""

@@ -46,6 +46,7 @@ def test_a_law_of_columns_of_noise_and_of_some_stops(name, along, law, parameter
     assert abs(found.value - made.truth[name][drawn]) < 4.0 * found.u
 
 
+@pytest.mark.slow
 def test_a_first_look_sees_a_gain_between_patches_whose_radiances_make_room(tmp_path):
     """A gain that steps between two rows of patches is no error of their radiances: their noise says so from the start.
 

@@ -126,6 +126,7 @@ def test_the_nearest_borders_alone_leave_little_beyond() -> None:
     assert abs(float(np.ravel(told.beyond_rows)[0])) < 0.02 * told.neighbour_x.item()
 
 
+@pytest.mark.slow
 def test_noise_gathers_while_borders_move() -> None:
     """Charge that comes in 150 steps, each moved by what has come, has the variance that is told, to 5 sigma.
 
