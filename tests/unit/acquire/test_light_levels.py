@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from radiometer.acquire.light_levels import LevelSurvey, Measured, SpectralCorrection, assemble, plan_levels
 from radiometer.data import Contribution, Patch, Quantity, Reading
 from radiometer.devices.light_box import ChannelCapabilities, ChannelMode, ChannelState, CurrentRange, DriveLevel
-from radiometer.errors import MeasurementError
+from radiometer.errors import MeasurementError, UnsafeStimulus
 
 CHANNEL = ChannelCapabilities("spot", 460.0, 4096, 1000.0, {CurrentRange.LOW: 65535, CurrentRange.HIGH: 30000})
 LEVEL = DriveLevel(20_000)
@@ -131,3 +132,109 @@ def test_levels_begin_where_steps_lie_close_enough(duty_steps, lowest_high):
     assert min(high) == lowest_high
     for own in (low, high):
         assert len(own) == math.ceil(4.0 * math.log10(65_536 / min(own))) + 1
+
+
+class SlowBox(LinearBox):
+    """A box whose light grows in each 20 s by a factor, whose energy budget runs and fills, and that keeps what it did.
+
+    The eye may see it for `longest_s`; in darkness the budget fills by a tenth in 20 s.
+    """
+
+    def __init__(self, growth=0.0, energy_per_step=0.0, energy=1.0, longest_s=math.inf):
+        super().__init__()
+        self.growth, self.energy_per_step, self.energy, self.longest_s = growth, energy_per_step, energy, longest_s
+        self.lit_s, self.lit = 0.0, []
+
+    def set_level(self, channel, level):
+        if self.longest_s < math.inf:
+            raise UnsafeStimulus("too long")
+        self.pulse(channel, level, 0.0)
+
+    def pulse(self, channel, level, duration_s):
+        if duration_s > self.longest_s:
+            raise UnsafeStimulus("too long")
+        super().set_level(channel, level)
+        self.lit_s = 0.0
+        self.lit.append((level, self.energy))
+
+    def off(self, channel):
+        self.drive = None
+
+    def read_channel(self, channel):
+        return ChannelState(channel, self.mode, self.drive or DriveLevel(0), 4096, self.energy)
+
+    def wait(self, seconds):
+        super().wait(seconds)
+        self.lit_s += seconds
+        self.energy = min(self.energy + (self.energy_per_step if self.drive is not None else 0.1), 1.0)
+
+    def measure(self):
+        found = super().measure()
+        grown = (1.0 + self.growth) ** (self.lit_s / 20.0)
+        light = found.radiance.value - 2.0
+        return replace(found, radiance=replace(found.radiance, value=2.0 + light * grown))
+
+
+def points_of(box):
+    """Return what a survey of a box finds."""
+    return survey_of(box).survey("spot", SpectralCorrection())
+
+
+def test_the_reference_is_read_before_every_sixth_level_and_at_the_end():
+    """A quarter of the highest level stands among the levels, so that a lamp's drift is known; progress counts."""
+    told, box = [], SlowBox()
+    survey = survey_of(box)
+    survey.progress = lambda *what: told.append(what)
+    survey.survey("spot", SpectralCorrection())
+    levels = len(plan_levels(CHANNEL, 1.0))
+    assert told == [("spot", number, levels) for number in range(1, levels + 1)]
+    reference = [place for place, (drive, _) in enumerate(box.lit) if drive == DriveLevel(7500)]
+    assert reference == [*range(0, len(box.lit) - 1, 7), len(box.lit) - 1]
+
+
+@pytest.mark.parametrize(("growth", "settle_s"), [(0.0002, 20.0), (0.0008, 560.0)])
+def test_light_has_settled_when_two_readings_agree_to_a_twentieth_of_a_percent(growth, settle_s):
+    """Else it is read 40 s before the longest time of 600 s ends; its last step stands for 2/√3 of it to come."""
+    found = points_of(SlowBox(growth))
+    assert found.settle_s == settle_s
+    unsettled = max(growth, 0.0005) * 2.0 / math.sqrt(3.0)
+    # A bright point's own doubt is that alone: the room's light beside it and noise of a millionth are less.
+    assert max(found.points, key=lambda one: one.radiance_W_per_sr_m2).u_rel == pytest.approx(unsettled, rel=0.3)
+
+
+@pytest.mark.parametrize(("longest_s", "settle_s"), [(599.0, 240.0), (200.0, 140.0), (100.0, 60.0)])
+def test_light_that_may_not_be_seen_for_long_is_read_before_it_ends(longest_s, settle_s):
+    """280, 180 or 90 s: the longest of these that the eye allows, less 40 s."""
+    assert points_of(SlowBox(0.01, longest_s=longest_s)).settle_s == pytest.approx(settle_s, abs=20.0)
+
+
+def test_light_that_is_forbidden_at_any_length_is_refused():
+    """What the eye allows for no time at all stays dark, and the box's refusal comes through."""
+    with pytest.raises(UnsafeStimulus):
+        points_of(SlowBox(longest_s=89.0))
+
+
+def test_the_wait_ends_before_the_energy_budget_does():
+    """It loses a tenth in 20 s: after nine steps less than 15 % are left, and the box would darken the channel."""
+    assert points_of(SlowBox(0.01, energy_per_step=-0.1)).settle_s == 180.0
+
+
+def test_a_level_is_lit_when_the_budget_is_as_full_as_it_needs():
+    """In the high range the level's share of the highest, 30 % at least; in the low range 30 %."""
+    box = SlowBox(energy_per_step=-0.15, energy=0.03)
+    points_of(box)
+    for drive, energy in box.lit:
+        share = drive.level / 30_000 if drive.current_range is CurrentRange.HIGH else 0.0
+        assert energy + 1e-9 >= max(min(share, 0.98), 0.3)
+
+
+def test_what_does_not_stand_out_of_the_noise_is_no_point():
+    """Of light of 1 mW beside a room that is known to 1 % of 2 W, levels below some 60 mW are lost."""
+
+    class Noisy(LinearBox):
+        def measure(self):
+            return replace(super().measure(), budget=(Contribution("noise", 0.01),))
+
+    found = points_of(Noisy())
+    assert min(one.radiance_W_per_sr_m2 for one in found.points) > 3.0 * 0.02
+    assert len(found.points) < len(plan_levels(CHANNEL, 1.0))
