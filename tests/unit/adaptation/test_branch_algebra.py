@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from radiometer.adaptation.branch_fit import fit_model, project
+from radiometer.adaptation import adaptation_fit as rules
+from radiometer.adaptation.branch_fit import BranchFit, fit_model, project
 from radiometer.adaptation.branch_models import CONE_S2, CONE_S2_S3, MODELS, ONE_BRANCH
 from radiometer.adaptation.intervals import Interval, percentile_interval
 from radiometer.adaptation.threshold_series import ThresholdSeries
@@ -135,3 +136,47 @@ def test_a_fit_keeps_what_each_threshold_is_known_to():
     found = fit_model(series(values, sigma), ONE_BRANCH)
     assert found.weights == pytest.approx((0.1 / sigma) ** 2)
     assert found.sigma == pytest.approx(0.1 / math.sqrt(3.0), rel=0.3)  # of a threshold of the surer kind
+
+
+def fitted(**changes):
+    """Return a fit of the five parameters, or of seven where S3 is among the changes."""
+    model = CONE_S2_S3 if "s3_slope_per_min" in changes else CONE_S2
+    values = {name: EYE[name] for name in model.parameters} | changes
+    return BranchFit(model, series(model.threshold(TIMES, values)), values, np.ones(60), 1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sense"),
+    [
+        ({}, True), ({"amplitude": -0.1}, False), ({"s2_slope_per_min": -0.031}, True),
+        ({"s2_slope_per_min": -0.029}, False), ({"s2_slope_per_min": -0.59}, True),
+        ({"s2_slope_per_min": -0.61}, False),
+        ({"s2_slope_per_min": 0.2}, False), ({"break_min": 1.2}, False), ({"break_min": 29.4}, False),
+        ({"tau_min": 5.9}, True), ({"tau_min": 6.1}, False), ({"tau_min": 0.4, "amplitude": 8.0}, False),
+        ({"tau_min": 0.4, "amplitude": 2.0}, True), ({"tau_min": 0.55, "amplitude": 8.0}, True),
+        ({"break_min": 27.0, "s2_slope_per_min": -0.15}, False), ({"break_min": 26.5, "s2_slope_per_min": -0.15}, True),
+        ({"s3_slope_per_min": -0.03}, True), ({"s3_slope_per_min": -0.3}, False), ({"s3_slope_per_min": 0.06}, False),
+        ({"s3_slope_per_min": 0.04}, True),
+    ],
+)  # fmt: skip
+def test_what_an_eye_can_do(changes, sense):
+    """Cones that fall and settle, three thresholds on either side, rods that fall half a unit, S3 above S2."""
+    assert rules.makes_sense(fitted(**changes)) is sense
+
+
+def test_quantities_that_follow_from_a_fit():
+    """Last threshold, area above it, and when S2 meets a criterion, prolonged where needed."""
+    fit = fitted()
+    found = rules.derived_quantities(fit.values, fit, -3.0)
+    at_break = -1.0 + 2.0 * math.exp(-9.0 / 1.6)
+    assert found["final_threshold"] == pytest.approx(at_break - 0.24 * 21.0)
+    assert found["criterion_min"] == pytest.approx(9.0 + (at_break + 3.0) / 0.24)
+    cones = 2.0 * 1.6 * (math.exp(-0.5 / 1.6) - math.exp(-9.0 / 1.6)) + (-1.0 - found["final_threshold"]) * 8.5
+    assert found["area_log10_min"] == pytest.approx(cones + 0.24 * 21.0**2 / 2, rel=1e-3)
+    rising = fitted(s2_slope_per_min=0.1)
+    assert rules.derived_quantities(rising.values, rising, -3.0)["criterion_min"] == math.inf
+    one = {"plateau": -4.0, "amplitude": 3.0, "tau_min": 6.0}
+    single = BranchFit(ONE_BRANCH, series(ONE_BRANCH.threshold(TIMES, one)), one, np.ones(60), 1.0, 0.0)
+    for criterion, met_min in ((-3.0, 6.0 * math.log(3.0)), (-5.0, math.inf)):
+        found = rules.derived_quantities(one, single, criterion)
+        assert found["criterion_min"] == pytest.approx(met_min)
