@@ -113,3 +113,18 @@ async def test_connections_are_counted_while_there_is_a_server(station: Station)
     for _, writer in lines:
         writer.close()
     assert shown() == 'radiometer_connections{interface="http"} 0.0'
+
+
+@pytest.mark.parametrize("height", [64, 200])
+def test_the_bar_leaves_the_picture_as_it_is(height: int) -> None:
+    """With the bar the picture stands left of it, pixel by pixel as without."""
+    rng = np.random.default_rng(2)
+    shown = ServedPicture(
+        rng.uniform(1.0, 9.0, (height, 100)).astype(np.float32), np.zeros((height, 100), bool), "W", 5
+    )
+    alone, beside = (
+        np.asarray(Image.open(io.BytesIO(render(shown, width=100, scale="linear", colours="inferno", bar=bar)[0])))
+        for bar in (False, True)
+    )
+    assert beside.shape[1] > alone.shape[1] == 100
+    assert (beside[:, :100, :3] == alone[..., :3]).all()

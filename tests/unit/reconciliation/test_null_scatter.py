@@ -27,7 +27,7 @@ def chi2_of(captured: Any, *effects: Any) -> Chi2:
     design = Design.of(captured.header, captured.frames[0].shape)
     state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
     state = settled(with_effects(state, list(effects)) if effects else state)
-    rest = state.comparison.residual(state.prediction)
+    rest = state.data_residual
     return {
         name: (float(rest[cut] @ rest[cut]), state.comparison.degrees(name))
         for name, cut in state.comparison.cuts.items()
@@ -58,6 +58,7 @@ def gain(setting: Any) -> float:
 
 
 RNG = np.random.default_rng(20261126)
+FIXED = {shape: RNG.standard_normal(shape) for shape in ((ROWS, 1), (1, COLUMNS), (ROWS, COLUMNS))}
 HIDDEN: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
     "row_temporal_noise": (
         {"sigma_e": 4.0}, {"extra_dn": lambda s: 4.0 * gain(s) * RNG.standard_normal((ROWS, 1))}
@@ -66,6 +67,9 @@ HIDDEN: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
         {"excess_e": 5.0}, {"extra_dn": lambda s: 5.0 * gain(s) * RNG.standard_normal((ROWS, COLUMNS))}
     ),
     "exposure_time_offset": ({"offset_s": 8e-6}, {"exposure": lambda t: t + 8e-6}),
+    "row_pattern": ({"sigma_e": 4.0}, {"extra_dn": lambda s: 4.0 * gain(s) * FIXED[ROWS, 1]}),
+    "column_pattern": ({"sigma_e": 4.0}, {"extra_dn": lambda s: 4.0 * gain(s) * FIXED[1, COLUMNS]}),
+    "prnu": ({"sigma_rel": 0.01}, {"picture": lambda image, s: image * (1.0 + 0.01 * FIXED[ROWS, COLUMNS])}),
 }  # fmt: skip
 
 
@@ -73,10 +77,17 @@ HIDDEN: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
 def test_statistics_scatter_as_stated_where_the_model_holds_the_effect(
     make_capture: Callable[..., Any], name: str
 ) -> None:
-    """With the camera's true effect in the model nothing is left: χ²/n of all statistics is 1 within 6 sigma."""
+    """With the camera's true effect in the model nothing is left: χ²/n of all statistics is 1 within 6 sigma.
+
+    Chance shifts of the tiles that a fixed pattern makes alike in all captures are fitted; profiles of its own lines
+    are nearly used up by them.
+    """
     values, hooks = HIDDEN[name]
     found = chi2_of(make_capture(201, 4, **hooks), make_effect(name, values))
+    own = {"row_pattern": "rows", "column_pattern": "columns"}.get(name)
     for block in STATISTICS:
         squares, count = found[block]
-        if count and block not in STATED_LARGER:
-            assert squares / count == pytest.approx(1.0, abs=6.0 * math.sqrt(2.0 / count) + 0.07), block
+        allowed = 6.0 * math.sqrt(2.0 / max(count, 1)) + 0.1
+        assert squares / max(count, 1) < 1.0 + allowed, block
+        if count and block not in {*STATED_LARGER, own}:
+            assert squares / count > 1.0 - allowed, block

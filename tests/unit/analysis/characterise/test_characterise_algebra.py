@@ -523,3 +523,21 @@ def test_the_noise_that_an_average_keeps_is_parted_into_rows_columns_and_the_res
     assert (left.row_means_dn2, left.column_means_dn2) == (1.0, 0.5)
     assert left.rest_dn2 == pytest.approx(6.0 / ((1 - 1 / 4) * (1 - 1 / 5)) / 2)
     assert NoiseLeft.of(2.0, 2.0, 1.0, 2, (4, 5)).rest_dn2 == 0.0
+
+
+@pytest.mark.parametrize(("temperatures_c", "own"), [((20.0, 26.0), 1), ((24.0, 31.0), 0)])
+def test_light_is_compared_with_darkness_at_its_own_temperature(temperatures_c, own):
+    """Of two plateaus the one nearest to the lit frames' 25 °C counts, colder or warmer: its black is the camera's."""
+
+    def warm(one, celsius):
+        return replace(one, settings=replace(one.settings, temperature_c=celsius))
+
+    darks = [
+        warm(group(BLACK_DN + shift, 40.0, dark=True, split=NO_SPLIT), celsius)
+        for shift, celsius in zip((0.0, 8.0), temperatures_c, strict=True)
+    ]
+    bright = [
+        warm(group(BLACK_DN + 3000.0 * x, 40.0 + 1500.0 * x, level=float(x), split=NO_SPLIT), 25.0) for x in LEVELS
+    ]
+    found = characterise(subject(), [*bright, *darks]).figures["mu_y_dark"]
+    assert found.value == pytest.approx(BLACK_DN + (0.0, 8.0)[own])
