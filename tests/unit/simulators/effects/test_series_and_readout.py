@@ -27,6 +27,7 @@ from simulators.effects.lamp_step import LampStep
 from simulators.effects.line_start_offset import LineStartOffset
 from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.readout_dark_charge import ReadoutDarkCharge
+from simulators.effects.rolling_shutter_banding import RollingShutterBanding
 from simulators.effects.series_settling import SeriesSettling
 from simulators.effects.source_not_proportional_to_exposure import SourceNotProportionalToExposure
 from simulators.effects.stray_light_kernel import StrayLightKernel
@@ -422,3 +423,17 @@ def test_a_sag_is_freed_to_either_side_of_an_exponential() -> None:
     assert {(form.droop_rel, form.tau_s) for form in forms} == {(0.03, 0.002)}
     assert min(form.stretch for form in forms) < 1.0 < max(form.stretch for form in forms)
     assert forms[0].loosened(_context()) == ()
+
+
+def test_bands_of_a_flickering_lamp_have_the_variance_that_is_predicted() -> None:
+    """A row's light over random phases: (m·L·sinc(f·t))²/2 of 100 Hz in 2 ms, as frames show and tiles are told."""
+    effect = RollingShutterBanding(modulation=0.1, frequency_hz=100.0, row_time_s=2e-5)
+    context, rng = _context(exposure_s=2e-3), np.random.default_rng(6)
+    rows = np.array([effect.sample(np.full((5, 8), 1000.0), context, rng)[2, 0] for _ in range(4000)])
+    told = effect.tile(
+        TileMoments.exactly(np.full((1, 1, 1), 1000.0)), TileMoments.exactly(np.full((1, 1, 1), 1000.0)), context
+    )
+    by_hand = (0.1 * 1000.0 * math.sin(0.2 * math.pi) / (0.2 * math.pi)) ** 2 / 2.0
+    assert float(np.ravel(told.band_variance)[0]) == pytest.approx(by_hand)
+    assert rows.var() == pytest.approx(by_hand, rel=0.05)
+    assert rows.mean() == pytest.approx(1000.0, abs=5.0 * math.sqrt(by_hand / rows.size))
