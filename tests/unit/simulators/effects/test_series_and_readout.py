@@ -12,6 +12,7 @@ import pytest
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
 from radiometer.reconciliation.model.tile_context import TileContext
 from simulators.chain.camera_model import CameraModel
+from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.correlated_read_noise import CorrelatedReadNoise
@@ -437,3 +438,15 @@ def test_bands_of_a_flickering_lamp_have_the_variance_that_is_predicted() -> Non
     assert float(np.ravel(told.band_variance)[0]) == pytest.approx(by_hand)
     assert rows.var() == pytest.approx(by_hand, rel=0.05)
     assert rows.mean() == pytest.approx(1000.0, abs=5.0 * math.sqrt(by_hand / rows.size))
+
+
+@pytest.mark.parametrize(
+    ("powers", "fitted"),
+    [
+        ((2.0, 1.0), ("strength",)), ((2.5, 1.0), ("strength", "radius_power", "stop_power")),
+        ((2.0, -0.5), ("strength", "radius_power", "stop_power")), ((2.0, 0.0), ("strength", "cone")),
+    ],
+)  # fmt: skip
+def test_powers_of_an_angle_are_fitted_where_they_are_not_the_plain_ones(powers, fitted):
+    """One unknown for a loss as radius squared over the stop; all three else; slant and cone where no stop counts."""
+    assert AngleDependence(0.03, *powers).free() == fitted
