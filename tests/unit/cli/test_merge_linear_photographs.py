@@ -219,7 +219,10 @@ def test_an_amplified_photograph_clips_where_the_others_do():
 @pytest.mark.parametrize(("end", "highest", "depth"), [(4095, 4095, 12), (4000, 4000, 16), (4095, 9000, 16)])
 def test_photographs_have_the_bits_that_their_numbers_have(end, highest, depth):
     """12 where they gather at 4095 and none is above; where they end at another number they stay as they are."""
-    dn = np.minimum(np.arange(100, 6100, dtype=np.uint16).reshape(60, 100), end)
-    dn[0, 0] = highest
-    several = Bracket.from_frames([Frame(dn // k, 16, FrameSettings(1.0 / k)) for k in (1, 2, 4)])
+    light = np.arange(100, 6100, dtype=np.uint16).reshape(60, 100)
+    shown = [np.minimum(light // k, end) for k in (1, 2, 4)]
+    shown[0][0, 0] = highest
+    several = Bracket.from_frames(
+        [Frame(dn, 16, FrameSettings(1.0 / k)) for k, dn in zip((1, 2, 4), shown, strict=True)]
+    )
     assert in_their_own_depth([several])[0].bit_depth == depth

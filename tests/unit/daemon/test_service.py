@@ -7,6 +7,8 @@ import os
 import re
 import signal
 import stat
+import subprocess
+import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +23,7 @@ from radiometer.daemon.service import Service, ServiceOptions
 from radiometer.daemon.station import Station
 from radiometer.errors import CalibrationError, OutputError, RadiometerError
 from testing.fake_station import QUICK, FakeBox, FakeInstrument
+from testing.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
 
@@ -213,3 +216,12 @@ async def test_hearing_from_other_machines_needs_a_list(tmp_path: Path) -> None:
     """An address beyond loopback is refused without one, in words that tell the way out."""
     with pytest.raises(RadiometerError, match=r"--scpi-allow \(addresses or networks\), or stay on 127\.0\.0\.1"):
         await fresh(tmp_path, scpi_address="0.0.0.0").service.run()
+
+
+@pytest.mark.slow
+def test_the_daemon_starts_without_what_it_does_not_need() -> None:
+    """scipy.stats takes longer to load than all the daemon's own modules; nothing of the daemon asks for it."""
+    words = "import radiometer.daemon.service, radiometer.daemon.bench_instrument, radiometer.daemon.bench_light"
+    code = f"import sys; {words}; print(sorted({{'scipy.stats', 'pandas', 'matplotlib', 'numba'}} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=within(60))
+    assert done.stdout == "[]\n"

@@ -90,7 +90,7 @@ def test_it_is_said_in_one_sentence(glow):
     column = "left" if drawn["x_px"] < width / 2 else "right"
     assert glow[0].sentence() == (
         f"adds charge in proportion to exposure, falling off as a Gaussian from the {row} {column} corner: like the "
-        "glow of an amplifier or heat beside the sensor"
+        "glow of an amplifier or heat next to the sensor"
     )
 
 
