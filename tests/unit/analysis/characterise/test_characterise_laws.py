@@ -161,6 +161,18 @@ def test_a_variance_that_still_rises_is_no_saturation_unless_pixels_clip(share, 
     assert (found.reached, found.limited_by == "converter") == (reached, reached)
 
 
+@pytest.mark.parametrize(("below_u", "gaps"), [(3.9, 2), (4.1, 1)])
+def test_the_place_of_the_largest_variance_is_known_to_the_steps_next_to_what_it_may_be(below_u, gaps):
+    """Four uncertainties apart, twice either's, two variances may be the largest alike; the step beyond then bounds."""
+    variances = 40.0 + 0.5 * SIGNALS
+    u_rel = math.sqrt(2.0 / 89_999.0)
+    variances[-4:] = variances[-5] * np.array([1.5, 1.5 * (1.0 - below_u * u_rel), 1.0, 0.9])
+    found = find_saturation(steps_of(variances))
+    apart = SIGNALS[1] - SIGNALS[0]
+    assert found.light == 2.0 * SIGNALS[-4]
+    assert found.u_light_rel == pytest.approx(gaps * apart / math.sqrt(3.0) / SIGNALS[-4])
+
+
 def test_propagation_is_that_of_a_straight_function():
     """2a − 3b: 4·u_a² + 9·u_b²; a constant has none; a figure without doubt adds none."""
     a, b = Quantity(5.0, 0.3, "x"), Quantity(1.0, 0.4, "x")
