@@ -18,6 +18,7 @@ from drivers.light_box_link import BoxLink
 from drivers.serial_line import SerialLine, list_serial_ports
 from radiometer.bench.box_holder import holding, is_ours
 from radiometer.data.config_files import shipped_config
+from radiometer.data.guards import safe_file_name
 from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
@@ -194,7 +195,7 @@ def find_boxes(ports: list[str] | None = None) -> tuple[list[LightBoxIdentity], 
 def calibration_file(serial: str) -> Path:
     """Return where the calibration of a box is kept: the user's data folder."""
     base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
-    return Path(base) / "radiometer" / "light_boxes" / f"{serial}.yaml"
+    return Path(base) / "radiometer" / "light_boxes" / f"{safe_file_name(serial)}.yaml"
 
 
 @contextmanager

@@ -11,9 +11,11 @@ import typer
 
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import note, progress_bar
+from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 
 
+@writes()
 def command(
     archive: Annotated[str, typer.Argument(help="Folder of capture sets, at any depth, or a glob.")],
     do: Annotated[str, typer.Option(help="merge, response, measure, characterise or reconcile.")] = "measure",
@@ -28,6 +30,7 @@ def command(
     ] = None,
     maps: Annotated[Path | None, typer.Option(help="Folder for radiance maps (Zarr), with --do merge.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Summary as JSON on standard output.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a table that has no journal beside it.")] = False,
 ) -> int:
     """Do one job on every capture set of an archive and write one table of results.
 
@@ -36,11 +39,14 @@ def command(
     """
     from radiometer.archive.discovery import find_captures
     from radiometer.archive.jobs import JOBS
+    from radiometer.archive.journal import journal_of
     from radiometer.archive.run import run_batch
     from radiometer.archive.settings import JobSettings
+    from radiometer.data.storage import check_outputs
 
     if do not in JOBS:
         raise UsageError(f"--do {do!r}: there is no such job; there are {', '.join(JOBS)}")
+    check_outputs(out, force=force or journal_of(out).exists())
     region = parse_patch(patch) if patch else None
     captures, unfinished = find_captures(archive)
     settings = JobSettings(

@@ -14,6 +14,7 @@ from radiometer.cli.calibrate_model import with_found_effects
 from radiometer.cli.calibrate_range import with_dynamic_range
 from radiometer.cli.calibrate_report import calibration_report, show_report
 from radiometer.cli.iso_record import at_iso, is_photographs, reference_iso
+from radiometer.cli.outputs import writes
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.errors import UsageError
 
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 UNKNOWN_EFFICACY_U_REL: Final = 0.43
 
 
+@writes("out")
 def command(
     capture: Annotated[Path | None, typer.Argument(help="Capture set or photographs of the known source.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Calibration file to write.")] = None,

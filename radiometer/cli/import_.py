@@ -11,7 +11,8 @@ import typer
 
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import note, progress_bar
-from radiometer.errors import OutputError, UsageError
+from radiometer.cli.outputs import writes
+from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
     from radiometer.data import CaptureHeader
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from radiometer.importing.assembly import Assembled
 
 
+@writes(folder="output")
 def command(
     sources: Annotated[
         list[Path],
@@ -49,18 +51,12 @@ def command(
     table = statistics_of(sources[0]) if sources[0].exists() else None
     if table is not None and len(sources) > 1:
         raise UsageError("a table of statistics is a source of its own; name it alone")
-    _refuse_existing(output)
     sets = _from_table(table, output) if table is not None else _from_files(sources, options, output, shown=not json)
     if json:
         print(json_module.dumps({"capture_sets": sets}, ensure_ascii=False))
         return
     for one in sets:
         _show(one)
-
-
-def _refuse_existing(output: Path) -> None:
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise OutputError(f"{output} exists already and is not empty; name a new folder")
 
 
 def _from_table(header: CaptureHeader, output: Path) -> list[dict[str, Any]]:

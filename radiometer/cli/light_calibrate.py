@@ -10,12 +10,14 @@ import typer
 
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import console, note, progress_bar
+from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
     from radiometer.data.light_calibration import LightCalibration
 
 
+@writes("out")
 def calibrate(
     channel: Annotated[list[str] | None, typer.Option(help="Channel to calibrate; may be repeated; all.")] = None,
     box: Annotated[str | None, typer.Option("--box", help="sim, a serial number or a port.")] = None,
@@ -34,6 +36,7 @@ def calibrate(
     preset: Annotated[Path | None, typer.Option(help="Light-box preset with safety bounds.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="File to write; the box's own by default.")] = None,
     json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Measure each channel's radiance over its levels with the camera, on both current ranges.
 
@@ -42,6 +45,7 @@ def calibrate(
     """
     from radiometer.bench.boxes import calibration_file, open_light_box
     from radiometer.bench.light_bench import SurveyRequest, open_light_camera, survey_box
+    from radiometer.data.storage import check_outputs
 
     area = parse_patch(patch) if patch else None
     with (
@@ -49,6 +53,10 @@ def calibrate(
         open_light_camera(opened, camera, bench, area, camera_calibration) as instrument,
         progress_bar(shown=not json) as bar,
     ):
+        file = out or calibration_file(opened.box.identity.serial)
+        if out is None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            check_outputs(file, force=force)
         channels = tuple(channel or opened.box.channels)
         _refuse_unknown(channels, tuple(opened.box.channels))
         task = bar.add_task("calibrating", total=None)
@@ -59,9 +67,6 @@ def calibrate(
             request,
             lambda name, done, total: bar.update(task, description=name, completed=done, total=total),
         )
-        file = out or calibration_file(opened.box.identity.serial)
-    if out is None:
-        file.parent.mkdir(parents=True, exist_ok=True)
     found.write(file)
     _tell(found, channels, file, json=json)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from radiometer.cli.console import console, note, progress_bar, significant
+from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ _VERDICTS = {
 _OPEN = "Something is missing that has more than one name; with any of them simulation and measurement agree."
 
 
+@writes("output", "report", "plan", folder="propose")
 def command(
     capture: Annotated[
         Path,

@@ -16,7 +16,7 @@ from radiometer.data.capture_header import (
 )
 from radiometer.data.capture_set import HEADER_NAME, CaptureHeader, CaptureSet, FrameEntry
 from radiometer.data.frame import Frame
-from radiometer.data.storage import write_bytes_atomic, write_yaml_atomic
+from radiometer.data.storage import check_new_folder, write_bytes_atomic, write_yaml_atomic
 from radiometer.errors import OutputError
 
 
@@ -56,8 +56,7 @@ class CaptureSetWriter:
         self._entries: list[FrameEntry] = []
 
     def __enter__(self) -> Self:
-        if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
-            raise OutputError(f"{self.path} exists already and is not empty; name a new folder")
+        check_new_folder(self.path, parents=True)
         try:
             (self.path / "frames").mkdir(parents=True)
         except OSError as error:
@@ -76,7 +75,7 @@ class CaptureSetWriter:
         """
         suffix = frame.file.suffix if frame.file else ".png"
         name = f"frames/{len(self._entries):04d}{suffix}"
-        write_bytes_atomic(self.path / name, frame.file.content if frame.file else self._as_png(frame))
+        write_bytes_atomic(self.path / name, frame.file.content if frame.file else self._as_png(frame), rescue=False)
         self._entries.append(FrameEntry.of(name, frame.settings, **further))
 
     def _as_png(self, frame: Frame) -> bytes:

@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from radiometer.cli.main import run
 from radiometer.data.capture_set import read_digital_numbers
@@ -23,6 +25,7 @@ from radiometer.data.guards import (
     refuse_deep_yaml,
     refuse_large_picture,
     refuse_size,
+    safe_file_name,
     safe_name,
 )
 from radiometer.data.storage import read_yaml
@@ -191,6 +194,29 @@ def test_a_subject_cannot_lead_out_of_the_folder(
         assert "--subject" in capsys.readouterr().err
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
     assert safe_name("S-01 anna.b", "--subject") == "S-01 anna.b"
+
+
+@given(st.text(max_size=300))
+@example("..").via("a folder")
+@example("../../etc/passwd").via("FITS INSTRUME")
+@example("\U0001d7d8" * 64).via("four bytes each")
+@example("\ud800").via("half a character")
+def test_any_text_becomes_the_name_of_one_file(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
+    """In its own folder, with an ending; a name stays as it is, and one made of it is never another text's."""
+    name = safe_file_name(text)
+    folder = tmp_path_factory.getbasetemp()
+    file = folder / f"{name}.yaml"
+    file.touch()
+    assert file.resolve().parent == folder.resolve()
+    file.unlink()
+    assert not name.startswith((".", "-"))
+    assert safe_file_name(name) == name
+
+
+def test_two_texts_never_become_one_name() -> None:
+    """However alike they look once their slashes are gone."""
+    texts = ["a/b", "a_b", "a\\b", "a b", "a\0b", "x" * 65, "x" * 66, "", " ", ".", "..", "S/1 ", "S/1"]
+    assert len({safe_file_name(text) for text in texts}) == len(texts)
 
 
 @pytest.mark.long
