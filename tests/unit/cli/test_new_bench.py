@@ -53,5 +53,3 @@ def test_what_cannot_be_a_bench_is_misuse_and_leaves_no_file(tmp_path, capsys, w
     assert run(["new-bench", str(path), *words]) == 2
     assert said in capsys.readouterr().err
     assert not path.exists()
-
-
