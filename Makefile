@@ -30,7 +30,7 @@ measure: $(VENV)/.ready-run  ## Read the radiance of a screen patch on the simul
 	$(BIN)/radiometer measure --budget
 
 # Two workers, each with its own core; tests that share fixtures, or that run in real time, stay in one of them. The
-# fast ones run in three processes that were collected once (tests/side_by_side.py).
+# fast ones run in three processes that were collected once (testing/side_by_side.py).
 ONE_THREAD = PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 RUN_TESTS = $(ONE_THREAD) $(PYTEST) -n 2
 RUN_FAST  = $(ONE_THREAD) $(PYTEST) --processes=3

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers import light_box
+from drivers.light_box import box as light_box
 from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.outcome import Outcome
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
@@ -17,9 +17,9 @@ from radiometer.adaptation.run import run_test
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.bench.box_adaptation import BoxRequest, open_box_stage, places_of
 from radiometer.bench.boxes import read_preset
-from simulators.eye_kinetics import Eye
-from simulators.observer import Habits, Observer
-from simulators.observer_at_box import ObserverAtBox
+from simulators.observers.eye_kinetics import Eye
+from simulators.observers.observer import Habits, Observer
+from simulators.observers.observer_at_box import ObserverAtBox
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks._outside.session import Secret, Session
+from testing.outside.session import Secret, Session
 
 SENSORS: Final = ("e2v", "itl")
 LAGS: Final = 8

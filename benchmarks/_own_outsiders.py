@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks._outside.session import Hidden, Secret
-from tests.roundtrip.generator.registry import OUTSIDERS
-from tests.roundtrip.generator.session import Session as OwnSession
-from tests.roundtrip.generator.session import make_session
+from testing.generator.registry import OUTSIDERS
+from testing.generator.session import Session as OwnSession
+from testing.generator.session import make_session
+from testing.outside.session import Hidden, Secret
 
 ANOTHER = 500_000  # added to the seed of a further session of a rig, each number once more
-PLACES = {  # stage and covariates, read off the equations in tests/roundtrip/generator/outsiders.py
+PLACES = {  # stage and covariates, read off the equations in testing/generator/outsiders.py
     "sinusoidal_lamp_drift": ("source", ("timestamp_s",)),
     "dust_shadow": ("optics", ("image_xy",)),
     "converter_ripple": ("digital", ("signal",)),

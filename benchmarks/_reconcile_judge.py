@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tests.roundtrip.generator.registry import Hidden, everything
+from testing.generator.registry import Hidden, everything
 
 # Covariates by what they are called in results, where the truth's own word differs.
 SAME = {

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import beta
 
 from benchmarks._reconcile_tasks import KINDS
-from tests.roundtrip.generator.registry import OUTSIDERS
+from testing.generator.registry import OUTSIDERS
 
 Result = dict[str, Any]
 

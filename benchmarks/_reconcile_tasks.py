@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from tests.roundtrip.generator import session  # noqa: F401  (fills the registry)
-from tests.roundtrip.generator.registry import ENTRIES, OUTSIDERS, VARIANTS, forms_of
+from testing.generator import session  # noqa: F401  (fills the registry)
+from testing.generator.registry import ENTRIES, OUTSIDERS, VARIANTS, forms_of
 
 KINDS = tuple(
     "null single weak pair own_pair variant outsider removed unknown plain plain_unknown".split()  # noqa: SIM905

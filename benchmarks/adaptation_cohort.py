@@ -22,7 +22,7 @@ from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import MeasurementError
-from simulators.eye_kinetics import (
+from simulators.observers.eye_kinetics import (
     INTERCEPT_LOG10,
     Eye,
     drawn_amd_eye,
@@ -31,7 +31,7 @@ from simulators.eye_kinetics import (
     drawn_full_bleach_eye,
     scotopic_per_photopic,
 )
-from simulators.observer import Habits, Observer
+from simulators.observers.observer import Habits, Observer
 
 TIMES_MIN = np.arange(0.5, 35.0, 0.5)
 SCATTER_LOG10 = 0.1

@@ -19,10 +19,10 @@ from radiometer.analysis.characterise import Subject, characterise, read_subject
 from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
 from radiometer.data import CameraDescription, FrameSettings, LensDescription, Quantity
 from radiometer.devices import CameraPreset
-from simulators.camera_model import CameraModel
+from simulators.chain.camera_model import CameraModel
+from simulators.chain.virtual_sensor import VirtualSensor
 from simulators.effects.context import FrameGeometry
 from simulators.scenes import UniformScene
-from simulators.virtual_sensor import VirtualSensor
 
 CCD = Path(__file__).resolve().parents[2] / "shared" / "data" / "emva" / "ref001_ccd_12bit"
 SEEDS = range(1000, 1050)  # none of those that the tests use

@@ -20,10 +20,7 @@ from typing import Any
 import aiohttp
 import structlog
 
-from benchmarks._daemon import machine_note
 from benchmarks._sections import write_section
-from benchmarks._simulated_time import simulated_time
-from benchmarks._soak_world import PATCHES, Verdict, Witness, judge, write_benches
 from benchmarks.daemon_soak import slope
 from radiometer.daemon import memory, mqtt
 from radiometer.daemon.bench_instrument import BenchInstrument
@@ -35,6 +32,9 @@ from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.station import Station
 from radiometer.data import Patch
 from radiometer.errors import DeviceLost
+from testing.daemon_process import machine_note
+from testing.simulated_time import simulated_time
+from testing.soak_world import PATCHES, Verdict, Witness, judge, write_benches
 
 HOURS = 24.0
 EVERY_S = 10.0

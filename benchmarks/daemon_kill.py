@@ -12,8 +12,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks._daemon import DaemonProcess
 from benchmarks._sections import write_section
+from testing.daemon_process import DaemonProcess
 
 KILLS = 50
 

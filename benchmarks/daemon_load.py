@@ -11,8 +11,8 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from benchmarks._daemon import ROOT, DaemonProcess, machine_note
 from benchmarks._sections import write_section
+from testing.daemon_process import ROOT, DaemonProcess, machine_note
 
 FULL = ROOT / "configs" / "bench-simulated.yaml"
 CLIENTS, PER_CLIENT_PER_S, SECONDS = 200, 20.0, 60.0

@@ -19,10 +19,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks._box_station import box_station, seconds_until
-from benchmarks._daemon import ROOT, DaemonProcess, machine_note, write_small_bench
 from benchmarks._sections import write_section
-from benchmarks._wire import only_camera
+from testing.box_station import box_station, seconds_until
+from testing.daemon_process import ROOT, DaemonProcess, machine_note, write_small_bench
+from testing.wire import only_camera
 
 CYCLES = 20
 SERIAL = "22500077"

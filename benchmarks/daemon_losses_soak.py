@@ -12,16 +12,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks import _soak_clients as clients
 from benchmarks import daemon_loss
-from benchmarks._daemon import ROOT, DaemonProcess, machine_note
 from benchmarks._sections import write_section
 from benchmarks._soak_losses import Broker, Fault, FullDisk, Losses, small_disk
-from benchmarks._soak_world import PATCHES, SERIAL, Verdict, Witness, fill_journal, judge, write_benches
-from benchmarks._wire import only_camera
 from benchmarks.daemon_soak import sample, slope
-from simulators.light_box import LightBoxTwin
-from simulators.pty_line import PtyServer, WiredTwin
+from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.pty_line import PtyServer, WiredTwin
+from testing import soak_clients as clients
+from testing.daemon_process import ROOT, DaemonProcess, machine_note
+from testing.soak_world import PATCHES, SERIAL, Verdict, Witness, fill_journal, judge, write_benches
+from testing.wire import only_camera
 
 SECONDS = float(os.environ.get("RADIOMETER_SOAK_S", "3600"))
 EVERY_S = 150.0  # mean time between two losses of the same thing

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks._daemon import DaemonProcess
 from benchmarks._sections import write_section
+from testing.daemon_process import DaemonProcess
 
 SECONDS = float(os.environ.get("RADIOMETER_SOAK_S", "3600"))
 

@@ -8,8 +8,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks._daemon import ROOT, DaemonProcess, machine_note
 from benchmarks._sections import write_section
+from testing.daemon_process import ROOT, DaemonProcess, machine_note
 
 STARTS = 10
 FULL = ROOT / "configs" / "bench-simulated.yaml"

@@ -12,13 +12,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks._daemon import ROOT, machine_note
 from benchmarks._sections import write_section
 from radiometer.analysis.response.debevec1997 import recover_response_debevec1997
 from radiometer.data import Bracket, Calibration, Frame, FrameSettings, LensDescription
 from radiometer.devices import CameraPreset
-from simulators.camera_model import CameraModel
+from simulators.chain.camera_model import CameraModel
 from simulators.effects.context import FrameGeometry
+from testing.daemon_process import ROOT, machine_note
 
 REPEATS = 5
 

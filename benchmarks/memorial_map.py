@@ -21,8 +21,8 @@ from benchmarks._sections import write_section
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.response.curves import black_of_curve
 from radiometer.bench.sources import open_brackets
-from radiometer.cli.photograph_response import recovered_curves, relative_calibration, with_found_times
 from radiometer.data import Bracket, CameraDescription, Frame, LensDescription, RadianceMap, ResponseCurve
+from radiometer.photographs.response import recovered_curves, relative_calibration, with_found_times
 
 Array = NDArray[np.float64]
 # Digital numbers of film's toe that are looked at, and the one that they are told from.

@@ -15,9 +15,9 @@ from benchmarks._sections import write_section
 from radiometer.analysis.merge.bracket import merge
 from radiometer.bench.sources import open_brackets
 from radiometer.cli.main import run
-from radiometer.cli.photograph_alignment import in_one_place
-from radiometer.cli.photograph_response import recovered_curves, relative_calibration, with_found_times
 from radiometer.data import Bracket, CameraDescription, LensDescription, RadianceMap
+from radiometer.photographs.alignment import in_one_place
+from radiometer.photographs.response import recovered_curves, relative_calibration, with_found_times
 
 SETS = (
     ("memorial (film, 16 frames)", "memorial_film"),

@@ -26,7 +26,7 @@ import numpy as np
 import yaml
 
 from benchmarks._sections import write_section
-from radiometer.reconcile import reconcile_capture
+from radiometer.reconciliation import reconcile_capture
 
 MAKER = Path(__file__).parent / "_peers" / "make.py"
 RESULTS = Path("out") / "peer_sensors.jsonl"

@@ -26,8 +26,8 @@ from benchmarks._real_sets import SETS, Documented, RealSet, data_folder
 from benchmarks._sections import write_section
 from radiometer.importing import import_sources, imported_of
 from radiometer.importing.sources import as_capture
-from radiometer.other_data.sources import reconcile_source
-from radiometer.reconcile.result import ReconcileResult
+from radiometer.reconciliation.inputs.sources import reconcile_source
+from radiometer.reconciliation.result import ReconcileResult
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "real-sensors.md"
 LSST_SEED = 20
@@ -188,7 +188,7 @@ def of_lenses(folder: Path) -> Iterator[Row]:
 
 def of_covariances(folder: Path) -> Iterator[Row]:
     """Yield what is said of flats that are drawn with the covariances of two CCDs, and what it predicts beyond."""
-    from radiometer.reconcile import reconcile_capture
+    from radiometer.reconciliation import reconcile_capture
     from simulators.effects.brighter_fatter import BrighterFatter
 
     for sensor in SENSORS:

@@ -24,8 +24,8 @@ from benchmarks._reconcile_judge import honesty, judge, parameters
 from benchmarks._reconcile_report import plain_report, report
 from benchmarks._reconcile_tasks import KINDS, Task, tasks
 from benchmarks._sections import write_section
-from tests.roundtrip.generator.registry import everything
-from tests.roundtrip.generator.session import make_session
+from testing.generator.registry import everything
+from testing.generator.session import make_session
 
 RESULTS = Path("out") / "reconcile_confusion.jsonl"
 PLAIN_SECTION = ("reconcile_plain", "Reconcile: every entry in a plain bracket")

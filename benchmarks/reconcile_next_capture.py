@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks._sections import write_section
-from radiometer.reconcile.advice.capture_pool import CapturePool
-from radiometer.reconcile.engine import examine
-from radiometer.reconcile.measure.reduce import frame_reader
-from radiometer.reconcile.search.outcome import Reconciled
-from tests.roundtrip.generator.plan import Setting, bracket
-from tests.roundtrip.generator.session import make_session
+from radiometer.reconciliation.advice.capture_pool import CapturePool
+from radiometer.reconciliation.engine import examine
+from radiometer.reconciliation.measure.reduce import frame_reader
+from radiometer.reconciliation.search.outcome import Reconciled
+from testing.generator.plan import Setting, bracket
+from testing.generator.session import make_session
 
 HIDDEN = ("veiling_glare", "display_black_leak", "ambient_light_leak", "gain_step_error", "fnumber_tstop_error")
 FIRST_SEED = 40_000

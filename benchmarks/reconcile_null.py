@@ -19,9 +19,9 @@ import numpy as np
 from scipy.stats import beta
 
 from benchmarks._sections import write_section
-from radiometer.reconcile.engine import examine
-from radiometer.reconcile.measure.reduce import frame_reader
-from tests.roundtrip.generator.session import make_session
+from radiometer.reconciliation.engine import examine
+from radiometer.reconciliation.measure.reduce import frame_reader
+from testing.generator.session import make_session
 
 RESULTS = Path("out") / "reconcile_null.jsonl"
 LEVELS = (0.1, 0.01, 0.001)

@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._outside import three, three_hidden, two, two_hidden
-from benchmarks._outside.judge import judge, tally
-from benchmarks._outside.session import Hidden, Session, plain
 from benchmarks._sections import write_section
-from radiometer.reconcile import reconcile_capture
+from radiometer.reconciliation import reconcile_capture
+from testing.outside import three, three_hidden, two, two_hidden
+from testing.outside.judge import judge, tally
+from testing.outside.session import Hidden, Session, plain
 
 RESULTS = Path("out") / "reconcile_outsiders.jsonl"
 TOLD = ("name", "where", "statistic", "gain_nats", "alternatives")

@@ -24,20 +24,20 @@ from typing import Any
 import numpy as np
 
 from benchmarks import _own_outsiders as own_generator
-from benchmarks._outside.judge import PLACES
-from benchmarks._outside.session import Hidden, Secret, Session
 from benchmarks._sections import write_section
 from benchmarks.reconcile_outsiders import GENERATORS
 from radiometer.data import CaptureSet
-from radiometer.reconcile.engine import reconcile_capture, whole_catalogue
-from radiometer.reconcile.fit.descent import first_state
-from radiometer.reconcile.fit.state import FitState
-from radiometer.reconcile.measure.design import Design
-from radiometer.reconcile.measure.reduce import reduce_frames
-from radiometer.reconcile.propose import Proposal, propose_law
-from radiometer.reconcile.propose.effect_file import effect_class, effect_of, round_to
-from radiometer.reconcile.propose.files import write_files
+from radiometer.reconciliation.engine import reconcile_capture, whole_catalogue
+from radiometer.reconciliation.fit.descent import first_state
+from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.reduce import reduce_frames
+from radiometer.reconciliation.propose import Proposal, propose_law
+from radiometer.reconciliation.propose.effect_file import effect_class, effect_of, round_to
+from radiometer.reconciliation.propose.files import write_files
 from simulators.effects.catalogue import CatalogueEffect
+from testing.outside.judge import PLACES
+from testing.outside.session import Hidden, Secret, Session
 
 RESULTS = Path("out") / "reconcile_propose.jsonl"
 OWN: dict[int, tuple[Any, dict[str, Hidden]]] = {1: (own_generator, own_generator.HIDDEN)}

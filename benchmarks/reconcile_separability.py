@@ -18,24 +18,24 @@ from typing import Final
 import numpy as np
 
 from benchmarks._sections import write_section
-from radiometer.reconcile.advice.separability import (
+from radiometer.reconciliation.advice.separability import (
     Separability,
     asked_sizes,
     left_by_fit,
     noiseless,
     separability,
 )
-from radiometer.reconcile.engine import whole_catalogue
-from radiometer.reconcile.fit.descent import first_state
-from radiometer.reconcile.fit.state import FitState
-from radiometer.reconcile.measure.design import Design
-from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconcile.search.screening import screen
-from radiometer.reconcile.search.starts import StartPool
-from radiometer.reconcile.thresholds import RIVAL_NATS
+from radiometer.reconciliation.engine import whole_catalogue
+from radiometer.reconciliation.fit.descent import first_state
+from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.search.screening import screen
+from radiometer.reconciliation.search.starts import StartPool
+from radiometer.reconciliation.thresholds import RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
-from tests.roundtrip.generator.plan import Setting
-from tests.roundtrip.generator.session import make_session
+from testing.generator.plan import Setting
+from testing.generator.session import make_session
 
 _SEED: Final = 88_000
 _WORTH_A_FIT: Final = 0.5  # of what is to be explained

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks._sections import write_section
-from tests.roundtrip.generator.rig import Rig
-from tests.roundtrip.generator.session import Session, make_session
+from testing.generator.rig import Rig
+from testing.generator.session import Session, make_session
 
 HIDDEN = (
     (), ("exposure_time_offset",), ("veiling_glare",), ("dark_current",), ("gain_step_error",), ("prnu",),

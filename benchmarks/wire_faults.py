@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks._sections import write_section
-from benchmarks._wire import LOOPBACK, ROOT, radiometer, served
-from drivers.aravis_camera import open_camera
+from drivers.cameras.aravis_camera import open_camera
 from radiometer.devices import CameraSettings, Roi
+from testing.wire import LOOPBACK, ROOT, radiometer, served
 
 LOSSY_FRAMES, LOSSY_PER_MILLE = 300, 10
 

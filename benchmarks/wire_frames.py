@@ -10,9 +10,9 @@ import time
 import numpy as np
 
 from benchmarks._sections import write_section
-from benchmarks._wire import LOOPBACK, radiometer, served
-from drivers.aravis_camera import open_camera
+from drivers.cameras.aravis_camera import open_camera
 from radiometer.devices import CameraSettings
+from testing.wire import LOOPBACK, radiometer, served
 
 FRAMES, POOL = 1000, 4
 PEER_SECONDS = 10

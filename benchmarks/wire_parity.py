@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks._sections import write_section
-from benchmarks._wire import LOOPBACK, ROOT, radiometer, served
+from testing.wire import LOOPBACK, ROOT, radiometer, served
 
 PATCHES = {
     "white": "240,240,120,120",

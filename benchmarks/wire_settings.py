@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks._sections import write_section
-from benchmarks._wire import LOOPBACK, radiometer, served
-from drivers.aravis_camera import open_camera
+from drivers.cameras.aravis_camera import open_camera
 from radiometer.devices import CameraPreset, CameraSettings
+from testing.wire import LOOPBACK, radiometer, served
 
 CHANGES, FRAMES_EACH = 500, 2
 RADIANCE, F_NUMBER, WAVELENGTH_M = 0.4, 4.0, 550e-9

@@ -12,8 +12,6 @@ loaded before it is used.
 from __future__ import annotations
 
 import importlib
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
@@ -37,8 +35,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from radiometer.data import Patch, Reading
-    from radiometer.interface import (
+    from radiometer.api import (
         Meter,
         Radiance,
         Reconciliation,
@@ -53,29 +50,15 @@ if TYPE_CHECKING:
         reconcile,
         recover_response,
     )
+    from radiometer.data import Patch, Reading
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'radiometer' has no attribute {name!r}; it has {', '.join(__all__)}")
-    home = "radiometer.data" if name in ("Patch", "Reading") else "radiometer.interface"
+    home = "radiometer.data" if name in ("Patch", "Reading") else "radiometer.api"
     return getattr(importlib.import_module(home), name)
 
 
 def __dir__() -> list[str]:
     return [*__all__, "__version__"]
-
-
-class _Package(ModuleType):
-    """This package; `reconcile` is its function though a folder of the same name lies in it."""
-
-    @property
-    def reconcile(self) -> Any:
-        return __getattr__("reconcile")
-
-    @reconcile.setter
-    def reconcile(self, room: ModuleType) -> None:
-        """Leave the function in place when the folder is imported: `from radiometer.reconcile import …` finds it."""
-
-
-sys.modules[__name__].__class__ = _Package

@@ -16,8 +16,8 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from radiometer.cli.logging_setup import configure_logging
-from tests import side_by_side
-from tests.patience import queue
+from testing import side_by_side
+from testing.patience import queue
 
 PROJECT_ROOT = Path(__file__).resolve().parents[1]
 # Files of tests go to the memory where there is enough of it: journals wait for the disk at every entry.
@@ -72,7 +72,7 @@ def laws_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
 
     One test at least of each file holds its names to these laws as well.
     """
-    from radiometer.reconcile import engine
+    from radiometer.reconciliation import engine
 
     monkeypatch.setattr(engine, "held_to_laws", lambda found, *further: found)
 

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from radiometer.adapters.psychopy import RadiometerPhotometer
+from radiometer.adapters.readings import MeterSource
+from radiometer.api.meter import Meter
 from radiometer.bench.screen import open_screen_bench
 from radiometer.devices.display import DisplayPatch
-from radiometer.interface.meter import Meter
-from radiometer.interop.psychopy import RadiometerPhotometer
-from radiometer.interop.readings import MeterSource
 
 LEVELS = 8
 WARM_S = 4 * 3600.0
@@ -128,7 +128,7 @@ def main() -> list[str]:
         levels = DACrange(LEVELS)
         true = np.array([_grey_radiance(bench.display, float(v) / 255.0) for v in levels]) * lm_per_w
         fitted = GammaCalculator(inputs=levels, lums=true)
-        profiles = DeviceManager.getAvailableDevices("radiometer.interop.psychopy.RadiometerPhotometer")
+        profiles = DeviceManager.getAvailableDevices("radiometer.adapters.psychopy.RadiometerPhotometer")
     for name, (low, high, gamma) in zip(("grey", "red", "green", "blue"), grid, strict=True):
         lines.append(f"  calibrateGamma, {name:5}: {low:8.3f} to {high:8.2f} cd/m², gamma {gamma:.3f}")
     lines.append(

@@ -46,7 +46,7 @@ def _from_elsewhere(path: str) -> str:
 
 def commands() -> str:
     """Return the reference of the command line, from the commands themselves."""
-    from radiometer.cli.command_tree import command_tree
+    from radiometer.cli.admin.command_tree import command_tree
 
     parts = ["# Commands\n\nMade from the command line itself. `radiometer man` prints the same as a manual page."]
     for one in command_tree():

@@ -63,7 +63,7 @@ def captured_at(capture_set: CaptureSet) -> float | None:
 
 def measure(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
     """Return the radiance of every patch."""
-    from radiometer.analysis.patch.reading import read_patch
+    from radiometer.analysis.reading.reading import read_patch
 
     header = capture_set.header
     calibration = Calibration.read(Path(settings.calibration)) if settings.calibration else None
@@ -142,7 +142,7 @@ def characterise(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
 
 def reconcile(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
     """Return the gap before and after, and every parameter of the effects that were found; the verdict is a flag."""
-    from radiometer.reconcile import reconcile_capture
+    from radiometer.reconciliation import reconcile_capture
 
     found = reconcile_capture(capture_set.path).result
     flags = str(found.verdict)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.errors import UsageError
 from simulators.clock import SimulatedClock
-from simulators.subject import SimulatedSubject, SubjectCurve
+from simulators.observers.subject import SimulatedSubject, SubjectCurve
 
 BEHAVIOURS = ("steady", "never", "always", "leaves", "wanders")
 

@@ -23,8 +23,8 @@ from radiometer.errors import ConfigurationError, UsageError
 from radiometer.screen.calibration import ScreenCalibration
 from radiometer.screen.stimulus import Blink, Code, Hold, Rest, ScreenPicture, Shape, StimulusScreen, Viewing
 from simulators.displays import DISPLAYS, SimulatedDisplay
-from simulators.eye_kinetics import Eye
-from simulators.observer import Habits, Observer, ObserverAtScreen
+from simulators.observers.eye_kinetics import Eye
+from simulators.observers.observer import Habits, Observer, ObserverAtScreen
 
 _FRAME_S: Final = 1 / 60
 _SIMULATED_SIZE: Final = (1920, 1080)

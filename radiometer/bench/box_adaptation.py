@@ -16,8 +16,8 @@ import numpy as np
 from radiometer.adaptation.box_stage import FIXATION, BoxLights, BoxStage
 from radiometer.adaptation.checks import Check, Finding, judge_age
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach
-from radiometer.analysis.signal.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.signal.spectra import spectrum
+from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
+from radiometer.analysis.photometry.spectra import spectrum
 from radiometer.bench.adaptation_room import measured_room
 from radiometer.bench.boxes import LightBoxConfig, OpenedBox, open_light_box
 from radiometer.bench.light_bench import open_light_camera
@@ -25,10 +25,10 @@ from radiometer.data.config_files import shipped_config
 from radiometer.devices.light_box import Radiance
 from radiometer.devices.retinal_safety import HazardFractions, refuse_unsafe
 from radiometer.errors import CalibrationError, MeasurementError, RadiometerError, SettingOutOfRange, UsageError
-from simulators.eye_kinetics import Eye, drawn_amd_eye, drawn_clinical_eye
-from simulators.light_box import LightBoxTwin
-from simulators.observer import Habits, Observer
-from simulators.observer_at_box import ObserverAtBox
+from simulators.light_box.box import LightBoxTwin
+from simulators.observers.eye_kinetics import Eye, drawn_amd_eye, drawn_clinical_eye
+from simulators.observers.observer import Habits, Observer
+from simulators.observers.observer_at_box import ObserverAtBox
 
 SIMULATED: Final = "sim"
 SIMULATED_CALIBRATION: Final = "calibrations/simulated-box.yaml"

@@ -13,9 +13,9 @@ from typing import Final, Literal
 
 from pydantic import Field
 
-from drivers.light_box import FLASH, SerialLightBox
-from drivers.light_box_link import BoxLink
-from drivers.serial_line import SerialLine, list_serial_ports
+from drivers.light_box.box import FLASH, SerialLightBox
+from drivers.light_box.link import BoxLink
+from drivers.light_box.serial_line import SerialLine, list_serial_ports
 from radiometer.bench.box_holder import holding, is_ours
 from radiometer.data.config_files import shipped_config
 from radiometer.data.guards import safe_file_name
@@ -26,8 +26,8 @@ from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import LightBoxIdentity
 from radiometer.devices.retinal_safety import DEFAULT_FRACTION, ChannelOptics, FlashLight
 from radiometer.errors import CalibrationError, ConfigurationError, DeviceInUse, DeviceNotFound, InputError
-from simulators.light_box import LightBoxTwin, TwinSettings
-from simulators.virtual_line import VirtualLine
+from simulators.light_box.box import LightBoxTwin, TwinSettings
+from simulators.light_box.virtual_line import VirtualLine
 
 SIMULATED: Final = "sim"
 SIMULATED_SERIAL: Final = "SIM00001"

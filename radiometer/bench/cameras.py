@@ -61,14 +61,14 @@ def make_camera(config: BenchConfig, where: Path, name: str | None = None) -> Ca
 
 def list_cameras(config: BenchConfig, where: Path) -> tuple[list[CameraIdentity], str | None]:
     """Return the cameras that can be opened, and why GenICam cameras could not be looked for (None if they could)."""
-    from drivers.own_cameras import listed
+    from drivers.cameras.own_cameras import listed
 
     found: list[CameraIdentity] = []
     if isinstance(config.camera, SimulatedCameraConfig):
         found.append(make_camera(config, where).identity)
     owned = listed()[0]  # a library that is not installed is told by `radiometer doctor`
     try:
-        from drivers.aravis_camera import discover
+        from drivers.cameras.aravis_camera import discover
 
         return found + discover() + owned, None
     except MissingLibrary as error:
@@ -81,11 +81,11 @@ def _real(config: BenchConfig, name: str | None) -> Camera:
     if name is None and own and own.kind != "genicam":
         wanted = f"{own.kind}:{(own.id or '').removeprefix(f'{own.kind}:')}"
     if wanted is not None and wanted.partition(":")[0] in OWN_KINDS and ":" in wanted:
-        from drivers.own_cameras import open_own
+        from drivers.cameras.own_cameras import open_own
 
         preset = CameraPreset.shipped(own.preset).camera if own and own.preset else None
         return open_own(wanted, config.lens_description, preset)
-    from drivers.aravis_camera import open_camera as find
+    from drivers.cameras.aravis_camera import open_camera as find
 
     return find(wanted, preset=own.preset if own else None, lens=config.lens_description)
 
@@ -103,9 +103,9 @@ def _first_settings(wanted: CameraConfig, limits: CameraCapabilities) -> CameraS
 
 
 def _simulated(config: BenchConfig, wanted: SimulatedCameraConfig, where: Path) -> Camera:
-    from simulators.camera_model import CameraModel
+    from simulators.cameras.simulated_camera import SimulatedCamera
+    from simulators.chain.camera_model import CameraModel
     from simulators.scenes import scene_from_mapping
-    from simulators.simulated_camera import SimulatedCamera
 
     if config.scene is None:
         raise ConfigurationError(f"{where}: key 'scene' is missing; a simulated camera needs something to look at")

@@ -22,9 +22,9 @@ def examine(bench: Path | None = None, name: str | None = None) -> list[Finding]
     Raises:
         ConfigurationError: If the bench file is wrong.
     """
-    from drivers.aravis_camera import load_library
-    from drivers.host_checks import check_host
-    from drivers.own_cameras import check_libraries
+    from drivers.cameras.aravis_camera import load_library
+    from drivers.cameras.host_checks import check_host
+    from drivers.cameras.own_cameras import check_libraries
 
     findings = [*check_host(load_library), *check_libraries()]
     if name is None:
@@ -53,9 +53,9 @@ def _examined(camera: Camera) -> list[Finding]:
 
 
 def _features(camera: Camera) -> list[Finding]:
-    from drivers.aravis_camera import AravisCamera
-    from drivers.camera_checks import check_features
-    from drivers.plain_camera import PlainCamera
+    from drivers.cameras.aravis_camera import AravisCamera
+    from drivers.cameras.camera_checks import check_features
+    from drivers.cameras.plain_camera import PlainCamera
 
     if isinstance(camera, PlainCamera):
         return camera.findings()

@@ -19,8 +19,8 @@ from radiometer.acquire.bracketing import (
     take_plan,
 )
 from radiometer.acquire.exposure_plan import STEADY_SHORT_FRAMES, ExposurePlan, steadied
-from radiometer.analysis.patch.contributions import PatchSituation
-from radiometer.analysis.patch.reading import patch_situation, read_patch
+from radiometer.analysis.reading.contributions import PatchSituation
+from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.data import Bracket, Calibration, Frame, LensDescription, Patch, Reading, SourceDescription
 from radiometer.devices import Camera
 from radiometer.errors import UsageError

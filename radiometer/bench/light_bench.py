@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.acquire.light_levels import LevelSurvey, Progress, SpectralCorrection
-from radiometer.analysis.signal.spectral_correction import FLAT_QUANTUM_EFFICIENCY_U_REL, spectral_factor
+from radiometer.analysis.photometry.spectral_correction import FLAT_QUANTUM_EFFICIENCY_U_REL, spectral_factor
 from radiometer.bench.assembly import calibration_path, open_instrument
 from radiometer.bench.boxes import OpenedBox
 from radiometer.bench.cameras import SIMULATED as SIMULATED_CAMERA
@@ -22,8 +22,8 @@ from radiometer.data.config_files import shipped_config
 from radiometer.data.light_calibration import ChannelCalibration, LightCalibration
 from radiometer.devices import CameraPreset
 from radiometer.errors import CalibrationError, UsageError
-from simulators.camera_model import CameraModel
-from simulators.light_box_camera import BoxView, HookedClock, LightBoxCamera
+from simulators.chain.camera_model import CameraModel
+from simulators.light_box.camera import BoxView, HookedClock, LightBoxCamera
 
 BENCH: Final = "bench-light-box.yaml"
 # The simulated sensor's quantum efficiency is flat by construction; what is left is the channels' line shape.

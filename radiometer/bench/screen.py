@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.analysis.signal.display_types import CRT, DISPLAY_TYPES
-from radiometer.analysis.signal.photometry import Observer, luminous_efficacy_lm_per_w
-from radiometer.analysis.signal.spectra import Spectrum, spectrum
+from radiometer.analysis.photometry.display_types import CRT, DISPLAY_TYPES
+from radiometer.analysis.photometry.photometry import Observer, luminous_efficacy_lm_per_w
+from radiometer.analysis.photometry.spectra import Spectrum, spectrum
 from radiometer.bench.assembly import calibration_path, open_bench_camera
 from radiometer.bench.box_holder import darken_held
 from radiometer.bench.cameras import SIMULATED, preset_path
@@ -213,7 +213,7 @@ def _browser_bench(
 
 @contextmanager
 def _simulated_bench(name: str, bench: Path | None, calibration: Path | None, seed: int) -> Iterator[ScreenBench]:
-    from simulators.camera_model import CameraModel
+    from simulators.chain.camera_model import CameraModel
     from simulators.displays import DISPLAYS, SimulatedDisplay, WatchingCamera
 
     config, where = read_bench(bench)

@@ -12,10 +12,10 @@ from radiometer.bench.box_adaptation import places_of, seat_subject
 from radiometer.bench.box_holder import runtime_folder
 from radiometer.bench.boxes import SIMULATED_PORTS, read_preset
 from radiometer.errors import OutputError, UsageError
-from simulators.avr_box import AvrBox
-from simulators.light_box import LightBoxTwin, TwinSettings
-from simulators.line_faults import LineFaults
-from simulators.pty_line import PtyServer, WiredTwin
+from simulators.light_box.avr_box import AvrBox
+from simulators.light_box.box import LightBoxTwin, TwinSettings
+from simulators.light_box.line_faults import LineFaults
+from simulators.light_box.pty_line import PtyServer, WiredTwin
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,12 +13,12 @@ from radiometer.bench.cameras import SIMULATED, make_camera
 from radiometer.bench.config import BenchConfig, SimulatedCameraConfig, read_bench
 from radiometer.data.storage import read_yaml
 from radiometer.errors import ConfigurationError, InputError
-from simulators.blackfly_awkward import SERIAL as AWKWARD_SERIAL
-from simulators.blackfly_awkward import AwkwardBlackfly
-from simulators.blackfly_gige import BlackflyGige
-from simulators.blackfly_pictures import ForwardModelSource, PictureSource, PooledSource
+from simulators.cameras.blackfly_awkward import SERIAL as AWKWARD_SERIAL
+from simulators.cameras.blackfly_awkward import AwkwardBlackfly
+from simulators.cameras.blackfly_gige import BlackflyGige
+from simulators.cameras.blackfly_pictures import ForwardModelSource, PictureSource, PooledSource
+from simulators.cameras.simulated_camera import SimulatedCamera
 from simulators.scenes.factory import SCENES
-from simulators.simulated_camera import SimulatedCamera
 
 _LOOK_S = 0.02
 _PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".hdr", ".exr", ".npy")

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from drivers.photograph_folder import image_files, read_photographs
-from drivers.photograph_times import find_list
 from radiometer.data import Bracket, CaptureSet, FlatField, Frame
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.errors import CaptureError
 from radiometer.importing import is_foreign, open_capture
+from radiometer.importing.photograph_times import find_list
+from radiometer.photographs.folder import image_files, read_photographs
 
 _NAMED = 4  # folders that a message names
 _UNREAD = frozenset({".heic", ".heif", ".avif", ".webp", ".jxl", ".jp2", ".bmp", ".gif"})
@@ -85,7 +85,7 @@ def lensfun_falloff(path: Path, bracket: Bracket, lens: str | None = None) -> tu
         InputError: If the database does not know camera or lens.
         MissingLibrary: If lensfunpy is not installed.
     """
-    from drivers.lens_profile import lensfun_flat_field, read_lens_record
+    from radiometer.photographs.lens_profile import lensfun_flat_field, read_lens_record
 
     record = read_lens_record(path / str(bracket.frames[0].extra["file"]), lens)
     return lensfun_flat_field(record, bracket.shape)

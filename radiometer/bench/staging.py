@@ -15,7 +15,7 @@ def stage_of(camera: Camera, ask: Callable[[str], None]) -> Stage:
         camera: An open camera.
         ask: Asks the user to do something and returns when it is done; used for hardware, and only for what changes.
     """
-    from simulators.simulated_camera import SimulatedCamera
+    from simulators.cameras.simulated_camera import SimulatedCamera
 
     if isinstance(camera, SimulatedCamera):
         return lambda planned: _stage_simulated(camera, planned)
@@ -23,7 +23,7 @@ def stage_of(camera: Camera, ask: Callable[[str], None]) -> Stage:
 
 
 def _stage_simulated(camera: object, planned: PlannedFrames) -> None:
-    from simulators.simulated_camera import SimulatedCamera
+    from simulators.cameras.simulated_camera import SimulatedCamera
 
     assert isinstance(camera, SimulatedCamera)
     camera.set_source(planned.source_level, planned.pattern)

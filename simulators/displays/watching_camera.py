@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from radiometer.data import Frame, PatchDescription, SourceDescription
-from simulators.camera_model import CameraModel
+from simulators.cameras.simulated_camera import SimulatedCamera
+from simulators.chain.camera_model import CameraModel
 from simulators.displays.base import SimulatedDisplay
 from simulators.scenes.base import SceneImage
-from simulators.simulated_camera import SimulatedCamera
 
 # Brighter than any dimming cycle's mean: the source level of a frame is relative to it.
 _HEADROOM = 4.0

@@ -8,7 +8,7 @@ from typing import Any, Final, Self, cast
 
 import numpy as np
 
-from simulators.bent_normal import bent_normal
+from simulators.chain.bent_normal import bent_normal
 from simulators.effects.base import DIGITAL_NUMBER, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal

@@ -13,24 +13,24 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks._wire import PORT_LOCK
-from drivers.aravis_camera import load_library, open_camera
-from drivers.gige_ping import answers
-from drivers.pi_link import PiLink
-from drivers.plain_camera import PlainCamera
-from drivers.tethered_link import TetheredLink
-from drivers.v4l2_link import V4l2Link
+from drivers.cameras.aravis_camera import load_library, open_camera
+from drivers.cameras.gige_ping import answers
+from drivers.cameras.pi_link import PiLink
+from drivers.cameras.plain_camera import PlainCamera
+from drivers.cameras.tethered_link import TetheredLink
+from drivers.cameras.v4l2_link import V4l2Link
 from radiometer.data import LensDescription
 from radiometer.devices import Camera, CameraIdentity, CameraPreset, Roi
 from radiometer.errors import MissingLibrary
-from simulators.blackfly_awkward import AwkwardBlackfly
-from simulators.blackfly_gige import BlackflyGige
-from simulators.blackfly_pictures import ForwardModelSource
-from simulators.camera_model import CameraModel
-from simulators.edge_devices import SimulatedPiCamera, SimulatedTether, SimulatedWebcam
+from simulators.cameras.blackfly_awkward import AwkwardBlackfly
+from simulators.cameras.blackfly_gige import BlackflyGige
+from simulators.cameras.blackfly_pictures import ForwardModelSource
+from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
+from simulators.chain.camera_model import CameraModel
 from simulators.scenes.factory import scene_from_mapping
-from simulators.simulated_camera import SimulatedCamera, default_limits
-from tests.patience import ENDS_WITH_US, within
+from testing.edge_devices import SimulatedPiCamera, SimulatedTether, SimulatedWebcam
+from testing.patience import ENDS_WITH_US, within
+from testing.wire import PORT_LOCK
 
 LOOPBACK = "127.0.0.1"
 _occupied: list[str] = []  # by another program, as was found

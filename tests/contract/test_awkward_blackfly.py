@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.aravis_camera import AravisCamera, open_camera
-from drivers.camera_checks import check_features
+from drivers.cameras.aravis_camera import AravisCamera, open_camera
+from drivers.cameras.camera_checks import check_features
 from radiometer.data import LensDescription
 from radiometer.devices import CameraIdentity, CameraSettings, Health
 

@@ -13,13 +13,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.aravis_camera import AravisCamera, open_camera
+from drivers.cameras.aravis_camera import AravisCamera, open_camera
 from radiometer.data import LensDescription
 from radiometer.devices import CameraIdentity, CameraSettings, Roi
 from radiometer.errors import DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout
-from simulators.blackfly_gige import BlackflyGige
-from simulators.simulated_camera import default_limits
-from tests.patience import ENDS_WITH_US, within
+from simulators.cameras.blackfly_gige import BlackflyGige
+from simulators.cameras.simulated_camera import default_limits
+from testing.patience import ENDS_WITH_US, within
 
 LOOPBACK = "127.0.0.1"
 SETTINGS = CameraSettings(exposure_s=0.004, black_level_dn=64, pixel_format="Mono12")
@@ -199,7 +199,7 @@ def test_another_program_that_holds_the_camera_is_told_from_its_absence(blackfly
     """While another process controls the camera, opening it raises DeviceInUse."""
     with opened():
         script = (
-            "from drivers.aravis_camera import open_camera\n"
+            "from drivers.cameras.aravis_camera import open_camera\n"
             "from radiometer.errors import DeviceInUse\n"
             "try:\n    open_camera('127.0.0.1').open()\n"
             "except DeviceInUse as error:\n    print('in use:', error)\n"
@@ -272,7 +272,7 @@ def test_requests_are_answered_while_a_picture_is_made(aravis_installed, gige_po
 
 LOSES_ITS_CAMERA = """
 import sys, threading, time
-from drivers.aravis_camera import open_camera
+from drivers.cameras.aravis_camera import open_camera
 camera, told = open_camera("127.0.0.1"), threading.Event()
 def tell(*_):
     told.set()

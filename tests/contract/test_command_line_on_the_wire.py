@@ -12,11 +12,11 @@ import time
 
 import pytest
 
-from drivers.aravis_camera import open_camera
-from drivers.gige_ping import answers
+from drivers.cameras.aravis_camera import open_camera
+from drivers.cameras.gige_ping import answers
 from radiometer.cli.main import run
 from radiometer.devices import CameraSettings
-from tests.patience import ENDS_WITH_US, within
+from testing.patience import ENDS_WITH_US, within
 
 LOOPBACK = "127.0.0.1"
 BENCH = """\
@@ -130,7 +130,7 @@ def test_every_camera_is_found_by_its_serial_number(serve, bench, project_root):
         f"words = [sys.executable, '-m', 'radiometer', 'simulate', 'camera', '--fast', '--bench', {str(bench)!r}]\n"
         "camera = subprocess.Popen(words, stdout=subprocess.PIPE)\n"
         "camera.stdout.readline()\n"
-        "from drivers.aravis_camera import open_camera\n"
+        "from drivers.cameras.aravis_camera import open_camera\n"
         "with open_camera('22500078') as found:\n"
         "    print(found.identity.device_id, found.identity.interface)\n"
         "camera.kill()\n"

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.aravis_camera import AravisCamera, open_camera
+from drivers.cameras.aravis_camera import AravisCamera, open_camera
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from __future__ import annotations
 AREAS: dict[str, tuple[str, ...]] = {
     "merge": ("radiometer/analysis/merge/*.py",),
     "patch_and_budget": (
-        "radiometer/analysis/patch/*.py",
+        "radiometer/analysis/reading/*.py",
         "radiometer/analysis/uncertainty/*.py",
     ),
     "response": (
@@ -17,7 +17,7 @@ AREAS: dict[str, tuple[str, ...]] = {
         "radiometer/data/calibration*.py",
         "radiometer/data/guards.py",
     ),
-    "signal_and_photometry": ("radiometer/analysis/signal/*.py",),
+    "signal_and_photometry": ("radiometer/analysis/signal/*.py", "radiometer/analysis/photometry/*.py"),
     "flux": ("radiometer/analysis/flux/*.py",),
     "emva": ("radiometer/analysis/characterise/*.py",),
     "planning": (
@@ -47,22 +47,22 @@ AREAS: dict[str, tuple[str, ...]] = {
         "radiometer/bench/box_holder.py",
     ),
     "light_box": (
-        "drivers/light_box*.py",
+        "drivers/light_box/*.py",
         "radiometer/devices/retinal_safety.py",
         "radiometer/devices/exposure_ledger.py",
         "radiometer/data/light_calibration.py",
-        "simulators/light_box*.py",
+        "simulators/light_box/*.py",
         "drivers/firmware/light_box/*.c",
         "drivers/firmware/light_box/config.h",
     ),
     "adaptation": ("radiometer/adaptation/*.py",),
     "reconcile": (
-        "radiometer/reconcile/fit/*.py",
-        "radiometer/reconcile/noise/*.py",
-        "radiometer/reconcile/verdict.py",
-        "radiometer/reconcile/statistics.py",
-        "radiometer/reconcile/chances.py",
-        "radiometer/reconcile/search/*.py",
+        "radiometer/reconciliation/fit/*.py",
+        "radiometer/reconciliation/noise/*.py",
+        "radiometer/reconciliation/verdict.py",
+        "radiometer/reconciliation/statistics.py",
+        "radiometer/reconciliation/chances.py",
+        "radiometer/reconciliation/search/*.py",
     ),
     "sensor_effects": ("simulators/effects/*.py",),
 }

@@ -30,7 +30,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.patience import within
+from testing.patience import within
 
 ROOT = Path(__file__).resolve().parents[2]
 LISTS = Path(__file__).parent

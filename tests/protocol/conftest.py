@@ -11,9 +11,9 @@ from zlib import crc32
 import pytest
 
 from radiometer.errors import MissingLibrary
-from simulators.avr_box import AvrBox
-from simulators.light_box import LightBoxTwin, TwinSettings
-from tests.patience import within
+from simulators.light_box.avr_box import AvrBox
+from simulators.light_box.box import LightBoxTwin, TwinSettings
+from testing.patience import within
 
 SERIAL = "LB000007"
 

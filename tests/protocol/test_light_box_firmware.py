@@ -9,7 +9,7 @@ from zlib import crc32
 import pytest
 
 from radiometer.errors import MissingLibrary
-from simulators.avr_box import AvrBox
+from simulators.light_box.avr_box import AvrBox
 
 PINS = ("bleach", "spot", "spot_red", "fixation")
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.roundtrip.generator.session import Session, make_session
+from testing.generator.session import Session, make_session
 
 
 @pytest.fixture(scope="session")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.roundtrip.generator.registry import ENTRIES, OUTSIDERS, VARIANTS
-from tests.roundtrip.generator.session import Session, make_session
-from tests.roundtrip.generator.statistics import blocks_of
+from testing.generator.registry import ENTRIES, OUTSIDERS, VARIANTS
+from testing.generator.session import Session, make_session
+from testing.generator.statistics import blocks_of
 
 Blocks = dict[str, tuple[np.ndarray, np.ndarray]]
 

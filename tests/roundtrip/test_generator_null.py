@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from radiometer.data import CaptureSet
-from tests.roundtrip.generator.session import Session, make_session
-from tests.roundtrip.generator.statistics import blocks_of
+from testing.generator.session import Session, make_session
+from testing.generator.statistics import blocks_of
 
 
 def _unclipped(session: Session, level_dn: float = 3600) -> np.ndarray:

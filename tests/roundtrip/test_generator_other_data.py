@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.roundtrip.generator.other_data import LIGHT_METER_CSV, write_emva_set, write_photographs
+from testing.generator.other_data import LIGHT_METER_CSV, write_emva_set, write_photographs
 
 
 def _emva_steps(descriptor: Path) -> list[tuple[str, float, list[np.ndarray]]]:

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks._outside import three, three_hidden, two, two_hidden
-from benchmarks._outside.judge import judge, tally
-from benchmarks._outside.session import Secret
 from benchmarks.reconcile_outsiders import session_of
 from radiometer.data import CaptureSet
+from testing.outside import three, three_hidden, two, two_hidden
+from testing.outside.judge import judge, tally
+from testing.outside.session import Secret
 
 FOLDER = Path(two.__file__).parent
 GENERATORS = {"two": (two, two_hidden.HIDDEN), "three": (three, three_hidden.HIDDEN)}
@@ -46,7 +46,7 @@ def test_a_generator_imports_nothing_of_what_it_tests(path):
         names += [node.module] if isinstance(node, ast.ImportFrom) else []
     roots = {name.split(".")[0] for name in names}
     assert roots <= ALLOWED
-    assert all(name.startswith("benchmarks._outside") for name in names if name.startswith("benchmarks"))
+    assert all(name.startswith("testing.outside") for name in names if name.startswith("benchmarks"))
 
 
 @pytest.mark.parametrize("module", [two, three], ids=["two", "three"])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from radiometer.reconcile import reconcile
-from tests.roundtrip.generator.rig import Rig
-from tests.roundtrip.generator.session import make_session
+from radiometer.reconciliation import reconcile
+from testing.generator.rig import Rig
+from testing.generator.session import make_session
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from radiometer.reconcile import ReconcileResult, reconcile
-from tests.roundtrip.generator.other_laws import OTHER_LAWS, session_of
+from radiometer.reconciliation import ReconcileResult, reconcile
+from testing.generator.other_laws import OTHER_LAWS, session_of
 
 pytestmark = pytest.mark.slow
 STRAY = {"veiling_glare", "ambient_light_leak", "display_black_leak"}

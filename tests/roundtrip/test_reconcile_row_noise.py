@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from radiometer.reconcile.fit.covariance import fitted_parameters
-from radiometer.reconcile.fit.descent import first_state, refit, settled
-from radiometer.reconcile.fit.full_fit import accepted
-from radiometer.reconcile.fit.state import FitState
-from radiometer.reconcile.measure.design import Design, rough_share
-from radiometer.reconcile.measure.layout import tile_groups
-from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.fit.covariance import fitted_parameters
+from radiometer.reconciliation.fit.descent import first_state, refit, settled
+from radiometer.reconciliation.fit.full_fit import accepted
+from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.measure.design import Design, rough_share
+from radiometer.reconciliation.measure.layout import tile_groups
+from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from simulators.effects.row_temporal_noise import RowTemporalNoise
-from tests.roundtrip.generator.session import make_session
+from testing.generator.session import make_session
 
 SEED = 401
 SIGMA_E = 0.9

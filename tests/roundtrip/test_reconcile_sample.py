@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import pytest
 
-from radiometer.reconcile import gap_of, reconcile
-from radiometer.reconcile.result import ReconcileResult
-from tests.roundtrip.generator.session import Session, make_session
+from radiometer.reconciliation import gap_of, reconcile
+from radiometer.reconciliation.result import ReconcileResult
+from testing.generator.session import Session, make_session
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from radiometer.reconcile import reconcile
-from radiometer.reconcile.result import ReconcileResult
-from tests.roundtrip.generator.session import make_session
+from radiometer.reconciliation import reconcile
+from radiometer.reconciliation.result import ReconcileResult
+from testing.generator.session import make_session
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
-from radiometer.reconcile import reconcile
-from radiometer.reconcile.result import Verdict
-from tests.roundtrip.generator.session import Session
+from radiometer.reconciliation import reconcile
+from radiometer.reconciliation.result import Verdict
+from testing.generator.session import Session
 
 PARAMETERS = {
     "lamp_step": ("step_rel", "step"),

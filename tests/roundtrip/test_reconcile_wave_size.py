@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.reconcile.fit.covariance import fitted_parameters
-from radiometer.reconcile.fit.descent import first_state, refit, settled
-from radiometer.reconcile.fit.full_fit import accepted
-from radiometer.reconcile.fit.state import FitState, with_effects
-from radiometer.reconcile.measure.design import Design
-from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.fit.covariance import fitted_parameters
+from radiometer.reconciliation.fit.descent import first_state, refit, settled
+from radiometer.reconciliation.fit.full_fit import accepted
+from radiometer.reconciliation.fit.state import FitState, with_effects
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from simulators.effects.rolling_shutter_banding import RollingShutterBanding
-from tests.roundtrip.generator.rig import Rig
-from tests.roundtrip.generator.session import make_session
+from testing.generator.rig import Rig
+from testing.generator.session import make_session
 
 LARGER = Rig(rows=480, columns=216, spacing_um=15.0)
 SEED = 402

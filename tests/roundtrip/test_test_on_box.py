@@ -19,8 +19,8 @@ from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.bench.box_adaptation import BoxRequest, open_box_stage
 from radiometer.data.config_files import shipped_config
 from radiometer.errors import RadiometerError
-from simulators.eye_kinetics import Eye, eye_after_bleach, recovery_min, scotopic_lm_per_w
-from simulators.observer_at_box import WHITE_LM_PER_W
+from simulators.observers.eye_kinetics import Eye, eye_after_bleach, recovery_min, scotopic_lm_per_w
+from simulators.observers.observer_at_box import WHITE_LM_PER_W
 
 # Radiance for 750 cd/m² by the protocol's white LED (316.9 lm/W), as the simulated eye sees it.
 BLEACH_CD_M2 = 750.0 / 316.9 * WHITE_LM_PER_W

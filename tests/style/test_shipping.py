@@ -17,9 +17,9 @@ from pathlib import Path
 
 import pytest
 
-from radiometer.cli.command_tree import command_tree
-from radiometer.cli.man import manual_page
-from tests.patience import within
+from radiometer.cli.admin.command_tree import command_tree
+from radiometer.cli.admin.man import manual_page
+from testing.patience import within
 
 ROOT = Path(__file__).resolve().parents[2]
 

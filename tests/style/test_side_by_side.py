@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.patience import within
-from tests.side_by_side import HeavyFirst
+from testing.patience import within
+from testing.side_by_side import HeavyFirst
 
 pytestmark = pytest.mark.slow  # starts processes
 
@@ -115,7 +115,7 @@ def test_heavy_groups_are_taken_first() -> None:
     names = [
         "tests/unit/data/a.py",
         "tests/unit/cli/b.py",
-        "tests/unit/reconcile/propose/c.py",
+        "tests/unit/reconciliation/propose/c.py",
         "real time",
         "tests/d.py",
     ]

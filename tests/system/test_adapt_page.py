@@ -18,8 +18,8 @@ from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.bench.adaptation import simulated_stage
-from simulators.subject import SubjectCurve
-from tests.system.chromium import Browser, headless
+from simulators.observers.subject import SubjectCurve
+from testing.chromium import Browser, headless
 
 PHONE = (390, 844)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.patience import within
+from testing.patience import within
 
 PROGRAM = [sys.executable, "-m", "radiometer", "adapt", "run", "quick", "--subject", "S1", "--seed", "5"]
 

@@ -30,10 +30,10 @@ from radiometer.screen.browser_stimulus import BrowserStimulus
 from radiometer.screen.calibration import ScreenCalibration
 from radiometer.screen.calibration_run import Options, calibrate_screen
 from radiometer.screen.stimulus import ScreenPicture, Viewing
-from simulators.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
-from simulators.observer import PRIMARY_NM, Habits, Observer
-from tests.patience import within
-from tests.system.chromium import Browser, headless
+from simulators.observers.eye_kinetics import Eye, eye_after_bleach, scotopic_lm_per_w
+from simulators.observers.observer import PRIMARY_NM, Habits, Observer
+from testing.chromium import Browser, headless
+from testing.patience import within
 
 LEVELS = (0, 1, 2, 4, 8, 16, 32, 64, 128, 192, 255)
 

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks._daemon import DaemonProcess
-from tests.patience import within
-from tests.system.chromium import Browser, headless
+from testing.chromium import Browser, headless
+from testing.daemon_process import DaemonProcess
+from testing.patience import within
 
 BRIGHT, DIM = 0.918, 0.1997  # radiance of the two patches of the small bench, W sr-1 m-2
 

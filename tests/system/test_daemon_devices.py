@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from benchmarks import daemon_loss
-from benchmarks._box_station import OPTICS, box_station, seconds_until
-from benchmarks._daemon import DaemonProcess
 from radiometer.daemon.keeper import KeeperTimes
 from radiometer.errors import DeviceError, SettingOutOfRange
+from testing.box_station import OPTICS, box_station, seconds_until
+from testing.daemon_process import DaemonProcess
 
 # How often an idle box is asked and a lost one looked for: what twenty losses show does not depend on it.
 QUICK = KeeperTimes(first_pause_s=0.02, longest_pause_s=0.1, check_every_s=0.1)

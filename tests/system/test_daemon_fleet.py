@@ -16,13 +16,13 @@ from typing import Any
 
 import pytest
 
-from benchmarks._daemon import DaemonProcess, write_small_bench
 from radiometer.daemon.bench_instrument import BenchInstrument
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.mqtt import MqttPublisher, MqttTarget, parse_target
 from radiometer.daemon.station import Station
 from radiometer.errors import UsageError
-from tests.patience import within
+from testing.daemon_process import DaemonProcess, write_small_bench
+from testing.patience import within
 
 INSTRUMENTS = 50
 

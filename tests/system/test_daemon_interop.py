@@ -6,12 +6,12 @@ import bluesky.plans as bp
 import pytest
 from bluesky import RunEngine
 
-from benchmarks._daemon import DaemonProcess
+from radiometer.adapters.bluesky import RadiometerDetector
+from radiometer.adapters.psychopy import RadiometerPhotometer
+from radiometer.adapters.readings import DaemonSource
 from radiometer.data import Patch
 from radiometer.errors import DeviceError
-from radiometer.interop.bluesky import RadiometerDetector
-from radiometer.interop.psychopy import RadiometerPhotometer
-from radiometer.interop.readings import DaemonSource
+from testing.daemon_process import DaemonProcess
 
 BRIGHT, DIM = 0.918, 0.1997  # radiance of the two patches of the small bench, W sr-1 m-2
 

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from benchmarks._daemon import DaemonProcess
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.timestamps import iso_time, now_us
 from radiometer.data import Patch, Quantity, Reading
-from tests.system.chromium import Browser, headless
+from testing.chromium import Browser, headless
+from testing.daemon_process import DaemonProcess
 
 SIZES = ((1440, 900), (1920, 1080), (390, 844))
 # Contrast of text against what lies behind it (WCAG 2.1, 1.4.3), of all text that is shown and not switched off.

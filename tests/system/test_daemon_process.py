@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks import daemon_kill, daemon_load, daemon_soak
-from benchmarks._daemon import ROOT, DaemonProcess, write_small_bench
-from tests.patience import within
+from testing.daemon_process import ROOT, DaemonProcess, write_small_bench
+from testing.patience import within
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

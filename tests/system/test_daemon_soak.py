@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from benchmarks import daemon_day_soak
-from benchmarks._soak_world import PATCHES, Witness, judge
 from radiometer.daemon.journal import Journal
 from radiometer.data import Patch, Quantity, Reading
+from testing.soak_world import PATCHES, Witness, judge
 
 
 @pytest.mark.long

@@ -15,7 +15,7 @@ import pytest
 
 from radiometer.bench.boxes import open_light_box
 from radiometer.cli.main import run
-from tests.patience import within
+from testing.patience import within
 
 
 @pytest.fixture

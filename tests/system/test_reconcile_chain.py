@@ -12,7 +12,7 @@ import yaml
 from radiometer.cli.main import run
 from radiometer.data import LensDescription
 from radiometer.devices import CameraPreset
-from simulators.camera_model import CameraModel
+from simulators.chain.camera_model import CameraModel
 from simulators.effects.registry import make_effect
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]

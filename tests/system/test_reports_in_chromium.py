@@ -16,10 +16,10 @@ from radiometer.analysis.characterise.report import datasheet
 from radiometer.archive.trend import MONTH_S, fit_trend
 from radiometer.archive.trend_report import trend_report
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
-from simulators.camera_model import CameraModel
+from simulators.cameras.simulated_capture import simulate_capture
+from simulators.chain.camera_model import CameraModel
 from simulators.scenes import UniformScene
-from simulators.simulated_capture import simulate_capture
-from tests.system.report_checks import assert_reports_hold
+from testing.report_checks import assert_reports_hold
 from tests.unit.reporting.test_page import HOSTILE
 
 

@@ -19,7 +19,7 @@ from PIL import Image
 
 from radiometer.devices import DisplayPatch
 from radiometer.screen.browser_display import BrowserDisplay
-from tests.patience import within
+from testing.patience import within
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = (

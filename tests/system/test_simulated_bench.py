@@ -9,7 +9,7 @@ import pytest
 
 from radiometer.acquire.bracketing import BracketRequest, plan_for_scene, take_plan
 from radiometer.analysis.calibration.absolute import scale_from_radiance
-from radiometer.analysis.patch.reading import read_patch
+from radiometer.analysis.reading.reading import read_patch
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -22,9 +22,9 @@ from radiometer.data import (
     StatedUncertainties,
 )
 from radiometer.devices import CameraCapabilities, CameraPreset, CameraSettings
-from simulators.camera_model import CameraModel
+from simulators.cameras.simulated_camera import SimulatedCamera
+from simulators.chain.camera_model import CameraModel
 from simulators.scenes import scene_from_mapping
-from simulators.simulated_camera import SimulatedCamera
 
 WIDTH, HEIGHT = 200, 160
 LIMITS = CameraCapabilities((11e-6, 30.0), (0.0, 47.9), (0.0, 511.0), ("Mono12",), WIDTH, HEIGHT, True, True)

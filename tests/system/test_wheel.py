@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.patience import within
+from testing.patience import within
 
 pytestmark = pytest.mark.slow
 

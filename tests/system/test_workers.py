@@ -9,7 +9,7 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 
-from tests.patience import within
+from testing.patience import within
 
 
 def test_tests_of_a_file_stay_in_one_worker_and_both_work(project_root: Path) -> None:

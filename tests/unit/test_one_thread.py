@@ -5,7 +5,7 @@ from threadpoolctl import threadpool_info
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, FrameSettings
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconcile.engine import examine
+from radiometer.reconciliation.engine import examine
 
 
 class Stopped(Exception):

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from radiometer.analysis.signal.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.signal.spectra import Spectrum
+from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
+from radiometer.analysis.photometry.spectra import Spectrum
 from radiometer.data import Scale
 from radiometer.errors import InputError
 from radiometer.units import exact_exposure_s, exact_f_number

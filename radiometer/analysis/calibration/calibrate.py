@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from radiometer.analysis.calibration.absolute import MeterSettings, scale_from_meter, scale_from_radiance
-from radiometer.analysis.patch.contributions import budget_terms
-from radiometer.analysis.patch.reading import patch_situation, read_patch
+from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.analysis.reading.contributions import budget_terms
+from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.analysis.response.curves import black_of_curve
 from radiometer.analysis.signal.lens import lens_factor_sr
 from radiometer.analysis.signal.model import signal_model
-from radiometer.analysis.signal.spectra import spectrum
 from radiometer.data import (
     BlackLevel,
     Calibration,

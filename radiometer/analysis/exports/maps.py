@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from radiometer.analysis.signal.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.signal.spectra import Spectrum
+from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
+from radiometer.analysis.photometry.spectra import Spectrum
 from radiometer.data import RadianceMap
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT
 from radiometer.errors import UsageError

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from radiometer.analysis.patch.contributions import PatchSituation, budget_terms
-from radiometer.analysis.patch.reading import patch_situation
+from radiometer.analysis.reading.contributions import PatchSituation, budget_terms
+from radiometer.analysis.reading.reading import patch_situation
 from radiometer.analysis.signal.lens import lens_factor_sr
 from radiometer.analysis.uncertainty.budget import (
     Term,

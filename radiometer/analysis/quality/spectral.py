@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.photometry.photometry import luminous_efficiency
+from radiometer.analysis.photometry.spectra import spectrum
 from radiometer.analysis.quality.indices import Figure
-from radiometer.analysis.signal.photometry import luminous_efficiency
-from radiometer.analysis.signal.spectra import spectrum
 from radiometer.data.calibration_sections import SpectralResponse
 
 _STEP_NM: Final = 1.0

@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
+from radiometer.analysis.photometry.photometry import Observer, spectral_mismatch_factor
+from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.analysis.photometry.unstated_light import plausible_responses, unstated_light_u_rel
 from radiometer.analysis.signal.lens import lens_in_use
 from radiometer.analysis.signal.model import SignalModel, signal_model
-from radiometer.analysis.signal.photometry import Observer, spectral_mismatch_factor
-from radiometer.analysis.signal.spectra import spectrum
-from radiometer.analysis.signal.unstated_light import plausible_responses, unstated_light_u_rel
 from radiometer.data import (
     BlackLevel,
     Calibration,

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.patch.contributions import PatchSituation, budget_terms
-from radiometer.analysis.patch.estimate import curve_u_rel
+from radiometer.analysis.reading.contributions import PatchSituation, budget_terms
+from radiometer.analysis.reading.estimate import curve_u_rel
 from radiometer.data import Reading
 
 Array = NDArray[np.float64]

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from drivers.light_box import SerialLightBox
-from drivers.light_box_link import BoxLink
-from drivers.serial_line import SerialLine
+from drivers.light_box.box import SerialLightBox
+from drivers.light_box.link import BoxLink
+from drivers.light_box.serial_line import SerialLine
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import MissingLibrary
-from simulators.avr_box import AvrBox
-from simulators.light_box import LightBoxTwin
-from simulators.pty_line import PtyServer, WiredTwin
-from tests.patience import within
+from simulators.light_box.avr_box import AvrBox
+from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.pty_line import PtyServer, WiredTwin
+from testing.patience import within
 
 # Steps of simavr's time where the machine is busy, far shorter than the driver waits for an answer.
 LAG_S = 0.005

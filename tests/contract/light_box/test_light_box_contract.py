@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.light_box import SerialLightBox
-from drivers.light_box_link import BoxLink
-from drivers.serial_line import SerialLine
+from drivers.light_box.box import SerialLightBox
+from drivers.light_box.link import BoxLink
+from drivers.light_box.serial_line import SerialLine
 from radiometer.devices import ChannelMode, CurrentRange, DriveLevel, LightBox, Radiance
 from radiometer.errors import (
     CalibrationError,
@@ -25,7 +25,7 @@ from radiometer.errors import (
     UnsafeStimulus,
     UsageError,
 )
-from tests.patience import within
+from testing.patience import within
 
 DUTY_TOLERANCE = 0.004  # an 8 ms window cuts one of its 62 or 125 PWM periods somewhere
 
@@ -208,8 +208,8 @@ def test_killed_host_leaves_the_bleach_dark(rig, project_root: Path):
     """A host killed with SIGKILL while the bleach is on: dark within 1.1 s of box time."""
     rig.box.close()
     script = (
-        "import sys,time;from drivers.light_box import SerialLightBox;from drivers.light_box_link import BoxLink;"
-        "from drivers.serial_line import SerialLine;from radiometer.devices import DriveLevel;"
+        "import sys,time;from drivers.light_box.box import SerialLightBox;from drivers.light_box.link import BoxLink;"
+        "from drivers.light_box.serial_line import SerialLine;from radiometer.devices import DriveLevel;"
         "from radiometer.devices.exposure_ledger import ExposureLedger;"
         "from radiometer.devices.retinal_safety import ChannelOptics;"
         "optics=dict.fromkeys(['bleach','spot','spot_red','fixation'],ChannelOptics(None,0.0,60.0,5.0));"

@@ -14,9 +14,9 @@ from radiometer.acquire.reach import assess_reach
 from radiometer.data import Frame, FrameSettings, LensDescription, Patch
 from radiometer.devices import CameraCapabilities, CameraPreset, CameraSettings
 from radiometer.errors import DeviceError, UsageError
-from simulators.camera_model import CameraModel
+from simulators.cameras.simulated_camera import SimulatedCamera
+from simulators.chain.camera_model import CameraModel
 from simulators.scenes import scene_from_mapping
-from simulators.simulated_camera import SimulatedCamera
 
 LIMITS = CameraCapabilities((11e-6, 30.0), (0.0, 47.9), (0.0, 511.0), ("Mono12",), 100, 40, True, True)
 

@@ -11,9 +11,9 @@ from radiometer.acquire.capture_plan import CapturePlan, take_capture_plan
 from radiometer.cli.main import run
 from radiometer.data import CaptureSet, LensDescription
 from radiometer.devices import CameraPreset
-from simulators.camera_model import CameraModel
+from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
+from simulators.chain.camera_model import CameraModel
 from simulators.scenes.factory import scene_from_mapping
-from simulators.simulated_camera import SimulatedCamera, default_limits
 
 PLAN = {
     "format": "radiometer-plan/1",

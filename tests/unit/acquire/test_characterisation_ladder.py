@@ -11,9 +11,9 @@ from radiometer.acquire.characterisation_ladder import LadderRequest, saturating
 from radiometer.data import LensDescription, Patch
 from radiometer.devices import CameraPreset, CameraSettings
 from radiometer.errors import MeasurementError
-from simulators.camera_model import CameraModel
+from simulators.cameras.simulated_camera import SimulatedCamera
+from simulators.chain.camera_model import CameraModel
 from simulators.scenes import UniformScene
-from simulators.simulated_camera import SimulatedCamera
 
 REGION = Patch(8, 8, 32, 24)
 

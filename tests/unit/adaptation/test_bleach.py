@@ -16,7 +16,7 @@ from radiometer.adaptation.bleach import (
     retinal_illuminance_td,
 )
 from radiometer.data.bleaching_constants import CONE_HALF_BLEACH, CONE_REGENERATION, CONSTANTS
-from simulators import eye_kinetics
+from simulators.observers import eye_kinetics
 
 
 def test_half_bleach_illuminance_bleaches_half_in_the_end() -> None:

@@ -18,7 +18,7 @@ from radiometer.adaptation.branch_models import CONE_S2, CONE_S2_S3, MODELS, ONE
 from radiometer.adaptation.intervals import Interval, percentile_interval, profile_interval
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import MeasurementError
-from tests.unit.golden.dark_adaptation import DARK_THETA, dark_p7
+from testing.golden.dark_adaptation import DARK_THETA, dark_p7
 
 EYE = {
     "plateau": -1.0, "amplitude": 2.0, "tau_min": 1.6, "break_min": 9.0,

@@ -15,7 +15,7 @@ from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.run_facts import facts_of
 from radiometer.errors import ConfigurationError, DeviceLost
-from tests.unit.adaptation.scripted import ScriptedStage, eye, threshold
+from testing.scripted_adaptation import ScriptedStage, eye, threshold
 
 
 class StageWithBlindSpot(ScriptedStage):

@@ -13,9 +13,9 @@ from radiometer.adaptation.journal import Event, RunJournal
 from radiometer.adaptation.live import LiveState, running_fit
 from radiometer.adaptation.prompts import Prompter, prompts_after
 from radiometer.adaptation.protocol import read_protocol
-from radiometer.cli.adapt_live import _Terminal, live_curve, live_lines
-from radiometer.cli.terminal_chart import TerminalChart
-from simulators.subject import SubjectCurve
+from radiometer.cli.light.adapt_live import _Terminal, live_curve, live_lines
+from radiometer.cli.light.terminal_chart import TerminalChart
+from simulators.observers.subject import SubjectCurve
 
 
 def _event(kind: str, time_s: float, **facts: Any) -> Event:

@@ -14,7 +14,7 @@ from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.live_page import LivePage, replayed
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.errors import DeviceInUse, DeviceTimeout
-from tests.patience import within
+from testing.patience import within
 
 BEGIN = [
     {"sequence": 0, "kind": "start", "time_s": 0.0, "subject": "S1"},

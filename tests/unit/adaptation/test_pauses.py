@@ -12,7 +12,7 @@ from radiometer.adaptation.journal import Event, RunJournal
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
 from radiometer.adaptation.run import run_test
-from tests.unit.adaptation.scripted import ScriptedStage, eye
+from testing.scripted_adaptation import ScriptedStage, eye
 
 
 @pytest.fixture(autouse=True)

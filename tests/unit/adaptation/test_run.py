@@ -17,7 +17,7 @@ from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
 from radiometer.adaptation.run import _why_fruitless, run_test
 from radiometer.errors import DeviceLost, MeasurementError, UsageError
-from tests.unit.adaptation.scripted import Eye, ScriptedStage, eye, threshold
+from testing.scripted_adaptation import Eye, ScriptedStage, eye, threshold
 
 
 @pytest.fixture(autouse=True)

@@ -16,7 +16,7 @@ from radiometer.archive.run import run_batch
 from radiometer.archive.settings import JobSettings
 from radiometer.data import Calibration, CaptureSet, LensDescription, Scale, SensorNoise
 from radiometer.errors import DeviceNotFound, InputError, UsageError
-from tests.patience import within
+from testing.patience import within
 
 pd = pytest.importorskip("pandas", reason="the extra `cluster` is not installed")
 distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")

@@ -16,7 +16,7 @@ from radiometer.bench.served_box import served_box
 from radiometer.cli.main import run
 from radiometer.devices.light_box import DriveLevel
 from radiometer.errors import DeviceInUse, OutputError
-from tests.patience import within
+from testing.patience import within
 
 
 @pytest.fixture(autouse=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.serial_line import SerialPort
+from drivers.light_box.serial_line import SerialPort
 from radiometer.bench import boxes
 from radiometer.bench.boxes import candidate_ports, find_boxes, open_light_box
 from radiometer.errors import DeviceNotFound
@@ -38,7 +38,7 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Strang
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     monkeypatch.delenv(boxes.PORT_VARIABLE, raising=False)
-    monkeypatch.setattr("drivers.light_box.BOOT_S", 0.01)
+    monkeypatch.setattr("drivers.light_box.box.BOOT_S", 0.01)
     boxes._SILENT.clear()
     master, slave = pty.openpty()
     tty.setraw(slave)
@@ -94,7 +94,7 @@ def test_ports_are_known_by_usb(
 def test_a_port_that_is_named_is_asked(stranger: Stranger, monkeypatch: pytest.MonkeyPatch) -> None:
     """On request any port is asked, as often as its answer takes."""
     _plug(monkeypatch)
-    monkeypatch.setattr("drivers.light_box.START_UP_S", 0.3)
+    monkeypatch.setattr("drivers.light_box.box.START_UP_S", 0.3)
     with pytest.raises(DeviceNotFound, match="answers as a light box"), open_light_box(stranger.port):
         pass
     assert stranger.received().count(b"\n") > 1

@@ -8,9 +8,9 @@ import pytest
 from radiometer.bench.camera_health import check_camera, check_dark_level, check_linearity, check_temperature
 from radiometer.data import LensDescription
 from radiometer.devices import CameraPreset, CameraSettings, Health
-from simulators.camera_model import CameraModel
+from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
+from simulators.chain.camera_model import CameraModel
 from simulators.scenes import scene_from_mapping
-from simulators.simulated_camera import SimulatedCamera, default_limits
 
 
 class BentCamera(SimulatedCamera):

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from drivers.aravis_camera import load_library
+from drivers.cameras.aravis_camera import load_library
 from radiometer.bench.cameras import list_cameras, make_camera
 from radiometer.bench.config import read_bench
 from radiometer.errors import MissingLibrary

@@ -9,9 +9,9 @@ import pytest
 from radiometer.bench.instrument import Instrument
 from radiometer.data import BlackLevel, Calibration, Flag, LensDescription, Patch, Scale, SensorNoise
 from radiometer.devices import CameraCapabilities, CameraPreset, CameraSettings
-from simulators.camera_model import CameraModel
+from simulators.cameras.simulated_camera import SimulatedCamera
+from simulators.chain.camera_model import CameraModel
 from simulators.scenes import scene_from_mapping
-from simulators.simulated_camera import SimulatedCamera
 
 LENS = LensDescription(focal_length_mm=16, f_number=4.0, transmittance=0.95, vignetting="cos4")
 

@@ -10,9 +10,9 @@ from radiometer.bench.instrument import Instrument
 from radiometer.data import Calibration, Patch
 from radiometer.data.config_files import shipped_config
 from radiometer.devices import CameraPreset
-from simulators.camera_model import CameraModel
+from simulators.cameras.simulated_camera import SimulatedCamera
+from simulators.chain.camera_model import CameraModel
 from simulators.scenes import UniformScene
-from simulators.simulated_camera import SimulatedCamera
 
 
 def test_the_light_of_a_box_is_no_light_of_any_kind(monkeypatch):

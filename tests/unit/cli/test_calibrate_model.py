@@ -16,8 +16,8 @@ from radiometer.analysis.calibration.calibrate import (
     unscaled_calibration,
 )
 from radiometer.analysis.merge.bracket import merge
-from radiometer.analysis.patch.reading import read_patch
-from radiometer.cli.calibrate_model import with_found_effects
+from radiometer.analysis.reading.reading import read_patch
+from radiometer.cli.calibrate.from_model import with_found_effects
 from radiometer.data import (
     Calibration,
     CameraDescription,
@@ -29,7 +29,7 @@ from radiometer.data import (
     ResponseCurve,
 )
 from radiometer.errors import InputError
-from simulators.camera_model import CameraModel
+from simulators.chain.camera_model import CameraModel
 from simulators.effects.registry import make_effect
 
 CAMERA = CameraDescription(

@@ -9,14 +9,14 @@ import pytest
 import yaml
 
 from radiometer.bench.reopening import reopen
-from radiometer.cli import measure
+from radiometer.cli.capture import measure
 from radiometer.cli.main import run
 from radiometer.data import LensDescription
 from radiometer.devices import CameraPreset, CameraSettings
 from radiometer.errors import DeviceLost, DeviceNotFound, MissingLibrary
-from simulators.camera_model import CameraModel
+from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
+from simulators.chain.camera_model import CameraModel
 from simulators.scenes import scene_from_mapping
-from simulators.simulated_camera import SimulatedCamera, default_limits
 
 PATCHES = [{"name": "lamp", "x": 40, "y": 20, "width": 20, "height": 10, "drive": 1.0}]
 SCENE = {"kind": "screen", "peak_radiance_W_per_sr_m2": 2.0, "gamma": 2.2, "background": 1e-6, "patches": PATCHES}
@@ -56,7 +56,7 @@ def real(monkeypatch):
         made.append(RealCamera(lens or LensDescription()))
         return made[-1]
 
-    monkeypatch.setattr("drivers.aravis_camera.open_camera", find)
+    monkeypatch.setattr("drivers.cameras.aravis_camera.open_camera", find)
     return made
 
 
@@ -126,7 +126,7 @@ def test_watching_survives_a_camera_that_comes_back(real, monkeypatch, capsys):
         if len(pauses) == 3:
             raise Enough
 
-    monkeypatch.setattr("drivers.aravis_camera.open_camera", find)
+    monkeypatch.setattr("drivers.cameras.aravis_camera.open_camera", find)
     monkeypatch.setattr(measure.time, "sleep", sleep)
     with pytest.raises(Enough):
         run(["measure", "--camera", "20497219", "--patch", "42,22,8,6", "--watch", "--json"])
@@ -145,7 +145,7 @@ def test_without_watch_a_lost_camera_is_an_error(real, monkeypatch, capsys):
         real[-1].lost_at = (1,)
         return real[-1]
 
-    monkeypatch.setattr("drivers.aravis_camera.open_camera", find)
+    monkeypatch.setattr("drivers.cameras.aravis_camera.open_camera", find)
     assert run(["measure", "--camera", "20497219", "--patch", "42,22,8,6"]) == 1
     assert "stopped answering" in capsys.readouterr().err
 

@@ -6,8 +6,8 @@ import subprocess
 
 import pytest
 
+from radiometer.cli.admin.completion import all_words, bash, fish, zsh
 from radiometer.cli.commands import COMMANDS
-from radiometer.cli.completion import all_words, bash, fish, zsh
 from radiometer.cli.main import run
 
 

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from drivers.aravis_camera import load_library
+from drivers.cameras.aravis_camera import load_library
 from radiometer.cli.main import run
 
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import pytest
 
 from radiometer.cli.keys import listening
-from tests.patience import within
+from testing.patience import within
 
 
 @pytest.fixture

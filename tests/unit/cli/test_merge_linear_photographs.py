@@ -15,8 +15,8 @@ import tifffile
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.signal.model import signal_model
 from radiometer.cli.main import run
-from radiometer.cli.photograph_response import _full_well, in_their_own_depth, relative_calibration
 from radiometer.data import Bracket, CameraDescription, Frame, FrameSettings, LensDescription, SensorNoise
+from radiometer.photographs.response import _full_well, in_their_own_depth, relative_calibration
 
 BLACK, WHITE, ELECTRONS_PER_DN = 64, 4095, 2.5
 TIMES = (1.0, 2.0, 4.0, 8.0, 16.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.exports.maps import MapPicture
-from radiometer.cli.merge_report import map_report, show_map_report
+from radiometer.cli.analyse.merge_report import map_report, show_map_report
 from radiometer.data import PixelMask, Provenance, RadianceMap
 
 

@@ -11,12 +11,6 @@ from PIL import Image
 
 from radiometer.analysis.response.shutter_offset import is_possible
 from radiometer.cli.main import run
-from radiometer.cli.photograph_response import (
-    offset_told,
-    shutter_offset_of,
-    with_offset_of_calibration,
-    with_offset_of_response,
-)
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -30,6 +24,12 @@ from radiometer.data import (
     ResponseCurve,
     Scale,
     SensorNoise,
+)
+from radiometer.photographs.response import (
+    offset_told,
+    shutter_offset_of,
+    with_offset_of_calibration,
+    with_offset_of_response,
 )
 
 OFFSET_S, U_S = 3e-5, 4e-6

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from radiometer.cli.main import run as main
-from tests.unit.analysis.quality import stations
+from testing import quality_stations as stations
 
 BENCH = {
     "format": "radiometer-bench/1",

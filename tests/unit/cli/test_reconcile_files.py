@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from radiometer.cli.analyse.reconcile import _show_limits
 from radiometer.cli.main import run
-from radiometer.cli.reconcile import _show_limits
 from radiometer.errors import OutputError
-from radiometer.other_data import sources
-from radiometer.reconcile.result import Limit, ReconcileResult, Verdict
+from radiometer.reconciliation.inputs import sources
+from radiometer.reconciliation.result import Limit, ReconcileResult, Verdict
 
 
 class _Answered:

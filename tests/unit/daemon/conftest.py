@@ -21,7 +21,7 @@ from radiometer.daemon.station import Station
 from radiometer.data import Contribution, Frame, FrameSettings, Patch, Quantity, Reading, ResponseCurve
 from radiometer.devices import CameraCapabilities, CameraIdentity
 from radiometer.errors import DeviceError, DeviceLost, MeasurementError
-from tests.patience import within
+from testing.patience import within
 
 QUICK = KeeperTimes(first_pause_s=0.01, longest_pause_s=0.05, check_every_s=0.05, overdue_s=1.0)
 

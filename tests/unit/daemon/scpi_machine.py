@@ -20,7 +20,7 @@ from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
 from radiometer.errors import DeviceError
-from tests.patience import within
+from testing.patience import within
 from tests.unit.daemon.conftest import QUICK, FakeBox, FakeInstrument
 
 TABLE = command_table()

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks._daemon import write_small_bench
 from radiometer.daemon.bench_instrument import BenchInstrument
 from radiometer.daemon.bench_light import BenchLight
 from radiometer.daemon.instrument import MeasurementSettings
@@ -19,6 +18,7 @@ from radiometer.daemon.keeper import KeeperTimes
 from radiometer.daemon.service import ServiceOptions
 from radiometer.devices import ChannelMode, ChannelState, CurrentRange, DriveLevel
 from radiometer.errors import DeviceError, RadiometerError
+from testing.daemon_process import write_small_bench
 
 FIXED = MeasurementSettings(patch=None, auto_exposure=False, exposure_s=1e-3, gain_db=6.0)
 

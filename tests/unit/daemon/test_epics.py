@@ -12,7 +12,7 @@ import pytest
 from radiometer.daemon.epics import PvaOptions, PvaServer
 from radiometer.daemon.patches import MAIN, PatchLimits
 from radiometer.errors import UsageError
-from tests.patience import within
+from testing.patience import within
 
 pytestmark = pytest.mark.slow  # a network client, whose libraries take seconds to load
 

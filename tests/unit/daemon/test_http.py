@@ -25,7 +25,7 @@ from radiometer.daemon.limits import Limits
 from radiometer.daemon.station import Station
 from radiometer.data import Frame, FrameSettings, Patch, Quantity, Reading
 from radiometer.errors import OutputError, UsageError
-from tests.patience import within
+from testing.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
 

@@ -31,7 +31,7 @@ from radiometer.errors import (
     UnsafeStimulus,
     UsageError,
 )
-from tests.patience import within
+from testing.patience import within
 
 octets = st.integers(0, 255)
 

@@ -17,7 +17,7 @@ from radiometer.daemon.instrument import DeviceReport
 from radiometer.daemon.keeper import DeviceKeeper, DeviceState, KeeperTimes
 from radiometer.daemon.patience import Patience
 from radiometer.errors import DeviceLost
-from tests.patience import within
+from testing.patience import within
 
 
 class LibraryObject:

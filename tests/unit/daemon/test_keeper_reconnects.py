@@ -23,7 +23,7 @@ from radiometer.errors import (
     MissingLibrary,
     SettingOutOfRange,
 )
-from tests.patience import within
+from testing.patience import within
 
 TIMES = KeeperTimes(first_pause_s=0.1, longest_pause_s=0.75, check_every_s=0.02, overdue_s=50.0)
 

@@ -15,7 +15,7 @@ from radiometer.daemon.limits import Limits
 from radiometer.daemon.places import Places
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.station import Station
-from tests.patience import within
+from testing.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
 Stream = tuple[asyncio.StreamReader, asyncio.StreamWriter]

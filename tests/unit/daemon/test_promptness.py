@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from radiometer.daemon.promptness import be_prompt
-from tests.patience import within
+from testing.patience import within
 
 
 @pytest.fixture(autouse=True)

@@ -22,7 +22,7 @@ from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
 from radiometer.errors import UsageError
-from tests.patience import within
+from testing.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
 TABLE = command_table()

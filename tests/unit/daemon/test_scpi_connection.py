@@ -19,7 +19,7 @@ from radiometer.daemon.scpi import server as module
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.server import ScpiConnection, ScpiServer
 from radiometer.daemon.scpi.status import Status
-from tests.unit.daemon.virtual_time import run
+from testing.virtual_time import run
 
 LIMITS = Limits(
     scpi_connections=3,

@@ -16,7 +16,7 @@ from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.scpi.strangers import is_strange
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
-from tests.patience import within
+from testing.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
 LIGHTING = b"SOUR:LED1:LEV 0.9\nSENS:EXP 0.002\nSENS:PATC 1,2,3,4\nINIT:CONT ON\n"

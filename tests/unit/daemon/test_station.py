@@ -25,7 +25,7 @@ from radiometer.daemon.station import Station
 from radiometer.data import Patch
 from radiometer.devices import CameraIdentity
 from radiometer.errors import DeviceError, MeasurementError, OutputError, SettingOutOfRange, UsageError
-from tests.patience import within
+from testing.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
 

@@ -31,9 +31,9 @@ from radiometer.data.guards import (
 from radiometer.data.storage import read_yaml
 from radiometer.errors import CaptureError, ConfigurationError, InputError, MissingLibrary, UsageError
 from simulators.scenes.image_file import ImageScene
-from tests.patience import within
+from testing.patience import within
 
-_FUZZ = Path(__file__).with_name("reader_fuzz.py")
+_FUZZ = Path(__file__).resolve().parents[3] / "testing" / "reader_fuzz.py"
 
 
 def _png(width: int, height: int, bits: int = 16, colour: int = 0, data: bytes = b"") -> bytes:
@@ -228,7 +228,7 @@ def test_no_damaged_file_takes_more_than_a_gigabyte_or_ends_the_reader(tmp_path:
 
     done = subprocess.run(
         [sys.executable, str(_FUZZ), str(tmp_path), "80"], preexec_fn=limit, capture_output=True, text=True,
-        timeout=within(100), check=False, cwd=_FUZZ.parents[3],
+        timeout=within(100), check=False, cwd=_FUZZ.parents[1],
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-3000:]
     kinds = ("png", "tif", "jpg", "yaml", "hdr", "npy", "m", "rsp", "csv", "json", "xmp", "txt")

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from drivers.feature_access import FeatureAccess
+from drivers.cameras.feature_access import FeatureAccess
 
 
 class LibraryError(Exception):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.unit.firmware.board import FirmwareBox, build
+from testing.firmware_board import FirmwareBox, build
 
 # Buckets of five ms of the bleach at its highest level, so that they are used up in a moment.
 DIVISOR = 40_000

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from simulators.light_box import LightBoxTwin, TwinSettings
-from simulators.light_box_channel import REFERENCE_CHANNELS
-from tests.unit.firmware.board import SERIAL
+from simulators.light_box.box import LightBoxTwin, TwinSettings
+from simulators.light_box.channel import REFERENCE_CHANNELS
+from testing.firmware_board import SERIAL
 from tests.unit.firmware.conftest import DIVISOR
 
 SMALL = tuple(replace(limits, bucket=limits.bucket // DIVISOR) for limits in REFERENCE_CHANNELS)

@@ -24,7 +24,7 @@ from radiometer.adaptation.threshold_files import read_table
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.devices.light_box import ButtonEvent, Radiance
 from radiometer.errors import DeviceLost, RadiometerError
-from tests.unit.adaptation.scripted import ScriptedStage, eye
+from testing.scripted_adaptation import ScriptedStage, eye
 from tests.unit.held.figures import moved
 
 # What people's files look like: separators, decimals, units said or guessed, gaps, R, OPI, trials, and what is refused.

@@ -28,18 +28,18 @@ from radiometer.analysis.characterise.subject import Subject
 from radiometer.analysis.flux.estimate import led_flux
 from radiometer.analysis.flux.report import Emitter
 from radiometer.analysis.flux.sensor import flux_scale
-from radiometer.analysis.quality import indices, spatial
-from radiometer.analysis.quality.signals import StepSignal
-from radiometer.analysis.quality.spectral import v_lambda_mismatch
-from radiometer.analysis.signal.photometry import (
+from radiometer.analysis.photometry.photometry import (
     luminance_cd_m2,
     luminous_efficacy_lm_per_w,
     radiance_thesis_w_sr_m2_um,
     retinal_illuminance_td,
     spectral_mismatch_factor,
 )
-from radiometer.analysis.signal.spectra import SPECTRUM_NAMES, spectrum
-from radiometer.analysis.signal.unstated_light import unstated_light_u_rel
+from radiometer.analysis.photometry.spectra import SPECTRUM_NAMES, spectrum
+from radiometer.analysis.photometry.unstated_light import unstated_light_u_rel
+from radiometer.analysis.quality import indices, spatial
+from radiometer.analysis.quality.signals import StepSignal
+from radiometer.analysis.quality.spectral import v_lambda_mismatch
 from radiometer.analysis.uncertainty.budget import Term
 from radiometer.data import (
     CameraDescription,

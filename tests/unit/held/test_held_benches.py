@@ -55,10 +55,10 @@ from radiometer.devices.retinal_safety import (
 )
 from radiometer.errors import RadiometerError, UnsafeStimulus
 from radiometer.screen.calibration import ChannelCurve, ScreenCalibration
-from simulators.camera_model import CameraModel
+from simulators.cameras.simulated_camera import SimulatedCamera
+from simulators.chain.camera_model import CameraModel
 from simulators.scenes import scene_from_mapping
-from simulators.simulated_camera import SimulatedCamera
-from tests.unit.adaptation.scripted import ScriptedStage, eye, threshold
+from testing.scripted_adaptation import ScriptedStage, eye, threshold
 from tests.unit.held.figures import FITS, digest, moved
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -8,12 +8,12 @@ from zlib import crc32
 import numpy as np
 import pytest
 
-from drivers.light_box_answers import read_capabilities, read_flash, read_identity, read_state, read_status
-from drivers.light_box_clock import BoxClock, ClockSample
+from drivers.light_box.answers import read_capabilities, read_flash, read_identity, read_state, read_status
+from drivers.light_box.clock import BoxClock, ClockSample
 from radiometer.acquire.light_levels import LevelSurvey, SpectralCorrection
 from radiometer.devices.light_box import ChannelCapabilities, ChannelMode, ChannelState, CurrentRange, DriveLevel
 from radiometer.errors import DeviceError, UnsafeStimulus
-from simulators.light_box import LightBoxTwin
+from simulators.light_box.box import LightBoxTwin
 from tests.unit.acquire.test_light_levels import reading
 from tests.unit.held.figures import moved
 

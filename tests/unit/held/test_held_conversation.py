@@ -26,7 +26,7 @@ from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
 from radiometer.data import Frame, FrameSettings, Patch, Quantity, Reading
-from tests.patience import within
+from testing.patience import within
 from tests.unit.daemon.conftest import QUICK, FakeBox, FakeInstrument
 from tests.unit.held.figures import digest, moved
 

@@ -14,8 +14,10 @@ import pytest
 import yaml
 
 from radiometer.acquire.exposure_plan import ExposurePlan, exposure_ladder, repeats_for
+from radiometer.analysis.photometry.photometry import retinal_illuminance_td
+from radiometer.analysis.photometry.spectra import spectrum, spectrum_from_csv
+from radiometer.analysis.photometry.spectral_correction import spectral_factor
 from radiometer.analysis.signal.model import signal_model
-from radiometer.analysis.signal.photometry import retinal_illuminance_td
 from radiometer.analysis.signal.situation import (
     common_u_rel,
     f_number_u_rel,
@@ -27,8 +29,6 @@ from radiometer.analysis.signal.situation import (
     unknown_mismatch_u_rel,
     unstated_u_rel,
 )
-from radiometer.analysis.signal.spectra import spectrum, spectrum_from_csv
-from radiometer.analysis.signal.spectral_correction import spectral_factor
 from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.limits import Limits

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.analysis.patch.reading import read_patch
+from radiometer.analysis.reading.reading import read_patch
 from radiometer.analysis.uncertainty.budget import covariance, difference, mean, ratio, shares
 from radiometer.data import BlackLevel, Bracket, Calibration, Frame, Patch, Reading, SourceDescription
 from tests.unit.held import world

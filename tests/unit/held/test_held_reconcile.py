@@ -20,20 +20,20 @@ from radiometer.data import (
     PatchDescription,
     SourceDescription,
 )
-from radiometer.reconcile.engine import examine, whole_catalogue
-from radiometer.reconcile.fit.candidate_fit import Candidate, fit_candidate
-from radiometer.reconcile.fit.covariance import fitted_parameters
-from radiometer.reconcile.fit.covariates import covariates
-from radiometer.reconcile.fit.descent import first_state, refit
-from radiometer.reconcile.fit.full_fit import accepted
-from radiometer.reconcile.fit.linear import RowBlock
-from radiometer.reconcile.fit.state import FitState, reweighted, with_effects
-from radiometer.reconcile.measure.design import Design
-from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconcile.noise.shared_errors import chances_of_rows
-from radiometer.reconcile.search.localise import localise
-from radiometer.reconcile.statistics import STATISTICS
-from simulators.camera_model import CameraModel
+from radiometer.reconciliation.engine import examine, whole_catalogue
+from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
+from radiometer.reconciliation.fit.covariance import fitted_parameters
+from radiometer.reconciliation.fit.covariates import covariates
+from radiometer.reconciliation.fit.descent import first_state, refit
+from radiometer.reconciliation.fit.full_fit import accepted
+from radiometer.reconciliation.fit.linear import RowBlock
+from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.noise.shared_errors import chances_of_rows
+from radiometer.reconciliation.search.localise import localise
+from radiometer.reconciliation.statistics import STATISTICS
+from simulators.chain.camera_model import CameraModel
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import FrameGeometry
 from tests.unit.held.figures import FITS, digest, moved

@@ -19,17 +19,17 @@ from radiometer.data import (
     PatchDescription,
     SourceDescription,
 )
-from radiometer.reconcile import engine
-from radiometer.reconcile.engine import whole_catalogue
-from radiometer.reconcile.fit.descent import first_state
-from radiometer.reconcile.fit.state import FitState
-from radiometer.reconcile.measure.design import Design
-from radiometer.reconcile.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconcile.search.free_forms import free_forms
-from radiometer.reconcile.search.free_laws import promise
-from radiometer.reconcile.search.localise import global_p_value, localise, places, significant
-from radiometer.reconcile.search.outcome import Reconciled
-from radiometer.reconcile.search.screening import screen
+from radiometer.reconciliation import engine
+from radiometer.reconciliation.engine import whole_catalogue
+from radiometer.reconciliation.fit.descent import first_state
+from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.search.free_forms import free_forms
+from radiometer.reconciliation.search.free_laws import promise
+from radiometer.reconciliation.search.localise import global_p_value, localise, places, significant
+from radiometer.reconciliation.search.outcome import Reconciled
+from radiometer.reconciliation.search.screening import screen
 from tests.unit.held.figures import FITS, digest, moved
 from tests.unit.held.test_held_reconcile import CAMERA
 

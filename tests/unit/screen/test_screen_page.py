@@ -16,7 +16,7 @@ from radiometer.devices import Display, DisplayPatch
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceTimeout, SettingOutOfRange
 from radiometer.screen.browser_display import BrowserDisplay
 from radiometer.screen.page_server import PageServer, page_text
-from tests.patience import within
+from testing.patience import within
 
 Answer = Callable[[dict], dict | None]
 

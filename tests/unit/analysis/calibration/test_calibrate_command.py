@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from radiometer.analysis.patch.reading import read_patch
+from radiometer.analysis.reading.reading import read_patch
 from radiometer.cli.main import run
 from radiometer.data import Calibration, CaptureSetWriter, Patch, PatchDescription, ResponseCurve
 

@@ -17,7 +17,7 @@ from radiometer.analysis.calibration.flat_field import (
     fit_flat_field,
 )
 from radiometer.analysis.merge.bracket import merge
-from radiometer.analysis.patch.reading import read_patch
+from radiometer.analysis.reading.reading import read_patch
 from radiometer.cli.main import run
 from radiometer.data import (
     Bracket,

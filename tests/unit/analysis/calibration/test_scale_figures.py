@@ -14,9 +14,9 @@ from radiometer.analysis.calibration import absolute
 from radiometer.analysis.calibration.absolute import MeterSettings
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source, scales_ratio, unscaled_calibration
 from radiometer.analysis.calibration.flat_field import _refuse_nonsense
+from radiometer.analysis.photometry.spectra import spectrum_from_csv
 from radiometer.analysis.signal import situation
 from radiometer.analysis.signal.lens import lens_factor_sr, lens_in_use, relative_sensitivity
-from radiometer.analysis.signal.spectra import spectrum_from_csv
 from radiometer.data import (
     BlackLevel,
     Calibration,

@@ -20,9 +20,9 @@ from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.devices import CameraPreset
 from radiometer.errors import InputError, MeasurementError
 from radiometer.reporting.numbers import rounded
-from simulators.camera_model import CameraModel
+from simulators.cameras.simulated_capture import simulate_capture
+from simulators.chain.camera_model import CameraModel
 from simulators.scenes import StepChartScene, UniformScene
-from simulators.simulated_capture import simulate_capture
 from tests.unit.reporting.test_page import HOSTILE
 
 CAMERA = CameraDescription(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from radiometer.analysis.characterise import Characterisation, EmvaDescriptor, characterise, read_subject
-from tests.unit.golden.emva import REF001, REF001_LOOSE
+from testing.golden.emva import REF001, REF001_LOOSE
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,11 @@ import pytest
 from radiometer.analysis.characterise import Subject, characterise
 from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
-from simulators.camera_model import CameraModel
+from simulators.chain.camera_model import CameraModel
+from simulators.chain.virtual_sensor import VirtualSensor
 from simulators.effects.base import ELECTRONS, Effect, Stage, parameter
 from simulators.effects.context import ExposureContext, FrameGeometry, Signal
 from simulators.scenes import UniformScene
-from simulators.virtual_sensor import VirtualSensor
 
 SEEDS = 50
 RADIANCE = 0.00115

@@ -15,7 +15,7 @@ from PIL import Image
 
 from radiometer.analysis.exports.hdr import rgbe
 from radiometer.analysis.exports.maps import WRITERS, MapPicture, in_luminance, writer_for
-from radiometer.analysis.signal.spectra import spectrum
+from radiometer.analysis.photometry.spectra import spectrum
 from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter, PixelMask, RadianceMap, ResponseCurve
 from radiometer.errors import MeasurementError, OutputError, UsageError

@@ -13,9 +13,9 @@ from radiometer.analysis.flux.report import Emitter, FluxReport
 from radiometer.analysis.flux.sensor import flux_scale, sensor_flux
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription, Patch, Quantity
 from radiometer.errors import CalibrationError, MeasurementError, UsageError
-from simulators.camera_model import CameraModel
+from simulators.chain.camera_model import CameraModel
+from simulators.chain.virtual_sensor import VirtualSensor
 from simulators.scenes import LedScene
-from simulators.virtual_sensor import VirtualSensor
 
 CAMERA = CameraDescription(
     bit_depth=12,

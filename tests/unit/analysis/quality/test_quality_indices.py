@@ -15,7 +15,7 @@ from radiometer.analysis.quality.spectral import v_lambda_mismatch
 from radiometer.analysis.uncertainty.budget import coverage_factor
 from radiometer.data.calibration_sections import SpectralResponse
 from radiometer.errors import InputError
-from tests.unit.analysis.quality import stations
+from testing import quality_stations as stations
 
 STEADY = Evaluation(source_u_rel=0.0)
 
@@ -207,7 +207,7 @@ class TestSpectral:
 
 
 def _observer() -> tuple[tuple[float, ...], tuple[float, ...]]:
-    from radiometer.analysis.signal.photometry import luminous_efficiency
+    from radiometer.analysis.photometry.photometry import luminous_efficiency
 
     nm, v = luminous_efficiency()
     return tuple(float(one) for one in nm), tuple(float(one) for one in v)

@@ -7,8 +7,8 @@ import pytest
 
 from radiometer.analysis.response.displacement import find_displacement
 from radiometer.analysis.response.pixel_noise import pixel_noise
-from radiometer.cli.photograph_response import displacement_of
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
+from radiometer.photographs.response import displacement_of
 
 # Frames a quarter of a stop apart, so that nearly all show every pixel about equally well.
 POWER, TIMES = 1.0 / 2.2, 2.0 ** (np.arange(12) / 4.0)

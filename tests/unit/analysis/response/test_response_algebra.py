@@ -22,7 +22,7 @@ from radiometer.analysis.response.weights import dn_at
 from radiometer.data import Frame, FrameSettings, ResponseCurve
 from radiometer.data.provenance import Provenance
 from radiometer.errors import MeasurementError
-from tests.unit.golden.nist_linear import LONGLEY, NORRIS
+from testing.golden.nist_linear import LONGLEY, NORRIS
 
 seeds = st.integers(0, 10**6)
 noises = st.tuples(st.floats(1e-6, 1e-2), st.floats(1e-8, 1e-4), st.floats(0.0, 2.0), st.floats(0.0, 0.5))

@@ -25,9 +25,9 @@ from radiometer.analysis.response.shutter_offset import (
     with_offset,
 )
 from radiometer.analysis.response.wrong_labels import UNTOLD_OFFSET_S, WrongLabel
-from radiometer.cli.photograph_response import relative_calibration, with_found_times
 from radiometer.data import CameraDescription, LensDescription, Provenance, ResponseCurve
-from tests.unit.analysis.response.brackets_of_a_shutter import LABELS_S, photographed, plane, scene
+from radiometer.photographs.response import relative_calibration, with_found_times
+from testing.brackets_of_a_shutter import LABELS_S, photographed, plane, scene
 
 OFFSET_S = 25e-6
 # Of the shortest label, 1/8192 s, it makes so much more.

@@ -10,7 +10,7 @@ import GTC
 import numpy as np
 import pytest
 
-from radiometer.analysis.patch.reading import read_patch
+from radiometer.analysis.reading.reading import read_patch
 from radiometer.analysis.uncertainty import budget
 from radiometer.data import BlackLevel, LensDescription, Patch, ScaleConditions, StatedUncertainties
 

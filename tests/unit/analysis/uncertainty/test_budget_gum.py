@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.analysis.patch.reading import patch_situation, read_patch
+from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.analysis.uncertainty import budget
 from radiometer.analysis.uncertainty.budget import Term
 from radiometer.analysis.uncertainty.monte_carlo import Distribution, propagate_distributions

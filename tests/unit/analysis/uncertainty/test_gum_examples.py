@@ -22,7 +22,7 @@ from radiometer.analysis.uncertainty.budget import (
     shares,
 )
 from radiometer.data import Contribution, Patch, Quantity, Reading
-from tests.unit.golden import gum
+from testing.golden import gum
 
 positive = st.floats(0.1, 10.0)
 parts = st.floats(0.001, 0.1)

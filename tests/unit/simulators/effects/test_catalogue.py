@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
-from simulators.camera_model import CameraModel
+from simulators.chain.camera_model import CameraModel
 from simulators.effects.base import Moments, Stage
 from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
 from simulators.effects.catalogue import CatalogueEffect

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, FrameSettings
-from simulators.camera_model import CameraModel
+from simulators.chain.camera_model import CameraModel
 from simulators.effects.base import Moments
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted

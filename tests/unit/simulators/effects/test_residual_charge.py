@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.reconcile.model.past import CapturesPast, FrameTimes
+from radiometer.reconciliation.model.past import CapturesPast, FrameTimes
+from simulators.chain.virtual_sensor import FadingPast
 from simulators.effects.residual_charge import ResidualCharge
-from simulators.virtual_sensor import FadingPast
 from tests.unit.simulators.effects.test_laws_by_figures import at
 
 TRAPS = ResidualCharge(share=0.01, tau_s=20.0)

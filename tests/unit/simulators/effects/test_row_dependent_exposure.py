@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulators.camera_model import CameraModel
+from simulators.chain.camera_model import CameraModel
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.parasitic_light_sensitivity import ParasiticLightSensitivity
 from simulators.effects.row_dependent_exposure import RowDependentExposure

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
-from simulators.camera_model import CameraModel
+from simulators.chain.camera_model import CameraModel
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.correlated_read_noise import CorrelatedReadNoise

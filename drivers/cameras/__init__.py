@@ -1,0 +1,1 @@
+"""Cameras: GenICam through Aravis, V4L2, Raspberry Pi, tethered photographic cameras."""

@@ -1,0 +1,135 @@
+"""Switches off what falsifies radiometry, reads it back, and reports what could not be switched off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from drivers.cameras.feature_access import FeatureAccess, FeatureValue
+from radiometer.errors import DeviceError, DeviceInUse, DeviceLost
+
+
+@dataclass(frozen=True, slots=True)
+class FalsifyingFeature:
+    """A camera feature that makes digital numbers differ from light, its harmless value, and what it does.
+
+    Attributes:
+        name: The feature.
+        harmless: Its value that falsifies nothing.
+        effect: What any other value does.
+        selector: Feature that selects which of several of this name is meant; "" where there is one only.
+        selected: Its entries, each of which is treated.
+    """
+
+    name: str
+    harmless: FeatureValue
+    effect: str
+    selector: str = ""
+    selected: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class HygieneFinding:
+    """What was found of one falsifying feature, and what became of it.
+
+    Attributes:
+        feature: Which one.
+        found: Its value when the camera was opened.
+        now: Its value as read back afterwards.
+        state: "off" (it was harmless already), "switched_off", or "still_on".
+        reason: Why it is still on; empty otherwise.
+    """
+
+    feature: FalsifyingFeature
+    found: FeatureValue
+    now: FeatureValue
+    state: Literal["off", "switched_off", "still_on"]
+    reason: str = ""
+
+    def __str__(self) -> str:
+        """Return the finding as one line."""
+        name, now = self.feature.name, self.now
+        if self.state == "still_on":
+            return f"{name} is {now} and cannot be switched off ({self.reason}): {self.feature.effect}"
+        return f"{name} is {now}" + (f" (was {self.found})" if self.state == "switched_off" else "")
+
+
+# Names: GenICam SFNC 2.7 and FLIR's camera descriptions. The switches stand before the values they govern.
+FALSIFYING_FEATURES: Final = (
+    FalsifyingFeature("ExposureAuto", "Off", "the exposure time drifts between frames"),
+    FalsifyingFeature("GainAuto", "Off", "the gain drifts between frames"),
+    FalsifyingFeature("BlackLevelAuto", "Off", "the black level drifts between frames"),
+    FalsifyingFeature("BalanceWhiteAuto", "Off", "colour channels are scaled from frame to frame"),
+    FalsifyingFeature("BlackLevelClampingEnable", False, "the dark signal is pulled to a fixed level"),
+    FalsifyingFeature("GammaEnable", False, "digital numbers are no longer proportional to light"),
+    FalsifyingFeature("Gamma", 1.0, "digital numbers are no longer proportional to light"),
+    FalsifyingFeature("SharpeningAuto", False, "pixels depend on their neighbours"),
+    FalsifyingFeature("SharpeningEnable", False, "pixels depend on their neighbours"),
+    FalsifyingFeature("SharpnessEnable", False, "pixels depend on their neighbours"),
+    FalsifyingFeature("LUTEnable", False, "a look-up table replaces the digital numbers"),
+    FalsifyingFeature("DefectCorrectStaticEnable", False, "listed pixels are replaced by their neighbours' mean"),
+    FalsifyingFeature("DefectCorrectionEnable", False, "listed pixels are replaced by their neighbours' mean"),
+    FalsifyingFeature("SaturationEnable", False, "colours are mixed"),
+    FalsifyingFeature("ColorTransformationEnable", False, "colours are mixed"),
+    FalsifyingFeature("IspEnable", False, "the camera processes pictures before it sends them"),
+    FalsifyingFeature("SequencerMode", "Off", "settings change from frame to frame by themselves"),
+    FalsifyingFeature("ImageCompressionMode", "Off", "what is sent is not the digital numbers themselves"),
+    FalsifyingFeature(
+        "TestPattern",
+        "Off",
+        "the camera draws the pictures itself, whatever it sees",
+        "TestPatternGeneratorSelector",
+        ("Sensor", "PipelineStart"),
+    ),
+)
+
+
+def switch_off_falsifiers(features: FeatureAccess) -> tuple[HygieneFinding, ...]:
+    """Switch off every falsifying feature that the camera has, and return what was found.
+
+    Raises:
+        DeviceLost: If the camera stopped answering.
+        DeviceInUse: If another program controls it.
+    """
+    return tuple(
+        _switch_off(features, known)
+        for known in FALSIFYING_FEATURES
+        for entry in known.selected or ("",)
+        if _is_selected(features, known, entry) and features.has(known.name)
+    )
+
+
+def _is_selected(features: FeatureAccess, known: FalsifyingFeature, entry: str) -> bool:
+    """Select one of several features of a name, and tell whether there is such a one."""
+    if not entry:
+        return True
+    if not features.has(known.selector):
+        return entry == known.selected[0]  # a camera without the selector has one such feature
+    try:
+        return features.write(known.selector, entry) == entry
+    except (DeviceLost, DeviceInUse):
+        raise
+    except DeviceError:  # this model has no such entry
+        return False
+
+
+def _switch_off(features: FeatureAccess, known: FalsifyingFeature) -> HygieneFinding:
+    kind = type(known.harmless)
+    found = features.read(known.name, kind)
+    if _is_harmless(found, known):
+        return HygieneFinding(known, found, found, "off")
+    try:
+        now = features.write(known.name, known.harmless)
+    except (DeviceLost, DeviceInUse):
+        raise
+    except DeviceError as error:
+        return HygieneFinding(known, found, features.read(known.name, kind), "still_on", str(error))
+    if _is_harmless(now, known):
+        return HygieneFinding(known, found, now, "switched_off")
+    return HygieneFinding(known, found, now, "still_on", "it took the write and kept its value")
+
+
+def _is_harmless(value: FeatureValue, known: FalsifyingFeature) -> bool:
+    if isinstance(known.harmless, float):
+        return abs(float(value) - known.harmless) < 1e-6
+    return value == known.harmless

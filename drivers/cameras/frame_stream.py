@@ -1,0 +1,264 @@
+"""One acquisition, from its start to its stop: complete frames only, each wait with a deadline, mishaps counted."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import structlog
+
+from drivers.cameras.background_release import drop_in_background
+from drivers.cameras.feature_access import FeatureAccess
+from drivers.cameras.host_checks import socket_buffer_limit
+from radiometer.devices import AcquisitionCounts
+from radiometer.errors import DeviceError, DeviceTimeout
+
+_LOG = structlog.get_logger(__name__)
+
+BUFFER_COUNT: Final = 8
+# With 10 ‰ of the packets lost and no resend, half of the frames of 70 packets are whole: 40 in a row fail 1e-12.
+MAX_ATTEMPTS: Final = 40
+_POLL_S: Final = 0.2  # how often a wait looks whether the camera is still there
+_LEGACY_FRAME_IDS: Final = 65535  # GigE Vision 1.x counts frames 1 to 65535 and starts again
+
+
+class LossyLink(DeviceTimeout):
+    """Frame after frame comes incomplete: the link carries less than the camera sends."""
+
+
+@dataclass(slots=True)
+class Tally:
+    """Running counts of what went wrong and was put right."""
+
+    frames: int = 0
+    retried: int = 0
+    incomplete: int = 0
+    timeouts: int = 0
+    underruns: int = 0
+    resent_packets: int = 0
+    missing_packets: int = 0
+    extra: dict[str, int] = field(default_factory=lambda: {"missed_frames": 0, "stale_discarded": 0, "restarts": 0})
+
+    def snapshot(self) -> AcquisitionCounts:
+        """Return the counts as they stand."""
+        return AcquisitionCounts(
+            self.frames,
+            self.retried,
+            self.incomplete,
+            self.timeouts,
+            self.underruns,
+            self.resent_packets,
+            self.missing_packets,
+            dict(self.extra),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RawFrame:
+    """A complete frame as it came over the wire.
+
+    Attributes:
+        payload: Bytes of the picture.
+        format_code: PFNC value of the pixel format.
+        width: Picture width in pixels.
+        height: Picture height in pixels.
+        frame_id: Running number of the acquisition; goes on rising where the camera's own starts again.
+        timestamp_s: Time of the camera's clock in s; the computer's where the camera has none.
+        chunks: Chunk values by name.
+    """
+
+    payload: bytes
+    format_code: int
+    width: int
+    height: int
+    frame_id: int
+    timestamp_s: float
+    chunks: dict[str, float]
+
+
+class FrameStream:
+    """Buffers and bookkeeping of one acquisition.
+
+    Args:
+        aravis: The library's module.
+        camera: An open `Aravis.Camera`.
+        features: Its features.
+        name: How messages call the camera.
+        tally: Counts to add to.
+        chunk_names: Float chunk values to read from every frame.
+        is_lost: Tells whether the library has noticed that the camera is gone.
+    """
+
+    def __init__(
+        self,
+        aravis: Any,
+        camera: Any,
+        features: FeatureAccess,
+        name: str,
+        tally: Tally,
+        chunk_names: tuple[str, ...] = (),
+        is_lost: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._aravis, self._camera, self._features = aravis, camera, features
+        self._name, self._tally, self._is_lost = name, tally, is_lost
+        self._chunk_names = chunk_names
+        self._chunk_parser: Any = camera.create_chunk_parser() if chunk_names else None
+        self._stream: Any = None
+        self._last_id: int | None = None
+        self._turns = 0  # how often the camera's own numbers have started again
+
+    def start(self) -> None:
+        """Open a stream channel, hand it buffers and start the acquisition. Raises DeviceError."""
+        call = self._features.call
+        payload = call(self._camera.get_payload)
+        if self._camera.is_gv_device():
+            self._camera.gv_set_stream_options(self._socket_kind(payload))
+        # Without the user data of the callback that there is not: PyGObject keeps 48 bytes of each None given for them.
+        self._stream = call(self._camera.create_stream, None)
+        if self._stream is None:
+            raise DeviceError(f"{self._name}: no stream channel could be opened; another program may hold it")
+        if hasattr(self._stream.props, "socket_buffer"):  # GigE Vision: room for a whole frame in the kernel
+            self._stream.set_property("socket-buffer", self._aravis.GvStreamSocketBuffer.AUTO)
+        for _ in range(BUFFER_COUNT):
+            self._stream.push_buffer(self._aravis.Buffer.new_allocate(payload))
+        self._last_id, self._turns = None, 0
+        call(self._camera.start_acquisition)
+
+    def stop(self, *, camera_is_there: bool = True) -> None:
+        """Stop the acquisition and give the stream channel back. Raises DeviceError if the camera refuses."""
+        if self._stream is None:
+            return
+        try:
+            if camera_is_there:
+                self._features.call(self._camera.stop_acquisition)
+        finally:
+            self._add_statistics()
+            held, self._stream = [self._stream], None
+            if self._is_lost():
+                drop_in_background(*held)
+            else:
+                self._features.call(held.clear)  # its end says goodbye to the camera
+
+    def next_frame(self, deadline_s: float, trigger: Callable[[], None] | None = None) -> RawFrame | None:
+        """Return the next complete frame; None if nothing came within the deadline or the camera is gone.
+
+        Args:
+            deadline_s: Longest wait for one frame in s.
+            trigger: Called before each attempt; None in free running.
+
+        Raises:
+            LossyLink: If MAX_ATTEMPTS frames in a row came incomplete.
+        """
+        how = Counter[str]()
+        for _ in range(MAX_ATTEMPTS):
+            if trigger is not None:
+                trigger()
+            buffer = self._pop(deadline_s)
+            if buffer is None:
+                self._tally.timeouts += 1
+                return None
+            frame = self._accept(buffer)
+            how[buffer.get_status().value_nick] += 1
+            self._stream.push_buffer(buffer)
+            if frame is not None:
+                self._tally.frames += 1
+                return frame
+            self._tally.retried += 1
+        raise LossyLink(
+            f"{self._name}: {MAX_ATTEMPTS} frames in a row came incomplete "
+            f"({', '.join(f'{name} {count} times' for name, count in how.items())}); the link loses packets "
+            "(`radiometer doctor` checks packet size and socket buffers)"
+        )
+
+    def _pop(self, deadline_s: float) -> Any:
+        end, ignored = time.monotonic() + deadline_s, None
+        while (left := end - time.monotonic()) > 0 and not self._is_lost():
+            buffer = self._stream.timeout_pop_buffer(int(min(left, _POLL_S) * 1e6) + 1)
+            if buffer is not None:
+                return buffer
+            before, ignored = ignored, self._ignored_packets()
+            if before is not None and ignored > before:
+                _LOG.info("stream misled by a packet that is not the camera's", camera=self._name)
+                break
+        return None
+
+    def _socket_kind(self, payload_bytes: int) -> Any:
+        """Return the library's option: packet sockets only where an ordinary socket cannot hold a frame.
+
+        Packets of other programs that come before the library's packet socket has its filter count as a frame of the
+        camera with a wild number, and up to 100 good frames after it as late ones.
+        """
+        options = self._aravis.GvStreamOption
+        return options.PACKET_SOCKET_DISABLED if payload_bytes <= socket_buffer_limit() else options.NONE
+
+    def _ignored_packets(self) -> int:
+        """Return how many packets a stream without a frame so far has ignored; they grow where it is misled."""
+        counts = self._counts()
+        has_frames = counts.get("n_completed_buffers", 0) + counts.get("n_failures", 0)
+        return 0 if has_frames else counts.get("n_ignored_packets", 0)
+
+    def _accept(self, buffer: Any) -> RawFrame | None:
+        frame_id = int(buffer.get_frame_id())
+        running_id = self._count_missed(frame_id)
+        if buffer.get_status() != self._aravis.BufferStatus.SUCCESS:
+            self._tally.incomplete += 1
+            _LOG.debug("incomplete frame", camera=self._name, frame_id=frame_id, status=buffer.get_status().value_nick)
+            return None
+        return RawFrame(
+            payload=bytes(buffer.get_image_data() or b""),
+            format_code=int(buffer.get_image_pixel_format()),
+            width=int(buffer.get_image_width()),
+            height=int(buffer.get_image_height()),
+            frame_id=running_id,
+            timestamp_s=(buffer.get_timestamp() or buffer.get_system_timestamp()) / 1e9,
+            chunks=self._chunks(buffer),
+        )
+
+    def _count_missed(self, frame_id: int) -> int:
+        """Count the frames missed before this one, and return its number in this acquisition."""
+        last_id, missed = self._last_id, missed_between(self._last_id, frame_id)
+        self._tally.extra["missed_frames"] += missed
+        if missed >= 0:
+            self._turns += last_id is not None and frame_id < last_id
+            self._last_id = frame_id
+            return frame_id + self._turns * _LEGACY_FRAME_IDS
+        before_the_turn = last_id is not None and frame_id > last_id  # late, from before the numbers started again
+        return frame_id + (self._turns - before_the_turn) * _LEGACY_FRAME_IDS
+
+    def _chunks(self, buffer: Any) -> dict[str, float]:
+        if self._chunk_parser is None or not buffer.has_chunks():
+            return {}
+        read = self._chunk_parser.get_float_value
+        return {name: float(self._features.call_here(read, buffer, f"Chunk{name}")) for name in self._chunk_names}
+
+    def _add_statistics(self) -> None:
+        counts = self._counts()
+        self._tally.underruns += counts.get("n_underruns", 0)
+        self._tally.resent_packets += counts.get("n_resent_packets", 0)
+        self._tally.missing_packets += counts.get("n_missing_packets", 0)
+
+    def _counts(self) -> dict[str, int]:
+        names = [self._stream.get_info_name(i) for i in range(self._stream.get_n_infos())]
+        return {name: int(self._stream.get_info_uint64_by_name(name)) for name in names if name.startswith("n_")}
+
+
+def missed_between(last_id: int | None, frame_id: int) -> int:
+    """Return how many frames the camera sent between two that arrived, by their running numbers.
+
+    Args:
+        last_id: Highest number so far; None before the first frame.
+        frame_id: Number of this frame; 16-bit numbers run from 1 to 65535 and start again at 1.
+
+    Returns:
+        The count; −1 for a frame that was counted as missed and arrives late.
+    """
+    if last_id is None or frame_id == last_id:
+        return 0
+    ahead = frame_id - last_id
+    if max(last_id, frame_id) <= _LEGACY_FRAME_IDS:
+        half = _LEGACY_FRAME_IDS // 2
+        ahead = (ahead + half) % _LEGACY_FRAME_IDS - half
+    return ahead - 1 if ahead > 0 else -1

@@ -1,0 +1,218 @@
+"""The Raspberry Pi's camera in raw mode: the sensor's own numbers, each frame with the settings it was taken under."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.cameras.plain_camera import Grab, bits_of
+from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings, Finding, Health
+from radiometer.errors import DeviceError, DeviceLost, DeviceTimeout
+
+MAX_STALE: Final = 12  # frames of the settings before: the camera stack queues several requests
+_SAME_EXPOSURE_REL: Final = 0.02  # lines of the sensor: some tens of µs, coarse for the shortest exposures
+_SAME_EXPOSURE_US: Final = 60.0
+_SAME_GAIN_REL: Final = 0.02
+_FULL_SCALE_16: Final = 16  # bits in which the stack states black levels
+
+
+@dataclass(frozen=True, slots=True)
+class SensorMode:
+    """A raw mode of the sensor: bits of a number, width and height in pixels, and its mosaic ("" for a grey sensor)."""
+
+    bit_depth: int
+    width: int
+    height: int
+    mosaic: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawRequest:
+    """A raw frame, shape (height, width), right-aligned, with its metadata by the stack's names."""
+
+    numbers: NDArray[np.uint16]
+    metadata: dict[str, Any]
+
+
+class PiDevice(Protocol):
+    """An open Raspberry Pi camera, as far as it is used here."""
+
+    def modes(self) -> list[SensorMode]:
+        """Return its raw modes."""
+        ...
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Return lowest and highest value of its controls by the stack's names."""
+        ...
+
+    def start(self, mode: SensorMode, controls: dict[str, Any]) -> None:
+        """Begin to capture in a raw mode. Raises DeviceInUse, DeviceError."""
+        ...
+
+    def request(self, deadline_s: float) -> RawRequest:
+        """Return the next frame. Raises DeviceTimeout, DeviceLost."""
+        ...
+
+    def stop(self) -> None:
+        """End the capture."""
+        ...
+
+    def close(self) -> None:
+        """Give the device back."""
+        ...
+
+
+class PiLibrary(Protocol):
+    """What opens Raspberry Pi cameras."""
+
+    def open(self, number: int) -> PiDevice:
+        """Open a camera by its number. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
+        ...
+
+
+class PiLink:
+    """One Raspberry Pi camera; of a colour sensor the green pixels, at half size.
+
+    Args:
+        library: Opens it.
+        identity: Who it is; `device_id` is "picamera:" and its number.
+    """
+
+    def __init__(self, library: PiLibrary, identity: CameraIdentity) -> None:
+        self._library, self._identity = library, identity
+        self._device: PiDevice | None = None
+        self._mode = SensorMode(10, 0, 0, "")
+        self._limits: CameraCapabilities | None = None
+        self._settings = CameraSettings(0.01, pixel_format="Mono10")
+        self._black_dn = 0.0
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """Return who the camera is."""
+        return self._identity
+
+    @property
+    def capabilities(self) -> CameraCapabilities:
+        """Return its limits. Raises DeviceError unless open."""
+        if self._limits is None:
+            raise DeviceError(f"{self._identity.device_id} is not open; call open() first")
+        return self._limits
+
+    def open(self) -> CameraSettings:
+        """Open the camera in its deepest, largest raw mode, and learn its black level. Raises DeviceError."""
+        self._device = self._library.open(int(self._identity.device_id.removeprefix("picamera:") or 0))
+        try:
+            modes = self._device.modes()
+            if not modes:
+                raise DeviceError(f"{self._identity.device_id}: has no raw mode, so its numbers are not the sensor's")
+            self._mode = max(modes, key=lambda mode: (mode.bit_depth, mode.width * mode.height))
+            self._limits = self._read_limits(self._device, 0.0)
+            shortest_s = self._limits.exposure_s[0]
+            self.apply(CameraSettings(max(shortest_s, 0.001), pixel_format=f"Mono{self._mode.bit_depth}"))
+            self.start()
+            self._black_dn = self.grab().black_level_dn
+            self.stop()
+            self._limits = self._read_limits(self._device, self._black_dn)
+        except BaseException:
+            self.close()
+            raise
+        return self.apply(CameraSettings(0.01, pixel_format=f"Mono{self._mode.bit_depth}"))
+
+    def close(self) -> None:
+        """Give the device back."""
+        device, self._device = self._device, None
+        if device is not None:
+            device.close()
+
+    def apply(self, settings: CameraSettings) -> CameraSettings:
+        """Take over exposure time and gain: they are set when the acquisition starts, and told by every frame."""
+        self._settings = CameraSettings(
+            settings.exposure_s, settings.gain_db, black_level_dn=self._black_dn, pixel_format=settings.pixel_format
+        )
+        return self._settings
+
+    def start(self) -> None:
+        """Begin to capture with manual exposure and gain, and a frame time that lets the exposure be."""
+        exposure_us = round(self._settings.exposure_s * 1e6)
+        controls = {
+            "AeEnable": False,
+            "AwbEnable": False,
+            "ExposureTime": exposure_us,
+            "AnalogueGain": 10 ** (self._settings.gain_db / 20),
+            "FrameDurationLimits": (exposure_us, max(exposure_us, 33_333)),
+        }
+        self._open.start(self._mode, controls)
+
+    def grab(self) -> Grab:
+        """Return the next frame whose metadata has the settings in force. Raises DeviceTimeout if none has."""
+        deadline_s = 2 * self._settings.exposure_s + 3.0
+        for _ in range(MAX_STALE):
+            request = self._open.request(deadline_s)
+            if self._is_current(request.metadata):
+                return self._grabbed(request)
+        raise DeviceTimeout(f"{self._identity.device_id}: keeps sending frames of other settings; close and reopen it")
+
+    def stop(self) -> None:
+        """End the capture."""
+        if self._device is not None:
+            self._device.stop()
+
+    def findings(self) -> list[Finding]:
+        """Return what must be known: of a colour sensor one colour is read."""
+        if not self._mode.mosaic:
+            return []
+        message = f"colour sensor ({self._mode.mosaic}): the green pixels of every 2 × 2 are read"
+        return [Finding("mosaic", Health.NOTE, message)]
+
+    @property
+    def _open(self) -> PiDevice:
+        if self._device is None:
+            raise DeviceLost(f"{self._identity.device_id} is not open; open it again")
+        return self._device
+
+    def _read_limits(self, device: PiDevice, black_dn: float) -> CameraCapabilities:
+        limits, step = device.limits(), 2 if self._mode.mosaic else 1
+        (shortest_us, longest_us), (least, most) = limits["ExposureTime"], limits["AnalogueGain"]
+        return CameraCapabilities(
+            exposure_s=(max(shortest_us, 1.0) * 1e-6, longest_us * 1e-6),
+            gain_db=(20 * math.log10(max(least, 1.0)), 20 * math.log10(most)),
+            black_level_dn=(black_dn, black_dn),
+            pixel_formats=(f"Mono{self._mode.bit_depth}",),
+            width=self._mode.width // step,
+            height=self._mode.height // step,
+            has_temperature=True,
+            exposure_step_s=1e-6,
+        )
+
+    def _is_current(self, metadata: dict[str, Any]) -> bool:
+        wanted_us = self._settings.exposure_s * 1e6
+        off_us = abs(float(metadata["ExposureTime"]) - wanted_us)
+        gain = float(metadata["AnalogueGain"]) / 10 ** (self._settings.gain_db / 20)
+        return off_us <= max(_SAME_EXPOSURE_US, _SAME_EXPOSURE_REL * wanted_us) and abs(gain - 1) <= _SAME_GAIN_REL
+
+    def _grabbed(self, request: RawRequest) -> Grab:
+        told, bits = request.metadata, bits_of(self._settings.pixel_format)
+        levels = told.get("SensorBlackLevels") or (0,)
+        temperature_c = told.get("SensorTemperature")
+        return Grab(
+            dn=green_of(request.numbers, self._mode.mosaic),
+            bit_depth=bits,
+            exposure_s=float(told["ExposureTime"]) * 1e-6,
+            gain_db=round(20 * math.log10(float(told["AnalogueGain"])), 6),
+            black_level_dn=float(np.mean(levels)) / 2 ** (_FULL_SCALE_16 - bits),
+            timestamp_s=float(told["SensorTimestamp"]) * 1e-9,
+            temperature_c=None if temperature_c is None else float(temperature_c),
+        )
+
+
+def green_of(numbers: NDArray[np.uint16], mosaic: str) -> NDArray[np.uint16]:
+    """Return the first green pixel of every 2 × 2 of a mosaic, such as "RGGB"; a grey sensor's frame as it is."""
+    if not mosaic:
+        return numbers
+    row, column = divmod(mosaic.index("G"), 2)
+    height, width = (size // 2 * 2 for size in numbers.shape)
+    return np.ascontiguousarray(numbers[row:height:2, column:width:2])

@@ -1,0 +1,294 @@
+"""A V4L2 camera (a webcam): manual exposure by its controls, what bends its numbers switched off as far as it goes."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+
+from drivers.cameras.feature_hygiene import FalsifyingFeature, HygieneFinding
+from drivers.cameras.plain_camera import Grab, bits_of
+from radiometer.data.frame import DigitalNumbers
+from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings, Finding, Health
+from radiometer.errors import DeviceError, DeviceLost
+
+EXPOSURE_UNIT_S: Final = 1e-4  # V4L2_CID_EXPOSURE_ABSOLUTE counts 100 µs
+_EXPOSURES: Final = ("exposure_time_absolute", "exposure_absolute", "exposure_time,_absolute")
+# Formats of the video subsystem that hold plain numbers, best first, and what they become. Of YUYV it is the luma.
+FORMATS: Final = {"Y16 ": "Mono16", "Y12 ": "Mono12", "Y10 ": "Mono10", "GREY": "Mono8", "YUYV": "Mono8"}
+_STALE_AFTER_CHANGE: Final = 3  # frames: one exposed, one read out and one transferred when a control changes
+_NO_AUTO, _BENT = "it drifts between frames", "digital numbers are no longer proportional to light"
+# Control, harmless value (None: the device's own default), effect. The switches stand before what they govern.
+CONTROLS: Final[tuple[tuple[str, int | None, str], ...]] = (
+    ("auto_exposure", 1, f"exposure: {_NO_AUTO}"),
+    ("exposure_auto", 1, f"exposure: {_NO_AUTO}"),
+    ("exposure_dynamic_framerate", 0, f"exposure: {_NO_AUTO}"),
+    ("exposure_auto_priority", 0, f"exposure: {_NO_AUTO}"),
+    ("gain_automatic", 0, f"gain: {_NO_AUTO}"),
+    ("white_balance_automatic", 0, "colour channels are scaled from frame to frame"),
+    ("white_balance_temperature_auto", 0, "colour channels are scaled from frame to frame"),
+    ("focus_automatic_continuous", 0, "the picture moves"),
+    ("backlight_compensation", 0, _BENT),
+    ("wide_dynamic_range", 0, _BENT),
+    ("gamma", 100, _BENT),  # in hundredths
+    ("sharpness", 0, "pixels depend on their neighbours"),
+    ("brightness", None, "the black level is shifted"),
+    ("contrast", None, _BENT),
+    ("saturation", None, "colours are mixed"),
+    ("power_line_frequency", 0, "the exposure time is bound to the mains"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Control:
+    """A control of a V4L2 device: its limits, step, default and value in its own unit."""
+
+    minimum: int
+    maximum: int
+    step: int
+    default: int
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class VideoFrame:
+    """A frame of a V4L2 device: bytes, and time of the kernel's steady clock in s."""
+
+    payload: bytes
+    timestamp_s: float
+
+
+class VideoDevice(Protocol):
+    """An open V4L2 device, as far as it is used here."""
+
+    def formats(self) -> list[tuple[str, int, int]]:
+        """Return four-letter code, width and height of every format."""
+        ...
+
+    def controls(self) -> dict[str, Control]:
+        """Return its controls by name."""
+        ...
+
+    def set_control(self, name: str, value: int) -> int:
+        """Set a control and return it as read back. Raises DeviceError."""
+        ...
+
+    def start(self, fourcc: str, width: int, height: int) -> None:
+        """Begin to stream. Raises DeviceInUse, DeviceError."""
+        ...
+
+    def frame(self, deadline_s: float) -> VideoFrame:
+        """Return the next frame. Raises DeviceTimeout, DeviceLost."""
+        ...
+
+    def stop(self) -> None:
+        """End streaming."""
+        ...
+
+    def close(self) -> None:
+        """Give the device back."""
+        ...
+
+
+class VideoLibrary(Protocol):
+    """What opens V4L2 devices."""
+
+    def open(self, path: str) -> VideoDevice:
+        """Open a device. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
+        ...
+
+
+class V4l2Link:
+    """One V4L2 camera.
+
+    Args:
+        library: Opens it.
+        identity: Who it is; `device_id` is "v4l2:" and its path.
+    """
+
+    def __init__(self, library: VideoLibrary, identity: CameraIdentity) -> None:
+        self._library, self._identity = library, identity
+        self._device: VideoDevice | None = None
+        self._limits: CameraCapabilities | None = None
+        self._codes: dict[str, str] = {}
+        self._exposure_control, self._settings = "", CameraSettings(0.01, pixel_format="Mono8")
+        self._hygiene: list[HygieneFinding] = []
+        self._stale = 0
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """Return who the camera is."""
+        return self._identity
+
+    @property
+    def capabilities(self) -> CameraCapabilities:
+        """Return its limits. Raises DeviceError unless open."""
+        if self._limits is None:
+            raise DeviceError(f"{self._identity.device_id} is not open; call open() first")
+        return self._limits
+
+    def open(self) -> CameraSettings:
+        """Open the device with manual exposure, its least gain, and no automatic function that can be switched off."""
+        self._device = self._library.open(self._identity.device_id.removeprefix("v4l2:"))
+        try:
+            self._hygiene = [*_switched_off(self._device)]
+            self._limits = self._read_limits(self._device)
+        except BaseException:
+            self.close()
+            raise
+        return self.apply(CameraSettings(0.01, pixel_format=self._limits.pixel_formats[0]))
+
+    def close(self) -> None:
+        """Give the device back."""
+        device, self._device = self._device, None
+        if device is not None:
+            device.close()
+
+    def apply(self, settings: CameraSettings) -> CameraSettings:
+        """Set exposure time and format, and return them as read back."""
+        wanted = round(settings.exposure_s / EXPOSURE_UNIT_S)
+        units = self._open.set_control(self._exposure_control, wanted)
+        self._stale = _STALE_AFTER_CHANGE
+        self._settings = CameraSettings(round(units * EXPOSURE_UNIT_S, 10), pixel_format=settings.pixel_format)
+        return self._settings
+
+    def start(self) -> None:
+        """Begin to stream."""
+        limits = self.capabilities
+        self._open.start(self._codes[self._settings.pixel_format], limits.width, limits.height)
+
+    def grab(self) -> Grab:
+        """Return the next frame; after a change of settings the first few are thrown away, for nothing marks them."""
+        deadline_s = 2 * self._settings.exposure_s + 2.0
+        while self._stale:
+            self._open.frame(deadline_s)
+            self._stale -= 1
+        frame, limits = self._open.frame(deadline_s), self.capabilities
+        code = self._codes[self._settings.pixel_format]
+        dn = plain_numbers(frame.payload, code, limits.width, limits.height)
+        bits = bits_of(self._settings.pixel_format)
+        return Grab(dn, bits, self._settings.exposure_s, 0.0, 0.0, frame.timestamp_s or time.monotonic())
+
+    def stop(self) -> None:
+        """End streaming; a device that is gone needs no goodbye."""
+        if self._device is not None:
+            self._device.stop()
+
+    def findings(self) -> list[Finding]:
+        """Return what still falsifies, what was switched off, and that a webcam's numbers follow a tone curve."""
+        found = []
+        for one in self._hygiene:
+            check = f"control {one.feature.name}"
+            if one.state == "still_on":
+                found.append(
+                    Finding(check, Health.WARNING, str(one), "recover the response with `radiometer response`")
+                )
+            elif one.state == "switched_off":
+                found.append(Finding(check, Health.NOTE, str(one)))
+        if bits_of(self._settings.pixel_format) == 8:
+            message = "8-bit numbers of a webcam follow a tone curve (gamma) of its maker's, whatever its controls say"
+            found.append(Finding("tone curve", Health.WARNING, message, "recover it with `radiometer response`"))
+        return found
+
+    @property
+    def _open(self) -> VideoDevice:
+        if self._device is None:
+            raise DeviceLost(f"{self._identity.device_id} is not open; open it again")
+        return self._device
+
+    def _read_limits(self, device: VideoDevice) -> CameraCapabilities:
+        offered = device.formats()
+        sizes: dict[str, set[tuple[int, int]]] = {}
+        for code, width, height in offered:
+            if code in FORMATS and FORMATS[code] not in {FORMATS[c] for c in sizes if c != code}:
+                sizes.setdefault(code, set()).add((width, height))
+        if not sizes:
+            codes = ", ".join(sorted({code for code, _, _ in offered})) or "none"
+            raise DeviceError(f"{self._identity.device_id}: offers no plain numbers (only {codes}); use another camera")
+        best = next(code for code in FORMATS if code in sizes)
+        width, height = max(sizes[best], key=lambda size: size[0] * size[1])
+        usable = [code for code in FORMATS if (width, height) in sizes.get(code, set())]
+        self._codes = {FORMATS[code]: code for code in usable}
+        controls = device.controls()
+        self._exposure_control = next((name for name in _EXPOSURES if name in controls), "")
+        if not self._exposure_control:
+            raise DeviceError(
+                f"{self._identity.device_id}: has no exposure control, so nothing can be measured with it"
+            )
+        exposure = controls[self._exposure_control]
+        return CameraCapabilities(
+            exposure_s=(max(exposure.minimum, 1) * EXPOSURE_UNIT_S, exposure.maximum * EXPOSURE_UNIT_S),
+            gain_db=(0.0, 0.0),  # the control has no unit: it is left at its least
+            black_level_dn=(0.0, 0.0),
+            pixel_formats=tuple(self._codes),
+            width=width,
+            height=height,
+            exposure_step_s=exposure.step * EXPOSURE_UNIT_S,
+        )
+
+
+def plain_numbers(payload: bytes, fourcc: str, width: int, height: int) -> DigitalNumbers:
+    """Return the digital numbers of a frame, shape (height, width).
+
+    Args:
+        payload: Bytes of the frame.
+        fourcc: Format, one of FORMATS: words are little-endian, of YUYV every other byte is a luma.
+        width: Width in pixels.
+        height: Height in pixels.
+
+    Raises:
+        DeviceError: If bytes are missing.
+
+    Source: Linux media documentation, V4L2 image formats.
+    """
+    count = width * height
+    size = 1 if fourcc == "GREY" else 2
+    if len(payload) < count * size:
+        raise DeviceError(
+            f"a {width} × {height} {fourcc} frame takes {count * size} bytes, but only {len(payload)} came"
+        )
+    if fourcc in ("GREY", "YUYV"):
+        return np.frombuffer(payload, np.uint8, count * size)[::size].reshape(height, width).copy()
+    return np.frombuffer(payload, "<u2", count).astype(np.uint16).reshape(height, width)
+
+
+def _switched_off(device: VideoDevice) -> list[HygieneFinding]:
+    found = []
+    controls = device.controls()
+    wanted = (
+        (*CONTROLS, ("gain", controls["gain"].minimum, "gain: its control has no unit"))
+        if "gain" in controls
+        else CONTROLS
+    )
+    for name, harmless, effect in wanted:
+        if name in controls:
+            control = controls[name]
+            value = (
+                control.default
+                if harmless is None
+                else max(harmless, control.minimum)
+                if name == "sharpness"
+                else harmless
+            )
+            found.append(_set(device, FalsifyingFeature(name, value, effect), control))
+    return found
+
+
+def _set(device: VideoDevice, feature: FalsifyingFeature, control: Control) -> HygieneFinding:
+    wanted = int(feature.harmless)
+    if control.value == wanted:
+        return HygieneFinding(feature, control.value, control.value, "off")
+    if not control.minimum <= wanted <= control.maximum:
+        reason = f"it goes from {control.minimum} to {control.maximum}"
+        return HygieneFinding(feature, control.value, control.value, "still_on", reason)
+    try:
+        now = device.set_control(feature.name, wanted)
+    except DeviceLost:
+        raise
+    except DeviceError as error:
+        return HygieneFinding(feature, control.value, control.value, "still_on", str(error))
+    if now == wanted:
+        return HygieneFinding(feature, control.value, now, "switched_off")
+    return HygieneFinding(feature, control.value, now, "still_on", "it took the write and kept its value")

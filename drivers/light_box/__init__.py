@@ -1,0 +1,1 @@
+"""The serial LED and button box, host side."""

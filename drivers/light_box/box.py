@@ -1,0 +1,443 @@
+"""The serial LED/button box: what is asked for is checked, sent, read back and accounted for."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Final, Protocol, Self
+
+from drivers.light_box.answers import (
+    RANGE_LETTERS,
+    read_capabilities,
+    read_flash,
+    read_identity,
+    read_state,
+    read_status,
+)
+from drivers.light_box.frames import PROTOCOL_VERSIONS, Event
+from drivers.light_box.link import ATTEMPTS, BoxLink, BoxRefusal
+from radiometer.devices.exposure_ledger import ExposureLedger
+from radiometer.devices.light_box import (
+    FULL_LEVEL,
+    ButtonEvent,
+    ChannelCapabilities,
+    ChannelState,
+    ClockEstimate,
+    CurrentRange,
+    DriveLevel,
+    FlashState,
+    Level,
+    LightBoxIdentity,
+    LightBoxStatus,
+)
+from radiometer.devices.retinal_safety import FlashLight, HazardFractions, hazard_fractions
+from radiometer.errors import (
+    CalibrationError,
+    DeviceError,
+    DeviceLost,
+    DeviceNotFound,
+    DeviceTimeout,
+    RadiometerError,
+    SettingOutOfRange,
+    UnsafeStimulus,
+    UsageError,
+)
+
+TEND_INTERVAL_S: Final = 0.25  # a quarter of the box's dead-man time
+START_UP_S: Final = 4.0  # opening the port resets an Arduino, whose boot loader waits 1 to 2 s
+LISTEN_S: Final = 0.02
+BOOT_S: Final = 2.2  # the boot loader's wait, after which the program of an Arduino runs
+FLASH: Final = "flash"  # its name in the account of the exposure
+WRONG_VERSION: Final = 9
+
+
+class RadianceTable(Protocol):
+    """Level and radiance of calibrated channels, as `radiometer.data` stores them."""
+
+    def drive_for(self, channel: str, radiance_w_sr_m2: float) -> tuple[int, bool]:
+        """Return the level nearest to a radiance and whether it is on the high range; raises SettingOutOfRange."""
+        ...
+
+    def highest_radiance(self, channel: str, level: int, high: bool) -> float | None:
+        """Return a radiance in W·sr⁻¹·m⁻² that the level stays below (k = 2); None where it is not calibrated."""
+        ...
+
+
+@dataclass(slots=True)
+class SerialLightBox:
+    """A light box behind a line.
+
+    Attributes:
+        link: Exchanges with the box.
+        ledger: Account of the retinal exposure; refuses what is too much.
+        calibration: Level ↔ radiance; None where levels can only be raw.
+        mild: Wait for what answers to boot, ask it once, and let it be if it is silent: the port may be another's.
+        keep_alive: Tend the box from a thread of its own; without it the caller calls `tend` often enough.
+        flash: The photographic flash at its trigger; None where there is none.
+    """
+
+    link: BoxLink
+    ledger: ExposureLedger
+    calibration: RadianceTable | None = None
+    keep_alive: bool = True
+    mild: bool = False
+    flash: FlashLight | None = None
+    _identity: LightBoxIdentity | None = None
+    _channels: dict[str, ChannelCapabilities] = field(default_factory=dict)
+    _buckets: dict[str, int] = field(default_factory=dict)
+    _tended_s: float = -math.inf
+    _flash_over_s: float | None = None
+    _lock: threading.RLock = field(default_factory=threading.RLock)
+    _closing: threading.Event = field(default_factory=threading.Event)
+    _keeper: threading.Thread | None = None
+
+    @property
+    def identity(self) -> LightBoxIdentity:
+        """Return who the box is. Raises DeviceError unless open."""
+        if self._identity is None:
+            raise DeviceError(f"light box on {self.link.line.name} is not open; call open() first")
+        return self._identity
+
+    @property
+    def channels(self) -> Mapping[str, ChannelCapabilities]:
+        """Return the channels by name. Raises DeviceError unless open."""
+        self.identity  # noqa: B018 (raises)
+        return dict(self._channels)
+
+    def open(self) -> None:
+        """Open the port, say who we are, learn what the box can do; every channel is dark then.
+
+        Raises:
+            DeviceNotFound: If nothing on the port answers as a light box.
+            DeviceInUse: If another program holds the port.
+        """
+        if self._identity is not None:
+            return
+        self.link.line.open()
+        try:
+            self._greet()
+            self.tend()
+        except RadiometerError:
+            self.link.line.close()
+            self._identity = None
+            raise
+        if self.keep_alive:
+            self._closing.clear()
+            self._keeper = threading.Thread(target=self._keep, name="light box", daemon=True)
+            self._keeper.start()
+
+    def close(self) -> None:
+        """Darken and release the box; closing twice does nothing."""
+        self._closing.set()
+        if self._keeper is not None:
+            self._keeper.join()
+            self._keeper = None
+        if self._identity is not None:
+            self.safe()
+            self._identity = None
+        self.link.line.close()
+
+    def set_level(self, channel: str, level: Level) -> ChannelState:
+        """Light a channel steadily and return its state as read back; raises as LightBox.set_level."""
+        return self._shine("SL", channel, level, math.inf, ())
+
+    def ramp(self, channel: str, level: Level, duration_s: float) -> ChannelState:
+        """Move a channel's level linearly to another within `duration_s`, and stay there."""
+        return self._shine("RA", channel, level, math.inf, (self._milliseconds("duration", duration_s, 600.0),))
+
+    def pulse(self, channel: str, level: Level, duration_s: float) -> ChannelState:
+        """Light a channel for `duration_s`, timed by the box."""
+        return self._shine("PU", channel, level, duration_s, (self._milliseconds("duration", duration_s, 600.0),))
+
+    def blink(self, channel: str, level: Level, on_s: float, off_s: float, count: int = 0) -> ChannelState:
+        """Blink a channel `count` times (0: until told otherwise), timed by the box.
+
+        Raises:
+            SettingOutOfRange: If count, times or level are outside the box's limits.
+        """
+        if not 0 <= count <= 65535:
+            raise SettingOutOfRange(self._name, "number of blinks", count, 0, 65535, "")
+        times = (self._milliseconds("bright time", on_s, 60.0), self._milliseconds("dark time", off_s, 60.0))
+        return self._shine("BL", channel, level, on_s * count if count else math.inf, (*times, count))
+
+    def foresee(self, channel: str, level: Level, bright_s: float) -> HazardFractions:
+        """Return which fractions of the exposure limits a stimulus would use up, without lighting anything.
+
+        Args:
+            channel: Name of the channel.
+            level: Raw level, or radiance of a calibrated channel.
+            bright_s: Bright time in s, in sum.
+
+        Raises:
+            SettingOutOfRange: If the level is beyond the channel's limits.
+            CalibrationError: If a radiance is wanted of a channel that is not calibrated.
+            UnsafeStimulus: If it is too much for the eye, or for the channel's energy budget.
+        """
+        self._index(channel)
+        drive = self._drive(channel, level)
+        radiance = self._highest_radiance(channel, drive)
+        self.ledger.refuse_unsafe(channel, radiance, bright_s)
+        high = drive.current_range is CurrentRange.HIGH
+        units_per_ms = (drive.level >> 8) + 1 if high else 1  # docs/light-box-protocol.md, safety in the box
+        longest_s = self._buckets[channel] / units_per_ms / 1000.0
+        if bright_s > longest_s:
+            raise UnsafeStimulus(
+                f"{self._name}: {channel} for {bright_s:g} s at level {drive.level} is more than its energy budget, "
+                f"which ends such light after {longest_s:.0f} s; take a lower level or a shorter time"
+            )
+        return hazard_fractions(self.ledger.optics[channel], radiance, bright_s)
+
+    @property
+    def flash_exposure_j_sr_m2(self) -> float:
+        """Return the radiant exposure of one flash in J·sr⁻¹·m⁻². Raises CalibrationError where it is not known."""
+        return self._flash_light().exposure_j_sr_m2
+
+    def fire_flash(self) -> FlashState:
+        """Fire the photographic flash once and return what the box allows of it from now on.
+
+        Raises:
+            UnsafeStimulus: If it is too much for the eye, with all that was given before, or for the box's own limits.
+            CalibrationError: If the box's preset says nothing of a flash.
+            UsageError: If the box speaks version 1 of the protocol, which has no flash.
+        """
+        with self._lock:
+            light = self._flash_light()
+            self._require_flash()
+            radiance = light.exposure_bound_j_sr_m2 / light.duration_s
+            self.ledger.refuse_unsafe(FLASH, radiance, light.duration_s)
+            state = read_flash(self._name, self.link.request("FL"))
+            self.ledger.shine(FLASH, radiance, light.duration_s)
+            self._flash_over_s = self.link.line.now() + light.duration_s
+            return state
+
+    def flash_state(self) -> FlashState:
+        """Return what the box allows of its flash. Raises UsageError for a box of protocol version 1."""
+        with self._lock:
+            self._require_flash()
+            return read_flash(self._name, self.link.request("FS"))
+
+    def foresee_flashes(self, count: int) -> HazardFractions:
+        """Return which fractions of the exposure limits a number of flashes would use up, without firing any.
+
+        Raises UnsafeStimulus, CalibrationError, UsageError as `fire_flash` would.
+        """
+        light = self._flash_light()
+        self._require_flash()
+        radiance = light.exposure_bound_j_sr_m2 / light.duration_s
+        self.ledger.refuse_unsafe(FLASH, radiance, light.duration_s)
+        one = hazard_fractions(self.ledger.optics[FLASH], radiance, light.duration_s)
+        return HazardFractions(count * one.blue_light, one.thermal)
+
+    def _flash_light(self) -> FlashLight:
+        if self.flash is None:
+            raise CalibrationError(
+                f"{self._name}: its preset has no `flash`; state its measured exposure, bound and duration there"
+            )
+        return self.flash
+
+    def _require_flash(self) -> None:
+        if self.identity.protocol_version < 2:
+            raise UsageError(f"{self._name} speaks protocol version 1, which has no flash; flash its firmware")
+
+    def highest_level(self, channel: str) -> int:
+        """Return the highest raw level of the high range that would be accepted now as steady light.
+
+        It is the box's own limit, or less where the account of the eye's exposure allows no more.
+        """
+        with self._lock:
+            self._index(channel)
+            if channel not in self.ledger.optics:
+                return 0  # of light that the account knows nothing of, none is given
+            accepted, refused = 0, self._channels[channel].level_limit[CurrentRange.HIGH] + 1
+            while refused - accepted > 1:
+                level = (accepted + refused) // 2
+                try:
+                    radiance = self._highest_radiance(channel, DriveLevel(level, CurrentRange.HIGH))
+                    self.ledger.refuse_unsafe(channel, radiance, math.inf)
+                    accepted = level
+                except UnsafeStimulus:
+                    refused = level
+            return accepted
+
+    def off(self, channel: str) -> None:
+        """Darken one channel."""
+        with self._lock:
+            self.link.request(f"OF {self._index(channel)}")
+            self.ledger.darken(channel)
+
+    def safe(self) -> None:
+        """Darken every channel; never raises, for the box darkens itself where it cannot be reached."""
+        with self._lock:
+            try:
+                self.link.request("OF *", attempts=ATTEMPTS // 2)
+            except DeviceError:
+                pass  # silent or gone: its dead-man timer ends the light within 1 s
+            finally:
+                for channel in self._channels:
+                    self.ledger.darken(channel)
+
+    def read_channel(self, channel: str) -> ChannelState:
+        """Return what a channel is doing."""
+        with self._lock:
+            fields = self.link.request(f"RB {self._index(channel)}")
+            return read_state(self._name, channel, self._buckets[channel], fields)
+
+    def status(self) -> LightBoxStatus:
+        """Return supply, temperature and error counts."""
+        with self._lock:
+            return read_status(self._name, self.link.request("ST"))
+
+    def synchronise(self) -> ClockEstimate:
+        """Compare the clocks once more and return the estimate."""
+        with self._lock:
+            self.link.compare_clocks()
+            self._tended_s = self.link.line.now()
+            return self.link.clock.estimate()
+
+    def buttons(self, timeout_s: float) -> Iterator[ButtonEvent]:
+        """Yield presses and releases as they come for `timeout_s`."""
+        deadline_s = self.link.line.now() + timeout_s
+        while (left_s := deadline_s - self.link.line.now()) > 0:
+            with self._lock:
+                self.link.listen(min(left_s, LISTEN_S))
+                self.tend_if_due()
+                found = self.link.take_events()
+                if found:
+                    self.tend()  # a comparison close to the press: no extrapolation
+                events = [self._stamped(event) for event in found]
+            yield from events
+
+    def tend(self) -> None:
+        """Let the box know that the host is there, compare the clocks, fetch lost events. Raises DeviceLost."""
+        self.synchronise()
+        if self._flash_over_s is not None and self.link.line.now() >= self._flash_over_s:
+            self.ledger.darken(FLASH)  # what it gave stays in the account
+            self._flash_over_s = None
+        if self.link.take_turned_off():
+            for channel in self._channels:
+                self.ledger.darken(channel)
+
+    def tend_if_due(self) -> None:
+        """Tend the box if a quarter of its dead-man time has passed since it was tended last."""
+        if self.link.line.now() - self._tended_s >= TEND_INTERVAL_S:
+            self.tend()
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def _name(self) -> str:
+        return f"light box on {self.link.line.name}"
+
+    def _greet(self) -> None:
+        if self.mild:
+            self.link.listen(BOOT_S)
+        deadline_s = self.link.line.now() + (0.0 if self.mild else START_UP_S)
+        while True:
+            self.link.reset()
+            try:
+                fields = self._hello()
+                break
+            except (DeviceTimeout, DeviceLost) as silent:
+                if isinstance(silent, DeviceLost) or self.link.line.now() > deadline_s:
+                    raise DeviceNotFound(f"nothing on {self.link.line.name} answers as a light box") from silent
+            except BoxRefusal as refusal:
+                raise DeviceNotFound(str(refusal)) from refusal
+        self._identity, count = read_identity(self.link.line.name, fields)
+        self._channels, self._buckets = {}, {}
+        for index in range(count):
+            channel, bucket = read_capabilities(self._name, self.link.request(f"CH {index}"))
+            self._channels[channel.name], self._buckets[channel.name] = channel, bucket
+            self.ledger.darken(channel.name)  # a session starts dark, however the one before has ended
+
+    def _hello(self) -> tuple[str, ...]:
+        """Return the answer to HI in the newest version that the box speaks."""
+        for version in PROTOCOL_VERSIONS[:-1]:
+            try:
+                return self.link.request(f"HI {version}", attempts=1 if self.mild else 2)
+            except BoxRefusal as refusal:
+                if refusal.code != WRONG_VERSION:
+                    raise
+        return self.link.request(f"HI {PROTOCOL_VERSIONS[-1]}", attempts=1 if self.mild else 2)
+
+    def _keep(self) -> None:
+        while not self._closing.wait(TEND_INTERVAL_S / 5):
+            with self._lock:
+                try:
+                    self.tend_if_due()
+                except DeviceError:
+                    return  # the link keeps the reason and gives it to the next caller
+
+    def _shine(self, verb: str, channel: str, level: Level, bright_s: float, times: tuple[int, ...]) -> ChannelState:
+        with self._lock:
+            index = self._index(channel)
+            drive = self._drive(channel, level)
+            radiance = self._highest_radiance(channel, drive)
+            self.ledger.refuse_unsafe(channel, radiance, bright_s)
+            words = [verb, index, RANGE_LETTERS[drive.current_range], drive.level, *times]
+            self.link.request(" ".join(str(word) for word in words))
+            self.ledger.shine(channel, radiance, bright_s)
+            state = self.read_channel(channel)
+            self._refuse_other_than(drive, state, steady=verb == "SL")
+            return state
+
+    def _refuse_other_than(self, drive: DriveLevel, state: ChannelState, *, steady: bool) -> None:
+        if steady and drive.level and state.drive != drive:
+            self.safe()
+            raise DeviceError(f"{self._name}: asked for {drive}, read back {state.drive}; every channel was darkened")
+
+    def _drive(self, channel: str, level: Level) -> DriveLevel:
+        if channel not in self.ledger.optics:
+            raise UsageError(
+                f"{self._name}: its preset says nothing of channel {channel}, so what its light does to the eye is not "
+                "known; describe it there (configs/light_boxes/reference.yaml shows how)"
+            )
+        if not isinstance(level, DriveLevel):
+            if self.calibration is None:
+                raise CalibrationError(
+                    f"{self._name} has no calibration, so {channel} takes raw levels only; "
+                    "run `radiometer light calibrate` first"
+                )
+            raw, high = self.calibration.drive_for(channel, level.radiance_w_sr_m2)
+            level = DriveLevel(raw, CurrentRange.HIGH if high else CurrentRange.LOW)
+        limit = self._channels[channel].level_limit[level.current_range]
+        if not 0 <= level.level <= limit:
+            raise SettingOutOfRange(
+                self._name, f"{level.current_range}-current level of {channel}", level.level, 0, limit, "of 65535"
+            )
+        return level
+
+    def _highest_radiance(self, channel: str, drive: DriveLevel) -> float:
+        high = drive.current_range is CurrentRange.HIGH
+        known = self.calibration.highest_radiance(channel, drive.level, high) if self.calibration else None
+        if known is not None:
+            return known
+        optics = self.ledger.optics[channel]
+        return (
+            optics.radiance_bound_w_sr_m2 * (1.0 if high else optics.low_range_ratio_bound) * drive.level / FULL_LEVEL
+        )
+
+    def _index(self, channel: str) -> int:
+        self.identity  # noqa: B018 (raises unless open)
+        names = list(self._channels)
+        if channel not in names:
+            raise UsageError(f"{self._name} has no channel {channel!r}; it has {', '.join(names)}")
+        return names.index(channel)
+
+    def _milliseconds(self, name: str, time_s: float, longest_s: float) -> int:
+        if not (math.isfinite(time_s) and 0.001 <= time_s <= longest_s):
+            raise SettingOutOfRange(self._name, name, time_s, 0.001, longest_s, "s")
+        return round(time_s * 1000)
+
+    def _stamped(self, event: Event) -> ButtonEvent:
+        time_s, u_time_s = self.link.clock.host_time_s(event.box_time_s)
+        return ButtonEvent(event.argument == "D", time_s, u_time_s, event.box_time_s, event.number)

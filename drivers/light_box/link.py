@@ -1,0 +1,230 @@
+"""Exchanges with the light box: numbered requests, deadlines, bounded retries, events on the side."""
+
+from __future__ import annotations
+
+import secrets
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Final, NoReturn
+
+from drivers.light_box.clock import BoxClock, ClockSample
+from drivers.light_box.events import EventInbox
+from drivers.light_box.frames import (
+    ERROR_TEXTS,
+    Event,
+    Reply,
+    parse_event_fields,
+    parse_line,
+    parse_times,
+    request_line,
+)
+from drivers.light_box.serial_line import Line, Received
+from radiometer.errors import DeviceError, DeviceLost, DeviceTimeout, UnsafeStimulus
+
+REPLY_TIMEOUT_S: Final = 0.1  # an answer takes 8 ms on the wire; USB adapters hold bytes back for up to 16 ms
+ATTEMPTS: Final = 16  # in sum longer than the box's dead-man time: after the last one every channel is dark
+EVENT_SLOTS: Final = 1024
+
+
+class BoxRefusal(DeviceError):
+    """The box refused a request; `code` is the protocol's error number."""
+
+    def __init__(self, port: str, words: str, code: int) -> None:
+        self.code = code
+        reason = ERROR_TEXTS.get(code, f"its error {code} is unknown to this program")
+        super().__init__(f"light box on {port} refused {words!r}: {reason}")
+
+
+@dataclass(slots=True)
+class BoxLink:
+    """Sends requests until they are answered, and keeps what the box says by itself.
+
+    A request is repeated with the same number; the box answers a repetition without doing it again.
+
+    Attributes:
+        line: The serial line, owned by this link.
+        byte_time_s: Time that one byte takes on the wire in s.
+        clock: Collects the comparisons of the clocks.
+        inbox: Puts events in order.
+        retries: Requests that were sent again since opening.
+        damaged_lines: Lines that held nothing undamaged since opening.
+    """
+
+    line: Line
+    byte_time_s: float = 10 / 115200
+    clock: BoxClock = field(default_factory=BoxClock)
+    inbox: EventInbox = field(default_factory=EventInbox)
+    retries: int = 0
+    damaged_lines: int = 0
+    _sequence: int = field(default_factory=lambda: secrets.randbelow(256))
+    _events: deque[Event] = field(default_factory=lambda: deque(maxlen=EVENT_SLOTS))
+    _fault: str | None = None
+    _turned_off: bool = False
+
+    def request(self, words: str, attempts: int = ATTEMPTS) -> tuple[str, ...]:
+        """Return the fields of the answer to a request.
+
+        Args:
+            words: Command and arguments, parted by single spaces.
+            attempts: How often to send it at most.
+
+        Raises:
+            DeviceTimeout: If no undamaged answer came.
+            DeviceLost: If the port has gone or the box has restarted or gone dark by itself.
+            UnsafeStimulus: If the box refused for its own energy limit.
+            BoxRefusal: If the box refused for another reason.
+        """
+        self._refuse_faulty()
+        self._sequence = (self._sequence + 1) % 256
+        return self._exchange(words, self._sequence, attempts)[0]
+
+    def compare_clocks(self) -> None:
+        """Add one comparison of the clocks and fetch the events that were lost. Raises as `request`."""
+        self._refuse_faulty()
+        for _ in range(ATTEMPTS):  # each try has a number of its own: a repeated answer would carry old times
+            self._sequence = (self._sequence + 1) % 256
+            try:
+                fields, sent_s, received, request_bytes = self._exchange("TM", self._sequence, attempts=1)
+            except DeviceTimeout:
+                continue
+            self._take_times(fields, sent_s, received, request_bytes)
+            return
+        self._fail(f"light box on {self.line.name} does not tell its time; its channels are dark by now, reopen it")
+
+    def listen(self, timeout_s: float) -> None:
+        """Take in what comes by itself for `timeout_s`. Raises DeviceLost."""
+        deadline_s = self.line.now() + timeout_s
+        while True:
+            received = self.line.read_line(max(deadline_s - self.line.now(), 0.0))
+            if received is not None:
+                self._take_aside(parse_line(received.text))
+            elif self.line.now() >= deadline_s:
+                return
+
+    def take_events(self) -> list[Event]:
+        """Return the button events that have come since the last call, in order."""
+        self._sort_events()
+        events = list(self._events)
+        self._events.clear()
+        return events
+
+    def take_turned_off(self) -> bool:
+        """Tell whether the button, held for 3 s, has turned every light off since the last call."""
+        turned_off, self._turned_off = self._turned_off, False
+        return turned_off
+
+    def reset(self) -> None:
+        """Forget clocks, events and faults, before a new session."""
+        self.clock.samples.clear()
+        self.inbox = EventInbox()
+        self._events.clear()
+        self._fault = None
+
+    def _exchange(self, words: str, sequence: int, attempts: int) -> tuple[tuple[str, ...], float, Received, int]:
+        line = request_line(sequence, words)
+        for attempt in range(attempts):
+            self.retries += attempt > 0
+            sent_s = self.line.write(line)
+            found = self._await_reply(sequence, sent_s + REPLY_TIMEOUT_S)
+            if found is not None:
+                reply, received = found
+                if reply.error:
+                    raise self._refusal(words, reply.error)
+                return reply.fields, sent_s, received, len(line)
+        raise self._timeout(words, attempts)
+
+    def _await_reply(self, sequence: int, deadline_s: float) -> tuple[Reply, Received] | None:
+        while True:
+            received = self.line.read_line(max(deadline_s - self.line.now(), 0.0))
+            if received is None:
+                if self.line.now() >= deadline_s:
+                    return None
+                continue
+            found = parse_line(received.text)
+            if isinstance(found, Reply) and found.sequence == sequence:
+                return found, received
+            if isinstance(found, Reply) and found.sequence is None:
+                return None  # the box could not read what we sent: send it again now
+            self._take_aside(found)
+
+    def _take_aside(self, found: Reply | Event | None) -> None:
+        if found is None:
+            self.damaged_lines += 1
+        elif isinstance(found, Event):
+            if found.kind == "BO" and self.inbox.expected is not None:  # its numbers start again
+                self._fault = self._restarted()
+            self.inbox.put(found)
+            self._sort_events()
+
+    def _sort_events(self) -> None:
+        for event in self.inbox.release():
+            if event.kind == "BT":
+                self._events.append(event)
+            elif event.kind == "DK" and event.argument == "B":
+                self._turned_off = True
+            elif event.kind == "DK" and event.argument == "D":
+                self._fault = (
+                    f"light box on {self.line.name} has gone dark because this program was silent for 1 s; reopen it"
+                )
+
+    def _take_times(self, fields: tuple[str, ...], sent_s: float, received: Received, request_bytes: int) -> None:
+        times = parse_times(fields)
+        if times is None:
+            self._fail(f"light box on {self.line.name} answered TM with {' '.join(fields)!r}; flash its firmware")
+        box_received_s, box_answered_s, latest_event = times
+        if self.clock.samples and box_received_s < self.clock.samples[-1].box_received_s:
+            self._fail(self._restarted())
+        answer_bytes = len(received.text) + 1
+        self.clock.add(
+            ClockSample(
+                sent_s,
+                box_received_s,
+                box_answered_s,
+                received.time_s,
+                request_bytes * self.byte_time_s,
+                answer_bytes * self.byte_time_s,
+            )
+        )
+        self._fetch_lost_events(latest_event)
+
+    def _fetch_lost_events(self, latest: int) -> None:
+        if self.inbox.expected is None:
+            self.inbox.start_after(latest)
+        for number in self.inbox.missing(latest):
+            try:
+                fields = self.request(f"EV {number:02X}")
+            except BoxRefusal:
+                self.inbox.skip(number)
+                continue
+            event = parse_event_fields(number, fields)
+            if event is not None:
+                self.inbox.put(event)
+        self._sort_events()
+        self._refuse_faulty()
+
+    def _refusal(self, words: str, code: int) -> DeviceError:
+        refusal = BoxRefusal(self.line.name, words, code)
+        if code == 6:
+            return UnsafeStimulus(str(refusal))
+        if code == 7:
+            self._fault = f"{refusal}"
+            return DeviceLost(str(refusal))
+        return refusal
+
+    def _timeout(self, words: str, attempts: int) -> DeviceTimeout:
+        message = f"light box on {self.line.name} did not answer {words!r} within {attempts * REPLY_TIMEOUT_S:.1f} s"
+        if attempts >= ATTEMPTS:
+            self._fault = f"{message}; its channels are dark by now, reopen it"
+            return DeviceTimeout(self._fault)
+        return DeviceTimeout(message)
+
+    def _refuse_faulty(self) -> None:
+        if self._fault is not None:
+            raise DeviceLost(self._fault)
+
+    def _restarted(self) -> str:
+        return f"light box on {self.line.name} has restarted; every channel is dark, reopen it"
+
+    def _fail(self, message: str) -> NoReturn:
+        self._fault = message
+        raise DeviceLost(message)

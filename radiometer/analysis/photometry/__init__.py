@@ -1,0 +1,1 @@
+"""Spectra, and the conversions between radiance and luminance."""

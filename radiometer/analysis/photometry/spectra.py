@@ -1,0 +1,184 @@
+"""Relative spectra of sources by name: what a conversion between luminance and radiance assumes."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.photometry.display_types import primary_spectrum
+from radiometer.data.storage import read_text
+from radiometer.errors import InputError
+from radiometer.units import BOLTZMANN_J_K, PLANCK_J_S, SPEED_OF_LIGHT_M_S
+
+BAND_NM: Final = (380.0, 780.0)
+TABLES: Final = Path(__file__).with_name("tables")
+_LEDS: Final = ("led_b1", "led_b2", "led_b4", "led_b5", "led_bh1", "led_rgb1", "led_v1", "led_v2")
+_CIE: Final = (*_LEDS, "cie_a", "cie_fl2", "cie_fl11", "crt_red", "crt_green", "crt_blue")
+_TABULATED: Final = {
+    **dict.fromkeys(("cie_d65", "white_led", "display_red", "display_green", "display_blue"), "spectra.csv"),
+    **dict.fromkeys(_CIE, "spectra_cie.csv"),
+}
+SPECTRUM_NAMES: Final = (
+    "equal_energy",
+    "planck:T",
+    *_TABULATED,
+    "line:NM",
+    "band:NM,FWHM",
+    "display:TYPE:PRIMARY",
+    "FILE.csv",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectrum:
+    """Relative spectral power of a source over a stated band.
+
+    Attributes:
+        name: Name it is asked for by.
+        wavelength_nm: Ascending wavelengths in nm; a single one for a monochromatic line.
+        power: Relative power per nm at each, 0 or more.
+    """
+
+    name: str
+    wavelength_nm: NDArray[np.float64]
+    power: NDArray[np.float64]
+
+    @property
+    def band_nm(self) -> tuple[float, float]:
+        """Return the lowest and highest wavelength in nm."""
+        return float(self.wavelength_nm[0]), float(self.wavelength_nm[-1])
+
+    def integral(
+        self, weighting_nm: NDArray[np.float64] | None = None, weighting: NDArray[np.float64] | None = None
+    ) -> float:
+        """Return ∫ S(λ)·w(λ) dλ over the band, exactly, with straight lines between the entries of either table.
+
+        Between neighbouring wavelengths of both, h apart, the product of two straight lines is a parabola:
+        ∫ = h/6·[S₀·(2w₀ + w₁) + S₁·(w₀ + 2w₁)].
+
+        Args:
+            weighting_nm: Ascending wavelengths of the weighting in nm; None weighs all alike.
+            weighting: Its values; 0 outside its wavelengths.
+        """
+        if weighting_nm is None or weighting is None:
+            weighting_nm, weighting = np.array(self.band_nm), np.ones(2)
+        if self.wavelength_nm.size == 1:
+            here = np.interp(self.wavelength_nm[0], weighting_nm, weighting, left=0.0, right=0.0)
+            return float(self.power[0] * here)
+        low, high = max(self.wavelength_nm[0], weighting_nm[0]), min(self.wavelength_nm[-1], weighting_nm[-1])
+        grid = np.union1d(self.wavelength_nm, weighting_nm)
+        grid = grid[(grid >= low) & (grid <= high)]
+        power, weight = np.interp(grid, self.wavelength_nm, self.power), np.interp(grid, weighting_nm, weighting)
+        crossed = power[:-1] * (2.0 * weight[:-1] + weight[1:]) + power[1:] * (weight[:-1] + 2.0 * weight[1:])
+        return float(np.sum(np.diff(grid) * crossed) / 6.0)
+
+
+def spectrum(name: str) -> Spectrum:
+    """Return a spectrum by name.
+
+    Args:
+        name: "equal_energy", "planck:T" (T in K), "cie_d65", "white_led", "display_red", "display_green",
+            "display_blue" (a display of 1998), "led_b1" … "led_v2" (CIE 015:2018), "cie_a", "cie_fl2", "cie_fl11",
+            "crt_red", "crt_green", "crt_blue", "line:NM" (a monochromatic line), "band:NM,FWHM" (a Gaussian),
+            "display:TYPE:PRIMARY" (of a display type), or the path of a CSV with the columns
+            wavelength in nm and relative power. All but line, band and CSV extend over 380–780 nm.
+
+    Raises:
+        InputError: If there is no such spectrum, or the file cannot be used; the message lists the names.
+    """
+    kind, _, argument = name.partition(":")
+    if kind == "equal_energy":
+        return Spectrum(name, np.array(BAND_NM), np.ones(2))
+    if kind == "planck":
+        return _planck(name, _number(name, argument, 500.0, 50_000.0, "K"))
+    if kind == "line":
+        return Spectrum(name, np.array([_number(name, argument, 200.0, 2000.0, "nm")]), np.ones(1))
+    if kind == "band":
+        return _band(name, argument)
+    if kind == "display":
+        return Spectrum(name, *primary_spectrum(*[*argument.split(":"), ""][:2]))
+    if kind in _TABULATED:
+        wavelengths, columns = table(_TABULATED[kind])
+        return Spectrum(name, wavelengths, columns[kind])
+    if name.lower().endswith(".csv"):
+        return spectrum_from_csv(Path(name))
+    raise InputError(f"there is no spectrum {name!r}; choose from {', '.join(SPECTRUM_NAMES)}")
+
+
+@cache
+def table(file: str) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+    """Return (wavelengths in nm, columns by name) of a table that comes with the package."""
+    lines = [line for line in (TABLES / file).read_text("utf-8").splitlines() if not line.startswith("#")]
+    rows = list(csv.reader(lines))
+    numbers = np.array(rows[1:], dtype=np.float64)
+    return numbers[:, 0], {name: numbers[:, i] for i, name in enumerate(rows[0]) if i}
+
+
+def _number(name: str, text: str, low: float, high: float, unit: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise InputError(f"spectrum {name!r}: needs a number from {low:g} to {high:g} {unit} after the colon")
+    return value
+
+
+def _band(name: str, argument: str) -> Spectrum:
+    """Return a Gaussian band, such as one colour of an organic or quantum-dot display."""
+    peak, _, width = argument.partition(",")
+    peak_nm, fwhm_nm = _number(name, peak, 200.0, 2000.0, "nm"), _number(name, width, 0.1, 300.0, "nm after the comma")
+    wavelength = np.linspace(peak_nm - 2.0 * fwhm_nm, peak_nm + 2.0 * fwhm_nm, 161)
+    return Spectrum(name, wavelength, np.exp(-4.0 * math.log(2.0) * ((wavelength - peak_nm) / fwhm_nm) ** 2))
+
+
+def _planck(name: str, temperature_k: float) -> Spectrum:
+    wavelength = np.arange(BAND_NM[0], BAND_NM[1] + 1.0)
+    metres = wavelength * 1e-9
+    exponent = PLANCK_J_S * SPEED_OF_LIGHT_M_S / (metres * BOLTZMANN_J_K * temperature_k)
+    power = metres**-5 / np.expm1(exponent)
+    return Spectrum(name, wavelength, power / power.max())
+
+
+def spectrum_from_csv(path: Path) -> Spectrum:
+    """Return the spectrum, or the spectral response, in a CSV of wavelength in nm and relative value.
+
+    Args:
+        path: File; a heading, comments after # and semicolons are allowed.
+
+    Raises:
+        InputError: If the file cannot be read, or its numbers are no spectrum.
+    """
+    lines = read_text(path).splitlines()
+    rows = [line.replace(";", ",").split(",")[:2] for line in lines if line.strip() and not line.startswith("#")]
+    if rows and not _is_number(rows[0][0]):
+        rows = rows[1:]
+    try:
+        numbers = np.array(rows, dtype=np.float64)
+    except ValueError as error:
+        raise InputError(
+            f"{path}: expected two numbers per line, wavelength in nm and relative power: {error}"
+        ) from error
+    if numbers.ndim != 2 or numbers.shape[0] < 2 or numbers.shape[1] != 2:
+        raise InputError(f"{path}: expected at least two lines of wavelength in nm and relative power")
+    wavelength, power = numbers.T
+    if np.any(np.diff(wavelength) <= 0) or np.any(power < 0) or not power.any() or not np.all(np.isfinite(numbers)):
+        raise InputError(f"{path}: wavelengths must rise and powers be 0 or more, not all 0")
+    if wavelength[0] < 100.0 or wavelength[-1] > 5000.0:
+        raise InputError(f"{path}: wavelengths run from {wavelength[0]:g} to {wavelength[-1]:g}; they must be in nm")
+    return Spectrum(str(path), wavelength, power)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

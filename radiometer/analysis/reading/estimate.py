@@ -1,0 +1,152 @@
+"""The maximum-likelihood radiance of a patch from all its usable frames, with what the frames say of themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.reading.frames import PatchFrame
+from radiometer.analysis.signal.dark import DarkLevel
+from radiometer.analysis.signal.model import SignalModel
+
+# Twice the gain in log-likelihood that a fluctuation must bring: five sigma for one parameter.
+_FLICKER_EVIDENCE = 25.0
+# Less than this (Akaike's criterion for one parameter) is chance and takes no part.
+_FLUCTUATION_EVIDENCE = 2.0
+# Frames of a steady source through a good calibration agree to this; only more is called flicker.
+_FLICKER_FLOOR_REL = 1e-3
+_FLUCTUATION_GRID = np.concatenate([[0.0], np.geomspace(1e-5, 1.0, 101)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PatchEstimate:
+    """Linear signal per exposure (unit of x per s, or per s·sr where exposures carry the lens factor).
+
+    Attributes:
+        rate: Estimate.
+        coefficients: c_i of rate = Σ c_i·(x_i − dark_i).
+        expected: Expected signal of every frame.
+        u_noise: Standard uncertainty from the noise model.
+        u_fluctuation: Standard uncertainty from what frames differ beyond their noise.
+        fluctuation_rel: Relative standard deviation of that difference.
+        evidence: Twice the gain in log-likelihood that this difference brings.
+        pixel_rates: The same estimate for every pixel, shape of the patch.
+        u_pixel: Standard uncertainty of one pixel's rate from the noise model.
+    """
+
+    rate: float
+    coefficients: NDArray[np.float64]
+    expected: NDArray[np.float64]
+    u_noise: float
+    u_fluctuation: float
+    fluctuation_rel: float
+    evidence: float
+    pixel_rates: NDArray[np.float64]
+    u_pixel: float
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Return frames − 1."""
+        return int(self.expected.size - 1)
+
+    @property
+    def flickers(self) -> bool:
+        """Tell whether frames differ more than their noise and the calibration explain."""
+        return self.fluctuation_rel >= _FLICKER_FLOOR_REL and self.evidence >= _FLICKER_EVIDENCE
+
+
+def estimate_patch(
+    frames: Sequence[PatchFrame],
+    dark: Sequence[DarkLevel],
+    exposures: NDArray[np.float64],
+    good: NDArray[np.bool_],
+    model: SignalModel,
+) -> PatchEstimate:
+    """Return the maximum-likelihood estimate over frames: weights t²/σ² of the *expected*, never the noisy, signal.
+
+    Weights that follow the noisy sample itself favour the samples that came out low; the expected signal of
+    the common estimate has, to first order, no such bias, for the error of the best linear estimate is
+    uncorrelated with the differences between frames.
+
+    Args:
+        frames: Usable frames, at least one.
+        dark: Dark level of each.
+        exposures: Exposure time of each in s, times the lens factor in sr where wanted.
+        good: Pixels to use, shape of the patch.
+        model: Signal model of the camera.
+
+    Source: iteratively reweighted least squares, Charnes, Frome and Yu 1976, JASA 71, 169.
+    """
+    means = np.array([f.signal[good].mean() - d.signal for f, d in zip(frames, dark, strict=True)])
+    count = int(good.sum())
+    rate = float(means.sum() / exposures.sum())
+    tau, evidence = 0.0, 0.0
+    for _ in range(4):
+        expected, single, curve, dark_variance = _variances(rate, frames, dark, exposures, model)
+        noise = single / count
+        tau, evidence = _fluctuation(means, exposures, noise + curve + dark_variance, rate)
+        weights = exposures / (noise + curve + (tau * expected) ** 2)
+        coefficients = weights / float(weights @ exposures)
+        rate = float(coefficients @ means)
+    expected, single, _, _ = _variances(rate, frames, dark, exposures, model)
+    pixels = np.tensordot(coefficients, np.stack([f.signal - d.signal for f, d in zip(frames, dark, strict=True)]), 1)
+    return PatchEstimate(
+        rate,
+        coefficients,
+        expected,
+        u_noise=float(np.sqrt(coefficients**2 @ (single / count))),
+        u_fluctuation=float(np.sqrt(coefficients**2 @ (tau * expected) ** 2)),
+        fluctuation_rel=tau,
+        evidence=evidence,
+        pixel_rates=pixels,
+        u_pixel=float(np.sqrt(coefficients**2 @ single)),
+    )
+
+
+def _variances(
+    rate: float,
+    frames: Sequence[PatchFrame],
+    dark: Sequence[DarkLevel],
+    exposures: NDArray[np.float64],
+    model: SignalModel,
+) -> tuple[NDArray[np.float64], ...]:
+    """Return per frame the expected signal and the variances of one pixel, of the curve and of the dark level."""
+    expected = rate * exposures
+    single = np.array([float(model.variance(x, f.settings)) for x, f in zip(expected, frames, strict=True)])
+    curve = np.array([curve_u_rel(model, f, x) for x, f in zip(expected, frames, strict=True)])
+    dark_u = np.array([np.hypot(d.u_independent, d.u_common) for d in dark])
+    return expected, single, (curve * expected) ** 2, dark_u**2
+
+
+def curve_u_rel(model: SignalModel, frame: PatchFrame, expected: float) -> float:
+    """Return the response curve's relative standard uncertainty at an expected signal of a frame."""
+    return float(
+        model.at_dn(
+            model.u_rel, model.dn_of(expected, frame.settings) - model.black_of(frame.settings) + model.black_dn
+        )
+    )
+
+
+def _fluctuation(
+    means: NDArray[np.float64], exposures: NDArray[np.float64], variance: NDArray[np.float64], rate: float
+) -> tuple[float, float]:
+    """Return the relative standard deviation between frames beyond their variance, and twice its log-likelihood gain.
+
+    By restricted maximum likelihood: matching χ² to its expectation instead would let the noise of dim frames
+    pass for a fluctuation that the bright frames contradict.
+
+    Source: Patterson and Thompson 1971, Biometrika 58, 545.
+    """
+    if means.size < 2:
+        return 0.0, 0.0
+    total = variance + np.outer(_FLUCTUATION_GRID, rate * exposures) ** 2
+    weights = exposures**2 / total
+    rates = means / exposures
+    centre = (weights @ rates / weights.sum(1))[:, None]
+    deviance = np.log(total).sum(1) + np.log(weights.sum(1)) + (weights * (rates - centre) ** 2).sum(1)
+    best = int(np.argmin(deviance))
+    evidence = float(deviance[0] - deviance[best])
+    return (float(_FLUCTUATION_GRID[best]), evidence) if evidence >= _FLUCTUATION_EVIDENCE else (0.0, evidence)

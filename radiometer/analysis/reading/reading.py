@@ -1,0 +1,356 @@
+"""The radiance of one patch from the frames of a bracket, with its GUM budget and flags."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.analysis.photometry.photometry import holds_visible_light, luminous_efficacy_lm_per_w
+from radiometer.analysis.photometry.spectra import spectrum as spectrum_of
+from radiometer.analysis.reading.contributions import PatchSituation, budget_terms
+from radiometer.analysis.reading.estimate import PatchEstimate, estimate_patch
+from radiometer.analysis.reading.flags import reading_flags
+from radiometer.analysis.reading.frames import PatchFrame, crop_frames
+from radiometer.analysis.reading.outside import Falloff, Surround, conditions_of
+from radiometer.analysis.signal.dark import dark_levels
+from radiometer.analysis.signal.found_effects import corrected_frames, straightened, temperature_factor, without_glare
+from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
+from radiometer.analysis.signal.model import SignalModel
+from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of, unstated_u_rel
+from radiometer.analysis.uncertainty.budget import combined_u, coverage_factor, effective_degrees_of_freedom
+from radiometer.data import (
+    Calibration,
+    CameraDescription,
+    Flag,
+    FoundEffects,
+    Frame,
+    LensDescription,
+    Patch,
+    Provenance,
+    Quantity,
+    Reading,
+    ScaleConditions,
+    SourceDescription,
+)
+from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT, RELATIVE_UNIT
+from radiometer.errors import MeasurementError
+
+
+def read_patch(
+    frames: Iterable[Frame],
+    patch: Patch,
+    calibration: Calibration | None,
+    camera: CameraDescription,
+    lens: LensDescription,
+    *,
+    spectrum: str | None = None,
+    source: SourceDescription | None = None,
+    spectrum_stated: bool = True,
+    now: dt.datetime | None = None,
+    sequence: int = 0,
+) -> Reading:
+    """Return the radiance of a patch in W·sr⁻¹·m⁻² (relative without a calibration) with its budget.
+
+    Args:
+        frames: A bracket, or any frames of one unmoving scene; frames with the shutter closed give the dark level.
+        patch: Where to read.
+        calibration: The camera's calibration; None gives relative values and the flag `uncalibrated`.
+        camera: The camera in use.
+        lens: The lens in use.
+        spectrum: Name of the source's spectrum, or path of a CSV, for the luminance; None takes the calibration's.
+        source: What is known of the light; that of a screen counts as polarised where nothing else is said.
+        spectrum_stated: Whether somebody says that the light's spectrum is the calibration's `spectrum`; where nobody
+            does, the kinds of light that there are count, and the reading is flagged so.
+        now: Time that the calibration's age is counted to, with time zone; None for the present.
+        sequence: Running number of the reading.
+
+    Raises:
+        CalibrationError: If the calibration is of another camera or lens.
+        InputError: If there is no such spectrum.
+        MeasurementError: If the patch lies outside the frame, or there is no light frame.
+    """
+    settled = situation_of(calibration, camera, lens)
+    situation = _patch_situation(frames, patch, calibration, camera, settled, source, now)
+    situation = replace(situation, spectrum_stated=spectrum_stated)
+    reading = _reading(situation, settled, patch, camera, sequence)
+    if calibration is not None and calibration.absolute and not spectrum_stated:
+        reading = replace(reading, flags=tuple(sorted({*reading.flags, Flag.SPECTRUM_ASSUMED})))
+    return _with_luminance(reading, calibration, spectrum, spectrum_stated=spectrum_stated)
+
+
+def patch_situation(
+    frames: Iterable[Frame],
+    patch: Patch,
+    calibration: Calibration | None,
+    camera: CameraDescription,
+    lens: LensDescription,
+    source: SourceDescription | None = None,
+    now: dt.datetime | None = None,
+    *,
+    spectrum_stated: bool = True,
+) -> PatchSituation:
+    """Return what a reading of a patch is made from, for a look behind its budget.
+
+    Args:
+        frames: As for `read_patch`.
+        patch: Where to read.
+        calibration: The camera's calibration, or None.
+        camera: The camera in use.
+        lens: The lens in use.
+        source: What is known of the light.
+        now: Time of the reading, with time zone; None for the present.
+        spectrum_stated: As for `read_patch`.
+
+    Raises:
+        CalibrationError: If the calibration is of another camera or lens.
+        MeasurementError: If the patch lies outside the frame, or there is no light frame.
+    """
+    settled = situation_of(calibration, camera, lens)
+    found = _patch_situation(frames, patch, calibration, camera, settled, source, now)
+    return replace(found, spectrum_stated=spectrum_stated)
+
+
+def _patch_situation(
+    frames: Iterable[Frame],
+    patch: Patch,
+    calibration: Calibration | None,
+    camera: CameraDescription,
+    settled: Situation,
+    source: SourceDescription | None,
+    now: dt.datetime | None,
+) -> PatchSituation:
+    if calibration is not None:
+        frames = corrected_frames(frames, calibration.found, settled.black.dn)
+    light, dark_frames, shape = crop_frames(frames, patch, settled.model)
+    if calibration is not None and settled.model.linear:
+        light = [_straightened(one, calibration.found, settled.model) for one in light]
+    chosen = [one for one in light if one.usable] or [one for one in light if one.unclipped] or [light[0]]
+    good = ~np.any([one.clipped for one in chosen], axis=0) if chosen[0].usable else np.ones(chosen[0].dn.shape, bool)
+    good = _without_defects(good, calibration, patch)
+    masked = [one.masked_dn for one in chosen]
+    dark = dark_levels([one.settings for one in chosen], dark_frames, settled.model, settled.black, masked_dn=masked)
+    place = _sensitivity(calibration, camera, settled.lens, shape, patch)
+    factors = float(place.mean()) * _lens_factors(light, calibration, settled.lens)
+    surround = _surround(light, factors, settled)
+    kept = [any(one is other for other in chosen) for one in light]
+    chosen = [_evened(one, level.signal, place) for one, level in zip(chosen, dark, strict=True)]
+    exposures = np.array([one.settings.exposure_s for one in chosen]) * factors[kept]
+    estimate = estimate_patch(chosen, dark, exposures, good, settled.model)
+    conditions = _conditions(
+        estimate, chosen, settled, surround, place, _field(camera, settled.lens, shape, patch), source
+    )
+    scale, stray = _corrected_scale(settled.scale, surround, conditions, calibration)
+    return PatchSituation(
+        estimate,
+        tuple(chosen),
+        tuple(dark),
+        exposures,
+        good,
+        settled.model,
+        settled.stated,
+        scale,
+        calibration,
+        settled.lens,
+        conditions,
+        surround,
+        _falloff(calibration, camera, settled.lens, chosen, place),
+        len(light),
+        _unsteady(light),
+        now or dt.datetime.now(dt.UTC),
+        stray,
+    )
+
+
+def _straightened(frame: PatchFrame, found: FoundEffects, model: SignalModel) -> PatchFrame:
+    """Return the frame's patch without the bend of the response that was found."""
+    signal = straightened(frame.signal, found, model.electrons_per_unit)
+    whole = float(straightened(frame.whole, found, model.electrons_per_unit))
+    return replace(frame, signal=signal, whole=whole)
+
+
+def _corrected_scale(
+    scale: float, surround: Surround, here: ScaleConditions, calibration: Calibration | None
+) -> tuple[float, float]:
+    """Return radiance per unit of the estimate, and what is taken off it, with warmth and glare as they were found."""
+    if calibration is None:
+        return scale, 0.0
+    found, there = calibration.found, calibration.scale.conditions
+    warm = scale * temperature_factor(found, here.temperature_c, there.temperature_c)
+    gain, of_surround = without_glare(found.glare, there.surround)
+    return warm * gain, warm * of_surround * surround.rate
+
+
+def _unsteady(light: list[PatchFrame]) -> bool:
+    """Tell whether a frame clips that was exposed no longer than one that does not."""
+    unclipped = [one.settings.effective_exposure_s for one in light if one.unclipped]
+    clipped = [one.settings.effective_exposure_s for one in light if not one.unclipped and one.clipped.all()]
+    return bool(unclipped and clipped) and min(clipped) <= max(unclipped) * (1.0 + 1e-9)
+
+
+def _surround(light: list[PatchFrame], factors: NDArray[np.float64], settled: Situation) -> Surround:
+    """Return the light of the whole picture from the frame that shows most of it unclipped, the longest of those."""
+    best = min(range(len(light)), key=lambda i: (round(light[i].whole_clipped, 3), -light[i].settings.exposure_s))
+    one = light[best]
+    signal = one.whole - settled.model.modelled_dark(one.settings)
+    return Surround(signal / (one.settings.exposure_s * float(factors[best])), one.whole_clipped)
+
+
+def _conditions(
+    estimate: PatchEstimate,
+    chosen: list[PatchFrame],
+    settled: Situation,
+    surround: Surround,
+    place: NDArray[np.float64],
+    field: float,
+    source: SourceDescription | None,
+) -> ScaleConditions:
+    shares = estimate.coefficients * estimate.expected / (estimate.rate or 1.0)
+    model, settings = settled.model, [one.settings for one in chosen]
+    heights = [
+        (float(model.dn_of(x, one)) - model.black_of(one)) / (model.full_scale_dn - model.black_of(one))
+        for x, one in zip(estimate.expected, settings, strict=True)
+    ]
+    level = float(np.abs(shares) @ heights) / max(float(np.abs(shares).sum()), 1e-300)
+    ratio = surround.rate / estimate.rate if estimate.rate > 0.0 else 0.0
+    polarised = None if source is None else source.polarised
+    if source is not None and polarised is None and source.kind == "screen":
+        polarised = True
+    return conditions_of(shares, settings, level, float(place.mean()), field, ratio, polarised)
+
+
+def _field(camera: CameraDescription, lens: LensDescription, shape: tuple[int, int], patch: Patch) -> float:
+    """Return the distance of a patch from the optical axis over that of a corner of the frame."""
+    middle = ((shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0)
+    centre = lens.principal_point_px or middle
+    away = (patch.x + (patch.width - 1) / 2.0 - centre[0], patch.y + (patch.height - 1) / 2.0 - centre[1])
+    return math.hypot(*away) / max(math.hypot(*middle), 0.5)
+
+
+def _falloff(
+    calibration: Calibration | None,
+    camera: CameraDescription,
+    lens: LensDescription,
+    chosen: list[PatchFrame],
+    place: NDArray[np.float64],
+) -> Falloff:
+    """Return what is known of the sensitivity over the picture."""
+    flat = calibration.flat_field if calibration else None
+    if flat is None:
+        return Falloff(falloff_known(camera, lens))
+    numbers = {one.settings.f_number or lens.f_number for one in chosen}
+    same = flat.f_number is None or all(n is not None and abs(n / flat.f_number - 1.0) < 0.03 for n in numbers)
+    # Mechanical vignetting comes and goes with the iris: then half of the measured fall-off is in doubt.
+    doubt = 0.0 if same else 0.5 * abs(1.0 - float(place.mean()))
+    return Falloff("flat_field", math.hypot(flat.u_rel, doubt))
+
+
+def _without_defects(good: NDArray[np.bool_], calibration: Calibration | None, patch: Patch) -> NDArray[np.bool_]:
+    kept = good.copy()
+    for x, y in calibration.defects if calibration else ():
+        if patch.x <= x < patch.x + patch.width and patch.y <= y < patch.y + patch.height:
+            kept[y - patch.y, x - patch.x] = False
+    if not kept.any():
+        raise MeasurementError(
+            f"every pixel of the patch {patch.x},{patch.y},{patch.width},{patch.height} is defective; choose another"
+        )
+    return kept
+
+
+def _sensitivity(
+    calibration: Calibration | None,
+    camera: CameraDescription,
+    lens: LensDescription,
+    shape: tuple[int, int],
+    patch: Patch,
+) -> NDArray[np.float64]:
+    """Return the sensitivity of the patch's pixels relative to the optical axis; 1 without a calibration."""
+    if calibration is None:
+        return np.ones((patch.height, patch.width))
+    rows, columns = np.mgrid[patch.slices]
+    return relative_sensitivity(camera, lens, flat_field_for(calibration, shape), shape, columns, rows)
+
+
+def _evened(frame: PatchFrame, dark: float, place: NDArray[np.float64]) -> PatchFrame:
+    """Return the frame's patch with the change of sensitivity over it taken out, its mean left as it is."""
+    return replace(frame, signal=dark + (frame.signal - dark) * (place.mean() / place))
+
+
+def _lens_factors(
+    chosen: list[PatchFrame], calibration: Calibration | None, lens: LensDescription
+) -> NDArray[np.float64]:
+    """Return irradiance per radiance in sr of every frame; relative to the first without a calibration."""
+    numbers = [known_f_number(calibration, one.settings, lens) for one in chosen]
+    if calibration is not None and calibration.scale.f_number is None:
+        return np.ones(len(chosen))
+    factors = np.array([lens_factor_sr(lens, number) for number in numbers])
+    return factors if calibration is not None else np.asarray(factors / factors[0])
+
+
+def _reading(
+    situation: PatchSituation, settled: Situation, patch: Patch, camera: CameraDescription, sequence: int
+) -> Reading:
+    calibration, estimate = situation.calibration, situation.estimate
+    value = situation.value
+    terms = budget_terms(situation)
+    absolute = calibration is not None and calibration.absolute
+    freedom = effective_degrees_of_freedom(terms)
+    return Reading(
+        radiance=Quantity(value, combined_u(terms), RADIANCE_UNIT if absolute else RELATIVE_UNIT),
+        patch=patch,
+        instrument=camera.serial or camera.model or "unknown",
+        flags=reading_flags(situation, terms),
+        exposures_s=tuple(sorted({one.settings.exposure_s for one in situation.frames})),
+        budget=tuple(term.contribution(value) for term in terms),
+        sequence=sequence,
+        coverage_factor=coverage_factor(freedom),
+        degrees_of_freedom=freedom,
+        time=situation.now.astimezone(dt.UTC).isoformat(timespec="microseconds").replace("+00:00", "Z"),
+        provenance=Provenance(
+            "maximum-likelihood patch estimate",
+            assumptions=settled.assumptions,
+            parameters={
+                "frames": situation.light_frames,
+                "frames_used": len(situation.frames),
+                "fluctuation_rel": estimate.fluctuation_rel,
+            },
+        ),
+    )
+
+
+def _with_luminance(
+    reading: Reading, calibration: Calibration | None, name: str | None, *, spectrum_stated: bool
+) -> Reading:
+    """Return the reading with its band and the luminance of its radiance; relative or invisible light has none."""
+    if calibration is None or not calibration.absolute:
+        return reading
+    reading = replace(reading, band_nm=spectrum_of(calibration.spectrum).band_nm)
+    spectrum = spectrum_of(name or calibration.spectrum)
+    if not holds_visible_light(spectrum):
+        return reading
+    efficacy = luminous_efficacy_lm_per_w(spectrum)
+    radiance = reading.radiance
+    u = efficacy * _luminance_u(reading, calibration, spectrum_stated=spectrum_stated)
+    return replace(reading, luminance=Quantity(efficacy * radiance.value, u, LUMINANCE_UNIT))
+
+
+def _luminance_u(reading: Reading, calibration: Calibration, *, spectrum_stated: bool) -> float:
+    """Return u of the radiance, in its unit, as it counts for the luminance.
+
+    The efficacy of an assumed spectrum stands between what the reference stated and what it did not: a luminance read
+    by a scale from a luminance went through it twice, there and back. Light of any kind is off in luminance by another
+    factor than in radiance.
+    """
+    value, stated = reading.radiance.value, calibration.uncertainties
+    variance = reading.radiance.u**2
+    if not spectrum_stated:
+        here, there = (unstated_u_rel(calibration, stated, observer) for observer in ("photopic", None))
+        variance += (here**2 - there**2) * value**2
+    of_efficacy = stated.efficacy_u_rel * value
+    if calibration.scale.quantity == "radiance":
+        return math.sqrt(max(variance + of_efficacy**2, 0.0))
+    return math.sqrt(max(variance - of_efficacy**2, 0.0))

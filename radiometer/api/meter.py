@@ -1,0 +1,153 @@
+"""An open instrument: readings and brackets."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from radiometer.acquire.bracketing import DEFAULT_TIME_LIMIT_S, BracketRequest, plan_for_scene, take_plan
+from radiometer.api.files import PathLike, Stack
+from radiometer.bench.assembly import open_instrument
+from radiometer.bench.instrument import Instrument
+from radiometer.data import Bracket, Calibration, Patch, Reading
+
+PatchLike = Patch | tuple[int, int, int, int]
+
+
+class Meter:
+    """A camera with its calibration, asked for radiance.
+
+    Made by `radiometer.open`; use it as a context manager, or close it when done.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> with rm.open("bench.yaml", uncalibrated=True) as meter:
+        ...     relative = meter.measure((8, 8, 32, 32), u_rel=0.01)
+        ...     stack = meter.bracket(darks=1)
+        ...     meter
+        <Meter FLIR BFS-U3-19S4M 22500001, patch 40,24 16 × 16, uncalibrated>
+        >>> relative.radiance.unit, relative.patch.width, len(stack.bracket.dark_frames) > 0
+        ('relative', 32, True)
+
+    Attributes:
+        instrument: What it is made of.
+    """
+
+    def __init__(self, instrument: Instrument, held: ExitStack) -> None:
+        self.instrument = instrument
+        self._held = held
+
+    def __enter__(self) -> Self:
+        """Return the meter itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the camera."""
+        self.close()
+
+    def close(self) -> None:
+        """Close the camera; again does nothing."""
+        self._held.close()
+
+    def measure(self, patch: PatchLike | None = None, *, u_rel: float | None = None) -> Reading:
+        """Return the radiance of a patch in W·sr⁻¹·m⁻² with its uncertainty.
+
+        Args:
+            patch: (x, y, width, height) in pixels; the bench's patch by default.
+            u_rel: Repeat exposures until noise alone is below this relative standard uncertainty.
+
+        Raises:
+            DeviceError: If the camera fails.
+            UsageError: If the patch leaves the frame.
+        """
+        instrument = self.instrument if patch is None else self.instrument.at(_patch(patch))
+        return instrument.measure(target_u_rel=u_rel)
+
+    def bracket(
+        self, patch: PatchLike | None = None, *, darks: int = 0, time_limit_s: float = DEFAULT_TIME_LIMIT_S
+    ) -> Stack:
+        """Take the exposures that cover the scene.
+
+        Args:
+            patch: Cover only this patch; the whole frame by default.
+            darks: Dark frames per exposure time, where the camera has a shutter.
+            time_limit_s: Bound on the sum of the exposure times in s.
+
+        Raises:
+            DeviceError: If the camera fails, or darks are wanted and it has no shutter.
+        """
+        camera = self.instrument.camera
+        request = BracketRequest(_patch(patch) if patch else None, None, time_limit_s, darks)
+        frames = list(take_plan(camera, plan_for_scene(camera, request), request))
+        origin = camera.identity.device_id
+        bracket = Bracket.from_frames(frames, origin)
+        return Stack({frames[0].settings.pattern: bracket}, camera.description, self.instrument.lens, origin)
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """Return the calibration in use; None where readings are relative."""
+        return self.instrument.calibration
+
+    def __repr__(self) -> str:
+        """Return camera, patch and calibration in one line."""
+        who, patch = self.instrument.camera.identity, self.instrument.patch
+        known = self.calibration
+        scale = f"calibrated {known.created[:10]} by {known.scale.reference}" if known else "uncalibrated"
+        return (
+            f"<Meter {who.vendor} {who.model} {who.serial}, "
+            f"patch {patch.x},{patch.y} {patch.width} × {patch.height}, {scale}>"
+        )
+
+
+def open(
+    source: PathLike | None = None,
+    *,
+    patch: PatchLike | None = None,
+    calibration: PathLike | None = None,
+    uncalibrated: bool = False,
+    f_number: float | None = None,
+) -> Meter:
+    """Open a camera as a radiance meter.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> with rm.open("bench.yaml") as meter:
+        ...     reading = meter.measure()
+        >>> abs(reading.radiance.value - 0.3) < 3 * reading.radiance.u
+        True
+        >>> with rm.open("sim", uncalibrated=True) as meter:
+        ...     meter.calibration is None
+        True
+
+    Args:
+        source: A bench file (.yaml), "sim", or a camera's id, serial number or address; the simulated bench by default.
+        patch: (x, y, width, height) to read where nothing else is said.
+        calibration: Calibration file; the bench's own by default.
+        uncalibrated: Use none: relative readings.
+        f_number: f-number that the lens is set to.
+
+    Raises:
+        ConfigurationError: If the bench file is wrong.
+        DeviceError: If the camera cannot be opened.
+    """
+    bench = Path(source) if source is not None and str(source).endswith((".yaml", ".yml")) else None
+    held = ExitStack()
+    instrument = held.enter_context(
+        open_instrument(
+            bench,
+            None if source is None or bench else str(source),
+            _patch(patch) if patch else None,
+            Path(calibration) if calibration else None,
+            uncalibrated=uncalibrated,
+            f_number=f_number,
+        )
+    )
+    return Meter(instrument, held)
+
+
+def _patch(patch: PatchLike) -> Patch:
+    return patch if isinstance(patch, Patch) else Patch(*patch)

@@ -1,0 +1,314 @@
+"""`radiometer reconcile`: where simulation and measurement disagree, and which effect is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from radiometer.cli.console import console, note, progress_bar, significant
+from radiometer.cli.outputs import writes
+from radiometer.errors import UsageError
+
+if TYPE_CHECKING:
+    from radiometer.data import Frame
+    from radiometer.reconciliation import FoundEffect, ReconcileResult
+    from radiometer.reconciliation.inputs.sources import Done
+    from radiometer.reconciliation.propose import Proposal
+
+Written = TypeVar("Written")
+
+# Of larger photographs a lattice of pixels tells as much of their exposures.
+_ENOUGH_PIXELS = 1_000_000
+_VERDICTS = {
+    "agrees": "Nothing is missing: simulation and measurement agree.",
+    "effects_found": "Found what was missing; with it simulation and measurement agree.",
+    "unnamed_effect": "They disagree, and no known effect explains it.",
+    "incomplete": "Something was named, but structure stays: the names are provisional.",
+}
+
+_OPEN = "Something is missing that has more than one name; with any of them simulation and measurement agree."
+
+
+@writes("output", "report", "plan", folder="propose")
+def command(
+    capture: Annotated[
+        Path,
+        typer.Argument(
+            help="Capture set, photograph folder, FITS or raw TIFF files, EMVA 1288 descriptor (.txt) or light-meter "
+            "table (.csv).",
+        ),
+    ],
+    model: Annotated[Path | None, typer.Option(help="Model to start from; the ideal camera by default.")] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Where the new model is written.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Where the HTML report is written.")] = None,
+    plan: Annotated[Path | None, typer.Option(help="Write the next capture as a plan for `bracket`.")] = None,
+    without: Annotated[list[str] | None, typer.Option(help="Leave an entry out of the catalogue.")] = None,
+    effects: Annotated[list[Path] | None, typer.Option(help="Python file with further effects to look for.")] = None,
+    propose: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the law of what no entry explains: effect file, its test, a plan that would refute it."
+        ),
+    ] = None,
+    provisional: Annotated[bool, typer.Option("--provisional", help="Switch provisional effects on in -o.")] = False,
+    plan_only: Annotated[
+        bool, typer.Option("--plan-only", help="Only tell which effects these captures could tell apart.")
+    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+) -> None:
+    """Find where simulation and measurement disagree, name the missing effect, add it, show the gap shrink.
+
+    Simulates the capture from the current model, compares means, noise and patterns along every setting, tries each
+    physical effect of the catalogue, and keeps what predicts held-out settings better. `-o` writes the model with
+    what was found; the simulator loads it.
+    """
+    from radiometer.reconciliation.inputs.sources import reconcile_source
+
+    _read_effects(effects or [])
+    _refuse_unknown(without or [])
+    if plan_only:
+        _show_plan(capture, model, tuple(without or ()), json=json)
+        return
+    photographs = _photographs(capture)
+    with progress_bar(shown=not json) as bar:
+        task = bar.add_task("reading frames", total=None)
+        done = reconcile_source(
+            capture,
+            model_path=model,
+            without=tuple(without or ()),
+            photographs=photographs,
+            progress=lambda count, total: bar.update(task, completed=count, total=total),
+            say=lambda line: bar.update(task, description=line),
+            doubt=lambda line: note(f"{capture.name}: {line}"),
+        )
+    files = _Files()
+    result = done.result.written(
+        files.write(lambda: done.write_model(output, provisional=provisional)) if output else None,
+        files.write(lambda: done.write_report(report)) if report else None,
+    )
+    planned = files.write(lambda: done.write_plan(plan)) if plan else None
+    proposed = files.write(lambda: _proposed(done, propose)) if propose else None
+    if proposed is not None:
+        result = replace(result, extra={**result.extra, "proposal": proposed.to_mapping()})
+    if json:
+        print(result.to_json())
+        files.raise_first()
+        return
+    show_result(result)
+    if propose and (proposed or not files.failed):
+        _show_proposal(proposed, propose)
+    for path in (result.model, result.report, plan if planned else None):
+        if path:
+            note(f"wrote {path}")
+    if planned is False:
+        note(f"no {plan}: no further capture of this kind would tell more")
+    files.raise_first()
+
+
+class _Files:
+    """Writes what goes with an answer; what cannot be written is told after the answer, which is not lost by it."""
+
+    def __init__(self) -> None:
+        self.failed: list[Exception] = []
+
+    def write(self, file: Callable[[], Written]) -> Written | None:
+        """Return what writing a file gives; None where it fails."""
+        try:
+            return file()
+        except Exception as error:  # noqa: BLE001 - told by `raise_first`, once the answer is out
+            self.failed.append(error)
+            return None
+
+    def raise_first(self) -> None:
+        """Tell of the first file that could not be written.
+
+        Raises:
+            Exception: What writing it raised.
+        """
+        if self.failed:
+            raise self.failed[0]
+
+
+def _proposed(done: Done, folder: Path) -> Proposal | None:
+    """Return the law for what has no name, written into a folder; only a capture set's pictures can give one."""
+    from radiometer.reconciliation.inputs.sources import DoneCapture
+
+    if not isinstance(done, DoneCapture):
+        raise UsageError(f"--propose {folder}: laws are proposed for capture sets only, not for photographs or tables")
+    return done.propose(folder)
+
+
+def _show_proposal(found: Proposal | None, folder: Path) -> None:
+    out = console()
+    if found is None:
+        out.print("\nno law is proposed: nothing without a name is left that one would explain beyond chance")
+        return
+    alike = f" (or {', '.join(found.stages_alike)}: these data cannot tell)" if found.stages_alike else ""
+    out.print(f"\nproposed: [bold]{found.name}[/bold], stage {found.stage}{alike}: {found.sentence()}")
+    out.print(f"   {found.to_mapping()['formula']}", highlight=False)
+    for name, entry in found.parameters.items():
+        shown = f"{entry.value:.6g}" if entry.u is None else f"{significant(entry.value, entry.u)} ± {entry.u:.2g}"
+        out.print(f"   {name} = {shown} {'' if entry.unit == '1' else entry.unit}")
+    out.print(f"   gap {found.before.gap:.3f} → {found.after.gap:.3f} with it alone ({found.nats:.0f} nats)")
+    for rival in found.rivals:
+        out.print(f"   rival: {rival.name}, {rival.behind_nats:g} nats behind")
+    out.print(f"   look for it in another session: radiometer reconcile SET --effects {folder / f'{found.name}.py'}")
+
+
+def _show_plan(capture: Path, model_path: Path | None, without: tuple[str, ...], *, json: bool) -> None:
+    """Tell what the captures of a set can separate."""
+    import json as text
+
+    from radiometer.reconciliation.engine import plan_of, whole_catalogue
+    from simulators.chain.camera_model import CameraModel
+
+    entries = {name: kind for name, kind in whole_catalogue().items() if name not in without}
+    model = CameraModel.read(model_path) if model_path else None
+    with progress_bar(shown=not json) as bar:
+        task = bar.add_task("reading frames", total=None)
+
+        def progress(count: int, total: int) -> None:
+            what = "asking what they can separate" if count == total else "reading frames"
+            bar.update(task, completed=count, total=total, description=what)
+
+        found = plan_of(capture, model, catalogue=entries, progress=progress)
+    if json:
+        print(text.dumps(found.to_mapping(), ensure_ascii=False))
+        return
+    out = console()
+    for entry in found.together:
+        out.print(f"these captures cannot tell {entry.name} from {', '.join(entry.others)}")
+        if entry.capture:
+            out.print(f"   {entry.capture['description']}")
+    if not found.together:
+        out.print("these captures tell all entries apart that they show")
+    if found.blind:
+        out.print(f"blind to: {', '.join(found.blind)}")
+
+
+def _photographs(path: Path) -> Sequence[Sequence[Frame]]:
+    """Return the frames of a folder of photographs by colour, green first; none where the path is something else."""
+    from radiometer.data.capture_set import HEADER_NAME
+    from radiometer.importing import is_foreign
+
+    if not path.is_dir() or (path / HEADER_NAME).exists() or (path / "frames").is_dir() or is_foreign(path):
+        return ()
+    from radiometer.bench.sources import open_brackets
+    from radiometer.photographs.alignment import photographs_in_one_place
+
+    placed = photographs_in_one_place(open_brackets(path, "each", most_pixels=_ENOUGH_PIXELS))
+    if placed.absent:
+        note(f"{path.name}: {placed.sentence}")
+    brackets = sorted(placed.common, key=lambda one: one.frames[0].extra.get("channel") != "green")
+    return [(*one.frames, *one.dark_frames) for one in brackets]
+
+
+def _refuse_unknown(names: list[str]) -> None:
+    from radiometer.reconciliation.engine import whole_catalogue
+
+    known = whole_catalogue() if names else {}
+    for name in names:
+        if name not in known:
+            raise UsageError(f"--without {name}: there is no such effect; known are {', '.join(sorted(known))}")
+
+
+def _read_effects(paths: Sequence[Path]) -> None:
+    from simulators.effects.registry import register_file
+
+    for path in paths:
+        note(f"{path}: looks for {', '.join(register_file(path))} too")
+
+
+def show_result(result: ReconcileResult) -> None:
+    """Print a result for people."""
+    out = console()
+    open_names = any(effect.alternatives for effect in result.effects) and result.verdict == "effects_found"
+    out.print(f"[bold]{_OPEN if open_names else _VERDICTS[result.verdict]}[/bold]")
+    if result.frames:
+        tests = (
+            f"; {result.tests[0]} tests, {result.tests[1]} of them significant in the end" if result.tests[0] else ""
+        )
+        out.print(f"{result.captures} captures, {result.frames} frames{tests} ({result.seconds:.1f} s)")
+    out.print(f"gap {result.gap_before:.3f} → {result.gap_after:.3f} ({result.gap_unit})")
+    if result.global_p:
+        before, after = result.global_p
+        out.print(f"chance of as large a disagreement among all tests: {before:.2g} → {after:.2g}")
+    for number, effect in enumerate(result.effects, 1):
+        _show_effect(number, effect)
+    if result.next_capture:
+        out.print(f"\nnext capture: {result.next_capture['description']}")
+    for remark in (*result.extra.get("remarks", []), *(said for one in result.repeats for said in one.sentences())):
+        out.print(remark)
+    _show_covariates(result)
+    _show_limits(result)
+    for text in result.assumptions:
+        out.print(f"assumed: {text}")
+
+
+def _show_effect(number: int, effect: FoundEffect) -> None:
+    out = console()
+    weak = ", weak: repeat the captures" if effect.gain_nats < 10 else ""
+    tentative = " (provisional)" if effect.provisional else ""
+    out.print(
+        f"\n{number}. [bold]{effect.name}[/bold]{tentative} along {effect.where}, seen in {effect.block}: "
+        f"gap {effect.gap_before:.3f} → {effect.gap_after:.3f} ({effect.gain_nats:.0f} nats{weak})"
+    )
+    for name, entry in effect.parameters.items():
+        shown = f"{entry.value:.6g}" if entry.u is None else f"{significant(entry.value, entry.u)} ± {entry.u:.2g}"
+        out.print(f"   {name} = {shown} {'' if entry.unit == '1' else entry.unit}")
+    if effect.curve is not None:
+        low, high = min(effect.curve.factor), max(effect.curve.factor)
+        where = " and ".join(effect.curve.along)
+        out.print(f"   by another law than the catalogue's: {low:.3g} to {high:.3g} times it along {where}")
+    elif effect.other_law is not None:
+        left = ", ".join(f"{name} {entry.value:.2g}" for name, entry in effect.other_law.items())
+        out.print(f"   by another law than the catalogue's{f'; it leaves {left}' if left else ''}")
+    if effect.elsewhere:
+        out.print(f"   structure stays along {', '.join(dict.fromkeys(w for w, _ in effect.elsewhere))} too")
+    if effect.closest:
+        out.print(f"   closest entry: {effect.closest[0]}, which explains {100 * effect.closest[1]:.0f} % of it")
+    if effect.alternatives:
+        out.print(f"   these data cannot tell it from: {', '.join(effect.alternatives)}")
+        if any(entry.u is not None for entry in effect.parameters.values()):
+            out.print("   each ± holds only if it is this one: it knows nothing of the choice among them")
+    if effect.next_capture:
+        out.print(f"   next capture: {effect.next_capture.get('description', '')}")
+
+
+def _show_covariates(result: ReconcileResult) -> None:
+    if not result.covariates:
+        return
+    from rich.table import Table
+
+    table = Table(title="disagreement along each covariate (1 = chance)", title_justify="left", box=None)
+    for heading in ("covariate", "before", "after"):
+        table.add_column(heading, justify="left" if heading == "covariate" else "right")
+    for name, gap in sorted(result.covariates.items(), key=lambda item: -item[1].before):
+        table.add_row(name, f"{gap.before:.1f}", f"{gap.after:.1f}")
+    console().print()
+    console().print(table)
+
+
+def _show_limits(result: ReconcileResult) -> None:
+    if not result.limits:
+        return
+    from rich.table import Table
+
+    table = Table(title="what these data would have shown at 5 sigma", title_justify="left", box=None)
+    for heading in ("effect", "from", "parameter"):
+        table.add_column(heading, justify="right" if heading == "from" else "left")
+    for name, limit in result.limits.items():
+        if limit.amplitude is not None:
+            unit = "" if limit.unit == "1" else limit.unit
+            at = "" if limit.temperature_c is None else f" at {limit.temperature_c:g} °C"
+            table.add_row(name, f"{limit.amplitude:.2g}", f"{unit} ({limit.parameter}{at})")
+    console().print()
+    if table.row_count:
+        console().print(table)
+    blind = [name for name, limit in result.limits.items() if limit.amplitude is None]
+    if blind:
+        console().print(f"blind to: {', '.join(blind)}")

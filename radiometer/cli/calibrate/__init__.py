@@ -1,0 +1,1 @@
+"""Commands that calibrate and characterise a camera or a screen."""

@@ -1,0 +1,1 @@
+"""Commands that capture, read and import."""

@@ -1,0 +1,325 @@
+"""`radiometer measure`: the radiance of a patch, with its uncertainty."""
+
+from __future__ import annotations
+
+import itertools
+import json as json_module
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from radiometer.cli.arguments import F_NUMBER_HELP, ISO_HELP, parse_iso_speeds, parse_patch, with_f_number
+from radiometer.cli.console import console, note, progress_bar, shutter_by_hand, significant
+from radiometer.errors import UsageError
+
+if TYPE_CHECKING:
+    from radiometer.analysis.reading.contributions import PatchSituation
+    from radiometer.analysis.uncertainty.monte_carlo import Distribution
+    from radiometer.bench.instrument import Instrument
+    from radiometer.data import Bracket, Patch, Reading
+
+_FLAG_MEANING = {
+    "saturated": "pixels clip even in the shortest exposure: the value is a lower bound",
+    "below_noise": "the signal does not rise above the noise: take the value as an upper limit",
+    "extrapolated": "uses digital numbers for which the response curve had no data",
+    "flicker": "exposures disagree beyond their noise: the light flickers or moves",
+    "stale_calibration": "the calibration is older than it says it is valid for",
+    "uncalibrated": "no calibration: the value is relative, not a radiance",
+    "nonuniform": "the patch is not uniform: its spread exceeds the noise",
+    "few_frames": "fewer than three frames (five short ones): they cannot show whether the light is steady",
+    "stray_light": "light from around the patch may make up much of the reading: shade or mask the surround",
+    "short_exposure": "the offset of so short an exposure rules the uncertainty: close the iris, expose longer",
+    "dark_assumed": "dark current and black level rule the uncertainty: take dark frames (--darks)",
+    "falloff_assumed": "no flat field: the natural fall-off of the lens was assumed; calibrate with --flat",
+    "spectrum_assumed": "nobody stated the light's spectrum, or it rules the uncertainty: state it (--spectrum)",
+    "small_patch": "the patch is so small that pixels' differences rule the uncertainty: read a larger one",
+    "temperature": "the distance from the calibration's temperature rules the uncertainty",
+    "gain": "the gain is another than at calibration, and rules the uncertainty",
+    "drift": "the calibration's age rules the uncertainty: calibrate again",
+    "lens_changed": "what was done to the lens since calibration rules the uncertainty",
+    "polarisation": "the light's polarisation rules the uncertainty",
+    "linearity": "the signal is far from the calibration's level, and the sensor was taken as linear",
+}
+
+
+def command(
+    camera: Annotated[
+        str | None, typer.Option(help="sim, a GenICam id, serial number or address, or v4l2:, picamera:, gphoto2:.")
+    ] = None,
+    patch: Annotated[str | None, typer.Option(help="Region X,Y,W,H in pixels; the bench's by default.")] = None,
+    calibration: Annotated[Path | None, typer.Option(help="Calibration file; the bench's by default.")] = None,
+    uncalibrated: Annotated[bool, typer.Option("--uncalibrated", help="Use no calibration: relative values.")] = False,
+    bench: Annotated[Path | None, typer.Option(help="Bench file; the simulated bench by default.")] = None,
+    photographs: Annotated[Path | None, typer.Option(help="Folder of photographs to read instead of a camera.")] = None,
+    channel: Annotated[str, typer.Option(help="Of colour photographs: luminance, red, green or blue.")] = "luminance",
+    align: Annotated[
+        str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")
+    ] = "auto",
+    linear: Annotated[
+        bool, typer.Option("--linear", help="Uncalibrated photographs are linear above black (raw files always are).")
+    ] = False,
+    measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
+    f_number: Annotated[float | None, typer.Option(help=F_NUMBER_HELP)] = None,
+    spectrum: Annotated[str | None, typer.Option(help="Spectrum assumed for the luminance.")] = None,
+    u_rel: Annotated[float | None, typer.Option(help="Repeat until noise is below this relative u (k = 1).")] = None,
+    repeat: Annotated[int, typer.Option(min=1, help="Number of readings.")] = 1,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Read until stopped by Ctrl-C; a camera that is lost is waited for.")
+    ] = False,
+    every: Annotated[float, typer.Option(min=0.0, help="Seconds from one reading's start to the next's.")] = 0.0,
+    darks: Annotated[
+        bool, typer.Option("--darks", help="Ask for the lens to be covered, and take dark frames with every reading.")
+    ] = False,
+    monte_carlo: Annotated[
+        bool, typer.Option("--monte-carlo", help="Print the interval by the propagation of distributions beside it.")
+    ] = False,
+    budget: Annotated[bool, typer.Option("--budget", help="Print the uncertainty budget.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object per reading on standard output.")] = False,
+) -> None:
+    """Read the radiance of a patch, with its uncertainty.
+
+    Meters the patch, takes the exposures it needs, merges them and prints the radiance in W·sr⁻¹·m⁻² with its
+    expanded uncertainty (95.45 %, k by Student's t), the luminance, and what must be known of the reading.
+    """
+    if calibration and uncalibrated:
+        raise UsageError("--calibration and --uncalibrated exclude each other")
+    wanted = parse_patch(patch) if patch else None
+    if photographs is not None or measured_iso or linear:
+        if photographs is None or camera or bench:
+            raise UsageError(
+                "--photographs takes the place of --camera and --bench; --measured-iso and --linear belong to it"
+            )
+        if linear and calibration:
+            raise UsageError("--linear belongs to photographs without a calibration, which knows the camera's response")
+        reading, situation, alignment = _photographed(
+            photographs,
+            wanted,
+            calibration,
+            channel,
+            measured_iso,
+            spectrum,
+            f_number,
+            align,
+            relative=uncalibrated,
+            linear=linear,
+        )
+        drawn = _distribution(situation, reading) if monte_carlo else None
+        said = reading.provenance
+        if json:
+            iso = said.parameters.get("iso", []) if said else []
+            assumptions = list(said.assumptions) if said else []
+            further = {"iso": iso, "assumptions": assumptions, "alignment": alignment}
+            print(_as_json(reading, drawn, further), flush=True)
+        else:
+            if alignment:
+                note(f"frames: {alignment}")
+            for assumption in said.assumptions if said else ():
+                note(f"assumed: {assumption}")
+            _show(reading, budget=budget)
+            _show_distribution(reading, drawn)
+        return
+    from radiometer.bench.assembly import open_instrument
+
+    with open_instrument(
+        bench, camera, wanted, calibration, uncalibrated=uncalibrated, spectrum=spectrum, f_number=f_number
+    ) as instrument:
+        if not json:
+            _introduce(instrument)
+        if darks:
+            instrument = replace(instrument, cover=_cover(instrument))
+        for number in itertools.count(1) if watch else range(1, repeat + 1):
+            begun = time.monotonic()
+            reading, frames = _one(instrument, number, u_rel, shown=not json, patient=watch)
+            drawn = _distribution(instrument.situation(frames), reading) if monte_carlo else None
+            if json:
+                print(_as_json(reading, drawn), flush=True)
+            else:
+                _show(reading, budget=budget)
+                _show_distribution(reading, drawn)
+            if watch or number < repeat:
+                time.sleep(max(0.0, every - (time.monotonic() - begun)))
+
+
+def _photographed(
+    path: Path,
+    patch: Patch | None,
+    calibration: Path | None,
+    channel: str,
+    measured_iso: list[str] | None,
+    spectrum: str | None,
+    f_number: float | None,
+    align: str,
+    *,
+    relative: bool,
+    linear: bool,
+) -> tuple[Reading, PatchSituation, str | None]:
+    """Return the reading of a patch in a folder of photographs, what it was made from, and how the frames lay."""
+    from radiometer.analysis.reading.reading import patch_situation, read_patch
+    from radiometer.bench.sources import exposure_list, open_brackets
+    from radiometer.data import Calibration, CameraDescription, LensDescription
+    from radiometer.data.capture_set import HEADER_NAME
+    from radiometer.importing import is_foreign
+    from radiometer.photographs.alignment import in_one_place
+    from radiometer.photographs.iso_record import with_iso_in_reading
+    from radiometer.photographs.response import (
+        in_their_own_depth,
+        refuse_another_channel,
+        told_by_themselves,
+        with_offset_of_calibration,
+    )
+
+    if patch is None or channel == "each":
+        raise UsageError("--photographs needs --patch X,Y,W,H, and one channel: luminance, red, green or blue")
+    if calibration is None and not relative:
+        raise UsageError("--photographs needs --calibration (or --uncalibrated for relative values)")
+    known = Calibration.read(calibration) if calibration else None
+    bracket = open_brackets(path, channel, speeds=parse_iso_speeds(measured_iso, known))[0]
+    if known is not None:
+        refuse_another_channel(known, bracket)
+    elif linear:
+        (bracket,) = in_their_own_depth([bracket])
+    placed = in_one_place([with_f_number(bracket, f_number)], align)
+    bracket = placed.without_absent()
+    camera = known.camera if known else CameraDescription(bit_depth=bracket.bit_depth)
+    lens = LensDescription()
+    photographs = not (is_foreign(path) or (path / HEADER_NAME).exists())
+    if known is not None and photographs:
+        bracket, text, _ = with_offset_of_calibration(bracket, known, exposure_list(path))
+        if text:
+            note(text)
+    if known is None and photographs:
+        known, bracket = told_by_themselves(bracket, placed.common[0], camera, lens, note, linear=linear)
+    elif known is not None and spectrum is not None:
+        known = replace(known, spectrum=spectrum)
+    reading = read_patch(bracket, patch, known, camera, lens, spectrum_stated=spectrum is not None)
+    situation = patch_situation(bracket, patch, known, camera, lens, spectrum_stated=spectrum is not None)
+    return with_iso_in_reading(reading, bracket), situation, placed.sentence
+
+
+def _cover(instrument: Instrument) -> Callable[[bool], None]:
+    """Return what covers the lens: the camera's own shutter, else the user's hand."""
+    camera = instrument.camera
+    if camera.capabilities.has_shutter:
+        return lambda closed: camera.set_shutter(closed=closed)
+    return shutter_by_hand(camera.identity.model)
+
+
+def _one(
+    instrument: Instrument, number: int, u_rel: float | None, *, shown: bool, patient: bool
+) -> tuple[Reading, Bracket]:
+    """Return a reading; where `patient`, a camera that was lost is waited for and the reading taken anew."""
+    from radiometer.bench.reopening import reopen
+    from radiometer.errors import DeviceLost, DeviceTimeout
+
+    camera, settings = instrument.camera, instrument.camera.settings
+    while True:
+        try:
+            return _taken(instrument, number, u_rel, shown=shown)
+        except (DeviceLost, DeviceTimeout) as error:
+            if not patient:
+                raise
+            note(f"{error}; waiting for it")
+        reopen(camera, settings, note)
+        note(f"{camera.identity.model} {camera.identity.serial} is back")
+
+
+def _taken(instrument: Instrument, number: int, u_rel: float | None, *, shown: bool) -> tuple[Reading, Bracket]:
+    with progress_bar(shown=shown) as bar:
+        task = bar.add_task("measuring", total=None)
+        frames = instrument.take_bracket(
+            target_u_rel=u_rel,
+            progress=lambda done, total, _frame: bar.update(task, completed=done, total=total),
+        )
+        return instrument.read(frames, sequence=number), frames
+
+
+def _distribution(situation: PatchSituation, reading: Reading) -> Distribution:
+    """Return the distribution of a reading from 100 000 draws of all its inputs."""
+    import numpy as np
+
+    from radiometer.analysis.uncertainty.monte_carlo import propagate_distributions
+
+    return propagate_distributions(situation, np.random.default_rng(reading.sequence))
+
+
+def _as_json(reading: Reading, drawn: Distribution | None, further: Mapping[str, Any] | None = None) -> str:
+    whole = {**reading.to_mapping(), **(further or {})}
+    if drawn is not None:
+        whole["monte_carlo"] = drawn.to_mapping(reading)
+    return json_module.dumps(whole, ensure_ascii=False, allow_nan=False)
+
+
+def _show_distribution(reading: Reading, drawn: Distribution | None) -> None:
+    if drawn is None:
+        return
+    said = drawn.to_mapping(reading)
+    out, u = console(), reading.radiance.u
+    low, high = (significant(end, u) for end in (drawn.low, drawn.high))
+    out.print(f"drawn      {low} to {high} (95.45 %, JCGM 101), u = {drawn.u:.3g}")
+    if said["validates"]:
+        out.print(f"           agrees with the budget to {said['tolerance']:.2g}")
+    else:
+        out.print(
+            f"[yellow]           differs from the budget: by {said['low_differs_by']:+.2g} at the lower end and "
+            f"{said['high_differs_by']:+.2g} at the upper, more than {said['tolerance']:.2g}[/yellow]; quote this one"
+        )
+
+
+def _introduce(instrument: Instrument) -> None:
+    from radiometer.data.serials import serial_shown
+
+    who, patch = instrument.camera.identity, instrument.patch
+    name = f"{who.vendor} {who.model} {serial_shown(who.serial)}"
+    note(f"{name}, patch {patch.x},{patch.y} {patch.width} × {patch.height} pixels")
+    if instrument.calibration is None:
+        note("assumed: the response is linear above the black level")
+        return
+    note(f"calibrated {instrument.calibration.created[:10]} by {instrument.calibration.scale.reference}")
+    for assumption in instrument.calibration.provenance.assumptions:
+        note(f"assumed: {assumption}")
+
+
+def _show(reading: Reading, *, budget: bool) -> None:
+    out = console()
+    value = reading.radiance
+    expanded = reading.coverage_factor * value.u
+    unit = "W·sr⁻¹·m⁻²" if value.unit == "W sr-1 m-2" else value.unit
+    out.print(
+        f"radiance   [bold]{significant(value.value, value.u)} ± {expanded:.2g} {unit}[/bold]"
+        f"   (k = {reading.coverage_factor:.3g}, {100 * reading.expanded_u_rel:.2g} %)"
+    )
+    if reading.luminance:
+        luminance = reading.luminance
+        expanded = reading.coverage_factor * luminance.u
+        out.print(f"luminance  {significant(luminance.value, luminance.u)} ± {expanded:.2g} cd·m⁻²")
+    if reading.band_nm:
+        out.print("band       {:g} to {:g} nm".format(*reading.band_nm))
+    exposures = ", ".join(_time(t) for t in sorted(set(reading.exposures_s)))
+    out.print(f"exposures  {exposures}")
+    for flag in reading.flags:
+        out.print(f"[yellow]flag       {flag}[/yellow]: {_FLAG_MEANING[str(flag)]}")
+    if budget:
+        _show_budget(reading)
+
+
+def _time(seconds: float) -> str:
+    unit, scale = ("s", 1.0) if seconds >= 1 else ("ms", 1e-3) if seconds >= 1e-3 else ("µs", 1e-6)
+    return f"{seconds / scale:.4g} {unit}"
+
+
+def _show_budget(reading: Reading) -> None:
+    from rich.table import Table
+
+    total = sum(entry.u_rel**2 for entry in reading.budget) or 1.0
+    table = Table(title="uncertainty budget (k = 1)", title_justify="left")
+    for heading in ("contribution", "u rel. %", "share %", "type", "dof", "from"):
+        table.add_column(heading, justify="right" if "%" in heading or heading == "dof" else "left")
+    for entry in sorted(reading.budget, key=lambda contribution: -contribution.u_rel):
+        dof = "∞" if entry.degrees_of_freedom == float("inf") else f"{entry.degrees_of_freedom:.0f}"
+        share = 100 * entry.u_rel**2 / total
+        table.add_row(entry.name, f"{100 * entry.u_rel:.3f}", f"{share:.1f}", entry.kind, dof, entry.note)
+    console().print(table)

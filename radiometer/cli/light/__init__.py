@@ -1,0 +1,1 @@
+"""Commands of the light box and of the dark-adaptation test."""

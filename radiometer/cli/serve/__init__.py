@@ -1,0 +1,1 @@
+"""Commands that run or read the daemon, and serve simulated devices."""

@@ -1,0 +1,339 @@
+"""A log of a camera under auto exposure beside a reference meter: which column is what, its unit, and the nights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.errors import InputError, UsageError
+from radiometer.importing.columns import TextTable, number, read_table, stamp_s
+
+Array = NDArray[np.float64]
+
+CD_M2_AT_0_MAG: Final = 10.8e4
+"""Luminance in cd·m⁻² of 0 mag/arcsec².
+
+Source: Unihedron, "Convert visual mags/arcsecond² to cd/m²" (unihedron.com/projects/darksky/magconv.php): after
+discussions of 2005, uncertain by at least 1 %; a constant factor, which the camera's responsivity takes up here.
+"""
+_MAGNITUDES: Final = ("mag", "sqm", "mpsas", "msas")
+_GAP_S: Final = 3.0 * 3600.0  # without a reading: another night
+_DAY_S: Final = 86400.0
+_APART_S: Final = 300.0  # by which readings of a reference in a file of its own may lie from the camera's
+_HIGHEST_DB: Final = 60.0
+_FEWEST_NIGHTS: Final = 3
+_FEWEST_ROWS: Final = 12
+_MOST_PER_NIGHT: Final = 300
+_NEEDS: Final = (
+    "a camera's value, its exposure and a reference (gain, temperature, time and colour where there are any)"
+)
+
+_ALIASES: Final[Mapping[str, tuple[str, ...]]] = {
+    "value": ("value", "value_dn", "dn", "adu", "mean_adu", "mean", "mean_dn", "signal", "signal_dn",
+              "counts", "adu_roi"),
+    "exposure": (
+        "exposure_s", "exposure", "exptime", "exposure_time_s", "exposure_time", "exp", "exposure_ms",
+        "exposure_us", "t_s",
+    ),
+    "gain": ("gain_db", "gain_x", "gain_linear", "gain_01db", "gain", "iso"),
+    "temperature": (
+        "temperature_c", "temperature", "temp", "temp_c", "sensor_temperature_c", "sensor_temp", "ccd_temp", "ccdtemp",
+    ),
+    "time": ("time", "timestamp", "time_s", "timestamp_s", "datetime", "date_time", "utc", "utc_date_time",
+             "createdate"),
+    "reference": (
+        "reference", "reference_mag", "mag_arcsec2", "mpsas", "sqm_mag", "msas", "reference_cd_m2", "luminance_cd_m2",
+        "luminance", "cd_m2", "mcd_m2", "lux", "radiance", "irradiance", "sqm",
+    ),
+    "colour": ("colour", "color", "b_v", "bv", "colour_index", "color_index", "cct", "cct_k", "colour_temperature_k"),
+    "night": ("night", "session", "run", "day"),
+    "black": ("black", "black_dn", "black_level_dn", "bias"),
+    "u_reference": ("u_reference", "u_reference_rel", "u_mag"),
+}  # fmt: skip
+_TEXT: Final = ("night",)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogTable:
+    """Readings of a camera beside a reference meter; arrays of one entry per reading.
+
+    Attributes:
+        value: Camera value in DN, the stated black level taken off.
+        exposure_s: Exposure time in s.
+        gain_db: Gain in dB; zeros where none is stated.
+        reference: Reference in a linear unit.
+        night: Number of the night, from 0.
+        time_s: Time in s from the first reading; None where unknown.
+        temperature_c: Sensor temperature in °C; None where unknown.
+        colour: Colour as it was written (mired for a colour temperature); None where unknown.
+        u_reference_rel: Relative standard uncertainty of the reference; zeros where none is stated.
+        taken: What was taken from which column, in words.
+        assumptions: What was assumed, in words.
+        units: Unit of "reference" and of "colour".
+    """
+
+    value: Array
+    exposure_s: Array
+    gain_db: Array
+    reference: Array
+    night: NDArray[np.intp]
+    time_s: Array | None = None
+    temperature_c: Array | None = None
+    colour: Array | None = None
+    u_reference_rel: Array | None = None
+    taken: tuple[str, ...] = ()
+    assumptions: tuple[str, ...] = ()
+    units: Mapping[str, str] | None = None
+
+    @property
+    def size(self) -> int:
+        """Return the number of readings."""
+        return int(self.value.size)
+
+    @property
+    def nights(self) -> int:
+        """Return the number of nights."""
+        return int(self.night.max()) + 1
+
+    def take(self, rows: NDArray[Any]) -> LogTable:
+        """Return some of the rows."""
+        arrays = {n: v[rows] for n in self.__slots__ if isinstance(v := getattr(self, n), np.ndarray)}
+        return replace(self, **arrays)
+
+
+@dataclass(frozen=True, slots=True)
+class LogColumns:
+    """What is said of the columns beside their names.
+
+    Attributes:
+        chosen: Column by quantity ("value", "reference", …), where the names do not tell.
+        gain_unit: "db", "x", "0.1db" or "iso"; None where the column's name tells.
+        black_dn: Black level in DN to take off.
+    """
+
+    chosen: Mapping[str, str] | None = None
+    gain_unit: str | None = None
+    black_dn: float = 0.0
+
+
+def read_log(path: Path, said: LogColumns | None = None, reference: Path | None = None) -> LogTable:
+    """Return the readings of a table.
+
+    Args:
+        path: CSV of the camera, the reference among its columns or in a file of its own.
+        said: What is said of the columns.
+        reference: File of the reference meter with its own times; the nearest readings are interpolated.
+
+    Raises:
+        InputError: If columns are missing, a value is unusable, or the nights are too few.
+    """
+    stated = said or LogColumns()
+    table = read_table(path, _NEEDS)
+    places = _places(table, stated, wanted=("value", "exposure", *(() if reference else ("reference",))))
+    if reference is not None:
+        places.pop("reference", None)
+    columns = {key: _cells(table, at, key) for key, at in places.items()}
+    taken = [f"{key} from {table.header[at]!r}" for key, at in places.items()]
+    assumed: list[str] = []
+    found = _assembled(table, places, columns, stated, assumed)
+    if reference is not None:
+        found, more = _beside(
+            found, columns, table, read_table(reference, "the times and readings of a reference meter")
+        )
+        taken += more
+    return _checked(replace(found, taken=tuple(taken)), path, assumed)
+
+
+def _places(table: TextTable, said: LogColumns, wanted: Sequence[str]) -> dict[str, int]:
+    chosen, places = dict(said.chosen or {}), dict[str, int]()
+    for key, names in _ALIASES.items():
+        if key in chosen:
+            if chosen[key] not in table.header:
+                raise UsageError(f"{table.path}: no column {chosen[key]!r}; it has {', '.join(table.header)}")
+            places[key] = table.header.index(chosen[key])
+        elif (at := table.find([n for n in names if not _is_taken(table, n, chosen)])) is not None:
+            places[key] = at
+    missing = [key for key in wanted if key not in places]
+    if missing:
+        raise InputError(
+            f"{table.path}: no column for {missing[0]}; the table needs {_NEEDS}. It has {', '.join(table.header)}: "
+            f"name the one with --{missing[0]} COLUMN"
+        )
+    return places
+
+
+def _is_taken(table: TextTable, name: str, chosen: Mapping[str, str]) -> bool:
+    return name in table.plain and table.header[table.plain.index(name)] in chosen.values()
+
+
+def _cells(table: TextTable, at: int, key: str) -> list[Any]:
+    read: Callable[[str], Any] = str if key in _TEXT else stamp_s if key == "time" else number
+    found = []
+    for line, cells in table.rows:
+        try:
+            found.append(read(cells[at]))
+        except (ValueError, IndexError, ZeroDivisionError) as error:
+            raise InputError(
+                f"{table.where(line)}: {table.header[at]}: {error}; leave the row out, or mend it"
+            ) from error
+    return found
+
+
+def _assembled(
+    table: TextTable, places: Mapping[str, int], columns: Mapping[str, list[Any]], said: LogColumns, assumed: list[str]
+) -> LogTable:
+    def column(key: str) -> Array | None:
+        return np.array(columns[key], dtype=np.float64) if key in columns else None
+
+    name = {key: table.plain[at] for key, at in places.items()}
+    black = column("black")
+    value = np.array(columns["value"], dtype=np.float64) - (said.black_dn if black is None else black)
+    exposure = np.array(columns["exposure"], dtype=np.float64) * _seconds(name["exposure"])
+    gain = column("gain")
+    gain_db = np.zeros(value.size) if gain is None else _decibels(gain, name["gain"], said.gain_unit, assumed)
+    reference, unit = (np.ones(value.size), "1")
+    if "reference" in columns:
+        reference, unit = linear(np.array(columns["reference"], dtype=np.float64), name["reference"], assumed)
+    colour = column("colour")
+    if colour is not None and ("cct" in name["colour"] or "temperature" in name["colour"]):
+        colour = 1e6 / colour
+    times = column("time")
+    night = _nights(columns.get("night"), times, value.size, assumed)
+    own = column("u_reference")
+    if own is not None and "mag" in name["u_reference"]:
+        own = own * 0.4 * math.log(10.0)
+    return LogTable(
+        value, exposure, gain_db, reference, night,
+        None if times is None else times - times.min(), column("temperature"), colour, own,
+        assumptions=tuple(assumed), units={"reference": unit, "colour": _colour_unit(name.get("colour", ""))},
+    )  # fmt: skip
+
+
+def _colour_unit(name: str) -> str:
+    return "mired" if "cct" in name or "temperature" in name else "1"
+
+
+def _seconds(name: str) -> float:
+    return 1e-3 if name.endswith("_ms") else 1e-6 if name.endswith("_us") else 1.0
+
+
+def _decibels(gain: Array, name: str, unit: str | None, assumed: list[str]) -> Array:
+    kind = unit or {"gain_db": "db", "gain_x": "x", "gain_linear": "x", "gain_01db": "0.1db", "iso": "iso"}.get(name)
+    if kind is None:
+        kind = "db" if float(gain.max()) <= _HIGHEST_DB else "0.1db"
+        told = "dB" if kind == "db" else "tenths of a dB, as ZWO's cameras count"
+        assumed.append(f"gain is taken as {told}; say --gain-unit db, 0.1db, x or iso where it is not")
+    if kind in ("x", "iso"):
+        if not (gain > 0).all():
+            raise InputError(f"a gain of {gain.min():g} is no factor; say --gain-unit db or 0.1db")
+        return np.asarray(20.0 * np.log10(gain / (100.0 if kind == "iso" else 1.0)))
+    if kind not in ("db", "0.1db"):
+        raise UsageError(f"--gain-unit {unit}: choose db, 0.1db, x or iso")
+    return gain * (0.1 if kind == "0.1db" else 1.0)
+
+
+def linear(reference: Array, name: str, assumed: list[str]) -> tuple[Array, str]:
+    """Return a reference in a linear unit, and the unit; magnitudes per square arcsecond become cd·m⁻².
+
+    Args:
+        reference: As written.
+        name: Plain name of its column.
+        assumed: Lines to which is added what was assumed.
+    """
+    if any(sign in name for sign in _MAGNITUDES):
+        assumed.append("magnitudes per square arcsecond m are 10.8e4·10^(−0.4·m) cd/m² (Unihedron)")
+        return np.asarray(CD_M2_AT_0_MAG * 10.0 ** (-0.4 * reference)), "cd m-2"
+    for sign, unit in (("mcd_m2", "mcd m-2"), ("cd_m2", "cd m-2"), ("luminance", "cd m-2"), ("lux", "lx")):
+        if sign in name:
+            return reference, unit
+    return reference, "as written"
+
+
+def _nights(names: Sequence[str] | None, times: Array | None, size: int, assumed: list[str]) -> NDArray[np.intp]:
+    if names is not None:
+        order = {name: i for i, name in enumerate(dict.fromkeys(names))}
+        return np.array([order[name] for name in names], dtype=np.intp)
+    if times is None:
+        assumed.append("no column states a time: the rows are taken as five nights one after the other")
+        return np.asarray(np.arange(size) * 5 // max(size, 1), dtype=np.intp)
+    order_of = np.argsort(times, kind="stable")
+    breaks = np.diff(times[order_of]) > _GAP_S
+    if not breaks.any() and np.ptp(times) > _DAY_S:
+        assumed.append("there is no gap of 3 hours between readings: nights are split at noon UTC")
+        days = np.floor(times / _DAY_S - 0.5)
+        return np.asarray(np.unique(days, return_inverse=True)[1], dtype=np.intp)
+    numbers = np.empty(size, dtype=np.intp)
+    numbers[order_of] = np.concatenate([[0], np.cumsum(breaks)])
+    return numbers
+
+
+def _beside(
+    log: LogTable, columns: Mapping[str, list[Any]], own: TextTable, other: TextTable
+) -> tuple[LogTable, list[str]]:
+    """Return the log with a reference from a file of its own, interpolated in time, without rows that have none."""
+    if log.time_s is None:
+        raise InputError(f"{own.path}: has no column of times, by which {other.path} could be set beside it")
+    places = _places(other, LogColumns(), wanted=("time", "reference"))
+    assumed: list[str] = []
+    values, unit = linear(np.array(_cells(other, places["reference"], "reference"), dtype=np.float64),
+                          other.plain[places["reference"]], assumed)  # fmt: skip
+    times = np.array(_cells(other, places["time"], "time"), dtype=np.float64)
+    order = np.argsort(times)
+    times, values = times[order], values[order]
+    wanted = np.array(columns["time"], dtype=np.float64)
+    after = np.clip(np.searchsorted(times, wanted), 1, times.size - 1) if times.size > 1 else np.zeros(wanted.size, int)
+    near = np.minimum(np.abs(times[after] - wanted), np.abs(times[after - 1] - wanted)) <= _APART_S
+    if not near.any():
+        raise InputError(
+            f"{other.path}: none of its times lies within {_APART_S:g} s of the camera's; are both in UTC?"
+        )
+    if (values <= 0).any():
+        raise InputError(f"{other.path}: a reference of {values.min():g} is no light; leave such rows out")
+    there = np.exp(np.interp(wanted, times, np.log(values)))
+    said = [
+        f"{key} from {other.header[at]!r} of {other.path.name}"
+        for key, at in places.items()
+        if key in ("time", "reference")
+    ]
+    more = (*log.assumptions, *assumed, *([f"{int((~near).sum())} rows without a reference beside them are left out"]
+            if not near.all() else []))  # fmt: skip
+    units = {**(log.units or {}), "reference": unit}
+    return replace(replace(log, reference=there, units=units).take(near), assumptions=more), said
+
+
+def _checked(log: LogTable, path: Path, assumed: list[str]) -> LogTable:
+    for name, values, unit in (("value above black", log.value, "DN"), ("exposure", log.exposure_s, "s"),
+                               ("reference", log.reference, "")):  # fmt: skip
+        if not (np.isfinite(values).all() and (values > 0).all()):
+            bad = int(np.flatnonzero(~(np.isfinite(values) & (values > 0)))[0])
+            raise InputError(
+                f"{path}: reading {bad + 1}: a {name} of {values[bad]:g} {unit} has no logarithm; leave it out"
+            )
+    for name in ("temperature_c", "colour", "gain_db"):
+        column = getattr(log, name)
+        if column is not None and not np.isfinite(column).all():
+            raise InputError(f"{path}: {name} is missing in some rows; leave them or the column out")
+    numbers = np.asarray(np.unique(log.night, return_inverse=True)[1], dtype=np.intp)
+    log = replace(log, night=numbers)
+    if log.size < _FEWEST_ROWS or log.nights < _FEWEST_NIGHTS:
+        raise InputError(
+            f"{path}: {log.size} readings of {log.nights} nights; at least {_FEWEST_ROWS} of {_FEWEST_NIGHTS} are "
+            "needed, for each night is predicted from the others"
+        )
+    return _thinned(log)
+
+
+def _thinned(log: LogTable) -> LogTable:
+    """Return at most so many readings per night, evenly taken."""
+    rows = [np.flatnonzero(log.night == night) for night in range(log.nights)]
+    if max(map(len, rows)) <= _MOST_PER_NIGHT:
+        return log
+    kept = [r[np.unique(np.linspace(0, r.size - 1, min(r.size, _MOST_PER_NIGHT)).astype(int))] for r in rows]
+    line = f"of nights with more than {_MOST_PER_NIGHT} readings so many are taken, evenly"
+    return replace(log.take(np.sort(np.concatenate(kept))), assumptions=(*log.assumptions, line))

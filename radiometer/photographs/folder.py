@@ -1,0 +1,321 @@
+"""A folder of photographs as brackets of frames."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import structlog
+
+from radiometer.data import Bracket, Frame, FrameSettings
+from radiometer.data.iso_speeds import IsoSpeeds
+from radiometer.data.raw_files import RAW_SUFFIXES
+from radiometer.errors import CaptureError, UsageError
+from radiometer.importing.photograph_pixels import CHANNELS, IMAGE_SUFFIXES, Photograph, read_photograph
+from radiometer.importing.photograph_times import (
+    LIST_NAMES,
+    LONGEST_OF_DIAL_S,
+    PhotographSettings,
+    find_list,
+    is_dial_time,
+    name_of_other_case,
+    names_in,
+    read_exif,
+    read_list,
+)
+
+_LOG: Final = structlog.get_logger(__name__)
+CHANNEL_CHOICES: Final = (*CHANNELS, "luminance", "each")
+_NAMED: Final = 4  # photographs that a message names
+# So many pixels tell whether two pictures may be copies; so many different numbers make a picture.
+_COMPARED_PIXELS: Final = 60_000
+_VALUES_OF_A_PICTURE: Final = 16
+
+
+@dataclass(frozen=True, slots=True)
+class PhotographFolder:
+    """Photographs of one scene in a folder, with their settings.
+
+    Attributes:
+        path: The folder.
+        settings: Settings by file name, in the order of the names.
+        speeds: What is known of the camera's ISO speeds.
+    """
+
+    path: Path
+    settings: dict[str, PhotographSettings]
+    speeds: IsoSpeeds = field(default_factory=IsoSpeeds)
+
+    @classmethod
+    def open(cls, path: Path, speeds: IsoSpeeds | None = None) -> PhotographFolder:
+        """Return the folder after checking that it holds photographs and that each has an exposure time.
+
+        Times come from a list (exposures.txt, exposures.csv or image_list.txt) where there is one, else from EXIF.
+        Where a list is present only the files that it names are used.
+
+        Args:
+            path: The folder.
+            speeds: What is known of the camera's ISO speeds beyond what it states.
+
+        Raises:
+            CaptureError: If the folder is missing or empty, a time is missing, or the f-number changes.
+            UsageError: If a speed was measured that no photograph states.
+        """
+        if not path.is_dir():
+            raise CaptureError(f"{path} is not a folder; give a folder of photographs or a capture set")
+        listed = find_list(path)
+        settings = _from_list(path, listed) if listed else _from_exif(path)
+        _refuse_changing_aperture(path, settings)
+        _refuse_unknown_speed(path, settings)
+        known = speeds or IsoSpeeds()
+        known.refuse_unstated(str(path), {one.iso for one in settings.values() if one.iso})
+        return cls(path, settings, known)
+
+    def brackets(
+        self,
+        channel: str = "luminance",
+        report: Callable[[int, int], None] | None = None,
+        most_pixels: int | None = None,
+        *,
+        interpolated: bool = False,
+    ) -> list[Bracket]:
+        """Return one bracket of the wanted channel, or three (red, green, blue) for "each".
+
+        Grey photographs give one bracket whatever the channel. A colour photograph's luminance is the luma
+        0.299 R + 0.587 G + 0.114 B of its stored values (ITU-R BT.601), clipped where any channel is.
+
+        Args:
+            channel: "luminance", "red", "green", "blue" or "each".
+            report: Called with (files read, files in all) as the work goes on.
+            most_pixels: Take every n-th pixel where files hold more than this; None for all.
+            interpolated: Of camera raw files: fill in the colours that every pixel lacks.
+
+        Raises:
+            CaptureError: If a file is unreadable, or sizes, bit depths or colour differ.
+            UsageError: If there is no such channel.
+        """
+        if channel not in CHANNEL_CHOICES:
+            raise UsageError(f"there is no channel {channel!r}; choose one of {', '.join(CHANNEL_CHOICES)}")
+        frames: dict[str, list[Frame]] = {}
+        for done, (name, photograph) in enumerate(self._photographs(most_pixels, interpolated), start=1):
+            if report is not None:
+                report(done, len(self.settings))
+            for wanted in _wanted(photograph, channel):
+                frames.setdefault(wanted, []).append(self._frame(name, photograph, wanted))
+        _refuse_copies(self.path, frames)
+        return [Bracket.from_frames(several, origin=str(self.path)) for several in frames.values()]
+
+    def _photographs(self, most_pixels: int | None, interpolated: bool) -> Iterator[tuple[str, Photograph]]:
+        first: tuple[str, Photograph] | None = None
+        # Of a lattice little stays: two whole pictures in memory would be most of what a response takes.
+        ahead = 2 if most_pixels is None else 1
+        for name, photograph in _in_turn(
+            lambda name: read_photograph(self.path / name, most_pixels, interpolated=interpolated), self.settings, ahead
+        ):
+            if first is None:
+                first = (name, photograph)
+            _refuse_mixture(self.path, first, (name, photograph))
+            yield name, photograph
+
+    def _frame(self, name: str, photograph: Photograph, channel: str) -> Frame:
+        known = self.settings[name]
+        stated = [s.iso for s in self.settings.values() if s.iso]
+        gain_db = self.speeds.gain_db(known.iso, stated) if known.iso else 0.0
+        settings = FrameSettings(
+            exposure_s=known.exposure_s,
+            gain_db=gain_db + known.gain_db,
+            f_number=known.f_number,
+            black_level_dn=photograph.black_level_dn(channel),
+            iso=known.iso,
+        )
+        extra: dict[str, float | int | str] = {
+            "file": name,
+            "channel": channel,
+            "nominal_exposure_s": known.nominal_exposure_s,
+        }
+        if photograph.is_raw:
+            extra["raw"] = 1
+        if known.iso:
+            extra["iso_stated"] = known.iso
+            if known.iso in self.speeds.measured:
+                extra["iso_measured"] = self.speeds.measured[known.iso]
+        return Frame(photograph.plane(channel), photograph.bit_depth, settings, extra=extra)
+
+
+def _in_turn(read: Callable[[str], Photograph], names: Iterable[str], ahead: int) -> Iterator[tuple[str, Photograph]]:
+    """Yield every photograph in order while the next ones are decoded, so many at a time."""
+    waiting: deque[tuple[str, Future[Photograph]]] = deque()
+    with ThreadPoolExecutor(max_workers=ahead) as pool:
+        try:
+            for name in names:
+                waiting.append((name, pool.submit(read, name)))
+                if len(waiting) == 2:
+                    done, future = waiting.popleft()
+                    yield done, future.result()
+            while waiting:
+                done, future = waiting.popleft()
+                yield done, future.result()
+        finally:
+            for _, future in waiting:
+                future.cancel()
+
+
+def read_photographs(
+    path: Path,
+    channel: str = "luminance",
+    *,
+    report: Callable[[int, int], None] | None = None,
+    speeds: IsoSpeeds | None = None,
+    most_pixels: int | None = None,
+    interpolated: bool = False,
+) -> list[Bracket]:
+    """Return the brackets of a folder of photographs.
+
+    Args:
+        path: Folder of JPEG, PNG, TIFF or camera raw files.
+        channel: "luminance", "red", "green", "blue", or "each" for the three of them.
+        report: Called with (files read, files in all) as the work goes on.
+        speeds: What is known of the camera's ISO speeds beyond what it states.
+        most_pixels: Take every n-th pixel where files hold more than this; None for all.
+        interpolated: Of camera raw files: fill in the colours that every pixel lacks.
+
+    Raises:
+        CaptureError: If the folder or a file in it cannot be used; the message names it.
+        UsageError: If there is no such channel, or a speed was measured that no photograph states.
+    """
+    return PhotographFolder.open(path, speeds).brackets(channel, report, most_pixels, interpolated=interpolated)
+
+
+def image_files(path: Path) -> list[str]:
+    """Return the names of the photographs in a folder; camera raw files only where there is nothing else."""
+    names = sorted(entry.name for entry in path.iterdir() if entry.is_file() and not entry.name.startswith("."))
+    developed = [name for name in names if Path(name).suffix.lower() in IMAGE_SUFFIXES]
+    return developed or [name for name in names if Path(name).suffix.lower() in RAW_SUFFIXES]
+
+
+def _from_list(folder: Path, listed: Path) -> dict[str, PhotographSettings]:
+    settings = read_list(listed)
+    outside = [name for name in settings if Path(name).name != name]
+    if outside:
+        raise CaptureError(f"{listed}: {outside[0]!r} lies outside the folder; name files that lie beside the list")
+    here = set(names_in(folder).values())
+    absent = [name for name in settings if name not in here]
+    if absent:
+        raise CaptureError(_absent(listed, absent, here))
+    if unnamed := [name for name in image_files(folder) if name not in settings]:
+        shown = ", ".join(unnamed[:_NAMED]) + (" …" if len(unnamed) > _NAMED else "")
+        _LOG.warning("photographs that the list does not name are left out", list=str(listed), photographs=shown)
+    return {name: _with_exif_aperture(folder / name, known) for name, known in sorted(settings.items())}
+
+
+def _absent(listed: Path, absent: list[str], here: set[str]) -> str:
+    """Return what to say of photographs that a list names and that are not there."""
+    named = ", ".join(map(repr, absent[:_NAMED])) + (" …" if len(absent) > _NAMED else "")
+    which = "which is" if len(absent) == 1 else f"{len(absent)} files that are"
+    other = name_of_other_case(absent[0], here)
+    way_out = f"the file is called {other!r}" if other else "mend the name, or take the line out"
+    return f"{listed}: names {named}, {which} not in the folder; {way_out}"
+
+
+def _with_exif_aperture(path: Path, known: PhotographSettings) -> PhotographSettings:
+    exif = read_exif(path)
+    return known if exif is None else replace(known, f_number=exif.f_number, iso=exif.iso)
+
+
+def _from_exif(folder: Path) -> dict[str, PhotographSettings]:
+    names = image_files(folder)
+    if not names:
+        raise CaptureError(
+            f"{folder} holds no photograph (looked for {', '.join(sorted(IMAGE_SUFFIXES))} and raw files)"
+        )
+    settings = {}
+    for name in names:
+        known = read_exif(folder / name)
+        if known is None:
+            read_photograph(folder / name)  # a damaged file has no EXIF either: say that first
+            raise CaptureError(
+                f"{folder / name}: has no exposure time (no EXIF); write a file {LIST_NAMES[0]} beside the "
+                "photographs with one line per file: `name seconds`"
+            )
+        settings[name] = known
+    return settings if _from_a_dial(settings.values()) else {n: one.as_printed() for n, one in settings.items()}
+
+
+def _from_a_dial(settings: Iterable[PhotographSettings]) -> bool:
+    """Tell whether every time is one that a dial prints, or a longer one by hand: only then do they stand for stops."""
+    return all(is_dial_time(one.nominal_exposure_s) or one.nominal_exposure_s > LONGEST_OF_DIAL_S for one in settings)
+
+
+def _refuse_unknown_speed(folder: Path, settings: dict[str, PhotographSettings]) -> None:
+    """Refuse photographs of several ISO speeds of which some state none: any of them may be theirs."""
+    silent = [name for name, known in settings.items() if not known.iso]
+    stated = sorted({known.iso for known in settings.values() if known.iso})
+    if silent and len(stated) > 1:
+        raise CaptureError(
+            f"{folder}: {silent[0]} states no ISO speed, others {stated[0]:g} to {stated[-1]:g}; leave it out, or take "
+            "the whole bracket at one speed"
+        )
+
+
+def _refuse_changing_aperture(folder: Path, settings: dict[str, PhotographSettings]) -> None:
+    apertures = sorted({known.f_number for known in settings.values() if known.f_number})
+    if apertures and apertures[-1] > apertures[0] * 1.01:
+        raise CaptureError(
+            f"{folder}: the f-number changes between photographs (f/{apertures[0]:.3g} to f/{apertures[-1]:.3g}); "
+            "a bracket needs one aperture: change the exposure time alone"
+        )
+
+
+def _refuse_mixture(folder: Path, first: tuple[str, Photograph], other: tuple[str, Photograph]) -> None:
+    (name, a), (second, b) = first, other
+    if a.is_raw != b.is_raw:
+        raise CaptureError(
+            f"{folder}: {name} and {second} are not both camera raw files or both developed pictures; use one kind"
+        )
+    if a.shape != b.shape:
+        raise CaptureError(
+            f"{folder}: {second} is {b.shape[1]} × {b.shape[0]} pixels, {name} {a.shape[1]} × {a.shape[0]}; "
+            "all photographs of a bracket need one size"
+        )
+    if a.bit_depth != b.bit_depth:
+        raise CaptureError(
+            f"{folder}: {second} has {b.bit_depth} bits per value, {name} {a.bit_depth}; "
+            "all photographs of a bracket need one bit depth"
+        )
+    if a.is_grey != b.is_grey:
+        raise CaptureError(f"{folder}: {name} and {second} are not both grey or both in colour; use one kind")
+
+
+def _refuse_copies(folder: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
+    """Refuse photographs that are copies of each other: noise makes every picture another one.
+
+    Pictures of next to nothing but black and white may be alike.
+    """
+    first: dict[tuple[int, ...], int] = {}
+    for index, planes in enumerate(zip(*frames.values(), strict=True)):
+        step = max(1, math.isqrt(planes[0].dn.size // _COMPARED_PIXELS))
+        mark = tuple(zlib.crc32(frame.dn[::step, ::step].tobytes()) for frame in planes)
+        other = [several[first.setdefault(mark, index)] for several in frames.values()]
+        if other[0] is planes[0] or not all(np.array_equal(a.dn, b.dn) for a, b in zip(other, planes, strict=True)):
+            continue
+        if max(np.unique(frame.dn[::step, ::step]).size for frame in planes) >= _VALUES_OF_A_PICTURE:
+            raise CaptureError(
+                f"{folder}: {planes[0].extra['file']} and {other[0].extra['file']} hold the same picture, number by "
+                "number: one is a copy of the other; leave one out"
+            )
+
+
+def _wanted(photograph: Photograph, channel: str) -> tuple[str, ...]:
+    if photograph.is_grey:
+        return ("mono",)
+    return CHANNELS if channel == "each" else (channel,)
+
+
+__all__ = ["CHANNEL_CHOICES", "PhotographFolder", "image_files", "read_photographs"]

@@ -1,0 +1,362 @@
+"""Which entries a plan cannot tell apart: asked of the captures that were taken, not of what they showed.
+
+An entry changes the expected statistics in some direction; others change them in the directions of their starts and of
+their parameters there. What follows the first for the most part, nuisances and all other effects moving too, is fitted
+to its noiseless statistics. What is left of them is what these captures would show of the difference, in units of χ².
+Where that is less than rivals may differ by, the two names stand together, whichever of them the data were fitted with.
+
+Source: local identifiability by the Fisher information, T. J. Rothenberg, Econometrica 39 (1971) 577, over starts that
+span the range of an entry.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from radiometer.reconciliation.advice.next_capture import tells_apart
+from radiometer.reconciliation.advice.sizes import SHOWN, Asked, mildest
+from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
+from radiometer.reconciliation.fit.comparison import Comparison
+from radiometer.reconciliation.fit.descent import refit
+from radiometer.reconciliation.fit.state import FitState, with_effects
+from radiometer.reconciliation.measure.design import Array
+from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.search.screening import AT_ONCE, changes_where_possible, directions_of_each
+from radiometer.reconciliation.thresholds import PARAMETER_NATS, RIVAL_NATS
+from simulators.effects.catalogue import CatalogueEffect
+
+_STARTS: Final = 6  # of an entry, spread over all that it has
+_LARGEST_FACTOR: Final = 1000.0  # times the size of its start, beyond which an entry would be absurd
+# The size at which a plan is asked about an entry: twenty sigma, whatever is usual; five where it comes no farther.
+_ASKED: Final = (Asked(20.0**2, _LARGEST_FACTOR), Asked(SHOWN, _LARGEST_FACTOR))
+_REACH: Final = 2.0  # scales by which a parameter may leave its start: beyond, its derivative there is another effect
+_WORTH_A_FIT: Final = 0.5  # share of another's χ² that an entry must follow at its start to be fitted in its place
+_FITTED: Final = 3  # forms of an entry that a fit begins from
+_SAME: Final = 0.1  # χ² by which fits that came to the same differ at most
+_DIRECTION: Final = 1e-6  # share of a column that the others of its entry must leave
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Form:
+    """One start of an entry, and where its columns stand: what it changes, and what its parameters do there.
+
+    The first column of what grows from nothing may be taken at any size; a limit or a step is there as it is or not at
+    all, and its first parameter moves it as the others do.
+    """
+
+    effect: CatalogueEffect
+    columns: slice
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """What entries change in the statistics of a plan, beside its nuisances.
+
+    Attributes:
+        state: The model that they are added to.
+        forms: Starts of each entry by name.
+        products: Inner products of all columns, freed of what nuisances and other effects explain.
+    """
+
+    state: FitState
+    forms: Mapping[str, tuple[_Form, ...]]
+    products: Array
+
+    @classmethod
+    def of(cls, state: FitState, entries: Mapping[str, Sequence[CatalogueEffect]]) -> Directions:
+        """Return the directions of the starts of entries.
+
+        Args:
+            state: The model that they are added to.
+            entries: Starts by name.
+        """
+        columns, forms, at = list[Array](), dict[str, tuple[_Form, ...]](), 0
+        every = _columns(state, [start for starts in entries.values() for start in starts])
+        for name, starts in entries.items():
+            found = []
+            for start, own in zip(starts, every, strict=False):
+                if np.isfinite(own).all() and own[:, 0].any():  # what no camera does is no likeness
+                    columns.append(own)
+                    found.append(_Form(start, slice(at, at + own.shape[1])))
+                    at += own.shape[1]
+            forms[name] = tuple(found)
+        if not columns:
+            return cls(state, forms, np.zeros((0, 0)))
+        moved, part = state.fit.followed_with_half(np.hstack(columns))
+        products = np.asarray(moved.T @ moved - part.T @ part)
+        return cls(state, forms, products)
+
+    def shown(self, form: _Form) -> float:
+        """Return the χ² by which a start shows."""
+        return float(max(self.products[form.columns.start, form.columns.start], 0.0))
+
+    def left(self, target: _Form, other: _Form) -> tuple[float, float]:
+        """Return the χ² of a start that another entry, about one of its own starts, does not follow, and how much of
+        that start it takes."""
+        whole = self.shown(target)
+        left, taken = self._least(target, other)
+        if taken[0] <= 0 or np.max(np.abs(taken[1:]), initial=0.0) > _REACH * taken[0]:  # another form than it can take
+            alone = replace(other, columns=slice(other.columns.start, other.columns.start + 1))
+            left, taken = self._least(target, alone)
+        return (left, float(taken[0])) if taken[0] > 0 else (whole, 0.0)
+
+    def _least(self, target: _Form, other: _Form) -> tuple[float, Array]:
+        """Return the χ² of a start that columns of another do not follow at best, and how much of each they take."""
+        own, first, at = other.columns, other.columns.start, target.columns.start
+        right, whole = self.products[own, at], self.shown(target)
+        if other.effect.grows:
+            return _followed(self.products[own, own], right, whole)
+        beyond = max(whole - 2.0 * float(self.products[first, at]) + float(self.products[first, first]), 0.0)
+        moved = (right - self.products[own, first])[1:]
+        left, taken = _followed(self.products[own, own][1:, 1:], moved, beyond)
+        return left, np.concatenate([[1.0], taken])
+
+    def near(self, target: _Form, name: str) -> tuple[CatalogueEffect, ...]:
+        """Return the forms of an entry that follow another's start for the most part, at their size, the best first.
+
+        Args:
+            target: The other's start.
+            name: The entry.
+        """
+        rated = [(*self.left(target, form), form) for form in self.forms[name]]
+        follow = [entry for entry in rated if entry[0] < (1.0 - _WORTH_A_FIT) * self.shown(target)]
+        sized = (_times(form.effect, amount) for _, amount, form in sorted(follow, key=lambda entry: entry[0]))
+        return tuple(dict.fromkeys(sized))
+
+
+def _followed(gram: Array, right: Array, whole: float) -> tuple[float, Array]:
+    """Return what columns leave of a χ² at best, and how much of each they take.
+
+    Args:
+        gram: Inner products of the columns.
+        right: Their products with what is to be followed.
+        whole: Its χ².
+    """
+    lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
+    kept = values > _DIRECTION
+    along = (vectors[:, kept].T @ (right / lengths)) / np.sqrt(values[kept])
+    taken = (vectors[:, kept] @ (along / np.sqrt(values[kept]))) / lengths
+    return max(whole - float(along @ along), 0.0), np.asarray(taken)
+
+
+def _paid(target: CatalogueEffect, other: CatalogueEffect) -> float:
+    """Return the χ² that an entry must pay for having more parameters."""
+    return 2.0 * PARAMETER_NATS * max(len(other.free()) - len(target.free()), 0)
+
+
+def _times(effect: CatalogueEffect, amount: float) -> CatalogueEffect:
+    """Return an effect with its first parameter times an amount, within its bounds; a limit or a step as it is."""
+    names = effect.free()
+    if not effect.grows or not names or "[" in names[0]:
+        return effect
+    power = 0.5 if effect.acts_by_square else 1.0
+    return effect.resized(amount**power, about=effect.neutral(names[0]))
+
+
+def _columns(state: FitState, starts: Sequence[CatalogueEffect]) -> Iterator[Array]:
+    """Yield what each start changes and what its parameters do there, but for an amount."""
+    place = len(state.effects)
+    for first in range(0, len(starts), AT_ONCE):
+        batch = starts[first : first + AT_ONCE]
+        entries = [((*state.effects, start), place, 1 if start.grows else 0) for start in batch]
+        yield from directions_of_each(state, entries, changes_where_possible)
+
+
+def inseparable(
+    state: FitState, chosen: CatalogueEffect, catalogue: Mapping[str, type[CatalogueEffect]]
+) -> tuple[CatalogueEffect, ...]:
+    """Return entries, at a start of theirs, that these captures cannot tell from a named effect of its fitted size.
+
+    Args:
+        state: The fitted model that holds the effect.
+        chosen: The effect.
+        catalogue: All entries; also those whose covariate does not vary, for that very reason.
+    """
+    rest = with_effects(state, [effect for effect in state.effects if effect is not chosen])
+    present = {effect.name for effect in (*state.effects, *state.model.given)}
+    shows = {chosen.block, *chosen.also}
+    kinds = {n: kind for n, kind in catalogue.items() if n not in present and shows & {kind.block, *kind.also}}
+    starts = {name: _spread(kind.starts(state.model.context)) for name, kind in kinds.items()}
+    directions = Directions.of(rest, starts | {chosen.name: (chosen,)})
+    if not directions.forms[chosen.name]:
+        return ()
+    (target,) = directions.forms[chosen.name]
+    alike = Alike(directions, target)
+    found = (alike.fitted(name) for name in kinds)
+    return tuple(effect for effect in found if effect is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class Noiseless(Comparison):
+    """A comparison whose measured statistics are those that a model expects.
+
+    Attributes:
+        offset: Residual of the real data under that model.
+    """
+
+    offset: Array = field(default_factory=lambda: np.zeros(0))
+
+    def residual(self, prediction: Prediction) -> Array:
+        """Return expected minus predicted, whitened, (entries,) or (entries, models)."""
+        found = super().residual(prediction)
+        return found - self.offset.reshape(-1, *(1,) * (found.ndim - 1))
+
+
+def noiseless(state: FitState, effect: CatalogueEffect) -> FitState:
+    """Return a state with the data replaced by what its model with a further effect expects."""
+    known = {entry.name: getattr(state.comparison, entry.name) for entry in fields(state.comparison)}
+    offset = state.comparison.residual(state.predicted_with((*state.effects, effect)))
+    return replace(state, comparison=Noiseless(**known | {"offset": offset}))
+
+
+def left_by_fit(exact: FitState, truth: CatalogueEffect, start: Candidate) -> tuple[float, CatalogueEffect]:
+    """Return the χ² that an entry leaves of noiseless data when it is fitted to them, and the entry as fitted.
+
+    Args:
+        exact: The state with the noiseless data of another entry.
+        truth: That other entry; parameters beyond its number are paid for.
+        start: Where the fit begins.
+    """
+    fitted = fit_candidate(exact, start).effect
+    return _left(exact, truth, fitted, _refitted_cost(exact, truth)), fitted
+
+
+def _left(exact: FitState, truth: CatalogueEffect, fitted: CatalogueEffect, least: float) -> float:
+    return max(_refitted_cost(exact, fitted) - least, 0.0) + _paid(truth, fitted)
+
+
+def _refitted_cost(exact: FitState, effect: CatalogueEffect) -> float:
+    return refit(with_effects(exact, (*exact.effects, effect))).cost
+
+
+@dataclass(eq=False)
+class Alike:
+    """Which entries fit the noiseless data of another's start.
+
+    Derivatives tell where an entry may be the other. They do not reach far enough to tell that it is: a change that is
+    a small difference of large ones, or bends, is no such sum. Only what follows for the most part is fitted.
+
+    Attributes:
+        directions: Of the starts of all entries.
+        target: The other's start.
+    """
+
+    directions: Directions
+    target: _Form
+
+    @cached_property
+    def _exact(self) -> FitState:
+        return noiseless(self.directions.state, self.target.effect)
+
+    @cached_property
+    def _least(self) -> float:
+        """Return the χ² that the other itself leaves: of priors, for the data are its own."""
+        return _refitted_cost(self._exact, self.target.effect)
+
+    def fitted(self, name: str) -> CatalogueEffect | None:
+        """Return an entry that fits the noiseless data; None where these captures tell the two apart.
+
+        Args:
+            name: The entry.
+        """
+        context, gains = self._exact.model.context, list[float]()
+        for near in self.directions.near(self.target, name)[:_FITTED]:  # a limit that hardly acts shows no way on
+            start = Candidate(near, self.directions.shown(self.target), max(len(near.free()), 1))
+            found = fit_candidate(self._exact, start)
+            if any(abs(found.gain - known) < _SAME for known in gains):
+                continue  # it came to where another form had come to
+            gains.append(found.gain)
+            left = _left(self._exact, self.target.effect, found.effect, self._least)
+            if left < 2.0 * RIVAL_NATS and not found.effect.unlike_itself(context):
+                return found.effect
+        return None
+
+
+def _spread(starts: Sequence[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
+    """Return a few starts spread over all."""
+    return tuple(starts[:: max(1, -(-len(starts) // _STARTS))])
+
+
+@dataclass(frozen=True, slots=True)
+class Together:
+    """Names that a plan cannot separate.
+
+    Attributes:
+        name: An entry.
+        others: Entries that could show the same.
+        capture: The capture that would tell them apart; None where none of the rig's would.
+    """
+
+    name: str
+    others: tuple[str, ...]
+    capture: Mapping[str, Any] | None
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping that stands in JSON."""
+        return {"name": self.name, "others": list(self.others), "next_capture": self.capture and dict(self.capture)}
+
+
+@dataclass(frozen=True, slots=True)
+class Separability:
+    """What a plan can tell apart.
+
+    Attributes:
+        together: Names that stand together, each set once.
+        blind: Entries that do not show at any sensible size, nuisances following.
+    """
+
+    together: tuple[Together, ...]
+    blind: tuple[str, ...]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping that stands in JSON."""
+        return {"inseparable": [entry.to_mapping() for entry in self.together], "blind": list(self.blind)}
+
+
+def separability(
+    state: FitState, catalogue: Mapping[str, type[CatalogueEffect]], *, every: bool = False
+) -> Separability:
+    """Return which entries these captures can tell apart, each at a size of twenty sigma.
+
+    Args:
+        state: The starting camera, nuisances fitted; the data's disagreements have no part in it.
+        catalogue: All entries.
+        every: List a set once for each of its names, without captures, instead of once in all.
+    """
+    seen = asked_sizes(state, catalogue)
+    blind = tuple(sorted(set(catalogue) - set(seen)))
+    return Separability(tuple(_together(state, seen, every=every)), blind)
+
+
+def asked_sizes(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> dict[str, CatalogueEffect]:
+    """Return the entries that show, by name, at the size at which a plan is asked about them.
+
+    That is the first of their starts, the likeliest first, that stands out by twenty sigma where it has that size; of
+    what does so nowhere the first that stands out by five.
+    """
+    starts = {name: _spread(kind.starts(state.model.context)) for name, kind in catalogue.items()}
+    found: dict[str, CatalogueEffect] = {}
+    for asked, turn in itertools.product(_ASKED, range(max(map(len, starts.values()), default=0))):
+        left = [several[turn] for name, several in starts.items() if name not in found and turn < len(several)]
+        found |= {name: near.effect for name, near in mildest(state, left, asked).items()}
+    return {name: found[name] for name in catalogue if name in found}
+
+
+def _together(state: FitState, seen: Mapping[str, CatalogueEffect], *, every: bool) -> Iterator[Together]:
+    told, context = set[frozenset[str]](), state.model.context
+    directions = Directions.of(state, {n: (own, *_spread(type(own).starts(context))) for n, own in seen.items()})
+    for name in seen:
+        alike = Alike(directions, directions.forms[name][0])
+        others = [effect for other in seen if other != name and (effect := alike.fitted(other)) is not None]
+        names = frozenset({name, *(effect.name for effect in others)})
+        if others and (every or names not in told):
+            told.add(names)
+            capture = None if every else tells_apart(state, alike.target.effect, others)
+            yield Together(name, tuple(effect.name for effect in others), capture)

@@ -1,0 +1,489 @@
+"""Reconciles a capture set with the forward model: from frames to a verdict."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+import structlog
+
+from radiometer.data import CaptureHeader, Frame
+from radiometer.errors import CaptureError
+from radiometer.importing import open_capture
+from radiometer.one_thread import on_one_blas_thread
+from radiometer.reconciliation.advice.limits import limits
+from radiometer.reconciliation.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
+from radiometer.reconciliation.advice.separability import Separability, inseparable, separability
+from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfit
+from radiometer.reconciliation.fit.descent import first_state
+from radiometer.reconciliation.fit.nuisances import dark_current_is_free
+from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.measure.reduce import FrameReader, frame_reader
+from radiometer.reconciliation.noise.darkness import drift_of_black, wander_of_black
+from radiometer.reconciliation.noise.repeats import repeats_of
+from radiometer.reconciliation.propose.beyond import held_to_laws
+from radiometer.reconciliation.result import (
+    CovariateGap,
+    FittedParameter,
+    FoundEffect,
+    LawCurve,
+    Limit,
+    Place,
+    ReconcileResult,
+    Repeats,
+    Series,
+    Verdict,
+)
+from radiometer.reconciliation.search.frame_order import FrameLight, Periodic, periodic, steadied
+from radiometer.reconciliation.search.localise import Disagreement, axis_of, global_p_value, places
+from radiometer.reconciliation.search.outcome import Reconciled, Search, Step
+from radiometer.reconciliation.search.search import search
+from radiometer.reconciliation.shown import shown_by
+from radiometer.reconciliation.verdict import (
+    by_other_laws,
+    doubts_of,
+    faint,
+    faint_names,
+    is_doubted,
+    rest_of,
+    size_of_rest,
+    sizes_by_own_law,
+    verdict_of,
+)
+from simulators.chain.camera_model import CameraModel
+from simulators.chain.ideal_chain import beside_ideal
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.free_law import FreeLaw
+from simulators.effects.registry import all_effects
+
+_log = structlog.get_logger(__name__)
+
+_T = TypeVar("_T")
+_PLACES: Final = 6
+_CALL: Final = 0.01
+_CLEAR: Final = 1e-3  # share of samples that may clip in a tile whose light is compared from frame to frame
+
+Say = Callable[[str], None]
+Progress = Callable[[int, int], None]
+
+
+def whole_catalogue() -> dict[str, type[CatalogueEffect]]:
+    """Return all entries that reconcile tries, by name; those of installed packages and files that were read too.
+
+    Raises:
+        ConfigurationError: If an installed package's effect cannot be loaded.
+    """
+    return {name: kind for name, kind in all_effects().items() if issubclass(kind, CatalogueEffect)}
+
+
+def reconcile(
+    header: CaptureHeader,
+    frames: Iterable[Frame],
+    model: CameraModel | None = None,
+    *,
+    catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
+    without: Sequence[str] = (),
+    with_limits: bool = True,
+    say: Say = lambda line: None,
+) -> ReconcileResult:
+    """Return where measured and simulated disagree, and which effects are missing.
+
+    Args:
+        header: What `capture.yaml` says.
+        frames: The frames it lists, in its order.
+        model: The camera as it is believed to be; by default the ideal EMVA 1288 camera of the header.
+        catalogue: Effects to try, by name; by default all.
+        without: Names of effects to leave out.
+        with_limits: Whether to work out what the data would have shown at 5 sigma.
+        say: Told what happens, line by line.
+
+    Raises:
+        CaptureError: If frames are missing or differ in size, or a patch does not fit.
+    """
+    held = frames if isinstance(frames, Sequence) else list(frames)
+    if len(held) != len(header.frames):
+        raise CaptureError(f"the header lists {len(header.frames)} frames, but {len(held)} were given")
+    entries = {
+        n: kind for n, kind in (whole_catalogue() if catalogue is None else catalogue).items() if n not in without
+    }
+    return examine(
+        header, frame_reader(held), held[0].shape, model, catalogue=entries, with_limits=with_limits, say=say
+    ).result
+
+
+def gap_of(found: ReconcileResult | CameraModel | None, header: CaptureHeader, frames: Iterable[Frame]) -> float:
+    """Return the reduced χ² of held-out settings of a capture set under a model that is not changed.
+
+    Only the nuisances (responsivity, patch radiances) are fitted.
+
+    Args:
+        found: A result whose effects are taken, a camera model, or None for the ideal camera of the header.
+        header: What `capture.yaml` of the (fresh) capture set says.
+        frames: Its frames.
+    """
+    return gaps_of((found,), header, frames)[0]
+
+
+@on_one_blas_thread
+def gaps_of(
+    found: Sequence[ReconcileResult | CameraModel | None], header: CaptureHeader, frames: Iterable[Frame]
+) -> tuple[float, ...]:
+    """Return the same of several models; the frames are read once.
+
+    Args:
+        found: Results, camera models, or None for the ideal camera of the header.
+        header: What `capture.yaml` of the (fresh) capture set says.
+        frames: Its frames.
+    """
+    held = frames if isinstance(frames, Sequence) else list(frames)
+    design, _, reduced = shown_by(header, held[0].shape, frame_reader(held))
+    gaps = []
+    for entry in found:
+        if isinstance(entry, CameraModel):  # it may state another black level, which the reduction goes by
+            changed, given = _adopted(header, entry)
+            own, _, read = shown_by(changed, held[0].shape, frame_reader(held))
+            gaps.append(first_state(own, *read, given).gap)
+        else:
+            gaps.append(first_state(design, *reduced, () if entry is None else entry.added).gap)
+    return tuple(gaps)
+
+
+def _adopted(header: CaptureHeader, model: CameraModel | None) -> tuple[CaptureHeader, tuple[CatalogueEffect, ...]]:
+    """Return the header with a model's camera and lens, and the effects that it holds beside the ideal chain."""
+    if model is None:
+        return header, ()
+    camera, further = beside_ideal(model.effects, model.camera, model.lens)
+    changed = header.model_copy(update={"camera": camera, "lens": model.lens})
+    return changed, tuple(effect for effect in further if isinstance(effect, CatalogueEffect))
+
+
+def reconcile_capture(
+    path: Path,
+    model: CameraModel | None = None,
+    *,
+    catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
+    progress: Progress | None = None,
+    say: Say = lambda line: None,
+) -> Reconciled:
+    """Return the same for a capture set on disk; one frame is in memory at a time.
+
+    Args:
+        path: A capture set's folder, or files that `radiometer.importing` reads as one (FITS, raw TIFF, EMVA 1288).
+        model: The camera as it is believed to be.
+        catalogue: Effects to try.
+        progress: Called with frames done and frames in all.
+        say: Told what happens.
+
+    Raises:
+        CaptureError: If the capture set is unfinished or inconsistent.
+    """
+    captured = open_capture(path)
+    shape = captured.read_frame(0).shape
+    return examine(captured.header, captured.read_frame, shape, model, catalogue=catalogue, progress=progress, say=say)
+
+
+@on_one_blas_thread
+def plan_of(
+    path: Path,
+    model: CameraModel | None = None,
+    *,
+    catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
+    progress: Progress | None = None,
+) -> Separability:
+    """Return what the captures of a set can tell apart, whatever they showed.
+
+    The nuisances alone (responsivity, radiances) are fitted to the frames.
+
+    Args:
+        path: A capture set's folder, or files that `radiometer.importing` reads as one (FITS, raw TIFF, EMVA 1288).
+        model: The camera as it is believed to be.
+        catalogue: Effects to ask about.
+        progress: Called with frames done and frames in all.
+
+    Raises:
+        CaptureError: If the capture set is unfinished or inconsistent.
+    """
+    captured = open_capture(path)
+    header, given = _adopted(captured.header, model)
+    shape, total = captured.read_frame(0).shape, len(header.frames)
+    reading = (lambda done: progress(done, total)) if progress else None
+    design, _, read = shown_by(header, shape, captured.read_frame, reading)
+    start = first_state(design, *read, given)
+    return separability(start, whole_catalogue() if catalogue is None else catalogue)
+
+
+@on_one_blas_thread
+def examine(
+    header: CaptureHeader,
+    read: FrameReader,
+    shape: tuple[int, int],
+    model: CameraModel | None = None,
+    *,
+    catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
+    progress: Progress | None = None,
+    with_limits: bool = True,
+    say: Say = lambda line: None,
+) -> Reconciled:
+    """Return the result for frames that a reader gives by their position in the header.
+
+    Raises:
+        CaptureError: If no part of any frame is free of clipping, or frames differ in size.
+    """
+    begun = time.monotonic()
+    header, given = _adopted(header, model)
+    total = len(header.frames)
+    reading = (lambda done: progress(done, total)) if progress else None
+    design, light, (seen, images) = shown_by(header, shape, read, reading)
+    entries = whole_catalogue() if catalogue is None else catalogue
+    clear = (seen.high < _CLEAR) & (seen.low < _CLEAR)
+    known = any(kind.where == "frame" for kind in entries.values())  # an effect from outside, which may be just that
+    again = None if known else periodic(design, light, seen.common_unit, clear)
+    taken = None if again is None else partial(first_state, design, seen, images, given)
+    if again is not None:  # a source known to differ by so much from frame to frame: no flicker is asked for beside it
+        seen = steadied(design, light, seen, again)
+        design = replace(design, header=_wandering(header, again.rms))
+    start = first_state(design, seen, images, given)
+    if not start.comparison.usable["mean"].any():
+        raise CaptureError(
+            "no part of any frame is free of clipping: capture with shorter exposures and a black level above zero"
+        )
+    notes: list[str] = []
+    taken_dn = design.header.camera.black_level_dn
+    if taken_dn != header.camera.black_level_dn:
+        told = "where the noise of the light would end" if taken_dn else "for the noise does not tell it either"
+        notes.append(
+            f"the black level is not declared, and one setting does not tell it: {taken_dn:.4g} DN is taken, {told}"
+        )
+    scenes = set(design.patterns).difference(frame.pattern for frame in header.frames)
+    if scenes:
+        notes.append(f"the scene changes: {1 + len(scenes)} are shown, each a pattern of its own")
+    found = search(start, entries, say, is_doubted)
+    outcome = _spared("laws of no entry", lambda: held_to_laws(found, entries, say), notes) or found
+    result = _result(outcome, entries, again, total, begun, notes, with_limits=with_limits)
+    return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome, taken)
+
+
+def _repeats(state: FitState, light: FrameLight, header: CaptureHeader) -> tuple[Repeats, ...]:
+    wander = (wander_of_black(state.design, state.seen), float(np.sqrt(state.comparison.wander2)))
+    usable, first = state.comparison.usable["mean"], state.prediction.first
+    found = repeats_of(state.design, light.of_tiles, usable, state.sensitivity, first, wander)
+
+    def as_stated(one: Series) -> Series:  # the design has a stand-in for exposures of 0 s
+        return replace(one, exposure_s=header.frames[one.frames[0]].exposure_s)
+
+    return tuple(replace(part, series=tuple(map(as_stated, part.series))) for part in found)
+
+
+def _wandering(header: CaptureHeader, rms: float) -> CaptureHeader:
+    """Return the header of a source that is no more reproducible than it was seen to be."""
+    known = max(header.source.reproducibility_u_rel or 0.0, rms)
+    return header.model_copy(update={"source": header.source.model_copy(update={"reproducibility_u_rel": known})})
+
+
+def _result(
+    outcome: Search,
+    entries: Mapping[str, type[CatalogueEffect]],
+    again: Periodic | None,
+    frames: int,
+    begun: float,
+    failed: list[str],
+    *,
+    with_limits: bool,
+) -> ReconcileResult:
+    doubts = [*outcome.remarks, *doubts_of(outcome), *faint(outcome)]
+    verdict = verdict_of(outcome, doubts, again)
+    effects = _found(outcome, entries, again, failed, provisional=verdict is Verdict.INCOMPLETE)
+    state = outcome.state
+    shown: Mapping[str, Limit] = {}
+    if with_limits:
+        shown = _spared("the limits", lambda: limits(state, entries), failed) or {}
+    settled = any(effect.next_capture for effect in effects) or verdict is Verdict.EFFECTS_FOUND
+    further = None if settled else _spared("the next capture", lambda: _further(state, entries, shown, effects), failed)
+    return ReconcileResult(
+        verdict=verdict,
+        effects=effects,
+        next_capture=further,
+        gap_before=outcome.start.gap,
+        gap_after=state.gap,
+        limits=shown,
+        covariates=_by_covariate(outcome.first_tests, outcome.tests),
+        tests=(len(outcome.tests), len(outcome.left)),
+        repeatability=state.tau,
+        assumptions=(*_assumptions(outcome, doubts), *failed),
+        localisation=tuple(_place(test) for test in places(outcome.start, _PLACES)),
+        global_p=_global_p(outcome),
+        calls=(sum(test.p_value < _CALL for test in outcome.first_tests), len(outcome.first_tests)),
+        added=(*state.model.given, *state.effects),
+        captures=len(state.design.captures),
+        frames=frames,
+        seconds=time.monotonic() - begun,
+        extra=_remarks(state, effects),
+    )
+
+
+def _remarks(state: FitState, effects: Sequence[FoundEffect]) -> dict[str, Any]:
+    """Return what the named effects say against figures that the camera's description states."""
+    named = {effect.name: {key: entry.u for key, entry in effect.parameters.items()} for effect in effects}
+    camera = state.design.header.camera
+    told = [effect.remark(camera, named[effect.name]) for effect in state.effects if effect.name in named]
+    remarks = [remark for remark in told if remark]
+    return {"remarks": remarks} if remarks else {}
+
+
+def _global_p(outcome: Search) -> tuple[float, float]:
+    """Return the global p-value of the starting and of the final model."""
+    before = global_p_value(outcome.start, outcome.first_tests)
+    return before, before if outcome.state is outcome.start else global_p_value(outcome.state, outcome.tests)
+
+
+def _spared(what: str, work: Callable[[], _T], failed: list[str]) -> _T | None:
+    """Return what is worked out beside the answer; None where that fails, for advice never costs the answer.
+
+    Args:
+        what: What it is, for the log and for the user.
+        work: Works it out.
+        failed: Is told why it is missing.
+    """
+    try:
+        return work()
+    except Exception as error:  # noqa: BLE001  (whatever it is: minutes of fitting are not thrown away for a hint)
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        _log.error("advice failed", what=what, error=repr(error), at=f"{Path(at.filename).name}:{at.lineno}")
+        _log.debug("advice failed", trace=traceback.format_exc())
+        failed.append(f"{what} could not be worked out ({type(error).__name__}: {error}); the rest stands")
+        return None
+
+
+def _further(
+    state: FitState,
+    entries: Mapping[str, type[CatalogueEffect]],
+    shown: Mapping[str, Limit],
+    effects: Sequence[FoundEffect],
+) -> dict[str, Any] | None:
+    unnamed = [(effect.where, effect.block) for effect in effects if effect.name == "unnamed"]
+    return propose_for_unnamed(state, entries, unnamed) or propose_for_blind(state, entries, shown)
+
+
+def _found(
+    outcome: Search,
+    entries: Mapping[str, type[CatalogueEffect]],
+    again: Periodic | None,
+    failed: list[str],
+    *,
+    provisional: bool,
+) -> tuple[FoundEffect, ...]:
+    """Return the names in the order of finding, and what is left as one entry, where its largest part was found."""
+    state, weak = outcome.state, faint_names(outcome)
+    parameters = fitted_parameters(state)
+    present = {effect.name: effect for effect in state.effects}
+    rest, found = rest_of(outcome, again), list[FoundEffect]()
+    others = by_other_laws(outcome)
+    for step in outcome.steps:
+        if step.name == "unnamed" and rest is not None and rest not in found:
+            found.append(rest)
+        elif step.name in present and step.name not in weak:
+            own = present[step.name]
+            alike = _spared(f"what acts like {step.name}", partial(inseparable, state, own, entries), failed) or ()
+            rivals = tuple({rival.name: rival for rival in (*alike, *step.rivals)}.values())
+            what = f"the capture that tells {step.name} from its rivals"
+            advice = _spared(what, partial(propose, state, own, rivals), failed)
+            shown = replace(step, rivals=rivals)
+            told = dict(parameters[step.name])
+            if isinstance(own, FreeLaw):
+                sizes = _spared(
+                    f"how well the size of {step.name} is known", partial(sizes_by_own_law, state, own), failed
+                )
+                told |= {name: entry for name, entry in (sizes or {}).items() if told[name].u is None}
+            effect = _effect(shown, own, told, advice, provisional=provisional)
+            other = size_of_rest(state, own.block) if own in others else None
+            found.append(replace(effect, other_law=other, curve=LawCurve.of(own, parameters[step.name])))
+    return (*found, rest) if rest is not None and rest not in found else tuple(found)
+
+
+def _effect(
+    step: Step,
+    effect: CatalogueEffect,
+    parameters: Mapping[str, FittedParameter],
+    advice: Mapping[str, Any] | None,
+    *,
+    provisional: bool,
+) -> FoundEffect:
+    curved = effect.law_names() if isinstance(effect, FreeLaw) else ()
+    return FoundEffect(
+        step.name,
+        {name: entry for name, entry in parameters.items() if name not in curved},
+        step.where,
+        step.gap_before,
+        step.gap_after,
+        tuple(rival.name for rival in step.rivals),
+        advice,
+        step.gain_nats,
+        effect.block,
+        provisional,
+    )
+
+
+def _place(test: Disagreement) -> Place:
+    return Place(test.family, axis_of(test.where, test.block), test.form, test.chi2, test.p_value)
+
+
+def _by_covariate(before: Sequence[Disagreement], after: Sequence[Disagreement]) -> dict[str, CovariateGap]:
+    first, last = _largest(before), _largest(after)
+    return {name: CovariateGap(first[name], last.get(name, 1.0)) for name in first}
+
+
+def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for test in tests:
+        name = axis_of(test.where, test.block)
+        found[name] = max(found.get(name, 0.0), test.chi2 / test.rank)
+    return found
+
+
+def _assumptions(outcome: Search, doubts: Sequence[str]) -> tuple[str, ...]:
+    state = outcome.state
+    camera = state.design.header.camera
+    said = list(doubts)
+    for key, text in (
+        ("conversion_gain_e_per_dn", "the conversion gain is not declared: it was fitted from the noise"),
+        ("read_noise_e", "the read noise is not declared: it was fitted"),
+        ("full_well_e", "the full well is not declared: clipping alone limits the data"),
+    ):
+        if getattr(camera, key) is None:
+            said.append(text)
+    if camera.dark_current_e_per_s is None:
+        free = dark_current_is_free(state.design)
+        said.append(f"the dark current is not declared: {'it was fitted' if free else 'none is assumed'}")
+    if state.model.passes_well:
+        said.append("pixels hold more than the declared full well and show the noise of it: it limits nothing")
+    if is_misfit(state):
+        said.append(
+            f"structure is left (gap {state.gap:.3g}): the uncertainties of all parameters are widened by what it does"
+        )
+    if state.comparison.wander2:
+        said.append(
+            f"the source wanders by {np.sqrt(state.comparison.wander2):.2g} from frame to frame: fitted, not named"
+        )
+    wander_dn = wander_of_black(state.design, state.seen)
+    if wander_dn:
+        said.append(f"the black level wanders by {wander_dn:.2g} DN from frame to frame: fitted aside, not named")
+    drift_dn = drift_of_black(state.design, state.seen)
+    if drift_dn:
+        said.append(f"the black level moves by {drift_dn:.2g} DN while a frame is read: fitted aside, not named")
+    reading_k = state.design.reading_u_k
+    if reading_k:
+        said.append(f"temperatures are read in steps: each is known to {reading_k:.2g} K")
+    if np.isnan(state.design.black_level_dn).any():
+        said.append("the black level is not declared: it was fitted")
+    if not state.design.uniform:
+        said.append("no patches are given: the scene is unknown but constant, cut into a grid of tiles")
+        said.append("uneven tiles that reach the brightest level seen are left out: saturation shows in even ones only")
+    if not state.design.has_timestamps:
+        said.append("times are missing: captures count in the order listed")
+    return tuple(said)

@@ -1,0 +1,247 @@
+"""Fits one further effect, the nuisances following linearly, and judges it by what it predicts of held-out settings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from radiometer.reconciliation.fit.comparison import FAMILY
+from radiometer.reconciliation.fit.held_out import leave_one_group_out
+from radiometer.reconciliation.fit.linear import descended
+from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.measure.design import Array
+from simulators.effects.catalogue import CatalogueEffect
+
+_CONVERGED: Final = 0.02
+_DAMPING, _LESS, _MORE, _DAMPINGS = 1e-3, 0.3, 10.0, 5
+_VARIANTS: Final = 12  # each is a whole fit: bounds the time that one name takes, the likeliest first
+_PROFILE_POINTS: Final = 61
+_PROFILE_SPANS: Final = (0.002, 0.0002)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One start of one entry.
+
+    Attributes:
+        effect: The effect at its start.
+        gain: χ² that it would explain if it acted linearly.
+        parameters: Number of its fitted parameters (one more where it acts without any).
+        flexible: Whether it is a cover, a flexible form that takes up any equation of the effect.
+        others: Further starts that did about as well.
+        tries: Number of starts that the entry had: the more, the likelier one fits by chance.
+    """
+
+    effect: CatalogueEffect
+    gain: float
+    parameters: int
+    flexible: bool = False
+    others: tuple[CatalogueEffect, ...] = ()
+    tries: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class FittedCandidate:
+    """An effect at its best parameters.
+
+    Attributes:
+        effect: The effect.
+        gain: χ² that it explains.
+        evidence: χ² that it explains in the statistics that must show it.
+        parameters: Number of fitted parameters.
+        flexible: Whether it is a flexible form.
+        residual: Whitened residual with the effect, nuisances where they were; prior rows included.
+        columns: −d(residual)/d(scaled parameter of the effect), prior rows included.
+        tries: Number of starts that the entry had.
+        stated: χ² that it explains in the stated radiances alone.
+        overrated: Nats that the scores of few frames' variances promise beyond their exact likelihood.
+        forms: The best of each variant: where to begin beside another model.
+    """
+
+    effect: CatalogueEffect
+    gain: float
+    evidence: float
+    parameters: int
+    flexible: bool
+    residual: Array
+    columns: Array
+    tries: int = 1
+    stated: float = 0.0
+    overrated: float = 0.0
+    forms: tuple[CatalogueEffect, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Return the effect's name."""
+        return self.effect.name
+
+
+def fit_candidate(state: FitState, candidate: Candidate, most: float = np.inf) -> FittedCandidate:
+    """Return the effect at the least χ², all nuisances and earlier effects following linearly.
+
+    Args:
+        state: The model.
+        candidate: The effect at its starts.
+        most: χ² beyond which the likeliest variant speaks for the others too: they are not fitted then.
+    """
+    trials = _Trial.of_each(state, (candidate.effect, *candidate.others))
+    best = min(trials, key=lambda trial: trial.cost)
+    begun = [_profiled(state, best)] if best.effect.profiled else _variants(trials)
+    fitted = [_fitted(state, begun[0])]
+    fitted += [_fitted(state, trial) for trial in begun[1:] if fitted[0].cost < most]
+    judged = _judged(state, min(fitted, key=lambda trial: trial.cost), candidate)
+    return replace(judged, forms=tuple(trial.effect for trial in fitted))
+
+
+def _variants(trials: Sequence[_Trial]) -> list[_Trial]:
+    """Return the best trial of each variant, a dozen at most: what is not fitted is tried in all of them."""
+    found: dict[tuple[object, ...], _Trial] = {}
+    for trial in sorted(trials, key=lambda trial: trial.cost):
+        free = {name.split("[")[0] for name in trial.effect.free()}
+        found.setdefault(tuple(v for k, v in trial.effect.values().items() if k not in free), trial)
+    return list(found.values())[:_VARIANTS]
+
+
+def _fitted(state: FitState, start: _Trial) -> _Trial:
+    """Return the trial at the least χ² (Levenberg's damping, less after each step that helped)."""
+    damping = _DAMPING / _LESS
+
+    def trials(trial: _Trial) -> Iterator[_Trial]:
+        nonlocal damping
+        damping = damping * _LESS
+        normal, right = trial.normal(state)
+        for _ in range(_DAMPINGS):
+            further = trial.stepped(state, normal, right, damping)
+            if further is not None:
+                yield further
+            damping = max(damping * _MORE, _DAMPING)
+
+    return descended(start, trials, lambda trial: _CONVERGED * state.misfit) if start.effect.free() else start
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    effect: CatalogueEffect
+    change: Array  # what it changes of the whitened prediction
+    residual: Array
+    half: Array  # what the nuisances and earlier effects take up of it: L⁻¹·Jᵀ·residual
+    cost: float
+
+    @classmethod
+    def of_each(cls, state: FitState, effects: Sequence[CatalogueEffect]) -> list[_Trial]:
+        """Return the trial of each effect: its residual, and its χ² after the nuisances followed."""
+        changes = state.moved_by([(*state.effects, effect) for effect in effects])
+        residuals, halves = state.fit.followed_with_half(state.residual[:, None] - state.pad(changes))
+        costs = np.einsum("ij,ij->j", residuals, residuals) - np.einsum("ij,ij->j", halves, halves)
+        columns = zip(effects, changes.T, residuals.T, halves.T, costs.tolist(), strict=True)
+        return [cls(effect, *own) for effect, *own in columns]
+
+    def columns(self, state: FitState) -> Array:
+        """Return −d(residual)/d(scaled parameter), prior rows included."""
+        return state.fit.followed(self._moves(state))
+
+    def _moves(self, state: FitState) -> Array:
+        """Return the same with followers that stand still."""
+        steps, several = state.parameters_of((self.effect,)).a_step_away()
+        moved = state.moved_by([(*state.effects, *own) for own in several])
+        return state.pad((moved - self.change[:, None]) / steps)
+
+    def normal(self, state: FitState) -> tuple[Array, Array]:
+        """Return AᵀA and Aᵀ·residual for the columns A freed of what the nuisances and earlier effects take up."""
+        columns, part = state.fit.followed_with_half(self._moves(state))
+        return columns.T @ columns - part.T @ part, columns.T @ self.residual - part.T @ self.half
+
+    def stepped(self, state: FitState, normal: Array, right: Array, damping: float) -> _Trial | None:
+        """Return the trial after one damped Gauss–Newton step; None where the step is no number."""
+        own = state.parameters_of((self.effect,))
+        lifted = normal + np.diag(damping * np.diag(normal) + 1e-9 * max(float(np.trace(normal)), 1e-12))
+        step = np.linalg.solve(lifted, right)
+        if not np.isfinite(step).all():
+            return None
+        (effect,), _ = own.moved(np.clip(step, -30.0, 30.0))
+        return _Trial.of_each(state, (effect,))[0]
+
+
+def _profiled(state: FitState, best: _Trial) -> _Trial:
+    """Search the parameter in which the prediction jumps on ever denser grids about its start."""
+    name = best.effect.profiled
+    for span in _PROFILE_SPANS:
+        middle = float(getattr(best.effect, name))
+        grid = middle * np.linspace(1.0 - span, 1.0 + span, _PROFILE_POINTS)
+        trials = _Trial.of_each(state, [best.effect.with_parameters(**{name: value}) for value in grid.tolist()])
+        best = min(trials, key=lambda trial: trial.cost)
+    return best
+
+
+def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandidate:
+    columns = _off_bounds(state, best.effect, best.columns(state))
+    fit = state.fit.extended(columns, best.residual)
+    before = family_chi2(state, state.fit.projected)
+    after = family_chi2(state, fit.projected)
+    rows = state.comparison.size
+    stated = float(np.sum(state.fit.projected[rows:] ** 2) - np.sum(fit.projected[rows:] ** 2))
+    gain = sum(before.values()) - sum(after.values()) + stated
+    shown = (best.effect.block, *best.effect.also)
+    evidence = sum(before.get(block, 0.0) - after.get(block, 0.0) for block in shown)
+    if "mean" in shown:  # what the means say against the stated radiances stands in the prior rows
+        evidence += stated
+    overrated = _overrated(state, best.effect, {name: before[name] - after[name] for name in ("common", "bands")})
+    return FittedCandidate(
+        best.effect,
+        gain - 2.0 * overrated,
+        evidence - 2.0 * overrated,
+        candidate.parameters,
+        candidate.flexible,
+        best.residual,
+        columns,
+        candidate.tries,
+        stated,
+        overrated,
+    )
+
+
+def _overrated(state: FitState, effect: CatalogueEffect, promised: Mapping[str, float]) -> float:
+    """Return by how many nats the normal scores of few frames' variances flatter a variance fitted to them."""
+    predicted = state.predicted_with((*state.effects, effect))
+    exact = {"common": state.comparison.common_deviance, "bands": state.comparison.band_deviance}
+    shown = {
+        name: exact[name](state.prediction) - exact[name](predicted) for name, gain in promised.items() if gain > 0
+    }
+    return sum(max(promised[name] - gain, 0.0) for name, gain in shown.items()) / 2.0
+
+
+def _off_bounds(state: FitState, effect: CatalogueEffect, columns: Array) -> Array:
+    """Return the columns of parameters that are free to move; those on a bound are frozen."""
+    own = state.parameters_of((effect,))
+    span = 1e-6 * own.scale
+    free = (own.values - own.low > span) & (own.high - own.values > span)
+    return columns[:, free]
+
+
+def family_chi2(state: FitState, residual: Array) -> dict[str, float]:
+    """Return χ² by statistic, directions of one statistic together."""
+    found: dict[str, float] = {}
+    for name, cut in state.comparison.cuts.items():
+        family = FAMILY.get(name, name)
+        found[family] = found.get(family, 0.0) + float(np.sum(residual[cut] ** 2))
+    return found
+
+
+def judged_gain(state: FitState, fitted: FittedCandidate) -> float:
+    """Return by how many nats a fitted effect improves the prediction of held-out settings."""
+    return held_out_gain(state, fitted.residual, fitted.columns) - fitted.overrated
+
+
+def held_out_gain(state: FitState, residual: Array, columns: Array) -> float:
+    """Return by how many nats further columns improve the prediction of held-out settings.
+
+    Args:
+        state: The model without them.
+        residual: Whitened residual with the addition, prior rows included, followers followed.
+        columns: Its columns, the same.
+    """
+    with_it = leave_one_group_out(state.fit.extended(columns, residual), state.groups)
+    return float(np.sum(with_it.log_density - state.held_out.log_density))

@@ -1,0 +1,413 @@
+"""Puts measured and predicted statistics on one scale: standardised residuals, whitened, in one vector.
+
+Means of one capture share its repeatability (a common relative error) and are whitened together; variances are
+compared as logarithms; the rest stands in units of its own standard uncertainty. The weights never come from the
+prediction under test, so that two models compared on one `Comparison` differ in log-likelihood by Δχ²/2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.reconciliation.chances import Mask, deviances, followed_scores, log_bias, sine_freedom
+from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.row_bands import RowBins, wave_power
+from radiometer.reconciliation.measure.seen import COMB_PERIODS, CaptureStatistics
+from radiometer.reconciliation.noise.dark_errors import errors_of_darkness
+from radiometer.reconciliation.noise.darkness import Darkness
+from radiometer.reconciliation.noise.fixed_patterns import renewed_patterns
+from radiometer.reconciliation.noise.repeatability import steady_wander2
+from radiometer.reconciliation.noise.shared import Part, whiteners
+from radiometer.reconciliation.noise.shared_errors import (
+    Repeatability,
+    band_excess,
+    common_of_rows,
+    line_excess,
+    mixing_of_bands,
+    mixing_of_lines,
+    phases_of_wave,
+    relative_bands,
+    relative_flicker,
+    shared_errors,
+    unsteady_phases,
+    with_heavy_rows,
+)
+from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.statistics import (
+    STATISTICS,
+    Given,
+    Scale,
+    Scatter,
+    family_of,
+    named,
+    usable_entries,
+)
+
+TILE_BLOCKS: Final = named(given=Given.TILE)
+CAPTURE_BLOCKS: Final = named(given=Given.CAPTURE)
+FAMILY: Final = {name: family_of(name) for name in STATISTICS}
+_LOGARITHMS: Final = (*named(scale=Scale.LOGARITHM), *named(scale=Scale.LINES))
+_LIGHT_U_REL: Final = 3e-3  # how well the light of one tile is taken to be known where its variance hangs on it
+_WANDERS: Final = 61  # relative variances tried, ten to a decade
+_LEAST_RATIO: Final = 0.1  # of a profile of lines to its pixels: a trial may predict lines calmer than any are
+_FALSE_OUTLIERS: Final = 0.02  # expected in a capture without hot pixels; keeps the square root finite
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Measured statistics with their fixed weights.
+
+    Attributes:
+        design: Captures and tiles.
+        seen: What was measured.
+        usable: Which entries of each block count.
+        deviation: Standard uncertainty of each entry (of its logarithm for variances).
+        whiteners: Of the statistics whose entries share errors: (captures, entries, entries) inverse Cholesky factor of
+            the covariance.
+        cuts: Where each block lies in the vector.
+        flicker2: (captures,) relative variance from frame to frame of the accepted effects, of a whole frame.
+        wander2: The same of the source itself, whatever the exposure, up to what its stated reproducibility allows.
+        rows2: (captures,) row noise of the accepted effects in DN².
+        common_of_rows: (captures,) what 1 DN² of row noise adds to the ratio of the frame-common fluctuation.
+        bands2: (captures,) relative variance of the accepted effects' wave along the rows.
+        band_frequency: Periods of that wave per row.
+    """
+
+    design: Design
+    seen: CaptureStatistics
+    usable: Mapping[str, Mask]
+    deviation: Mapping[str, Array]
+    whiteners: Mapping[str, Array]
+    cuts: Mapping[str, slice]
+    flicker2: Array
+    wander2: float
+    rows2: Array
+    common_of_rows: Array
+    bands2: Array
+    band_frequency: float
+
+    @property
+    def size(self) -> int:
+        """Return the length of the vector, masked entries included."""
+        return int(max(cut.stop for cut in self.cuts.values()))
+
+    def residual(self, prediction: Prediction) -> Array:
+        """Return measured minus predicted, whitened, (entries,) or (entries, models); 0 for what does not count."""
+        return self.changes({name: self._compared(name) for name in self.cuts}, prediction)
+
+    def expected(self, prediction: Prediction) -> dict[str, Array]:
+        """Return what a model expects of each statistic, on the scale on which it is compared."""
+        return {name: self._expected(name, prediction) for name in self.cuts}
+
+    def changes(self, base: Mapping[str, Array], several: Prediction) -> Array:
+        """Return what is `expected` of one model less what others expect, whitened, (entries, models).
+
+        It is exactly 0 where they expect the same.
+        """
+        models = several.mean.shape[:-2]
+        found = np.zeros((self.size, *models))
+        for name, cut in self.cuts.items():
+            differs = base[name] - self._expected(name, several)
+            if differs.any():
+                shape = self.usable[name].shape
+                own = differs if differs.ndim > len(shape) or not models else np.broadcast_to(differs, models + shape)
+                columns = self._weighed(name, np.moveaxis(own, 0, -1) if models else own)
+                found[cut].reshape(*shape, *models)[...] = columns
+        return found
+
+    def whiten(self, block: str, values: Array) -> Array:
+        """Return raw changes of a block (axes as the block, more may follow) in whitened units."""
+        if block in self.whiteners:
+            return self._whitened(block, values)
+        mask, sigma = self.usable[block], self.deviation[block]
+        extra = (None,) * (values.ndim - mask.ndim)
+        return np.where(mask[(..., *extra)], values / sigma[(..., *extra)], 0.0)
+
+    def whitened(self, name: str, part: Part) -> Array:
+        """Return what a unit of each z of a shared error does to a statistic, (entries, n) whitened."""
+        columns = part.columns
+        if self.usable[name].ndim == 1:
+            return self.whiten(name, columns[:, 0])
+        return self.whiten(name, columns).reshape(-1, columns.shape[-1])
+
+    def degrees(self, block: str) -> int:
+        """Return how many entries of a block count."""
+        return int(self.usable[block].sum())
+
+    def capture_of_rows(self) -> NDArray[np.intp]:
+        """Return for each entry of the vector the capture that it belongs to."""
+        captures = np.arange(len(self.design.captures))
+        entries = (int(np.prod(row.shape(self.design)[1:])) for row in STATISTICS.values())
+        return np.concatenate([np.repeat(captures, count) for count in entries])
+
+    def counts(self) -> Mask:
+        """Tell for each entry of the vector whether it counts."""
+        return np.concatenate([self.usable[name].ravel() for name in self.cuts])
+
+    def _whitened(self, block: str, values: Array) -> Array:
+        mask = self.usable[block]
+        extra = (None,) * (values.ndim - 2)
+        columns = np.where(mask[(..., *extra)], values, 0.0).reshape(*mask.shape, -1)
+        return np.asarray(np.matmul(self.whiteners[block], columns).reshape(values.shape))
+
+    def _bands(self, prediction: Prediction) -> Array:
+        bands2 = relative_bands(prediction)
+        if not (bands2.any() or prediction.row_variance.any() or prediction.mixes):
+            return self._calm_bands
+        power = self.band_power(bands2, prediction.band_frequency)
+        if prediction.mixes:
+            power = power + mixing_of_bands(prediction, self.design)
+        return self.band_scores(power, prediction.row_variance)
+
+    @cached_property
+    def _calm_common(self) -> Array:
+        """Return the scores of the frame-common fluctuation where nothing is predicted to move whole frames."""
+        return self.common_scores(np.zeros_like(self.flicker2), np.zeros(len(self.design.captures)))
+
+    @cached_property
+    def _calm_bands(self) -> Array:
+        """Return the scores of the bands where nothing is predicted to move the rows."""
+        return self.band_scores(np.zeros_like(self.seen.bands_of_rows), np.zeros(len(self.design.captures)))
+
+    def _weighed(self, name: str, values: Array) -> Array:
+        """Return what a statistic differs by in whitened units; lone scores have unit variance as they are."""
+        is_lone = STATISTICS[name].scale is Scale.SCORE and name not in self.whiteners
+        return values if is_lone else self.whiten(name, values)
+
+    def _compared(self, name: str) -> Array:
+        """Return what was measured, on the scale on which it is compared; of scores 0, for they hold it already."""
+        scale = STATISTICS[name].scale
+        if scale is Scale.SCORE:
+            return np.zeros(self.usable[name].shape)
+        if scale is Scale.ROOT:
+            return np.asarray(2.0 * np.sqrt(getattr(self.seen, name) + 0.375))
+        return self._log_seen[name] if name in self._log_seen else self._seen[name]
+
+    def _expected(self, name: str, prediction: Prediction) -> Array:
+        """Return the same of what is expected; axes that are missing are those of what models have in common."""
+        scale = STATISTICS[name].scale
+        if scale is Scale.SCORE:
+            return -(self._common if name == "common" else self._bands)(prediction)
+        if scale is Scale.LINES:
+            return np.log(self._excess(name, prediction))
+        if scale is Scale.COMB:
+            return self._comb(prediction)
+        expected: Array = getattr(prediction, name)
+        if scale is Scale.LOGARITHM:
+            return np.asarray(np.log(np.maximum(expected, 1e-12)))
+        if scale is Scale.ROOT:
+            return np.asarray(2.0 * np.sqrt(_FALSE_OUTLIERS + np.maximum(expected, 0.0) + 0.375))
+        return expected
+
+    @cached_property
+    def _seen(self) -> dict[str, Array]:
+        """Return what was measured, 0 where it does not count."""
+        return {name: np.where(mask, getattr(self.seen, name), 0.0) for name, mask in self.usable.items()}
+
+    @cached_property
+    def _log_seen(self) -> dict[str, Array]:
+        """Return the logarithms of measured variances, freed of the bias that few degrees of freedom give."""
+        found = {}
+        for name in _LOGARITHMS:
+            mask = self.usable[name]
+            dof = np.where(mask, getattr(self.seen, f"{name}_dof"), 10.0)
+            seen = np.where(mask, getattr(self.seen, name), 1.0)
+            found[name] = np.log(np.maximum(seen, 1e-12)) - log_bias(dof)
+        return found
+
+    def _common(self, prediction: Prediction) -> Array:
+        flicker2 = self.flicker_of(prediction)
+        if not (flicker2.any() or prediction.row_variance.any()):
+            return self._calm_common
+        return self.common_scores(flicker2, prediction.row_variance)
+
+    def common_scores(self, flicker2: Array, row_variance: Array) -> Array:
+        """Return the residual of the frame-common fluctuation for a relative variance of the light, (captures,).
+
+        Row noise does not quite average out over the rows, and counts with it (in DN²).
+        """
+        expected = self._expected_common(flicker2, row_variance)
+        known = self.flicker2.any() or self.rows2.any()
+        accepted = self._expected_common(self.flicker2, self.rows2) if known else None
+        return followed_scores(self.seen.common, expected, accepted, self._common_freedom, self.usable["common"])
+
+    def _expected_common(self, flicker2: Array, row_variance: Array) -> Array:
+        return 1.0 + row_variance * self.common_of_rows + (flicker2 + self.wander2) / self._common_unit
+
+    def band_scores(self, power: Array, row_variance: Array) -> Array:
+        """Return the residual of the bands for what a wave along the rows adds to their ratios, (captures, orders)."""
+        expected = 1.0 + row_variance[..., None] * self.seen.bands_of_rows + power
+        known = self.bands2.any() or self.rows2.any()
+        accepted = 1.0 + self.rows2[:, None] * self.seen.bands_of_rows + self._accepted_bands if known else None
+        return followed_scores(self.seen.bands, expected, accepted, self.band_freedom, self.usable["bands"])
+
+    def band_power(self, bands2: Array, frequency: float) -> Array:
+        """Return what a wave along the rows adds to the ratios of the bands, (captures, orders)."""
+        if not bands2.any():
+            return np.zeros_like(self.seen.bands_of_rows)
+        return np.asarray(bands2[..., None] * wave_power(self._bins, self.seen.bands_basis, frequency)[0])
+
+    def flicker_of(self, prediction: Prediction) -> Array:
+        """Return the relative variance that all light of a frame has in common, bands included, (captures,)."""
+        return relative_flicker(prediction) + _common_bands(self.design, self.seen, prediction)
+
+    def common_deviance(self, prediction: Prediction) -> float:
+        """Return the deviance of the frame-common fluctuation: −2·ln of its exact likelihood but for a constant."""
+        return float(np.sum(self.common_deviances(prediction)))
+
+    def common_deviances(self, prediction: Prediction) -> Array:
+        """Return what each capture adds to it, (captures,)."""
+        return self.deviances_of_flicker(self.flicker_of(prediction), prediction.row_variance)
+
+    def deviances_of_flicker(self, flicker2: Array, row_variance: Array) -> Array:
+        """Return the same for a relative variance of the light, (…, captures), beside row noise in DN², (captures,)."""
+        expected = self._expected_common(flicker2, row_variance)
+        return deviances(self.seen.common, expected, self._common_freedom, self.usable["common"])
+
+    def band_deviance(self, prediction: Prediction) -> float:
+        """Return the same of the bands."""
+        steady = 1.0 + prediction.row_variance[..., None] * self.seen.bands_of_rows
+        steady = steady + (mixing_of_bands(prediction, self.design) if prediction.mixes else 0.0)
+        expected = steady + self.band_power(relative_bands(prediction), prediction.band_frequency)
+        return float(np.sum(deviances(self.seen.bands, expected, self.band_freedom, self.usable["bands"])))
+
+    @cached_property
+    def _bins(self) -> RowBins:
+        return RowBins.of(self.design)
+
+    @cached_property
+    def _common_unit(self) -> Array:
+        return np.where(np.isfinite(self.seen.common_unit), self.seen.common_unit, 1.0)
+
+    @cached_property
+    def _common_freedom(self) -> Array:
+        share = self.flicker2 / (self.flicker2 + self._common_unit)
+        return sine_freedom(self.design.frame_count, share)
+
+    @cached_property
+    def _accepted_bands(self) -> Array:
+        return self.band_power(self.bands2, self.band_frequency)
+
+    @property
+    def share_of_bands(self) -> Array:
+        """Return the share of the accepted wave in the ratios of the bands, (captures, orders)."""
+        return self._accepted_bands / (1.0 + self._accepted_bands)
+
+    @cached_property
+    def band_freedom(self) -> Array:
+        """Return how many degrees of freedom each ratio of the bands has, (captures, orders)."""
+        return sine_freedom(self.design.frame_count[:, None], self.share_of_bands)
+
+    def _excess(self, name: str, prediction: Prediction) -> Array:
+        """Return what a variance ratio is expected to be: 1 without any common part."""
+        excess = line_excess(self.design, self.seen, prediction, name)
+        if prediction.mixes:
+            excess = excess + mixing_of_lines(prediction, self.design, name)
+        whole = 1.0 + excess + band_excess(self.design, self.seen, prediction).get(name, 0.0)
+        return np.asarray(np.maximum(whole, _LEAST_RATIO))
+
+    def _comb(self, prediction: Prediction) -> Array:
+        return np.array([_comb_of(round(prediction.comb_step), prediction.comb_kept, p) for p in COMB_PERIODS])
+
+
+def _comb_of(step: int, kept: float, period: int) -> float:
+    """Return the amplitude at a period of a histogram that fills the first codes of each step only."""
+    if step == 1 or step % period:
+        return 0.0
+    return float(np.mean(np.cos(2.0 * np.pi * np.minimum(np.arange(step), kept - 1.0) / period)))
+
+
+def compare(
+    design: Design,
+    seen: CaptureStatistics,
+    base: Prediction,
+    sensitivity: Array,
+    repeatability: Repeatability,
+    variance_response: Array | None = None,
+    floors: Mapping[str, Array] | None = None,
+    usable: Mapping[str, Mask] | None = None,
+    darkness: Darkness | None = None,
+) -> Comparison:
+    """Return the measured statistics with weights.
+
+    Args:
+        design: Captures and tiles.
+        seen: What was measured.
+        base: Prediction that tells which entries are free of clipping and how far means respond to light.
+        sensitivity: (captures, tiles) d(mean)/d(log light) in DN, model-predicted.
+        repeatability: Capture-to-capture and frame-to-frame scatter.
+        variance_response: (captures, tiles) d(ln variance)/d(log light); large where a well fills up.
+        floors: Standard uncertainty of the accepted effects' own form, by block.
+        usable: Entries that count; found anew from `base` where missing.
+        darkness: How far darkness differs from frame to frame; None where it does not.
+    """
+    mask = dict(usable or usable_entries(design, seen, base))
+    if repeatability.row_variance.any():
+        seen = with_heavy_rows(design, seen, base)
+    deviation = _deviations(
+        Scatter(design, seen, base, mask["variance"]), repeatability, variance_response, floors or {}
+    )
+    of_rows = common_of_rows(design, seen, np.where(mask["mean"], sensitivity, 0.0))
+    common = repeatability.flicker2 + _common_bands(design, seen, base)
+    bands = (repeatability.bands2, repeatability.band_frequency)
+    plain = Comparison(
+        design, seen, mask, deviation, {}, _cuts(design), common, 0.0, repeatability.row_variance, of_rows, *bands
+    )
+    plain = replace(plain, wander2=_steady_wander2(plain, base))
+    repeatability = replace(repeatability, flicker2=repeatability.flicker2 + plain.wander2)
+    follow = (name for name, row in STATISTICS.items() if row.follows_light)
+    noise_response = {} if variance_response is None else dict.fromkeys(follow, variance_response)
+    errors = shared_errors(design, base, mask, sensitivity, repeatability, noise_response)
+    if repeatability.bands2.any():
+        share, frequency = plain.share_of_bands, plain.band_frequency
+        errors = (*errors, phases_of_wave(design, seen.bands_basis, mask["bands"], share, frequency))
+    if darkness is not None:
+        errors = (*errors, *errors_of_darkness(design, mask, darkness))
+    return replace(plain, whiteners=whiteners(errors, deviation, mask))
+
+
+def _deviations(
+    scatter: Scatter, repeatability: Repeatability, variance_response: Array | None, floors: Mapping[str, Array]
+) -> dict[str, Array]:
+    """Return the standard uncertainty of each entry by itself, by statistic."""
+    found = {name: row.sigma(scatter) for name, row in STATISTICS.items()}
+    given = (scatter.design, scatter.seen, scatter.base)
+    more = [unsteady_phases(*given), renewed_patterns(*given), floors]
+    if variance_response is not None:
+        light_u_rel = max(repeatability.tau, _LIGHT_U_REL)
+        follow = (name for name, row in STATISTICS.items() if row.follows_light)
+        more.insert(2, dict.fromkeys(follow, light_u_rel * variance_response))
+    for further in more:
+        found |= {name: np.hypot(found[name], values) for name, values in further.items()}
+    return found
+
+
+def _common_bands(design: Design, seen: CaptureStatistics, prediction: Prediction) -> Array:
+    """Return the relative variance of a wave along the rows that a whole frame has in common, (captures,)."""
+    bands2 = relative_bands(prediction)
+    if not prediction.waves:
+        return bands2
+    return np.asarray(bands2 * wave_power(RowBins.of(design), seen.bands_basis, prediction.band_frequency)[1])
+
+
+def _steady_wander2(plain: Comparison, base: Prediction) -> float:
+    """Return the relative variance by which the source wanders from frame to frame, whatever the exposure."""
+    tried = np.array((0.0, *np.geomspace(1e-9, 1e-3, _WANDERS)))
+    deviances = plain.deviances_of_flicker(plain.flicker_of(base) + tried[:, None], base.row_variance)
+    lit = plain.usable["common"] & ~plain.design.closed & (plain.design.source_level > 0)
+    declared = plain.design.header.source.reproducibility_u_rel
+    return steady_wander2(tried, deviances[:, lit], plain.design.exposure_s[lit], declared)
+
+
+def _cuts(design: Design) -> dict[str, slice]:
+    cuts, start = {}, 0
+    for name, row in STATISTICS.items():
+        cuts[name] = slice(start, start + int(np.prod(row.shape(design))))
+        start = cuts[name].stop
+    return cuts

@@ -1,0 +1,366 @@
+"""The model as fitted so far: effects, nuisances and unnamed terms, with the residual that is left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from radiometer.reconciliation.fit.comparison import Comparison, compare
+from radiometer.reconciliation.fit.held_out import Groups, HeldOut, leave_one_group_out
+from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
+from radiometer.reconciliation.fit.nuisances import Change, NuisanceLayout
+from radiometer.reconciliation.fit.terms import LinearTerm, inverse, prior_residual
+from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.seen import CaptureStatistics
+from radiometer.reconciliation.model.parameters import EffectParameters
+from radiometer.reconciliation.model.several import predict_several
+from radiometer.reconciliation.model.tile_model import Nuisance, TileModel, Trace
+from radiometer.reconciliation.noise.fixed_patterns import error_of_borders, fixed_errors
+from radiometer.reconciliation.noise.repeatability import capture_scale, estimate_tau
+from radiometer.reconciliation.noise.responses import darkness_of, form_floors, light_response
+from radiometer.reconciliation.noise.shared_errors import Repeatability, relative_bands, relative_flicker
+from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.statistics import usable_entries
+from simulators.effects.catalogue import CatalogueEffect
+
+# What of a state was worked out and hangs on the model and the nuisances alone, whatever is frozen or fitted.
+_OF_THE_MODEL: Final = ("nuisance", "trace", "prediction", "sensitivity", "parameters")
+_OF_THE_DATA: Final = (*_OF_THE_MODEL, "plain_residual", "_expected", "_derivatives")  # and weights
+_OF_THE_POINT: Final = (
+    *_OF_THE_DATA, "term_block", "data_residual", "term_residual", "residual", "misfit",
+    "nuisance_jacobian", "effect_jacobian", "whole_fit", "groups",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class FitState:
+    """One fitted model of one capture set.
+
+    Attributes:
+        seen: Measured statistics.
+        model: The camera with its effects.
+        layout: Which nuisances are fitted.
+        values: Nuisance parameters.
+        terms: Smooth unnamed terms that were added.
+        weights: Their coefficients and those of the realisations, in order.
+        comparison: Measured against predicted, with weights.
+        tau: Capture-to-capture repeatability.
+        frozen: Positions of the effect parameters that are not fitted.
+        held_terms: The terms' whitened columns while a fit moves the parameters: like all weights they come from the
+            model before it. None where they are to be worked out.
+    """
+
+    seen: CaptureStatistics
+    model: TileModel
+    layout: NuisanceLayout
+    values: Array
+    terms: tuple[LinearTerm, ...]
+    weights: Array
+    comparison: Comparison
+    tau: float
+    frozen: frozenset[int] = field(default_factory=frozenset)
+    held_terms: RowBlock | None = None
+
+    @property
+    def design(self) -> Design:
+        """Return captures and tiles."""
+        return self.model.design
+
+    @property
+    def effects(self) -> tuple[CatalogueEffect, ...]:
+        """Return the effects that were added."""
+        return self.model.effects
+
+    @cached_property
+    def nuisance(self) -> Nuisance:
+        """Return the nuisances."""
+        return self.layout.unpack(self.design, self.values)
+
+    @cached_property
+    def prediction(self) -> Prediction:
+        """Return the expected statistics, unnamed terms left out."""
+        return self.trace.prediction
+
+    @cached_property
+    def trace(self) -> Trace:
+        """Return the chain of the model as it runs."""
+        return self.model.trace(self.nuisance)
+
+    def predicted_with(self, effects: Sequence[CatalogueEffect]) -> Prediction:
+        """Return the expected statistics with other effects, nuisances as they are."""
+        return self.model.with_effects(effects).predict(self.trace.nuisance, self.trace)
+
+    @cached_property
+    def sensitivity(self) -> Array:
+        """Return d(mean)/d(log light) in DN, (captures, tiles)."""
+        return light_response(self.model, self.trace)[0]
+
+    @cached_property
+    def term_block(self) -> RowBlock:
+        """Return the whitened columns of all linear terms."""
+        if self.held_terms is not None:
+            return self.held_terms
+        pieces = [term.build(self.comparison, self.prediction, self.sensitivity) for term in self.terms]
+        return RowBlock.of(np.hstack([np.zeros((self.comparison.size, 0)), *pieces]))
+
+    @cached_property
+    def parameters(self) -> EffectParameters:
+        """Return the fitted parameters of the effects."""
+        return self.parameters_of(self.effects)
+
+    def parameters_of(self, effects: Sequence[CatalogueEffect]) -> EffectParameters:
+        """Return the fitted parameters of any effects, within the bounds of this camera."""
+        return EffectParameters.of(effects, self.design.header.camera.full_scale_dn)
+
+    @cached_property
+    def plain_residual(self) -> Array:
+        """Return the whitened residual of the data without the linear terms."""
+        return self.comparison.residual(self.prediction)
+
+    @cached_property
+    def _expected(self) -> dict[str, Array]:
+        return self.comparison.expected(self.prediction)
+
+    @cached_property
+    def data_residual(self) -> Array:
+        """Return the whitened residual of the data, without prior rows."""
+        return self.plain_residual - self.term_residual
+
+    @cached_property
+    def term_residual(self) -> Array:
+        """Return what the linear terms take up of the whitened residual."""
+        return self.term_block.times(self.weights, self.comparison.size)
+
+    @cached_property
+    def residual(self) -> Array:
+        """Return the whitened residual with the prior rows of nuisances and terms behind it."""
+        nuisances = prior_residual(self.layout.prior, self.values)
+        return np.concatenate([self.data_residual, nuisances, prior_residual(self._term_prior, self.weights)])
+
+    @property
+    def cost(self) -> float:
+        """Return χ², priors included."""
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def misfit(self) -> float:
+        """Return the reduced χ² of the entries that count, at least 1."""
+        return max(1.0, self.cost / max(int(self.comparison.counts().sum()), 1))
+
+    @cached_property
+    def _derivatives(self) -> tuple[RowBlock, RowBlock, Array]:
+        """Return the nuisances' derivatives and those of the scaled effect parameters, all by steps walked together."""
+        nuisances = [*self.layout.moves(self.trace.nuisance)]
+        steps, effects = self.parameters.a_step_away()
+        models = [(self.model, nuisance) for nuisance, _ in nuisances]
+        models += [(self.model.with_effects(moved), self.trace.nuisance) for moved in effects]
+        means = np.empty((len(models), *self.prediction.mean.shape))
+        residuals = np.empty((self.comparison.size, len(models)))
+        for numbers, there in predict_several(models, self.trace):
+            means[numbers] = there.mean - self.prediction.mean
+            residuals[:, numbers] = self.comparison.changes(self._expected, there)
+        changes = [
+            Change(mean / step, residual / step)
+            for (_, step), mean, residual in zip(nuisances, means, residuals.T, strict=False)
+        ]
+        own = -residuals[:, len(nuisances) :] / steps
+        return (*self.layout.derivatives(self.comparison, changes, self.values), own)
+
+    @cached_property
+    def nuisance_jacobian(self) -> RowBlock:
+        """Return −d(residual)/d(nuisances and term weights), prior rows included."""
+        prior = np.concatenate([self.layout.prior, self._term_prior])
+        return self._derivatives[0].beside(self.term_block, self.comparison.size, inverse(prior))
+
+    @cached_property
+    def effect_jacobian(self) -> Array:
+        """Return −d(residual)/d(scaled effect parameter), prior rows (zero) included."""
+        return self.pad(self._derivatives[2])
+
+    def moved_by(self, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
+        """Return what sets of effects change of the whitened prediction of the data, (entries, sets).
+
+        Nuisances stay as they are.
+
+        Args:
+            several: Effects to have instead of the model's.
+        """
+        models = [(self.model.with_effects(effects), self.trace.nuisance) for effects in several]
+        moved = np.empty((len(several), self.comparison.size))
+        for numbers, prediction in predict_several(models, self.trace):
+            moved[numbers] = -self.comparison.changes(self._expected, prediction).T
+        return moved.T
+
+    @cached_property
+    def fit(self) -> LinearFit:
+        """Return the linearised fit in nuisances, term weights and effect parameters."""
+        return self.whole_fit.without(sorted(self.frozen)) if self.frozen else self.whole_fit
+
+    @cached_property
+    def whole_fit(self) -> LinearFit:
+        """Return the same fit with the frozen parameters free."""
+        return LinearFit.of(self.residual, self.nuisance_jacobian, self.effect_jacobian, self._derivatives[1])
+
+    @property
+    def promised(self) -> float:
+        """Return χ² after the best step, were the model linear."""
+        return float(self.fit.residual @ self.fit.residual) - self.fit.gain
+
+    def with_frozen(self, held: frozenset[int]) -> FitState:
+        """Return the state with these parameters frozen; what does not hang on that is kept."""
+        return _knowing(replace(self, frozen=held), self, _OF_THE_POINT)
+
+    def effect_step(self, step: Array) -> Array:
+        """Return the effects' part of a step of the whole fit, 0 for parameters that are frozen."""
+        scaled = np.zeros(self.parameters.size)
+        free = [i for i in range(scaled.size) if i not in self.frozen]
+        scaled[free] = step[self.layout.size + self.weights.size :]
+        return scaled
+
+    @cached_property
+    def _term_prior(self) -> Array:
+        return np.concatenate([term.prior for term in self.terms]) if self.terms else np.zeros(0)
+
+    def pad(self, columns: Array) -> Array:
+        """Return data columns with zero prior rows behind them."""
+        below = np.zeros((self.residual.size - columns.shape[0], columns.shape[1]))
+        return np.vstack([columns, below])
+
+    @cached_property
+    def groups(self) -> Groups:
+        """Return group of each row and whether it counts: settings first, then each prior row as its own group."""
+        setting = self.design.setting_id[self.comparison.capture_of_rows()]
+        priors = self.residual.size - setting.size
+        behind = setting.max() + 1 + np.arange(priors)
+        informative = np.concatenate([self.layout.prior < 1.0, np.zeros(self._term_prior.size, np.bool_)])
+        counts = np.concatenate([self.comparison.counts(), informative])
+        return Groups(self.nuisance_jacobian, np.concatenate([setting, behind]), counts)
+
+    @cached_property
+    def held_out(self) -> HeldOut:
+        """Return how well each setting is predicted by the others."""
+        return leave_one_group_out(self.fit, self.groups)
+
+    @property
+    def evidence(self) -> float:
+        """Return the held-out log density with the weights' determinants: comparable between different weights."""
+        comparison = self.comparison
+        together = comparison.whiteners.values()
+        common = sum(float(np.sum(np.log(np.diagonal(whitener, axis1=1, axis2=2)))) for whitener in together)
+        others = [n for n in comparison.cuts if n not in comparison.whiteners]
+        spread = sum(float(np.sum(np.log(comparison.deviation[n][comparison.usable[n]]))) for n in others)
+        return float(np.sum(self.held_out.log_density)) + common - spread
+
+    @property
+    def settings(self) -> int:
+        """Return the number of settings: the first groups of what is held out."""
+        return int(self.design.setting_id.max()) + 1
+
+    @property
+    def gap(self) -> float:
+        """Return the reduced χ² of held-out settings; prior rows left out."""
+        settings = self.settings
+        return float(self.held_out.chi2[:settings].sum() / max(self.held_out.count[:settings].sum(), 1.0))
+
+
+def reweighted(state: FitState) -> FitState:
+    """Return the state with repeatability, weights and realisations brought up to date; parameters as they are."""
+    tau = _estimate_tau(state)
+    smooth = tuple(term for term in state.terms if term.is_smooth)
+    kept = _kept_weights(state, smooth)
+    model = state.model
+    errors = (
+        *fixed_errors((*model.given, *model.effects), state.prediction, state.seen, state.design, model.context),
+        *error_of_borders(state.comparison.usable["edge"]),
+    )
+    terms = (*smooth, *(LinearTerm.of(error) for error in errors))
+    floors = form_floors(state.model, state.trace)
+    mask = state.comparison.usable
+    again = weighted(state.seen, state.model, state.layout, state.values, terms, tau, floors, mask, state.trace)
+    found = replace(again, weights=np.concatenate([kept, np.zeros(sum(t.size for t in terms) - kept.size)]))
+    return _knowing(found, again, _OF_THE_MODEL)
+
+
+def _knowing(found: FitState, state: FitState, names: Sequence[str]) -> FitState:
+    """Return a state with what was worked out of another one and is the same for it."""
+    vars(found).update({name: known for name, known in vars(state).items() if name in names})
+    return found
+
+
+def with_terms(state: FitState, terms: Sequence[LinearTerm]) -> FitState:
+    """Return the state with exactly these smooth terms (realisations kept), not refitted."""
+    realised = tuple(term for term in state.terms if not term.is_smooth)
+    everything = (*terms, *realised)
+    weights = np.zeros(sum(term.size for term in everything))
+    return _knowing(replace(state, terms=everything, weights=weights, held_terms=None), state, _OF_THE_DATA)
+
+
+def with_effects(state: FitState, effects: Sequence[CatalogueEffect]) -> FitState:
+    """Return the state with exactly these effects, not refitted."""
+    return replace(state, model=state.model.with_effects(effects), frozen=frozenset(), held_terms=None)
+
+
+def weighted(
+    seen: CaptureStatistics,
+    model: TileModel,
+    layout: NuisanceLayout,
+    values: Array,
+    terms: tuple[LinearTerm, ...],
+    tau: float,
+    floors: dict[str, Array],
+    usable: object,
+    trace: Trace | None = None,
+) -> FitState:
+    """Return the state of a model and its nuisances with weights that come from what it predicts there.
+
+    Args:
+        seen: Measured statistics.
+        model: The camera with its effects.
+        layout: Which nuisances are fitted.
+        values: Nuisance parameters.
+        terms: Unnamed terms and realisations, all of weight 0.
+        tau: Capture-to-capture repeatability.
+        floors: Standard uncertainty of the effects' own form, by statistic.
+        usable: Which entries count, by statistic; found anew where None.
+        trace: The chain as it runs, where it is known.
+    """
+    design = model.design
+    trace = trace or model.trace(layout.unpack(design, values))
+    prediction = trace.prediction
+    sensitivity, response = light_response(model, trace)
+    flicker = relative_flicker(prediction) * (prediction.common_variance.max(axis=1) > 0)
+    bands = (relative_bands(prediction), prediction.band_frequency)
+    repeatability = Repeatability(tau, flicker, prediction.row_variance, *bands)
+    mask = usable if isinstance(usable, dict) else usable_entries(design, seen, prediction)
+    darkness = darkness_of(model, trace, seen)
+    comparison = compare(design, seen, prediction, sensitivity, repeatability, response, floors, mask, darkness)
+    weights = np.zeros(sum(term.size for term in terms))
+    state = FitState(seen, model, layout, values, terms, weights, comparison, tau)
+    vars(state).update({"nuisance": trace.nuisance, "trace": trace, "sensitivity": sensitivity})
+    return state
+
+
+def _estimate_tau(state: FitState) -> float:
+    comparison = state.comparison
+    cut, whitener = comparison.cuts["mean"], comparison.whiteners["mean"]
+    unnamed = np.linalg.solve(whitener, state.term_residual[cut].reshape(*whitener.shape[:2], 1))[:, :, 0]
+    scale, variance = capture_scale(
+        state.seen.mean - state.prediction.mean - unnamed,
+        state.sensitivity,
+        comparison.deviation["mean"],
+        comparison.usable["mean"],
+    )
+    return estimate_tau(state.design, scale, variance)
+
+
+def _kept_weights(state: FitState, smooth: tuple[LinearTerm, ...]) -> Array:
+    kept, at = [], 0
+    for term in state.terms:
+        if term in smooth:
+            kept.append(state.weights[at : at + term.size])
+        at += term.size
+    return np.concatenate(kept) if kept else np.zeros(0)

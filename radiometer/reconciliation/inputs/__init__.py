@@ -1,0 +1,1 @@
+"""Takes whatever a user names (capture set, photographs, light-meter table) and reconciles it."""

@@ -1,0 +1,359 @@
+"""Names the term that a log of a camera beside a reference meter lacks.
+
+Readings of one night hang together: clouds and extinction move them alike, and neighbours more so. Their covariance is
+estimated with every term of the catalogue and free curves fitted (so that no effect is taken for scatter), the residual
+is whitened by it, and the search goes by reconcile's means: its linear fit, its leave-one-group-out with nights as
+groups, its thresholds.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any, Final
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+
+from radiometer.errors import MeasurementError
+from radiometer.importing.log_table import Array, LogTable
+from radiometer.reconciliation.chances import chi2_beyond
+from radiometer.reconciliation.logs.log_model import LogTerm, axes, catalogue, gain_levels, jacobian, predicted_log
+from radiometer.reconciliation.logs.log_state import LogState, Scatter
+from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.reconciliation.thresholds import (
+    FLEXIBLE_NATS,
+    LATER_NATS,
+    MOST_STEPS,
+    NAMED_NATS,
+    PARAMETER_NATS,
+    RIVAL_NATS,
+    SIGNIFICANCE,
+    SMOOTH_SHARE,
+)
+
+GAP_UNIT: Final = "reduced chi-square on held-out nights"
+# Share of a reading's variance that hangs together with its neighbours', and its correlation from one to the next.
+_CLOUDS: Final = ((0.0, 0.0), *product((0.3, 0.6, 0.9), (0.6, 0.8, 0.9, 0.96)))
+_NIGHTS: Final = (0.0, 0.3, 1.0, 3.0, 10.0)  # scatter of nights over that of readings
+_DEGREE: Final = 3
+_SIGMAS: Final = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class LogStep:
+    """One thing that was found: a term, or a trend without a name."""
+
+    name: str
+    where: str
+    gain_nats: float
+    gap_before: float
+    gap_after: float
+    rivals: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class LogFit:
+    """What a log came to.
+
+    Attributes:
+        result: In the words of reconcile.
+        state: The fitted model.
+        start: The model without any term.
+        error_before: Root mean square relative error of nights predicted from the others, without any term.
+        error_after: The same with what was found.
+        control: Verdict of the same search over values that lack nothing.
+    """
+
+    result: ReconcileResult
+    state: LogState
+    start: LogState
+    error_before: float
+    error_after: float
+    control: str = ""
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+
+def fit_log(log: LogTable, *, control: bool = True, seed: int = 1) -> LogFit:
+    """Return which term a log lacks, if any.
+
+    Args:
+        log: The readings.
+        control: Search values that lack nothing too: made from the fitted model with scatter of the same kind.
+        seed: Of that scatter.
+
+    Raises:
+        MeasurementError: If the readings do not determine a responsivity.
+    """
+    begun = time.monotonic()
+    start = _start(log)
+    state, steps = _search(start)
+    silent = ""
+    if control:
+        told = _search(_start(_lacking_nothing(state, seed)))[1]
+        silent = str(_verdict(told))
+    before, after = (night_error(one) for one in (start, state))
+    result = _result(start, state, steps, before, after, silent)
+    return LogFit(replace(result, seconds=time.monotonic() - begun), state, start, before, after, silent)
+
+
+def _start(log: LogTable) -> LogState:
+    """Return the responsivity alone, fitted, with the scatter that a full model leaves."""
+    level = float(np.mean(np.log(log.value) - predicted_log(log, (), np.zeros(1))))
+    unit = Scatter(1.0, 0.0, 0.0, 0.0)
+    state = LogState(log, unit, (), np.array([level]), unit.whiteners(log))
+    if not math.isfinite(level):
+        raise MeasurementError("the readings do not determine a responsivity: values and references cannot be compared")
+    scatter = _scatter(state)
+    return replace(state, scatter=scatter, whiteners=scatter.whiteners(log)).fitted()
+
+
+def _scatter(state: LogState) -> Scatter:
+    """Return the scatter about all terms and free curves at once, by restricted maximum likelihood on a grid."""
+    log = state.log
+    terms = catalogue(log)
+    terms = tuple(term for term in terms if not term.flexible or term.where == "gain")
+    parameters = np.concatenate([state.parameters, *(term.begins for term in terms)])
+    columns = jacobian(log, terms, parameters)
+    curves = [legvander(axis, _DEGREE)[:, 1:] for axis in axes(log).values()]
+    design = _independent(np.column_stack([columns, *curves]))
+    rest = np.log(log.value) - predicted_log(log, (), state.parameters)
+    fits = [_restricted(log, design, rest, n, q) for n, q in product(_CLOUDS, _NIGHTS)]
+    best = max(fits, key=lambda found: found[0])
+    # A few nights do not tell their scatter well: every value counts by its likelihood, not the likeliest alone.
+    chances = np.exp([likelihood - best[0] for likelihood, _ in fits])
+    nights = float(chances @ [found.night**2 for _, found in fits] / chances.sum())
+    return replace(best[1], night=math.sqrt(max(nights, best[1].night ** 2)))
+
+
+def _independent(columns: Array) -> Array:
+    """Return an orthonormal basis of columns, what a few readings alone determine left in."""
+    lengths = np.linalg.norm(columns, axis=0)
+    unit = columns[:, lengths > 0] / lengths[lengths > 0]
+    left, singular, _ = np.linalg.svd(unit, full_matrices=False)
+    return np.asarray(left[:, singular > 1e-6 * singular[0]])
+
+
+def _restricted(
+    log: LogTable, design: Array, rest: Array, clouds: tuple[float, float], nights: float
+) -> tuple[float, Scatter]:
+    plain = replace(log, u_reference_rel=None)
+    parts = Scatter(1.0, *clouds, nights).whiteners(plain)
+    basis = np.concatenate([inverse @ design[rows] for rows, inverse in parts])
+    residual = np.concatenate([inverse @ rest[rows] for rows, inverse in parts])
+    q, r = np.linalg.qr(basis)
+    left = residual - q @ (q.T @ residual)
+    freedom = residual.size - basis.shape[1]
+    if freedom < 3:
+        raise MeasurementError(
+            f"{residual.size} readings are too few for the {basis.shape[1]} curves that may be there"
+        )
+    variance = max(float(left @ left) / freedom, 1e-12)
+    log_determinant = -2.0 * sum(float(np.sum(np.log(np.diag(inverse)))) for _, inverse in parts)
+    log_determinant += 2.0 * float(np.sum(np.log(np.maximum(np.abs(np.diag(r)), 1e-300))))
+    root = math.sqrt(variance)
+    return -0.5 * (freedom * math.log(variance) + log_determinant), Scatter(root, *clouds, nights * root)
+
+
+# ---- the search -----------------------------------------------------------------------------------------------------
+
+
+def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
+    """Return the model with every term that held-out nights speak for, and what was found in order."""
+    state, steps = start, list[LogStep]()
+    every = catalogue(start.log)
+    for _ in range(MOST_STEPS):
+        following = _one_step(state, every, later=bool(steps))
+        if following is None:
+            break
+        state, step = following
+        steps.append(step)
+        state, steps = _pruned(state, steps)
+    return state, tuple(steps)
+
+
+def _one_step(state: LogState, every: Sequence[LogTerm], *, later: bool) -> tuple[LogState, LogStep] | None:
+    there = {term.name for term in state.terms}
+    tried = [(term, state.with_term(term)) for term in every if term.name not in there]
+    curves = [
+        (name, state.with_trend(name, np.asarray(legvander(axis, _DEGREE)[:, 1:])))
+        for name, axis in axes(state.log).items()
+    ]
+    curves = [(name, one) for name, one in curves if name not in [n for n, _ in state.trends]]
+    limit = SIGNIFICANCE / max(len(tried) + len(curves), 1)
+    named = [(term, one, _score(state, one, term)) for term, one in tried if _is_shown(state, one, limit, later=later)]
+    smooth = [(name, one, _score(state, one)) for name, one in curves if _is_shown(state, one, limit, later=later)]
+    best = max(named, key=lambda entry: entry[2], default=None)
+    plain = max(smooth, key=lambda entry: entry[2], default=None)
+    if best is not None and (plain is None or best[2] >= SMOOTH_SHARE * plain[2]):
+        term, one, score = best
+        rivals = tuple(dict.fromkeys(t.name for t, _, s in named if t.name != term.name and s > score - RIVAL_NATS))
+        return one, LogStep(term.name, term.where, one.evidence - state.evidence, state.gap, one.gap, rivals)
+    if plain is None:
+        return None
+    name, one, _ = plain
+    return one, LogStep("unnamed", name, one.evidence - state.evidence, state.gap, one.gap)
+
+
+def _ways(old: LogState, new: LogState) -> list[tuple[LogState, LogState]]:
+    """Return both models with the signal as predicted and as measured; once where nothing goes with it."""
+    if new.other_way is new:
+        return [(old, new)]
+    return [(old, new), (old.other_way, new.other_way)]
+
+
+def _score(old: LogState, new: LogState, term: LogTerm | None = None) -> float:
+    """Return the held-out nats that a model gains, less what its parameters and its flexibility cost.
+
+    What goes with the signal must gain them whichever way the signal is taken.
+    """
+    flexible = FLEXIBLE_NATS if term is not None and term.flexible else 0.0
+    gained = min(after.evidence - before.evidence for before, after in _ways(old, new))
+    return gained - PARAMETER_NATS * (new.free - old.free) - flexible
+
+
+def _is_shown(old: LogState, new: LogState, limit: float, *, later: bool) -> bool:
+    needed = NAMED_NATS + (LATER_NATS if later else 0.0)
+    ways = _ways(old, new)
+    chance = max(chi2_beyond(before.chi2 - after.chi2, new.free - old.free) for before, after in ways)
+    signs = {float(np.sign(after.parameters[-1])) for _, after in ways}
+    return chance < limit and len(signs) == 1 and _score(old, new) + PARAMETER_NATS >= needed
+
+
+def _pruned(state: LogState, steps: list[LogStep]) -> tuple[LogState, list[LogStep]]:
+    """Return the model without terms that bring nothing any more beside later ones."""
+    for term in state.terms[:-1]:
+        rest = replace(
+            state, terms=tuple(t for t in state.terms if t is not term), parameters=_without(state, term)
+        ).fitted()
+        if _score(rest, state, term) < 0.0:
+            return rest, [step for step in steps if step.name != term.name]
+    return state, steps
+
+
+def _without(state: LogState, term: LogTerm) -> Array:
+    at = 1 + sum(t.size for t in state.terms[: state.terms.index(term)])
+    return np.delete(state.parameters, np.arange(at, at + term.size))
+
+
+def _lacking_nothing(state: LogState, seed: int) -> LogTable:
+    """Return the table with values that the responsivity alone predicts, scattered as the readings do."""
+    log, rng = state.log, np.random.default_rng(seed)
+    values = predicted_log(log, (), state.parameters[:1])
+    for rows, factor in state.scatter.factors(log):
+        values[rows] += factor @ rng.standard_normal(rows.size)
+    return replace(log, value=np.exp(values))
+
+
+def night_error(state: LogState) -> float:
+    """Return the root mean square relative error of nights that are predicted by the others."""
+    squares = 0.0
+    log = state.log
+    for night in range(log.nights):
+        others, own = np.flatnonzero(log.night != night), np.flatnonzero(log.night == night)
+        numbers = np.asarray(np.unique(log.night[others], return_inverse=True)[1], dtype=np.intp)
+        part = replace(log.take(others), night=numbers)
+        trends = tuple((name, columns[others]) for name, columns in state.trends)
+        fitted = state.on(part, trends)
+        weights = fitted.fit.step[fitted.parameters.size :]
+        ahead = log.take(own)
+        shown = predicted_log(ahead, state.terms, fitted.parameters, measured=state.measured)
+        if state.trends:
+            shown = shown + np.column_stack([columns[own] for _, columns in state.trends]) @ weights
+        squares += float(np.sum(np.square(np.expm1(np.log(ahead.value) - shown))))
+    return math.sqrt(squares / log.size)
+
+
+# ---- in the words of reconcile --------------------------------------------------------------------------------------
+
+
+def _verdict(steps: Sequence[LogStep]) -> Verdict:
+    named, unnamed = (any((s.name == "unnamed") is kind for s in steps) for kind in (False, True))
+    if named:
+        return Verdict.INCOMPLETE if unnamed else Verdict.EFFECTS_FOUND
+    return Verdict.UNNAMED if unnamed else Verdict.AGREES
+
+
+def _result(
+    start: LogState, state: LogState, steps: Sequence[LogStep], before: float, after: float, control: str
+) -> ReconcileResult:
+    log = state.log
+    verdict = _verdict(steps)
+    extra: dict[str, Any] = {
+        "nights": log.nights,
+        "night_error_rel": {"before": before, "after": after},
+        "scatter": {
+            "reading_rel": state.scatter.reading,
+            "clouds_share": state.scatter.clouds,
+            "neighbours": state.scatter.neighbours,
+            "night_rel": state.scatter.night,
+        },
+        "taken": list(log.taken),
+        "negative_control": control or None,
+    }
+    if any(term.where == "gain" for term in state.terms):
+        extra["gain_reference_dB"] = gain_levels(log)[0]
+    return ReconcileResult(
+        verdict=verdict,
+        effects=tuple(_effect(state, step, provisional=verdict is Verdict.INCOMPLETE) for step in steps),
+        gap_before=start.gap,
+        gap_after=state.gap,
+        limits=_limits(state),
+        captures=log.size,
+        assumptions=log.assumptions,
+        gap_unit=GAP_UNIT,
+        repeatability=state.scatter.reading,
+        extra=extra,
+    )
+
+
+def _effect(state: LogState, step: LogStep, *, provisional: bool) -> FoundEffect:
+    return FoundEffect(
+        step.name,
+        fitted_parameters(state, step.name),
+        step.where,
+        step.gap_before,
+        step.gap_after,
+        step.rivals,
+        gain_nats=step.gain_nats,
+        block="mean",
+        provisional=provisional,
+    )
+
+
+def fitted_parameters(state: LogState, name: str) -> dict[str, FittedParameter]:
+    """Return the parameters of a named term with their standard uncertainties; none for a trend without a name.
+
+    Where the signal may be taken in two ways the value lies midway, and half their distance, taken as a rectangular
+    distribution (GUM 4.3.7), is part of its uncertainty.
+    """
+    found, at = {}, 0
+    ways = (state, state.other_way)
+    own = [way.uncertainty() for way in ways]
+    for term in state.terms:
+        for key, unit in zip(term.parameters, term.units, strict=True):
+            if term.name == name:
+                one, other = (float(way.parameters[1 + at]) for way in ways)
+                u = math.hypot(max(float(u[at]) for u in own), 0.5 * (one - other) / math.sqrt(3.0))
+                found[key] = FittedParameter(0.5 * (one + other), u, unit)
+            at += 1
+    return found
+
+
+def _limits(state: LogState) -> dict[str, Limit]:
+    """Return the amplitude of each term that these readings would have shown at 5 sigma, beside what was found."""
+    there = {term.name for term in state.terms}
+    found: dict[str, Limit] = {}
+    for term in catalogue(state.log):
+        if term.flexible or term.name in there:
+            continue
+        more = state.with_term(term)
+        ways = {id(way): way for way in (more, more.other_way)}.values()
+        u = max(float(way.uncertainty()[-term.size]) for way in ways)
+        apart = abs(more.parameters[-term.size] - more.other_way.parameters[-term.size]) / 2.0
+        seen = math.isfinite(u) and u < 1e3 * term.scales[0]
+        found[term.name] = Limit(_SIGMAS * u + float(apart) if seen else None, term.parameters[0], term.units[0])
+    return found

@@ -1,0 +1,206 @@
+"""How well the light repeats from capture to capture, from repeats of one setting alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from radiometer.reconciliation.chances import chi2_beyond, chi2_quantile
+from radiometer.reconciliation.measure.design import Array, Design
+
+_ASSUMED_TAU: Final = 1e-3  # where neither repeats nor capture.yaml tell
+_ASSUMED_RANGE: Final = (0.3, 3.0)
+_DECLARED_RANGE: Final = (0.5, 2.0)
+_ENOUGH_REPEATS: Final = 5
+_CONFIDENCE: Final = 0.99
+_SMALLEST_TAU: Final = 1e-6
+_LARGEST_TAU: Final = 10.0
+_TREND_SHARE: Final = 0.4  # of the repeats' freedom that a slow change in time may take
+_MOST_WAVES: Final = 16
+_DECLARED_WANDER: Final = 1.3  # times the stated reproducibility, which is itself known to a few parts in ten
+_PLAUSIBLE_WANDER: Final = 0.003  # of a source of which nothing is stated: what scatters more is something to name
+_EXPOSURE_GROUPS: Final = 6
+_NORMAL: Final = 1.4826  # standard deviation of normal values over their median deviation
+_STANDS_OUT: Final = 8.0  # sigmas
+_UNSTEADY: Final = 0.01
+_ZOOMED: Final = 33  # values tried at once, of which the neighbours of the best are the next range
+_ZOOMS: Final = 6
+_SHOWN_WANDER: Final = 4.0  # deviance that it must explain
+
+
+def capture_scale(
+    difference: Array, sensitivity: Array, deviation: Array, usable: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+) -> tuple[Array, Array]:
+    """Return the common relative deviation of each capture and its variance from pixel noise alone.
+
+    Args:
+        difference: (captures, tiles) measured minus predicted mean in DN.
+        sensitivity: (captures, tiles) d(mean)/d(log light) in DN.
+        deviation: (captures, tiles) standard uncertainty of a mean from pixel noise in DN.
+        usable: Which entries count.
+
+    Returns:
+        (captures,) deviation and variance; the variance is infinite where no light is seen.
+    """
+    weight = np.where(usable, sensitivity / deviation**2, 0.0)
+    information = np.sum(weight * np.where(usable, sensitivity, 0.0), axis=1)
+    lit = information > 0
+    scale = np.sum(weight * np.where(usable, difference, 0.0), axis=1) / np.where(lit, information, 1.0)
+    return scale, np.where(lit, 1.0 / np.where(lit, information, 1.0), np.inf)
+
+
+def estimate_tau(design: Design, scale: Array, variance: Array) -> float:
+    """Return the capture-to-capture repeatability τ as a relative standard deviation.
+
+    Repeats of one setting bound it (99 % interval of their scatter, slow change in time taken out); within the
+    bounds the likelihood of all captures decides. Left free it would swallow effects, and from few repeats alone it
+    would be loose by a factor of two.
+
+    Args:
+        design: Captures.
+        scale: (captures,) common relative deviation from the model.
+        variance: (captures,) its variance from pixel noise alone.
+    """
+    lit = np.isfinite(variance)
+    low, high = _bounds(design, scale, variance, lit)
+    if not lit.any():
+        return float(np.sqrt(low * high))
+
+    for _ in range(_ZOOMS):
+        tried = np.geomspace(low, high, _ZOOMED)
+        total = variance[lit] + np.square(tried)[:, None]
+        best = int(np.argmin(np.sum(np.log(total) + scale[lit] ** 2 / total, axis=1)))
+        low, high = tried[max(best - 1, 0)], tried[min(best + 1, _ZOOMED - 1)]
+    return float(np.sqrt(low * high))
+
+
+def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: float | None) -> float:
+    """Return the relative variance by which the source wanders from frame to frame, alike at all exposures.
+
+    It is the likeliest one. It is no more than the source's stated reproducibility, or 0.3 % where none is stated, and
+    none where it differs between exposures, for light that flickers averages out in long ones.
+
+    Args:
+        tried: (values,) relative variances, 0 first.
+        deviances: (values, captures) −2·ln of each capture's likelihood.
+        exposure_s: (captures,) exposure times.
+        declared: Stated relative standard uncertainty of the source's reproducibility; None where not stated.
+    """
+    allowed = tried <= (_PLAUSIBLE_WANDER if declared is None else _DECLARED_WANDER * declared) ** 2
+    totals = np.where(allowed, deviances.sum(axis=1), np.inf)
+    if not exposure_s.size or deviances[0].sum() - totals.min() < _SHOWN_WANDER:
+        return 0.0
+    order = np.argsort(exposure_s, kind="stable")
+    groups = np.array_split(order, min(_EXPOSURE_GROUPS, len(np.unique(exposure_s))))
+    apart = sum(float(deviances[:, group].sum(axis=1).min()) for group in groups)
+    if declared is not None and len(groups) > 1 and chi2_beyond(totals.min() - apart, len(groups) - 1) < _UNSTEADY:
+        return 0.0
+    return float(tried[np.argmin(totals)])
+
+
+_Lit = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+
+
+def _bounds(design: Design, scale: Array, variance: Array, lit: _Lit) -> tuple[float, float]:
+    """Return the bounds of τ, as far off as chance may have made the scatter of repeats.
+
+    The scatter of repeats, each weighted by what τ and its own pixels leave it, is χ² at the right τ; captures whose
+    pixels are noisy then tell little of it, as they should.
+
+    Source: Viechtbauer (2007), Statist. Med. 26 37: the Q-profile interval.
+    """
+    repeats = _Repeats.of(design, scale, variance, lit)
+    declared = design.header.source.reproducibility_u_rel
+    if repeats.freedom < _ENOUGH_REPEATS:
+        middle, (down, up) = (declared, _DECLARED_RANGE) if declared else (_ASSUMED_TAU, _ASSUMED_RANGE)
+        return max(middle * down, _SMALLEST_TAU), max(middle * up, 2 * _SMALLEST_TAU)
+    low, high = (repeats.tau_at(chi2_quantile(0.5 + s * _CONFIDENCE / 2.0, repeats.freedom)) for s in (1.0, -1.0))
+    return low, max(high, 2 * low, 2e-5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Repeats:
+    """Captures of settings that were repeated.
+
+    Attributes:
+        taken: (n,) which captures they are.
+        scale: (n,) their common relative deviation from the model.
+        variance: (n,) its variance from pixel noise alone.
+        basis: (n, terms) what repeats do not tell: the mean of each setting, slow change in time.
+    """
+
+    taken: NDArray[np.intp]
+    scale: Array
+    variance: Array
+    basis: Array
+
+    @classmethod
+    def of(cls, design: Design, scale: Array, variance: Array, lit: _Lit) -> _Repeats:
+        """Return the repeats that tell of the light, slow change in time being none of their scatter.
+
+        Settings of which one capture stands out from all others are left out: it has a cause of its own (a wrong
+        label), which poor repeatability would hide.
+        """
+        all_of_them = cls._taken(design, scale, variance, lit, waves=False)
+        if not all_of_them.taken.size:
+            return all_of_them
+        apart = np.abs(all_of_them.apart(0.0))
+        usual = _NORMAL * float(np.median(apart)) * np.sqrt(apart.size / max(all_of_them.freedom, 1))
+        limit = _STANDS_OUT * np.sqrt(usual**2 + all_of_them.variance)
+        odd = np.unique(design.setting_id[all_of_them.taken][apart > limit])
+        return cls._taken(design, scale, variance, lit & ~np.isin(design.setting_id, odd), waves=True)
+
+    @classmethod
+    def _taken(cls, design: Design, scale: Array, variance: Array, lit: _Lit, *, waves: bool) -> _Repeats:
+        ids = design.setting_id
+        taken = np.flatnonzero(lit & np.isin(ids, [i for i in np.unique(ids[lit]) if np.sum(ids[lit] == i) > 1]))
+        basis = (ids[taken][:, None] == np.unique(ids[taken])).astype(np.float64)
+        if waves:
+            freedom = taken.size - basis.shape[1]
+            time = design.timestamp_s[taken]
+            slow = _slow_change(time, int(_TREND_SHARE * freedom))
+            jumps = [_relaxing(time, since_s) for since_s in design.jump_times_s if np.any(time > since_s)]
+            basis = np.hstack([basis, slow, *jumps])
+        return cls(taken, scale[taken], variance[taken], basis)
+
+    @property
+    def freedom(self) -> int:
+        """Return the degrees of freedom of their scatter."""
+        return self.taken.size - int(np.linalg.matrix_rank(self.basis)) if self.taken.size else 0
+
+    def apart(self, tau: float) -> Array:
+        """Return how far they lie from what the basis says, weighted as τ and pixel noise want it, (n,)."""
+        root = 1.0 / np.sqrt(self.variance + tau**2)
+        solution = np.linalg.lstsq(self.basis * root[:, None], self.scale * root, rcond=None)[0]
+        return np.asarray(self.scale - self.basis @ solution)
+
+    def tau_at(self, chi2: float) -> float:
+        """Return the τ at which their weighted scatter is so large; next to nothing where it never is."""
+
+        def excess(log_tau: float) -> float:
+            tau = float(np.exp(log_tau))
+            return float(np.sum(np.square(self.apart(tau)) / (self.variance + tau**2))) - chi2
+
+        ends = (np.log(_SMALLEST_TAU), np.log(_LARGEST_TAU))
+        if excess(ends[0]) <= 0.0:
+            return _SMALLEST_TAU
+        return float(np.exp(brentq(excess, *ends, xtol=1e-3))) if excess(ends[1]) < 0.0 else _LARGEST_TAU
+
+
+def _slow_change(time: Array, terms: int) -> Array:
+    """Return up to so many functions of time that change slowly: a warm-up first, then ever shorter waves."""
+    if terms < 3:
+        return np.zeros((time.size, 0))
+    u = (time - time.min()) / (float(np.ptp(time)) or 1.0)
+    waves = np.arange(1, min(terms - 3, _MOST_WAVES) + 1)
+    return np.column_stack([u, u**2, np.exp(-4.0 * u), np.cos(np.pi * u[:, None] * waves)])
+
+
+def _relaxing(time: Array, since_s: float) -> Array:
+    """Return what jumps at a time and stays, or dies away by four e-folds to the end."""
+    after = np.clip((time - since_s) / (float(time.max()) - since_s), 0.0, 1.0)
+    return np.column_stack([there := (time >= since_s).astype(np.float64), there * np.exp(-4.0 * after)])

@@ -1,0 +1,398 @@
+"""Errors that several figures share: y = f(θ) + B·z + ε with z ~ N(0, Φ), each source stating its basis and variance.
+
+What is drawn anew in each capture is taken into the weights of the statistic that it moves (its z integrated out);
+what is the same in all captures, a fixed pattern, is fitted beside the parameters with its variance as prior
+(`fixed_patterns`). Where one z moves several statistics, the weights hold it in each of them alone; what that leaves
+out is added to the parameters' covariance (`left_out`).
+
+Source: noise as bases and weights, as pulsar timing has it (Luo et al. 2021, ApJ 911 45; van Haasteren & Vallisneri
+2014, PRD 90 104012).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from radiometer.reconciliation.chances import Mask, frames_counted, score_slope
+from radiometer.reconciliation.measure.design import SURFACE_LINES, Array, Design
+from radiometer.reconciliation.measure.row_bands import RowBins, TileBands
+from radiometer.reconciliation.measure.seen import CaptureStatistics
+from radiometer.reconciliation.noise.shared import Part, SharedError
+from radiometer.reconciliation.prediction import Prediction
+
+_LEAST_EXCESS: Final = -0.9  # of a variance ratio, so that it stays positive
+_FAIR_SHARE: Final = 0.05  # of the brightest tile's light
+_LEAST_ROWS: Final = 1.0
+_LEAST_RATIO: Final = 1e-6
+_TOGETHER: Final = 0.85  # of the correlation of one wave's scores that is trusted: a cube root is no square
+
+
+@dataclass(frozen=True, slots=True)
+class Repeatability:
+    """How far the light differs from one capture to the next, and from one frame to the next.
+
+    Attributes:
+        tau: Relative standard deviation from capture to capture.
+        flicker2: (captures,) relative variance from frame to frame that an accepted effect predicts.
+        row_variance: (captures,) row noise that an accepted effect predicts, in DN².
+        bands2: (captures,) relative variance of light that goes as a wave along the rows.
+        band_frequency: Periods of that wave per row.
+    """
+
+    tau: float
+    flicker2: Array
+    row_variance: Array
+    bands2: Array
+    band_frequency: float
+
+
+def shared_errors(
+    design: Design,
+    base: Prediction,
+    usable: Mapping[str, Mask],
+    sensitivity: Array,
+    repeatability: Repeatability,
+    noise_response: Mapping[str, Array] | None = None,
+) -> tuple[SharedError, ...]:
+    """Return the sources that the weights of means, slopes and variances hold.
+
+    Args:
+        design: Captures and tiles.
+        base: Prediction of what is accepted.
+        usable: Which entries of each statistic count.
+        sensitivity: (captures, tiles) d(mean)/d(log light) in DN.
+        repeatability: Capture-to-capture and frame-to-frame scatter, the source's own wander included.
+        noise_response: (captures, tiles) how far what goes with a tile's noise follows its log light, by statistic.
+    """
+    n = design.frame_count
+    first = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)  # of what a frame's tiles share, in the first less the others' mean
+    light = {name: np.where(usable[name], sensitivity, 0.0) for name in ("mean", "first", "slope_y")}
+    one, shaken2 = np.ones((len(design.tiles), 1)), repeatability.flicker2 / n
+    found = [
+        SharedError("light of a capture", {"mean": Part(light["mean"], one)}, np.full(n.size, repeatability.tau**2)),
+        SharedError("light of its frames", {"mean": Part(light["mean"], one)}, shaken2),
+        SharedError("light of its first frame", {"first": Part(light["first"], one)}, repeatability.flicker2 * first),
+    ]
+    if repeatability.flicker2.any():  # brighter frames have more photon noise, in all tiles alike
+        found += [
+            SharedError(f"noise of its frames: {name}", {name: Part(np.where(usable[name], by, 0.0), one)}, shaken2)
+            for name, by in (noise_response or {}).items()
+        ]
+    if repeatability.row_variance.any():
+        found += _row_noise(design, base, usable, repeatability.row_variance)
+    if repeatability.bands2.any():
+        found += _wave(design, light, repeatability)
+    return tuple(found)
+
+
+def _row_noise(design: Design, base: Prediction, usable: Mapping[str, Mask], variance: Array) -> list[SharedError]:
+    """Return row noise: in means, slopes and first frames, and what its own chance variance does to variances."""
+    n = design.frame_count
+    first = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)
+    count = {name: mask.astype(np.float64) for name, mask in usable.items()}
+    rows = design.rows_of_tiles
+    found = [
+        SharedError("row noise", {"mean": Part(count["mean"], rows)}, variance / n),
+        SharedError("row noise of the first frame", {"first": Part(count["first"], rows)}, variance * first),
+        SharedError("row noise as a tilt", {"slope_y": Part(count["slope_y"], design.tilts_of_rows)}, variance / n),
+    ]
+    for name, moved in _moved_by_rows(design, base).items():
+        spread, taken = _spread_of_rows(design)[name], SURFACE_LINES if name == "spatial" else 1
+        part = Part(np.where(usable[name], moved, 0.0), _free_rows(design, taken)[:, None] * rows)
+        found.append(SharedError(f"chance variance of rows: {name}", {name: part}, spread))
+    return found
+
+
+def _moved_by_rows(design: Design, base: Prediction) -> dict[str, Array]:
+    """Return by how much the logarithms of variances change per relative change of the rows' variance.
+
+    A row's noise differs from frame to frame by one number. Over n frames its variance is known to √(2/(n − 1)) only,
+    and that deviation is the same in all tiles side by side and in all statistics. What is left of it in the mean of
+    all frames does the same to the spatial variance.
+    """
+    lines = base.row_variance[:, None]
+    share = lines * (1.0 - 1.0 / design.tile_height) / base.variance
+    left = lines / design.frame_count[:, None] * design.rough_rows / base.spatial
+    return {"variance": share, "neighbour_x": share * (1.0 - share), "neighbour_y": share, "spatial": left}
+
+
+def _spread_of_rows(design: Design) -> dict[str, Array]:
+    """Return the relative variance of what one row shows of its variance, by statistic, (captures,)."""
+    frames = np.maximum(design.frame_count, 2.0)
+    square = 2.0 / (frames - 1.0)
+    products = 1.0 / (frames - 1.0)  # of two rows, not squares of one
+    return {
+        "variance": square,
+        "neighbour_x": square,
+        "neighbour_y": products,
+        "spatial": np.full(frames.shape, 2.0),
+    }
+
+
+def _free_rows(design: Design, taken: int) -> Array:
+    """Return √(rows over those that are free where some degrees of freedom were taken), (tiles,)."""
+    height = design.tile_height
+    return np.asarray(np.sqrt(height / np.maximum(height - taken, _LEAST_ROWS)))
+
+
+def _wave(design: Design, light: Mapping[str, Array], repeatability: Repeatability) -> list[SharedError]:
+    """Return light that goes as a wave along the rows, at a new phase in each frame."""
+    n, left = design.frame_count, TileBands.of(design, repeatability.band_frequency)
+    first = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)
+    bands2, mean, rise = repeatability.bands2, left.quadratures(left.mean), left.quadratures(left.rise)
+    return [
+        SharedError("wave", {"mean": Part(light["mean"], mean)}, bands2 / n),
+        SharedError("wave in the first frame", {"first": Part(light["first"], mean)}, bands2 * first),
+        SharedError("wave as a tilt", {"slope_y": Part(light["slope_y"], rise)}, bands2 / n),
+    ]
+
+
+def phases_of_wave(design: Design, basis: Array, usable: Mask, share: Array, frequency: float) -> SharedError:
+    """Return what the few phases of a wave do to the scores of the bands, which follow one phase of each frame.
+
+    With ρ the correlation of two coefficients of a frame, over n frames their squares have the covariance
+    2ρ²/(n − 1) − (½ + ρ²)/n in units of their means.
+
+    Args:
+        design: Captures and tiles.
+        basis: (captures, 1 + orders, bins) functions of the rows.
+        usable: (captures, orders) which scores count.
+        share: (captures, orders) share of the wave in each ratio.
+        frequency: Periods per row.
+    """
+    wave = np.exp(2j * np.pi * frequency * RowBins.of(design).middle)
+    phase = np.angle(basis[:, 1:] @ wave)  # ρ² = ½ + ½·cos 2(φ − φ')
+    n = np.maximum(frames_counted(design.frame_count), 2.0)
+    half = 0.5 * (2.0 / (n - 1.0) - 1.0 / n)
+    variance = np.stack([half - 0.5 / n, half, half], axis=1) / (2.0 / (n - 1.0) - 1.5 / n)[:, None]
+    functions = np.stack([np.ones_like(phase), np.cos(2.0 * phase), np.sin(2.0 * phase)], axis=-1)
+    part = Part(np.where(usable, share, 0.0), functions)
+    return SharedError("phases of a wave", {"bands": part}, _TOGETHER * variance, within=True)
+
+
+def unsteady_phases(design: Design, seen: CaptureStatistics, base: Prediction) -> dict[str, Array]:
+    """Return by how much few phases of a wave along the rows scatter each entry by itself, by statistic."""
+    excess = band_excess(design, seen, base)
+    if not excess:
+        return {}
+    left = TileBands.of(design, base.band_frequency)
+    unsteady = left.unsteadiness(design.frame_count)
+    within = base.band_variance * left.within / base.variance * unsteady
+    lines = {name: np.maximum(more, 0.0) / (1.0 + more) for name, more in excess.items()}
+    return {
+        "variance": within,
+        "neighbour_x": within,
+        "neighbour_y": within,
+        "spatial": base.band_variance * left.rough / design.frame_count[:, None] / base.spatial,
+        "row_temporal": lines["row_temporal"] * unsteady.max(axis=1),
+        "rows": lines["rows"],
+    }
+
+
+def chances_of_rows(
+    design: Design, seen: CaptureStatistics, base: Prediction, band_freedom: Array
+) -> tuple[SharedError, ...]:
+    """Return what the rows' chance variance does to all statistics at once, bin of rows by bin of rows.
+
+    First what differs from frame to frame, then what is left in the mean of the frames; the two are independent.
+
+    Args:
+        design: Captures and tiles.
+        seen: What was measured.
+        base: The prediction, row noise included.
+        band_freedom: (captures, orders) degrees of freedom of the bands.
+    """
+    if not base.row_variance.any():
+        return ()
+    bins, of_tiles = RowBins.of(design), rows_in_bins(design)
+    of_all = line_weights(design, base)[:, None, :]
+    moved, spread = _moved_by_rows(design, base), _spread_of_rows(design)
+    found = []
+    for tiled, lined, taken in (
+        (("variance", "neighbour_x"), "row_temporal", 1),
+        (("spatial",), "rows", SURFACE_LINES),
+    ):
+        still = lined == "rows"
+        more = base.row_variance / (design.frame_count if still else 1.0) * getattr(seen, f"{lined}_weight")
+        # A row's noise times that of its pixels is shared too.
+        variance = spread[tiled[0]] * (1.0 + 2.0 / np.maximum(more, _LEAST_RATIO)) / bins.step
+        free = _free_rows(design, taken)
+        parts = {name: Part(moved[name], free[:, None] * of_tiles) for name in tiled}
+        whole = 1.0 + more + (base.fixed_row_variance * seen.rows_weight if still else 0.0)
+        parts[lined] = Part((more / whole)[:, None] * float(np.median(free)), of_all)
+        if not still:
+            bands = base.row_variance[:, None] * seen.bands_of_rows
+            parts["bands"] = Part(bands / (1.0 + bands) * score_slope(band_freedom), of_all)
+        found.append(SharedError(f"chance variance of rows: {lined}", parts, variance))
+    return tuple(found)
+
+
+# ---- what noise that lines of pixels share adds to the statistics themselves --------------------------------------
+# Profiles of rows and columns are ratios over the noise of pixels, which holds the lines' too; bands are spatial
+# frequencies of the rows' light.
+
+
+def line_excess(design: Design, seen: CaptureStatistics, prediction: Prediction, name: str) -> Array:
+    """Return what noise and patterns of lines add to the ratio of a profile of lines, (captures,).
+
+    The ratio is taken over the noise of the pixels, which holds the lines too. Row noise averages down over the frames
+    of a capture but stays in their mean.
+
+    Args:
+        design: Captures and tiles.
+        seen: What was measured.
+        prediction: Expected statistics.
+        name: row_temporal, rows or columns.
+    """
+    rows, columns = prediction.row_variance, prediction.fixed_column_variance
+    lines = (rows,) if name == "row_temporal" else (rows, columns, prediction.fixed_row_variance)
+    if not any(variance.any() for variance in lines):
+        return np.zeros(rows.shape)
+    if name == "row_temporal":
+        own, noise = rows, prediction.variance
+        held = rows[..., None] * (1.0 - 1.0 / design.tile_height)
+    else:
+        fixed_rows = prediction.fixed_row_variance + rows / design.frame_count
+        own, noise = (columns if name == "columns" else fixed_rows), prediction.spatial
+        held = columns[..., None] * design.rough_columns + fixed_rows[..., None] * design.rough_rows
+    share = np.mean(held / noise**2, axis=-1) / np.mean(1.0 / noise, axis=-1)
+    return np.asarray(np.maximum(own * getattr(seen, f"{name}_weight") - share, _LEAST_EXCESS))
+
+
+def mixing_of_lines(prediction: Prediction, design: Design, name: str) -> Array:
+    """Return by what pixels that exchange charge raise the ratio of a profile of lines, (captures,).
+
+    Along a line of w pixels that correlate by ρ, summed over those to one side, the variance of the mean is
+    1 + 2ρ·(1 − 1/w) times that of white noise. A fixed profile holds the noise that the mean of the frames leaves.
+
+    Args:
+        prediction: Expected statistics.
+        design: Captures and tiles.
+        name: row_temporal, rows or columns.
+    """
+    length = design.tile_height if name == "columns" else design.tile_width
+    x, y = prediction.mixed_x + prediction.beyond_x, prediction.mixed_y + prediction.beyond_y
+    together = y if name == "columns" else x
+    noise, share = prediction.variance, np.ones_like(prediction.variance)
+    if name != "row_temporal":
+        noise, share = prediction.spatial, prediction.variance / design.frame_count[:, None] / prediction.spatial
+    more = 2.0 * together * share * (1.0 - 1.0 / length)
+    mixed = np.sum(more / noise, axis=-1) / np.sum(1.0 / noise, axis=-1)
+    return np.asarray(np.maximum(mixed, _LEAST_EXCESS))
+
+
+def mixing_of_bands(prediction: Prediction, design: Design) -> Array:
+    """Return by what such pixels raise the ratios of the bands, (captures, orders).
+
+    Bands of coarse rows gain more than those of fine ones, by 1 + 2ρ·cos(2πν) for ν periods per row; what lies beyond
+    the nearest rows counts as in them.
+    """
+    bins = RowBins.of(design)
+    weight = np.square(np.maximum(prediction.signal, 0.0)) / prediction.variance
+    weight = weight / np.maximum(np.sum(weight, axis=-1, keepdims=True), 1e-300)
+    x, y, beyond_x, beyond_rows = (
+        np.sum(weight * mixed, axis=-1)[..., None]
+        for mixed in (prediction.mixed_x, prediction.mixed_y, prediction.beyond_x, prediction.beyond_rows)
+    )
+    turn = np.pi * np.arange(1, bins.orders + 1) / bins.number  # of one order from bin to bin
+    inside, beside = 1.0 - 1.0 / bins.step, 1.0 / bins.step
+    rows = inside + beside * np.cos(turn)
+    mixed = (1.0 + 2.0 * x) * (1.0 + 2.0 * y * rows) - 1.0 + 2.0 * (beyond_x + beyond_rows * rows)
+    return np.asarray(np.maximum(mixed, _LEAST_EXCESS))
+
+
+def relative_bands(prediction: Prediction) -> Array:
+    """Return the relative variance of the light that goes as a wave along the rows, (captures,)."""
+    if not prediction.waves:
+        return np.zeros(prediction.gain.shape)
+    return _of_fair_tiles(prediction, prediction.band_variance)
+
+
+def relative_flicker(prediction: Prediction) -> Array:
+    """Return the relative variance that all light of a frame shares, (captures,).
+
+    Of the tiles with a fair share of the light the one that shows most counts: a full well shows none.
+    """
+    return _of_fair_tiles(prediction, prediction.common_variance)
+
+
+def _of_fair_tiles(prediction: Prediction, variance: Array) -> Array:
+    if not variance.any():
+        return np.zeros(variance.shape[:-1])
+    light = np.maximum(prediction.signal * prediction.gain[..., None], 1e-12)
+    fair = light >= _FAIR_SHARE * light.max(axis=-1, keepdims=True)
+    return np.asarray(np.max(np.where(fair, variance / light**2, 0.0), axis=-1))
+
+
+def band_excess(design: Design, seen: CaptureStatistics, prediction: Prediction) -> dict[str, Array]:
+    """Return what a wave along the rows adds to the ratios of the rows' profiles, by statistic, (captures,)."""
+    if not prediction.waves:
+        return {}
+    bands2 = relative_bands(prediction)
+    left = TileBands.of(design, prediction.band_frequency)
+    temporal = bands2 * seen.row_temporal_light
+    # The weights of the time mean's rows are those of the temporal profile but for the noise of a pixel.
+    safe = np.where(seen.row_temporal_weight > 0, seen.row_temporal_weight, np.inf)
+    steady = temporal * seen.rows_weight / safe / design.frame_count
+    found = {}
+    for name, excess, kept, noise in (
+        ("row_temporal", temporal, left.within, prediction.variance),
+        ("rows", steady, left.rough, prediction.spatial * design.frame_count[:, None]),
+    ):
+        # The noise of pixels that the ratio is taken over holds the wave too.
+        held = np.mean(prediction.band_variance * kept / noise**2, axis=-1) / np.mean(1.0 / noise, axis=-1)
+        found[name] = np.maximum(excess * float(kept.mean()) - held, _LEAST_EXCESS)
+    return found
+
+
+def line_weights(design: Design, base: Prediction) -> Array:
+    """Return the share of each bin of rows in the rows' profiles, (captures, bins): tiles of little noise count more.
+
+    The shares of a capture sum to 1.
+    """
+    held = design.tile_width[:, None] * design.tile_height[:, None] * rows_in_bins(design)
+    found = (1.0 / base.variance) @ held
+    return np.asarray(found / found.sum(axis=1, keepdims=True))
+
+
+def rows_in_bins(design: Design) -> Array:
+    """Return the share of each bin of rows in each tile, (tiles, bins)."""
+    bins = RowBins.of(design)
+    found = np.zeros((len(design.tiles), bins.number))
+    np.add.at(found.T, np.arange(design.shape[0]) // bins.step, design.rows_of_tiles.T)
+    return found
+
+
+def with_heavy_rows(design: Design, seen: CaptureStatistics, base: Prediction) -> CaptureStatistics:
+    """Return the statistics with the degrees of freedom of the rows' profiles that row noise leaves.
+
+    Where it outweighs the pixels' noise, a profile follows its few heaviest rows.
+    """
+    weights = line_weights(design, base)
+    lines = np.maximum(np.sum(weights > 0, axis=1), 1)
+    changed = {}
+    for name, variance in (("row_temporal", base.row_variance), ("rows", base.row_variance / design.frame_count)):
+        more = (variance * getattr(seen, f"{name}_weight"))[:, None] * lines[:, None] * weights
+        each = np.where(weights > 0, 1.0 + more, 0.0)
+        share = np.sum(each, axis=1) ** 2 / (lines * np.sum(each**2, axis=1))
+        changed[f"{name}_dof"] = getattr(seen, f"{name}_dof") * share
+    return replace(seen, **changed)
+
+
+def common_of_rows(design: Design, seen: CaptureStatistics, light: Array) -> Array:
+    """Return w·O·w / (w·s) for the weights w = s·n/σ² of the tiles' light s and the overlap O of their rows.
+
+    Args:
+        design: Captures and tiles.
+        seen: What was measured.
+        light: (captures, tiles) d(mean)/d(log light) in DN, 0 where a tile does not count.
+    """
+    light = np.where(np.nan_to_num(seen.variance) > 0, light, 0.0)
+    weight = np.where(light > 0, light * seen.pixels / np.where(light > 0, seen.variance, 1.0), 0.0)
+    information = np.sum(weight * light, axis=1)
+    shaken = np.sum(np.square(weight @ design.rows_of_tiles), axis=1)
+    return np.asarray(np.divide(shaken, information, out=np.zeros_like(shaken), where=information > 0))

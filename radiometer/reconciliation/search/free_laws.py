@@ -1,0 +1,213 @@
+"""One name by a looser form, or by a law of its own, in place of several that only mend a wrong equation.
+
+A search adds what helps most, one name after the other, and comes to a looser form only by way of the plain one. A
+cause that the plain form does not meet well is then told as several that mend each other (wings of stray light as a
+display's gamma with a fall-off). Of models that predict as well the one of a single cause is told.
+
+Where structure stays in the end, the names that were found may be one cause by another law than the catalogue's. Each
+entry's change is then tried times a free curve along its own covariates (`simulators/effects/free_law.py`), alone from
+the start on or in the place of a name, by the score of all models; it stays where nothing is left beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from radiometer.errors import ConfigurationError, MeasurementError
+from radiometer.reconciliation.fit.covariance import is_misfit
+from radiometer.reconciliation.fit.descent import refit
+from radiometer.reconciliation.fit.full_fit import UnfitError, included
+from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
+from radiometer.reconciliation.search.free_forms import free_forms, worth
+from radiometer.reconciliation.search.screening import directions_of
+from radiometer.reconciliation.thresholds import HUGE_NATS, LAW_SHARE, PARAMETER_NATS
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.free_law import FreeLaw
+
+_FITTED: Final = 3  # forms that are fitted in full, the most promising first
+_LOOSER: Final = 2  # times that the best entry alone is made looser
+_NEAR: Final = 2.0  # times what was left beyond chance, under the same weights: a law that leaves more is far off
+_FEW: Final = 6  # iterations that tell how the others do alone
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mended:
+    """A model in which one name took a free law.
+
+    Attributes:
+        state: The fitted model.
+        name: The name.
+        beside: The model without that name.
+        rivals: Other entries that leave nothing by a law of theirs either.
+    """
+
+    state: FitState
+    name: str
+    beside: FitState
+    rivals: tuple[CatalogueEffect, ...] = ()
+
+    @property
+    def nats(self) -> float:
+        """Return by how much the name by its free law raises the held-out log density."""
+        return self.state.evidence - self.beside.evidence
+
+    @property
+    def form(self) -> CatalogueEffect:
+        """Return the effect with its free law."""
+        return next(effect for effect in self.state.effects if effect.name == self.name)
+
+
+def nowhere_near(base: FitState, found: FitState) -> float:
+    """Return the χ² beyond which a single law that is fitted comes nowhere near what was found.
+
+    Args:
+        base: The model that the law is put into; its weights are those of the χ².
+        found: What was found; curves without a name are left out.
+    """
+    left, count = base.comparison.residual(found.prediction), float(base.comparison.counts().sum())
+    return count + _NEAR * max(float(left @ left) - count, 0.0) + 2.0 * HUGE_NATS
+
+
+def in_a_looser_form(
+    start: FitState, least: float, catalogue: Mapping[str, type[CatalogueEffect]], most: float = np.inf
+) -> FitState | None:
+    """Return the model with the entry of which a looser form alone does what others do; None where none does.
+
+    What has no plain part (a black level that ramps and is nothing in the middle) a search does not meet.
+
+    Args:
+        start: The starting camera fitted.
+        least: Score that the model needs.
+        catalogue: The entries.
+        most: χ² under the weights of the start that a form may leave.
+    """
+    context, best = start.model.context, list[FitState]()
+    several = [kind.starts(context) for kind in catalogue.values() if kind.usable(context)]
+    plain = [min(starts, key=lambda entry: len(entry.free())) for starts in several if starts]
+    for _ in range(_LOOSER):  # each time from the best so far
+        forms = [form for entry in plain for form in entry.loosened(context)]
+        promising = sorted(((promise(start, form), n) for n, form in enumerate(forms)), reverse=True)[:_FITTED]
+        fitted = (_alone(start, forms[n], most) for promised, n in promising if promised > 0)
+        better = max((state for state in fitted if state is not None), key=rated, default=None)
+        if better is None or (best and rated(better) <= rated(best[-1])):
+            break
+        best.append(better)
+        plain = list(better.effects)
+    return best[-1] if best and rated(best[-1]) > least else None
+
+
+def _alone(start: FitState, form: CatalogueEffect, most: float) -> FitState | None:
+    """Return the model with a form alone; None where it cannot be fitted."""
+    try:
+        return included(start, form, far=True, most=most)
+    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted does nothing
+        return None
+
+
+def in_place_of_all(
+    start: FitState, state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]
+) -> FitState | None:
+    """Return the model with one entry in a looser form that predicts better than several names; None where none does.
+
+    Args:
+        start: The starting camera fitted.
+        state: What was found: names, and curves without a name.
+        catalogue: The entries.
+    """
+    curves = sum(term.is_smooth for term in state.terms)
+    if not state.effects or len(state.effects) + curves < 2:
+        return None
+    return in_a_looser_form(start, rated(state), catalogue, nowhere_near(start, state))
+
+
+def rated(state: FitState) -> float:
+    """Return the score of a model with the prior odds of its names."""
+    return worth(state) + sum(effect.log_prior_odds for effect in state.effects)
+
+
+def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEffect]) -> Mended | None:
+    """Return the model with one name by a free law that does better than all that was found; None for none.
+
+    Args:
+        start: The model without any name.
+        state: What was found; structure stays in it.
+        alone: Entries as they fit the start, each alone.
+    """
+    found = list[Mended]()
+    for promises in (_of_one(start, alone), _in_place(start, state)):
+        found += _tried(promises, state)
+        if any(not is_misfit(mended.state) for mended in found):
+            break
+    if not found:
+        return None
+    best = max(found, key=lambda mended: worth(mended.state))
+    closing = [mended for mended in found if not is_misfit(mended.state)]
+    return replace(best, rivals=tuple({m.name: m.form for m in closing if m.name != best.name}.values()))
+
+
+_Promise = tuple[float, FitState, FreeLaw]
+
+
+def _tried(promises: Iterator[_Promise], state: FitState) -> Iterator[Mended]:
+    """Yield the models of the most promising forms, one for each name, that are worth more than what was found."""
+    least = worth(state)
+    tried = set[str]()
+    for _, base, form in sorted(promises, key=lambda entry: -entry[0]):
+        if form.name not in tried and len(tried) < _FITTED:
+            tried.add(form.name)
+            mended = _fitted(base, form, least, nowhere_near(base, state))
+            if mended is not None:
+                yield mended
+
+
+def _of_one(start: FitState, alone: Sequence[CatalogueEffect]) -> Iterator[_Promise]:
+    """Yield what free forms promise alone, the model that each is put into, and the form."""
+    for effect in alone:
+        for form in free_forms(start, effect):
+            yield promise(start, form), start, form
+
+
+def _in_place(start: FitState, state: FitState) -> Iterator[_Promise]:
+    """Yield the same of forms in the place of a name, the other names standing beside it."""
+    for effect in state.effects if len(state.effects) > 1 else ():
+        beside = with_terms(with_effects(state, [other for other in state.effects if other is not effect]), ())
+        base = refit(beside, iterations=_FEW)
+        for form in free_forms(base, effect):
+            yield base.evidence - start.evidence + promise(base, form), base, form
+
+
+def promise(base: FitState, form: CatalogueEffect) -> float:
+    """Return the nats that a form would bring if it acted linearly, its parameters paid for.
+
+    Args:
+        base: The model without it.
+        form: A form with a free law, or a looser one.
+    """
+    try:
+        followed = base.fit.followed(directions_of(base, (*base.effects, form), len(base.effects)))
+    except (MeasurementError, ConfigurationError):  # what no camera does
+        return -np.inf
+    return base.fit.score(slice(0, base.comparison.size), followed)[0] / 2.0 - PARAMETER_NATS * len(form.free())
+
+
+def _fitted(base: FitState, form: FreeLaw, least: float, most: float) -> Mended | None:
+    """Return the model with a form, fitted in full; None where its plain law is far from what it comes to.
+
+    None too where it is not worth more than `least`, or leaves more than `most` under the weights of the model without
+    it; how far its plain law comes is not asked then.
+    """
+    try:
+        state = included(base, form, far=True, most=most)
+        if worth(state) <= least:
+            return None
+        plain = included(base, form.own, far=True)
+    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):
+        return None
+    brought, whole = plain.evidence - base.evidence, state.evidence - base.evidence
+    if brought < LAW_SHARE * whole:
+        return None
+    return Mended(state, form.name, base)

@@ -1,0 +1,319 @@
+"""Finds where measured and simulated disagree, without any idea of why.
+
+Score tests of smooth trends: each statistic along each covariate, in three forms (in proportion to the light, as a
+constant in DN, as a constant in electrons). The residual and the trends are first freed of all that the nuisances
+can explain. Bonferroni over all tests holds the false-alarm rate.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.special import chdtrc, gammaln
+
+from radiometer.reconciliation.chances import chi2_beyond
+from radiometer.reconciliation.fit.comparison import CAPTURE_BLOCKS, FAMILY, Comparison
+from radiometer.reconciliation.fit.covariates import Covariate, covariates
+from radiometer.reconciliation.fit.linear import LinearFit
+from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.fit.terms import LinearTerm
+from radiometer.reconciliation.measure.design import Array
+from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.statistics import ADDITIVE, MULTIPLICATIVE, STATISTICS
+from radiometer.reconciliation.thresholds import OWN_SIGNIFICANCE, SIGNIFICANCE
+from simulators.effects.catalogue import CatalogueEffect
+
+_DRAWS: Final = 2000
+_DRAWN_WITH: Final = 20261122  # the same draws for the same data
+_FEWEST_BEYOND: Final = 8  # draws, below which they tell the chance no better than the bound does
+_OWN_DIRECTION: Final = 1e-4  # share of a trend that the nuisances must leave
+# A disagreement that is the same everywhere has no covariate of its own; this is where its statistic lies.
+_AXIS_OF_CONSTANT: Final = {
+    "mean": "signal",
+    "slope_x": "image_x",
+    "slope_y": "image_y",
+    "first": "previous_frame",
+    "common": "exposure_s",
+    "row_temporal": "image_y",
+    "bands": "image_y",
+    "columns": "image_x",
+    "rows": "image_y",
+    "edge": "image_x",
+    "outliers": "exposure_s",
+}
+_AXIS_OF_SHAPE: Final = {"time_waves": "timestamp_s", "half_x": "image_x", "half_y": "image_y"}
+_AS_SEEN: Final = {"screen_x": "image_x", "screen_y": "image_y"}
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """One test.
+
+    Attributes:
+        block: Statistic.
+        where: Covariate.
+        form: Form of the trend.
+        chi2: What the trend would explain.
+        rank: Its free parameters.
+        p_value: Chance of that much without a disagreement.
+    """
+
+    block: str
+    where: str
+    form: str
+    chi2: float
+    rank: int
+    p_value: float
+
+    @property
+    def log_p(self) -> float:
+        """Return ln p, finite also where p underflows."""
+        if self.p_value > 1e-280:
+            return float(np.log(self.p_value))
+        half = self.chi2 / 2.0
+        return float(-half + (self.rank / 2.0 - 1.0) * np.log(half) - gammaln(self.rank / 2.0))
+
+    @property
+    def order(self) -> float:
+        """Return ln p by which tests are ranked, to eight digits.
+
+        An offset with the gain and one without are the same at a single gain: rounding must not choose between them.
+        """
+        return float(f"{self.log_p:.8g}")
+
+    @property
+    def family(self) -> str:
+        """Return the statistic without its direction."""
+        return FAMILY.get(self.block, self.block)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Basis:
+    """The trend of one test.
+
+    Attributes:
+        block: Statistic.
+        where: Covariate.
+        form: Form of the trend.
+        columns: (entries of the block, terms) whitened.
+    """
+
+    block: str
+    where: str
+    form: str
+    columns: Array
+
+
+def localise(state: FitState) -> tuple[Disagreement, ...]:
+    """Return all tests, the most significant first; of forms that are one and the same here, as rows list them."""
+    tests = (score(state, basis, state.fit) for basis in trend_bases(state, covariates(state.model, state.prediction)))
+    return tuple(sorted((test for test in tests if test is not None), key=lambda test: test.order))
+
+
+def trend_bases(state: FitState, axes: Mapping[str, Covariate]) -> Iterator[Basis]:
+    """Yield the trend of every test that the data allow.
+
+    Args:
+        state: The fitted model.
+        axes: The covariates that vary, by name.
+    """
+    for block, row in STATISTICS.items():
+        if not state.comparison.usable[block].any():
+            continue
+        for name, form in itertools.product((n for n in row.along if n == "constant" or n in axes), row.forms):
+            columns = whitened_basis(state.comparison, state.prediction, state.sensitivity, block, form, axes.get(name))
+            if columns.shape[1]:
+                yield Basis(block, name, form, columns)
+
+
+def score(state: FitState, basis: Basis, fit: LinearFit) -> Disagreement | None:
+    """Return the test of one trend beside a linear fit; None where the fit leaves nothing of the trend."""
+    explained, rank = fit.score(state.comparison.cuts[basis.block], basis.columns)
+    if not rank:
+        return None
+    return Disagreement(basis.block, basis.where, basis.form, explained, rank, chi2_beyond(explained, rank))
+
+
+def significant(tests: Sequence[Disagreement]) -> tuple[Disagreement, ...]:
+    """Return the tests that stand out at the level of `SIGNIFICANCE` after Bonferroni's correction."""
+    limit = np.log(SIGNIFICANCE / max(len(tests), 1))
+    return tuple(test for test in tests if test.log_p < limit)
+
+
+def global_p_value(state: FitState, tests: Sequence[Disagreement]) -> float:
+    """Return the chance that any of all tests is as significant as the best of these, without any disagreement.
+
+    The tests are correlated: their columns overlap, and the nuisances take a part of each. Under no disagreement the
+    whitened residual is normal, so that the products of all columns with it are normal too, with a covariance that is
+    known; their draws give the distribution of the least p. Below what the draws can tell, Bonferroni's bound stands.
+
+    Source: N. Anau Montel, J. Alvey, C. Weniger, Phys. Rev. D 111 (2025) 083013, who ask many distortions at once and
+    calibrate the least p by simulations.
+
+    Args:
+        state: The fitted model.
+        tests: All its tests, the most significant first.
+    """
+    if not tests:
+        return 1.0
+    bound = min(len(tests) * float(np.exp(tests[0].log_p)), 1.0)
+    if bound < _FEWEST_BEYOND / _DRAWS:  # no draw would reach it
+        return bound
+    least = _least_of_draws(state, list(trend_bases(state, covariates(state.model, state.prediction))))
+    beyond = int(np.sum(least <= tests[0].log_p))
+    return max(beyond, _FEWEST_BEYOND) / least.size
+
+
+def _least_of_draws(state: FitState, bases: Sequence[Basis]) -> Array:
+    """Return ln of the least p of all tests for residuals that are drawn without a disagreement, (draws,)."""
+    fit, cuts = state.fit, state.comparison.cuts
+    taken = [fit.half(fit.pull(basis.columns, cuts[basis.block].start)) for basis in bases]
+    together = np.hstack(taken)
+    covariance = -together.T @ together
+    ends = np.cumsum([0, *(part.shape[1] for part in taken)])
+    places = [slice(int(low), int(high)) for low, high in itertools.pairwise(ends)]
+    for (first, a), (second, b) in itertools.product(zip(bases, places, strict=True), repeat=2):
+        if first.block == second.block:
+            covariance[a, b] += first.columns.T @ second.columns
+    lengths = np.concatenate([np.linalg.norm(basis.columns, axis=0) for basis in bases])
+    lengths = np.where(lengths > 0, lengths, 1.0)
+    covariance = covariance / np.outer(lengths, lengths)
+    values, vectors = np.linalg.eigh(covariance)
+    # The symmetric root is the one that rounding does not turn where eigenvalues are equal.
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    drawn = root @ np.random.default_rng(_DRAWN_WITH).standard_normal((root.shape[1], _DRAWS))
+    least = np.zeros(_DRAWS)
+    for place in places:
+        own, directions = np.linalg.eigh(covariance[place, place])
+        kept = own > _OWN_DIRECTION
+        if kept.any():
+            chi2 = np.sum((directions[:, kept].T @ drawn[place]) ** 2 / own[kept][:, None], axis=0)
+            least = np.minimum(least, np.log(np.maximum(chdtrc(int(kept.sum()), chi2), 1e-300)))
+    return least
+
+
+def whitened_basis(
+    comparison: Comparison,
+    prediction: Prediction,
+    sensitivity: Array,
+    block: str,
+    form: str,
+    axis: Covariate | None,
+) -> Array:
+    """Return the whitened columns of a smooth trend in one block, (entries of the block, terms)."""
+    captures, tiles = prediction.mean.shape
+    smooth = np.ones((captures, tiles, 1)) if axis is None else axis.basis()
+    if block == "comb":
+        return _flat(comparison.whiten(block, np.ones((*comparison.usable[block].shape, 1))))
+    if block == "bands":
+        return _flat(comparison.whiten(block, _of_bands(comparison, axis)))
+    if block in CAPTURE_BLOCKS:
+        values = smooth[:, 0, :] if axis is None or axis.per_capture else smooth.mean(axis=1)
+        return comparison.whiten(block, values)
+    return _flat(comparison.whiten(block, smooth * _form(block, form, prediction, sensitivity)[:, :, None]))
+
+
+def _of_bands(comparison: Comparison, axis: Covariate | None) -> Array:
+    """Return the trend over captures and spatial frequencies; along the image these take the place of the rows."""
+    captures, orders = comparison.usable["bands"].shape
+    if axis is None:
+        return np.ones((captures, orders, 1))
+    if axis.per_capture:
+        return np.repeat(axis.basis()[:, :1, :], orders, axis=1)
+    return Covariate(axis.name, np.tile(np.arange(orders, dtype=np.float64), (captures, 1)), per_capture=False).basis()
+
+
+def _form(block: str, form: str, prediction: Prediction, sensitivity: Array) -> Array:
+    gain = np.broadcast_to(prediction.gain[:, None], sensitivity.shape)
+    if block in ("variance", "spatial"):
+        return np.ones_like(sensitivity) if form == MULTIPLICATIVE else gain**2 / getattr(prediction, block)
+    if block.startswith("neighbour"):
+        return np.ones_like(sensitivity)
+    if form == MULTIPLICATIVE:
+        return sensitivity
+    return np.ones_like(sensitivity) if form == ADDITIVE else np.asarray(gain)
+
+
+def _flat(values: Array) -> Array:
+    return values.reshape(-1, values.shape[-1])
+
+
+def smooth_term(state: FitState, test: Disagreement) -> LinearTerm:
+    """Return the empirical term that takes up a disagreement without naming it."""
+    axis = covariates(state.model, state.prediction).get(test.where)
+    size = whitened_basis(state.comparison, state.prediction, state.sensitivity, test.block, test.form, axis).shape[1]
+
+    def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
+        part = whitened_basis(comparison, prediction, sensitivity, test.block, test.form, axis)
+        columns = np.zeros((comparison.size, part.shape[1]))
+        columns[comparison.cuts[test.block]] = part
+        return columns
+
+    name = f"{test.block} | {test.where} | {test.form}"
+    return LinearTerm(name, build, np.full(size, np.inf), test.block, test.where, test.form)
+
+
+def axis_of(where: str, block: str) -> str:
+    """Return the covariate that a test's axis stands for.
+
+    Args:
+        where: Axis of the test.
+        block: Its statistic.
+    """
+    return _AXIS_OF_CONSTANT.get(block, "signal") if where == "constant" else _AXIS_OF_SHAPE.get(where, where)
+
+
+def places(state: FitState, most: int) -> tuple[Disagreement, ...]:
+    """Return up to so many tests, each the most significant along a covariate that is not listed yet.
+
+    Args:
+        state: The fitted model.
+        most: Length of the list.
+    """
+    bases = tuple(trend_bases(state, covariates(state.model, state.prediction)))
+    fit, found = state.fit, list[Disagreement]()
+    for _ in range(most):
+        taken = {axis_of(test.where, test.block) for test in found}
+        left = [basis for basis in bases if axis_of(basis.where, basis.block) not in taken]
+        rated = [(test, basis) for basis in left if (test := score(state, basis, fit)) is not None]
+        if not rated:
+            break
+        test, basis = min(rated, key=lambda entry: entry[0].order)
+        found.append(test)
+        fit = _beside(state, fit, basis)
+    return tuple(found)
+
+
+def _beside(state: FitState, fit: LinearFit, basis: Basis) -> LinearFit:
+    """Return the fit with a trend taken up."""
+    lengths = np.linalg.norm(basis.columns, axis=0)
+    columns = np.zeros((state.comparison.size, int(np.sum(lengths > 0))))
+    columns[state.comparison.cuts[basis.block]] = basis.columns[:, lengths > 0] / lengths[lengths > 0]
+    return fit.extended(fit.followed(state.pad(columns)))
+
+
+def own_place(effect: CatalogueEffect) -> tuple[str, str]:
+    """Return the covariate (as the picture shows it) and the statistic that an effect stands for."""
+    return _AS_SEEN.get(effect.where, effect.where), effect.block
+
+
+def departing(tests: Sequence[Disagreement], effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return the names of effects beside which structure stays in the very statistic and place that they stand for.
+
+    All tests together share one chance of a false alarm; the few that tell whether an effect follows its law have one
+    of their own. Another cause that looks much alike is found out there first.
+
+    Args:
+        tests: All tests of the final model.
+        effects: Its effects.
+    """
+    found = []
+    for effect in effects:
+        own = [t for t in tests if (axis_of(t.where, t.block), t.family) == own_place(effect)]
+        if any(test.p_value < OWN_SIGNIFICANCE / len(own) for test in own):
+            found.append(effect.name)
+    return found

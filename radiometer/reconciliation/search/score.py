@@ -1,0 +1,83 @@
+"""One score for all models: the held-out log density plus the log prior odds of the names, each parameter paid for.
+
+What a candidate must bring before it is a name, and which others explain the data about as well.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from radiometer.reconciliation.chances import chi2_beyond
+from radiometer.reconciliation.fit.candidate_fit import FittedCandidate
+from radiometer.reconciliation.thresholds import (
+    FEW_TRIES,
+    FLEXIBLE_NATS,
+    HUGE_NATS,
+    LATER_NATS,
+    NAMED_NATS,
+    PARAMETER_NATS,
+    RIVAL_NATS,
+    SHOWN_CHI2,
+    STATED_NATS,
+    STATED_SHARE,
+)
+
+Judged = tuple[FittedCandidate, float]
+
+
+def penalised_chi2(fitted: FittedCandidate) -> float:
+    """Return the χ² that a candidate explains, less what it pays for its parameters and for being unlikely."""
+    return fitted.gain - 2.0 * _penalty(fitted)
+
+
+def _penalty(fitted: FittedCandidate) -> float:
+    return PARAMETER_NATS * fitted.parameters - fitted.effect.log_prior_odds
+
+
+def score(entry: tuple[FittedCandidate, float]) -> float:
+    """Return the nats of a judged candidate less what it pays."""
+    fitted, nats = entry
+    return nats - _penalty(fitted) - (FLEXIBLE_NATS if fitted.flexible else 0.0)
+
+
+def likeliest(judged: list[tuple[FittedCandidate, float]]) -> tuple[FittedCandidate, float] | None:
+    """Return the judged candidate of the highest score."""
+    return max(judged, key=score) if judged else None
+
+
+def by_itself(full: list[Judged], alone: list[Judged], scatter: float) -> Judged:
+    """Return of candidates that a full fit makes as good as the best the one that brings most by itself.
+
+    Where much is wrong still, what all else must move far for may look like anything: what scatters for no known reason
+    makes nats worth that much less, and within those of a rival the gain with all else near where it was decides.
+
+    Args:
+        full: Candidates as their full fits judge them; not none.
+        alone: The same and others as they were judged with all else following linearly.
+        scatter: By how much χ² counts too high under the best of them.
+    """
+    near = max(score(entry) for entry in full) - RIVAL_NATS * scatter
+    own = {entry[0].name: score(entry) for entry in alone}
+    tied = [entry for entry in full if score(entry) >= near]
+    return max(tied, key=lambda entry: own.get(entry[0].name, -np.inf) if scatter > 1.0 else score(entry))
+
+
+def log_chance(gain: float, parameters: int) -> float:
+    """Return ln of the chance that so many idle parameters gain so much χ²."""
+    chance = chi2_beyond(max(gain, 1e-9), parameters)
+    return float(np.log(chance)) if chance > 0 else -np.inf
+
+
+def is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool, far: bool = False) -> bool:
+    """Tell whether settings held out are predicted better, beyond chance, and in the statistic that must show it.
+
+    Far off, where nuisances would have to move by much, the statistic is asked by the full fit alone. Of many starts
+    one fits by chance, and beside an effect that is there already a further one is less likely. The radiances of
+    patches are stated once: an error of their measurement that goes with the level looks like an effect.
+    """
+    needed = NAMED_NATS - fitted.effect.log_prior_odds + float(np.log(max(fitted.tries / FEW_TRIES, 1.0)))
+    needed += STATED_NATS if fitted.stated > STATED_SHARE * fitted.gain else 0.0
+    needed += FLEXIBLE_NATS if fitted.flexible else 0.0
+    beyond_chance = log_chance(fitted.gain, fitted.parameters) < limit
+    in_its_own = fitted.evidence >= SHOWN_CHI2 or (far and nats > HUGE_NATS)
+    return beyond_chance and nats >= needed + (LATER_NATS if later else 0.0) and in_its_own

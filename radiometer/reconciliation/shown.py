@@ -1,0 +1,82 @@
+"""Reads the frames of a capture set: what they show, and a second time where that changes how they are to be read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+
+from radiometer.data import CaptureHeader
+from radiometer.errors import CaptureError
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.pattern_images import PatternImages
+from radiometer.reconciliation.measure.reduce import FrameReader, Progress, reduce_frames
+from radiometer.reconciliation.measure.scenes import scenes_of
+from radiometer.reconciliation.measure.seen import CaptureStatistics
+from radiometer.reconciliation.measure.series import jumps
+from radiometer.reconciliation.noise.darkness import black_by_noise
+from radiometer.reconciliation.search.frame_order import FrameLight
+
+Shown = tuple[Design, FrameLight, tuple[CaptureStatistics, PatternImages]]
+
+
+def shown_by(
+    header: CaptureHeader, shape: tuple[int, int], read: FrameReader, progress: Progress | None = None
+) -> Shown:
+    """Return the design of a capture set, the light of its frames, and what they show.
+
+    Where a series of equal frames jumps, one setting alone cannot tell a black level that nobody states, or the scene
+    changes, the design follows what was seen, and the frames are read again. Each scene is a pattern of its own then.
+
+    Args:
+        header: What `capture.yaml` says.
+        shape: Height and width of the frames.
+        read: Gives the frame at a position of the header.
+        progress: Called with the number of frames done.
+
+    Raises:
+        CaptureError: If a scene is shown by one frame alone, which nothing can be held against.
+    """
+    design, light, shown = _read_by(Design.of(header, shape), read, progress)
+    at, black_dn = jumps(design, light.of_tiles), black_by_noise(design, shown[0])
+    apart = _by_scene(header, light)
+    if not at and black_dn is None and apart is None:
+        return design, light, shown
+    header = apart or header
+    if black_dn is not None:
+        camera = header.camera.model_copy(update={"black_level_dn": black_dn})
+        header = header.model_copy(update={"camera": camera})
+    return _read_by(Design.of(header, shape, at), read, progress)
+
+
+def _by_scene(header: CaptureHeader, light: FrameLight) -> CaptureHeader | None:
+    """Return the header with a pattern for each scene; None where every pattern shows one."""
+    names: dict[int, str] = {}
+    for pattern in dict.fromkeys(header.frames[index].pattern for index in light.structures):
+        own = {index: seen for index, seen in light.structures.items() if header.frames[index].pattern == pattern}
+        scenes = scenes_of(own)
+        if max(scenes.values()):
+            _refuse_lone_frames(header, scenes)
+        names |= {index: f"{pattern}, scene {scene + 1}" for index, scene in scenes.items() if scene}
+    if not names:
+        return None
+    frames = [
+        frame.model_copy(update={"pattern": names.get(index, frame.pattern)})
+        for index, frame in enumerate(header.frames)
+    ]
+    patterns = tuple(dict.fromkeys((*header.patterns, *names.values())))
+    return header.model_copy(update={"frames": tuple(frames), "patterns": patterns})
+
+
+def _refuse_lone_frames(header: CaptureHeader, scenes: Mapping[int, int]) -> None:
+    times = Counter(scenes.values())
+    lone = [header.frames[index].file for index, scene in scenes.items() if times[scene] == 1]
+    if lone:
+        raise CaptureError(
+            f"the frames show {len(times)} scenes, and no other frame shows that of {', nor that of '.join(lone)}: "
+            "nothing can be held against it; give two frames or more of each scene, or those of one scene only"
+        )
+
+
+def _read_by(design: Design, read: FrameReader, progress: Progress | None) -> Shown:
+    light = FrameLight(design, read)
+    return design, light, reduce_frames(design, light, progress)

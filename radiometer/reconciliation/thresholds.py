@@ -1,0 +1,165 @@
+"""Every threshold of the search and of the verdict, in one table: name, value, what it protects from, what measured it.
+
+What counts numerics (batch sizes, steps of differences, iterations) stands where it is used; what decides about a name
+stands here and nowhere else. A nat is a factor of e in likelihood.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+_TOGETHER: Final = (
+    "set in development; its effect alone was not measured, the benchmark holds for all thresholds together"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Threshold:
+    """One row of the table.
+
+    Attributes:
+        name: Name of the constant.
+        value: Its value.
+        unit: nats, chance, χ², sigma, 1.
+        reason: What it protects from.
+        measured: What measured it, or that nothing did.
+    """
+
+    name: str
+    value: float
+    unit: str
+    reason: str
+    measured: str = _TOGETHER
+
+
+_ROWS: dict[str, Threshold] = {}
+
+
+def _row(name: str, value: float, unit: str, reason: str, measured: str = _TOGETHER) -> float:
+    _ROWS[name] = Threshold(name, value, unit, reason, measured)
+    return value
+
+
+_NULL: Final = "sets without an effect (docs/benchmarks.md): share of false alarms and largest gap"
+_WEAK: Final = "effects at their smallest realistic size bring hundreds of nats, nearly all (docs/benchmarks.md, weak)"
+_ODDS: Final = "a statement about odds, not a measurement"
+
+# ---- whether anything disagrees -------------------------------------------------------------------------------------
+SIGNIFICANCE: Final = _row(
+    "SIGNIFICANCE", 0.005, "chance", "a false alarm among all tests of one pass; a search makes two or more", _NULL
+)
+OWN_SIGNIFICANCE: Final = _row(
+    "OWN_SIGNIFICANCE",
+    0.01,
+    "chance",
+    "another cause that looks much alike: the few tests in a name's own place",
+    _NULL,
+)
+PERIOD_SIGNIFICANCE: Final = _row(
+    "PERIOD_SIGNIFICANCE",
+    0.001,
+    "chance",
+    "a period among frames that scatter at random",
+    "40 lamps that wander by 2 % (tests/unit/reconciliation/test_frame_order.py): none",
+)
+FRAME_SIGNIFICANCE: Final = _row(
+    "FRAME_SIGNIFICANCE",
+    0.001,
+    "chance",
+    "one of equal frames said to stick out of the others by chance",
+    "series drawn at random (tests/unit/reconciliation/test_repeats.py)",
+)
+SCATTER_SIGMAS: Final = _row(
+    "SCATTER_SIGMAS", 5.0, "sigma", "scatter without any trend, which no test along a covariate sees", _NULL
+)
+CLOSED_GAP: Final = _row(
+    "CLOSED_GAP", 1.05, "1", "calling a gap open that is chance; it was 1.02 at most in 365 sets", _NULL
+)
+
+# ---- the score ------------------------------------------------------------------------------------------------------
+PARAMETER_NATS: Final = _row(
+    "PARAMETER_NATS",
+    3.0,
+    "nats",
+    "freedom that is no knowledge: each parameter pays it beyond what held-out settings say",
+)
+FLEXIBLE_NATS: Final = _row(
+    "FLEXIBLE_NATS", 5.0, "nats", "a flexible form that takes a name from a rigid entry of another"
+)
+NAMED_NATS: Final = _row(
+    "NAMED_NATS",
+    8.0,
+    "nats",
+    "a name, another law or another name in its place by chance: odds of 3000; also what a curve may predict better by",
+    _ODDS,
+)
+LATER_NATS: Final = _row("LATER_NATS", 2.0, "nats", "further names beside one: they are less likely beforehand", _ODDS)
+FEW_TRIES: Final = _row(
+    "FEW_TRIES", 2.0, "1", "one of many starts that fits by chance: ln(starts / 2) nats more", _ODDS
+)
+SHOWN_CHI2: Final = _row(
+    "SHOWN_CHI2", 8.0, "χ²", "a name whose own statistic does not speak for it, only others that it happens to mend"
+)
+STATED_NATS: Final = _row(
+    "STATED_NATS",
+    6.0,
+    "nats",
+    "an error of calibration that goes with the level: stated radiances are measured once, their errors go together",
+    "sessions of a second generator with turned charts (docs/reconcile.md)",
+)
+STATED_SHARE: Final = _row("STATED_SHARE", 0.5, "1", "the same: share of the χ² from which they carry the evidence")
+OWN_LAW_NATS: Final = _row(
+    "OWN_LAW_NATS", 2.0, "nats", "a rigid law that stays though its own tests speak against it already"
+)
+SMOOTH_SHARE: Final = _row(
+    "SMOOTH_SHARE", 0.8, "1", "a name that explains less than a curve without meaning along the covariate"
+)
+LAW_SHARE: Final = _row(
+    "LAW_SHARE",
+    0.5,
+    "1",
+    "a name whose law must be bent beyond recognition: the least share that its own equation brings",
+)
+
+# ---- the search -----------------------------------------------------------------------------------------------------
+KEPT_NATS: Final = _row("KEPT_NATS", 4.0, "nats", "names that bring nothing any more beside a later one")
+RIVAL_NATS: Final = _row(
+    "RIVAL_NATS", 5.0, "nats", "one name told where another is as good: rivals within odds of 150", _ODDS
+)
+HUGE_NATS: Final = _row(
+    "HUGE_NATS",
+    2000.0,
+    "nats",
+    "judging near candidates by linearised nuisances that are far off: they are fitted in full",
+)
+NEAR_SHARE: Final = _row("NEAR_SHARE", 0.05, "1", "the same: share of the best within which candidates are near")
+FAR_GAP: Final = _row(
+    "FAR_GAP", 100.0, "χ²", "the same: reduced χ² from which every candidate that may be it is fitted in full"
+)
+MOST_STEPS: Final = int(
+    _row("MOST_STEPS", 12, "1", "a search without an end", "a CCD's darks show nine effects, two in freer forms")
+)
+
+# ---- doubts ---------------------------------------------------------------------------------------------------------
+FAINT_NATS: Final = _row(
+    "FAINT_NATS",
+    40.0,
+    "nats",
+    "what is left of a law that is not quite the one named, taken for one more effect",
+    _WEAK,
+)
+ESSENTIAL_SIGMAS: Final = _row(
+    "ESSENTIAL_SIGMAS", 3.0, "sigma", "an entry that fits by its further terms alone, its essential one being nothing"
+)
+TESTED_NATS: Final = _row(
+    "TESTED_NATS",
+    100.0,
+    "nats",
+    "a size not told apart from its form, believed though its law is hardly tested: from here it is, to a tenth",
+)
+BOUND_CHI2: Final = _row(
+    "BOUND_CHI2", 9.0, "χ²", "an entry bent to what it is not: what the end of a range brings over the usual value"
+)
+
+TABLE: Final[tuple[Threshold, ...]] = tuple(_ROWS.values())

@@ -1,0 +1,427 @@
+"""What a search comes to: whether its names stand, what speaks against them, and what is left as one entry.
+
+The tests of `localise` look for trends. What moves single tiles or frames at random leaves none, but a reduced χ²
+above 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Final
+
+import numpy as np
+
+from radiometer.reconciliation.fit.comparison import FAMILY, TILE_BLOCKS, Comparison
+from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfit, scatter_of
+from radiometer.reconciliation.fit.covariates import covariates
+from radiometer.reconciliation.fit.descent import refit
+from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
+from radiometer.reconciliation.measure.design import Array
+from radiometer.reconciliation.result import FittedParameter, FoundEffect, Verdict
+from radiometer.reconciliation.search.frame_order import Periodic
+from radiometer.reconciliation.search.localise import axis_of, departing, own_place
+from radiometer.reconciliation.search.outcome import Search, Step
+from radiometer.reconciliation.thresholds import (
+    BOUND_CHI2,
+    ESSENTIAL_SIGMAS,
+    FAINT_NATS,
+    SMOOTH_SHARE,
+    TESTED_NATS,
+)
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.free_law import FreeLaw
+
+_REFITS: Final = 8
+_LIGHT: Final = ("mean", "slope")  # what changes the light of tiles moves both
+_LIT_DN: Final = 1.0  # light below which a share of it says nothing
+
+
+def verdict_of(outcome: Search, doubts: Sequence[str], again: Periodic | None = None) -> Verdict:
+    """Return what a search comes to.
+
+    Args:
+        outcome: The search.
+        doubts: What speaks against its names.
+        again: What comes back in the order of the frames, which no name explains.
+    """
+    named = len(outcome.state.effects) > len(faint_names(outcome))
+    unnamed = leaves_structure(outcome) or again is not None
+    if named:
+        return Verdict.INCOMPLETE if unnamed or doubts else Verdict.EFFECTS_FOUND
+    return Verdict.UNNAMED if unnamed else Verdict.AGREES
+
+
+def is_doubted(outcome: Search) -> bool:
+    """Tell whether the names of a search are provisional though nothing structured is left."""
+    return not leaves_structure(outcome) and bool(doubts_of(outcome))
+
+
+def doubts_of(outcome: Search) -> list[str]:
+    """Return in words why names are provisional though nothing structured is left."""
+    state, effects = outcome.state, outcome.state.effects
+    said = [f"{name} ran to the end of its range: what the data hold is not quite that" for name in _at_bound(state)]
+    said += [f"{name} alone may do what all the names do together" for name in one_for_all(outcome.steps, effects)]
+    said += [
+        f"{name} is only the likelier of two, the other predicts better" for name in outdone(outcome.steps, effects)
+    ]
+    said += [
+        f"{name} fits by its further terms alone: what makes it {name} is within three uncertainties of nothing"
+        for name in without_essential(outcome.steps, effects, fitted_parameters(state))
+    ]
+    said += [f"{told}: less than that cause ever does, something else acts so" for told in below_least(effects)]
+    said += [
+        f"{name} acts with these parameters as other causes would: nothing is its own"
+        for name in acting_as_others(state)
+    ]
+    said += [
+        f"{name} brings little, and may be another entry or the rest of one"
+        for name in faint_beside_others(outcome.steps, effects)
+    ]
+    said += [
+        f"{name} is not quite the law that the data follow: some of it stays where it shows"
+        for name in departing(outcome.tests, effects)
+    ]
+    return said
+
+
+def leaves_structure(outcome: Search) -> bool:
+    """Tell whether anything disagrees beside the names: tests, a term without a name, or scatter."""
+    unnamed = bool(outcome.left) or any(step.name == "unnamed" for step in outcome.steps)
+    return unnamed or is_misfit(outcome.state)
+
+
+def faint_names(outcome: Search) -> list[str]:
+    """Return names that are not worth telling where structure stays anyhow: faint ones, and those of no substance.
+
+    What a wrong law of a stronger name leaves, others take up in part; so they do with what a curve along one covariate
+    leaves of an unknown cause, where that brings most of what both bring. And an entry whose essential parameter is not
+    told from nothing, with an uncertainty that holds what is left, fits by its further terms, as any curve would.
+    """
+    if not leaves_structure(outcome):
+        return []
+    faint = _fainter_than_the_rest(outcome)
+    return [*faint, *(name for name in _of_no_substance(outcome) if name not in faint)]
+
+
+def _fainter_than_the_rest(outcome: Search) -> list[str]:
+    present = {effect.name for effect in outcome.state.effects}
+    named = [step for step in outcome.steps if step.name in present]
+    most = max((step.gain_nats for step in named), default=0.0)
+    unknown = max((step.gain_nats for step in outcome.steps if step.name == "unnamed"), default=0.0)
+    needed = max(min(FAINT_NATS * scatter_of(outcome.state), most), (1.0 / SMOOTH_SHARE - 1.0) * unknown)
+    return [step.name for step in named if step.gain_nats < needed]
+
+
+def _of_no_substance(outcome: Search) -> list[str]:
+    declared = [effect for effect in outcome.state.effects if effect.essential]
+    return without_essential(outcome.steps, declared, fitted_parameters(outcome.state)) if declared else []
+
+
+def faint(outcome: Search) -> list[str]:
+    """Return in words which names are left out."""
+    gains = {step.name: step.gain_nats for step in outcome.steps}
+    little = _fainter_than_the_rest(outcome)
+    return [
+        f"{name} is counted to what is left"
+        + (f": it brings {gains[name]:.0f} nats where structure stays beside more" if name in little else "")
+        for name in faint_names(outcome)
+    ]
+
+
+def by_other_laws(outcome: Search) -> tuple[CatalogueEffect, ...]:
+    """Return the named effects whose equation is not the one that the data follow, though the name explains most of it.
+
+    What stays in the very statistic and along the very covariate that a name stands for is the rest of its law, not one
+    more cause, as long as the name brings most of what both bring.
+    """
+    departed, weak = departing(outcome.tests, outcome.state.effects), faint_names(outcome)
+    gains = {step.name: step.gain_nats for step in outcome.steps if step.name != "unnamed"}
+    found = []
+    for effect in outcome.state.effects:
+        beside = [s for s in outcome.steps if s.name == "unnamed" and _place_of(s) == own_place(effect)]
+        nats, more = gains.get(effect.name, 0.0), sum(step.gain_nats for step in beside)
+        stays = beside or effect.name in departed or isinstance(effect, FreeLaw)
+        if stays and effect.name not in weak and nats >= SMOOTH_SHARE * (nats + more):
+            found.append(effect)
+    return tuple(found)
+
+
+def _places_of_law(effect: CatalogueEffect) -> set[tuple[str, str]]:
+    """Return where the rest of an effect's law lies: of a free one along all its covariates, in all that it moves."""
+    axes = effect.axes if isinstance(effect, FreeLaw) else ()
+    return {own_place(effect)} | {(axis, block) for axis in axes for block in (effect.block, *effect.also, *_LIGHT)}
+
+
+def _place_of(step: Step) -> tuple[str, str]:
+    return axis_of(step.where, step.block), step.block
+
+
+def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | None:
+    """Return all that is left without a name as one entry: its clearest place, its size, and where else it lies.
+
+    Args:
+        outcome: The search.
+        again: What comes back in the order of the frames.
+    """
+    state = outcome.state
+    told = {place for effect in by_other_laws(outcome) for place in _places_of_law(effect)}
+    steps = [step for step in outcome.steps if step.name == "unnamed" and _place_of(step) not in told]
+    places = [_place_of(step) for step in steps]
+    places += [(axis_of(test.where, test.block), test.family) for test in outcome.left]
+    places = [place for place in places if place not in told]
+    weak = faint_names(outcome)
+    places += [(step.where, "") for step in outcome.steps if step.name in weak]
+    if not places and not told and is_misfit(state):
+        block, where = place_of_scatter(state)
+        places = [(where, block)]
+    if again is not None:
+        places.insert(0, ("frame", "common"))
+    if not places:
+        return None
+    (where, block), *others = dict.fromkeys(places)
+    before, after = (steps[0].gap_before, steps[-1].gap_after) if steps else (state.gap, state.gap)
+    return FoundEffect(
+        "unnamed",
+        _period(again) if again is not None else size_of_rest(_named_alone(outcome, weak), block),
+        where,
+        before,
+        after,
+        gain_nats=sum(step.gain_nats for step in steps),
+        block=block,
+        closest=steps[0].closest if steps and again is None else None,
+        elsewhere=tuple(others),
+    )
+
+
+def _named_alone(outcome: Search, weak: Collection[str]) -> FitState:
+    """Return the model that the rest is a rest of: as it came out, or anew without the names that count to the rest.
+
+    These and the unnamed terms hold each other up: neither alone has the size of what both take up.
+    """
+    if not weak:
+        return outcome.state
+    told = tuple(effect for effect in outcome.state.effects if effect.name not in weak)
+    return refit(with_effects(outcome.start, told), iterations=_REFITS)
+
+
+def _period(again: Periodic) -> dict[str, FittedParameter]:
+    return {
+        "period_frames": FittedParameter(float(again.period), None, "1"),
+        "depth_rel": FittedParameter(again.depth, None, "1"),
+    }
+
+
+def size_of_rest(state: FitState, block: str) -> dict[str, FittedParameter]:
+    """Return how large what is left is, root mean square: of means in DN, e⁻ and of the light, of noise relative.
+
+    It is what the unnamed terms took up; where there are none, what the residual holds beyond its uncertainties.
+
+    Args:
+        state: The fitted model.
+        block: Statistic that shows it.
+    """
+    comparison = state.comparison
+    if block in ("variance", "spatial"):
+        mask, left = comparison.usable[block], _taken_up(state, block)
+        relative = float(np.sqrt(np.mean(np.square(_unwhitened(comparison, block, left)[mask]))))
+        return {"rms_rel": FittedParameter(relative, None, "1")} if relative > 0 else {}
+    if block != "mean":
+        return {}
+    mask = comparison.usable["mean"]
+    dn = _unwhitened(comparison, "mean", _taken_up(state, "mean"))
+    in_e = dn / np.maximum(state.prediction.gain[:, None], 1e-12)
+    lit = mask & (state.sensitivity > _LIT_DN)
+    found = {"rms_dn": (dn[mask], "DN"), "rms_e": (in_e[mask], "e-")}
+    found |= {"rms_rel": (dn[lit] / state.sensitivity[lit], "1")} if lit.any() else {}
+    sizes = {name: (float(np.sqrt(np.mean(np.square(values)))), unit) for name, (values, unit) in found.items()}
+    return {name: FittedParameter(size, None, unit) for name, (size, unit) in sizes.items() if size > 0}
+
+
+def _unwhitened(comparison: Comparison, block: str, values: Array) -> Array:
+    """Return what whitened entries of a statistic are in its own unit, (captures, tiles)."""
+    if block in comparison.whiteners:
+        return np.asarray(np.linalg.solve(comparison.whiteners[block], values[..., None])[..., 0])
+    return np.asarray(np.where(comparison.usable[block], values * comparison.deviation[block], 0.0))
+
+
+def _taken_up(state: FitState, block: str) -> Array:
+    """Return what of a statistic's whitened residual only unnamed terms take up, or else its excess, as it is shaped.
+
+    What the nuisances and effects would take up of it without them is none of theirs.
+    """
+    comparison = state.comparison
+    cut, shape = comparison.cuts[block], comparison.usable[block].shape
+    taken, at = np.zeros(comparison.size), 0
+    for term in state.terms:
+        if term.is_smooth:
+            columns = term.build(comparison, state.prediction, state.sensitivity)
+            taken = taken + columns @ state.weights[at : at + term.size]
+        at += term.size
+    if taken[cut].any():
+        alone = with_terms(state, ()).fit.left_of(taken)
+        return np.asarray(alone[cut].reshape(shape))
+    left = state.data_residual[cut]
+    more = max(1.0 - comparison.degrees(block) / max(float(left @ left), 1e-300), 0.0)
+    return np.asarray(left.reshape(shape) * np.sqrt(more))
+
+
+def sizes_by_own_law(state: FitState, effect: FreeLaw) -> dict[str, FittedParameter]:
+    """Return the parameters of an effect of another law that its own equation would be fitted by, with u.
+
+    The law is a factor on what the effect does by its own equation, of the size that it was found with. How well that
+    size is known the fit by the own equation tells, and where that would have it differently, by how much.
+
+    Args:
+        state: The model with the effect by another law.
+        effect: That effect.
+    """
+    own = effect.own
+    plain = refit(with_effects(state, [own if other is effect else other for other in state.effects]))
+    found = {}
+    for name, entry in fitted_parameters(plain)[effect.name].items():
+        held = float(getattr(effect, name, entry.value)) if "[" not in name else entry.value
+        if entry.u is not None:
+            found[name] = FittedParameter(held, float(np.hypot(entry.u, entry.value - held)), entry.unit)
+    return found
+
+
+def _at_bound(state: FitState) -> list[str]:
+    """Return what parameters the data push out of their physical range: the entry is bent to what it is not."""
+    own = state.parameters
+    low, high = own.on_bounds()  # what moves nothing where it stands is frozen too
+    ends = [index for index in sorted(state.frozen) if (low | high)[index] and own.values[index] != 0.0]
+    ends = [index for index in ends if own.names[index] not in own.effects[own.owner[index]].endless]
+    return [
+        f"{own.names[index]} of {own.effects[own.owner[index]].name}"
+        for index in ends
+        if _push(state, index) > BOUND_CHI2
+    ]
+
+
+def _push(state: FitState, index: int) -> float:
+    """Return the χ² that a parameter gains by the end of its range over its usual value, all others fitted anew."""
+    own = state.parameters
+    effect, name = own.effects[own.owner[index]], own.names[index]
+    usual = {entry.name: entry.default for entry in fields(effect)}.get(name)
+    if not isinstance(usual, float):
+        return 0.0
+    values = own.values
+    values[index] = usual
+    moved = with_effects(state, own.replaced(values))
+    if moved.parameters.size == own.size:  # else the effect is rigid there: the parameter is none of its free ones
+        moved = replace(moved, frozen=frozenset({index}))
+    return refit(moved, iterations=_REFITS).cost - state.cost
+
+
+# ---- what speaks against names --------------------------------------------------------------------------------------
+
+
+def place_of_scatter(state: FitState) -> tuple[str, str]:
+    """Return the statistic that scatters most beyond its uncertainties, and the covariate along which it does so."""
+    comparison, square = state.comparison, np.square(state.data_residual)
+    more = {n: float(np.sum(square[cut])) - comparison.degrees(n) for n, cut in comparison.cuts.items()}
+    block = max(more, key=lambda name: more[name])
+    mask = comparison.usable[block]
+    excess = np.where(mask, square[comparison.cuts[block]].reshape(mask.shape) - 1.0, 0.0)
+    tiled = block in TILE_BLOCKS
+    shares = {}
+    for name, axis in covariates(state.model, state.prediction).items():
+        if tiled or axis.per_capture:
+            basis = axis.basis() if tiled else axis.basis()[:, 0]
+            values = excess if tiled else excess.reshape(len(excess), -1).sum(axis=1)
+            counted = mask if tiled else mask.reshape(len(mask), -1).any(axis=1)
+            shares[name] = _explained(values[counted], basis[counted])
+    where = max(shares, key=lambda name: shares[name], default="constant")
+    return FAMILY.get(block, block), axis_of(where, block)
+
+
+def _explained(values: Array, basis: Array) -> float:
+    """Return the share of the values' variance that a basis explains, each of its terms worth one value less."""
+    columns = np.column_stack([np.ones(len(values)), basis])
+    left: Array = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+    freedom = max(len(values) - columns.shape[1], 1)
+    return float(1.0 - np.sum(left**2) / freedom / max(float(np.var(values)), 1e-30))
+
+
+def one_for_all(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return the entries that stand as rivals beside every one of several names: one cause may do what they all do.
+
+    Args:
+        steps: What was added, in order.
+        effects: The effects of the model.
+    """
+    present = {effect.name for effect in effects}
+    named = [step for step in steps if step.name in present]
+    if len(named) < 2:
+        return []
+    return sorted(set.intersection(*({rival.name for rival in step.rivals} for step in named)) - present)
+
+
+def outdone(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return the names for which only what is usual speaks: something else predicts better.
+
+    Args:
+        steps: What was added, in order.
+        effects: The effects of the model.
+    """
+    present = {effect.name for effect in effects}
+    return [step.name for step in steps if step.outdone and step.name in present]
+
+
+def without_essential(
+    steps: Sequence[Step],
+    effects: Sequence[CatalogueEffect],
+    parameters: Mapping[str, Mapping[str, FittedParameter]],
+) -> list[str]:
+    """Return the names of effects of which an essential parameter lies within three standard uncertainties of nothing.
+
+    Where an effect names none, the one that it is fitted by first is its size. A size that is not told apart from the
+    form (a fall along a line, of any depth and as slow) doubts the name only where little else tests its law.
+
+    Args:
+        steps: What was added, in order.
+        effects: The effects of the model.
+        parameters: Their fitted parameters by effect and name.
+    """
+    gains = {step.name: step.gain_nats for step in steps}
+    found = []
+    for effect in effects:
+        fitted = parameters[effect.name]
+        if not effect.essential and gains.get(effect.name, 0.0) >= TESTED_NATS:
+            continue
+        sizes = ((name, fitted[name]) for name in effect.essential or effect.fitted[:1] if name in fitted)
+        away = ((abs(size.value - effect.neutral(name)), size.u) for name, size in sizes)
+        if any(u is not None and far < ESSENTIAL_SIGMAS * u for far, u in away):
+            found.append(effect.name)
+    return found
+
+
+def below_least(effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return names with a parameter that lies nearer to what does nothing than it does where they are the cause."""
+    return [
+        f"{effect.name} with {name} = {getattr(effect, name):.6g}"
+        for effect in effects
+        for name, least in effect.least.items()
+        if abs(getattr(effect, name) - effect.neutral(name)) < least
+    ]
+
+
+def faint_beside_others(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
+    """Return the names that bring little where another entry might take them, or beside others that bring more.
+
+    What is left of a law that is not quite the one that was named looks like one more effect, but a faint one.
+
+    Args:
+        steps: What was added, in order.
+        effects: The effects of the model.
+    """
+    present = {effect.name for effect in effects}
+    named = [step for step in steps if step.name in present]
+    most = max((step.gain_nats for step in named), default=0.0)
+    return [s.name for s in named if s.gain_nats < FAINT_NATS and (s.rivals or s.gain_nats < most)]
+
+
+def acting_as_others(state: FitState) -> list[str]:
+    """Return the names of effects that, with their fitted parameters and these settings, act as other causes do."""
+    return [effect.name for effect in state.effects if effect.unlike_itself(state.model.context)]

@@ -1,0 +1,1 @@
+"""Simulated cameras, in memory and behind the GigE Vision protocol."""

@@ -1,0 +1,110 @@
+"""Where the pictures of the simulated Blackfly come from: the forward model, or a pool of its frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from radiometer.data import FrameSettings
+from radiometer.data.frame import DigitalNumbers
+from simulators.chain.virtual_sensor import VirtualSensor
+
+
+@dataclass(frozen=True, slots=True)
+class PictureRequest:
+    """The registers that a picture is made under.
+
+    Attributes:
+        exposure_s: Exposure time in s.
+        gain_db: Analogue gain in dB.
+        black_level_dn: Black level in DN of the given bit depth.
+        bit_depth: Bits of a digital number.
+        temperature_c: Sensor temperature in °C.
+        source_level: Relative drive of the source.
+        is_shutter_closed: Cap on the lens.
+        binning: Pixels averaged in each direction.
+        x: Left edge of the region in pixels after binning.
+        y: Top edge of the region.
+        width: Width of the region.
+        height: Height of the region.
+    """
+
+    exposure_s: float
+    gain_db: float
+    black_level_dn: float
+    bit_depth: int
+    temperature_c: float
+    source_level: float
+    is_shutter_closed: bool
+    binning: int
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+PictureSource = Callable[[PictureRequest], DigitalNumbers]
+
+
+class ForwardModelSource:
+    """Exposes the virtual sensor anew for every picture.
+
+    Args:
+        sensor: The camera model in front of its scene.
+    """
+
+    def __init__(self, sensor: VirtualSensor) -> None:
+        self._sensor = sensor
+        self._last: FrameSettings | None = None
+        self._since_change = 0
+
+    def __call__(self, request: PictureRequest) -> DigitalNumbers:
+        """Return the picture of a request, shape (height, width).
+
+        Raises:
+            MeasurementError: If an effect of the model fails; the message names it.
+        """
+        settings = FrameSettings(
+            exposure_s=request.exposure_s,
+            gain_db=request.gain_db,
+            f_number=self._sensor.model.lens.f_number,
+            black_level_dn=request.black_level_dn,
+            temperature_c=request.temperature_c,
+            source_level=request.source_level,
+            pattern=self._sensor.scene.patterns[0],
+            shutter="closed" if request.is_shutter_closed else "open",
+        )
+        self._since_change = self._since_change + 1 if settings == self._last else 0
+        self._last = settings
+        dn = self._sensor.expose(
+            settings,
+            output_bit_depth=request.bit_depth,
+            binning=request.binning,
+            frame_index=self._since_change,
+        )
+        return dn[request.y : request.y + request.height, request.x : request.x + request.width]
+
+
+class PooledSource:
+    """Draws a few frames under each setting and serves them in turn: for measuring the link, not the light.
+
+    Args:
+        source: Makes the frames.
+        size: Frames drawn under each setting, at least 1.
+    """
+
+    def __init__(self, source: PictureSource, size: int) -> None:
+        self._source, self._size = source, size
+        self._request: PictureRequest | None = None
+        self._pool: list[DigitalNumbers] = []
+        self._served = 0
+
+    def __call__(self, request: PictureRequest) -> DigitalNumbers:
+        """Return the next frame of the pool for a request."""
+        if request != self._request:
+            self._request, self._pool, self._served = request, [], 0
+        if len(self._pool) < self._size:
+            self._pool.append(self._source(request))
+        frame = self._pool[self._served % self._size]
+        self._served += 1
+        return frame

@@ -1,0 +1,281 @@
+"""The light box's simulated twin: its protocol, its timers and its LEDs as a state machine in true time.
+
+Written from docs/light-box-protocol.md; shares no code with the driver or the firmware.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+from zlib import crc32
+
+from simulators.light_box.channel import REFERENCE_CHANNELS, Channel, ChannelLimits, steps_of
+from simulators.light_box.commands import Commands, checked
+from simulators.light_box.flash import Flash
+from simulators.light_box.led_physics import AMBIENT_C, REFERENCE_LEDS, Emission, LedParameters, LedState
+
+DEADMAN_MS: Final = 1000
+HELD_OFF_MS: Final = 3000
+LINE_SIZE: Final = 64
+TICK_MS: Final = 0.004
+BOOT_MS: Final = 0.008  # the clock starts two ticks before the main program
+
+
+class Emitted(NamedTuple):
+    """A line that left the box, with the true time in s at which its first byte left."""
+
+    time_s: float
+    line: bytes
+
+
+@dataclass(slots=True)
+class TwinSettings:
+    """How this box differs from another.
+
+    Attributes:
+        serial: Eight characters.
+        clock_ppm: Rate of its clock above true time in parts per million.
+        supply_v: LED supply in V.
+        ambient_celsius: Temperature in °C.
+        channels: Channels and their limits.
+        newest_version: Newest version of the protocol that it speaks.
+        leds: LED of each channel.
+    """
+
+    serial: str = "TWIN0001"
+    clock_ppm: float = 0.0
+    supply_v: float = 12.0
+    ambient_celsius: float = AMBIENT_C
+    channels: tuple[ChannelLimits, ...] = REFERENCE_CHANNELS
+    newest_version: int = 2
+    leds: dict[str, LedParameters] = field(default_factory=lambda: dict(REFERENCE_LEDS))
+
+
+@dataclass(slots=True)
+class LightBoxTwin:
+    """A light box in true time; `advance` lets time pass, `receive` hands it bytes.
+
+    Attributes:
+        settings: What box it is.
+        emitted: Lines that left it, oldest first; whoever carries the line takes them off.
+        flash: The photographic flash behind its trigger.
+        watch: Called whenever what reaches the LEDs may have changed, such as to keep a record of it.
+    """
+
+    settings: TwinSettings = field(default_factory=TwinSettings)
+    emitted: deque[Emitted] = field(default_factory=deque)
+    channels: list[Channel] = field(default_factory=list)
+    leds: list[LedState] = field(default_factory=list)
+    time_s: float = 0.0
+    session: bool = False
+    button: bool = False
+    bad_lines: int = 0
+    darkened: int = 0
+    reset_cause: str = "P"
+    line_ms: float = 0.0
+    events: dict[int, str] = field(default_factory=dict)
+    latest_event: int = 0
+    watch: Callable[[], None] | None = None
+    spoken: int = 2
+    flash: Flash = field(default_factory=Flash)
+    _held_since_ms: int | None = None
+    _booted_s: float = 0.0
+    _ms: int = 0
+    _silent_since_ms: int = 0
+    _agenda: list[tuple[float, bool]] = field(default_factory=list)
+    _line: bytearray = field(default_factory=bytearray)
+    _overlong: bool = False
+    _answered: tuple[bytes, bytes] | None = None
+
+    def __post_init__(self) -> None:
+        self.leds = [LedState(self.settings.leds[limits.name]) for limits in self.settings.channels]
+        self.reset("P")
+
+    def reset(self, cause: str = "E") -> None:
+        """Restart the box now: P power, B brown-out, E external, W watchdog. Everything goes dark."""
+        self.channels = [Channel(limits, limits.bucket) for limits in self.settings.channels]
+        self._drive_leds()
+        self.session, self.reset_cause = False, cause
+        self.bad_lines = self.darkened = self.latest_event = self._ms = self._silent_since_ms = 0
+        self.events, self._answered = {}, None
+        self.spoken, self._held_since_ms = 2, 0 if self.button else None
+        self.flash.reset()
+        self._line.clear()
+        self._booted_s = self.time_s
+        self.add_event("BO", cause, BOOT_MS)
+
+    @property
+    def whole_ms(self) -> int:
+        """Return the box's time in whole ms, as its timers count."""
+        return self._ms
+
+    @property
+    def held(self) -> bool:
+        """Tell whether the button has been held so long that every light stays off."""
+        return self._held_since_ms is not None and self._ms >= self._held_since_ms + HELD_OFF_MS
+
+    @property
+    def box_ms(self) -> float:
+        """Return the box's time in ms, in ticks of 4 µs."""
+        exact_ms = (self.time_s - self._booted_s) * 1000.0 * (1.0 + 1e-6 * self.settings.clock_ppm)
+        return math.floor(exact_ms / TICK_MS + 1e-6) * TICK_MS
+
+    def press(self, time_s: float, *, pressed: bool = True) -> None:
+        """Plan a press (or release) of the button at a true time in s."""
+        heapq.heappush(self._agenda, (time_s, pressed))
+
+    def next_time_s(self) -> float | None:
+        """Return the next true time at which a line may leave by itself; None where nothing is planned."""
+        times = [when for when, _ in self._agenda[:1]]
+        waits_ms = [wait for wait in (channel.ms_to_change() for channel in self.channels) if wait is not None]
+        if self.session:
+            waits_ms.append(max(self._silent_since_ms + DEADMAN_MS - self._ms, 1))
+        if self._held_since_ms is not None and not self.held:
+            waits_ms.append(max(self._held_since_ms + HELD_OFF_MS - self._ms, 1))
+        if waits_ms:
+            times.append(self._true_s(self._ms + min(waits_ms)))
+        return max(min(times), self.time_s) if times else None
+
+    def advance(self, time_s: float) -> None:
+        """Let true time pass up to `time_s` in s."""
+        while self._agenda and self._agenda[0][0] <= time_s:
+            when, pressed = heapq.heappop(self._agenda)
+            self._pass_time(when)
+            self._turn_button(pressed)
+        self._pass_time(time_s)
+
+    def receive(self, received: bytes, time_s: float) -> None:
+        """Take bytes that are complete at true time `time_s` in s."""
+        self.advance(time_s)
+        for byte in received:
+            self._take(byte)
+
+    def emission(self, channel: str, time_s: float) -> Emission:
+        """Return what a channel emits at a true time in s, averaged over its PWM."""
+        self.advance(time_s)
+        return self.leds[self._names.index(channel)].emission(self.time_s)
+
+    def duty(self, channel: str) -> float:
+        """Return the duty that a channel's pin has now, 0 to 1."""
+        state = self.channels[self._names.index(channel)]
+        return steps_of(state.driven_level, state.limits.steps) / state.limits.steps
+
+    def darken_all(self) -> None:
+        """Switch every channel off."""
+        for channel in self.channels:
+            channel.darken()
+        self._drive_leds()
+
+    def lit(self) -> None:
+        """Pass on to the LEDs what the channels do now."""
+        self._drive_leds()
+
+    def add_event(self, kind: str, argument: str, when_ms: float) -> None:
+        """Number an event, keep it and send it."""
+        self.latest_event = (self.latest_event + 1) % 256
+        self.events[self.latest_event] = f"{kind} {argument} {when_ms:.3f}"
+        self.events.pop((self.latest_event - 16) % 256, None)
+        self._send(f"!{self.latest_event:02X} {self.events[self.latest_event]}".encode())
+
+    @property
+    def _names(self) -> list[str]:
+        return [channel.limits.name for channel in self.channels]
+
+    def _true_s(self, box_ms: float) -> float:
+        return self._booted_s + box_ms / 1000.0 / (1.0 + 1e-6 * self.settings.clock_ppm)
+
+    def _pass_time(self, time_s: float) -> None:
+        target_s = max(time_s, self.time_s)
+        self.time_s = target_s
+        target_ms = int(self.box_ms + 1e-6)
+        while self._ms < target_ms:
+            waits = [wait for wait in (channel.ms_to_change() for channel in self.channels) if wait is not None]
+            silent_at = self._silent_since_ms + DEADMAN_MS
+            if self._ms < silent_at:
+                waits.append(silent_at - self._ms)
+            if self._held_since_ms is not None and self._ms < self._held_since_ms + HELD_OFF_MS:
+                waits.append(self._held_since_ms + HELD_OFF_MS - self._ms)
+            self._step(min([target_ms - self._ms, *waits]))
+        self.time_s = target_s
+
+    def _step(self, ms: int) -> None:
+        before = [(channel.driven_level, channel.high) for channel in self.channels]
+        self._ms += ms
+        self.time_s = self._true_s(self._ms)
+        silent = self._ms == self._silent_since_ms + DEADMAN_MS
+        held = self._held_since_ms is not None and self._ms == self._held_since_ms + HELD_OFF_MS
+        if silent or held:  # the box looks at both before it counts what a millisecond costs
+            self._account(ms - 1)
+            ms = 1
+        if silent:
+            self._go_silent()
+        if held:
+            for channel in self.channels:
+                channel.darken()
+            self.darkened += 1
+            self.add_event("DK", "B", self._ms)
+        self._account(ms)
+        if before != [(channel.driven_level, channel.high) for channel in self.channels]:
+            self._drive_leds()
+
+    def _account(self, ms: int) -> None:
+        """Let the channels go on for so long; tell of those whose energy is used up."""
+        for index, channel in enumerate(self.channels):
+            if ms and channel.advance(ms):
+                self.darkened += 1
+                self.add_event("DK", str(index), self._ms)
+
+    def _go_silent(self) -> None:
+        for channel in self.channels:
+            channel.darken()
+        if self.session:
+            self.session = False
+            self.darkened += 1
+            self.add_event("DK", "D", self._ms)
+
+    def _drive_leds(self) -> None:
+        for channel, led in zip(self.channels, self.leds, strict=True):
+            duty = steps_of(channel.driven_level, channel.limits.steps) / channel.limits.steps
+            led.drive(duty, high=channel.high, time_s=self.time_s)
+        if self.watch is not None:
+            self.watch()
+
+    def _turn_button(self, pressed: bool) -> None:
+        if pressed != self.button:
+            self.button = pressed
+            self._held_since_ms = self._ms if pressed else None
+            self.add_event("BT", "D" if pressed else "U", self.box_ms)
+
+    def _take(self, byte: int) -> None:
+        if byte == 0x0A:
+            if self._line or self._overlong:
+                self.line_ms = self.box_ms
+                self._answer(bytes(self._line))
+            self._line.clear()
+            self._overlong = False
+        elif byte == ord("#"):
+            self._line[:] = b"#"
+            self._overlong = False
+        elif len(self._line) == LINE_SIZE:
+            self._overlong = True
+        elif byte != 0x0D:
+            self._line.append(byte)
+
+    def _answer(self, line: bytes) -> None:
+        body = None if self._overlong else checked(line)
+        if body is None:
+            self.bad_lines += 1
+            self._send(b"=-- ER 01")
+            return
+        self._silent_since_ms = self._ms
+        if self._answered is None or self._answered[0] != line:
+            reply = Commands(self).run(body[4:].decode("latin-1"))
+            self._answered = (line, body[1:3] + b" " + reply.encode())
+        self._send(b"=" + self._answered[1])
+
+    def _send(self, body: bytes) -> None:
+        self.emitted.append(Emitted(self.time_s, body + f"*{crc32(body):08X}\n".encode()))

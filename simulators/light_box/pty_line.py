@@ -1,0 +1,179 @@
+"""A pseudo-terminal with something simulated behind it: any program opens it as a serial port."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import threading
+import time
+import tty
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Protocol, Self
+
+from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.line_faults import LineFaults
+
+IDLE_S: Final = 0.002
+LAG_S: Final = 0.5  # half of the box's dead-man time
+
+
+class SerialDevice(Protocol):
+    """What can sit behind the pseudo-terminal: bytes in, time passes, bytes out."""
+
+    def exchange(self, received: bytes, time_s: float) -> bytes:
+        """Take bytes that the host sent, let time pass up to `time_s`, return the bytes sent meanwhile."""
+        ...
+
+
+@dataclass(slots=True)
+class PtyServer:
+    """Serves a simulated device on a pseudo-terminal, in real time, from a thread of its own.
+
+    A real device runs while this program waits for a processor, and hears its host meanwhile. This one stands still
+    then, beyond `LAG_S`: else it would go dark for a silence that was none.
+
+    Attributes:
+        device: What sits behind it.
+        link: Symbolic link kept on the pseudo-terminal, so that its name stays when it is plugged in again.
+        faults_in: What happens to the bytes from the host.
+        faults_out: What happens to the bytes to the host.
+        clock: Real time in s.
+    """
+
+    device: SerialDevice
+    link: Path | None = None
+    faults_in: LineFaults = field(default_factory=LineFaults)
+    faults_out: LineFaults = field(default_factory=LineFaults)
+    clock: Callable[[], float] = time.monotonic
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    _started_s: float = 0.0
+    _given_up_s: float = 0.0
+    _latest_s: float = 0.0
+    _master: int = -1
+    _slave: int = -1
+    _thread: threading.Thread | None = None
+    _stopping: threading.Event = field(default_factory=threading.Event)
+
+    @property
+    def port(self) -> str:
+        """Return the name under which the port is opened."""
+        return str(self.link) if self.link is not None else os.ttyname(self._slave)
+
+    def start(self) -> None:
+        """Plug the device in."""
+        self._started_s, self._given_up_s, self._latest_s = self.clock(), 0.0, 0.0
+        self.plug()
+        self._stopping.clear()
+        self._thread = threading.Thread(target=self._serve, name="simulated serial device", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Unplug the device and end its thread; stopping twice does nothing."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        self.unplug()
+
+    def plug(self) -> None:
+        """Make the pseudo-terminal; the slave side is held open so that a host may come and go."""
+        with self.lock:
+            self._master, self._slave = os.openpty()
+            tty.setraw(self._slave)
+            os.set_blocking(self._master, False)
+            if self.link is not None:
+                self.link.unlink(missing_ok=True)
+                self.link.symlink_to(os.ttyname(self._slave))
+
+    def unplug(self) -> None:
+        """Take the pseudo-terminal away, as a pulled cable does; the device goes on running."""
+        with self.lock:
+            for handle in (self._master, self._slave):
+                if handle >= 0:
+                    os.close(handle)
+            self._master = self._slave = -1
+            if self.link is not None:
+                self.link.unlink(missing_ok=True)
+
+    def say(self, raw: bytes) -> None:
+        """Send bytes to the host that the device never sent, as a boot loader or a loose contact does."""
+        with self.lock:
+            if self._master >= 0:
+                self._send(raw)
+
+    def time_s(self) -> float:
+        """Return the device's time in s: real time since the start, less what this program was kept from running."""
+        time_s = self.clock() - self._started_s - self._given_up_s
+        stood_still_s = max(0.0, time_s - self._latest_s - LAG_S)
+        self._given_up_s += stood_still_s
+        self._latest_s = time_s - stood_still_s
+        return self._latest_s
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def _serve(self) -> None:
+        while not self._stopping.is_set():
+            received = self._receive()
+            with self.lock:
+                answer = self.device.exchange(self.faults_in.apply(received), self.time_s())
+                if answer and self._master >= 0:
+                    self._send(self.faults_out.apply(answer))
+
+    def _receive(self) -> bytes:
+        with self.lock:
+            master = self._master
+        if master < 0:
+            self._stopping.wait(IDLE_S)
+            return b""
+        try:
+            ready, _, _ = select.select([master], [], [], IDLE_S)
+            return os.read(master, 4096) if ready else b""
+        except (OSError, ValueError):  # unplugged in between
+            return b""
+
+    def _send(self, answer: bytes) -> None:
+        with contextlib.suppress(BlockingIOError):  # nobody reads: a real port drops bytes too
+            os.write(self._master, answer)
+
+
+@dataclass(slots=True)
+class WiredTwin:
+    """A light-box twin on a wire of limited speed, as PtyServer serves it.
+
+    Attributes:
+        twin: The box.
+        byte_time_s: Time that a byte takes on the wire, both ways.
+    """
+
+    twin: LightBoxTwin
+    byte_time_s: float = 10 / 115200
+    _arriving: list[tuple[float, bytes]] = field(default_factory=list)
+    _leaving: list[tuple[float, bytes]] = field(default_factory=list)
+
+    def exchange(self, received: bytes, time_s: float) -> bytes:
+        """Carry bytes both ways up to `time_s`, each message after the time its bytes take."""
+        if received:
+            start_s = max(self._arriving[-1][0] if self._arriving else 0.0, time_s)
+            self._arriving.append((start_s + len(received) * self.byte_time_s, received))
+        while self._arriving and self._arriving[0][0] <= time_s:
+            arrival_s, part = self._arriving.pop(0)
+            self.twin.receive(part, max(arrival_s, self.twin.time_s))
+        self.twin.advance(max(time_s, self.twin.time_s))
+        while self.twin.emitted:
+            left_s, line = self.twin.emitted.popleft()
+            start_s = max(self._leaving[-1][0] if self._leaving else 0.0, left_s)
+            self._leaving.append((start_s + len(line) * self.byte_time_s, line))
+        done = [line for when, line in self._leaving if when <= time_s]
+        self._leaving = [(when, line) for when, line in self._leaving if when > time_s]
+        return b"".join(done)

@@ -1,0 +1,60 @@
+"""What holds of every HTML report, seen in Chromium at the width of a phone and of a desk."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from testing.chromium import headless
+
+WIDTHS = (390, 1280)
+_LOW_CONTRAST = """
+(() => {
+  const parse = (c) => { const m = c.match(/[\\d.]+/g).map(Number); return m.length === 3 ? [...m, 1] : m; };
+  const lin = (v) => (v / 255 <= 0.03928 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4);
+  const lum = ([r, g, b]) => 0.2126 * lin(r) + 0.7152 * lin(g) + 0.0722 * lin(b);
+  const low = [];
+  for (const e of document.querySelectorAll("body *")) {
+    if (![...e.childNodes].some((n) => n.nodeType === 3 && n.data.trim())) continue;
+    let behind = [255, 255, 255];
+    for (let n = e; n; n = n.parentElement) {
+      const c = parse(getComputedStyle(n).backgroundColor);
+      if (c[3]) { behind = c; break; }
+    }
+    const a = lum(parse(getComputedStyle(e).color)), b = lum(behind);
+    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    if (ratio < 4.5) low.push([e.textContent.slice(0, 40), ratio]);
+  }
+  return JSON.stringify(low);
+})()"""
+_BROKEN_PICTURES = "[...document.images].filter((i) => !i.complete || !i.naturalWidth).length"
+
+
+async def assert_reports_hold(pages: dict[str, str], folder: Path) -> None:
+    """Show each page at both widths and refuse what no report may do.
+
+    Args:
+        pages: HTML by a name for messages.
+        folder: Where the pages and the browser's profile may lie.
+    """
+    async with headless(folder / "profile") as browser:
+        for number, (name, content) in enumerate(pages.items()):
+            path = folder / f"report-{number}.html"
+            path.write_text(content, encoding="utf-8")
+            for width in WIDTHS:
+                phone = width < 700
+                await browser.command(
+                    "Emulation.setDeviceMetricsOverride", width=width, height=844, deviceScaleFactor=1, mobile=phone
+                )
+                await browser.command("Page.navigate", url=path.as_uri())
+                await browser.wait_for(f"document.readyState === 'complete' && location.href === '{path.as_uri()}'")
+                await browser.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+                await browser.wait_for(f"{_BROKEN_PICTURES} === 0")
+                assert await browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), (name, width)
+                assert json.loads(await browser.evaluate(_LOW_CONTRAST)) == [], (name, width)
+                chosen = await browser.evaluate("document.images[0].currentSrc === document.images[0].src")
+                assert chosen is not phone, name  # the narrow form on a phone, the wide one elsewhere
+                first = await browser.evaluate("document.images[0].getBoundingClientRect().top")
+                assert 0 < first < 844, (name, width)  # the picture begins on the first screen
+        assert browser.errors == []
+        assert [url for url in browser.requested if not url.startswith(("file:", "data:", "about:"))] == []

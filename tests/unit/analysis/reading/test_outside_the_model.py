@@ -1,0 +1,480 @@
+"""What differs between a reading and its calibration widens the interval by as much as is stated, or raises a flag."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
+from radiometer.analysis.reading.contributions import local_scatter
+from radiometer.analysis.reading.flags import _is_nonuniform
+from radiometer.analysis.reading.outside import conditions_of, frame_u_rel, stray_light
+from radiometer.analysis.reading.reading import read_patch
+from radiometer.data import (
+    BlackLevel,
+    Bracket,
+    CameraDescription,
+    Flag,
+    FlatField,
+    FoundEffects,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    Patch,
+    ScaleConditions,
+    SensorNoise,
+    SourceDescription,
+    StatedUncertainties,
+)
+from radiometer.errors import MeasurementError
+
+NOTHING = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0))
+EXACT_BLACK = BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0)
+PATCH = Patch(1, 1, 10, 10)
+NOON = dt.datetime(2026, 1, 1, 12, tzinfo=dt.UTC)
+STEADY = (1e-3,) * 5
+
+
+def only(**figures):
+    """Return stated uncertainties of which all but these are 0."""
+    assert figures.keys() <= StatedUncertainties.model_fields.keys()  # another name would state nothing
+    return NOTHING.model_copy(update=figures)
+
+
+def calibrated(rig, conditions=None, **changes):
+    """Return a calibration of exactly known scale that was got under conditions."""
+    options = {"uncertainties": NOTHING, "black_level": EXACT_BLACK, "created": NOON.isoformat(), **changes}
+    base = rig.calibration(**options)
+    found = conditions or ScaleConditions(inverse_exposure_per_s=1e3, temperature_c=25.0)
+    return replace(base, scale=base.scale.model_copy(update={"conditions": found}))
+
+
+def read(rig, calibration, *, frames=None, lens=None, camera=None, patch=PATCH, level=0.5, **options):
+    if frames is None:
+        scene = np.full((12, 12), level * rig.radiance_of_full_scale(1e-3))
+        frames = rig.frames(scene, np.random.default_rng(3), STEADY)
+    chosen = Bracket.from_frames(frames)
+    given_now = {"now": NOON, **options}
+    return read_patch(chosen, patch, calibration, camera or rig.description, lens or rig.lens, **given_now)
+
+
+def line(reading, name):
+    return next(one.u_rel for one in reading.budget if one.name == name)
+
+
+def test_a_year_since_calibration_counts(rig):
+    """1 % per year: 2 % after two years, nothing at once, and the flag where nothing else is as large."""
+    calibration = calibrated(rig, uncertainties=only(drift_u_rel_per_year=0.01), validity_days=3650.0)
+    later = NOON + dt.timedelta(days=2 * 365.25)
+    assert line(read(rig, calibration), "drift") == 0.0
+    old = read(rig, calibration, now=later)
+    assert line(old, "drift") == pytest.approx(0.02)
+    assert old.flags == (Flag.DRIFT,)
+
+
+def test_kelvins_from_the_calibration_count(rig):
+    """Frames at 25 °C under a calibration at 10 or 40 °C: 15 K at 0.1 %/K are 1.5 %; an unknown temperature is 3 K."""
+    stated = only(temperature_u_rel_per_k=1e-3)
+    warm = read(rig, calibrated(rig, ScaleConditions(temperature_c=10.0), uncertainties=stated))
+    assert line(warm, "temperature") == pytest.approx(0.015)
+    assert warm.flags == (Flag.TEMPERATURE,)
+    cold = read(rig, calibrated(rig, ScaleConditions(temperature_c=40.0), uncertainties=stated))
+    assert line(cold, "temperature") == pytest.approx(0.015)
+    unknown = read(rig, calibrated(rig, ScaleConditions(), uncertainties=stated))
+    assert line(unknown, "temperature") == pytest.approx(3e-3)
+
+
+def test_the_offset_of_exposures_counts_by_its_difference(rig):
+    """3 µs on 1 ms under a calibration at 10 ms: 3e-6·(1000 − 100); under one at 1 ms it drops out."""
+    stated = only(exposure_u_s=3e-6)
+    apart = calibrated(rig, ScaleConditions(inverse_exposure_per_s=100.0), uncertainties=stated)
+    alike = calibrated(rig, ScaleConditions(inverse_exposure_per_s=1000.0), uncertainties=stated)
+    assert line(read(rig, apart), "exposure offset") == pytest.approx(3e-6 * 900.0, rel=1e-9)
+    assert line(read(rig, alike), "exposure offset") == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_very_short_exposure_is_flagged(rig):
+    """At 20 µs the same 3 µs are 15 %: the reading is ruled by them and says so."""
+    calibration = calibrated(rig, ScaleConditions(temperature_c=25.0), uncertainties=only(exposure_u_s=3e-6))
+    scene = np.full((12, 12), 0.5 * rig.radiance_of_full_scale(20e-6))
+    found = read(rig, calibration, frames=rig.frames(scene, np.random.default_rng(1), (20e-6,) * 5))
+    assert line(found, "exposure offset") == pytest.approx(0.15)
+    assert Flag.SHORT_EXPOSURE in found.flags
+
+
+def test_another_gain_than_at_calibration_counts(rig):
+    """12 dB under a calibration at 0 dB: the step's 1 %; under one at 12 dB nothing."""
+    rng, scene = np.random.default_rng(2), np.full((12, 12), 0.1 * rig.radiance_of_full_scale(1e-3))
+    frames = [rig.frame(scene, 1e-3, rng, 12.0) for _ in range(5)]
+    stated = only(gain_step_u_rel=0.01)
+    other = read(rig, calibrated(rig, ScaleConditions(temperature_c=25.0), uncertainties=stated), frames=frames)
+    same = calibrated(rig, ScaleConditions(temperature_c=25.0, gain_db=12.0), uncertainties=stated)
+    assert line(other, "gain step") == pytest.approx(0.01)
+    assert line(read(rig, same, frames=frames), "gain step") == 0.0
+
+
+def test_levels_apart_count_where_the_sensor_is_taken_as_linear(rig):
+    """Half of full scale under a calibration at 90 %: 0.3 % per full scale times 0.4."""
+    calibration = calibrated(rig, ScaleConditions(level=0.9), uncertainties=only(bend_u_rel=3e-3))
+    assert line(read(rig, calibration), "linearity") == pytest.approx(3e-3 * 0.4, rel=0.01)
+
+
+@pytest.mark.parametrize("handled", ["reseated", "refocused", "iris_reset"])
+def test_what_was_done_to_the_lens_counts(rig, handled):
+    """Declared on the bench: each adds its stated figure, and the flag where it rules."""
+    calibration = calibrated(rig, uncertainties=only(**{f"{handled}_u_rel": 0.02}))
+    lens = rig.lens.model_copy(update={"since_calibration": (handled,)})
+    found = read(rig, calibration, lens=lens)
+    assert line(found, f"lens {handled.replace('_', ' ')}") == pytest.approx(0.02)
+    assert found.flags == (Flag.LENS_CHANGED,)
+    assert read(rig, calibration).flags == ()
+
+
+def test_a_bright_surround_counts_by_its_difference(rig):
+    """Surround 3 times the patch, calibrated on an even field: 1 % of glare is worth 2 % and more of the reading."""
+    scene = np.full((40, 40), 0.9 * rig.radiance_of_full_scale(1e-3))
+    scene[15:25, 15:25] /= 3.0
+    frames = rig.frames(scene, np.random.default_rng(3), STEADY)
+    found = read(rig, calibrated(rig, uncertainties=only(glare_u=0.01)), frames=frames, patch=Patch(16, 16, 8, 8))
+    mean = float((scene / scene[20, 20]).mean())
+    assert line(found, "stray light") == pytest.approx(0.01 * (mean - 1.0), rel=0.01)
+    assert Flag.STRAY_LIGHT in found.flags
+
+
+def test_an_even_field_under_an_even_calibration_has_no_stray_light(rig):
+    """What both share drops out: the noise of the mean is all that is left."""
+    assert line(read(rig, calibrated(rig, uncertainties=only(glare_u=0.01))), "stray light") < 2e-5
+
+
+@pytest.mark.parametrize("dark_e_per_s", [0.0, 4e5])
+def test_glare_that_was_found_is_taken_off(rig, dark_e_per_s):
+    """A patch seen through 5 % of glare of surroundings three times as bright is read as it is, dark signal or not."""
+    scene = np.full((40, 40), 0.6 * rig.radiance_of_full_scale(1e-3))
+    scene[15:25, 15:25] /= 3.0
+    seen = 0.95 * scene + 0.05 * scene.mean() + dark_e_per_s / float(rig.electrons_per_s(1.0))
+    frames = rig.frames(seen, np.random.default_rng(3), STEADY)
+    camera = rig.description.model_copy(update={"dark_current_e_per_s": dark_e_per_s})
+    noise = SensorNoise.of(camera)
+    base = calibrated(rig, ScaleConditions(inverse_exposure_per_s=1e3, temperature_c=25.0, surround=1.0))
+    calibration = replace(base, camera=camera, noise=noise, found=FoundEffects(glare=0.05))
+    found = read(rig, calibration, frames=frames, camera=camera, patch=Patch(16, 16, 8, 8))
+    assert found.radiance.value == pytest.approx(scene[20, 20], rel=2e-3)
+
+
+def test_a_surround_that_clips_everywhere_is_flagged(rig):
+    """It may be of any brightness."""
+    scene = np.full((40, 40), 50.0 * rig.radiance_of_full_scale(1e-3))
+    scene[10:30, 10:30] = 0.5 * rig.radiance_of_full_scale(1e-3)
+    frames = rig.frames(scene, np.random.default_rng(3), STEADY)
+    assert Flag.STRAY_LIGHT in read(rig, calibrated(rig), frames=frames, patch=Patch(12, 12, 16, 16)).flags
+
+
+def test_polarised_light_counts_where_the_calibration_s_was_not(rig):
+    """A screen is polarised unless said otherwise."""
+    calibration = calibrated(rig, uncertainties=only(polarisation_u_rel=0.004))
+    screen, other = (SourceDescription(kind="screen", polarised=word) for word in (None, False))
+    assert line(read(rig, calibration, source=screen), "polarisation") == pytest.approx(0.004)
+    assert line(read(rig, calibration, source=other), "polarisation") == 0.0
+
+
+def wide(rig):
+    """Return a camera of pixels so large that the corner of 12 × 12 lies at tan α = 0.5 behind 16 mm."""
+    spacing_um = 8.0 / math.hypot(5.5, 5.5) * 1e3
+    return rig.description.model_copy(update={"pixel_pitch_um": spacing_um})
+
+
+@pytest.mark.parametrize(("vignetting", "part"), [("none", 0.6), ("cos4", 0.05)])
+def test_natural_falloff_is_corrected_with_its_doubt(rig, vignetting, part):
+    """In the corner cos⁴α is 1/1.25² = 0.64: divided out, declared or not, and in doubt by a part of what is lost."""
+    lens = LensDescription(focal_length_mm=16.0, f_number=4.0, vignetting=vignetting)
+    calibration = calibrated(rig, uncertainties=only(falloff_u_rel=0.6, cos4_u_rel=0.05))
+    calibration = replace(calibration, lens=lens)
+    scene = np.full((12, 12), 0.5 * rig.radiance_of_full_scale(1e-3))
+    found = read(rig, calibration, camera=wide(rig), lens=lens, patch=Patch(11, 11, 1, 1))
+    corner = 1.0 / 1.25**2
+    assert found.radiance.value == pytest.approx(scene[0, 0] / corner, rel=0.02)
+    assert line(found, "fall-off") == pytest.approx(part * (1.0 - corner) / corner, rel=1e-6)
+    assert (Flag.FALLOFF_ASSUMED in found.flags) == (vignetting == "none")
+
+
+def test_falloff_drops_out_where_the_calibration_stood(rig):
+    """The same patch at calibration and reading: no doubt is left."""
+    lens = LensDescription(focal_length_mm=16.0, f_number=4.0)
+    here = ScaleConditions(temperature_c=25.0, sensitivity=1.0 / 1.25**2)
+    calibration = replace(calibrated(rig, here, uncertainties=only(falloff_u_rel=0.6)), lens=lens)
+    found = read(rig, calibration, camera=wide(rig), lens=lens, patch=Patch(11, 11, 1, 1))
+    assert line(found, "fall-off") == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_corner_of_an_unknown_lens_is_in_doubt(rig):
+    """Without focal length or pixel size nothing is corrected, and 36 % of fall-off at the corner is in doubt."""
+    found = read(rig, calibrated(rig, uncertainties=only(falloff_u_rel=0.6)), patch=Patch(11, 11, 1, 1))
+    assert line(found, "fall-off") == pytest.approx(0.6 * 0.36)
+    assert Flag.FALLOFF_ASSUMED in found.flags
+
+
+def test_a_flat_field_of_another_stop_is_in_doubt(rig):
+    """Made at f/8 and used at f/4: half of the fall-off that it holds joins its own uncertainty."""
+    flat = FlatField(
+        principal_point_px=(5.5, 5.5), radius_px=math.hypot(5.5, 5.5), coefficients=(-0.2, 0.0, 0.0), shape=(12, 12),
+        u_rel=0.003, f_number=8.0,
+    )  # fmt: skip
+    corner = Patch(11, 11, 1, 1)
+    other = read(rig, calibrated(rig, flat_field=flat), patch=corner)
+    same = read(rig, calibrated(rig, flat_field=flat.model_copy(update={"f_number": 4.0})), patch=corner)
+    assert line(other, "flat field") == pytest.approx(math.hypot(0.003, 0.5 * 0.2), rel=1e-6)
+    assert line(same, "flat field") == pytest.approx(0.003)
+
+
+def test_a_few_pixels_carry_the_stated_nonuniformity(rig):
+    """3 × 3 pixels of 1 % each: 0.33 %, though they are too few to show it; 4 × 4 show what there is."""
+    calibration = calibrated(rig, uncertainties=only(prnu_u_rel=0.01))
+    small, larger = (read(rig, calibration, patch=Patch(2, 2, side, side)) for side in (3, 4))
+    assert line(small, "pixel pattern") == pytest.approx(0.01 / 3.0, rel=0.3)
+    assert line(small, "pixel pattern") >= 0.01 / 3.0 * (1.0 - 1e-9)
+    assert line(larger, "pixel pattern") < 0.001
+
+
+def test_two_halves_of_different_radiance_are_not_saturated(rig):
+    """0.2 and 0.8 of full scale side by side: nothing clips, so that it is nonuniform and no more."""
+    scene = np.full((12, 12), 0.8 * rig.radiance_of_full_scale(1e-3))
+    scene[:, 6:] /= 4.0
+    found = read(rig, calibrated(rig), frames=rig.frames(scene, np.random.default_rng(1), STEADY))
+    assert found.flags == (Flag.NONUNIFORM,)
+    assert found.radiance.value == pytest.approx(0.5 * rig.radiance_of_full_scale(1e-3), rel=0.01)
+
+
+def test_a_bright_half_that_clips_is_saturated(rig):
+    """0.3 and 1.2 of full scale: half of the patch is not seen."""
+    scene = np.full((12, 12), 1.2 * rig.radiance_of_full_scale(1e-3))
+    scene[:, 6:] /= 4.0
+    found = read(rig, calibrated(rig), frames=rig.frames(scene, np.random.default_rng(1), STEADY))
+    assert Flag.SATURATED in found.flags
+
+
+def jittering(rig, count, sigma, seed=8):
+    rng = np.random.default_rng(seed)
+    truth = 0.5 * rig.radiance_of_full_scale(1e-3)
+    return [rig.frame(np.full((12, 12), truth * (1 + rng.normal(0, sigma))), 1e-3, rng) for _ in range(count)]
+
+
+@pytest.mark.parametrize(("count", "factor"), [(2, 13.97), (3, 4.53), (6, 2.65)])
+def test_few_frames_that_disagree_widen_the_factor(rig, count, factor):
+    """JCGM 100, table G.2 at 95.45 %: 1, 2 and 5 degrees of freedom, as all of the uncertainty is the source's."""
+    found = read(rig, calibrated(rig), frames=jittering(rig, count, 0.05))
+    assert found.degrees_of_freedom == pytest.approx(count - 1, rel=0.01)
+    assert found.coverage_factor == pytest.approx(factor, abs=0.06)
+    assert found.expanded_u_rel == pytest.approx(found.coverage_factor * found.radiance.u_rel)
+
+
+def test_frames_that_agree_leave_the_factor_at_two(rig):
+    """A steady source through an uncertain scale: normal, k = 2."""
+    base = calibrated(rig)
+    calibration = replace(base, scale=base.scale.model_copy(update={"u_rel": 0.01}))
+    assert read(rig, calibration).coverage_factor == pytest.approx(2.0, abs=0.001)
+
+
+@pytest.mark.parametrize(
+    ("exposures", "few"), [((1e-3,) * 4, True), (STEADY, False), ((0.02,) * 2, True), ((0.02,) * 3, False)]
+)
+def test_too_few_frames_to_show_flicker_are_flagged(rig, exposures, few):
+    """Three frames of 10 ms or more, five shorter ones."""
+    scene = np.full((12, 12), 0.5 * rig.radiance_of_full_scale(max(exposures)))
+    found = read(rig, calibrated(rig), frames=rig.frames(scene, np.random.default_rng(1), exposures))
+    assert (Flag.FEW_FRAMES in found.flags) == few
+
+
+def test_the_data_sheet_s_dark_current_may_be_three_times_as_much(rig):
+    """120 % of the modelled dark signal where no dark frame was taken, with the flag where it rules."""
+    camera = rig.description.model_copy(update={"dark_current_e_per_s": 2000.0})
+    black = BlackLevel(dn=64.0, u_dn=0.0)
+    calibration = replace(calibrated(rig, black_level=black), camera=camera, noise=SensorNoise.of(camera))
+    scene = np.full((12, 12), 0.1 * rig.radiance_of_full_scale(0.1))
+    found = read(rig, calibration, camera=camera, frames=rig.frames(scene, np.random.default_rng(1), (0.1,) * 3))
+    dark_dn, light_dn = 200.0 / rig.gain_e_per_dn, 0.1 * (4095 - 64)
+    assert line(found, "dark and black level") == pytest.approx(1.2 * dark_dn / (light_dn - dark_dn), rel=0.01)
+    assert Flag.DARK_ASSUMED in found.flags
+
+
+def test_an_unknown_dark_current_is_in_doubt(rig):
+    """A camera whose data sheet says nothing may have some electrons per second."""
+    camera = rig.description.model_copy(update={"dark_current_e_per_s": None})
+    base = calibrated(rig, black_level=BlackLevel(dn=64.0, u_dn=0.0))
+    scene = np.full((12, 12), 0.01 * rig.radiance_of_full_scale(1.0))
+    frames = rig.frames(scene, np.random.default_rng(1), (1.0,) * 3)
+    found = read(rig, replace(base, camera=camera, noise=SensorNoise.of(camera)), frames=frames, camera=camera)
+    assert line(found, "dark and black level") == pytest.approx(10.0 / (0.01 * 4031 * rig.gain_e_per_dn), rel=0.02)
+
+
+def test_what_calibration_and_reading_share_drops_out(rig):
+    """Read as it was calibrated, a source is known as well as the reference: clock, level, place and warmth cancel."""
+    frames = rig.frames(np.full((12, 12), 0.5 * rig.radiance_of_full_scale(1e-3)), np.random.default_rng(3), STEADY)
+    base = rig.calibration(created=NOON.isoformat(), black_level=BlackLevel(dn=64.0))
+    scale = scale_by_source(base, frames, PATCH, KnownSource(0.5 * rig.radiance_of_full_scale(1e-3), 0.004))
+    assert scale.budget["response curve"] == pytest.approx(1e-3)
+    found = read(rig, replace(base, scale=scale))
+    assert found.radiance.u_rel == pytest.approx(math.hypot(0.004, 0.0007, 0.0007), rel=0.01)
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(stops=st.floats(-3.0, 3.0), factor=st.floats(0.25, 4.0), tau=st.floats(0.05, 0.9))
+def test_radiance_scales_as_light_does(rig, stops, factor, tau):
+    """The same numbers at factor times the exposure, N·2^(stops/2) and τ mean 2^stops/(factor·τ/0.9) the radiance."""
+    lens = LensDescription(focal_length_mm=16.0, f_number=4.0, transmittance=0.9)
+    calibration = replace(calibrated(rig), lens=lens)
+    taken = rig.frames(np.ones((2, 2)), np.random.default_rng(1), (1e-3,))[0].settings
+    frame = Frame(np.full((12, 12), 2000, np.uint16), 12, taken)
+    number = 4.0 * 2.0 ** (stops / 2.0)
+    other = Frame(frame.dn, 12, replace(frame.settings, exposure_s=1e-3 * factor, f_number=number))
+    changed = LensDescription(focal_length_mm=16.0, f_number=number, transmittance=tau)
+    first = read(rig, calibration, frames=[frame], lens=lens).radiance
+    second = read(rig, calibration, frames=[other], lens=changed).radiance
+    assert second.value / first.value == pytest.approx(2.0**stops / factor * 0.9 / tau, rel=1e-9)
+
+
+def test_luminance_carries_the_radiance_s_uncertainty(rig):
+    """A scale known to 1 %: luminance and radiance are both known to 1 %."""
+    base = calibrated(rig, spectrum="white_led")
+    found = read(rig, replace(base, scale=base.scale.model_copy(update={"u_rel": 0.01, "spectrum": "white_led"})))
+    assert found.radiance.u_rel == pytest.approx(0.01, rel=0.01)
+    assert found.luminance.u_rel == pytest.approx(found.radiance.u_rel, rel=1e-9)
+
+
+def test_the_dark_current_s_noise_is_in_the_repeatability(rig):
+    """1000 dark electrons beside 100 of light: the noise of a pixel is that of 1100 electrons and reading."""
+    camera = CameraDescription(**{**rig.description.model_dump(), "dark_current_e_per_s": 1000.0})
+    calibration = replace(calibrated(rig), camera=camera, noise=SensorNoise.of(camera))
+    expected = (100.0 + 1000.0) / rig.gain_e_per_dn + 64.0
+    frame = rig.frames(np.zeros((12, 12)), np.random.default_rng(1), (1.0,))[0]
+    flat = Frame(np.full((12, 12), round(expected), np.uint16), 12, frame.settings)
+    found = read(rig, calibration, frames=[flat], camera=camera)
+    light_e = (round(expected) - 64.0) * rig.gain_e_per_dn - 1000.0
+    sigma_e = math.sqrt(light_e + 1000.0 + rig.read_e**2 + rig.gain_e_per_dn**2 / 12.0)
+    assert line(found, "repeatability") == pytest.approx(sigma_e / light_e / 10.0, rel=1e-3)
+
+
+def test_light_that_clips_one_of_two_equal_exposures_flickers(rig):
+    """Half on, half off: the frames that clip were exposed no longer than the ones that are read."""
+    rng, full = np.random.default_rng(1), rig.radiance_of_full_scale(1e-3)
+    frames = [rig.frame(np.full((12, 12), part * full), 1e-3, rng) for part in (0.4, 0.4, 0.4, 0.4, 0.4, 2.0)]
+    assert read(rig, calibrated(rig), frames=frames).flags == (Flag.FLICKER,)
+
+
+def test_masked_pixels_are_dark_frames_of_their_own_exposure(rig):
+    """6 DN more than the stated black level are in the masked pixels too: a dim patch reads right, surely."""
+    dim = np.full((12, 12), 0.02 * rig.radiance_of_full_scale(1e-3))
+    plain = rig.frames(dim, np.random.default_rng(1), (1e-3,) * 5)
+    dark = [replace(one, dn=one.dn + np.uint16(6)) for one in plain]
+    masked = [replace(one, extra={"masked_rows_dn": 70.0}) for one in dark]
+    calibration = replace(rig.calibration(), black_level=BlackLevel(dn=64.0, u_dn=5.0))
+    where = (Patch(1, 1, 10, 10), calibration, rig.description, rig.lens)
+    right, off = read_patch(masked, *where), read_patch(dark, *where)
+    assert right.radiance.value == pytest.approx(float(dim[0, 0]), rel=5e-3)
+    assert off.radiance.value / right.radiance.value == pytest.approx(1.0 + 6.0 / 81.0, rel=0.01)
+    told = next(line for line in right.budget if line.name == "dark and black level")
+    assert (told.note, told.u_rel) == ("masked pixels", pytest.approx(0.29 / 81.0, rel=0.02))
+    assert "dark_assumed" in off.flags
+    assert "dark_assumed" not in right.flags
+
+
+def test_the_conditions_of_a_reading_are_those_of_its_frames_by_their_parts():
+    """Parts of 2, −1 and 1 quarters: 1/t and gain are their weighted means, whatever the sign; temperature is plain."""
+    frames = [
+        FrameSettings(t, g, temperature_c=c) for t, g, c in ((1e-3, 0.0, 20.0), (2e-3, 6.0, 20.0), (4e-3, 12.0, 26.0))
+    ]
+    made = {"sensitivity": 0.9, "field": 0.5, "polarised": None}
+    found = conditions_of(np.array([0.5, -0.25, 0.25]), frames, -0.01, surround=-0.2, **made)
+    assert found.inverse_exposure_per_s == pytest.approx(0.5 * 1000 + 0.25 * 500 + 0.25 * 250)
+    assert found.gain_db == pytest.approx(0.25 * 6.0 + 0.25 * 12.0)
+    assert found.temperature_c == pytest.approx(22.0)
+    assert (found.level, found.surround, found.sensitivity, found.field) == (0.0, 0.0, 0.9, 0.5)
+    unknown = [*frames[:2], FrameSettings(4e-3)]
+    assert conditions_of(np.ones(3) / 3, unknown, 0.3, surround=0.2, **made).temperature_c is None
+
+
+def test_scatter_of_neighbours_leaves_out_whatever_touches_a_bad_pixel():
+    """Of 4 × 5 equal pixels one is bad and in the middle: four of 31 pairs go; a slope of 2 a column counts, √2."""
+    pixels, good = np.full((4, 5), 100.0), np.ones((4, 5), bool)
+    pixels[1, 2], good[1, 2] = 1000.0, False
+    assert local_scatter(pixels, good) == (0.0, 27)
+    sloped = 2.0 * np.indices((4, 5))[1]
+    assert local_scatter(sloped, np.ones((4, 5), bool)) == (pytest.approx(math.sqrt(16 * 4.0 / 31 / 2.0)), 31)
+    assert local_scatter(pixels, np.zeros((4, 5), bool)) == (0.0, 0)
+
+
+def test_stray_light_is_told_by_what_surrounds_the_patch():
+    """A picture of 3 around a patch of 2: 1.5 times as bright, beside 0.5 times at calibration; g·|3 − 1|."""
+
+    class Made:
+        class scale:  # noqa: N801
+            conditions = ScaleConditions(surround=0.5)
+
+        uncertainties = only(glare_u=0.01)
+
+    term = stray_light(2.0, 3.0, Made)
+    assert term.u == pytest.approx(0.02)
+    assert "1.5 times the patch, 0.5 times at calibration" in term.note
+    assert "inf times" in stray_light(0.0, 3.0, Made).note
+
+
+@pytest.mark.parametrize(("doubt", "told"), [(0.0015, False), (0.003, True)])
+def test_a_falloff_that_was_assumed_is_told_from_two_thousandths_on(rig, doubt, told):
+    """0.3 % of doubt because nobody measured the fall-off is flagged though it rules nothing; 0.15 % is not."""
+    stated = only(falloff_u_rel=doubt / 0.36)
+    found = read(rig, calibrated(rig, uncertainties=stated), patch=Patch(11, 11, 1, 1))
+    assert line(found, "fall-off") == pytest.approx(doubt)
+    assert (Flag.FALLOFF_ASSUMED in found.flags) == told
+
+
+def test_frames_that_do_not_belong_together_are_refused(rig):
+    """Of another size, of another depth than the camera's, of two levels of light; a patch without one good pixel."""
+    scene = np.full((12, 12), 0.5 * rig.radiance_of_full_scale(1e-3))
+    first, second, *_ = rig.frames(scene, np.random.default_rng(3), STEADY)
+    small = replace(second, dn=second.dn[:-1])
+    deep = replace(second, bit_depth=second.bit_depth + 2)
+    brighter = replace(second, settings=replace(second.settings, source_level=0.5))
+    dimmer = replace(first, settings=replace(first.settings, source_level=0.25))
+    wrong = {
+        r"differ in size \(12 × 11 beside 12 × 12 pixels\)": [first, small],
+        f"{second.bit_depth + 2} bits per pixel": [first, deep],
+        "2 different source levels": [dimmer, brighter],
+    }
+    for said, frames in wrong.items():
+        with pytest.raises(MeasurementError, match=said):
+            read_patch(frames, PATCH, calibrated(rig), rig.description, rig.lens, now=NOON)
+    spots = tuple((x, y) for x in (3, 4) for y in (5, 6, 7))
+    with pytest.raises(MeasurementError, match="every pixel of the patch 3,5,2,3 is defective"):
+        read(rig, calibrated(rig, defects=spots), frames=[first, second], patch=Patch(3, 5, 2, 3))
+    kept = read(rig, calibrated(rig, defects=spots[:-1]), frames=[first, second], patch=Patch(3, 5, 2, 3))
+    assert kept.radiance.value == pytest.approx(scene[0, 0], rel=0.05)
+
+
+@pytest.mark.parametrize(("excess", "nonuniform"), [(0.9, False), (1.2, True)])
+def test_what_chance_makes_of_noise_is_no_structure(excess, nonuniform):
+    """A slope over 10 × 10 noisy pixels counts from six standard deviations of their variance on, √(3/100) each."""
+    noise, rate = 0.2, 1.0
+    ramp = np.tile(np.linspace(-1.0, 1.0, 10), (10, 1))
+    pixels = rate + noise * np.sqrt(1.0 + excess) * ramp / ramp.std()
+    estimate = SimpleNamespace(pixel_rates=pixels, u_pixel=noise, rate=rate)
+    found = _is_nonuniform(SimpleNamespace(estimate=estimate, good=np.ones((10, 10), bool)))
+    assert found == nonuniform
+
+
+def test_what_all_pixels_share_grows_with_the_calibration_s_age(rig):
+    """1 %/year after 3 years is 3 %, beside what else is shared in quadrature; before the calibration it is nothing."""
+    calibration = calibrated(rig, uncertainties=only(drift_u_rel_per_year=0.01))
+    settings = [FrameSettings(1e-3, temperature_c=25.0)]
+
+    def shared(years, frames=settings):
+        return frame_u_rel(calibration, rig.lens, {rig.lens.f_number}, frames, NOON + dt.timedelta(days=365.25 * years))
+
+    assert shared(-2.0) == shared(0.0)
+    assert math.sqrt(shared(3.0) ** 2 - shared(0.0) ** 2) == pytest.approx(0.03)
+    assert shared(3.0, settings * 4) == pytest.approx(shared(3.0)), "the same of each frame: no average makes it less"

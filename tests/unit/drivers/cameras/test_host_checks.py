@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from drivers.cameras import host_checks
+from radiometer.devices import Health
+from radiometer.errors import MissingLibrary
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Return a function that writes a file below a root of one's own, and that root."""
+
+    def make(path: str, text: str) -> Path:
+        file = tmp_path / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+        return tmp_path
+
+    return make
+
+
+def test_a_missing_library_is_a_fault_with_its_packages():
+    """Without the library nothing can be measured; the cure names the packages."""
+
+    def absent() -> object:
+        raise MissingLibrary("apt install gir1.2-aravis-0.8")
+
+    finding = host_checks.check_library(absent)
+    assert finding.health is Health.FAULT
+    assert "gir1.2-aravis-0.8" in finding.cure
+
+
+def test_the_version_of_the_library_is_told():
+    """A library that loads is named with its version."""
+    assert host_checks.check_library(lambda: SimpleNamespace(version="0.8")).message == "Aravis 0.8"
+
+
+@pytest.mark.parametrize(("user", "health"), [(1000, Health.WARNING), (0, Health.NOTE)])
+def test_without_a_udev_rule_the_rule_is_given(tmp_path, monkeypatch, user, health):
+    """A user is warned, root is told, and the cure is the rule itself."""
+    monkeypatch.setattr(host_checks.os, "geteuid", lambda: user)
+    finding = host_checks.check_usb_permissions(tmp_path)
+    assert finding.health is health
+    assert 'ATTRS{idVendor}=="1e10"' in finding.cure
+
+
+def test_a_udev_rule_is_found(write):
+    """A rule with FLIR's vendor number is enough."""
+    root = write("etc/udev/rules.d/40-flir.rules", 'SUBSYSTEM=="usb", ATTRS{idVendor}=="1E10", MODE="0666"\n')
+    assert host_checks.check_usb_permissions(root).health is Health.OK
+
+
+@pytest.mark.parametrize(("text", "health"), [("16\n", Health.WARNING), ("1000\n", Health.OK), ("0\n", Health.OK)])
+def test_usb_memory_is_judged(write, text, health):
+    """Sixteen megabytes are too few for a USB3 camera; none means no limit."""
+    root = write("sys/module/usbcore/parameters/usbfs_memory_mb", text)
+    assert host_checks.check_usb_memory(root).health is health
+
+
+@pytest.mark.parametrize(("text", "health"), [("212992\n", Health.WARNING), ("33554432\n", Health.OK)])
+def test_socket_buffers_are_judged_by_a_full_frame(write, text, health):
+    """The kernel's default cannot hold a frame; the cure is the very command."""
+    finding = host_checks.check_socket_buffers(write("proc/sys/net/core/rmem_max", text))
+    assert finding.health is health
+    assert finding.cure == "" or "sysctl -w net.core.rmem_max=33554432" in finding.cure
+
+
+@pytest.mark.parametrize(("mtu", "health"), [("1500", Health.NOTE), ("9000", Health.OK)])
+def test_interfaces_that_are_up_are_judged_by_their_mtu(write, mtu, health):
+    """Jumbo frames are recommended on interfaces that are up; the others are left out."""
+    for name, state in (("eth0", "up"), ("eth1", "down")):
+        write(f"sys/class/net/{name}/type", "1\n")
+        write(f"sys/class/net/{name}/operstate", state)
+        root = write(f"sys/class/net/{name}/mtu", mtu)
+    (finding,) = host_checks.check_network(root)
+    assert finding.check == "network eth0"
+    assert finding.health is health
+
+
+@pytest.fixture
+def usb_camera(write):
+    """Return a function that plugs a USB camera into a port of a given speed, and the root it lies below."""
+
+    def plug(speed: str, vendor: str = "1e10", kind: tuple[str, str] = ("ff", "ff")) -> Path:
+        device = "sys/bus/usb/devices/2-1"
+        for name, text in (("idVendor", vendor), ("product", "Blackfly S BFS-U3-19S4M"), ("speed", speed)):
+            write(f"{device}/{name}", f"{text}\n")
+        write(f"{device}:1.0/bInterfaceClass", kind[0])
+        write(f"{device}:1.0/bInterfaceSubClass", kind[1])
+        return write(f"{device}/serial", "0138C343\n")
+
+    return plug
+
+
+@pytest.mark.parametrize(("speed", "health"), [("480", Health.WARNING), ("5000", Health.OK), ("10000", Health.OK)])
+def test_a_usb3_camera_on_a_usb2_port_is_found(usb_camera, speed, health):
+    """480 Mbit/s is a USB 2 link: it is warned of with the camera's number in both notations, and the cure."""
+    (finding,) = host_checks.check_usb_links(usb_camera(speed))
+    assert finding.health is health
+    assert finding.check == "USB link 0138C343 (20497219)"
+    assert f"{speed} Mbit/s" in finding.message
+    assert ("USB 3 port" in finding.cure) is (health is Health.WARNING)
+
+
+@pytest.mark.parametrize(("kind", "count"), [(("ef", "05"), 1), (("08", "06"), 0)], ids=["USB3 Vision", "a disk"])
+def test_cameras_of_other_makers_are_known_by_their_interface(usb_camera, kind, count):
+    """Any USB3 Vision interface is a camera; other USB devices are none of our business."""
+    assert len(host_checks.check_usb_links(usb_camera("480", vendor="2bdf", kind=kind))) == count
+
+
+@pytest.mark.parametrize(("serial", "there"), [("20497219", True), ("0138C343", True), ("0138C344", False)])
+def test_the_kernel_is_asked_whether_a_camera_is_plugged_in(usb_camera, serial, there):
+    """A camera is looked up by its serial number in either notation."""
+    assert (host_checks.usb_link(serial, usb_camera("5000")) is not None) is there
+
+
+def test_without_usb_there_is_no_link_to_judge(tmp_path):
+    """A computer without a USB subsystem has no finding."""
+    assert host_checks.check_usb_links(tmp_path) == []

@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.cameras.pixel_unpacking import MONO_FORMATS, pixel_format_of_code, unpack_pixels
+from radiometer.errors import DeviceError
+
+
+def bit_stream(values, bits: int) -> bytes:
+    """Pack by the letter of the PFNC: one stream of bits, lowest first."""
+    stream = sum(int(value) << (bits * place) for place, value in enumerate(values))
+    return stream.to_bytes(-(-len(values) * bits // 8), "little")
+
+
+def gige_packed(values, bits: int) -> bytes:
+    """Pack by the letter of GigE Vision 1.2: high 8 bits apart, the low bits of a pair in the byte between."""
+    low = bits - 8
+    packed = bytearray()
+    for place in range(0, len(values), 2):
+        first, *rest = (int(value) for value in values[place : place + 2])
+        packed += bytes(
+            [first >> low, first & (1 << low) - 1 | (rest[0] & (1 << low) - 1) << 4 if rest else first & (1 << low) - 1]
+        )
+        packed += bytes([rest[0] >> low]) if rest else b""
+    return bytes(packed)
+
+
+@pytest.mark.parametrize(("name", "bits"), [("Mono10p", 10), ("Mono12p", 12)])
+@pytest.mark.parametrize("width", [4, 7])
+def test_bit_streams_are_unpacked(name, bits, width):
+    """Mono10p and Mono12p come out as they went in, also where the pixels do not fill the last group."""
+    values = np.random.default_rng(4).integers(0, 1 << bits, 3 * width)
+    assert unpack_pixels(bit_stream(values, bits), name, width, 3).ravel().tolist() == values.tolist()
+
+
+@pytest.mark.parametrize(("name", "bits"), [("Mono10Packed", 10), ("Mono12Packed", 12)])
+@pytest.mark.parametrize("width", [4, 7])
+def test_gige_packed_pairs_are_unpacked(name, bits, width):
+    """Mono10Packed and Mono12Packed come out as they went in, also with an odd number of pixels."""
+    values = np.random.default_rng(5).integers(0, 1 << bits, 3 * width)
+    assert unpack_pixels(gige_packed(values, bits), name, width, 3).ravel().tolist() == values.tolist()
+
+
+@pytest.mark.parametrize("name", ["Mono10", "Mono12", "Mono14", "Mono16"])
+def test_words_are_little_endian(name):
+    """Unpacked formats are little-endian words."""
+    assert unpack_pixels(b"\x01\x02\x03\x00", name, 2, 1).tolist() == [[0x0201, 0x0003]]
+
+
+def test_mono8_stays_bytes():
+    """Mono8 is handed on as it is; padding at the end is left out."""
+    pixels = unpack_pixels(b"\x01\x02\x03\x04\xff\xff", "Mono8", 2, 2)
+    assert pixels.dtype == np.uint8
+    assert pixels.tolist() == [[1, 2], [3, 4]]
+
+
+def test_left_aligned_mono16_is_shifted_to_the_right():
+    """A camera that puts its 12 bits at the top of Mono16 gives 12-bit numbers."""
+    assert unpack_pixels(b"\xf0\xff\x10\x00", "Mono16", 2, 1, left_aligned_bits=12).tolist() == [[4095, 1]]
+
+
+def test_big_endian_mono16_is_turned():
+    """A camera that sends the high byte first gives the same numbers."""
+    assert unpack_pixels(b"\x01\x02", "Mono16", 1, 1, big_endian=True).tolist() == [[0x0102]]
+
+
+def test_a_short_payload_is_refused():
+    """A payload with bytes missing is damage, told in bytes."""
+    with pytest.raises(DeviceError, match="takes 12 bytes, but only 11 came"):
+        unpack_pixels(bytes(11), "Mono12p", 4, 2)
+
+
+def test_a_colour_format_is_refused():
+    """A format that is not monochrome is refused with those that are."""
+    with pytest.raises(DeviceError, match="BayerRG8 cannot be measured with; choose one of Mono8"):
+        unpack_pixels(bytes(4), "BayerRG8", 2, 2)
+
+
+def test_codes_are_those_of_the_camera_description(shared_data):
+    """PFNC codes equal those in FLIR's own description of the target's twin."""
+    text = (shared_data / "genicam" / "FLIR_BFS_PGE_19S4M.xml").read_text(encoding="utf-8", errors="replace")
+    for name in ("Mono8", "Mono16", "Mono10Packed", "Mono10p", "Mono12Packed", "Mono12p"):
+        known = MONO_FORMATS[name]
+        assert f"{known.code:08x}" in text.lower(), name
+        assert pixel_format_of_code(known.code) is known

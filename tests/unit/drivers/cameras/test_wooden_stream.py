@@ -1,0 +1,414 @@
+"""The stream's bookkeeping without a library: buffers of wood, handed over in a set order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from drivers.cameras import fresh_frames
+from drivers.cameras.camera_quirks import quirks_for
+from drivers.cameras.feature_access import FeatureAccess
+from drivers.cameras.frame_stream import BUFFER_COUNT, MAX_ATTEMPTS, FrameStream, LossyLink, RawFrame, Tally
+from drivers.cameras.fresh_frames import FreshFrames
+from radiometer.data import LensDescription
+from radiometer.devices import CameraSettings
+from radiometer.errors import DeviceError, DeviceLost, DeviceTimeout
+
+WHOLE, BROKEN = "success", "missing-packets"
+
+
+class WoodenBuffer:
+    def __init__(self, frame_id: int, status: str = WHOLE, exposure_us: float | None = None) -> None:
+        self.frame_id, self.status, self.exposure_us = frame_id, status, exposure_us
+
+    def get_frame_id(self) -> int:
+        return self.frame_id
+
+    def get_status(self) -> SimpleNamespace:
+        return WOODEN_STATUS[self.status]
+
+    def get_image_data(self) -> bytes:
+        return bytes(4)
+
+    def get_image_pixel_format(self) -> int:
+        return 0x01080001
+
+    def get_image_width(self) -> int:
+        return 2
+
+    get_image_height = get_image_width
+
+    def get_timestamp(self) -> int:
+        return self.frame_id * 10**9
+
+    def has_chunks(self) -> bool:
+        return self.exposure_us is not None
+
+
+WOODEN_STATUS = {name: SimpleNamespace(value_nick=name) for name in (WHOLE, BROKEN)}
+ARAVIS = SimpleNamespace(
+    Buffer=SimpleNamespace(new_allocate=lambda size: f"buffer of {size}"),
+    BufferStatus=SimpleNamespace(SUCCESS=WOODEN_STATUS[WHOLE]),
+)
+
+
+class WoodenStream:
+    props = SimpleNamespace()
+
+    def __init__(self, buffers: list[WoodenBuffer]) -> None:
+        self.infos = {"n_underruns": 2, "n_resent_packets": 5, "n_missing_packets": 7}
+        self.buffers, self.pushed, self.asked = list(buffers), [], 0
+
+    def push_buffer(self, buffer: object) -> None:
+        self.pushed.append(buffer)
+
+    def timeout_pop_buffer(self, _timeout_us: int) -> WoodenBuffer | None:
+        self.asked += 1
+        return self.buffers.pop(0) if self.buffers else None
+
+    def get_n_infos(self) -> int:
+        return len(self.infos)
+
+    def get_info_name(self, index: int) -> str:
+        return list(self.infos)[index]
+
+    def get_info_uint64_by_name(self, name: str) -> int:
+        return self.infos[name]
+
+
+class WoodenCamera:
+    def __init__(self, buffers: list[WoodenBuffer]) -> None:
+        self.stream, self.calls = WoodenStream(buffers), []
+
+    def get_payload(self) -> int:
+        return 4
+
+    def is_gv_device(self) -> bool:
+        return False
+
+    def create_stream(self, _callback: None) -> WoodenStream:
+        return self.stream
+
+    def start_acquisition(self) -> None:
+        self.calls.append("start")
+
+    def stop_acquisition(self) -> None:
+        self.calls.append("stop")
+
+    def create_chunk_parser(self) -> SimpleNamespace:
+        return SimpleNamespace(get_float_value=lambda buffer, name: {"ChunkExposureTime": buffer.exposure_us}[name])
+
+
+@pytest.fixture
+def started(library_error):
+    """Return a function that starts a stream over given buffers."""
+
+    def make(*buffers: WoodenBuffer, chunks: tuple[str, ...] = ()):
+        camera, tally = WoodenCamera(list(buffers)), Tally()
+        features = FeatureAccess(camera, "camera W1", library_error)
+        stream = FrameStream(ARAVIS, camera, features, "camera W1", tally, chunks)
+        stream.start()
+        return camera, tally, stream
+
+    return make
+
+
+def test_incomplete_frames_are_retried_and_counted(started):
+    """Damaged buffers are handed back to the stream; the first whole one is returned."""
+    camera, tally, stream = started(WoodenBuffer(1, BROKEN), WoodenBuffer(2, BROKEN), WoodenBuffer(3))
+    assert stream.next_frame(1.0).frame_id == 3
+    assert (tally.incomplete, tally.retried, tally.frames) == (2, 2, 1)
+    assert len(camera.stream.pushed) == BUFFER_COUNT + 3
+
+
+def test_frames_that_never_came_are_counted(started):
+    """A gap in the running numbers is counted as missed, a late frame is taken back."""
+    _, tally, stream = started(WoodenBuffer(5), WoodenBuffer(8), WoodenBuffer(7), WoodenBuffer(9))
+    for _ in range(4):
+        stream.next_frame(1.0)
+    assert tally.extra["missed_frames"] == 1
+
+
+def test_running_numbers_go_on_rising_over_the_cameras_wrap(started):
+    """GigE Vision 1.x starts again at 1 after 65535; numbers of an acquisition do not, late frames included."""
+    ids = (65533, 65535, 1, 65534, 2, 4)
+    _, tally, stream = started(*(WoodenBuffer(n) for n in ids))
+    assert [stream.next_frame(1.0).frame_id for _ in ids] == [65533, 65535, 65536, 65534, 65537, 65539]
+    assert tally.extra["missed_frames"] == 1
+
+
+def test_a_link_that_delivers_nothing_whole_is_given_up(started):
+    """After the stated number of attempts the error says what to look at."""
+    _, _, stream = started(*(WoodenBuffer(n, BROKEN) for n in range(1, MAX_ATTEMPTS + 5)))
+    with pytest.raises(DeviceTimeout, match=rf"frames in a row came incomplete \({BROKEN} {MAX_ATTEMPTS} times\)"):
+        stream.next_frame(1.0)
+
+
+def test_nothing_within_the_deadline_is_none(started):
+    """An empty stream returns None once the deadline is over, and counts it."""
+    _, tally, stream = started()
+    assert stream.next_frame(0.05) is None
+    assert tally.timeouts == 1
+
+
+def test_a_stream_that_ignores_all_that_comes_is_not_waited_for(started):
+    """A stray packet makes the library take the camera's frames for late ones: that ends the wait at once."""
+    camera, tally, stream = started()
+    wooden = camera.stream
+    wooden.infos = {"n_completed_buffers": 0, "n_failures": 0, "n_ignored_packets": 2}  # strays before the filter
+
+    def pop(_timeout_us: int) -> None:
+        wooden.asked += 1
+        wooden.infos["n_ignored_packets"] += 3 * (wooden.asked > 4)  # the first frame comes, and is ignored
+
+    wooden.timeout_pop_buffer = pop
+    assert stream.next_frame(60.0) is None
+    assert (wooden.asked, tally.timeouts) == (5, 1)
+
+
+@pytest.mark.parametrize(("limit_bytes", "kind"), [(3, "packet socket"), (4, "ordinary socket")])
+def test_an_ordinary_socket_is_preferred_where_it_holds_a_frame(library_error, monkeypatch, limit_bytes, kind):
+    """The library's packet socket, which strangers' packets mislead, is kept for frames too large for another."""
+    camera, chosen = WoodenCamera([]), []
+    camera.is_gv_device, camera.gv_set_stream_options = lambda: True, chosen.append
+    monkeypatch.setattr("drivers.cameras.frame_stream.socket_buffer_limit", lambda: limit_bytes)
+    aravis = SimpleNamespace(
+        **vars(ARAVIS), GvStreamOption=SimpleNamespace(NONE="packet socket", PACKET_SOCKET_DISABLED="ordinary socket")
+    )
+    FrameStream(aravis, camera, FeatureAccess(camera, "camera W1", library_error), "camera W1", Tally()).start()
+    assert chosen == [kind]
+
+
+def test_each_attempt_is_triggered_anew(started):
+    """In triggered mode a damaged frame asks for another trigger."""
+    _, _, stream = started(WoodenBuffer(1, BROKEN), WoodenBuffer(2))
+    triggers = []
+    stream.next_frame(1.0, lambda: triggers.append("trigger"))
+    assert len(triggers) == 2
+
+
+def test_chunk_values_come_with_the_frame(started):
+    """Where the camera sends chunks, their values stand in the frame."""
+    _, _, stream = started(WoodenBuffer(1, exposure_us=5000.0), chunks=("ExposureTime",))
+    assert stream.next_frame(1.0).chunks == {"ExposureTime": 5000.0}
+
+
+def test_stopping_takes_over_the_librarys_counts(started):
+    """Underruns, resent and missing packets are added up at the stop; a camera that is gone is not asked to stop."""
+    camera, tally, stream = started(WoodenBuffer(1))
+    stream.stop(camera_is_there=False)
+    assert (tally.underruns, tally.resent_packets, tally.missing_packets) == (2, 5, 7)
+    assert camera.calls == ["start"]
+
+
+def wooden_session(discard: int, answers: bool = True):
+    quirks = quirks_for("Nobody", "Unknown").model_copy(update={"discard_after_change": discard})
+
+    def require_answer() -> None:
+        if not answers:
+            raise DeviceLost("camera W1 stopped answering")
+
+    return SimpleNamespace(
+        quirks=quirks,
+        settings=CameraSettings(exposure_s=0.005, pixel_format="Mono8"),
+        capabilities=SimpleNamespace(exposure_step_s=0.0),
+        black_level_scale=2.55,
+        slow_down=lambda: False,
+        label="camera W1",
+        temperature_c=lambda: None,
+        answers=lambda: answers,
+        require_answer=require_answer,
+    )
+
+
+def frame(frame_id: int, exposure_us: float | None = None, **others: float) -> RawFrame:
+    chunks = others if exposure_us is None else {"ExposureTime": exposure_us, **others}
+    return RawFrame(bytes(4), 0x01080001, 2, 2, frame_id, float(frame_id), chunks)
+
+
+@pytest.fixture
+def fresh(monkeypatch):
+    """Return a function that makes FreshFrames over given raw frames, and its tally."""
+
+    def make(frames: list[RawFrame], discard: int):
+        tally, queue = Tally(), iter(frames)
+        made = FreshFrames(SimpleNamespace(), wooden_session(discard), LensDescription(), tally, 0.1)
+        monkeypatch.setattr(made, "_raw_frame", lambda: next(queue))
+        return made, tally
+
+    return make
+
+
+def test_frames_after_a_change_are_discarded_by_count(fresh):
+    """Without chunks as many frames are thrown away as the quirk file says, and no more."""
+    frames, tally = fresh([frame(n) for n in range(1, 6)], discard=2)
+    assert [frames.next().frame_id, frames.next().frame_id] == [3, 4]
+    assert tally.extra["stale_discarded"] == 2
+
+
+OLD, NEW = 9000.0, 5000.0  # µs; the wooden session is set to the second
+BEFORE = CameraSettings(exposure_s=0.009, pixel_format="Mono8")
+
+
+def test_chunks_tell_how_many_frames_are_stale(fresh):
+    """Two frames of the old exposure are thrown away, and the first of the new one is taken: none is waited for."""
+    frames, tally = fresh([frame(1, NEW), frame(2, OLD), frame(3, OLD), frame(4, NEW), frame(5, NEW)], discard=2)
+    frames._stale = 0
+    assert frames.next().frame_id == 1
+    frames.settings_changed(BEFORE)
+    assert frames.next().frame_id == 4
+    assert tally.extra["stale_discarded"] == 2
+
+
+def test_a_new_exposure_of_30_s_is_not_waited_for_thrice(fresh):
+    """A first frame whose chunk has the exposure that was set is the answer: one exposure, not three."""
+    frames, tally = fresh([frame(1, NEW)], discard=2)
+    frames._stale = 0
+    frames.settings_changed(BEFORE)
+    assert frames.next().frame_id == 1
+    assert tally.extra["stale_discarded"] == 0
+
+
+def test_a_change_that_no_chunk_tells_is_waited_for_by_number(fresh):
+    """The black level has no chunk here: that the exposure's agrees says nothing of it."""
+    frames, tally = fresh([frame(n, NEW) for n in range(1, 5)], discard=2)
+    frames._stale = 0
+    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
+    assert frames.next().frame_id == 3
+    assert tally.extra["stale_discarded"] == 2
+
+
+@pytest.mark.parametrize(("percent", "taken"), [(0.0, 1), (7.0, 3)], ids=["confirmed", "another"])
+def test_a_black_level_is_confirmed_by_its_chunk(fresh, percent, taken):
+    """A chunk of the black level that was set ends the wait; one of another never makes it endless."""
+    frames, _ = fresh([frame(n, NEW, BlackLevel=percent) for n in range(1, 5)], discard=2)
+    frames._stale = 0
+    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
+    assert frames.next().frame_id == taken
+
+
+@pytest.mark.parametrize(("said", "taken"), [((2.0, 2.0, 2.0, 0.0), 4), ((2.0,) * 6, 5), ((7.0,) * 6, 3)])
+def test_a_late_frame_of_the_black_level_before_is_thrown_away(fresh, said, taken):
+    """Three say the old level where two are known of: the fourth is taken. As many again at most, and what says it."""
+    frames, _ = fresh([frame(n, NEW, BlackLevel=level) for n, level in enumerate(said, start=1)], discard=2)
+    frames._stale = 0
+    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))  # 2.0 percent
+    assert frames.next().frame_id == taken
+
+
+def test_a_frame_still_in_the_format_before_is_thrown_away(fresh):
+    """No chunk tells a format, but the frame itself does: two of Mono10p pass by, a third would be an error."""
+    stale = [replace(frame(n, NEW), format_code=0x010A0046) for n in (1, 2, 3)]
+    frames, tally = fresh([*stale[:2], frame(3, NEW)], discard=2)
+    frames._stale = 0
+    frames.settings_changed(replace(BEFORE, exposure_s=0.005, pixel_format="Mono10p"))
+    assert frames.next().frame_id == 3
+    assert tally.extra["stale_discarded"] == 2
+    frames, _ = fresh([*stale, frame(4, NEW)], discard=2)
+    with pytest.raises(DeviceError, match="sent Mono10p where Mono8 was set"):
+        frames.next()
+
+
+def test_a_change_that_no_frame_has_shown_is_not_forgotten(fresh):
+    """A second change before the first frame leaves the first one to be waited for too."""
+    frames, _ = fresh([frame(n, NEW) for n in range(1, 5)], discard=2)
+    frames._stale = 0
+    frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
+    frames.settings_changed(BEFORE)
+    assert frames.next().frame_id == 3
+
+
+def test_a_frame_of_the_settings_before_is_waited_for_as_long_as_they_say(fresh, monkeypatch):
+    """After 30 s a short exposure's deadline is that of the frame still in the sensor, until the first fresh one."""
+    frames, _ = fresh([], discard=0)
+    deadlines = []
+    monkeypatch.setattr(frames, "_next_whole", lambda deadline_s: deadlines.append(deadline_s) or frame(1, NEW))
+    monkeypatch.setattr(frames, "_raw_frame", FreshFrames._raw_frame.__get__(frames))
+    frames.next()
+    frames.settings_changed(CameraSettings(exposure_s=30.0, pixel_format="Mono8"))
+    frames.next()
+    frames.next()
+    assert deadlines == pytest.approx([0.11, 60.1, 0.11])
+
+
+class Lossy:
+    """An acquisition of which no frame comes whole before the camera is slowed down often enough."""
+
+    starts, needed = 0, 4
+
+    def __init__(self, *_arguments: object) -> None: ...
+
+    def start(self) -> None:
+        type(self).starts += 1
+
+    def stop(self, *, camera_is_there: bool) -> None: ...
+
+    def next_frame(self, _deadline_s: float, _trigger: object) -> RawFrame:
+        if self.starts < self.needed:
+            raise LossyLink("camera W1: 40 frames in a row came incomplete")
+        return frame(1, NEW)
+
+
+@pytest.mark.parametrize(
+    ("possible", "starts"), [(5, 4), (2, 4), (1, 3)], ids=["slow enough in time", "at the last start", "never"]
+)
+def test_a_camera_that_sends_too_fast_is_slowed_down(monkeypatch, possible, starts):
+    """Each time that no frame comes whole it is slowed down and started anew, at its slowest once more."""
+    monkeypatch.setattr(fresh_frames, "FrameStream", Lossy)
+    monkeypatch.setattr(Lossy, "starts", 0)
+    frames, tally = silent(answers=True)
+    session = frames._session
+    session.camera = session.features = session.chunk_names = session.is_lost = None
+    left = iter([True] * possible)
+    session.slow_down = lambda: next(left, False)
+    if possible == 1:
+        with pytest.raises(LossyLink):
+            frames.next()
+    else:
+        assert frames.next().frame_id == 1
+    assert Lossy.starts == starts
+    assert tally.snapshot().extra["restarts"] == (possible < 3)
+
+
+def test_a_camera_that_keeps_its_old_exposure_is_an_error(fresh):
+    """If the chunks never agree with the settings, that is told instead of waiting for ever."""
+    frames, _ = fresh([frame(n, 9000.0) for n in range(1, 40)], discard=1)
+    with pytest.raises(DeviceTimeout, match="exposed under other settings"):
+        frames.next()
+
+
+def silent(answers: bool) -> tuple[FreshFrames, Tally]:
+    tally = Tally()
+    return FreshFrames(SimpleNamespace(), wooden_session(0, answers), LensDescription(), tally, 0.05), tally
+
+
+class NothingComes:
+    def __init__(self, *_arguments: object) -> None: ...
+
+    def start(self) -> None: ...
+
+    def stop(self, *, camera_is_there: bool) -> None: ...
+
+    def next_frame(self, _deadline_s: float, _trigger: object) -> None: ...
+
+
+def test_an_acquisition_without_frames_is_restarted_then_given_up(monkeypatch):
+    """A camera that answers but sends nothing is started again twice, then it is a timeout with the deadline."""
+    monkeypatch.setattr(fresh_frames, "FrameStream", NothingComes)
+    frames, tally = silent(answers=True)
+    frames._session.camera = frames._session.features = frames._session.chunk_names = frames._session.is_lost = None
+    with pytest.raises(DeviceTimeout, match=r"no frame within 0\.1 s, 3 times over, though it answers"):
+        frames.next()
+    assert tally.extra["restarts"] == 3
+
+
+def test_a_camera_without_an_answer_is_lost_at_once(monkeypatch):
+    """A camera that sends nothing and does not answer is lost; it is not started again."""
+    monkeypatch.setattr(fresh_frames, "FrameStream", NothingComes)
+    frames, tally = silent(answers=False)
+    frames._session.camera = frames._session.features = frames._session.chunk_names = frames._session.is_lost = None
+    with pytest.raises(DeviceLost):
+        frames.next()
+    assert tally.extra["restarts"] == 0

@@ -1,0 +1,337 @@
+"""Folders of photographs: times from EXIF or lists, channels, and what is refused."""
+
+from __future__ import annotations
+
+import unicodedata
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import structlog
+from PIL import Image
+
+from radiometer.errors import CaptureError, UsageError
+from radiometer.importing.photograph_times import is_dial_time, read_list
+from radiometer.photographs.folder import read_photographs
+
+
+def _grey(folder: Path, name: str, level: int, dtype=np.uint8, shape=(24, 32)) -> None:
+    gradient = np.linspace(level / 2, level, shape[1])[None, :].repeat(shape[0], axis=0)
+    cv2.imwrite(str(folder / name), gradient.astype(dtype))
+
+
+def _jpeg(folder: Path, name: str, level: int, *, time=None, f_number=8.0, iso=100) -> None:
+    image = Image.fromarray(np.full((24, 32, 3), (level, level // 2, level // 4), np.uint8))
+    exif = Image.Exif()
+    if time is not None:
+        exif.get_ifd(0x8769).update({33434: time, 33437: f_number} | ({} if iso is None else {34855: iso}))
+    image.save(folder / name, exif=exif, quality=95)
+
+
+def test_list_gives_times_with_fractions(tmp_path):
+    """Lines `name seconds` are read, a fraction is taken as it stands, comments and commas are allowed."""
+    (tmp_path / "exposures.txt").write_text("# name time\na.png 1/125\nb.png, 0.5\n\nc.png\t2 s\n")
+    times = {name: known.exposure_s for name, known in read_list(tmp_path / "exposures.txt").items()}
+    assert times == {"a.png": 1 / 125, "b.png": 0.5, "c.png": 2.0}
+
+
+def test_names_with_blanks_are_those_of_files_that_lie_there(tmp_path):
+    """A blank belongs to a name where a file of that name lies beside the list; quotes around it do not."""
+    for name in ("day 1.png", "day 2, noon.png", "c.png"):
+        _grey(tmp_path, name, 100)
+    (tmp_path / "exposures.csv").write_text('day 1.png,1/125\n"day 2, noon.png" 0.5\nc.png, 2\n')
+    times = {name: known.exposure_s for name, known in read_list(tmp_path / "exposures.csv").items()}
+    assert times == {"day 1.png": 1 / 125, "day 2, noon.png": 0.5, "c.png": 2.0}
+
+
+def test_list_of_shutter_speeds_is_inverted(tmp_path):
+    """Where the heading says that the second column is 1/t, its reciprocal is the time."""
+    (tmp_path / "image_list.txt").write_text("# Filename 1/shutter_speed f/stop\na.png 0.25 8\n")
+    assert read_list(tmp_path / "image_list.txt")["a.png"].exposure_s == 4.0
+
+
+def test_memorial_list_holds_times_in_its_second_column(shared_data):
+    """In the memorial list column 2 is the time: the first file, 32 s, is the brightest picture."""
+    folder = shared_data / "stacks" / "memorial_film"
+    bracket = read_photographs(folder, "green")[0]
+    assert [bracket.frames[0].settings.exposure_s, bracket.frames[-1].settings.exposure_s] == [1 / 1024, 32.0]
+    assert np.median(bracket.frames[-1].dn) > np.median(bracket.frames[0].dn)
+
+
+@pytest.mark.parametrize("line", ["a.png", "a.png soon", "a.png 0", "a.png -1/30", "a.png 1/0"])
+def test_line_without_a_time_names_file_and_line(tmp_path, line):
+    """A line without a positive time is refused with the file and the line number."""
+    (tmp_path / "exposures.txt").write_text(f"# heading\n{line}\n")
+    with pytest.raises(CaptureError, match=r"exposures\.txt, line 2"):
+        read_list(tmp_path / "exposures.txt")
+
+
+def test_exif_dial_times_become_exact_stops(tmp_path):
+    """EXIF 1/60 s is 2⁻⁶ s and f/5.6 is 2^2.5; the printed time stays beside it."""
+    _jpeg(tmp_path, "a.jpg", 50, time=1 / 60, f_number=5.6)
+    _jpeg(tmp_path, "b.jpg", 100, time=1 / 30, f_number=5.6)
+    bracket = read_photographs(tmp_path, "red")[0]
+    assert [f.settings.exposure_s for f in bracket] == [2.0**-6, 2.0**-5]
+    assert bracket.frames[0].settings.f_number == pytest.approx(2**2.5)
+    assert bracket.frames[0].extra["nominal_exposure_s"] == pytest.approx(1 / 60)
+
+
+def test_exif_times_off_the_dial_stay_as_they_are(tmp_path):
+    """A telephone's 1/3021 s is no dial value and is not moved to the next third of a stop."""
+    _jpeg(tmp_path, "a.jpg", 50, time=1 / 3021)
+    assert not is_dial_time(1 / 3021)
+    assert read_photographs(tmp_path, "red")[0].frames[0].settings.exposure_s == pytest.approx(1 / 3021, rel=1e-4)
+
+
+def test_higher_iso_counts_as_gain(tmp_path):
+    """Twice the ISO speed is a gain of 6.02 dB relative to the lowest one in the folder."""
+    _jpeg(tmp_path, "a.jpg", 50, time=0.1, iso=100)
+    _jpeg(tmp_path, "b.jpg", 100, time=0.1, iso=200)
+    gains = [f.settings.gain_db for f in read_photographs(tmp_path, "green")[0]]
+    assert gains == pytest.approx([0.0, 6.0206], abs=1e-4)
+
+
+def test_each_channel_is_a_bracket_of_its_own(tmp_path):
+    """ "each" gives red, green and blue; the values are those of the file."""
+    _jpeg(tmp_path, "a.jpg", 80, time=0.1)
+    _jpeg(tmp_path, "b.jpg", 160, time=0.2)
+    brackets = read_photographs(tmp_path, "each")
+    assert [b.frames[0].extra["channel"] for b in brackets] == ["red", "green", "blue"]
+    assert [int(np.median(b.frames[1].dn)) for b in brackets] == pytest.approx([160, 80, 40], abs=2)
+
+
+def test_luminance_is_luma_and_saturated_where_a_channel_is(tmp_path):
+    """Luma weights are 0.299, 0.587, 0.114; one saturated channel saturates the sum."""
+    image = np.zeros((8, 8, 3), np.uint8)
+    image[:4], image[4:] = (10, 100, 200), (0, 0, 255)  # blue, green, red
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    (tmp_path / "exposures.txt").write_text("a.png 1\n")
+    luma = read_photographs(tmp_path, "luminance")[0].frames[0].dn
+    assert int(luma[0, 0]) == round(0.299 * 200 + 0.587 * 100 + 0.114 * 10)
+    assert int(luma[7, 0]) == 255
+
+
+def test_sixteen_bit_files_keep_their_values(tmp_path):
+    """A 16-bit PNG and a 16-bit TIFF are read without scaling."""
+    for name in ("a.png", "b.tif"):
+        cv2.imwrite(str(tmp_path / name), np.full((8, 8), 40_000, np.uint16))
+    (tmp_path / "exposures.txt").write_text("a.png 1\nb.tif 2\n")
+    bracket = read_photographs(tmp_path)[0]
+    assert bracket.bit_depth == 16
+    assert {int(f.dn[0, 0]) for f in bracket} == {40_000}
+
+
+def test_a_palette_of_greys_is_grey(tmp_path):
+    """Numbers of a palette stand for its greys: a ramp upside down comes back as its greys, in one channel."""
+    numbers = np.arange(192, dtype=np.uint8).reshape(12, 16)
+    pictures = {"a.png": numbers, "b.tif": numbers[::-1]}
+    for name, picture in pictures.items():
+        image = Image.fromarray(np.ascontiguousarray(picture), "P")
+        image.putpalette([grey for number in range(256) for grey in [255 - number] * 3])
+        image.save(tmp_path / name)
+    (tmp_path / "exposures.txt").write_text("a.png 1\nb.tif 2\n")
+    (bracket,) = read_photographs(tmp_path, "each")
+    for frame in bracket:
+        assert np.array_equal(frame.dn, 255 - pictures[frame.extra["file"]])
+
+
+def test_a_png_called_a_jpeg_keeps_its_sixteen_bits(tmp_path):
+    """What a file is, not how it is called, says how its values are read."""
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((8, 8), 40_000, np.uint16))
+    (tmp_path / "a.png").rename(tmp_path / "a.jpg")
+    (tmp_path / "exposures.txt").write_text("a.jpg 1\n")
+    (bracket,) = read_photographs(tmp_path)
+    assert (bracket.bit_depth, int(bracket.frames[0].dn[0, 0])) == (16, 40_000)
+
+
+def _palette_of_colours(folder: Path) -> None:
+    _grey(folder, "a.png", 100)
+    image = Image.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8), "P")
+    image.putpalette([(number * k) % 256 for number in range(256) for k in (1, 2, 3)])
+    image.save(folder / "b.png")
+
+
+def _mixed_sizes(folder: Path) -> None:
+    _grey(folder, "a.png", 100)
+    _grey(folder, "b.png", 200, shape=(24, 30))
+
+
+def _mixed_depths(folder: Path) -> None:
+    _grey(folder, "a.png", 100)
+    _grey(folder, "b.png", 20_000, np.uint16)
+
+
+def _truncated(folder: Path) -> None:
+    _grey(folder, "a.png", 100)
+    _grey(folder, "b.png", 200)
+    (folder / "b.png").write_bytes((folder / "b.png").read_bytes()[:-20])
+
+
+def _not_an_image(folder: Path) -> None:
+    _grey(folder, "a.png", 100)
+    (folder / "b.png").write_text("nothing of the kind")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (_mixed_sizes, "b.png is 30 × 24 pixels"),
+        (_mixed_depths, "b.png has 16 bits"),
+        (_truncated, r"b\.png: the PNG is truncated"),
+        (_not_an_image, r"b\.png: not a readable PNG"),
+        (_palette_of_colours, r"b\.png: its colours are numbers in a palette"),
+    ],
+)
+def test_unusable_files_are_named(tmp_path, make, message):
+    """Mixed sizes or bit depths, truncated and foreign files are refused, the file named."""
+    make(tmp_path)
+    (tmp_path / "exposures.txt").write_text("a.png 1\nb.png 2\n")
+    with pytest.raises(CaptureError, match=message):
+        read_photographs(tmp_path)
+
+
+def test_truncated_jpeg_is_named(tmp_path):
+    """A JPEG cut short is refused, not filled with grey."""
+    _jpeg(tmp_path, "a.jpg", 80, time=0.1)
+    (tmp_path / "a.jpg").write_bytes((tmp_path / "a.jpg").read_bytes()[:-40])
+    with pytest.raises(CaptureError, match=r"a\.jpg: not a readable JPEG"):
+        read_photographs(tmp_path)
+
+
+def test_missing_time_is_refused_with_the_way_out(tmp_path):
+    """A photograph without EXIF and without a list is refused; the message says how to write the list."""
+    _jpeg(tmp_path, "a.jpg", 80)
+    with pytest.raises(CaptureError, match=r"a\.jpg: has no exposure time.*exposures\.txt"):
+        read_photographs(tmp_path)
+
+
+def test_listed_file_that_is_absent_is_refused(tmp_path):
+    """A list that names a file that is not there is refused."""
+    (tmp_path / "exposures.csv").write_text("file,seconds\na.png,1\n")
+    with pytest.raises(CaptureError, match=r"names 'a\.png', which is not in the folder"):
+        read_photographs(tmp_path)
+
+
+def test_changing_aperture_is_refused(tmp_path):
+    """A bracket by f-number is refused: the lens's true apertures are not known well enough."""
+    _jpeg(tmp_path, "a.jpg", 80, time=0.1, f_number=8)
+    _jpeg(tmp_path, "b.jpg", 160, time=0.1, f_number=5.6)
+    with pytest.raises(CaptureError, match="f-number changes"):
+        read_photographs(tmp_path)
+
+
+def test_unknown_channel_is_refused(tmp_path):
+    """A channel that does not exist is a misuse."""
+    _jpeg(tmp_path, "a.jpg", 80, time=0.1)
+    with pytest.raises(UsageError, match="choose one of"):
+        read_photographs(tmp_path, "infrared")
+
+
+@pytest.mark.parametrize(
+    ("heading", "line"),
+    [("", "a.png 2.5 ms"), ("", "a.png\t2.5ms"), ("", "a.png,2500 us"), ("name time_ms\n", "a.png 2.5"),
+     ("# file, time (ms)\n", "a.png, 2.5"), ("", "./a.png 0.0025 s 8"), ("", '"a.png" 1/400 sec')],
+)  # fmt: skip
+def test_a_unit_behind_a_time_counts(tmp_path, heading, line):
+    """Milliseconds and microseconds are not taken for seconds, wherever their name stands."""
+    (tmp_path / "exposures.txt").write_text(f"{heading}{line}\n")
+    found = read_list(tmp_path / "exposures.txt")
+    assert {name: one.exposure_s for name, one in found.items()} == {"a.png": pytest.approx(0.0025)}
+
+
+@pytest.mark.parametrize("line", ["a.png;3,2", "a.png 3,2", "a.png\t3,2"])
+def test_a_decimal_comma_is_not_taken_for_a_column(tmp_path, line):
+    """3,2 s is refused with what to write, not read as 3 s."""
+    (tmp_path / "exposures.csv").write_text(f"{line}\n")
+    with pytest.raises(CaptureError, match=r"line 1: '3,2' has a decimal comma; write 3\.2"):
+        read_list(tmp_path / "exposures.csv")
+
+
+@pytest.mark.parametrize("line", ["a.png,0.5,8", "a.png 32 0.03125 8 0 0", "a.png 4 8"])
+def test_further_columns_are_no_decimals(tmp_path, line):
+    """What stands behind the time in a list of several columns is left alone."""
+    (tmp_path / "exposures.csv").write_text(f"{line}\n")
+    seconds = float(line.replace(",", " ").split()[1])
+    assert read_list(tmp_path / "exposures.csv")["a.png"].exposure_s == seconds
+
+
+def test_a_file_named_twice_is_refused(tmp_path):
+    """Two lines for one photograph: the second would silently win; both lines are told."""
+    (tmp_path / "exposures.txt").write_text("a.png 1\nb.png 2\na.png 4\n")
+    with pytest.raises(CaptureError, match=r"line 3: names 'a\.png' again \(as line 1 does\)"):
+        read_list(tmp_path / "exposures.txt")
+
+
+def test_files_that_a_list_names_and_that_are_not_there_are_told(tmp_path):
+    """Each is named, and one that differs in capital letters alone is told as it is called."""
+    _grey(tmp_path, "IMG_1.png", 100)
+    (tmp_path / "exposures.txt").write_text("IMG_1.png 1\nb.png 2\nc.png 4\n")
+    with pytest.raises(CaptureError, match=r"names 'b\.png', 'c\.png', 2 files that are not in the folder; mend"):
+        read_photographs(tmp_path)
+    (tmp_path / "exposures.txt").write_text("img_1.PNG 1\n")
+    with pytest.raises(
+        CaptureError, match=r"'img_1\.PNG', which is not in the folder; the file is called 'IMG_1\.png'"
+    ):
+        read_photographs(tmp_path)
+
+
+def test_photographs_that_a_list_does_not_name_are_said_to_be_left_out(tmp_path):
+    """A list of two of three photographs uses these two, and says which it leaves."""
+    for name in ("a.png", "b.png", "c.png"):
+        _grey(tmp_path, name, 100 + ord(name[0]))
+    (tmp_path / "exposures.txt").write_text("a.png 1\nc.png 4\n")
+    with structlog.testing.capture_logs() as said:
+        assert len(read_photographs(tmp_path)[0]) == 2
+    assert [one["photographs"] for one in said] == ["b.png"]
+
+
+def test_umlauts_are_one_letter_or_two_marks(tmp_path):
+    """A list made where ü is one letter finds the file of a system that stores it as u and two dots, blanks and all."""
+    stored, listed = (unicodedata.normalize(form, "Küche 1.png") for form in ("NFD", "NFC"))
+    _grey(tmp_path, "x.png", 100)
+    (tmp_path / "x.png").rename(tmp_path / stored)
+    (tmp_path / "exposures.txt").write_text(f"{listed} 0.5\n", encoding="utf-8")
+    assert read_photographs(tmp_path)[0].frames[0].settings.exposure_s == 0.5
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-16"])
+def test_a_list_that_is_not_utf_8_is_told_with_the_way_out(tmp_path, encoding):
+    """What Windows' own programs write in other encodings is refused in words, not by a codec's."""
+    (tmp_path / "exposures.txt").write_bytes("Küche.png 1\n".encode(encoding))
+    with pytest.raises(CaptureError, match=r"is not UTF-8\); save the list as plain text in UTF-8"):
+        read_list(tmp_path / "exposures.txt")
+
+
+def test_a_copy_of_a_photograph_is_refused(tmp_path):
+    """A copied file is no second exposure: both are named; black frames, which are alike, are none."""
+    for name, level in (("a.png", 100), ("b.png", 200), ("c.png", 200)):
+        _grey(tmp_path, name, level)
+    lines = ["a.png 1", "b.png 2", "c.png 2"]
+    (tmp_path / "exposures.txt").write_text("\n".join(lines))
+    with pytest.raises(CaptureError, match=r"c\.png and b\.png hold the same picture"):
+        read_photographs(tmp_path)
+    for name in ("b.png", "c.png"):
+        _grey(tmp_path, name, 3)
+    assert len(read_photographs(tmp_path)[0]) == 3
+
+
+def test_times_of_a_camera_without_a_dial_stand_for_no_stops(tmp_path):
+    """A telephone's 1/60 s beside 1/3021 s is 1/60 s, not the 1/64 s of a dial; times by hand (90 s) change nothing."""
+    for folder, other, expected in (("phone", 1 / 3021, 1 / 60), ("dial", 90.0, 2.0**-6)):
+        (tmp_path / folder).mkdir()
+        _jpeg(tmp_path / folder, "a.jpg", 50, time=1 / 60)
+        _jpeg(tmp_path / folder, "b.jpg", 100, time=other)
+        times = {f.extra["file"]: f.settings.exposure_s for f in read_photographs(tmp_path / folder, "red")[0]}
+        assert times["a.jpg"] == pytest.approx(expected, rel=1e-6)
+        assert times["b.jpg"] == pytest.approx(other, rel=1e-4)
+
+
+def test_a_photograph_without_an_iso_speed_among_several_speeds_is_refused(tmp_path):
+    """At ISO 100 and 200 one that states none may be either; where all others state one speed it counts for nothing."""
+    for name, level, iso in (("a.jpg", 50, 100), ("b.jpg", 100, None), ("c.jpg", 200, 100)):
+        _jpeg(tmp_path, name, level, time=level / 400, iso=iso)
+    assert {f.settings.gain_db for f in read_photographs(tmp_path, "red")[0]} == {0.0}
+    _jpeg(tmp_path, "c.jpg", 200, time=0.5, iso=200)
+    with pytest.raises(CaptureError, match=r"b\.jpg states no ISO speed, others 100 to 200; leave it out"):
+        read_photographs(tmp_path, "red")

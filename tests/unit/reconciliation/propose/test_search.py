@@ -1,0 +1,271 @@
+"""Laws are found in sessions of the outside generators: stage, covariates, size, and what is written of them."""
+
+from importlib import import_module
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+
+from radiometer.data import CaptureSet
+from radiometer.reconciliation.fit.descent import first_state
+from radiometer.reconciliation.fit.full_fit import UnfitError
+from radiometer.reconciliation.inputs.sources import DoneCapture
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.reduce import reduce_frames
+from radiometer.reconciliation.propose import propose_law, search
+from radiometer.reconciliation.propose.effect_file import Law, effect_of
+from radiometer.reconciliation.propose.grammar import Term
+from radiometer.reconciliation.propose.search import _plainest
+from radiometer.reconciliation.result import FoundEffect
+from testing.generator.session import make_session
+from testing.outside import two
+from testing.outside.two_hidden import HIDDEN
+
+
+def state_of(folder: Path, seed, name, plan, given=(), **more):
+    """Return the starting camera fitted to a session that hides something."""
+    session = two.make(seed, HIDDEN.get(name), plan, **more)
+    captured = CaptureSet.read(session.write(folder))
+    design = Design.of(captured.header, captured.read_frame(0).shape)
+    return first_state(design, *reduce_frames(design, captured.read_frame), given), session
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "along", "law", "parameter", "drawn"),
+    [
+        ("smear", "column_light", "transfer_proportion_of_column", "amplitude_s", "shift_s"),
+        ("gain_noise", "signal", "tremble_constant", "amplitude", "depth"),
+        ("stop_hysteresis", "f_number", "optics_two_of_stop", "amplitude", "error"),
+    ],
+)
+def test_a_law_of_columns_of_noise_and_of_some_stops(name, along, law, parameter, drawn, tmp_path):
+    """What the tests' own generator hid is found at its size, within four of its u."""
+    made = make_session(name, camera_seed=71, session_seed=72, plan="rich")
+    captured = made.write(tmp_path / "set")
+    design = Design.of(captured.header, captured.read_frame(0).shape)
+    proposal = propose_law(first_state(design, *reduce_frames(design, captured.read_frame)), along=(along,))
+    assert proposal.name == law
+    assert along in proposal.covariates
+    found = proposal.parameters[parameter]
+    assert abs(found.value - made.truth[name][drawn]) < 4.0 * found.u
+
+
+def test_a_law_that_cannot_be_fitted_is_none(monkeypatch):
+    """The others contend without it, be it the best; where none can be fitted none is proposed."""
+    laws = [(SimpleNamespace(name=name), nats) for name, nats in (("worst", 10.0), ("wild", 30.0), ("best", 20.0))]
+
+    def contended(fits, rated):
+        for fitted, _ in rated:
+            if fitted.name in fits:
+                raise UnfitError(fitted.name)
+        return rated
+
+    monkeypatch.setattr(search, "contenders_of", contended)
+    assert [fitted.name for fitted, _ in search._fitted_in_full({"wild"}, laws)] == ["worst", "best"]
+    assert search._fitted_in_full({"wild", "worst", "best"}, laws) == []
+
+
+def test_what_goes_with_a_place_is_not_multiplied_by_another(monkeypatch):
+    """A column's light goes with the time and not with a place of the picture; a row goes with the exposure."""
+    known = {
+        "exposure_s": np.geomspace(1e-3, 1.0, 6)[:, None, None],
+        "timestamp_s": np.stack([np.linspace(0.0, 60.0, 6)] * 2)[:, :, None, None],
+        "image_x": np.linspace(0.0, 1.0, 9)[None, :, None],
+        "image_y": np.linspace(0.0, 0.7, 9)[None, :, None],
+        "column_light": np.geomspace(1e3, 1e5, 9)[None, :, None],
+    }
+    monkeypatch.setattr(search, "known_values", lambda state: known)
+
+    def beside(link, form, covariate, **values):
+        law = search.Screened(Law(link, (Term(form, covariate, {}, values),)), 1.0, 100.0)
+        return {made.terms[1].covariate for made in search._products(None, [law])}
+
+    assert beside("transfer", "proportion", "column_light") == {"exposure_s", "timestamp_s"}
+    assert beside("digital", "border", "image_y", at=0.3) == {"exposure_s", "timestamp_s"}
+    assert beside("charge", "power", "exposure_s", power=0.5) == {"timestamp_s", "image_x", "image_y"}
+
+
+def test_light_through_the_lens_is_asked_about_where_a_stop_varies(monkeypatch):
+    """At one f-number it is light past the lens, which stands for both."""
+    known = {
+        "timestamp_s": np.stack([np.linspace(0.0, 60.0, 6)] * 2)[:, :, None, None],
+        "f_number": np.array([2.8, 4.0, 8.0])[:, None, None],
+    }
+    monkeypatch.setattr(search, "known_values", lambda state: known)
+    assert {"light", "lens_light"} <= {law.link for law in search._singles(None)}
+    del known["f_number"]
+    links = {law.link for law in search._singles(None)}
+    assert "light" in links
+    assert "lens_light" not in links
+
+
+def test_a_first_look_sees_a_gain_between_patches_whose_radiances_make_room(tmp_path):
+    """A gain that steps between two rows of patches is no error of their radiances: their noise says so from the start.
+
+    The nuisances take the noise along with the light; a law whose own change of it did not count came out at a sixth.
+    """
+    state, session = state_of(tmp_path / "set", 74022, "row_gain_step", "levels")
+    row = Law("gain", (Term("border", "image_y", {}, {"at": 57.0 / session.frames[0].shape[1]}),))
+    light = Law("optics", row.terms)
+    as_gain, as_light = search.screened(state, [row, light])
+    assert as_gain.amplitude == pytest.approx(session.secret.drawn["step"], rel=0.1)
+    assert as_gain.gain > as_light.gain + 100.0
+
+
+@pytest.mark.parametrize(("freed", "told"), [(1005.0, "single"), (992.1, "single"), (991.9, "product")])
+def test_a_second_factor_predicts_better_than_any_curve_of_the_first(freed, told, monkeypatch):
+    """A product worth 1000 needs 8 nats more than a free curve along its first covariate has."""
+    first, second = (Term("ramp", name, {"reference": 0.5}, {}) for name in ("timestamp_s", "temperature_C"))
+    single = (Law("light", (first,)), SimpleNamespace(effect="single"), 900.0)
+    product = (Law("light", (first, second)), SimpleNamespace(effect="product"), 1000.0)
+    stranger = (Law("optics", (first,)), SimpleNamespace(effect="stranger"), 950.0)
+    worths = {"product": 1000.0, "single": 900.0, "stranger": 950.0, "freed": freed}
+    monkeypatch.setattr(search, "worth", worths.get)
+    monkeypatch.setattr(search, "free_forms", lambda state, effect: ["freed"] if effect == "single" else ["stranger"])
+    monkeypatch.setattr(search, "included", lambda state, effect, far: effect)
+    fits = SimpleNamespace(state=None, included=lambda effect, far: effect)
+    found = search._without_its_second(fits, product, [product, stranger, single])
+    assert found is {"single": single, "product": product}[told]
+    assert search._without_its_second(fits, single, [product, single]) is single
+
+
+@pytest.fixture(scope="module")
+def glow(tmp_path_factory):
+    """Return the law proposed for an amplifier's glow in darks, and the secret."""
+    state, session = state_of(tmp_path_factory.mktemp("glow") / "set", 11, "corner_glow", "darks")
+    return propose_law(state), session
+
+
+@pytest.mark.slow
+def test_a_glow_is_found_as_charge_that_grows_with_the_exposure(glow):
+    """Stage, place and width are those that were hidden, within four of their u; it closes all but nothing."""
+    proposal, session = glow
+    side, drawn = session.frames[0].shape[1], session.secret.drawn
+    assert (proposal.stage, proposal.stages_alike) == ("charge", ())
+    assert proposal.covariates == ("image_x", "image_y", "exposure_s")
+    width = proposal.parameters["width_x"]
+    assert abs(width.value - drawn["width_px"] / side) < 4.0 * width.u
+    assert proposal.parameters["at_x"].value == pytest.approx(drawn["x_px"] / side, abs=0.02)
+    assert proposal.closed > 0.95
+    assert proposal.law.size == 4
+
+
+@pytest.mark.slow
+def test_it_is_said_in_one_sentence(glow):
+    """What acts, how it scales, along what, and what kind of cause acts so."""
+    drawn, (height, width) = glow[1].secret.drawn, glow[1].frames[0].shape
+    row = "upper" if drawn["y_px"] < height / 2 else "lower"
+    column = "left" if drawn["x_px"] < width / 2 else "right"
+    assert glow[0].sentence() == (
+        f"adds charge in proportion to exposure, falling off as a Gaussian from the {row} {column} corner: like the "
+        "glow of an amplifier or heat beside the sensor"
+    )
+
+
+@pytest.mark.slow
+def test_the_law_holds_in_another_session(glow, tmp_path):
+    """The effect as it is written closes nine tenths of what another session lacks, nothing fitted."""
+    effect = effect_of(glow[0].law, glow[0].amplitude)
+    before, _ = state_of(tmp_path / "before", 11, "corner_glow", "darks", again=1)
+    after, _ = state_of(tmp_path / "after", 11, "corner_glow", "darks", (effect,), again=1)
+    assert after.gap - 1.0 < 0.1 * (before.gap - 1.0)
+
+
+@pytest.mark.slow
+def test_files_are_written_only_for_what_has_no_name(glow, tmp_path, monkeypatch):
+    """An unnamed rest gives effect, test and plan; where all has a name none."""
+    start = glow[0].before
+    package = import_module("radiometer.reconciliation.propose")
+    monkeypatch.setattr(package, "propose_law", {start: glow[0]}.get)  # searched once is enough
+    unnamed = SimpleNamespace(effects=(FoundEffect("unnamed", {}, "image_x", 2.0, 1.0),))
+    named = SimpleNamespace(effects=(FoundEffect("dark_current", {}, "exposure_s", 2.0, 1.0),))
+
+    def done(result):
+        return DoneCapture(SimpleNamespace(result=result, start=start), Path("first"), None)
+
+    assert done(named).propose(tmp_path / "none") is None
+    assert not (tmp_path / "none").exists()
+    found = done(unnamed).propose(tmp_path / "laws")
+    assert found.name == "charge_rate_spot"
+    assert sorted(p.name for p in (tmp_path / "laws").iterdir()) == [
+        "charge_rate_spot.py",
+        "plan.yaml",
+        "test_charge_rate_spot.py",
+    ]
+    plan = yaml.safe_load((tmp_path / "laws" / "plan.yaml").read_text())
+    assert plan["format"] == "radiometer-plan/1"
+    assert len(plan["frames"]) == len(plan["reasons"]) > 0
+    assert all(frame["shutter"] == "closed" or frame["exposure_s"] > 0 for frame in plan["frames"])
+    assert "refuted" in plan["reasons"][0]
+
+
+@pytest.mark.slow
+def test_two_amplifiers_are_told_from_shading_by_their_noise(tmp_path):
+    """A step of the gain at a row scales charge and its noise: the stage is the readout, not the optics."""
+    state, session = state_of(tmp_path / "set", 2, "row_gain_step", "bracket")
+    proposal = propose_law(state)
+    assert (proposal.stage, proposal.stages_alike) == ("readout", ())
+    assert proposal.covariates == ("image_y",)
+    side = session.frames[0].shape[1]
+    row = session.secret.drawn["row_px"]
+    assert proposal.parameters["at_y"].value * side == pytest.approx(row, abs=5.0)  # between patches nothing is seen
+
+
+@pytest.mark.slow
+def test_what_a_rest_does_to_the_black_level_is_seen(tmp_path):
+    """The time since the last frame is a covariate, though no header says so."""
+    state, session = state_of(tmp_path / "set", 12, "idle_black", "darks")
+    proposal = propose_law(state)
+    assert proposal.stage == "digital"
+    assert proposal.covariates == ("since_frame_s",)
+    tau = proposal.parameters["tau_rest_s"]
+    assert abs(tau.value - session.secret.drawn["tau_s"]) < 4.0 * tau.u
+
+
+@pytest.mark.slow
+def test_a_lamp_that_dims_each_fifth_frame_gets_a_law_of_the_frames(tmp_path):
+    """Which frame of five, and by how much: the source's light, in frames as they were taken."""
+    state, session = state_of(tmp_path / "set", 66004, "every_fifth_dim", "flats")
+    proposal = propose_law(state)
+    assert (proposal.stage, proposal.covariates) == ("source", ("frame",))
+    assert proposal.parameters["period_frame"].value == 5.0
+    size = proposal.parameters["amplitude"]
+    assert abs(size.value + session.secret.drawn["depth"]) < 4.0 * size.u
+    assert proposal.closed > 0.95
+
+
+@pytest.mark.slow
+def test_nothing_is_proposed_where_nothing_is_hidden(tmp_path):
+    """Of two thousand laws one always fits best; beyond chance is none."""
+    state, _ = state_of(tmp_path / "set", 13, None, "bracket")
+    assert propose_law(state) is None
+
+
+@pytest.mark.slow
+def test_the_time_since_the_last_frame_is_told_of_first_and_other_frames(glow):
+    """The first frame of a capture waited since the last of the one before; of all frames the first is infinite."""
+    design = glow[0].before.design
+    first, later = design.since_frame_s
+    stamps = [entry.timestamp_s for entry in design.header.frames]
+    assert np.isinf(first[0])
+    one = design.captures[1].frames
+    assert first[1] == pytest.approx(stamps[one[0]] - stamps[one[0] - 1])
+    assert later[1] == pytest.approx((stamps[one[-1]] - stamps[one[0]]) / (len(one) - 1))
+
+
+def judged(link, nats, *terms):
+    """Return a law of a term for each covariate as it was judged."""
+    return Law(link, tuple(Term("ramp", name, {"reference": 0.5}, {}) for name in terms)), None, nats
+
+
+def test_of_laws_that_data_hardly_rule_out_the_plainer_is_taken():
+    """Within 5 nats the optics go before charge, beyond them they do not; a second factor pays 8 nats more."""
+    assert _plainest([judged("charge_rate", 104.9, "image_x"), judged("optics", 100.0, "image_x")])[0].link == "optics"
+    far = [judged("charge_rate", 105.1, "image_x"), judged("optics", 100.0, "image_x")]
+    assert _plainest(far)[0].link == "charge_rate"
+    one, two_factors = judged("analog", 100.0, "image_x"), judged("analog", 107.9, "image_x", "image_y")
+    assert _plainest([one, two_factors]) is one
+    assert _plainest([one, judged("analog", 108.1, "image_x", "image_y")]) is not one

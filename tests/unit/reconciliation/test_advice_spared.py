@@ -1,0 +1,58 @@
+"""Limits and next captures are advice: whatever happens to them, the answer stands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.reconciliation import engine
+from radiometer.reconciliation.advice.sizes import Asked, Grown, _Search
+from radiometer.reconciliation.fit.descent import first_state, refit
+from radiometer.reconciliation.fit.state import with_effects
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from simulators.effects.exposure_label_error import ExposureLabelError
+from simulators.effects.full_well_saturation import FullWellSaturation
+from simulators.effects.veiling_glare import VeilingGlare
+
+PLAN = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 6) for _ in range(2)] + [{"t": 1e-2, "shutter": "closed"}]
+
+
+@pytest.mark.long
+def test_answer_stands_where_advice_fails(make_capture: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error in the limits and in the next capture is told among the assumptions; the name is found nevertheless."""
+
+    def broken(*given: object) -> None:
+        raise IndexError("index 7 is out of bounds for axis 1 with size 7")
+
+    captured = make_capture(seed=31, plan=PLAN, extra_dn=lambda s: 3.0)
+    for name in ("limits", "propose", "propose_for_unnamed", "propose_for_blind"):
+        monkeypatch.setattr(engine, name, broken)
+    after = engine.reconcile(captured.header, captured.frames)
+    assert [effect.name for effect in after.effects] == ["black_level_offset"]
+    assert (after.limits, after.next_capture) == ({}, None)
+    assert any(text.startswith("the limits could not be worked out (IndexError: index 7") for text in after.assumptions)
+
+
+def test_fit_holds_a_parameter_though_a_term_before_it_falls_to_nothing(make_capture: Callable[..., Any]) -> None:
+    """A ceiling's spread goes to zero, where the ceiling is sharp and has one parameter less; the veil stays held."""
+    captured = make_capture(seed=32, plan=PLAN)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    start = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    added = with_effects(start, [FullWellSaturation(9_000.0, 0.05), VeilingGlare(0.01)])
+    assert added.parameters.names == ("full_well_e", "spread_rel", "share")
+    fitted = refit(replace(added, frozen=frozenset({2})))
+    assert fitted.parameters.names == ("full_well_e", "share")
+    assert fitted.effects[1] == VeilingGlare(0.01)
+
+
+def test_an_entry_that_shows_at_no_size_at_all_has_no_limit_to_look_for() -> None:
+    """A label that other wrong labels stand beside shows even where it is right: the search ends."""
+    right = ExposureLabelError(1e-3, 1.0, 0.0, 1.0, (2e-3,), (0.1,), (0.0,), (1.0,))
+    near = Grown(right, "ratio", "1", 1e5, Asked(25.0, 50.0))
+    assert near.size == 0.0
+    assert _Search(0.5, near, above=near).next_look() is None

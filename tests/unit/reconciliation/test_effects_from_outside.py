@@ -1,0 +1,216 @@
+"""Effects that a laboratory keeps for itself: installed as a package or given as a file, and found like any other."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.errors import ConfigurationError
+from radiometer.reconciliation.engine import reconcile
+from simulators.effects import registry
+from simulators.effects.registry import EFFECTS, all_effects, make_effect, register_file
+
+EFFECTS_OF_A_LABORATORY = '''
+"""What is known of the bench in the cellar."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from simulators.effects.base import DIGITAL_NUMBER, RADIANCE, Stage, parameter
+from simulators.effects.catalogue import CatalogueEffect, Scaling
+
+
+@dataclass(frozen=True)
+class LampDriverNoise(CatalogueEffect):
+    """Adds noise that goes with the lamp's drive d: σ'² = σ² + (a·d)²."""
+
+    name = "lamp_driver_noise"
+    stage = Stage.READOUT
+    unit_in = DIGITAL_NUMBER
+    unit_out = DIGITAL_NUMBER
+    where = "source_level"
+    block = "variance"
+    acts_by_square = True
+    trials = ({"amplitude_dn": 1.0},)
+    fitted = ("amplitude_dn",)
+    settles = "the same signal at two drives"
+    amplitude_dn: float = parameter(0.0, "DN", 0.0, 100.0, source="the cellar's logbook")
+
+    def mean(self, signal, context):
+        return signal
+
+    def slope(self, signal, context):
+        return 1.0
+
+    def variance(self, signal, context):
+        return np.square(self.amplitude_dn * np.asarray(context.settings.source_level))
+
+    def sample(self, signal, context, rng):
+        noise = self.amplitude_dn * context.settings.source_level * rng.standard_normal(signal.shape)
+        return (signal + noise).astype(signal.dtype)
+
+
+@dataclass(frozen=True)
+class DisplayCeiling(CatalogueEffect):
+    """Limits what the screen can show: L' = min(L, c)."""
+
+    name = "display_ceiling"
+    stage = Stage.SCENE
+    unit_in = RADIANCE
+    unit_out = RADIANCE
+    where = "patch_level"
+    saturates = "sharply"
+    trials = tuple({"ceiling": c} for c in (0.8, 0.65, 0.5, 0.35))
+    fitted = ("ceiling",)
+    settles = "the brightest patch at half the drive"
+    ceiling: float = parameter(10.0, "W sr-1 m-2", 0.01, 10.0, source="the screen's data sheet")
+
+    def mean(self, signal, context):
+        return np.minimum(signal, self.ceiling)
+
+    def slope(self, signal, context):
+        return (signal < self.ceiling).astype(signal.dtype)
+
+
+@dataclass(frozen=True)
+class DriverSteps(Scaling):
+    """Rounds the lamp's drive down to whole steps: d' = q·⌊d/q⌋."""
+
+    name = "driver_steps"
+    stage = Stage.SOURCE
+    unit_in = RADIANCE
+    unit_out = RADIANCE
+    where = "source_level"
+    is_stepwise = True
+    trials = tuple({"step": q} for q in (0.04, 0.05, 0.0625, 0.08, 0.0909))
+    fitted = ()
+    settles = "two drives within one step"
+    step: float = parameter(1e-6, "1", 1e-6, 0.5, source="bits of the driver")
+
+    def factor(self, context):
+        drive = np.maximum(np.asarray(context.settings.source_level), 1e-9)
+        return np.maximum(self.step * np.floor(drive / self.step + 1e-9), 1e-6) / drive
+'''
+NAMES = ("lamp_driver_noise", "display_ceiling", "driver_steps")
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Install a package of three effects: one that acts by its square, one that saturates, one that steps."""
+    site = tmp_path_factory.mktemp("site")
+    (site / "cellar_bench.py").write_text(EFFECTS_OF_A_LABORATORY, encoding="utf-8")
+    about = site / "cellar_bench-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: cellar-bench\nVersion: 1.0\n", encoding="utf-8")
+    classes = ("LampDriverNoise", "DisplayCeiling", "DriverSteps")
+    lines = (f"{name} = cellar_bench:{kind}\n" for name, kind in zip(NAMES, classes, strict=True))
+    (about / "entry_points.txt").write_text("[radiometer.effects]\n" + "".join(lines), encoding="utf-8")
+    sys.path.insert(0, str(site))
+    importlib.invalidate_caches()
+    registry._load_installed.cache_clear()
+    yield
+    sys.path.remove(str(site))
+    sys.modules.pop("cellar_bench", None)
+    for name in NAMES:
+        EFFECTS.pop(name, None)
+    registry._load_installed.cache_clear()
+
+
+@pytest.fixture
+def untouched() -> Iterator[None]:
+    """Give a table without these effects, and put it back as it was."""
+    held = dict(EFFECTS)
+    for name in NAMES:
+        EFFECTS.pop(name, None)
+    yield
+    EFFECTS.clear()
+    EFFECTS.update(held)
+    for module in [name for name in sys.modules if name.startswith("_effects_of_")]:
+        del sys.modules[module]
+
+
+def _noisy(setting: Any) -> Any:
+    key = [int(1e9 * setting["t"]), int(1e3 * setting["d"]), next(_DRAWN)]
+    drive = setting["d"] * (setting["shutter"] == "open")  # the lamp is off for darks
+    return 2.0 * drive * np.random.default_rng(key).standard_normal((64, 96))
+
+
+_DRAWN = iter(range(10_000))
+HIDDEN: dict[str, tuple[dict[str, Any], str, float]] = {
+    "lamp_driver_noise": ({"extra_dn": _noisy}, "amplitude_dn", 2.0),
+    "display_ceiling": ({"picture": lambda i, s: np.minimum(i * s["d"], 0.6) / max(s["d"], 1e-9)}, "ceiling", 0.6),
+    "driver_steps": ({"picture": lambda i, s: i * (0.08 * int(s["d"] / 0.08) / max(s["d"], 1e-9))}, "step", 0.08),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize("name", [*(pytest.param(one, marks=pytest.mark.long) for one in NAMES[:2]), NAMES[2]])
+def test_installed_effect_is_found_where_it_is_hidden(make_capture: Callable[..., Any], name: str) -> None:
+    """A squared, a saturating and a stepwise effect of a package are named alone, of the size that was hidden."""
+    hooks, parameter, hidden = HIDDEN[name]
+    captured = make_capture(seed=42, **hooks)
+    result = reconcile(captured.header, captured.frames)
+    assert (result.verdict, [effect.name for effect in result.effects]) == ("effects_found", [name])
+    found = result.effects[0].parameters[parameter]
+    assert found.value == pytest.approx(hidden, abs=max(4.0 * (found.u or 0.0), 1e-9))
+    limit = result.limits[name].amplitude
+    assert limit is not None
+    assert limit < hidden if name == "lamp_driver_noise" else limit >= 0.95 * hidden
+
+
+@pytest.mark.usefixtures("installed")
+def test_model_files_hold_installed_effects() -> None:
+    """Made by name with parameters, like those of the table."""
+    assert make_effect("driver_steps", {"step": 0.1}).values() == {"step": 0.1}
+
+
+@pytest.mark.usefixtures("untouched")
+def test_file_is_taken_and_stands_beside_the_others(tmp_path: Path) -> None:
+    """Its classes are known by name; the same file again changes nothing; a foreign name is refused with a way out."""
+    path, taken = tmp_path / "own.py", tmp_path / "taken.py"
+    path.write_text(EFFECTS_OF_A_LABORATORY, encoding="utf-8")
+    taken.write_text(EFFECTS_OF_A_LABORATORY.replace('"driver_steps"', '"dsnu"'), encoding="utf-8")
+    for _ in range(2):
+        assert register_file(path) == NAMES
+        assert set(NAMES) <= set(all_effects())
+    for name in NAMES:
+        del EFFECTS[name]
+    with pytest.raises(ConfigurationError, match=r"an effect 'dsnu' already; give yours another name"):
+        register_file(taken)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("import nothing_of_the_kind\n", "cannot be run: ModuleNotFoundError"),
+        ("x = 1\n", "defines no effect"),
+        (EFFECTS_OF_A_LABORATORY.replace('    where = "patch_level"\n', ""), "does not say its where"),
+    ],
+)
+@pytest.mark.usefixtures("untouched")
+def test_file_that_cannot_be_taken_is_told_in_one_line(tmp_path: Path, text: str, said: str) -> None:
+    """What is wrong with it stands behind its name."""
+    path = tmp_path / "broken.py"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=f"broken.py: .*{said}"):
+        register_file(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("gone.py", "does not exist"), ("law.txt", "is no Python"), ("folder.py", "is no Python")],
+)
+def test_a_file_that_cannot_hold_effects_is_refused_for_what_it_is(tmp_path, name, said):
+    """One that is not there is not called no Python file."""
+    (tmp_path / "law.txt").write_text("", encoding="utf-8")
+    (tmp_path / "folder.py").mkdir()
+    with pytest.raises(ConfigurationError, match=f"{name}:? {said}"):
+        register_file(tmp_path / name)

@@ -1,0 +1,121 @@
+"""A free law for one name: where its knots lie, and when it stands in place of what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
+from radiometer.reconciliation.fit.covariance import scatter_of
+from radiometer.reconciliation.fit.descent import first_state, refit
+from radiometer.reconciliation.fit.state import FitState, with_effects
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.result import FittedParameter, LawCurve
+from radiometer.reconciliation.search.free_forms import free_forms, worth
+from radiometer.reconciliation.search.free_laws import by_a_free_law, nowhere_near
+from radiometer.reconciliation.search.screening import best_start
+from radiometer.reconciliation.verdict import sizes_by_own_law
+from simulators.effects.angle_dependence import AngleDependence
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.fnumber_tstop_error import FnumberTstopError
+from simulators.effects.gain_step_error import GainStepError
+from simulators.effects.gamma_enabled import GammaEnabled
+
+TIMES = np.geomspace(1e-4, 6e-3, 9)
+PLAN = [{"t": float(t)} for t in TIMES for _ in range(2)] + [{"t": t, "shutter": "closed"} for t in (1e-4, 1.0)]
+
+
+@pytest.fixture(scope="module")
+def late(make_capture: Callable[..., Any]) -> FitState:
+    """Return the ideal camera fitted to exposures that are too long by 8 µs, and by twice that from 2 ms on."""
+    captured = make_capture(seed=81, plan=PLAN, exposure=lambda t: t + (8e-6 if t < 1e-3 else 24e-6))
+    design = Design.of(captured.header, captured.frames[0].shape)
+    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+
+
+def test_knots_lie_where_the_effect_does_something(late: FitState) -> None:
+    """Five and nine of them, from the shortest to the longest exposure with light; the dark second holds none."""
+    forms = free_forms(late, ExposureTimeOffset(8e-6))
+    assert [len(form.law) for form in forms] == [5, 9]
+    for form in forms:
+        knots = form.knots("exposure_s")
+        assert (knots[0], knots[-1]) == pytest.approx((1e-4, 6e-3), rel=1e-4)
+        assert set(form.law) == {1.0}
+
+
+def test_no_law_is_free_where_nothing_varies(late: FitState) -> None:
+    """One stop and one gain give no curve along them; a table along radius and stop needs both."""
+    assert free_forms(late, FnumberTstopError(0.01)) == ()
+    assert free_forms(late, GainStepError(0.01)) == ()
+    assert {form.axes for form in free_forms(late, AngleDependence(0.1))} == {("field_radius",)}
+
+
+@pytest.mark.slow
+def test_one_name_by_its_own_law_replaces_nothing_at_all(late: FitState) -> None:
+    """Of two entries the exposure's error predicts best by a curve that is three times as high at the end."""
+    found = by_a_free_law(late, late, [ExposureTimeOffset(8e-6), GammaEnabled(1.001)])
+    assert found is not None
+    assert found.name == "exposure_time_offset"
+    assert worth(found.state) > worth(late) + 60.0
+    (form,) = found.state.effects
+    context = late.model.context
+    factor = np.ravel(form.weight(np.ones(1), context))[np.argsort(late.design.exposure_s)]
+    assert factor[-4] / factor[0] == pytest.approx(3.0, rel=0.25)
+    assert scatter_of(found.state) == 1.0
+
+
+def test_starts_are_sized_about_where_they_do_nothing(late: FitState) -> None:
+    """A gamma of 1.02 that must be ten times as strong starts at 1.2, not at 10."""
+    captured = best_start(late, (GammaEnabled(1.02),))
+    assert captured is not None
+    assert all(abs(start.gamma - 1.0) < 0.5 for start in (captured.effect, *captured.others))
+
+
+def test_a_curve_stands_in_json_with_its_band(late: FitState) -> None:
+    """Knots by covariate, factors and their u; a plain effect has none."""
+    form = free_forms(late, ExposureTimeOffset(8e-6))[0]
+    fitted = {name: FittedParameter(1.5, 0.1, "1") for name in form.law_names()}
+    curve = LawCurve.of(form, fitted)
+    assert curve is not None
+    told = curve.to_mapping()
+    assert list(told["along"]) == ["exposure_s"]
+    assert (told["factor"], told["u"]) == ([1.5] * 5, [0.1] * 5)
+    assert LawCurve.of(ExposureTimeOffset(8e-6), {}) is None
+
+
+def test_the_size_of_another_law_is_told_with_its_u(late: FitState) -> None:
+    """Exposures 8 to 24 µs too long: a law about 12 µs tells these, as uncertain as the own equation's size is off."""
+    form = free_forms(late, ExposureTimeOffset(12e-6))[0]
+    told = sizes_by_own_law(with_effects(late, [form]), form)["offset_s"]
+    plain = refit(with_effects(late, [ExposureTimeOffset(12e-6)])).effects[0]
+    assert isinstance(plain, ExposureTimeOffset)
+    assert told.value == 12e-6
+    assert told.u is not None
+    assert abs(plain.offset_s - 12e-6) <= told.u < 16e-6
+
+
+@pytest.mark.parametrize(("left", "most"), [(8.0, 10.0 + 4000.0), (10.0, 10.0 + 4000.0), (60.0, 10.0 + 100.0 + 4000.0)])
+def test_a_law_may_leave_twice_what_was_left_beyond_chance(left: float, most: float) -> None:
+    """And 2000 nats more; of ten entries that count a χ² of 10 is chance, 60 is 50 beyond it."""
+    residual = np.full(4, np.sqrt(left / 4.0))
+    base: Any = SimpleNamespace(
+        comparison=SimpleNamespace(residual=lambda prediction: residual * prediction, counts=lambda: np.ones(10, bool))
+    )
+    assert nowhere_near(base, SimpleNamespace(prediction=1.0)) == pytest.approx(most)  # type: ignore[arg-type]
+
+
+def test_a_variant_far_off_speaks_for_the_others(late: FitState) -> None:
+    """A gamma above the black level and one of all codes are two; the likelier alone is fitted where it leaves more."""
+    starts = (GammaEnabled(1.02), GammaEnabled(1.02, above_black=1.0))
+    candidate = Candidate(starts[0], 0.0, 1, others=starts[1:])
+    both = fit_candidate(late, candidate)
+    assert {form.above_black for form in both.forms} == {0.0, 1.0}
+    left = late.cost - both.gain
+    assert len(fit_candidate(late, candidate, most=left + 50.0).forms) == 2
+    (alone,) = fit_candidate(late, candidate, most=left - 50.0).forms
+    assert alone.gamma == pytest.approx(both.forms[0].gamma, abs=1e-6)

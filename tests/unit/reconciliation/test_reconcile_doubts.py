@@ -1,0 +1,112 @@
+"""What makes names provisional though nothing structured is left beside them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from radiometer.reconciliation.result import FittedParameter
+from radiometer.reconciliation.search.localise import Disagreement, departing
+from radiometer.reconciliation.search.outcome import Step
+from radiometer.reconciliation.verdict import faint_beside_others, one_for_all, outdone, without_essential
+from simulators.effects.conversion_gain_error import ConversionGainError
+from simulators.effects.crosstalk import Crosstalk
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.natural_vignetting import NaturalVignetting
+from simulators.effects.psf_blur import PsfBlur
+from simulators.effects.rolling_shutter_banding import RollingShutterBanding
+from simulators.effects.stray_light_kernel import StrayLightKernel
+
+BLUR_AND_GAIN = (PsfBlur(0.3), ConversionGainError(0.01))
+CROSSTALK = Crosstalk(0.01)
+
+
+def _step(name: str, *rivals: Crosstalk, nats: float = 50.0) -> Step:
+    return Step(name, "signal", nats, 1.01, 1.0, rivals)
+
+
+def test_one_rival_beside_all_names_doubts_them() -> None:
+    """Crosstalk blurs and takes noise away: where it stands beside a blur and a gain error, they may both be it."""
+    both = [_step("psf_blur", CROSSTALK), _step("conversion_gain_error", CROSSTALK)]
+    assert one_for_all(both, BLUR_AND_GAIN) == ["crosstalk"]
+    assert one_for_all([both[0], _step("conversion_gain_error")], BLUR_AND_GAIN) == []
+    assert one_for_all(both[:1], BLUR_AND_GAIN[:1]) == []
+
+
+def test_rival_that_is_in_the_model_doubts_nothing() -> None:
+    """What was found later, and stands in the model, is no longer another explanation."""
+    steps = [_step("psf_blur", CROSSTALK), _step("crosstalk", CROSSTALK)]
+    assert one_for_all(steps, (PsfBlur(0.3), CROSSTALK)) == []
+
+
+def test_name_that_something_else_outdoes_is_doubted() -> None:
+    """The doubt holds as long as the name stands in the model."""
+    steps = [replace(_step("psf_blur"), outdone=True), _step("conversion_gain_error")]
+    assert outdone(steps, BLUR_AND_GAIN) == ["psf_blur"]
+    assert outdone(steps, BLUR_AND_GAIN[1:]) == []
+
+
+def test_fall_off_without_its_oblique_part_lacks_its_essential() -> None:
+    """A fall-off that only the term beside the cos⁴ law carries is no natural vignetting; of others the size counts."""
+    lens, late = NaturalVignetting(0.001, 0.02), ExposureTimeOffset(2e-6)
+
+    def fitted(strength: float, u_s: float = 5e-7) -> dict[str, dict[str, FittedParameter]]:
+        k4, offset = FittedParameter(0.02, 0.002, "1"), FittedParameter(2e-6, u_s, "s")
+        lens_values = {"strength": FittedParameter(strength, 0.001, "1"), "k4": k4}
+        return {"natural_vignetting": lens_values, "exposure_time_offset": {"offset_s": offset}}
+
+    assert without_essential([], (lens, late), fitted(0.001)) == ["natural_vignetting"]
+    assert without_essential([], (lens, late), fitted(0.01)) == []
+    assert without_essential([], (lens, late), fitted(0.01, 1e-6)) == ["exposure_time_offset"]
+    tested = [_step("exposure_time_offset", nats=101.0), _step("natural_vignetting", nats=101.0)]
+    assert without_essential(tested, (lens, late), fitted(0.001, 1e-6)) == ["natural_vignetting"]
+    hardly = [_step("exposure_time_offset", nats=99.0)]
+    assert without_essential(hardly, (lens, late), fitted(0.01, 1e-6)) == ["exposure_time_offset"]
+
+
+def test_scatter_of_any_width_lacks_its_essential() -> None:
+    """A wing whose width the data do not tell may be any glare, however well its share is known."""
+    wing = (StrayLightKernel(0.002, 0.7),)
+
+    def fitted(u: float) -> dict[str, dict[str, FittedParameter]]:
+        return {
+            "stray_light_kernel": {
+                "share": FittedParameter(0.002, 0.0001, "1"),
+                "radius": FittedParameter(0.7, u, "1"),
+            }
+        }
+
+    assert without_essential([], wing, fitted(0.3)) == ["stray_light_kernel"]
+    assert without_essential([], wing, fitted(0.1)) == []
+
+
+@pytest.mark.parametrize(("u_s", "doubted"), [(1e-5, True), (1e-6, False)])
+def test_bands_without_a_time_from_row_to_row_are_any_flicker(u_s: float, doubted: bool) -> None:
+    """What comes from the rolling shutter is the wave along the rows: light that shakes whole frames has none."""
+    bands = RollingShutterBanding(0.02, 200.0, 2e-5)
+    fitted = {"rolling_shutter_banding": {"row_time_s": FittedParameter(2e-5, u_s, "s")}}
+    assert bool(without_essential([], (bands,), fitted)) is doubted
+
+
+def test_little_evidence_that_another_entry_claims_is_contested() -> None:
+    """Thirty nats beside a rival within five, or beside a name of more, are no certainty; many nats, or alone, are."""
+    blur = BLUR_AND_GAIN[:1]
+    assert faint_beside_others([_step("psf_blur", CROSSTALK, nats=30.0)], blur) == ["psf_blur"]
+    assert faint_beside_others([_step("psf_blur", CROSSTALK, nats=100.0)], blur) == []
+    assert faint_beside_others([_step("psf_blur", nats=30.0)], blur) == []
+    both = [_step("psf_blur", nats=30.0), _step("conversion_gain_error", nats=3000.0)]
+    assert faint_beside_others(both, BLUR_AND_GAIN) == ["psf_blur"]
+    assert faint_beside_others([both[0], replace(both[1], name="unnamed")], BLUR_AND_GAIN) == []
+
+
+def test_law_that_leaves_structure_in_its_own_place_departs() -> None:
+    """A chance of 1 in 1000 counts along the exposure for what acts there, and nothing elsewhere."""
+
+    def test(block: str, where: str, p_value: float) -> Disagreement:
+        return Disagreement(block, where, "multiplicative", 20.0, 4, p_value)
+
+    late = (ExposureTimeOffset(2e-6),)
+    quiet = [test("mean", "exposure_s", 0.02), test("mean", "image_x", 0.001), test("variance", "exposure_s", 0.001)]
+    assert departing(quiet, late) == []
+    assert departing([*quiet, test("mean", "exposure_s", 0.001)], late) == ["exposure_time_offset"]

@@ -1,0 +1,153 @@
+"""From frames to a verdict, the model file and the documented JSON."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.cli.main import run
+from radiometer.data import CaptureSetWriter
+from radiometer.reconciliation import ReconcileResult, Verdict, reconcile
+from simulators.chain.camera_model import CameraModel
+
+pytestmark = pytest.mark.long  # each runs a whole search
+
+
+def _write(captured: Any, folder: Path) -> Path:
+    header = captured.header
+    with CaptureSetWriter(folder, header.camera, header.lens, header.source, header.patches, header.patterns) as writer:
+        for frame in captured.frames:
+            writer.add(frame)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def offset(make_capture: Callable[..., Any]) -> ReconcileResult:
+    """Return the result for exposures that are 8 µs longer than stated."""
+    captured = make_capture(seed=11, exposure=lambda t: t + 8e-6)
+    return reconcile(captured.header, captured.frames)
+
+
+def test_ideal_camera_agrees(make_capture: Callable[..., Any]) -> None:
+    """Nothing hidden: the verdict says so, names nothing, and the limits stand beside it."""
+    captured = make_capture(seed=12)
+    result = reconcile(captured.header, captured.frames)
+    assert (result.verdict, result.effects) == (Verdict.AGREES, ())
+    assert result.limits["exposure_time_offset"].amplitude is not None
+    assert result.limits["polarisation"].amplitude is None  # the camera was never turned
+
+
+def test_hidden_offset_is_named_with_its_size(offset: ReconcileResult) -> None:
+    """The one hidden effect is found alone, within three of its reported sigmas."""
+    assert [effect.name for effect in offset.effects] == ["exposure_time_offset"]
+    found = offset.effects[0].parameters["offset_s"]
+    assert found.u is not None
+    assert abs(found.value - 8e-6) < 3 * found.u
+    assert offset.verdict is Verdict.EFFECTS_FOUND
+
+
+def test_gap_shrinks_to_chance(offset: ReconcileResult) -> None:
+    """Held-out χ² falls from well above to one."""
+    assert offset.gap_before > 1.1
+    assert offset.gap_after == pytest.approx(1.0, abs=0.05)
+
+
+def test_effect_left_out_of_the_catalogue_gets_no_confident_false_name(make_capture: Callable[..., Any]) -> None:
+    """A response to temperature without its entry: never `effects_found`, and the covariate is named."""
+    from radiometer.reconciliation.engine import whole_catalogue
+
+    captured = make_capture(seed=13, picture=lambda image, s: image * (1 + 0.02 * (s["T"] - 35) / 10))
+    entries = {name: kind for name, kind in whole_catalogue().items() if name != "quantum_efficiency_temperature"}
+    result = reconcile(captured.header, captured.frames, catalogue=entries)
+    assert result.verdict in (Verdict.UNNAMED, Verdict.INCOMPLETE)
+    assert "temperature_C" in [effect.where for effect in result.effects]
+
+
+def test_constant_offset_without_its_entry_is_no_other_entry(make_capture: Callable[..., Any]) -> None:
+    """A gamma with helpers imitates an offset: a plain constant of no more freedom does better, so nothing is named."""
+    captured = make_capture(seed=13, extra_dn=lambda s: -1.5)
+    result = reconcile(captured.header, captured.frames, without=("black_level_offset",), with_limits=False)
+    assert [effect.name for effect in result.effects] == ["unnamed"]
+    assert result.verdict is Verdict.UNNAMED
+
+
+def test_power_of_time_without_its_entry_is_no_settling_lamp(make_capture: Callable[..., Any]) -> None:
+    """A lamp that settles within the exposure imitates t^p with a parameter more: its name is never a confident one."""
+    captured = make_capture(seed=17, exposure=lambda t: t * (t / 1e-3) ** 0.006)
+    result = reconcile(captured.header, captured.frames, without=("reciprocity_failure",), with_limits=False)
+    assert result.verdict in (Verdict.UNNAMED, Verdict.INCOMPLETE)
+    assert "exposure_s" in [effect.where for effect in result.effects]
+
+
+@pytest.mark.usefixtures("laws_left_out")
+def test_uneven_leak_moves_whole_patches_and_nothing_else_is_named(make_capture: Callable[..., Any]) -> None:
+    """Few pixels leak much: the patches that hold them differ in mean and spread, and that belongs to the one name."""
+    drawn = np.random.default_rng(5).lognormal(0.0, 0.7, (64, 96))
+    leak = 10.0 * drawn / drawn.std()
+    captured = make_capture(seed=16, extra_e=lambda s: (leak - leak.min()) * s["t"] * 2 ** ((s["T"] - 35.0) / 7.0))
+    result = reconcile(captured.header, captured.frames, with_limits=False)
+    assert {effect.name for effect in result.effects} <= {"dark_current_nonuniformity", "dark_current"}
+    assert result.verdict is Verdict.EFFECTS_FOUND
+
+
+@pytest.fixture(scope="module")
+def commanded(make_capture: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
+    """Return the model and the report that the command writes for an offset of 1.5 DN, and what it prints."""
+    folder = tmp_path_factory.mktemp("commanded")
+    model, report = folder / "reconciled.yaml", folder / "report.html"
+    captured = _write(make_capture(seed=14, extra_dn=lambda s: 1.5), folder / "set")
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        assert run(["reconcile", str(captured), "-o", str(model), "--report", str(report), "--json"]) == 0
+    return model, report, printed.getvalue()
+
+
+def test_command_writes_json_model_and_report(commanded: tuple[Path, Path, str]) -> None:
+    """The command prints one JSON object of the documented form; model and report can be opened."""
+    model, report, text = commanded
+    printed = json.loads(text)
+    assert printed["verdict"] == "effects_found"
+    (effect,) = printed["effects"]
+    assert effect["name"] == "black_level_offset"
+    assert set(effect["parameters"]["offset_dn"]) == {"value", "u", "unit"}
+    assert {"where", "gap_before", "gap_after", "alternatives", "next_capture"} <= set(effect)
+    assert printed["gap"]["unit"] == "reduced chi-square on held-out frames"
+    assert (printed["model"], printed["report"]) == (str(model), str(report))
+    loaded = CameraModel.read(model)
+    assert loaded.effect("black_level_offset").values()["offset_dn"] == pytest.approx(1.5, abs=0.02)
+    assert "data:image/svg+xml;base64," in report.read_text(encoding="utf-8")
+
+
+def test_found_model_as_start_agrees(
+    commanded: tuple[Path, Path, str], make_capture: Callable[..., Any], tmp_path: Path
+) -> None:
+    """Starting from the model with the effect in it, a fresh capture of the same camera agrees."""
+    from radiometer.reconciliation.engine import reconcile_capture
+
+    fresh = _write(make_capture(seed=16, extra_dn=lambda s: 1.5), tmp_path / "fresh")
+    again = reconcile_capture(fresh, CameraModel.read(commanded[0])).result
+    assert again.verdict is Verdict.AGREES
+    assert again.gap_before == pytest.approx(1.0, abs=0.05)
+
+
+def test_unfinished_capture_is_one_line_and_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A folder without capture.yaml is refused with the reason."""
+    (tmp_path / "empty").mkdir()
+    assert run(["reconcile", str(tmp_path / "empty")]) == 1
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_unknown_entry_is_misuse(tmp_path: Path) -> None:
+    """`--without` an entry that does not exist is exit code 2."""
+    assert run(["reconcile", str(tmp_path), "--without", "phlogiston"]) == 2
+
+
+def test_result_has_no_numbers_that_json_lacks(offset: ReconcileResult) -> None:
+    """Whatever is not finite becomes null."""
+    assert np.isfinite(json.loads(offset.to_json())["gap"]["after"])

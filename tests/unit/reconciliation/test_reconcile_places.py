@@ -1,0 +1,140 @@
+"""Where measured and simulated disagree, without any idea of why: places, steps in time and space, repeatability."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.data import CameraDescription, CaptureHeader, FrameEntry
+from radiometer.reconciliation.fit.covariates import covariates
+from radiometer.reconciliation.fit.descent import first_state
+from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.noise.repeatability import estimate_tau
+from radiometer.reconciliation.search.localise import (
+    _least_of_draws,
+    axis_of,
+    global_p_value,
+    localise,
+    places,
+    trend_bases,
+)
+from radiometer.reconciliation.thresholds import SIGNIFICANCE
+
+
+def _state(captured: Any) -> FitState:
+    design = Design.of(captured.header, captured.frames[0].shape)
+    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+
+
+def _design(times_s: list[float], warm_c: list[float]) -> Design:
+    """Return captures of two frames each, two exposures in turn."""
+    frames = tuple(
+        FrameEntry(
+            file=f"{i}.png",
+            exposure_s=1e-3 * (1 + i // 2 % 2),
+            timestamp_s=times_s[i // 2],
+            temperature_C=warm_c[i // 2],
+        )
+        for i in range(2 * len(times_s))
+    )
+    return Design.of(CaptureHeader(camera=CameraDescription(bit_depth=12), frames=frames), (32, 48))
+
+
+def test_swinging_lamp_is_not_taken_for_poor_repeatability() -> None:
+    """A swing of 0.6 % within 13 minutes leaves τ near the 0.1 % by which neighbouring captures differ."""
+    rng = np.random.default_rng(5)
+    captures = 120
+    design = _design(np.cumsum(rng.uniform(20.0, 30.0, captures)).tolist(), [35.0] * captures)
+    steady = 1e-3 * rng.standard_normal(captures)
+    swing = 6e-3 * np.sin(2 * np.pi * design.timestamp_s / 800.0)
+    noise = np.full(captures, 1e-10)
+    still = estimate_tau(design, steady, noise)
+    assert still == pytest.approx(1e-3, rel=4 / np.sqrt(2 * captures))
+    # All captures together may raise it, but no further than the repeats allow: a factor of two at least stays open.
+    assert still <= estimate_tau(design, steady + swing, noise) < 2.0 * still
+
+
+def test_one_wrong_capture_is_no_poor_repeatability() -> None:
+    """A capture that is 26 % brighter than its repeats leaves τ at the 0.1 % of the others, to its uncertainty."""
+    rng = np.random.default_rng(6)
+    captures = 60
+    design = _design((np.arange(captures) * 25.0).tolist(), [20.0 + 5.0 * (i // 4) for i in range(captures)])
+    scale = 1e-3 * rng.standard_normal(captures)
+    scale[17] += 0.26
+    others = np.arange(captures) != 17
+    found = estimate_tau(design, np.where(others, scale, 0.0), np.where(others, 1e-10, np.inf))
+    assert found == pytest.approx(1e-3, rel=4 / np.sqrt(captures))
+    assert estimate_tau(design, scale, np.full(captures, 1e-10)) < 3 * found
+
+
+def test_setting_repeats_whatever_the_rounding_of_its_temperature() -> None:
+    """34.7 to 35.3 °C is one temperature although 35 lies on the edge of an even step of 2 K; 45 °C is another."""
+    warm = [34.7, 34.9, 35.1, 35.3, 34.8, 35.2, 44.9, 45.1]
+    ids = _design(list(np.arange(8) * 25.0), warm).setting_id
+    assert ids.tolist() == [0, 1, 0, 1, 0, 1, 2, 3]
+
+
+@pytest.mark.slow
+def test_one_cause_is_one_place(make_capture: Callable[..., Any]) -> None:
+    """A black level 0.5 DN too high differs along a dozen covariates; the list names it once, and no echo."""
+    state = _state(make_capture(seed=3, extra_dn=lambda setting: 0.5))
+    tests = localise(state)
+    listed = places(state, 4)
+    assert len({axis_of(test.where, test.block) for test in listed}) == 4
+    limit = np.log(SIGNIFICANCE / len(tests))
+    assert sum(test.log_p < limit for test in tests) > 5
+    assert [test.log_p < limit for test in listed] == [True, False, False, False]
+
+
+@pytest.mark.slow
+def test_stronger_half_is_a_step_in_the_picture(make_capture: Callable[..., Any]) -> None:
+    """A right half that is 2 % stronger is placed along the width of the picture, as a step of halves."""
+    state = _state(
+        make_capture(seed=4, picture=lambda image, setting: image * (1 + 0.02 * (np.arange(image.shape[1]) >= 48)))
+    )
+    first = places(state, 1)[0]
+    assert (first.block, first.where, axis_of(first.where, first.block)) == ("mean", "half_x", "image_x")
+
+
+@pytest.mark.slow
+def test_swinging_lamp_is_placed_along_time(make_capture: Callable[..., Any]) -> None:
+    """A lamp that swings by 1 % three times in the session is placed along time."""
+    clock = iter(range(10_000))
+
+    def swing(image: Any, setting: dict[str, Any]) -> Any:
+        return image * (1 + 0.01 * np.sin(2 * np.pi * (next(clock) // 4) / 20.0))
+
+    first = places(_state(make_capture(seed=5, picture=swing)), 1)[0]
+    assert (first.block, axis_of(first.where, first.block)) == ("mean", "timestamp_s")
+
+
+@pytest.mark.slow
+def test_global_p_lies_within_what_overlapping_tests_allow(make_capture: Callable[..., Any]) -> None:
+    """Of tests that overlap the global p lies below Bonferroni's n·p, but not by more than their number of kinds."""
+    state = _state(make_capture(seed=5))
+    tests = localise(state)
+    for chance in (1e-3, 1e-2):
+        best = replace(tests[0], p_value=chance)
+        found = global_p_value(state, (best, *tests[1:]))
+        assert 0.3 * len(tests) * chance < found <= min(1.25 * len(tests) * chance, 1.0)
+    assert global_p_value(state, (replace(tests[0], p_value=1e-9), *tests[1:])) == pytest.approx(len(tests) * 1e-9)
+
+
+@pytest.mark.slow
+def test_rounding_draws_no_other_residuals(make_capture: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Columns that differ by a part in 10¹² give the same draws: a p-value is no matter of the machine."""
+    monkeypatch.setitem(_least_of_draws.__globals__, "_DRAWS", 50)
+    state = _state(make_capture(seed=4, frames=2))
+    bases = list(trend_bases(state, covariates(state.model, state.prediction)))
+    rng = np.random.default_rng(1)
+    rounded = [
+        replace(basis, columns=basis.columns * (1.0 + 1e-12 * rng.standard_normal(basis.columns.shape)))
+        for basis in bases
+    ]
+    assert _least_of_draws(state, rounded) == pytest.approx(_least_of_draws(state, bases), rel=1e-3)

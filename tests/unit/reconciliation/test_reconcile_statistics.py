@@ -1,0 +1,406 @@
+"""The statistics that reconcile reduces frames to, and the weights that it gives them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry, FrameSettings
+from radiometer.errors import CaptureError
+from radiometer.reconciliation.advice.limits import limits
+from radiometer.reconciliation.fit.covariance import fitted_parameters
+from radiometer.reconciliation.fit.descent import first_state, refit, settled
+from radiometer.reconciliation.fit.state import FitState, with_effects
+from radiometer.reconciliation.fit.terms import LinearTerm
+from radiometer.reconciliation.measure.design import Design, group_captures
+from radiometer.reconciliation.measure.edges import edge_shares
+from radiometer.reconciliation.measure.kernels import add_tiles, coarse_cells
+from radiometer.reconciliation.measure.layout import LINES, PatchSides, patch_sides, tile_groups
+from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.measure.row_bands import RowBins
+from radiometer.reconciliation.measure.sums import CaptureSums
+from radiometer.reconciliation.noise.fixed_patterns import fixed_errors
+from radiometer.reconciliation.search.localise import localise, significant
+from simulators.effects.black_level_drift import BlackLevelDrift
+from simulators.effects.black_level_offset import BlackLevelOffset
+from simulators.effects.pixel_mixing import disc_edge_share
+from simulators.effects.psf_blur import PsfBlur
+from simulators.effects.row_pattern import RowPattern
+
+
+def _state(captured: Any) -> FitState:
+    design = Design.of(captured.header, captured.frames[0].shape)
+    seen, images = reduce_frames(design, frame_reader(captured.frames))
+    return first_state(design, seen, images)
+
+
+def _header(exposures: list[float]) -> CaptureHeader:
+    frames = tuple(FrameEntry(file=f"{i}.png", exposure_s=t) for i, t in enumerate(exposures))
+    return CaptureHeader(camera=CameraDescription(bit_depth=12), frames=frames)
+
+
+def test_neighbouring_frames_of_one_setting_are_one_capture() -> None:
+    """A run of one exposure is a capture; a run twice the usual length is two."""
+    captures = group_captures(_header([1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0]))
+    assert [capture.frames for capture in captures] == [(0, 1), (2, 3), (4, 5), (6, 7)]
+
+
+def test_interleaved_single_frames_are_gathered_by_setting() -> None:
+    """Where no two neighbours share a setting, the repeats make the capture."""
+    captures = group_captures(_header([1.0, 2.0, 1.0, 2.0]))
+    assert [capture.frames for capture in captures] == [(0, 2), (1, 3)]
+
+
+def test_patch_outside_the_frame_is_refused(make_capture: Callable[..., Any]) -> None:
+    """A patch that does not fit the frames names itself and its place."""
+    captured = make_capture(plan=[{"t": 1e-3}], frames=1)
+    with pytest.raises(CaptureError, match=r"patch 'p05' .* lies outside"):
+        Design.of(captured.header, (64, 90))
+
+
+def test_mean_and_variance_agree_with_numpy(make_capture: Callable[..., Any]) -> None:
+    """Streaming sums give what all frames at once give."""
+    captured = make_capture(plan=[{"t": 3e-3}], frames=5)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    seen, _ = reduce_frames(design, frame_reader(captured.frames))
+    tile = design.tiles[7]
+    stack = np.stack([frame.dn[tile.slices] for frame in captured.frames]).astype(float)
+    centred = stack - stack.mean(axis=(1, 2), keepdims=True)
+    pixels = stack[0].size
+    assert seen.mean[0, 7] == pytest.approx(stack.mean(), rel=1e-12)
+    expected = centred.var(axis=0, ddof=1).sum() / (pixels - 1)
+    assert seen.variance[0, 7] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_compiled_sums_agree_with_numpy() -> None:
+    """Means, clipped shares, neighbour products, row sums and histogram of two tiles, one pixel of them a defect."""
+    rng = np.random.default_rng(8)
+    dn = rng.normal(300, 6, (20, 30)).round().astype(np.uint16)
+    dn[3, 4], dn[12, 17] = 0, 4095
+    good = np.ones(dn.shape, dtype=np.bool_)
+    good[5, 5] = False
+    corners = [(2, 3), (9, 12)]
+    total, square, pair_x, pair_y = (np.zeros((2, 8, 9)) for _ in range(4))
+    histogram = np.zeros(4096)
+    occurring = np.zeros(4096, dtype=np.bool_)
+    top, left = (np.array(values, dtype=np.intp) for values in zip(*corners, strict=True))
+    found = add_tiles(dn, good, top, left, 4000.0, 2.6, total, square, pair_x, pair_y, histogram, occurring)
+    for k, (y, x) in enumerate(corners):
+        tile, counted = dn[y : y + 8, x : x + 9].astype(float), good[y : y + 8, x : x + 9]
+        deviation = tile - tile[counted].mean()
+        expected = (
+            tile[counted].mean(),
+            np.mean(tile <= 0),
+            np.mean(tile >= 4000),
+            (deviation * counted).sum(axis=1),
+        )
+        for value, wanted in zip(found, expected, strict=True):
+            np.testing.assert_allclose(value[k], wanted, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(total[k], deviation, atol=1e-9)
+        np.testing.assert_allclose(square[k], deviation**2, rtol=1e-9)
+        np.testing.assert_allclose(pair_x[k, :, 1:], deviation[:, 1:] * deviation[:, :-1], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(pair_y[k, 1:], deviation[1:] * deviation[:-1], rtol=1e-9, atol=1e-9)
+        assert not pair_x[k, :, 0].any()
+        assert not pair_y[k, 0].any()
+    assert histogram.sum() == 0, "both tiles hold a clipped sample"
+    assert set(np.flatnonzero(occurring)) == {int(v) for y, x in corners for v in dn[y : y + 8, x : x + 9].ravel()}
+    sums = (total[1:], square[1:], pair_x[1:], pair_y[1:])
+    add_tiles(dn, good, top[1:] - 9, left[1:] + 6, 4000.0, 2.6, *sums, histogram, occurring)
+    np.testing.assert_array_equal(histogram, np.bincount(dn[0:8, 18:27].ravel(), minlength=4096))
+
+
+@pytest.mark.slow
+def test_coarse_cells_are_block_means_and_maxima() -> None:
+    """Cells of 3 × 3 pixels; the rest at the border is left out."""
+    dn = np.arange(70, dtype=np.uint16).reshape(7, 10)
+    mean, largest = coarse_cells(dn, 3, 2, 3)
+    blocks = dn[:6, :9].reshape(2, 3, 3, 3)
+    np.testing.assert_allclose(mean, blocks.mean(axis=(1, 3)))
+    np.testing.assert_array_equal(largest, blocks.max(axis=(1, 3)))
+
+
+def test_dark_gap_before_a_bright_neighbour_is_no_blur() -> None:
+    """A faint patch ends in a black gap two lines before a bright one: its sides tell nothing, the sharp ones do."""
+    sharp = np.array([0.0, 0.0, 0.0, 0.0, -300.0, -300.0, 900.0])
+    gap = np.array([0.0, 0.0, 0.0, 0.0, -9.0, -9.0, 900.0])
+    lines = 1000.0 + np.array([[sharp, gap, gap]] * 4)
+    index = np.zeros((3, LINES, 8), dtype=np.intp)
+    tiles = np.full((4, 1), 1000.0)
+    share, u = edge_shares(
+        PatchSides(np.zeros(3, dtype=np.intp), index, index), lines, lines * 0, tiles, tiles * 0 + 1.0, tiles * 0,
+        np.zeros(4, dtype=np.intp),
+    )  # fmt: skip
+    np.testing.assert_allclose(share, 0.0, atol=1e-12)
+    assert np.isfinite(u).all()
+
+
+def test_sharpest_stop_tells_where_borders_lie() -> None:
+    """Borders before a gap of four lines: at f/4 a disc of 2.26 px hides them, at f/11 one of 0.82 px does not.
+
+    The share at f/4 is that of the disc then; a pattern that is seen at f/4 alone tells nothing.
+    """
+    scene = np.array([0.0] * 12 + [-300.0] * 4 + [400.0] * 10)
+
+    def seen(radius: float) -> Any:
+        place = (np.arange(9 * 40) + 0.5) / 40 - 4.5
+        disc = np.sqrt(np.maximum(radius**2 - place**2, 0.0)).reshape(9, 40).sum(axis=1)
+        return np.convolve(scene, disc / disc.sum(), mode="same")[7 : 7 + LINES]
+
+    radius = np.array([2.26] * 10 + [0.82] * 2 + [2.26] * 3)
+    lines = 1000.0 + np.array([[seen(r)] * 3 for r in radius.tolist()])
+    index = np.zeros((3, LINES, 8), dtype=np.intp)
+    tiles = np.full((15, 1), 1000.0)
+    share, u = edge_shares(
+        PatchSides(np.zeros(3, dtype=np.intp), index, index), lines, lines * 0, tiles, tiles * 0 + 1.0, tiles * 0,
+        np.array([0] * 12 + [1] * 3), np.where(radius > 2, 4.0, 11.0),
+    )  # fmt: skip
+    np.testing.assert_allclose(share[:12], disc_edge_share(radius[:12]), atol=0.02)
+    assert np.isfinite(u[:12]).all()
+    assert np.isinf(u[12:]).all()
+
+
+def test_hot_pixel_in_a_dark_is_left_out_everywhere() -> None:
+    """One defect of 3000 DN moves no tile mean, dark or lit; it counts in the dark, for a scene may hold anything."""
+    rng = np.random.default_rng(3)
+    frames = []
+    for shutter in ("open", "closed"):
+        dn = np.rint(rng.normal(500 if shutter == "open" else 64, 2, (48, 72))).astype(np.uint16)
+        dn[20, 30] += 3000
+        settings = FrameSettings(0.1, shutter="open" if shutter == "open" else "closed")
+        frames.append(Frame(dn, 12, settings))
+    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
+    header = CaptureHeader(camera=CameraDescription(bit_depth=12), frames=entries)
+    design = Design.of(header, (48, 72))
+    seen, _ = reduce_frames(design, frame_reader(frames))
+    sigma_of_a_tile_mean = 2.1 / np.sqrt(12 * 12)
+    np.testing.assert_allclose(seen.mean[0], 500, atol=5 * sigma_of_a_tile_mean)
+    assert seen.outliers.tolist() == [0.0, 1.0]
+
+
+def test_values_cut_off_below_full_scale_make_no_defects() -> None:
+    """Noise cut off from 0 to 1.5 sigmas below its middle: what stays below the cut belongs to the tile's mean."""
+    rng = np.random.default_rng(9)
+    cuts = [500.0 - share * 20.0 for share in (0.0, 0.5, 0.8, 1.0, 1.2, 1.5)]
+    frames = [
+        Frame(np.rint(np.minimum(rng.normal(500, 20, (48, 72)), cut)).astype(np.uint16), 12,
+              FrameSettings(0.1 * (1 + number), shutter="closed"))
+        for number, cut in enumerate(cuts) for _ in range(4)
+    ]  # fmt: skip
+    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
+    design = Design.of(CaptureHeader(camera=CameraDescription(bit_depth=12), frames=entries), (48, 72))
+    seen, _ = reduce_frames(design, frame_reader(frames))
+    assert seen.outliers.max() <= 10  # of 3456 pixels; a plain robust sigma takes 550 for defects
+    assert float(seen.mean.mean()) == pytest.approx(float(np.mean([frame.dn for frame in frames])), abs=0.05)
+
+
+def test_structure_of_an_unknown_scene_is_no_outlier() -> None:
+    """Without patches a tile that holds a bright spot keeps it at every exposure: its mean grows with the exposure."""
+    rng = np.random.default_rng(4)
+    scene = np.full((48, 72), 100.0)
+    scene[2:5, 2:5] = 900.0
+    frames = [
+        Frame(np.rint(rng.poisson(scene * t) + 64.0).astype(np.uint16), 12, FrameSettings(t)) for t in (0.5, 1.0, 2.0)
+    ]
+    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
+    design = Design.of(CaptureHeader(camera=CameraDescription(bit_depth=12), frames=entries), (48, 72))
+    seen, _ = reduce_frames(design, frame_reader(frames))
+    expected = scene[:12, :12].mean()
+    sigma = np.sqrt(expected * 2.0 / 144)
+    np.testing.assert_allclose(seen.mean[:, 0] - 64.0, expected * np.array([0.5, 1.0, 2.0]), atol=5 * sigma)
+
+
+def test_flicker_of_an_unknown_scene_is_no_noise_of_its_structure() -> None:
+    """Light that all of a frame shares moves a bright spot more than its tile; noise and rows are those of photons."""
+    rng = np.random.default_rng(6)
+    scene = np.full((96, 144), 200.0)
+    scene[8:18, 5:20] = 2000.0  # in the first tile of 24 × 24
+    flicker = 1.0 + 0.04 * rng.standard_normal(8)
+    frames = [Frame(rng.poisson(scene * f).astype(np.uint16), 12, FrameSettings(1.0)) for f in flicker]
+    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
+    camera = CameraDescription(bit_depth=12, black_level_dn=0.0)
+    design = Design.of(CaptureHeader(camera=camera, frames=entries), (96, 144))
+    seen, _ = reduce_frames(design, frame_reader(frames))
+    photons = scene[:24, :24].ravel()
+    sigma = np.sqrt(2.0 * np.sum(photons**2) / 7) / photons.size
+    assert seen.variance[0, 0] == pytest.approx(photons.mean(), abs=5 * sigma)
+    uneven = np.mean(photons**2) / photons.mean() ** 2
+    assert seen.row_temporal[0] == pytest.approx(1.0, abs=5 * np.sqrt(2.0 * uneven / seen.row_temporal_dof[0]))
+
+
+def test_uneven_tile_at_the_top_of_a_scene_does_not_count() -> None:
+    """Part of it may be saturated and part not; an even tile that is saturated whole does count."""
+    rng = np.random.default_rng(8)
+    scene = np.full((96, 144), 300.0)
+    scene[4:20, 4:20] = 3000.0  # in the first tile of 24 × 24
+    scene[24:48, :24] = 3000.0  # the whole tile below it
+    frames = [
+        Frame(np.minimum(rng.poisson(scene * t), 2500).astype(np.uint16), 12, FrameSettings(t))
+        for t in (0.5, 0.5, 1.0, 1.0)
+    ]
+    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
+    camera = CameraDescription(bit_depth=12, black_level_dn=0.0, conversion_gain_e_per_dn=1.0, read_noise_e=1.0)
+    design = Design.of(CaptureHeader(camera=camera, frames=entries), (96, 144))
+    state = first_state(design, *reduce_frames(design, frame_reader(frames)))
+    uneven, even = 0, 6
+    assert state.comparison.usable["mean"][:, uneven].tolist() == [True, False]
+    assert state.comparison.usable["mean"][:, even].tolist() == [True, True]
+
+
+def test_rows_alone_move_the_tiles_of_a_grid_as_one() -> None:
+    """Tiles side by side share all rows: the covariance of their means has no more ranks than rows of tiles."""
+    rng = np.random.default_rng(9)
+    lit = [Frame(rng.poisson(300.0, (96, 144)).astype(np.uint16) + 64, 12, FrameSettings(1.0)) for _ in range(2)]
+    noise = np.rint(rng.normal(64.0, 1.0, (2, 96, 144))).astype(np.uint16)
+    frames = lit + [Frame(dn, 12, FrameSettings(1.0, shutter="closed")) for dn in noise]
+    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
+    camera = CameraDescription(bit_depth=12, black_level_dn=64.0, conversion_gain_e_per_dn=1.0, read_noise_e=1.0)
+    design = Design.of(CaptureHeader(camera=camera, frames=entries), (96, 144))
+    state = first_state(design, *reduce_frames(design, frame_reader(frames)))
+    model = with_effects(state, [RowPattern(sigma_e=3.0)])
+    terms = fixed_errors(model.effects, model.prediction, state.seen, design, state.model.context)
+    moved = next(term for term in terms if term.name == "additive pattern: mean")
+    columns = LinearTerm.of(moved).build(state.comparison, model.prediction, state.sensitivity)
+    large = np.linalg.svd(columns, compute_uv=False)
+    assert np.sum(large > 1e-2 * large[0]) == 4
+
+
+def test_frames_of_another_size_are_refused(make_capture: Callable[..., Any]) -> None:
+    """The message names the frame and both sizes."""
+    captured = make_capture(plan=[{"t": 3e-3}], frames=2)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    smaller = Frame(captured.frames[1].dn[:-1], 12, captured.frames[1].settings)
+    with pytest.raises(CaptureError, match="frame 1 is 96 × 63 pixels"):
+        reduce_frames(design, frame_reader([captured.frames[0], smaller]))
+
+
+@pytest.mark.slow
+def test_residuals_of_an_ideal_camera_are_white(make_capture: Callable[..., Any]) -> None:
+    """Every block's χ² per entry is 1 within five of its own standard deviations √(2/n), the fitted ones allowed."""
+    state = _state(make_capture(seed=5))
+    for name, cut in state.comparison.cuts.items():
+        if name == "outliers":
+            continue
+        count = state.comparison.degrees(name)
+        reduced = float(np.sum(state.data_residual[cut] ** 2)) / count
+        assert reduced == pytest.approx(1.0, abs=5 * np.sqrt(2 / count) + state.layout.size / 1400), name
+
+
+@pytest.mark.slow
+def test_repeatability_is_found(make_capture: Callable[..., Any]) -> None:
+    """τ comes out at the 0.1 % that the lamp has, within the 99 % interval of 50 captures."""
+    assert _state(make_capture(seed=6)).tau == pytest.approx(1e-3, rel=0.3)
+
+
+@pytest.mark.slow
+def test_null_tests_are_calibrated(make_capture: Callable[..., Any]) -> None:
+    """Under the null the share of p < 0.05 over four seeds is 0.05 (about 50 independent tests in each)."""
+    p = [test.p_value for seed in range(4) for test in localise(_state(make_capture(seed=seed)))]
+    assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 200))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("hidden", "block", "where"),
+    [
+        ({"exposure": lambda t: t + 8e-6}, "mean", "exposure_s"),
+        ({"picture": lambda image, s: image * (1 + 0.02 * (s["T"] - 35) / 10)}, "mean", "temperature_C"),
+        ({"picture": lambda image, s: image * (s["N"] / 4) ** 0.03}, "mean", "f_number"),
+    ],
+)
+def test_disagreement_is_found_along_its_covariate(
+    make_capture: Callable[..., Any], hidden: dict[str, Any], block: str, where: str
+) -> None:
+    """The leading test names statistic and covariate without knowing any effect."""
+    found = significant(localise(_state(make_capture(seed=2, **hidden))))
+    assert (found[0].block, found[0].where) == (block, where)
+
+
+def test_noise_below_the_spacing_of_codes_makes_no_defects(make_capture: Callable[..., Any]) -> None:
+    """Codes in steps of 4 over dark noise of 0.9 DN: a pixel at the neighbouring code is no outlier."""
+    captured = make_capture(plan=[{"t": 1e-4, "shutter": "closed"}, {"t": 1.0, "shutter": "closed"}, {"t": 3e-3}])
+    coarse = [dataclasses.replace(frame, dn=frame.dn - frame.dn % 4) for frame in captured.frames]
+    design = Design.of(captured.header, coarse[0].shape)
+    seen, _ = reduce_frames(design, frame_reader(coarse))
+    assert seen.outliers.tolist() == [0.0, 0.0, 0.0]
+    assert seen.pixels.sum() == 3 * sum(tile.width * tile.height for tile in design.tiles)
+
+
+def test_masked_pixels_leave_row_and_column_ratios_at_one(make_capture: Callable[..., Any]) -> None:
+    """A fifth of all pixels is masked: the mean of 3 × 12 ratios of line means is 1 within 4 sigma."""
+    captured = make_capture(plan=[{"t": 1e-4, "shutter": "closed", "g": 12.0}] * 12)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    groups, sides = tile_groups(design), patch_sides(design)
+    masked = np.random.default_rng(3).random(design.shape) < 0.2
+    ratios, u_rel = [], []
+    for capture in design.captures:
+        sums = CaptureSums.start(groups, sides, len(design.tiles), masked)
+        for index in capture.frames:
+            sums.add(captured.frames[index])
+        found, _ = sums.finish(64.0, RowBins.of(design))
+        for name in ("row_temporal", "rows", "columns"):
+            ratios.append(found[name])
+            u_rel.append(2.0 / found[f"{name}_dof"])
+    sigma = float(np.sqrt(np.mean(u_rel) / len(ratios)))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=4.0 * sigma)
+
+
+@pytest.mark.slow
+def test_row_pattern_is_known_no_better_than_so_few_rows_allow(make_capture: Callable[..., Any]) -> None:
+    """64 rows tell a standard deviation to 1/√128 at best: the reported one is no smaller, the truth within 3 of it."""
+    sigma_e = 0.6
+    rows = sigma_e * np.random.default_rng(11).standard_normal((64, 1))
+    state = _state(make_capture(extra_dn=lambda setting: rows / 2.6 * 10 ** (setting["g"] / 20)))
+    found = settled(refit(with_effects(state, [RowPattern(sigma_e)])))
+    entry = fitted_parameters(found)["row_pattern"]["sigma_e"]
+    assert entry.u is not None
+    assert entry.u / entry.value > 1.0 / np.sqrt(128.0)
+    assert entry.value == pytest.approx(sigma_e, abs=3.0 * entry.u)
+
+
+@pytest.mark.slow
+def test_parameter_on_its_bound_hides_nothing(make_capture: Callable[..., Any]) -> None:
+    """A drift with temperature cannot stand for a constant offset, however far its reference: the tests say so."""
+    state = _state(make_capture(extra_dn=lambda setting: 4.0))
+    found = settled(refit(with_effects(state, [BlackLevelDrift(0.1, -20.0)])))
+    assert found.parameters.on_bounds()[0].any(), "the reference temperature runs to its bound"
+    assert ("mean", "temperature_C") in {(test.block, test.where) for test in significant(localise(found))}
+
+
+@pytest.mark.slow
+def test_source_of_unknown_reproducibility_may_wander(make_capture: Callable[..., Any]) -> None:
+    """Light that differs by 0.3 % from frame to frame at all exposures: taken up where nothing is stated, else seen."""
+    rng = np.random.default_rng(21)
+    plan = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 12) for _ in range(3)]
+    captured = make_capture(plan=plan, picture=lambda image, setting: image * (1.0 + 0.003 * rng.standard_normal()))
+    stated = _state(captured)
+    source = captured.header.source.model_copy(update={"reproducibility_u_rel": None})
+    header = captured.header.model_copy(update={"source": source})
+    unstated = _state(dataclasses.replace(captured, header=header))
+    assert "common" in {test.block for test in significant(localise(stated))}
+    assert "common" not in {test.block for test in significant(localise(unstated))}
+    freedom = 2 * len(plan)  # of four frames the first has a statistic of its own
+    assert np.sqrt(unstated.comparison.wander2) == pytest.approx(0.003, rel=4.0 / np.sqrt(2.0 * freedom))
+
+
+@pytest.mark.slow
+def test_blur_that_moves_nothing_stands_still(make_capture: Callable[..., Any]) -> None:
+    """A blur of a tenth of a pixel reaches no neighbour: the fit leaves it where it is and still finds the offset."""
+    state = _state(make_capture(extra_dn=lambda setting: 0.9))
+    found = settled(refit(with_effects(state, [PsfBlur(0.1), BlackLevelOffset(0.1)])))
+    entry = fitted_parameters(found)["black_level_offset"]["offset_dn"]
+    assert entry.u is not None
+    assert entry.value == pytest.approx(0.9, abs=3.0 * entry.u)
+    assert found.effects[0] == PsfBlur(0.1)
+
+
+@pytest.mark.slow
+def test_no_number_of_captures_shows_a_blur_that_borders_feign(make_capture: Callable[..., Any]) -> None:
+    """What makes borders unsharp by 0.05 % is the same in all pictures: five times that is the least that shows."""
+    limit = limits(_state(make_capture()), {"psf_blur": PsfBlur})["psf_blur"].amplitude
+    assert limit is not None
+    assert 5.0 * 5e-4 * 0.95 < np.exp(-0.5 / limit**2) < 5.0 * 5e-4 * 4.0

@@ -1,0 +1,183 @@
+"""The report tells the story: verdict, gap by steps, each name with what it is and what shows it, the rest, tables."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiometer.reconciliation.engine import Reconciled, examine, whole_catalogue
+from radiometer.reconciliation.fit.descent import first_state
+from radiometer.reconciliation.fit.state import FitState, with_effects
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.report.html import outcome, report_html
+from radiometer.reconciliation.report.pictures import _absolute, _left, _relative, effect_plot, unnamed_plot
+from radiometer.reconciliation.report.words import along, axis_label, seen_in
+from radiometer.reconciliation.result import FoundEffect, Verdict
+from radiometer.reporting.numbers import rounded
+from simulators.effects.black_level_offset import BlackLevelOffset
+from simulators.effects.crosstalk import Crosstalk
+from testing.generator.session import make_session
+from testing.report_checks import assert_reports_hold
+from tests.unit.reporting.test_page import HOSTILE
+
+
+@pytest.fixture(scope="module")
+def glaring() -> Reconciled:
+    """Return what is found of a session that hides a veil; few entries are tried, so that it is quick."""
+    session = make_session("veiling_glare", camera_seed=424_201)
+    frames = list(session.frames())
+    entries = {name: whole_catalogue()[name] for name in ("veiling_glare", "gain_step_error", "exposure_time_offset")}
+    return examine(session.header, frame_reader(frames), frames[0].shape, catalogue=entries, with_limits=False)
+
+
+@pytest.mark.slow
+def test_the_verdict_comes_first_and_pictures_before_tables(glaring):
+    """What was found, the opening picture, the name, the map of the rest, then the folded figures."""
+    page = report_html(glaring, "session <1>")
+    marks = [
+        "session &lt;1&gt;",
+        "class='outcome'",
+        "<picture>",
+        "<h2>veiling_glare",
+        "Where the rest lies",
+    ]
+    places = [page.index(mark) for mark in marks]
+    assert places == sorted(places)
+    assert page.index("<details>") > places[-1]
+
+
+@pytest.mark.slow
+def test_a_name_says_what_it_is_and_what_shows_it(glaring):
+    """The effect's own sentence, the statistic and covariate in words, a picture, and its size with ±."""
+    page = report_html(glaring, "session")
+    part = page[page.index("<h2>veiling_glare") : page.index("Where the rest lies")]
+    assert "Spreads a share of all light evenly" in part
+    assert "how bright patches are, with the brightness of the patch" in part
+    assert "Line: what it predicts" in part
+    assert re.search(r"<td>share</td><td>[\d.]+</td><td>±\u00a0[\d.]+</td>", part)
+    assert "<p class='do'>" in part
+
+
+@pytest.mark.slow
+def test_nothing_is_loaded_from_elsewhere(glaring):
+    """The page is one file."""
+    page = report_html(glaring, "session")
+    assert not re.findall(r"(?:src|srcset|href)='(?!data:)", page)
+    assert "http:" not in page
+
+
+@pytest.mark.slow
+def test_the_outcome_names_what_was_missing_with_its_size(glaring):
+    """The effect's first parameter with U (k = 2): twice what the result states."""
+    result = replace(glaring.result, verdict=Verdict.EFFECTS_FOUND)
+    share = result.effects[0].parameters["share"]
+    value, expanded = rounded(share.value, 2 * share.u)
+    assert outcome(result) == f"Found what was missing: veiling_glare (share {value} ± {expanded}). With it they agree."
+
+
+@pytest.mark.slow
+def test_the_outcome_of_each_other_verdict(glaring):
+    """Agreement with its gap; along what they disagree; names that are provisional."""
+    result = glaring.result
+    agrees = outcome(replace(result, verdict=Verdict.AGREES, effects=()))
+    assert (
+        agrees
+        == f"Nothing is missing: simulation and measurement agree (gap {result.gap_after:.3g}; 1 is noise alone)."
+    )
+    unnamed = FoundEffect("unnamed", {}, "temperature_C", 2.0, 2.0, block="mean", closest=("gamma_enabled", 0.4))
+    disagrees = replace(result, verdict=Verdict.UNNAMED, effects=(unnamed,))
+    assert outcome(disagrees) == ("They come apart with the sensor's temperature, and no known effect explains it.")
+    assert outcome(replace(result, verdict=Verdict.INCOMPLETE)).startswith(
+        "Structure stays: provisional are veiling_glare ("
+    )
+    page = report_html(replace(glaring, result=disagrees), "session")
+    part = page[page.index("<h2>Not explained by any known effect") :]
+    assert "<picture>" in part[: part.index("<h2>Where")]
+    assert "Closest known effect: gamma_enabled, which explains 40\u00a0% of it. " in part
+
+
+@pytest.mark.slow
+def test_rivals_are_told_in_words(glaring):
+    """Each rival with what it is, and that the ± knows nothing of the choice."""
+    effect = replace(glaring.result.effects[0], alternatives=("ghost", "another_lab's"))
+    page = report_html(replace(glaring, result=replace(glaring.result, effects=(effect,))), "session")
+    assert "<li>ghost. " in page
+    assert "<li>another_lab&#x27;s.</li>" in page
+    assert "Each\u00a0±\u00a0holds only if it is this one" in page
+
+
+@pytest.mark.slow
+async def test_the_page_in_a_browser(glaring, tmp_path):
+    """At two widths: no scrolling sideways, readable, every picture shown, nothing loaded, no error."""
+    await assert_reports_hold({"reconcile": report_html(glaring, HOSTILE)}, tmp_path)
+
+
+@pytest.mark.parametrize("kind", whole_catalogue().values(), ids=whole_catalogue())
+def test_every_entry_has_words_for_where_it_shows(kind):
+    """No raw name of a statistic or covariate reaches the reader of an effect's paragraph."""
+    assert seen_in(kind.block) != kind.block
+    assert "_" not in along(kind.where)
+    assert axis_label(kind.where)[0]
+
+
+@pytest.mark.usefixtures("unrendered")
+@pytest.mark.slow
+@pytest.mark.parametrize("settings", [1, 3])
+def test_frames_without_light_are_reported_in_dn(make_capture, settings):
+    """Darks alone have no light to be relative to: the opening picture is in DN over the settings, also of one."""
+    plan = [{"t": t, "shutter": "closed"} for t in (1e-4, 1e-2, 1.0)[:settings]]
+    captured = make_capture(7, plan=plan)
+    entries = {"black_level_offset": whole_catalogue()["black_level_offset"]}
+    found = examine(
+        captured.header, frame_reader(captured.frames), captured.frames[0].shape, catalogue=entries, with_limits=False
+    )
+    page = report_html(found, "darks")
+    assert "class='outcome'" in page
+    x, dn = _absolute(found.outcome.start)
+    assert np.array_equal(np.unique(np.round(x)), np.arange(1, settings + 1))
+    assert np.max(np.abs(dn)) < 1.0  # of means of 1.4 DN / √(pixels and frames)
+    assert _relative(found.outcome.start)[0].size == 0
+
+
+def test_deviations_are_told_in_percent_of_the_light(make_capture):
+    """Means 1 % above what is simulated lie at 1 %, and those of dark frames are left out."""
+    captured = make_capture(8, plan=[{"t": 1e-3}, {"t": 3e-3}, {"t": 1e-3, "shutter": "closed"}])
+    design = Design.of(captured.header, captured.frames[0].shape)
+    state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    brighter = replace(state.seen, mean=state.prediction.mean + 0.01 * state.sensitivity)
+    light, percent = _relative(replace(state, seen=brighter))
+    assert percent == pytest.approx(1.0)
+    assert light.min() > 3.0
+    assert light.size <= 2 * len(design.tiles)
+
+
+@pytest.fixture(scope="module")
+def lit_and_dark(make_capture) -> FitState:
+    """Return the fitted start of a session with patches of many levels, gains, temperatures and dark frames."""
+    captured = make_capture(9)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+
+
+@pytest.mark.parametrize("name", sorted(whole_catalogue()))
+def test_every_entry_s_statistic_can_be_drawn(lit_and_dark, name):
+    """What shows an entry is drawn from one statistic, or from both directions of it: never from none."""
+    kind = whole_catalogue()[name]
+    values, left = _left(lit_and_dark, np.ones((1, 1)), kind.block, lit_and_dark.prediction)
+    assert values.size == left.size > 0
+    assert np.sqrt(np.mean(left**2)) < 1.5  # nothing is missing: noise alone
+
+
+@pytest.mark.parametrize("kind", [Crosstalk, BlackLevelOffset])
+@pytest.mark.slow
+def test_what_an_entry_does_is_drawn_with_and_without_a_band(lit_and_dark, kind):
+    """Also of an entry that shows in two directions at once, such as charge that goes to neighbours."""
+    effect = kind()
+    state = with_effects(lit_and_dark, [effect])
+    assert "what is left without it" in str(effect_plot(state, effect, 0.1))
+    assert unnamed_plot(state, "signal", kind.block)
+    assert unnamed_plot(state, "signal", "no such statistic") is None

@@ -1,0 +1,116 @@
+"""Frames of different scenes are told apart, and never taken for one scene that an effect changed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry
+from radiometer.errors import CaptureError
+from radiometer.reconciliation import reconcile
+from radiometer.reconciliation.measure.scenes import FineStructure, scenes_of
+
+BLACK, E_PER_DN, READ_E, FULL = 100.0, 2.0, 4.0, 4095
+HEIGHT, WIDTH = 96, 128
+Picture = NDArray[np.float64]
+
+
+def scene(seed: int, contrast: float = 0.4) -> Picture:
+    """Return relative radiances whose logarithm varies at random over some eight pixels."""
+    rough = gaussian_filter(np.random.default_rng(seed).standard_normal((HEIGHT, WIDTH)), 4.0)
+    return np.exp(contrast * rough / rough.std())
+
+
+def taken(radiance: Picture, light_e: float, seed: int) -> NDArray[np.uint16]:
+    rng = np.random.default_rng(seed)
+    electrons = rng.poisson(light_e * radiance) + READ_E * rng.standard_normal(radiance.shape)
+    return np.clip(np.rint(electrons / E_PER_DN + BLACK), 0, FULL).astype(np.uint16)
+
+
+def shown(*pictures: NDArray[np.uint16]) -> list[int]:
+    seen = {n: FineStructure.of(dn, BLACK, FULL) for n, dn in enumerate(pictures)}
+    return [scenes_of(seen)[n] for n in range(len(pictures))]
+
+
+def test_scenes_are_numbered_in_the_order_in_which_they_come() -> None:
+    """One that comes back has its number again, whatever the exposures."""
+    one, other = scene(1), scene(2)
+    lights = zip((one, one, other, one, other, scene(3)), (400.0, 3000.0, 1000.0, 800.0, 3000.0, 900.0), strict=True)
+    assert shown(*(taken(radiance, e, n) for n, (radiance, e) in enumerate(lights))) == [0, 0, 1, 0, 1, 2]
+
+
+def test_what_cameras_and_lamps_do_is_no_other_scene() -> None:
+    """A fall-off, bands along the rows, columns of their own, a steep response and some blur leave its details."""
+    radiance, (y, x) = scene(4), np.mgrid[-1 : 1 : HEIGHT * 1j, -1 : 1 : WIDTH * 1j]
+    changed = [
+        radiance * (1.0 - 0.4 * (x * x + y * y)),
+        radiance * (1.0 + 0.9 * np.sin(9.0 * y)),
+        radiance * np.random.default_rng(5).uniform(0.5, 1.5, WIDTH),
+        2.0 * np.power(radiance / 2.0, 0.45),
+        gaussian_filter(radiance, 2.0),
+    ]
+    pictures = [taken(other, 2000.0, 6 + n) for n, other in enumerate((radiance, *changed))]
+    assert shown(*pictures) == [0] * len(pictures)
+
+
+def test_even_fields_and_frames_too_dark_or_clipped_show_no_scene() -> None:
+    """Nothing is told by noise, by what differs by two hundredths, and where most of either frame is clipped."""
+    even = [taken(np.ones((HEIGHT, WIDTH)), 2000.0, n) for n in range(3)]
+    assert shown(*even) == [0, 0, 0]
+    assert shown(taken(scene(1, 0.02), 5000.0, 1), taken(scene(2, 0.02), 5000.0, 2)) == [0, 0]
+    assert shown(taken(scene(8), 2000.0, 1), taken(scene(9), 4.0, 2), taken(scene(9), 60_000.0, 3)) == [0, 0, 0]
+
+
+def test_the_noise_of_a_block_is_that_of_its_pixels_over_their_root() -> None:
+    """A block of four by four pixels: twenty even frames scatter by what is stated of each."""
+    seen = [FineStructure.of(taken(np.ones((HEIGHT, WIDTH)), 800.0, n), BLACK, FULL) for n in range(20)]
+    assert seen[0].log_light.shape == (24, 32)
+    scatter = np.var([one.log_light for one in seen], axis=0, ddof=1).mean()
+    assert scatter == pytest.approx((800.0 + READ_E**2 + E_PER_DN**2 / 12.0) / 800.0**2 / 16.0, rel=0.05)
+    assert np.mean([one.noise2.mean() for one in seen]) == pytest.approx(scatter * 15.0 / 16.0, rel=0.05)
+    assert seen[0].log_light.mean() == pytest.approx(np.log(400.0), abs=1e-3)
+
+
+def test_of_large_frames_every_nth_pixel_is_looked_at() -> None:
+    """32 blocks along the longer side whatever the size; as noisy as the pixels that were looked at, no less."""
+    even = taken(np.ones((800, 1200)), 800.0, 3)
+    seen = FineStructure.of(even, BLACK, FULL)
+    assert seen.log_light.shape == (20, 30)  # blocks of 13 × 13 of every third pixel
+    assert np.var(seen.log_light, ddof=1) == pytest.approx(817.0 / 800.0**2 / 13.0**2, rel=0.15)
+    assert seen.noise2.mean() == pytest.approx(817.0 / 800.0**2 / 13.0**2, rel=0.05)
+
+
+def reconciled(*shots: tuple[Picture, float]) -> Any:
+    """Return what is said of frames with exposures of 10 ms for 4000 electrons, two of each."""
+    entries, frames = [], []
+    for number, (radiance, exposure_s) in enumerate(shot for shot in shots for _ in range(2)):
+        entries.append(FrameEntry(file=f"{number}.png", exposure_s=exposure_s, timestamp_s=0.5 * number, gain_db=0.0))
+        frames.append(Frame(taken(radiance, 4e5 * exposure_s, 20 + number), 12, entries[-1].settings))
+    stated = {"conversion_gain_e_per_dn": E_PER_DN, "read_noise_e": READ_E, "black_level_dn": BLACK}
+    camera = CameraDescription(bit_depth=12, pixel_pitch_um=3.45, full_well_e=9000.0, **stated)
+    return reconcile(CaptureHeader(camera=camera, frames=tuple(entries)), frames, with_limits=False)
+
+
+def test_each_scene_has_radiances_of_its_own() -> None:
+    """Two scenes at two exposures each agree with the model; that the scene changes is told."""
+    one, other = scene(10), scene(11, contrast=0.1)
+    found = reconciled((one, 1e-3), (one, 4e-3), (other, 1e-3), (other, 4e-3))
+    assert found.verdict == "agrees"
+    assert 0.8 < found.gap_after < 1.2
+    assert any("the scene changes: 2 are shown" in line for line in found.assumptions)
+    assert not any("scene" in line for line in reconciled((one, 1e-3), (one, 4e-3)).assumptions if "shown" in line)
+
+
+def test_a_scene_of_one_frame_is_refused_by_name() -> None:
+    """Nothing can be held against it: the error names the frame and the way out."""
+    radiance, entries, frames = scene(12), [], []
+    for number, shows in enumerate((radiance, radiance, scene(13))):
+        entries.append(FrameEntry(file=f"{number}.png", exposure_s=0.002 * (1 + number), gain_db=0.0))
+        frames.append(Frame(taken(shows, 1000.0, number), 12, entries[-1].settings))
+    header = CaptureHeader(camera=CameraDescription(bit_depth=12, black_level_dn=BLACK), frames=tuple(entries))
+    with pytest.raises(CaptureError, match=r"show 2 scenes, and no other frame shows that of 2\.png: .* two frames"):
+        reconcile(header, frames)

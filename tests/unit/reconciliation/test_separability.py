@@ -1,0 +1,238 @@
+"""Which names a plan cannot tell apart, asked of the captures alone and held against fits."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.cli.main import run
+from radiometer.data import CaptureSetWriter
+from radiometer.reconciliation import engine
+from radiometer.reconciliation.advice.separability import (
+    Alike,
+    Directions,
+    Separability,
+    asked_sizes,
+    inseparable,
+    left_by_fit,
+    noiseless,
+    separability,
+)
+from radiometer.reconciliation.engine import whole_catalogue
+from radiometer.reconciliation.fit.candidate_fit import Candidate
+from radiometer.reconciliation.fit.descent import first_state, refit
+from radiometer.reconciliation.fit.state import FitState, with_effects
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from simulators.effects.adc_saturation import AdcSaturation
+from simulators.effects.ambient_light_leak import AmbientLightLeak
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.full_well_saturation import FullWellSaturation
+from simulators.effects.mains_ripple import MainsRipple
+from simulators.effects.psf_blur import PsfBlur
+from simulators.effects.series_settling import SeriesSettling
+from simulators.effects.veiling_glare import VeilingGlare
+
+BRACKET = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 8) for _ in range(2)]
+DARKS = [{"t": t, "shutter": "closed"} for t in (1e-4, 1e-2, 1.0)]
+OTHERS = [{"t": 3e-3, "pattern": "bright"}, {"t": 3e-3, "d": 0.3}, {"t": 0.1, "d": 0.0}, {"t": 1.0, "d": 0.0}]
+STRAY = {"veiling_glare", "ambient_light_leak", "display_black_leak"}
+
+
+def _state(make_capture: Callable[..., Any], plan: list[dict[str, Any]]) -> FitState:
+    captured = make_capture(seed=61, plan=plan)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+
+
+@pytest.fixture(scope="module")
+def plain(make_capture: Callable[..., Any]) -> FitState:
+    """Return the starting camera for a bracket of one chart at one level, and its darks."""
+    return _state(make_capture, [*BRACKET, *DARKS])
+
+
+@pytest.fixture(scope="module")
+def told_apart(plain: FitState) -> Separability:
+    """Return what that bracket can tell apart of the whole catalogue, which takes some ten seconds."""
+    return separability(plain, whole_catalogue())
+
+
+def _sets(found: Separability) -> list[set[str]]:
+    return [{entry.name, *entry.others} for entry in found.together]
+
+
+@pytest.mark.slow
+def test_bracket_of_one_chart_cannot_tell_stray_light_apart(told_apart: Separability) -> None:
+    """A veil, light from the room and a black that glows stand together, and a capture is asked for that tells more."""
+    entry = next(entry for entry in told_apart.together if {entry.name, *entry.others} >= STRAY)
+    assert entry.capture is not None
+    assert entry.capture["frames"][0]["shutter"] == "open"
+    assert "polarisation" in told_apart.blind
+
+
+@pytest.mark.slow
+def test_short_exposures_do_not_tell_one_flicker_from_another(told_apart: Separability) -> None:
+    """Mains and dimming shake frames alike where no exposure holds a period."""
+    assert any(names >= {"mains_ripple", "pwm_flicker"} for names in _sets(told_apart))
+
+
+@pytest.mark.slow
+def test_stated_radiances_count_against_a_name(make_capture: Callable[..., Any]) -> None:
+    """Beside a bright surround, light from the room leaves hundreds of χ² of a veil: of what is stated, too."""
+    state, veil = _state(make_capture, [*BRACKET, *DARKS, OTHERS[0]]), VeilingGlare(0.02)
+    left, _ = left_by_fit(noiseless(state, veil), veil, Candidate(AmbientLightLeak(0.01), 0.0, 1))
+    assert left > 100.0
+
+
+@pytest.mark.slow
+def test_another_surround_level_and_the_source_off_tell_them_apart(make_capture: Callable[..., Any]) -> None:
+    """With these captures no two of the three stand together, nor are they blind to any."""
+    state = _state(make_capture, [*BRACKET, *DARKS, *OTHERS])
+    found = separability(state, {name: whole_catalogue()[name] for name in STRAY})
+    assert all(len(names & STRAY) < 2 for names in _sets(found))
+    assert not STRAY & set(found.blind)
+
+
+@pytest.mark.parametrize(
+    ("truth", "other", "alike"),
+    [
+        (VeilingGlare(0.004), AmbientLightLeak(0.002), True),
+        (ExposureTimeOffset(8e-6), AmbientLightLeak(0.002), False),
+    ],
+)
+def test_names_that_stand_together_fit_each_other_without_noise(
+    plain: FitState, truth: CatalogueEffect, other: CatalogueEffect, alike: bool
+) -> None:
+    """Fitted to what a model with the one expects, without noise, the other leaves less than 10 of χ², or hundreds."""
+    expected = plain.predicted_with((truth,))
+    seen = replace(plain.seen, mean=expected.mean, variance=expected.variance, spatial=expected.spatial)
+    exact = replace(plain, seen=seen, comparison=replace(plain.comparison, seen=seen))
+    own, foreign = (refit(with_effects(exact, [effect])).cost for effect in (truth, other))
+    assert (foreign - own < 10.0) is alike
+    assert alike or foreign - own > 100.0
+
+
+@pytest.mark.parametrize(("other", "alike"), [(AmbientLightLeak(0.1), True), (ExposureTimeOffset(8e-6), False)])
+def test_large_effect_is_held_against_fits_to_its_noiseless_data(
+    plain: FitState, other: CatalogueEffect, alike: bool
+) -> None:
+    """A veil of 30 % is fitted by light from the room to less than 10 of χ², not by a longer exposure."""
+    truth = VeilingGlare(0.3)
+    exact = noiseless(plain, truth)
+    assert exact.comparison.residual(plain.predicted_with((truth,))) == pytest.approx(0.0)
+    left, fitted = left_by_fit(exact, truth, Candidate(other, 0.0, 1))
+    assert (left < 10.0) is alike
+    assert fitted.name == other.name
+
+
+class _FromNothing(AmbientLightLeak):
+    """Light from the room whose first start is far below what any frame shows."""
+
+    @classmethod
+    def starts(cls, context: Any) -> tuple[CatalogueEffect, ...]:
+        """Return a hopeless start and a fair one."""
+        return cls(1e-13), cls(0.002)
+
+
+def test_entry_is_asked_about_from_whichever_start_shows(plain: FitState) -> None:
+    """A first start too small to be scaled up does not make a plan blind to the entry."""
+    asked = asked_sizes(plain, {"ambient_light_leak": _FromNothing})
+    assert asked["ambient_light_leak"].values()["irradiance_w_m2"] > 1e-9
+
+
+def _brought(state: FitState, effect: CatalogueEffect) -> float:
+    """Return the χ² by which an effect stands out of its own noiseless data, all nuisances refitted without it."""
+    exact = noiseless(state, effect)
+    return refit(exact).cost - refit(with_effects(exact, [effect])).cost
+
+
+@pytest.mark.parametrize("kind", [ExposureTimeOffset, PsfBlur, VeilingGlare])
+def test_entry_is_asked_about_at_twenty_sigma(plain: FitState, kind: type[CatalogueEffect]) -> None:
+    """What is asked about leaves 400 of χ² where it is not fitted, whether it grows in proportion or as a square."""
+    effect = asked_sizes(plain, {kind.name: kind})[kind.name]
+    assert _brought(plain, effect) == pytest.approx(400.0, rel=0.15)  # looked for to a tenth of ln χ²
+
+
+def test_limit_of_the_signal_is_asked_about_where_it_ends_light(plain: FitState) -> None:
+    """A converter that ends at half its codes cannot be made larger or smaller: it is asked about as it is, or a later
+    one that the frames show."""
+    effect = asked_sizes(plain, {"adc_saturation": AdcSaturation})["adc_saturation"]
+    assert effect in AdcSaturation.starts(plain.model.context)
+    assert _brought(plain, effect) > 400.0
+
+
+def test_limit_is_followed_by_another_whole_and_not_in_part(plain: FitState) -> None:
+    """Half of what a limit ends is no limit: a lower well than another leaves the square of what it takes away more."""
+    own = FullWellSaturation(6000.0)
+    lower = FullWellSaturation(4500.0)
+    directions = Directions.of(plain, {"own": (own,), "lower": (lower,)})
+    (target,), (other,) = directions.forms["own"], directions.forms["lower"]
+    assert directions.left(target, target) == pytest.approx((0.0, 1.0), abs=1e-6 * directions.shown(target))
+    alone = replace(other, columns=slice(other.columns.start, other.columns.start + 1))
+    changed, less = (plain.predicted_with((effect,)) for effect in (own, lower))
+    apart = plain.comparison.residual(changed) - plain.comparison.residual(less)
+    followed = plain.pad(apart[:, None])
+    moved, part = plain.fit.followed_with_half(followed)
+    expected = float(np.sum(moved**2) - np.sum(part**2))
+    assert directions.left(target, alone) == pytest.approx((expected, 1.0), rel=1e-6)
+
+
+def test_likeness_by_derivatives_is_held_to_a_fit(plain: FitState) -> None:
+    """A lamp that settles within a series is, as a small difference of large changes, what mains do to frames; no such
+    lamp does it."""
+    shaken = asked_sizes(plain, {"mains_ripple": MainsRipple})["mains_ripple"]
+    settling = SeriesSettling.starts(plain.model.context)
+    directions = Directions.of(plain, {"mains_ripple": (shaken,), "series_settling": settling})
+    (target,) = directions.forms["mains_ripple"]
+    assert min(directions.left(target, form)[0] for form in directions.forms["series_settling"]) < 10.0
+    assert Alike(directions, target).fitted("series_settling") is None
+
+
+@pytest.mark.parametrize("itself", [True, False])
+def test_entry_that_has_turned_into_another_is_no_rival(
+    plain: FitState, monkeypatch: pytest.MonkeyPatch, itself: bool
+) -> None:
+    """Light from the room fits a veil of 30 % only by a fit; it is a rival there unless it acts as others would."""
+    monkeypatch.setattr(AmbientLightLeak, "unlike_itself", lambda self, context: not itself)
+    state = with_effects(plain, [VeilingGlare(0.3)])
+    rivals = inseparable(state, state.effects[0], {"ambient_light_leak": AmbientLightLeak})
+    assert [rival.name for rival in rivals] == (["ambient_light_leak"] if itself else [])
+
+
+@pytest.mark.slow
+def test_plan_is_told_on_the_command_line(
+    make_capture: Callable[..., Any],
+    plain: FitState,
+    told_apart: Separability,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """`--plan-only` asks of the captures alone, gives the sets and what they are blind to, and names nothing."""
+    asked: list[tuple[int, int]] = []
+
+    def found(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> Separability:
+        asked.append((state.seen.mean.size, len(catalogue)))
+        return told_apart
+
+    monkeypatch.setattr(engine, "separability", found)
+    captured = make_capture(seed=61, plan=[*BRACKET, *DARKS])
+    header = captured.header
+    parts = (header.camera, header.lens, header.source, header.patches, header.patterns)
+    with CaptureSetWriter(tmp_path / "set", *parts) as writer:
+        for frame in captured.frames:
+            writer.add(frame)
+    assert run(["reconcile", str(tmp_path / "set"), "--plan-only", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told) == {"inseparable", "blind"}
+    assert any({entry["name"], *entry["others"]} >= STRAY for entry in told["inseparable"])
+    assert run(["reconcile", str(tmp_path / "set"), "--plan-only"]) == 0
+    assert "these captures cannot tell" in capsys.readouterr().out
+    assert asked == [(plain.seen.mean.size, len(whole_catalogue()))] * 2

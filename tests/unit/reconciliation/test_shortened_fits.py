@@ -1,0 +1,205 @@
+"""Fits that are cut short where nothing is lost: where they end, and what they save."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.reconciliation.fit import full_fit
+from radiometer.reconciliation.fit.descent import approached, beside, first_state, refit, settled
+from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError
+from radiometer.reconciliation.fit.nuisances import NuisanceLayout
+from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.layout import slope_lengths, tile_groups
+from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.model.several import predict_several
+from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from simulators.effects.prnu import Prnu
+from simulators.effects.response_nonlinearity import ResponseNonlinearity
+from simulators.effects.tile_moments import TileMoments
+
+LADDER = [{"t": float(t), "d": d} for d in (0.9, 0.3) for t in np.geomspace(1e-4, 5e-3, 6)]
+
+
+@pytest.fixture(scope="module")
+def captured(make_capture: Callable[..., Any]) -> Any:
+    """A bracket of a chart at two levels."""
+    return make_capture(5, plan=LADDER)
+
+
+@pytest.fixture(scope="module")
+def plain(captured: Any) -> FitState:
+    """The camera without any effect, fitted."""
+    design = Design.of(captured.header, captured.frames[0].shape)
+    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+
+
+@contextmanager
+def derivatives_counted() -> Iterator[list[int]]:
+    """Give a list that grows by one with every set of derivatives that is taken."""
+    taken: list[int] = []
+    real = NuisanceLayout.derivatives
+
+    def counted(self: NuisanceLayout, *arguments: Any) -> Any:
+        taken.append(1)
+        return real(self, *arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(NuisanceLayout, "derivatives", counted)
+        yield taken
+
+
+def off_by(one: FitState, other: FitState) -> Any:
+    """Return by how many of its uncertainties each effect parameter differs between two fits."""
+    u = np.sqrt(np.diag(other.fit.covariance))[-other.parameters.size :] * other.parameters.scale
+    return np.abs(one.parameters.values - other.parameters.values) / u
+
+
+def test_a_fit_that_is_not_confirmed_ends_at_the_least_squares(plain: FitState) -> None:
+    """It comes to within a thirtieth of the uncertainties, by fewer derivatives."""
+    start = with_effects(plain, [ExposureTimeOffset(4e-6), ResponseNonlinearity(0.02)])
+    with derivatives_counted() as taken:
+        near = approached(start)
+        few = len(taken)
+        whole = refit(start)
+    assert few < len(taken) - few
+    assert start.cost - whole.cost > 100.0, "the start must lie far off"
+    assert near.cost - whole.cost == pytest.approx(0.0, abs=0.01)
+    assert (off_by(near, whole) < 0.03).all()
+
+
+def test_settled_parameters_are_those_of_their_own_weights(plain: FitState) -> None:
+    """Another round of new weights moves them by far less than they are known to."""
+    found = settled(approached(with_effects(plain, [ExposureTimeOffset(2e-6), Prnu(0.02)])))
+    again = refit(reweighted(found))
+    assert (off_by(found, again) < 0.1).all()
+
+
+def test_what_stands_beside_is_followed_without_new_derivatives(plain: FitState) -> None:
+    """All else follows an effect that is held, as in a fit of its own; the effect does not move."""
+    state = refit(with_effects(plain, [ExposureTimeOffset(1e-6)]))
+    held = ResponseNonlinearity(0.02)
+    assert state.fit.effects.shape[1] == 1  # the derivatives that are used
+    with derivatives_counted() as taken:
+        found = beside(state, held)
+    assert not taken
+    assert found.effects[1] == held
+    start = dataclasses.replace(with_effects(state, [*state.effects, held]), frozen=frozenset({1, 2}))
+    fitted = refit(start)
+    assert start.cost - fitted.cost > 10.0, "there must be something to follow"
+    assert found.cost == pytest.approx(fitted.cost, abs=1e-3 * (start.cost - fitted.cost))
+    assert found.effects[0].values()["offset_s"] == pytest.approx(fitted.effects[0].values()["offset_s"], abs=1e-8)
+
+
+def test_one_step_fits_nothing_twice(plain: FitState, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same start is fitted once near and once far; another start of equal values is its own."""
+    fitted: list[tuple[object, bool]] = []
+    in_a_hurry: list[bool] = []
+
+    def counted(state: FitState, effect: Any, *, far: bool, most: float, hurried: bool) -> FitState:
+        fitted.append((effect, far))
+        in_a_hurry.append(hurried)
+        return with_effects(state, [effect])
+
+    monkeypatch.setattr(full_fit, "included", counted)
+    fits, effect = FullFits(plain), ExposureTimeOffset(1e-6)
+    first = fits.included(effect, far=True)
+    assert fits.included(effect, far=True) is first
+    assert fits.included(effect, far=False) is not first
+    assert fitted == [(effect, True), (effect, False)]
+    FullFits(plain, 1e6).included(effect, far=True)  # held against what was found
+    assert in_a_hurry == [False, False, True]
+
+
+def test_what_leaves_more_than_it_may_is_not_refitted_under_its_own_weights(plain: FitState) -> None:
+    """The χ² under the weights of the state decides, once all parameters have followed."""
+    effect = ExposureTimeOffset(1e-6)
+    near = approached(full_fit.accepted(plain, effect)).cost
+    assert FullFits(plain, near + 1.0).included(effect, far=False).effects
+    with pytest.raises(UnfitError, match=effect.name):
+        FullFits(plain, near - 1.0).included(effect, far=False)
+
+
+def test_columns_of_an_unknown_scene_are_what_each_rise_alone_changes(make_capture: Callable[..., Any]) -> None:
+    """Both rises of all tiles are moved at once; each column is what its own figure does by itself."""
+    captured = make_capture(6, plan=LADDER[:3], picture=lambda image, setting: image * np.linspace(0.7, 1.0, 96))
+    header = captured.header.model_copy(update={"patches": ()})
+    design = Design.of(header, captured.frames[0].shape)
+    state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    layout, tiles = state.layout, len(design.tiles)
+    assert layout.free_scene
+    jacobian = np.zeros((state.comparison.size, layout.size))
+    block, at = state.nuisance_jacobian, state.values
+    data = block.rows < state.comparison.size
+    jacobian[block.rows[data]] = block.values[data][:, : layout.size]
+    first = layout.size - 3 * tiles
+    told = dict.fromkeys(("slope_x", "slope_y", "spatial"), 0)
+    for tile in range(0, tiles, 5):
+        for number, name in enumerate(told):
+            column, step = first + number * tiles + tile, 1e-6
+            moved = at.copy()
+            moved[column] += step
+            there = state.model.predict(layout.unpack(design, moved))
+            change = -(state.comparison.residual(there) - state.plain_residual) / step
+            cut = state.comparison.cuts[name]
+            largest = np.abs(change[cut]).max()
+            told[name] += largest > 1.0
+            assert jacobian[cut, column] == pytest.approx(change[cut], rel=5e-3, abs=1e-3 * largest + 1e-6)
+    assert min(told.values()) >= 3
+
+
+def test_length_of_a_tilt_is_that_of_its_tiles(plain: FitState) -> None:
+    """The closed form is the length of the tilt over the very pixels."""
+    across, down = slope_lengths(plain.design)
+    for group in tile_groups(plain.design):
+        assert across[group.index] == pytest.approx(group.slope_norm[0])
+        assert down[group.index] == pytest.approx(group.slope_norm[1])
+
+
+def test_moments_are_changed_as_by_their_constructor() -> None:
+    """A copy with other values is what the constructor gives; the original stays."""
+    before = TileMoments.exactly(np.ones((1, 2, 4)))
+    after, built = before.changed(comb_step=4.0), dataclasses.replace(before, comb_step=4.0)
+    assert vars(after).keys() == vars(built).keys()
+    assert all(value is getattr(built, name) or value == 4.0 for name, value in vars(after).items())
+    assert (before.comb_step, after.comb_step) == (1.0, 4.0)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        before.changed(comb_step=4.0).comb_step = 2.0  # type: ignore[misc]
+
+
+def test_chain_goes_on_from_the_first_step_that_differs(plain: FitState) -> None:
+    """What comes behind that step is the same as of a chain that runs anew, and steps in front of it are not run."""
+    curved = with_effects(plain, (ExposureTimeOffset(4e-6), ResponseNonlinearity(0.01), Prnu(0.01)))
+    here, model = curved.trace, curved.model
+    stronger = (curved.effects[0], ResponseNonlinearity(0.02), curved.effects[2])
+    nuisance = here.nuisance.with_off(log_responsivity=here.nuisance.off.log_responsivity + 0.01)
+    for other, moved in ((model.with_effects(stronger), here.nuisance), (model, nuisance)):
+        again, anew = other.trace(moved, here), other.trace(moved)
+        kept = sum(a is b for a, b in zip(again.passed, here.passed, strict=True))
+        assert 3 < kept < len(here.passed)
+        assert all(
+            np.array_equal(getattr(again.prediction, f), getattr(anew.prediction, f)) for f in ("mean", "spatial")
+        )
+        assert not np.array_equal(again.prediction.mean, here.prediction.mean)
+    assert model.trace(here.nuisance, here) is here
+
+
+def test_predictions_are_compared_with_one_another_as_with_the_data(plain: FitState) -> None:
+    """Residuals of several predictions at once are those of each; what they expect alike differs by nothing at all."""
+    effects = (ExposureTimeOffset(4e-6), Prnu(0.01))
+    alone = np.stack([plain.comparison.residual(plain.predicted_with((effect,))) for effect in effects], axis=1)
+    models = [(plain.model.with_effects((effect,)), plain.nuisance) for effect in effects]
+    ((numbers, several),) = predict_several(models, plain.trace)
+    assert plain.comparison.residual(several) == pytest.approx(alone[:, numbers], abs=1e-12)
+    changes = -plain.moved_by([(effect,) for effect in effects])
+    assert changes == pytest.approx(alone - plain.plain_residual[:, None], abs=1e-9)
+    mean, spatial = (plain.comparison.cuts[name] for name in ("mean", "spatial"))
+    assert changes[mean, 0].any()
+    assert not changes[mean, 1].any()
+    assert changes[spatial, 1].any()

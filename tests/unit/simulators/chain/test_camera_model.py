@@ -1,0 +1,227 @@
+"""The chain of effects: order, units, naming of what fails, moments against samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radiometer.data import CameraDescription, FrameSettings, LensDescription
+from radiometer.errors import ConfigurationError, MeasurementError
+from simulators.chain.camera_model import CameraModel
+from simulators.effects.base import ELECTRONS, Effect, Stage, parameter
+from simulators.effects.catalogue import declared_dark_e
+from simulators.effects.context import ExposureContext, FrameGeometry, Signal
+from simulators.effects.registry import EFFECTS, make_effect
+
+CAMERA = CameraDescription(
+    bit_depth=12,
+    pixel_pitch_um=4.5,
+    conversion_gain_e_per_dn=2.6,
+    read_noise_e=2.4,
+    full_well_e=10_500,
+    dark_current_e_per_s=1.0,
+    black_level_dn=64,
+    quantum_efficiency=0.62,
+)
+LENS = LensDescription(focal_length_mm=16, f_number=4.0, transmittance=0.95)
+SETTINGS = FrameSettings(exposure_s=0.01, f_number=4.0, black_level_dn=64.0)
+
+
+@pytest.fixture
+def model() -> CameraModel:
+    return CameraModel.ideal(CAMERA, LENS)
+
+
+@dataclass(frozen=True)
+class Broken(Effect):
+    """Fails when it runs."""
+
+    name = "broken"
+    stage = Stage.WELL
+    unit_in = unit_out = ELECTRONS
+    depth: float = parameter(0.5, "1", 0.0, 1.0, source="test")
+
+    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
+        raise ValueError("out of coffee")
+
+
+@dataclass(frozen=True)
+class NotFinite(Broken):
+    """Gives NaN without raising."""
+
+    name = "not_finite"
+
+    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
+        return np.full_like(signal, np.nan)
+
+
+def test_mean_follows_the_equations_from_radiance_to_dn(model: CameraModel) -> None:
+    """Expected DN of the whole chain equals the figure worked out by hand from the same equations."""
+    context = model.context(SETTINGS, FrameGeometry.of_image(4, 3))
+    irradiance = np.pi * 0.95 * 0.5 / (4 * 4.0**2)
+    photon_j = 6.62607015e-34 * 299_792_458.0 / 550e-9
+    electrons = 0.62 * irradiance * 0.01 * (4.5e-6) ** 2 / photon_j + 1.0 * 0.01
+    expected = electrons / 2.6 + 64.0
+    assert model.mean(np.full((3, 4), 0.5), context) == pytest.approx(np.full((3, 4), expected), rel=1e-12)
+
+
+def test_closed_shutter_leaves_dark_current_and_black_level(model: CameraModel) -> None:
+    """A dark frame of 30 s at 39 °C holds 30 s · 1 e-/s · 2^(14/7) above black."""
+    settings = FrameSettings(exposure_s=30.0, f_number=4.0, shutter="closed", temperature_c=39.0, black_level_dn=64.0)
+    expected = 64.0 + 30.0 * 4.0 / 2.6
+    mean = model.mean(np.full((2, 2), 9.0), model.context(settings, FrameGeometry.of_image(2, 2)))
+    assert mean == pytest.approx(np.full((2, 2), expected), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("level_e", "full_well_e"),
+    [(0.0, 10_500), (400.0, 10_500), (9000.0, 10_500), (7950.0, 8000), (8100.0, 8000), (10_400.0, 20_000)],
+)
+def test_samples_have_the_predicted_moments(model: CameraModel, level_e: float, full_well_e: float) -> None:
+    """Mean and variance of 160 000 pixels agree with `moments` within 4 standard errors, also on either limit."""
+    model = model.with_parameters("full_well_saturation", full_well_e=full_well_e)
+    geometry = FrameGeometry.of_image(400, 400)
+    context = model.context(SETTINGS, geometry)
+    per_radiance = model.mean(np.ones((1, 1)), context, until=Stage.ELECTRONS)[0, 0] - 0.01
+    radiance = np.full(geometry.shape, level_e / per_radiance)
+    expected = model.moments(radiance[:1, :1], context)
+    pixels = model.sample(radiance, context, seed=(1,)).dn.astype(float)
+    variance = float(expected.variance[0, 0])
+    # A censored normal stands for a censored Poisson count: its skewness 1/√μ is worth up to 1 % of σ.
+    censored = level_e > 7900.0 and level_e != 9000.0
+    u_mean = np.sqrt(variance / pixels.size) + (0.01 / 4 * np.sqrt(variance) if censored else 0.0)
+    assert pixels.mean() == pytest.approx(expected.mean[0, 0], abs=4 * u_mean)
+    fourth = np.mean((pixels - pixels.mean()) ** 4)
+    u_variance = np.sqrt((fourth - pixels.var() ** 2) / pixels.size)
+    assert pixels.var() == pytest.approx(variance, abs=4 * u_variance + (0.01 * variance if censored else 0.0))
+
+
+def test_same_seed_gives_the_same_frame_and_another_seed_another(model: CameraModel) -> None:
+    """Randomness follows from the seed alone."""
+    context = model.context(SETTINGS, FrameGeometry.of_image(32, 32))
+    radiance = np.full((32, 32), 0.3)
+    first, again, other = (model.sample(radiance, context, seed=(s,)).dn for s in (5, 5, 6))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_noise_of_one_effect_does_not_depend_on_another(model: CameraModel) -> None:
+    """With read noise switched off, the shot noise of the frame stays the same."""
+    context = model.context(SETTINGS, FrameGeometry.of_image(32, 32))
+    radiance = np.full((32, 32), 0.3)
+    noisy, quiet = (
+        model.sample(radiance, context, (3,)),
+        model.without_effect("read_noise").sample(radiance, context, (3,)),
+    )
+    assert np.array_equal(noisy.electrons, quiet.electrons)
+    assert not np.array_equal(noisy.dn, quiet.dn)
+
+
+def test_missing_stage_is_refused_by_the_name_of_the_effect_that_does_not_fit(model: CameraModel) -> None:
+    """Without the shutter, exposure never comes about: the message names the effect after the hole."""
+    with pytest.raises(ConfigurationError, match=r"'photon_conversion'.*takes J m-2.*'lens' before it gives W m-2"):
+        model.without_effect("shutter")
+
+
+def test_failing_effect_names_itself(model: CameraModel) -> None:
+    """An error inside an effect reaches the user under the effect's name."""
+    context = model.context(SETTINGS, FrameGeometry.of_image(2, 2))
+    with pytest.raises(MeasurementError, match=r"effect 'broken' failed: out of coffee"):
+        model.with_effect(Broken()).sample(np.ones((2, 2)), context, (0,))
+
+
+def test_effect_that_gives_nan_names_itself(model: CameraModel) -> None:
+    """What is not finite is caught at the effect that made it."""
+    context = model.context(SETTINGS, FrameGeometry.of_image(2, 2))
+    with pytest.raises(MeasurementError, match=r"effect 'not_finite' gave values that are not finite"):
+        model.with_effect(NotFinite()).mean(np.ones((2, 2)), context)
+
+
+def test_parameter_out_of_bounds_is_refused_with_limits_and_unit() -> None:
+    """The message gives the value, the limits and the unit."""
+    with pytest.raises(ConfigurationError, match=r"transmittance = 1\.5 1 is out of range; allowed is 0\.01 to 1 1"):
+        make_effect("lens", {"transmittance": 1.5})
+
+
+def test_unknown_effect_and_parameter_are_refused_with_what_there_is() -> None:
+    """A misspelt name is answered with the known ones."""
+    with pytest.raises(ConfigurationError, match=r"no effect 'lense'; known are .*lens"):
+        make_effect("lense")
+    with pytest.raises(ConfigurationError, match=r"'lens' has no parameter 'colour'; it has transmittance"):
+        make_effect("lens", {"colour": 1})
+
+
+def test_model_file_gives_the_same_model_back(model: CameraModel, tmp_path: Path) -> None:
+    """Written and read again, every entry, switch and value is there."""
+    changed = model.with_effect(make_effect("dark_current", {"rate_e_per_s": 3.0}), notes={"evidence_nats": 41.5})
+    changed = changed.without_effect("read_noise")
+    changed.write(tmp_path / "model.yaml")
+    again = CameraModel.read(tmp_path / "model.yaml")
+    assert again.to_mapping() == changed.to_mapping()
+    assert [e.enabled for e in again.entries if e.effect.name == "read_noise"] == [False]
+
+
+def test_added_dark_current_comes_before_its_shot_noise(model: CameraModel) -> None:
+    """An effect with `before` is put in front of the effect that it names."""
+    names = [e.effect.name for e in model.with_effect(make_effect("dark_current")).entries]
+    assert names.index("shot_noise") == len(names) - 1 - names[::-1].index("dark_current") + 1
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+def test_every_effect_is_registered_under_its_name_with_bounded_sourced_parameters(name: str) -> None:
+    """A registry line and its class agree; each parameter has a unit, a source and a default within bounds."""
+    kind = EFFECTS[name]
+    assert kind.name == name
+    made = kind()
+    for known in kind.parameters():
+        assert isinstance(known.unit, str)
+        assert known.unit
+        assert known.source
+        assert known.low < known.high
+        default = getattr(made, known.name)
+        for value in default if isinstance(default, tuple) else (default,):
+            assert known.low <= value <= known.high
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+def test_output_depth_scales_black_level_and_signal(model: CameraModel, bits: int) -> None:
+    """The same light gives 2^(b − 12) times as many DN in an output of b bits."""
+    geometry = FrameGeometry.of_image(2, 2)
+    native = model.mean(np.full((2, 2), 0.4), model.context(SETTINGS, geometry))
+    output = model.mean(np.full((2, 2), 0.4), model.context(SETTINGS, geometry, output_bit_depth=bits))
+    assert output == pytest.approx(native * 2.0 ** (bits - 12), rel=1e-12)
+
+
+def test_binned_pixels_collect_four_times_light_and_dark_current(model: CameraModel) -> None:
+    """2 × 2 binning sums area, dark current and full well of four pixels."""
+    single = model.context(SETTINGS, FrameGeometry.of_image(1, 1))
+    binned = model.context(SETTINGS, FrameGeometry.of_image(1, 1, binning=2))
+    radiance = np.full((1, 1), 0.4)
+    until = Stage.WELL
+    assert model.mean(radiance, binned, until)[0, 0] == pytest.approx(4 * model.mean(radiance, single, until)[0, 0])
+    assert model.mean(np.full((1, 1), 99.0), binned, until)[0, 0] == pytest.approx(4 * 10_500)
+
+
+@pytest.mark.parametrize(("binning", "temperature_c"), [(1, None), (2, None), (2, 39.0), (1, 18.0)])
+def test_declared_dark_charge_is_what_the_chain_collects(
+    model: CameraModel, binning: int, temperature_c: float | None
+) -> None:
+    """What effects take for declared is what a frame without light holds: 1 e⁻/s at 25 °C, twice that every 7 K."""
+    settings = replace(SETTINGS, temperature_c=temperature_c)
+    context = model.context(settings, FrameGeometry.of_image(1, 1, binning=binning))
+    dark = model.mean(np.zeros((1, 1)), context, until=Stage.WELL)[0, 0]
+    warmer = 2.0 ** ((25.0 if temperature_c is None else temperature_c) / 7.0 - 25.0 / 7.0)
+    assert declared_dark_e(context) == pytest.approx(0.01 * warmer * binning**2, rel=1e-12)
+    assert dark == pytest.approx(0.01 * warmer * binning**2, rel=1e-6)
+
+
+def test_cos4_falls_off_with_the_field_angle() -> None:
+    """At a field angle of 45° a lens with cos⁴ passes a quarter of the light on its axis."""
+    lens = LensDescription(focal_length_mm=4.5, f_number=4.0, vignetting="cos4", principal_point_px=(0.0, 0.0))
+    model = CameraModel.ideal(CAMERA, lens)
+    geometry = FrameGeometry.of_image(1001, 1, principal_point_px=(0.0, 0.0), pixel_spacing_um=4.5)
+    irradiance = model.mean(np.ones((1, 1001)), model.context(SETTINGS, geometry), until=Stage.OPTICS)
+    assert irradiance[0, 1000] / irradiance[0, 0] == pytest.approx(0.25, rel=1e-12)

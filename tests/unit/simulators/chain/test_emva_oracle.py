@@ -1,0 +1,133 @@
+"""The simulator against the `emva1288` package: see emva_oracle.md."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.data import CameraDescription, FrameSettings, LensDescription
+from simulators.chain.camera_model import CameraModel
+from simulators.chain.virtual_sensor import VirtualSensor
+from simulators.effects.context import FrameGeometry
+from simulators.scenes import UniformScene
+
+HERE = Path(__file__).parent
+K_TRUE = 1 / 5.95
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("make_emva_oracle", HERE / "make_emva_oracle.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def oracle() -> dict[str, Any]:
+    return json.loads((HERE / "emva_oracle.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def model(script: ModuleType) -> CameraModel:
+    return CameraModel.ideal(CameraDescription(**script.CAMERA), LensDescription(**script.LENS), script.WAVELENGTH_NM)
+
+
+@pytest.fixture(scope="module")
+def temporal(oracle: dict[str, Any]) -> dict[str, np.ndarray]:
+    return {key: np.array(values) for key, values in oracle["temporal"].items()}
+
+
+@pytest.fixture(scope="module")
+def pixels(script: ModuleType) -> int:
+    return int(script.WIDTH * script.HEIGHT)
+
+
+def test_figures_belong_to_this_simulator(
+    script: ModuleType, model: CameraModel, temporal: dict[str, np.ndarray]
+) -> None:
+    """The first two pairs, exposed again, have exactly the means that the package was given."""
+    scene = UniformScene(radiance_W_per_sr_m2=script.RADIANCE, wavelength_nm=script.WAVELENGTH_NM)
+    sensor = VirtualSensor(model, scene, script.WIDTH, script.HEIGHT, seed=script.SEED)
+    for step, t in enumerate(script.exposures_s()[:2]):
+        for shutter, key in (("open", "u_y"), ("closed", "u_ydark")):
+            settings = FrameSettings(t, f_number=4.0, black_level_dn=64.0, shutter=shutter)
+            mean = np.mean([sensor.expose(settings) for _ in range(2)])
+            assert mean == pytest.approx(temporal[key][step], abs=1e-9)
+
+
+def test_every_mean_and_variance_is_as_the_model_predicts(
+    script: ModuleType, model: CameraModel, temporal: dict[str, np.ndarray], pixels: int
+) -> None:
+    """Of 60 bright steps, mean and variance by the package lie within 4.5 predicted standard deviations."""
+    for t, u_y, s2_y in zip(script.exposures_s(), temporal["u_y"], temporal["s2_y"], strict=True):
+        settings = FrameSettings(t, f_number=4.0, black_level_dn=64.0)
+        context = model.context(settings, FrameGeometry.of_image(1, 1))
+        expected = model.moments(np.full((1, 1), script.RADIANCE), context)
+        variance = float(expected.variance[0, 0])
+        # Next to full well a censored normal stands for a censored Poisson count (skewness 1/√20 000).
+        model_error = 0.02 if t > 22.0 else 0.0
+        assert u_y == pytest.approx(expected.mean[0, 0], abs=4.5 * np.sqrt(variance / 2 / pixels) + model_error * 5)
+        assert s2_y == pytest.approx(variance, abs=variance * (4.5 * np.sqrt(2 / pixels) + model_error) + 0.1)
+
+
+def test_system_gain(temporal: dict[str, np.ndarray], oracle: dict[str, Any], pixels: int) -> None:
+    """K by photon transfer is 1/5.95 DN/e- within 4 standard deviations of the package's unweighted fit."""
+    signal = temporal["u_y"] - temporal["u_ydark"]
+    used = signal <= 0.7 * signal.max()
+    variances = temporal["s2_y"][used] ** 2 + temporal["s2_ydark"][used] ** 2
+    sigma = np.sqrt(np.sum(signal[used] ** 2 * 2 * variances / pixels)) / np.sum(signal[used] ** 2)
+    assert sigma < 2e-3 * K_TRUE
+    assert oracle["figures"]["K"] == pytest.approx(K_TRUE, abs=4 * sigma)
+
+
+def test_quantum_efficiency(temporal: dict[str, np.ndarray], oracle: dict[str, Any], pixels: int) -> None:
+    """R/K is 62 %: R is far better known than K, so K's standard deviation rules."""
+    signal = temporal["u_y"] - temporal["u_ydark"]
+    used = signal <= 0.7 * signal.max()
+    variances = temporal["s2_y"][used] ** 2 + temporal["s2_ydark"][used] ** 2
+    sigma_rel = np.sqrt(np.sum(signal[used] ** 2 * 2 * variances / pixels)) / np.sum(signal[used] ** 2) / K_TRUE
+    assert oracle["figures"]["QE"] == pytest.approx(62.0, abs=4 * 62.0 * sigma_rel)
+
+
+def test_read_noise(temporal: dict[str, np.ndarray], oracle: dict[str, Any], pixels: int) -> None:
+    """σ_d, rounding taken out, is 5.4 e- within 4 standard deviations of the dark variance's intercept and of K."""
+    t = temporal["texp"]
+    design = np.column_stack([np.ones_like(t), t])
+    solve = np.linalg.pinv(design)[0]
+    u_intercept = np.sqrt(np.sum(np.square(solve * temporal["s2_ydark"]) * 2 / pixels))
+    u_sigma = u_intercept / (2 * 5.4 * K_TRUE**2)
+    assert oracle["figures"]["sigma_d"] == pytest.approx(5.4, abs=4 * np.hypot(u_sigma, 5.4 * 2e-3))
+
+
+def test_dark_current(temporal: dict[str, np.ndarray], oracle: dict[str, Any], pixels: int) -> None:
+    """The slope of the dark mean over time is 4 e-/s within 4 standard deviations of the fit and of K."""
+    t = temporal["texp"] * 1e-9
+    scatter = np.sqrt(temporal["s2_ydark"] / 2 / pixels)
+    sigma = np.sqrt(np.sum(np.square((t - t.mean()) * scatter))) / np.sum((t - t.mean()) ** 2) / K_TRUE
+    assert oracle["figures"]["u_I_mean"] == pytest.approx(4.0, abs=4 * np.hypot(sigma, 4.0 * 2e-3))
+
+
+def test_saturation_lies_where_the_predicted_variance_is_largest(
+    script: ModuleType, model: CameraModel, oracle: dict[str, Any]
+) -> None:
+    """The package's saturation capacity is that of the step with the largest predicted variance, ±3 steps of 0.3 %."""
+    settings = [FrameSettings(t, f_number=4.0, black_level_dn=64.0) for t in script.exposures_s()]
+    geometry, radiance = FrameGeometry.of_image(1, 1), np.full((1, 1), script.RADIANCE)
+    variances = [float(model.moments(radiance, model.context(s, geometry)).variance[0, 0]) for s in settings]
+    photons = script.photons_per_second() * settings[int(np.argmax(variances))].exposure_s
+    assert oracle["figures"]["u_p_sat"] == pytest.approx(photons, rel=3 * 0.003)
+
+
+def test_linearity_error_is_that_of_noise_alone(oracle: dict[str, Any]) -> None:
+    """The ideal chain is linear: the package sees less than ±0.05 % (noise of one mean is below 0.01 %)."""
+    assert abs(oracle["figures"]["LE_min"]) < 0.05
+    assert abs(oracle["figures"]["LE_max"]) < 0.05

@@ -1,0 +1,234 @@
+"""The simulated light box by itself: what it answers to commands, and what leaves its LEDs without any."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from zlib import crc32
+
+import pytest
+
+from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.channel import REFERENCE_CHANNELS, ChannelLimits
+from simulators.light_box.commands import Commands
+
+FIRMWARE = Path(__file__).resolve().parents[4] / "drivers" / "firmware" / "light_box"
+
+
+def greeted() -> tuple[LightBoxTwin, Commands]:
+    twin = LightBoxTwin()
+    commands = Commands(twin)
+    assert commands.run("HI 2").startswith("OK radiometer-light-box 2")
+    return twin, commands
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("XX", 2), ("st", 2), ("ST ", 3), ("ST 1", 3), ("CH", 3), ("CH 99", 4), ("CH 0 0", 3), ("RB x", 3),
+        ("SL 1 X 100", 3), ("SL 1 H 65536", 3), ("SL 1 H", 3), ("PU 1 H 100 0", 3), ("PU 1 H 100 600001", 3),
+        ("BL 1 H 100 10 60001 3", 3), ("EV 1", 3), ("EV ff", 3), ("EV 7F", 10), ("HI", 3), ("HI 9", 9),
+        ("SL 1 H 1 2 3 4 5", 3),
+    ],
+)  # fmt: skip
+def test_what_is_no_command_is_refused_by_its_number(text: str, code: int) -> None:
+    """2 is no command, 3 no such arguments, 4 no such channel, 9 another version, 10 no such event."""
+    _, commands = greeted()
+    assert commands.run(text) == f"ER {code:02d}"
+
+
+def test_a_box_that_nobody_greeted_shines_for_nobody() -> None:
+    """Reading is allowed, light is not (7); a fresh box has lost and darkened nothing and its button is up."""
+    commands = Commands(LightBoxTwin())
+    assert commands.run("SL 1 H 100") == "ER 07"
+    assert commands.run("ST").split()[3:] == ["0", "0", "0", "P", "0", "0"]
+    assert commands.run("TM").endswith(" 01")  # it has told of its start, and of nothing else
+
+
+def test_a_pulse_ends_in_the_light_too() -> None:
+    """Half a second of 60 000: the LED is lit within and dark beyond, though no further command came."""
+    twin, commands = greeted()
+    assert commands.run("PU 1 H 20000 500").startswith("OK")
+    begun_s = twin.time_s
+    assert twin.emission("spot", begun_s + 0.4).radiance_w_sr_m2 > 0.0
+    assert twin.duty("spot") > 0.0
+    assert twin.emission("spot", begun_s + 0.6).radiance_w_sr_m2 == 0.0
+    assert twin.duty("spot") == 0.0
+
+
+def test_a_host_that_falls_silent_leaves_the_leds_dark() -> None:
+    """A second after its last word a steady light goes out, and the box tells that it did."""
+    twin, commands = greeted()
+    assert commands.run("SL 1 H 20000").startswith("OK")
+    assert twin.emission("spot", twin.time_s + 0.9).radiance_w_sr_m2 > 0.0
+    assert twin.emission("spot", twin.time_s + 0.3).radiance_w_sr_m2 == 0.0
+    assert not twin.session
+    assert any(event.startswith("DK D") for event in twin.events.values())
+
+
+def test_the_last_sixteen_events_can_be_asked_for() -> None:
+    """Of twenty more after its start number 21 is the latest; 6 to 21 are kept, 5 is not."""
+    twin, commands = greeted()
+    for number in range(20):
+        twin.add_event("BT", str(number % 2), 100.0 + number)
+    assert commands.run("TM").endswith(" 15")
+    assert [commands.run(f"EV {number:02X}").split()[0] for number in range(4, 22)] == ["ER"] * 2 + ["OK"] * 16
+
+
+def test_events_are_numbered_from_0_to_255_and_on_from_0() -> None:
+    """The one after FF is 00, as two hexadecimal digits hold it."""
+    twin, commands = greeted()
+    while twin.latest_event != 255:
+        twin.add_event("BT", "1", 100.0)
+    twin.add_event("BT", "0", 200.0)
+    assert twin.latest_event == 0
+    assert commands.run("EV 00").startswith("OK")
+    assert commands.run("EV FF").startswith("OK")
+
+
+def test_a_box_counts_how_often_it_went_dark_by_itself() -> None:
+    """Once for a channel's energy (47e6 units at 235 a ms: 200 s), once for the held button, once for a silent host."""
+    twin, commands = greeted()
+
+    def speak(number: int, text: str, time_s: float) -> str:
+        body = f"#{number % 256:02X} {text}".encode()
+        twin.receive(body + f"*{crc32(body):08X}\n".encode(), time_s)
+        return twin.emitted[-1].line[4:-10].decode()
+
+    def darkened(number: int, time_s: float) -> str:
+        return speak(number, "ST", time_s).split()[5]
+
+    assert speak(0, "HI 2", 0.01).startswith("OK")
+    assert speak(1, "SL 0 H 59904", 0.02).startswith("OK")
+    counts = [darkened(2 + step, 0.5 * (1 + step)) for step in range(402)]
+    assert counts == ["0"] * 400 + ["1"] * 2
+    assert speak(1, "SL 5 H 100", 201.1).startswith("OK")
+    twin.press(201.2)
+    assert darkened(2, 201.3) == "1"
+    counts = [darkened(3 + step, 201.5 + 0.5 * step) for step in range(14)]
+    assert counts == sorted(counts)
+    assert counts[-1] == "2"
+    twin.advance(220.0)
+    assert commands.run("ST").split()[5:] == ["3", "P", "1", "0"]
+
+
+@pytest.mark.parametrize(
+    ("words", "lit"),
+    [("PU 1 H 20000 7", "1" * 7), ("BL 1 H 20000 5 3 4", "11111000" * 3 + "11111"),
+     ("BL 4 L 65535 2 6 2", "11000000" * 2), ("BL 1 H 20000 1 1 3", "101010")],
+)  # fmt: skip
+def test_light_is_as_long_as_was_asked_however_time_passes(words: str, lit: str) -> None:
+    """Millisecond by millisecond, or as many at once as there are: the same are lit, and none after the last."""
+    for steps in (1, 2, 40):
+        twin, commands = greeted()
+        assert commands.run(words).startswith("OK")
+        name, seen = twin.settings.channels[int(words.split()[1])].name, []
+        for ms in range(0, 40, steps):
+            seen.append("1" if twin.duty(name) else "0")
+            twin.advance((ms + steps) / 1000.0)
+        assert "".join(seen) == lit.ljust(40, "0")[::steps]
+        assert twin.duty(name) == 0.0
+
+
+def test_a_ramp_ends_where_it_was_sent_when_it_was_to() -> None:
+    """From 40000 down to 10000 in 6 ms: 5000 in each, then steady."""
+    twin, commands = greeted()
+    assert commands.run("SL 1 H 40000").startswith("OK")
+    assert commands.run("RA 1 H 10000 6").startswith("OK")
+    levels = []
+    for ms in range(8):
+        twin.advance(ms / 1000.0)
+        levels.append(twin.channels[1].driven_level)
+    assert levels == [40000, 35000, 30000, 25000, 20000, 15000, 10000, 10000]
+    assert [channel.mode for channel in twin.channels][1] == "S"
+
+
+SECONDS_OF_A_BUCKET = {
+    "bleach": 200,
+    "field": 300,
+    "spot": 3600,
+    "spot_red": 3600,
+    "spot_green": 3600,
+    "fixation": 3600,
+}
+
+
+@pytest.mark.parametrize("limits", REFERENCE_CHANNELS, ids=lambda limits: limits.name)
+def test_a_bucket_lasts_as_long_as_the_protocol_says_and_is_full_after_ten_minutes(limits: ChannelLimits) -> None:
+    """Level 60000 takes 60000 / 256 + 1 = 235 units in each ms; each dark ms gives a 600000th."""
+    seconds = SECONDS_OF_A_BUCKET[limits.name]
+    assert limits.bucket == seconds * 1000 * 235
+    assert limits.refill == round(limits.bucket / 600_000 + 1e-9)
+
+
+def test_the_twin_has_the_limits_that_stand_in_the_firmware() -> None:
+    """Name, peak, steps, levels, bucket and refill of each channel, in their order, are those of limits.c."""
+    text = (FIRMWARE / "limits.c").read_text()
+    steps = dict(re.findall(r"#define (\w+_STEPS) (\d+)", (FIRMWARE / "config.h").read_text()))
+    row = re.compile(r'\{"(\w+)", (\d+), (\w+), \{(\d+), (\d+)\}, UNITS\((\d+)UL\), (\d+)\}')
+    found = [
+        ChannelLimits(name, int(peak), int(steps[duty]), *map(int, others))
+        for name, peak, duty, *others in row.findall(text)
+    ]
+    assert tuple(found) == REFERENCE_CHANNELS
+
+
+def test_the_twin_tells_when_something_happens_by_itself_next() -> None:
+    """Without a host nothing; a second after its last word; a light that ends or a press planned sooner comes first."""
+    assert LightBoxTwin().next_time_s() is None
+    twin, commands = greeted()
+    said_s = twin.time_s
+    assert twin.next_time_s() == pytest.approx(said_s + 1.0, abs=2e-3)
+    twin.advance(said_s + 0.4)
+    assert twin.next_time_s() == pytest.approx(said_s + 1.0, abs=2e-3)
+    assert commands.run("PU 1 H 20000 250").startswith("OK")
+    assert twin.next_time_s() == pytest.approx(said_s + 0.65, abs=2e-3)
+    twin.press(said_s + 0.5)
+    assert twin.next_time_s() == pytest.approx(said_s + 0.5, abs=2e-3)
+    twin.advance(said_s + 3.0)
+    assert not twin.session
+    assert twin.next_time_s() == pytest.approx(
+        said_s + 0.5 + 3.0, abs=2e-3
+    )  # held for three seconds: all lights stay off
+    twin.advance(said_s + 3.6)
+    assert twin.next_time_s() is None
+
+
+@pytest.mark.parametrize("words", ["OF *", "OF 1", "HI 2"])
+def test_what_is_switched_off_is_dark_in_the_light_at_once(words: str) -> None:
+    """By one name, by all, or by a new greeting: the LED's own light and its pin, not the channel's state alone."""
+    twin, commands = greeted()
+    assert commands.run("SL 1 H 20000").startswith("OK")
+    assert twin.emission("spot", 0.5).radiance_w_sr_m2 > 0.0
+    told = []
+    twin.watch = lambda: told.append(twin.duty("spot"))
+    assert commands.run(words).startswith("OK")
+    assert twin.emission("spot", twin.time_s + 0.1).radiance_w_sr_m2 == 0.0
+    assert told == [0.0]
+
+
+@pytest.mark.parametrize("words", ["SL 1 H 20000", "RA 1 H 20000 500", "PU 1 H 20000 1", "BL 1 H 20000 1 1 1"])
+def test_a_channel_without_energy_for_a_millisecond_lights_in_no_way(words: str) -> None:
+    """Level 20000 takes 79 units in each: with 78 every command is refused (6), with 79 none; low current takes one."""
+    for bucket, answer in ((78, "ER 06"), (79, "OK H 20000")):
+        twin, commands = greeted()
+        twin.channels[1].bucket = bucket
+        assert commands.run(words).startswith(answer)
+    twin, commands = greeted()
+    twin.channels[1].bucket = 1
+    assert commands.run(words.replace("H", "L")).startswith("OK L 20000")
+
+
+@pytest.mark.parametrize("steps", [(0.7, 0.1), (0.1, 0.1, 0.1), (0.25, 0.25), (0.0003, 0.0007)])
+def test_whole_milliseconds_are_counted_whole(steps: tuple[float, ...]) -> None:
+    """Times that add up to a pulse's end in decimal end it, although their binary sums may lie a little below."""
+    twin, commands = greeted()
+    begun_s = twin.time_s
+    assert begun_s == 0.0
+    whole_ms = round(1000 * sum(steps))
+    assert commands.run(f"PU 1 H 20000 {whole_ms}").startswith("OK")
+    passed_s = 0.0
+    for step in steps:
+        assert twin.emission("spot", passed_s).radiance_w_sr_m2 > 0.0
+        passed_s += step
+    assert twin.emission("spot", passed_s).radiance_w_sr_m2 == 0.0
