@@ -75,19 +75,25 @@ class LightBody(BaseModel):
     level: float = Field(description="0 (off) to 1.")
 
 
+async def read_whole(request: web.Request) -> None:
+    """Wait for a request's body, which is kept. Raises HTTPRequestTimeout if it does not come in time."""
+    if not request.can_read_body:
+        return
+    try:
+        async with asyncio.timeout(_BODY_DEADLINE_S):
+            await request.read()
+    except TimeoutError as error:
+        raise web.HTTPRequestTimeout(text="the body did not come in time") from error
+
+
 async def read_body(request: web.Request, model: type[_Model]) -> _Model:
     """Return the validated JSON body; an empty one stands for {}.
 
     Raises:
         UsageError: If it is not what the model says.
-        HTTPRequestTimeout: If it does not come in time.
         HTTPUnsupportedMediaType: If it is not JSON by its content type.
     """
-    try:
-        async with asyncio.timeout(_BODY_DEADLINE_S):
-            content = await request.read()
-    except TimeoutError as error:
-        raise web.HTTPRequestTimeout(text="the body did not come in time") from error
+    content = await request.read()
     if content.strip() and request.content_type != "application/json":
         raise web.HTTPUnsupportedMediaType(text="send JSON with Content-Type: application/json")
     try:

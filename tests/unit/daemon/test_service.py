@@ -196,7 +196,7 @@ async def test_who_may_connect_is_announced(tmp_path: Path, monkeypatch: pytest.
     """Networks that are let in, that a token is needed, an IPv6 address in brackets, and what else is told whom."""
     service, _, said, _ = fresh(
         tmp_path, scpi_address="192.0.2.7", scpi_allow=parse_networks(["10.0.0.0/8", "192.0.2.0/24"]),
-        http_address="::1", token="secret",
+        http_address="::1", token="a secret of sixteen",
     )  # fmt: skip
     begun: list[str] = []
     other = SimpleNamespace(start=lambda: begun.append("mqtt"), target="broker:1883", topic="lab")
